@@ -1,0 +1,2 @@
+//! What runs on a ubimap robot.
+#![no_std]

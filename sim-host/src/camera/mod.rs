@@ -1,0 +1,33 @@
+//! What a camera reports, and the door through which it comes.
+//!
+//! Simulated cameras, recorded logs and, later, real ones behind a detector all implement
+//! [`Source`]; nothing downstream knows which it is.
+
+use ubimap_protocol::{
+    tile::Cell,
+    time::Instant,
+    units::{Pose, RobotId},
+};
+
+/// What one frame of one camera says, after perception.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Observation {
+    /// Which camera, numbered from zero.
+    pub camera: usize,
+    /// When the frame was captured, in the server's clock.
+    pub captured: Instant,
+    /// The robots that it localised: `base_link` in `map`.
+    pub robots: Vec<(RobotId, Pose)>,
+    /// The cells that it sees, by grid coordinates (cells from the origin of `map`): free or
+    /// occupied. A cell in its field of view that is hidden from it is not listed.
+    pub cells: Vec<((i32, i32), Cell)>,
+}
+
+/// A source of observations.
+pub trait Source {
+    /// The next observation whose frame has arrived by `now` (server's clock), oldest first.
+    fn poll(&mut self, now: Instant) -> Option<Observation>;
+
+    /// When the next frame will arrive, or `None` if there will be no more.
+    fn next_arrival(&self) -> Option<Instant>;
+}

@@ -1,0 +1,1 @@
+//! Channels between the server and its robots.

@@ -1,0 +1,1 @@
+//! Occupancy grids, ROS map files and scores.

@@ -1,0 +1,2 @@
+//! `ubimap`, the command line.
+fn main() {}

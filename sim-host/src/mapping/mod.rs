@@ -1,0 +1,1 @@
+//! Camera evidence, robot layers and the fused layer.

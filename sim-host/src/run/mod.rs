@@ -1,0 +1,1 @@
+//! What joins a source, agents, channels and the server into one run.

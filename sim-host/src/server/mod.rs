@@ -1,0 +1,1 @@
+//! The camera server: a session for each robot.
