@@ -1,5 +1,15 @@
-//! Tiles of the map: bit planes and what is computed from them.
+//! Tiles of the map: bit planes, their stamps and hashes, and the codec of their updates.
 
+mod codec;
+mod context;
+mod digest;
 mod planes;
+mod range_coder;
+mod stamp;
 
+pub use codec::{
+    MAX_TILES_PER_UPDATE, TILE_CELLS, TileDecoder, TileEncoder, TileError, TileHeader,
+};
+pub use digest::{Digest, tile_hash};
 pub use planes::{Cell, Layer, Row, TILE_SIDE, Tile, TileId, cell_of};
+pub use stamp::{Epoch, Stamp, Version};

@@ -1,0 +1,178 @@
+//! Consistent overhead byte stuffing: a frame without zero bytes, ended by one.
+//!
+//! The decoder works on the fly and starts afresh at every delimiter, so that a good frame right
+//! after a corrupt, a truncated or an oversized one is always read.
+
+/// The delimiter between frames.
+pub const DELIMITER: u8 = 0;
+
+/// Bytes on the wire for `raw` bytes at the most, delimiter included.
+pub const fn encoded_len(raw: usize) -> usize {
+    raw + raw.saturating_sub(1) / 254 + 2
+}
+
+/// Writes the parts, joined, as one stuffed frame with its delimiter. Returns its length, or
+/// `None` if `out` is too short.
+pub fn encode(parts: [&[u8]; 2], out: &mut [u8]) -> Option<usize> {
+    let mut code_at = 0;
+    let mut code = 1u8;
+    let mut len = 1;
+    let mut bytes = parts[0].iter().chain(parts[1]).peekable();
+    while let Some(&byte) = bytes.next() {
+        if byte == DELIMITER {
+            *out.get_mut(code_at)? = code;
+            code_at = len;
+            code = 1;
+            len += 1;
+        } else {
+            *out.get_mut(len)? = byte;
+            len += 1;
+            code += 1;
+            // A full block is followed by another one only if there is something left.
+            if code == 0xFF && bytes.peek().is_some() {
+                *out.get_mut(code_at)? = code;
+                code_at = len;
+                code = 1;
+                len += 1;
+            }
+        }
+    }
+    *out.get_mut(code_at)? = code;
+    *out.get_mut(len)? = DELIMITER;
+    Some(len + 1)
+}
+
+/// Why what stood between two delimiters is no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CobsError {
+    /// A delimiter came before the block that was announced had ended.
+    Truncated,
+    /// More bytes than a frame may have.
+    TooLong,
+}
+
+/// Collects one frame of at most `N` unstuffed bytes from a stream.
+#[derive(Debug)]
+pub struct Decoder<const N: usize> {
+    buffer: [u8; N],
+    len: usize,
+    /// Data bytes until the next code byte.
+    left: u8,
+    /// Whether the block in hand ends in a zero byte (unless the frame ends with it).
+    zero_after: bool,
+    started: bool,
+    too_long: bool,
+}
+
+impl<const N: usize> Default for Decoder<N> {
+    fn default() -> Self {
+        Self { buffer: [0; N], len: 0, left: 0, zero_after: false, started: false, too_long: false }
+    }
+}
+
+impl<const N: usize> Decoder<N> {
+    /// Takes bytes from the front of `input` up to the end of the next frame. `None` when the
+    /// input is used up before. Nothing between two delimiters is no frame and passed over.
+    pub fn next(&mut self, input: &mut &[u8]) -> Option<Result<&[u8], CobsError>> {
+        while let Some((&byte, rest)) = input.split_first() {
+            *input = rest;
+            if byte != DELIMITER {
+                self.push(byte);
+                continue;
+            }
+            let (started, left, too_long, len) = (self.started, self.left, self.too_long, self.len);
+            self.restart();
+            if !started {
+                continue;
+            }
+            return Some(if too_long {
+                Err(CobsError::TooLong)
+            } else if left != 0 {
+                Err(CobsError::Truncated)
+            } else {
+                Ok(self.buffer.get(..len).unwrap_or(&[]))
+            });
+        }
+        None
+    }
+
+    /// Forgets a frame that was begun.
+    pub fn restart(&mut self) {
+        self.len = 0;
+        self.left = 0;
+        self.zero_after = false;
+        self.started = false;
+        self.too_long = false;
+    }
+
+    fn push(&mut self, byte: u8) {
+        self.started = true;
+        if self.left == 0 {
+            if self.zero_after {
+                self.keep(0);
+            }
+            self.left = byte - 1;
+            self.zero_after = byte != 0xFF;
+        } else {
+            self.left -= 1;
+            self.keep(byte);
+        }
+    }
+
+    fn keep(&mut self, byte: u8) {
+        match self.buffer.get_mut(self.len) {
+            Some(slot) => {
+                *slot = byte;
+                self.len += 1;
+            }
+            None => self.too_long = true,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_was_stuffed_is_unstuffed(raw in proptest::collection::vec(
+            prop_oneof![Just(0u8), Just(1u8), any::<u8>()], 0..600), split in 0usize..600) {
+            let mut wire = [0u8; 700];
+            let split = split.min(raw.len());
+            let len = encode([&raw[..split], &raw[split..]], &mut wire).unwrap();
+            prop_assert!(len <= encoded_len(raw.len()));
+            prop_assert!(!wire[..len - 1].contains(&0));
+            let mut decoder = Decoder::<600>::default();
+            let mut input = &wire[..len];
+            let frame = decoder.next(&mut input).unwrap();
+            prop_assert_eq!(frame, Ok(&raw[..]));
+        }
+
+        #[test]
+        fn a_good_frame_after_any_garbage_is_read(garbage in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let mut wire = garbage.clone();
+            wire.push(DELIMITER);
+            let mut good = [0u8; 16];
+            let len = encode([&[1, 0, 2], &[0, 0]], &mut good).unwrap();
+            wire.extend_from_slice(&good[..len]);
+            let mut decoder = Decoder::<32>::default();
+            let mut input = &wire[..];
+            let mut last = false;
+            while let Some(frame) = decoder.next(&mut input) {
+                last = frame == Ok(&[1, 0, 2, 0, 0][..]);
+            }
+            prop_assert!(last);
+        }
+    }
+
+    #[test]
+    fn a_full_block_needs_no_second_code() {
+        let raw = [7u8; 254];
+        let mut wire = [0u8; 260];
+        assert_eq!(encode([&raw, &[]], &mut wire), Some(256));
+        assert_eq!(encode([&raw, &[1]], &mut wire), Some(258));
+        assert_eq!(encode([&raw, &[]], &mut wire[..255]), None);
+    }
+}

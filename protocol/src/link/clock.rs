@@ -1,0 +1,218 @@
+//! The server's time on a robot, from request and reply with four time stamps.
+//!
+//! The way there takes `received - sent` by the two clocks, the way back `arrived - replied`. The
+//! fastest of each way in the recent past met the least queueing: half the difference between
+//! the two is the offset of the clocks.
+
+use crate::{
+    message::{TimeReply, TimeRequest},
+    time::{Duration, Instant},
+};
+
+/// Exchanges in one generation of minima, and generations kept.
+const PER_GENERATION: u8 = 8;
+const GENERATIONS: usize = 8;
+/// Clocks drift apart: an older minimum counts as slower, by 1/2^16 (15 ppm) of its age.
+const DRIFT_SHIFT: u32 = 16;
+/// Between exchanges until the first minima are good, and after.
+const EAGER: Duration = Duration::from_millis(125);
+const EAGER_EXCHANGES: u8 = 64;
+const INTERVAL: Duration = Duration::from_secs(5);
+/// A reply that takes longer is as good as lost.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// The fastest way there and back of a few exchanges, in microseconds by two clocks.
+#[derive(Clone, Copy, Debug)]
+struct Fastest {
+    there: i64,
+    back: i64,
+}
+
+impl Fastest {
+    const NONE: Self = Self { there: i64::MAX, back: i64::MAX };
+
+    fn aged(self, by: Duration) -> Self {
+        let drift = (by.micros() >> DRIFT_SHIFT) as i64;
+        Self { there: self.there.saturating_add(drift), back: self.back.saturating_add(drift) }
+    }
+
+    fn min(self, other: Self) -> Self {
+        Self { there: self.there.min(other.there), back: self.back.min(other.back) }
+    }
+}
+
+/// The robot's side of the exchange.
+#[derive(Debug)]
+pub struct ClockSync {
+    generations: [Fastest; GENERATIONS],
+    in_generation: u8,
+    generation_began: Instant,
+    exchanges: u8,
+    pending: Option<(u16, Instant)>,
+    next_nonce: u16,
+    next_request: Instant,
+    /// The latest server time given out: it never steps back.
+    latest: u64,
+}
+
+impl Default for ClockSync {
+    fn default() -> Self {
+        Self {
+            generations: [Fastest::NONE; GENERATIONS],
+            in_generation: 0,
+            generation_began: Instant(0),
+            exchanges: 0,
+            pending: None,
+            next_nonce: 0,
+            next_request: Instant(0),
+            latest: 0,
+        }
+    }
+}
+
+impl ClockSync {
+    /// The request to send now, if one is due. Its time stamp is `now`.
+    #[must_use]
+    pub fn poll_request(&mut self, now: Instant) -> Option<TimeRequest> {
+        if now < self.next_request {
+            return None;
+        }
+        let nonce = self.next_nonce;
+        self.next_nonce = self.next_nonce.wrapping_add(1);
+        self.pending = Some((nonce, now));
+        let eager = self.exchanges < EAGER_EXCHANGES;
+        self.next_request = now + if eager { EAGER } else { INTERVAL };
+        Some(TimeRequest { nonce })
+    }
+
+    /// When the next request is due.
+    pub fn poll_timeout(&self) -> Instant {
+        self.next_request
+    }
+
+    /// Takes a reply. Replies to anything but the latest request are ignored.
+    pub fn reply(&mut self, reply: &TimeReply, now: Instant) {
+        let Some((_, sent)) = self.pending.take_if(|(nonce, _)| *nonce == reply.nonce) else {
+            return;
+        };
+        if now.since(sent) > PATIENCE {
+            return;
+        }
+        let replied = reply.received.0.saturating_add(u64::from(reply.held_micros));
+        let sample = Fastest {
+            there: reply.received.0.wrapping_sub(sent.0) as i64,
+            back: now.0.wrapping_sub(replied) as i64,
+        };
+        if self.in_generation >= PER_GENERATION {
+            self.in_generation = 0;
+            let age = now.since(core::mem::replace(&mut self.generation_began, now));
+            self.generations = self.generations.map(|minima| minima.aged(age));
+            self.generations.rotate_right(1);
+            if let Some(newest) = self.generations.first_mut() {
+                *newest = Fastest::NONE;
+            }
+        }
+        self.in_generation += 1;
+        self.exchanges = self.exchanges.saturating_add(1);
+        if let Some(newest) = self.generations.first_mut() {
+            *newest = newest.min(sample);
+        }
+    }
+
+    /// The server's clock less the robot's, in microseconds (modulo 2^64), once known.
+    fn offset(&self) -> Option<u64> {
+        let fastest = self.generations.iter().fold(Fastest::NONE, |all, &one| all.min(one));
+        // The sum of both is the fastest round trip, so halving their difference loses nothing
+        // that matters; the wrapping keeps any two clocks apart by the right amount.
+        (self.exchanges > 0).then(|| {
+            let round_trip = fastest.there.wrapping_add(fastest.back);
+            fastest.there.wrapping_sub(round_trip / 2) as u64
+        })
+    }
+
+    /// A moment of the robot's clock in the server's, once known.
+    pub fn to_server(&self, local: Instant) -> Option<Instant> {
+        Some(Instant(local.0.wrapping_add(self.offset()?)))
+    }
+
+    /// A moment of the server's clock in the robot's, once known.
+    pub fn to_local(&self, server: Instant) -> Option<Instant> {
+        Some(Instant(server.0.wrapping_sub(self.offset()?)))
+    }
+
+    /// The server's time now, once known. Never less than at an earlier call.
+    pub fn server_now(&mut self, now: Instant) -> Option<Instant> {
+        self.latest = self.latest.max(self.to_server(now)?.0);
+        Some(Instant(self.latest))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// SplitMix64: 0 to 20 ms.
+    fn delay(seed: &mut u64) -> u64 {
+        *seed = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (*seed ^ *seed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        (mixed ^ mixed >> 31) % 20_001
+    }
+
+    /// The error in microseconds after some exchanges, of which each way takes 0 to 20 ms, with a
+    /// server's clock that gains `ppm` on the robot's.
+    fn error_after(exchanges: u32, seed: u64, ppm: u64) -> i64 {
+        let (mut seed, ahead) = (seed, 1_000_000_000u64.wrapping_mul(seed + 1));
+        let server = |local: u64| local + ahead + local * ppm / 1_000_000;
+        let mut clock = ClockSync::default();
+        let mut local = 0;
+        for _ in 0..exchanges {
+            local = clock.poll_timeout().0.max(local);
+            let request = clock.poll_request(Instant(local)).unwrap();
+            local += delay(&mut seed);
+            let received = Instant(server(local));
+            let reply = TimeReply { nonce: request.nonce, received, held_micros: 300 };
+            local += 300 + delay(&mut seed);
+            clock.reply(&reply, Instant(local));
+        }
+        clock.to_server(Instant(local)).unwrap().0 as i64 - server(local) as i64
+    }
+
+    #[test]
+    fn clocks_agree_within_a_millisecond_after_fifty_exchanges() {
+        let seeds = 1000;
+        let good = (0..seeds).filter(|&seed| error_after(50, seed, 0).abs() <= 1_000).count();
+        assert!(good as u64 * 100 >= seeds * 99, "{good} of {seeds}");
+    }
+
+    #[test]
+    fn a_clock_that_drifts_is_followed() {
+        let worst = (0..100).map(|seed| error_after(400, seed, 25).abs()).max().unwrap();
+        assert!(worst <= 5_000, "{worst} us");
+    }
+
+    #[test]
+    fn a_reply_to_another_request_is_ignored() {
+        let mut clock = ClockSync::default();
+        let request = clock.poll_request(Instant(0)).unwrap();
+        let received = Instant(5_000_000);
+        clock.reply(&TimeReply { nonce: request.nonce + 1, received, held_micros: 0 }, Instant(10));
+        assert_eq!(clock.to_server(Instant(10)), None);
+        clock.reply(&TimeReply { nonce: request.nonce, received, held_micros: 0 }, Instant(10));
+        assert_eq!(clock.to_server(Instant(10)), Some(Instant(5_000_005)));
+    }
+
+    #[test]
+    fn the_servers_time_never_steps_back() {
+        let mut clock = ClockSync::default();
+        let request = clock.poll_request(Instant(0)).unwrap();
+        let slow = TimeReply { nonce: request.nonce, received: Instant(90_000), held_micros: 0 };
+        clock.reply(&slow, Instant(0));
+        let before = clock.server_now(Instant(1)).unwrap();
+        let later = clock.poll_timeout();
+        let request = clock.poll_request(later).unwrap();
+        let received = later + Duration(10);
+        clock.reply(&TimeReply { nonce: request.nonce, received, held_micros: 0 }, later);
+        assert!(clock.server_now(Instant(2)).unwrap() >= before);
+    }
+}

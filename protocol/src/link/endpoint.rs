@@ -1,0 +1,364 @@
+//! One end of a link: bytes in, messages out; messages in, frames out.
+
+use super::acknowledgement::{Arrival, ReceiveWindow, SendWindow};
+use crate::{
+    frame::{
+        DEFAULT_FRAME, Direction, FrameKind, HEADER_LEN, Header, MIN_VERSION, SEAL_LEN,
+        SEQUENCE_MODULUS, SessionId, VERSION, cobs, open, payload_capacity, seal,
+    },
+    message::{Ack, Message, Messages, Writer, decode},
+    time::Instant,
+};
+
+/// What an endpoint has counted since it was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Frames sent, retransmissions included.
+    pub sent: u32,
+    /// Reliable frames sent again.
+    pub retransmissions: u32,
+    /// Good frames received, duplicates included.
+    pub received: u32,
+    /// Reliable frames that had been received before.
+    pub duplicates: u32,
+    /// Frames that were stuffed wrongly, too long, or whose seal was bad.
+    pub bad: u32,
+    /// Good frames that broke a rule of the protocol: a message that does not parse, a sequence
+    /// number out of the window, a version that was not agreed upon.
+    pub refused: u32,
+}
+
+/// What came in.
+#[derive(Debug)]
+pub enum Received<'a> {
+    /// A message outside any session.
+    Handshake(Message<'a>),
+    /// The messages of a frame of this session, each frame once. Acknowledgements are among them
+    /// and have been seen to.
+    Session(Messages<'a>),
+    /// Something that is no frame of this session.
+    Bad,
+}
+
+/// What a new frame is to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fill<T> {
+    /// Nothing to say now.
+    Nothing,
+    /// Sent once.
+    Datagram,
+    /// Sent until it is acknowledged; then [`Endpoint::poll_acknowledged`] gives the token back.
+    Reliable(T),
+}
+
+/// A frame to be put on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transmit<T> {
+    /// Its length.
+    pub len: usize,
+    /// The token of a reliable frame.
+    pub token: Option<T>,
+}
+
+/// One end of a link. `WINDOW` reliable frames may be under way (at most 32), of at most `FRAME`
+/// bytes on the wire; about `(WINDOW + 2) * FRAME` bytes of memory. `T` marks reliable frames for
+/// the owner.
+#[derive(Debug)]
+pub struct Endpoint<T, const WINDOW: usize, const FRAME: usize> {
+    outgoing: Direction,
+    session: SessionId,
+    /// Bytes of a frame on the wire, as agreed.
+    frame: usize,
+    decoder: cobs::Decoder<FRAME>,
+    receiving: ReceiveWindow,
+    sending: SendWindow<T, WINDOW, FRAME>,
+    datagrams: u16,
+    scratch: [u8; FRAME],
+    counters: Counters,
+}
+
+impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME> {
+    /// An end whose frames go this way, without a session.
+    pub fn new(outgoing: Direction) -> Self {
+        Self {
+            outgoing,
+            session: SessionId::NONE,
+            frame: FRAME.min(DEFAULT_FRAME),
+            decoder: cobs::Decoder::default(),
+            receiving: ReceiveWindow::default(),
+            sending: SendWindow::default(),
+            datagrams: 0,
+            scratch: [0; FRAME],
+            counters: Counters::default(),
+        }
+    }
+
+    /// Begins a session with frames of `frame` bytes on the wire. What was under way in an
+    /// earlier session is forgotten: the owner must assume that it was lost.
+    pub fn begin(&mut self, session: SessionId, frame: usize) {
+        self.session = session;
+        self.frame = frame.min(FRAME);
+        self.receiving = ReceiveWindow::default();
+        self.sending = SendWindow::default();
+        self.datagrams = 0;
+    }
+
+    /// Ends the session.
+    pub fn end(&mut self) {
+        self.begin(SessionId::NONE, FRAME.min(DEFAULT_FRAME));
+    }
+
+    /// The session, or [`SessionId::NONE`].
+    pub fn session(&self) -> SessionId {
+        self.session
+    }
+
+    /// What has been counted.
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// Whether there is a session and room for one more reliable frame.
+    pub fn can_send_reliable(&self) -> bool {
+        self.session != SessionId::NONE && self.sending.next_sequence().is_some()
+    }
+
+    /// Takes bytes from the front of `input` until there is something to say of them. Call it
+    /// until it returns `None`: then the input is used up.
+    pub fn receive(&mut self, input: &mut &[u8], now: Instant) -> Option<Received<'_>> {
+        let incoming = match self.outgoing {
+            Direction::ToServer => Direction::ToRobot,
+            Direction::ToRobot => Direction::ToServer,
+        };
+        let Self { decoder, counters, session, receiving, sending, .. } = self;
+        let Ok(frame) = decoder.next(input)? else {
+            counters.bad = counters.bad.wrapping_add(1);
+            return Some(Received::Bad);
+        };
+        let opened = (*session != SessionId::NONE)
+            .then(|| open(*session, incoming, frame))
+            .flatten()
+            .map(|contents| (contents, false))
+            .or_else(|| Some((open(SessionId::NONE, incoming, frame)?, true)));
+        let Some((contents, outside)) = opened else {
+            counters.bad = counters.bad.wrapping_add(1);
+            return Some(Received::Bad);
+        };
+        counters.received = counters.received.wrapping_add(1);
+        let Some((header, payload)) = Header::decode(contents) else {
+            return refuse(counters);
+        };
+        if outside != (header.kind == FrameKind::Handshake) {
+            return refuse(counters);
+        }
+        if outside {
+            // Any version may knock: the answer names the mismatch.
+            return match Messages::new(payload).next() {
+                Some(Ok(message)) => Some(Received::Handshake(message)),
+                _ => refuse(counters),
+            };
+        }
+        if !(MIN_VERSION..=VERSION).contains(&header.version) {
+            return refuse(counters);
+        }
+        if header.kind == FrameKind::Reliable {
+            match receiving.arrive(header.sequence, now) {
+                Arrival::New => {}
+                Arrival::Duplicate => {
+                    counters.duplicates = counters.duplicates.wrapping_add(1);
+                    return Some(Received::Session(Messages::new(&[])));
+                }
+                Arrival::Refused => return refuse(counters),
+            }
+        }
+        for message in Messages::new(payload) {
+            match message {
+                Ok(Message { kind: Ack::KIND, body }) => match decode::<Ack>(body) {
+                    Ok((ack, _)) => sending.acknowledge(ack, now),
+                    Err(_) => counters.refused = counters.refused.wrapping_add(1),
+                },
+                Ok(_) => {}
+                Err(_) => counters.refused = counters.refused.wrapping_add(1),
+            }
+        }
+        Some(Received::Session(Messages::new(payload)))
+    }
+
+    /// The token of a reliable frame that has been acknowledged, each once.
+    #[must_use]
+    pub fn poll_acknowledged(&mut self) -> Option<T> {
+        self.sending.take_acknowledged()
+    }
+
+    /// Writes a frame of the handshake: one message, sealed outside any session. `None` if it
+    /// does not fit.
+    pub fn handshake<M: serde::Serialize>(
+        &mut self,
+        kind: u8,
+        body: &M,
+        out: &mut [u8],
+    ) -> Option<usize> {
+        let header = Header { version: VERSION, kind: FrameKind::Handshake, sequence: 0 };
+        let (head, payload) = self.scratch.split_first_chunk_mut::<HEADER_LEN>()?;
+        *head = header.encode();
+        let mut writer = Writer::new(payload);
+        if !writer.push(kind, body) {
+            return None;
+        }
+        let len = HEADER_LEN + writer.len();
+        let contents = self.scratch.get(..len)?;
+        let tail = seal(SessionId::NONE, self.outgoing, contents);
+        self.counters.sent = self.counters.sent.wrapping_add(1);
+        cobs::encode([contents, &tail], out)
+    }
+
+    /// Writes the next frame that is due into `out` (at least as long as the agreed frame):
+    /// one that must be sent again, or a new one, for which `fill` is asked. `fill` gets a writer
+    /// and whether a reliable frame may be sent. Call it until it returns `None`.
+    #[must_use]
+    pub fn poll_transmit(
+        &mut self,
+        now: Instant,
+        out: &mut [u8],
+        fill: impl FnOnce(&mut Writer<'_>, bool) -> Fill<T>,
+    ) -> Option<Transmit<T>> {
+        if self.session == SessionId::NONE {
+            return None;
+        }
+        if let Some((contents, token)) = self.sending.resend(now) {
+            let tail = seal(self.session, self.outgoing, contents);
+            let len = cobs::encode([contents, &tail], out)?;
+            self.counters.sent = self.counters.sent.wrapping_add(1);
+            self.counters.retransmissions = self.counters.retransmissions.wrapping_add(1);
+            return Some(Transmit { len, token: Some(token) });
+        }
+        let sequence = self.sending.next_sequence();
+        let room = payload_capacity(self.frame.min(out.len()));
+        let (head, payload) = self.scratch.split_first_chunk_mut::<HEADER_LEN>()?;
+        let mut writer = Writer::new(payload.get_mut(..room)?);
+        let owed = self.receiving.owed();
+        let acknowledges = owed.is_some_and(|ack| writer.push(Ack::KIND, &ack));
+        let empty = writer.len();
+        let filled = fill(&mut writer, sequence.is_some());
+        let (kind, sequence, token) = match (filled, sequence) {
+            (Fill::Reliable(token), Some(sequence)) => (FrameKind::Reliable, sequence, Some(token)),
+            (Fill::Datagram, _) if writer.len() > empty => {
+                (FrameKind::Datagram, self.datagrams, None)
+            }
+            _ if acknowledges && self.receiving.due().is_some_and(|due| due <= now) => {
+                (FrameKind::Datagram, self.datagrams, None)
+            }
+            _ => return None,
+        };
+        let len = HEADER_LEN + writer.len();
+        *head = Header { version: VERSION, kind, sequence }.encode();
+        let contents = self.scratch.get(..len)?;
+        let tail = seal(self.session, self.outgoing, contents);
+        let wire = cobs::encode([contents, &tail], out)?;
+        debug_assert!(contents.len() + SEAL_LEN <= FRAME);
+        if let Some(token) = token {
+            self.sending.keep(contents, token, now);
+        } else {
+            self.datagrams = (self.datagrams + 1) % SEQUENCE_MODULUS;
+        }
+        if acknowledges {
+            self.receiving.acknowledged(now);
+        }
+        self.counters.sent = self.counters.sent.wrapping_add(1);
+        Some(Transmit { len: wire, token })
+    }
+
+    /// When [`Endpoint::poll_transmit`] has something to do even if the owner has not.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        if self.session == SessionId::NONE {
+            return None;
+        }
+        [self.receiving.due(), self.sending.next_deadline()].into_iter().flatten().min()
+    }
+}
+
+fn refuse<'a>(counters: &mut Counters) -> Option<Received<'a>> {
+    counters.refused = counters.refused.wrapping_add(1);
+    Some(Received::Session(Messages::new(&[])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    type End = Endpoint<u32, 8, 64>;
+
+    fn pair() -> (End, End) {
+        let mut robot = End::new(Direction::ToServer);
+        let mut server = End::new(Direction::ToRobot);
+        robot.begin(SessionId(77), 64);
+        server.begin(SessionId(77), 64);
+        (robot, server)
+    }
+
+    fn send(end: &mut End, now: u64, token: Option<u32>) -> std::vec::Vec<u8> {
+        let mut out = [0u8; 64];
+        let sent = end.poll_transmit(Instant(now), &mut out, |writer, _| {
+            assert!(writer.push(9, &now));
+            token.map_or(Fill::Datagram, Fill::Reliable)
+        });
+        out[..sent.unwrap().len].to_vec()
+    }
+
+    fn numbers(end: &mut End, mut bytes: &[u8], now: u64) -> std::vec::Vec<u64> {
+        let mut numbers = std::vec::Vec::new();
+        while let Some(received) = end.receive(&mut bytes, Instant(now)) {
+            if let Received::Session(messages) = received {
+                numbers.extend(messages.filter_map(|message| {
+                    let message = message.ok()?;
+                    (message.kind == 9).then(|| decode::<u64>(message.body).unwrap().0)
+                }));
+            }
+        }
+        numbers
+    }
+
+    #[test]
+    fn a_lost_frame_is_sent_again_until_it_is_acknowledged() {
+        let (mut robot, mut server) = pair();
+        let _lost = send(&mut robot, 5, Some(42));
+        let due = robot.poll_timeout().unwrap();
+        let mut out = [0u8; 64];
+        let again = robot.poll_transmit(due, &mut out, |_, _| Fill::Nothing).unwrap();
+        assert_eq!(again.token, Some(42));
+        assert_eq!(numbers(&mut server, &out[..again.len], due.0), [5]);
+        // The same frame once more says nothing new, and is acknowledged.
+        assert_eq!(numbers(&mut server, &out[..again.len], due.0), []);
+        assert_eq!(server.counters().duplicates, 1);
+        let now = server.poll_timeout().unwrap();
+        let ack = server.poll_transmit(now, &mut out, |_, _| Fill::Nothing).unwrap();
+        numbers(&mut robot, &out[..ack.len], now.0);
+        assert_eq!(robot.poll_acknowledged(), Some(42));
+        assert_eq!(robot.poll_timeout(), None);
+    }
+
+    #[test]
+    fn frames_of_another_session_and_echoes_do_not_pass() {
+        let (mut robot, mut server) = pair();
+        let frame = send(&mut robot, 1, None);
+        assert_eq!(numbers(&mut robot, &frame, 1), []);
+        server.begin(SessionId(78), 64);
+        assert_eq!(numbers(&mut server, &frame, 1), []);
+        assert_eq!((robot.counters().bad, server.counters().bad), (1, 1));
+    }
+
+    #[test]
+    fn the_frame_after_a_damaged_one_is_read() {
+        let (mut robot, mut server) = pair();
+        let mut wire = send(&mut robot, 1, None);
+        wire[4] ^= 0x40;
+        let truncated = send(&mut robot, 2, None);
+        wire.extend(&truncated[..6]);
+        wire.push(0);
+        wire.extend([1u8; 90]);
+        wire.push(0);
+        wire.extend(send(&mut robot, 3, None));
+        assert_eq!(numbers(&mut server, &wire, 9), [3]);
+        assert_eq!(server.counters().bad, 3);
+    }
+}

@@ -1,0 +1,15 @@
+//! The link: sessions, frames that arrive for certain, and the server's time on the robot.
+//!
+//! It owns no clock, no port and no thread. The law of everything here, and of what is built on
+//! it: **after every input, drain the outputs until none is left, then come back at
+//! `poll_timeout`.**
+
+mod acknowledgement;
+mod clock;
+mod endpoint;
+mod handshake;
+mod round_trip;
+
+pub use clock::ClockSync;
+pub use endpoint::{Counters, Endpoint, Fill, Received, Transmit};
+pub use handshake::{Answer, Knocking, Terms, answer};

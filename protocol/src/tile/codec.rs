@@ -1,0 +1,523 @@
+//! Tile updates: what changed in some tiles since a base version, or whole tiles.
+//!
+//! One stream of the range coder holds any number of tiles. What does not fit ends a tile early:
+//! the rest travels as a further part of the same version, in a later frame.
+
+use super::{
+    Epoch, Row, Stamp, TILE_SIDE, Tile, TileId, Version,
+    context::{self, CONTEXTS, Surroundings},
+    range_coder::{Decoder, Encoder, Model},
+};
+
+/// Cells of a tile, row by row from the south-west.
+pub const TILE_CELLS: u16 = (TILE_SIDE * TILE_SIDE) as u16;
+
+/// The most tiles that one update may hold: bounds the work of a decoder.
+pub const MAX_TILES_PER_UPDATE: usize = 32;
+
+/// What precedes the cells of one tile in an update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TileHeader {
+    /// Which tile.
+    pub id: TileId,
+    /// The state that the tile is in once all parts have arrived.
+    pub stamp: Stamp,
+    /// The version (of the same epoch) that it builds upon; `None`: on nothing, it is whole.
+    pub base: Option<Version>,
+    /// The first cell of this part, row by row from the south-west.
+    pub start: u16,
+    /// The cell after the last of this part; 1,024 ends the tile.
+    pub end: u16,
+}
+
+/// Orders of the Exp-Golomb codes in a tile's header.
+const FIRST_ID_ORDER: u32 = 3;
+const EPOCH_ORDER: u32 = 4;
+const VERSION_ORDER: u32 = 3;
+
+/// Writes one tile update into a buffer of the caller's.
+#[derive(Debug)]
+pub struct TileEncoder<'a> {
+    coder: Encoder<'a>,
+    models: [Model; CONTEXTS],
+    previous: Option<(TileId, Epoch)>,
+    tiles: usize,
+}
+
+impl<'a> TileEncoder<'a> {
+    /// Writes into this buffer from its start.
+    pub fn new(out: &'a mut [u8]) -> Self {
+        Self { coder: Encoder::new(out), models: context::models(), previous: None, tiles: 0 }
+    }
+
+    /// How many tiles the update holds so far.
+    pub fn tiles(&self) -> usize {
+        self.tiles
+    }
+
+    /// Adds the cells of `new` from `start` on (`stamp.version` and `base` as in
+    /// [`TileHeader`]). `old` is what the receiver holds of the tile: the base version from
+    /// `start` on, and `new` before it; unknown from `start` on if there is no base.
+    ///
+    /// Returns the cell after the last that fitted, or `None` if not even one did or the update
+    /// holds [`MAX_TILES_PER_UPDATE`]. Only the first tile of an update is cut short.
+    /// About 60 instructions for each cell of the rows that have changed.
+    pub fn push(
+        &mut self,
+        id: TileId,
+        stamp: Stamp,
+        base: Option<Version>,
+        start: u16,
+        old: &Tile,
+        new: &Tile,
+    ) -> Option<u16> {
+        if self.tiles >= MAX_TILES_PER_UPDATE || start >= TILE_CELLS {
+            return None;
+        }
+        let (before, models) = (self.coder.state(), self.models);
+        let mut end = TILE_CELLS;
+        loop {
+            let header = TileHeader { id, stamp, base, start, end };
+            let fitted = self.try_push(&header, old, new);
+            if fitted >= end {
+                self.previous = Some((id, stamp.epoch));
+                self.tiles += 1;
+                return Some(end);
+            }
+            self.coder.rewind(before);
+            self.models = models;
+            // The header of a part is a little longer than that of a whole tile: each round
+            // gives up at least one cell.
+            end = fitted.min(end - 1);
+            if self.tiles > 0 || end <= start {
+                return None;
+            }
+        }
+    }
+
+    /// Ends the update. Returns its length; `None` if it holds nothing.
+    pub fn finish(self) -> Option<usize> {
+        if self.tiles == 0 {
+            return None;
+        }
+        let (mut coder, mut models) = (self.coder, self.models);
+        coder.bit(&mut models[context::MORE], false);
+        coder.finish()
+    }
+
+    /// Codes a part, and returns the cell after the last that fitted.
+    fn try_push(&mut self, header: &TileHeader, old: &Tile, new: &Tile) -> u16 {
+        self.put_header(header);
+        let mut cells = Cells {
+            models: &mut self.models,
+            part: header,
+            south: (Row::default(), Row::default()),
+        };
+        let mut fitted = header.start;
+        let first_row = usize::from(header.start) / TILE_SIDE;
+        let last_row = (usize::from(header.end) - 1) / TILE_SIDE;
+        if let Some(south) = first_row.checked_sub(1) {
+            let row = new.row(south);
+            cells.south = (row, row);
+        }
+        for y in first_row..=last_row {
+            let (was, is) = (old.row(y), new.row(y));
+            let window = cells.part.columns(y);
+            let changed = (was.low ^ is.low | was.high ^ is.high) & window.mask() != 0;
+            self.coder.bit(cells.row_model(), changed);
+            if changed {
+                for x in window.from..window.to {
+                    cells.put(&mut self.coder, x, was, is);
+                    if !self.coder.fits() {
+                        return fitted;
+                    }
+                    fitted = (y * TILE_SIDE + x + 1) as u16;
+                }
+            }
+            if !self.coder.fits() {
+                return fitted;
+            }
+            fitted = (y * TILE_SIDE + window.to) as u16;
+            cells.south = (was, is);
+        }
+        fitted
+    }
+
+    fn put_header(&mut self, header: &TileHeader) {
+        let Self { coder, models, previous, .. } = self;
+        match *previous {
+            None => {
+                coder.signed(i32::from(header.id.x), FIRST_ID_ORDER);
+                coder.signed(i32::from(header.id.y), FIRST_ID_ORDER);
+                coder.golomb(header.stamp.epoch.0, EPOCH_ORDER);
+            }
+            Some((id, epoch)) => {
+                coder.bit(&mut models[context::MORE], true);
+                coder.signed(i32::from(header.id.x) - i32::from(id.x), 0);
+                coder.signed(i32::from(header.id.y) - i32::from(id.y), 0);
+                let same = header.stamp.epoch == epoch;
+                coder.bit(&mut models[context::SAME_EPOCH], same);
+                if !same {
+                    coder.golomb(header.stamp.epoch.0, EPOCH_ORDER);
+                }
+            }
+        }
+        coder.bit(&mut models[context::HAS_BASE], header.base.is_some());
+        coder.golomb(header.stamp.version.0, VERSION_ORDER);
+        if let Some(base) = header.base {
+            // Nearly always the version before.
+            coder.golomb(header.stamp.version.0.wrapping_sub(base.0).wrapping_sub(1), 0);
+        }
+        let from_start = header.start == 0;
+        coder.bit(&mut models[context::FROM_START], from_start);
+        if !from_start {
+            coder.plain(u32::from(header.start), 10);
+        }
+        let to_end = header.end == TILE_CELLS;
+        coder.bit(&mut models[context::TO_END], to_end);
+        if !to_end {
+            coder.plain(u32::from(header.end), 10);
+        }
+    }
+}
+
+/// Why an update cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TileError {
+    /// A number that no encoder writes, or a stream that is longer than what it says.
+    Malformed,
+    /// More tiles than [`MAX_TILES_PER_UPDATE`].
+    TooManyTiles,
+}
+
+/// Reads a tile update. The work is bounded by [`MAX_TILES_PER_UPDATE`] tiles.
+#[derive(Debug)]
+pub struct TileDecoder<'a> {
+    coder: Decoder<'a>,
+    models: [Model; CONTEXTS],
+    previous: Option<(TileId, Epoch)>,
+    tiles: usize,
+}
+
+impl<'a> TileDecoder<'a> {
+    /// Reads what a [`TileEncoder`] wrote.
+    pub fn new(coded: &'a [u8]) -> Self {
+        Self { coder: Decoder::new(coded), models: context::models(), previous: None, tiles: 0 }
+    }
+
+    /// The header of the next tile, `None` after the last. Its cells must be read, with
+    /// [`TileDecoder::cells`], before the next header can be.
+    pub fn header(&mut self) -> Result<Option<TileHeader>, TileError> {
+        let Self { coder, models, previous, tiles } = self;
+        let (id, epoch) = match *previous {
+            None => (
+                tile_id(coder.signed(FIRST_ID_ORDER), coder.signed(FIRST_ID_ORDER))?,
+                Epoch(coder.golomb(EPOCH_ORDER)),
+            ),
+            Some((id, epoch)) => {
+                if !coder.bit(&mut models[context::MORE]) {
+                    let whole = coder.is_exhausted();
+                    return if whole { Ok(None) } else { Err(TileError::Malformed) };
+                }
+                if *tiles >= MAX_TILES_PER_UPDATE {
+                    return Err(TileError::TooManyTiles);
+                }
+                let x = i32::from(id.x).wrapping_add(coder.signed(0));
+                let y = i32::from(id.y).wrapping_add(coder.signed(0));
+                let same = coder.bit(&mut models[context::SAME_EPOCH]);
+                (tile_id(x, y)?, if same { epoch } else { Epoch(coder.golomb(EPOCH_ORDER)) })
+            }
+        };
+        let has_base = coder.bit(&mut models[context::HAS_BASE]);
+        let version = Version(coder.golomb(VERSION_ORDER));
+        let base = match has_base {
+            true => {
+                let steps = coder.golomb(0).checked_add(1).ok_or(TileError::Malformed)?;
+                Some(Version(version.0.checked_sub(steps).ok_or(TileError::Malformed)?))
+            }
+            false => None,
+        };
+        let from_start = coder.bit(&mut models[context::FROM_START]);
+        let start = if from_start { 0 } else { coder.plain(10) as u16 };
+        let to_end = coder.bit(&mut models[context::TO_END]);
+        let end = if to_end { TILE_CELLS } else { coder.plain(10) as u16 };
+        if start >= end || from_start == (start != 0) {
+            return Err(TileError::Malformed);
+        }
+        *previous = Some((id, epoch));
+        *tiles += 1;
+        Ok(Some(TileHeader { id, stamp: Stamp { epoch, version }, base, start, end }))
+    }
+
+    /// Reads the cells of the part that `header` announced into `tile`, which holds the base (or
+    /// nothing known, if there is none) from `header.start` on, and the new cells before.
+    pub fn cells(&mut self, header: &TileHeader, tile: &mut Tile) {
+        let mut cells = Cells {
+            models: &mut self.models,
+            part: header,
+            south: (Row::default(), Row::default()),
+        };
+        let first_row = usize::from(header.start) / TILE_SIDE;
+        let last_row = usize::from(header.end).saturating_sub(1) / TILE_SIDE;
+        if let Some(south) = first_row.checked_sub(1) {
+            let row = tile.row(south);
+            cells.south = (row, row);
+        }
+        for y in first_row..=last_row {
+            let was = tile.row(y);
+            let mut is = was;
+            let window = cells.part.columns(y);
+            if self.coder.bit(cells.row_model()) {
+                for x in window.from..window.to {
+                    cells.take(&mut self.coder, x, was, &mut is);
+                }
+            }
+            tile.set_row(y, is);
+            cells.south = (was, is);
+        }
+    }
+}
+
+fn tile_id(x: i32, y: i32) -> Result<TileId, TileError> {
+    let side = |value: i32| i16::try_from(value).map_err(|_| TileError::Malformed);
+    Ok(TileId { x: side(x)?, y: side(y)? })
+}
+
+impl TileHeader {
+    /// The columns of row `y` that the part holds.
+    fn columns(&self, y: usize) -> Columns {
+        let first = y * TILE_SIDE;
+        Columns {
+            from: usize::from(self.start).saturating_sub(first).min(TILE_SIDE),
+            to: usize::from(self.end).saturating_sub(first).min(TILE_SIDE),
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Columns {
+    from: usize,
+    to: usize,
+}
+
+impl Columns {
+    fn mask(self) -> u32 {
+        let below = |column: usize| ((1u64 << column) - 1) as u32;
+        below(self.to) & !below(self.from)
+    }
+}
+
+/// The codes to which a cell may change, likeliest first, by its old code (1 to 3).
+const OTHERS: [[u8; 3]; 3] = [[2, 3, 0], [1, 3, 0], [1, 2, 0]];
+
+/// Codes the cells of one part.
+struct Cells<'m, 'h> {
+    models: &'m mut [Model; CONTEXTS],
+    part: &'h TileHeader,
+    /// The row to the south, before and after.
+    south: (Row, Row),
+}
+
+impl Cells<'_, '_> {
+    fn row_model(&mut self) -> &mut Model {
+        let (was, is) = self.south;
+        &mut self.models[context::ROW + usize::from(was != is)]
+    }
+
+    /// What both sides know around column `x`; `is` is known west of it.
+    fn surroundings(&self, x: usize, was: Row, is: Row) -> Surroundings {
+        let (south_was, south_is) = self.south;
+        let changed = |was: Row, is: Row| was.low ^ is.low | was.high ^ is.high;
+        let bit = |word: u32, at: usize| word >> at & 1 != 0;
+        Surroundings {
+            west: if x > 0 { code(is, x - 1) } else { 0 },
+            south: code(south_is, x),
+            south_east: if x + 1 < TILE_SIDE { code(south_is, x + 1) } else { 0 },
+            east: if x + 1 < TILE_SIDE { code(was, x + 1) } else { 0 },
+            west_changed: x > 0 && bit(changed(was, is), x - 1),
+            south_changed: bit(changed(south_was, south_is), x),
+        }
+    }
+
+    fn put(&mut self, coder: &mut Encoder<'_>, x: usize, was: Row, is: Row) {
+        let around = self.surroundings(x, was, is);
+        let (old, new) = (code(was, x), code(is, x));
+        if old == 0 {
+            let at = around.of_unknown();
+            coder.bit(&mut self.models[context::KNOWN + at], new != 0);
+            if new != 0 {
+                coder.bit(&mut self.models[context::OCCUPIED + at], new >= 2);
+                if new >= 2 {
+                    coder.bit(&mut self.models[context::MOVABLE], new == 3);
+                }
+            }
+            return;
+        }
+        coder.bit(&mut self.models[context::CHANGED + around.of_known(old)], new != old);
+        if new != old {
+            let kind = usize::from(old - 1);
+            let [usual, second, _] = OTHERS[kind];
+            coder.bit(&mut self.models[context::USUAL + kind], new == usual);
+            if new != usual {
+                coder.bit(&mut self.models[context::SECOND + kind], new == second);
+            }
+        }
+    }
+
+    fn take(&mut self, coder: &mut Decoder<'_>, x: usize, was: Row, is: &mut Row) {
+        let around = self.surroundings(x, was, *is);
+        let old = code(was, x);
+        let new = if old == 0 {
+            let at = around.of_unknown();
+            if !coder.bit(&mut self.models[context::KNOWN + at]) {
+                0
+            } else if !coder.bit(&mut self.models[context::OCCUPIED + at]) {
+                1
+            } else {
+                2 + u8::from(coder.bit(&mut self.models[context::MOVABLE]))
+            }
+        } else if !coder.bit(&mut self.models[context::CHANGED + around.of_known(old)]) {
+            old
+        } else {
+            let kind = usize::from(old - 1);
+            let [usual, second, third] = OTHERS[kind];
+            if coder.bit(&mut self.models[context::USUAL + kind]) {
+                usual
+            } else if coder.bit(&mut self.models[context::SECOND + kind]) {
+                second
+            } else {
+                third
+            }
+        };
+        is.low = is.low & !(1 << x) | u32::from(new & 1) << x;
+        is.high = is.high & !(1 << x) | u32::from(new >> 1) << x;
+    }
+}
+
+fn code(row: Row, x: usize) -> u8 {
+    ((row.low >> x & 1) | (row.high >> x & 1) << 1) as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tile::Cell;
+    use proptest::prelude::*;
+
+    /// A tile with rows of few changes, like a map, and some like noise.
+    fn tile() -> impl Strategy<Value = Tile> {
+        let row = prop_oneof![
+            4 => Just(Row { low: u32::MAX, high: 0 }),
+            4 => Just(Row::default()),
+            2 => (0u32..32).prop_map(|x| Row { low: !(u32::MAX << x), high: 1u32 << x }),
+            1 => (any::<u32>(), any::<u32>()).prop_map(|(low, high)| Row { low, high }),
+        ];
+        proptest::collection::vec(row, TILE_SIDE).prop_map(|rows| {
+            let mut tile = Tile::UNKNOWN;
+            rows.into_iter().enumerate().for_each(|(y, row)| tile.set_row(y, row));
+            tile
+        })
+    }
+
+    fn stamp(epoch: u32, version: u32) -> Stamp {
+        Stamp { epoch: Epoch(epoch), version: Version(version) }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn updates_of_several_tiles_read_back(
+            pairs in proptest::collection::vec((tile(), tile(), any::<bool>(), -40i16..40, -40i16..40, 0u32..3, 1u32..900), 1..6),
+        ) {
+            let mut out = [0u8; 4096];
+            let mut encoder = TileEncoder::new(&mut out);
+            for (old, new, whole, x, y, epoch, version) in &pairs {
+                let old = if *whole { &Tile::UNKNOWN } else { old };
+                let base = (!whole).then_some(Version(version - 1));
+                let end = encoder.push(TileId { x: *x, y: *y }, stamp(*epoch, *version), base, 0, old, new);
+                prop_assert_eq!(end, Some(TILE_CELLS));
+            }
+            let len = encoder.finish().unwrap();
+            let mut decoder = TileDecoder::new(&out[..len]);
+            for (old, new, whole, x, y, epoch, version) in &pairs {
+                let header = decoder.header().unwrap().unwrap();
+                prop_assert_eq!(header.id, TileId { x: *x, y: *y });
+                prop_assert_eq!(header.stamp, stamp(*epoch, *version));
+                prop_assert_eq!(header.base.is_none(), *whole);
+                let mut tile = if *whole { Tile::UNKNOWN } else { *old };
+                decoder.cells(&header, &mut tile);
+                prop_assert_eq!(&tile, new);
+            }
+            prop_assert_eq!(decoder.header(), Ok(None));
+        }
+
+        #[test]
+        fn parts_of_any_size_make_the_tile(old in tile(), new in tile(), whole: bool, room in 18usize..60) {
+            let base = if whole { Tile::UNKNOWN } else { old };
+            let version = (!whole).then_some(Version(4));
+            let mut sent = base;
+            let mut held = base;
+            let mut start = 0;
+            while start < TILE_CELLS {
+                let mut out = [0u8; 64];
+                let mut encoder = TileEncoder::new(&mut out[..room]);
+                let end = encoder
+                    .push(TileId { x: 500, y: -500 }, stamp(700, 5), version, start, &sent, &new)
+                    .expect("at least one cell fits");
+                let len = encoder.finish().unwrap();
+                prop_assert!(len <= room);
+                let mut decoder = TileDecoder::new(&out[..len]);
+                let header = decoder.header().unwrap().unwrap();
+                prop_assert_eq!((header.start, header.end), (start, end));
+                decoder.cells(&header, &mut held);
+                prop_assert_eq!(decoder.header(), Ok(None));
+                for cell in usize::from(start)..usize::from(end) {
+                    let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+                    sent.set(x, y, new.cell(x, y));
+                }
+                prop_assert_eq!(&held, &sent);
+                start = end;
+            }
+            prop_assert_eq!(&held, &new);
+        }
+
+        #[test]
+        fn any_bytes_end_within_the_bound(coded in proptest::collection::vec(any::<u8>(), 0..300)) {
+            let mut decoder = TileDecoder::new(&coded);
+            let mut tiles = 0;
+            while let Ok(Some(header)) = decoder.header() {
+                let mut tile = Tile::UNKNOWN;
+                decoder.cells(&header, &mut tile);
+                tiles += 1;
+            }
+            prop_assert!(tiles <= MAX_TILES_PER_UPDATE);
+        }
+    }
+
+    #[test]
+    fn a_tile_that_does_not_fit_leaves_the_update_as_it_was() {
+        let mut noise = Tile::UNKNOWN;
+        for y in 0..TILE_SIDE {
+            let word = 0x9E37_79B9u32.wrapping_mul(y as u32 + 1);
+            noise.set_row(y, Row { low: word, high: word.rotate_left(13) });
+        }
+        let mut small = Tile::UNKNOWN;
+        small.set(3, 3, Cell::Free);
+        let mut out = [0u8; 60];
+        let mut encoder = TileEncoder::new(&mut out);
+        let id = TileId::default();
+        assert_eq!(
+            encoder.push(id, stamp(1, 1), None, 0, &Tile::UNKNOWN, &small),
+            Some(TILE_CELLS)
+        );
+        assert_eq!(encoder.push(id, stamp(1, 1), None, 0, &Tile::UNKNOWN, &noise), None);
+        let len = encoder.finish().unwrap();
+        let mut decoder = TileDecoder::new(&out[..len]);
+        let header = decoder.header().unwrap().unwrap();
+        let mut tile = Tile::UNKNOWN;
+        decoder.cells(&header, &mut tile);
+        assert_eq!(tile, small);
+        assert_eq!(decoder.header(), Ok(None));
+    }
+}

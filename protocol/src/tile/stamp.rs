@@ -1,0 +1,27 @@
+//! Which state of a tile is newer.
+
+use serde::{Deserialize, Serialize};
+
+/// The epoch of a tile: raised when its writer starts it anew (after a reboot or an eviction).
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+pub struct Epoch(pub u32);
+
+/// The version of a tile within an epoch: raised by its writer at each published change. Zero is
+/// the tile of which nothing has been published.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+pub struct Version(pub u32);
+
+/// Epoch and version: of two states of a tile, the one with the greater stamp is newer.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+pub struct Stamp {
+    /// Compared first.
+    pub epoch: Epoch,
+    /// Compared within an epoch.
+    pub version: Version,
+}
