@@ -5,6 +5,7 @@ mod context;
 mod digest;
 mod planes;
 mod range_coder;
+mod replica;
 mod stamp;
 
 pub use codec::{
@@ -12,4 +13,5 @@ pub use codec::{
 };
 pub use digest::{Digest, tile_hash};
 pub use planes::{Cell, Layer, Row, TILE_SIDE, Tile, TileId, cell_of};
+pub use replica::{Applied, BaseMissing, Publication, Replica};
 pub use stamp::{Epoch, Stamp, Version};

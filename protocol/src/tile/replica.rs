@@ -1,0 +1,299 @@
+//! A tile as its receiver holds it, and as its sender knows that the receiver holds it.
+//!
+//! At most one update of a tile is under way at a time: the next one builds upon what has been
+//! acknowledged, so no update ever waits for another one to arrive first.
+
+use super::{
+    Epoch, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder, TileEncoder, TileHeader, TileId,
+    Version,
+};
+
+/// A tile at its receiver.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Replica {
+    tile: Tile,
+    stamp: Stamp,
+    /// The version of which parts have arrived, and the next cell of it.
+    partial: Option<(Version, u16)>,
+}
+
+/// What an update did to a replica.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Applied {
+    /// The tile is now in the state that the update announced.
+    Complete,
+    /// Further parts must follow.
+    Partial,
+}
+
+/// The replica does not hold what the update builds upon. The cells of the update, and whatever
+/// follows it in the same message, cannot be read: ask for the whole tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BaseMissing;
+
+impl Replica {
+    /// The cells. While parts are missing, some of them are newer than the others.
+    pub fn tile(&self) -> &Tile {
+        &self.tile
+    }
+
+    /// The newest state that is complete; version zero if there is none.
+    pub fn stamp(&self) -> Stamp {
+        self.stamp
+    }
+
+    /// Whether an update has arrived in part only.
+    pub fn is_partial(&self) -> bool {
+        self.partial.is_some()
+    }
+
+    /// Reads the cells that `header` has announced from `decoder`.
+    ///
+    /// # Errors
+    /// [`BaseMissing`]; the replica is as it was.
+    pub fn apply(
+        &mut self,
+        header: &TileHeader,
+        decoder: &mut TileDecoder<'_>,
+    ) -> Result<Applied, BaseMissing> {
+        let Stamp { epoch, version } = header.stamp;
+        let continues = self.stamp.epoch == epoch || self.stamp.version == Version(0);
+        match (header.start, header.base) {
+            (0, None) => self.tile = Tile::UNKNOWN,
+            (0, Some(base)) => {
+                if self.stamp != (Stamp { epoch, version: base }) || self.partial.is_some() {
+                    return Err(BaseMissing);
+                }
+            }
+            (start, _) => {
+                if !continues || self.partial != Some((version, start)) {
+                    return Err(BaseMissing);
+                }
+            }
+        }
+        if self.stamp.epoch != epoch {
+            self.stamp = Stamp { epoch, version: Version(0) };
+        }
+        decoder.cells(header, &mut self.tile);
+        if header.end < TILE_CELLS {
+            self.partial = Some((version, header.end));
+            return Ok(Applied::Partial);
+        }
+        self.partial = None;
+        self.stamp = header.stamp;
+        Ok(Applied::Complete)
+    }
+}
+
+/// A tile at its sender: what one receiver holds of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Publication {
+    /// The cells as sent, acknowledged or not.
+    sent: Tile,
+    /// The version that is, or was last, sent.
+    version: Version,
+    /// The version that the receiver is known to hold.
+    base: Option<Version>,
+    /// The next cell of `version` to send; 0 if it has all been sent.
+    next: u16,
+    /// The frame that the last update travelled in.
+    frame: u16,
+    under_way: bool,
+}
+
+impl Default for Publication {
+    fn default() -> Self {
+        Self::NOTHING
+    }
+}
+
+impl Publication {
+    /// Nothing has been sent yet.
+    pub const NOTHING: Self = Self {
+        sent: Tile::UNKNOWN,
+        version: Version(0),
+        base: None,
+        next: 0,
+        frame: 0,
+        under_way: false,
+    };
+
+    /// The version that is, or was last, sent; zero if none was.
+    pub fn version(&self) -> Version {
+        self.version
+    }
+
+    /// The cells as sent.
+    pub fn sent(&self) -> &Tile {
+        &self.sent
+    }
+
+    /// Whether the receiver holds all that was sent, and it was something.
+    pub fn is_acknowledged(&self) -> bool {
+        !self.under_way && self.next == 0 && self.base == Some(self.version)
+    }
+
+    /// Whether an update could be sent now: none is under way.
+    pub fn is_ready(&self) -> bool {
+        !self.under_way
+    }
+
+    /// Whether there is more to send: cells of `new` that the receiver does not hold, or the rest
+    /// of an update.
+    pub fn differs(&self, new: &Tile) -> bool {
+        self.base.is_none() || self.next != 0 || self.sent != *new
+    }
+
+    /// Adds the difference to `new` to an update that will travel in frame `frame`. `version` is
+    /// that of the tile's writer, greater than any sent before; parts of an earlier one that are
+    /// missing come first. `false` if not even one cell fitted.
+    ///
+    /// `new` is changed where it must not differ from what has been sent already.
+    pub fn push(
+        &mut self,
+        encoder: &mut TileEncoder<'_>,
+        id: TileId,
+        epoch: Epoch,
+        version: Version,
+        new: &mut Tile,
+        frame: u16,
+    ) -> bool {
+        let start = self.next;
+        if start == 0 && self.base.is_none() {
+            // A whole tile: the receiver starts from nothing as well.
+            self.sent = Tile::UNKNOWN;
+        }
+        copy_cells(&self.sent, new, 0, start);
+        let version = if start == 0 { version } else { self.version };
+        let stamp = Stamp { epoch, version };
+        let Some(end) = encoder.push(id, stamp, self.base, start, &self.sent, new) else {
+            return false;
+        };
+        copy_cells(new, &mut self.sent, start, end);
+        self.version = version;
+        self.next = end % TILE_CELLS;
+        self.frame = frame;
+        self.under_way = true;
+        true
+    }
+
+    /// A frame has been acknowledged. Whether this tile travelled in it.
+    pub fn acknowledge(&mut self, frame: u16) -> bool {
+        let mine = self.under_way && self.frame == frame;
+        if mine {
+            self.under_way = false;
+            if self.next == 0 {
+                self.base = Some(self.version);
+            }
+        }
+        mine
+    }
+
+    /// Whether the last update travelled in the same frame as that of `other`: if the receiver
+    /// could not read the one, it may not have read the other.
+    pub fn travelled_with(&self, other: &Self) -> bool {
+        self.version != Version(0) && self.frame == other.frame
+    }
+
+    /// It is not known what the receiver holds: the tile will be sent whole.
+    pub fn forget(&mut self) {
+        self.base = None;
+        self.next = 0;
+        self.under_way = false;
+    }
+
+    /// The session ended: what was under way is lost, what was acknowledged is not.
+    pub fn interrupt(&mut self) {
+        if self.under_way || self.next != 0 {
+            self.forget();
+        }
+    }
+}
+
+/// Copies the cells `from..to`, counted row by row.
+fn copy_cells(source: &Tile, target: &mut Tile, from: u16, to: u16) {
+    let (from, to) = (usize::from(from), usize::from(to));
+    for y in from / TILE_SIDE..to.div_ceil(TILE_SIDE) {
+        let below =
+            |cell: usize| ((1u64 << cell.saturating_sub(y * TILE_SIDE).min(TILE_SIDE)) - 1) as u32;
+        let mask = below(to) & !below(from);
+        let (mut row, new) = (target.row(y), source.row(y));
+        row.low = row.low & !mask | new.low & mask;
+        row.high = row.high & !mask | new.high & mask;
+        target.set_row(y, row);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tile::Cell;
+    use proptest::prelude::*;
+
+    fn noise(seed: u32) -> Tile {
+        let mut tile = Tile::UNKNOWN;
+        for y in 0..TILE_SIDE as u32 {
+            let word = (seed + y).wrapping_mul(0x9E37_79B9) ^ seed << 7;
+            tile.low[y as usize] = word;
+            tile.high[y as usize] = word.rotate_left(11) & word;
+        }
+        tile
+    }
+
+    const ID: TileId = TileId { x: 3, y: -4 };
+    const EPOCH: Epoch = Epoch(2);
+
+    proptest! {
+        /// Whatever frames are lost with their session, the two sides end up level.
+        #[test]
+        fn a_replica_ends_level(losses in proptest::collection::vec(any::<bool>(), 1..40), room in 20usize..200) {
+            let mut publication = Publication::NOTHING;
+            let mut replica = Replica::default();
+            let mut version = 0;
+            let mut frame = 0;
+            for lost in losses.iter().copied().chain([false; 80]) {
+                let changing = (frame as usize) < losses.len();
+                let current = noise(if changing { u32::from(frame) } else { 999 });
+                frame += 1;
+                if !publication.differs(&current) {
+                    continue;
+                }
+                version += 1;
+                let mut out = [0u8; 200];
+                let mut encoder = TileEncoder::new(&mut out[..room]);
+                let mut new = current;
+                prop_assert!(publication.push(&mut encoder, ID, EPOCH, Version(version), &mut new, frame));
+                let len = encoder.finish().unwrap();
+                if lost {
+                    publication.interrupt();
+                    continue;
+                }
+                let mut decoder = TileDecoder::new(&out[..len]);
+                let header = decoder.header().unwrap().unwrap();
+                match replica.apply(&header, &mut decoder) {
+                    Ok(_) => prop_assert!(publication.acknowledge(frame)),
+                    Err(BaseMissing) => publication.forget(),
+                }
+            }
+            prop_assert_eq!(replica.tile(), &noise(999));
+            prop_assert_eq!(replica.stamp(), Stamp { epoch: EPOCH, version: publication.version() });
+            prop_assert!(publication.is_acknowledged());
+        }
+    }
+
+    #[test]
+    fn an_update_to_a_base_that_is_not_held_changes_nothing() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(1, 1, Cell::Free);
+        let mut out = [0u8; 100];
+        let mut encoder = TileEncoder::new(&mut out);
+        let stamp = Stamp { epoch: EPOCH, version: Version(5) };
+        encoder.push(ID, stamp, Some(Version(4)), 0, &Tile::UNKNOWN, &tile).unwrap();
+        let len = encoder.finish().unwrap();
+        let mut decoder = TileDecoder::new(&out[..len]);
+        let header = decoder.header().unwrap().unwrap();
+        let mut replica = Replica::default();
+        assert_eq!(replica.apply(&header, &mut decoder), Err(BaseMissing));
+        assert_eq!(replica, Replica::default());
+    }
+}
