@@ -1,2 +1,26 @@
-//! What runs on a ubimap robot.
+//! What runs on a ubimap robot: from a range scan to tiles that all share.
+//!
+//! Folders in the order in which data walks through them; each imports only those before it:
+//!
+//! 1. [`sense`]: a sensor's readings become a scan, which waits for its pose;
+//! 2. [`locate`]: the pose of the moment it was taken, from the server's fixes and odometry;
+//! 3. [`map`]: the gate, what is known already, the transform to `map`, the tiles;
+//! 4. [`share`]: tile updates to the server, the merged map back;
+//! 5. [`Agent`] ties them together.
+//!
+//! It owns no clock, no port, no thread and no heap: time is an argument, memory is the caller's.
+//! **After every input (`scan`, `odometry`, `receive`, `timeout`) call `poll_transmit` until it
+//! has nothing more, then come back at `poll_timeout`.** Given the same inputs it gives the same
+//! bytes on a Cortex-M and on a PC.
 #![no_std]
+
+#[cfg(test)]
+extern crate std;
+
+mod agent;
+pub mod locate;
+pub mod map;
+pub mod sense;
+pub mod share;
+
+pub use agent::{Agent, Config, ConfigError, Memory, Statistics};

@@ -28,6 +28,13 @@ pub struct TileUpdateHead {
     pub seconds: u32,
 }
 
+impl TileUpdateHead {
+    /// Writes the head at the start of a message body. `None` if it does not fit.
+    pub fn encode(self, body: &mut [u8]) -> Option<&[u8]> {
+        Some(postcard::to_slice(&self, body).ok()?)
+    }
+}
+
 /// A body that is not what its kind says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MalformedMessage;

@@ -138,6 +138,11 @@ impl Publication {
         !self.under_way
     }
 
+    /// Whether the last update was a part, with more to come.
+    pub fn has_parts_left(&self) -> bool {
+        self.next != 0
+    }
+
     /// Whether there is more to send: cells of `new` that the receiver does not hold, or the rest
     /// of an update.
     pub fn differs(&self, new: &Tile) -> bool {

@@ -1,0 +1,594 @@
+//! The robot's surface: scans, odometry and bytes in; bytes out.
+
+use ubimap_protocol::{
+    frame::{DEFAULT_FRAME, Direction, MIN_VERSION, VERSION},
+    link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
+    message::{
+        Hello, Message, Messages, PoseFix, Refusal, RefusalReason, Request, State, TileUpdateHead,
+        TimeReply, ToRobotKind, ToServerKind, Welcome, Writer, decode,
+    },
+    tile::{Epoch, Layer},
+    time::{Duration, Instant},
+    units::{Millimetres, Pose, RobotId},
+};
+
+use crate::{
+    locate::{Located, Locator, PoseSource},
+    map::{Gate, LocalMap, MAX_RADIUS, OwnTile, PixelCounts, Pool, SightingConfig, scratch_words},
+    sense::{Beam, ScanError, SensorModel, WaitingScans, fill_beams},
+    share::{FusedMap, FusedTile, Publisher},
+};
+
+/// Reliable frames that may be under way.
+const WINDOW: usize = 8;
+/// Between two states; what keeps an idle session alive.
+const STATE_INTERVAL: Duration = Duration::from_secs(2);
+
+/// What does not change while the robot runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Config {
+    /// Which robot.
+    pub robot: RobotId,
+    /// Should differ from boot to boot.
+    pub boot_nonce: u32,
+    /// The side of the map's cells; the server's must be the same.
+    pub resolution: Millimetres,
+    /// Beyond it nothing is mapped: millimetres, radial.
+    pub max_range: u16,
+    /// What the sensor's readings mean.
+    pub sensor: SensorModel,
+    /// The sensor in `base_link`.
+    pub mounting: Pose,
+    /// Where the poses come from.
+    pub pose_source: PoseSource,
+    /// How far the robot must have moved to map again.
+    pub gate: Gate,
+    /// How long a scan waits for its pose.
+    pub scan_deadline: Duration,
+    /// How long changes of the map are gathered before they are sent.
+    pub hold: Duration,
+}
+
+impl Config {
+    /// The usual robot: 5 cm cells, 4 m of range, a scan waits 1.5 s, changes wait 1 s.
+    pub fn new(robot: RobotId, sensor: SensorModel) -> Self {
+        Self {
+            robot,
+            boot_nonce: 0,
+            resolution: Millimetres(50),
+            max_range: 4_000,
+            sensor,
+            mounting: Pose::default(),
+            pose_source: PoseSource::Fixes,
+            gate: Gate::default(),
+            scan_deadline: Duration::from_millis(1_500),
+            hold: Duration::from_secs(1),
+        }
+    }
+}
+
+/// The caller's memory, which bounds everything that the agent keeps.
+#[derive(Debug)]
+pub struct Memory<'b> {
+    /// One for each reading of a scan.
+    pub beams: &'b mut [Beam],
+    /// As many readings as scans shall be able to wait, at most 16.
+    pub waiting: &'b mut [u16],
+    /// At least [`scratch_words`](crate::map::scratch_words).
+    pub scratch: &'b mut [u32],
+    /// The pool of the robot's own tiles; a scan of 4 m touches 21 of 5 cm at most.
+    pub own: &'b mut [OwnTile],
+    /// The pool of fused tiles.
+    pub fused: &'b mut [FusedTile],
+}
+
+/// Why an agent cannot be made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConfigError {
+    /// The cells have no size.
+    Resolution,
+    /// The range is over 1,000 cells, or nothing.
+    Range,
+    /// The scratch memory is too short; it must have this many words.
+    Scratch(usize),
+    /// There is no memory for a scan, or none for a tile.
+    Memory,
+}
+
+/// What the agent has counted since it was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// Scans taken in.
+    pub scans: u32,
+    /// Scans that went into the map.
+    pub mapped: u32,
+    /// Scans that the gate held back.
+    pub gated: u32,
+    /// Scans whose pose never came.
+    pub expired: u32,
+    /// Scans that found as many waiting as there is room for.
+    pub overflowed: u32,
+    /// The readings of the scans that were mapped.
+    pub pixels: PixelCounts,
+    /// Cells that found no room in the pool.
+    pub cells_refused: u32,
+    /// Pose fixes received, each once.
+    pub fixes: u32,
+    /// Bytes sent, framing and retransmissions included.
+    pub bytes_sent: u64,
+    /// Bytes of frames with tile updates among them.
+    pub bytes_sent_map: u64,
+    /// Messages of a kind that this version does not know.
+    pub unknown_messages: u32,
+    /// Messages that could not be read.
+    pub malformed_messages: u32,
+    /// Sessions begun.
+    pub sessions: u32,
+}
+
+/// What a reliable frame carries, to be told apart when it is acknowledged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Token {
+    Tiles(u16),
+    Interest(u32),
+    Request,
+}
+
+/// The agent: the sans-IO core of a robot. See the crate's documentation for the law by which it
+/// is driven.
+#[derive(Debug)]
+pub struct Agent<'b> {
+    config: Config,
+    beams: &'b [Beam],
+    waiting: WaitingScans<'b>,
+    locator: Locator,
+    mapped_pose: Option<Pose>,
+    latest_pose: Option<(Instant, Pose)>,
+    map: LocalMap<'b>,
+    publisher: Publisher,
+    fused: FusedMap<'b>,
+    link: Endpoint<Token, WINDOW, DEFAULT_FRAME>,
+    knocking: Knocking,
+    clock: ClockSync,
+    server_epoch: Option<u32>,
+    /// When something of the session was last heard.
+    heard: Instant,
+    next_state: Instant,
+    refusal: Option<RefusalReason>,
+    statistics: Statistics,
+}
+
+impl<'b> Agent<'b> {
+    /// An agent that has just booted.
+    ///
+    /// # Errors
+    /// Every [`ConfigError`].
+    pub fn new(config: Config, memory: Memory<'b>) -> Result<Self, ConfigError> {
+        if config.resolution.0 <= 0 {
+            return Err(ConfigError::Resolution);
+        }
+        let radius = i32::from(config.max_range) / config.resolution.0;
+        if radius < 1 || radius as usize > MAX_RADIUS {
+            return Err(ConfigError::Range);
+        }
+        let words = scratch_words(config.max_range, config.resolution);
+        if memory.scratch.len() < words {
+            return Err(ConfigError::Scratch(words));
+        }
+        if memory.beams.is_empty()
+            || memory.own.is_empty()
+            || memory.waiting.len() < memory.beams.len()
+        {
+            return Err(ConfigError::Memory);
+        }
+        fill_beams(memory.beams, config.sensor, config.mounting, config.max_range);
+        let sighting = SightingConfig {
+            resolution: config.resolution,
+            max_range: config.max_range,
+            mounting: config.mounting,
+        };
+        let width = memory.beams.len();
+        Ok(Self {
+            config,
+            beams: memory.beams,
+            waiting: WaitingScans::new(memory.waiting, width),
+            locator: Locator::new(config.pose_source),
+            mapped_pose: None,
+            latest_pose: None,
+            map: LocalMap::new(sighting, memory.scratch, Pool::new(memory.own)),
+            publisher: Publisher::new(config.hold),
+            fused: FusedMap::new(memory.fused),
+            link: Endpoint::new(Direction::ToServer),
+            knocking: Knocking::new(config.boot_nonce),
+            clock: ClockSync::default(),
+            server_epoch: None,
+            heard: Instant(0),
+            next_state: Instant(0),
+            refusal: None,
+            statistics: Statistics::default(),
+        })
+    }
+
+    /// Takes a scan that was taken at `taken` (robot's clock): readings in millimetres, 0 where
+    /// nothing came back. It is mapped as soon as its pose is known.
+    ///
+    /// # Errors
+    /// Every [`ScanError`]; the scan is then not taken in.
+    pub fn scan(
+        &mut self,
+        taken: Instant,
+        readings: &[u16],
+        now: Instant,
+    ) -> Result<(), ScanError> {
+        let pushed = self.waiting.push(taken, readings);
+        if pushed == Err(ScanError::Full) {
+            self.statistics.overflowed = self.statistics.overflowed.wrapping_add(1);
+        }
+        pushed?;
+        self.statistics.scans = self.statistics.scans.wrapping_add(1);
+        self.map_waiting(now);
+        Ok(())
+    }
+
+    /// Takes a reading of the odometry: `base_link` in `odom` at a moment of the robot's clock.
+    pub fn odometry(&mut self, moment: Instant, pose: Pose, now: Instant) {
+        self.locator.odometry(moment, pose);
+        self.map_waiting(now);
+    }
+
+    /// Takes bytes from the server, in pieces of any size.
+    pub fn receive(&mut self, mut bytes: &[u8], now: Instant) {
+        while let Some(received) = self.link.receive(&mut bytes, now) {
+            match received {
+                Received::Bad => {}
+                Received::Handshake(message) => {
+                    // Copied: what follows changes the link that the body is borrowed from.
+                    match Knock::parse(message) {
+                        Some(Knock::Welcome(welcome)) => self.welcomed(&welcome, now),
+                        Some(Knock::Refusal(refusal)) => self.refused(&refusal, now),
+                        Some(Knock::Reset) => self.reset(now),
+                        None => {
+                            self.statistics.malformed_messages =
+                                self.statistics.malformed_messages.wrapping_add(1);
+                        }
+                    }
+                }
+                Received::Session(messages) => {
+                    self.heard = now;
+                    Inbox {
+                        clock: &mut self.clock,
+                        locator: &mut self.locator,
+                        latest_pose: &mut self.latest_pose,
+                        fused: &mut self.fused,
+                        map: &mut self.map,
+                        publisher: &mut self.publisher,
+                        statistics: &mut self.statistics,
+                    }
+                    .take(messages, now);
+                }
+            }
+            self.settle(now);
+        }
+        self.map_waiting(now);
+    }
+
+    /// Writes the next frame that is due into `out`, which should have 250 bytes. Returns its
+    /// length. Call it until it returns `None`.
+    #[must_use]
+    pub fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
+        if self.link.session() == ubimap_protocol::frame::SessionId::NONE {
+            return self.knock(now, out);
+        }
+        let server_moment = self.latest_pose.map(|(moment, _)| moment);
+        let pose = self.latest_pose.map(|(_, pose)| pose);
+        let cells_refused = self.statistics.cells_refused;
+        let Self { link, clock, fused, map, publisher, next_state, .. } = self;
+        let sent = link.poll_transmit(now, out, |writer, reliable| {
+            // What must not be sent again, for it would be stale then, goes apart.
+            let request = clock.poll_request(now);
+            if let Some(request) = request {
+                push(writer, ToServerKind::TimeRequest, &request);
+            }
+            let stating = *next_state <= now;
+            if stating {
+                *next_state = now + STATE_INTERVAL;
+                let state = State { time: server_moment, pose, cells_refused };
+                push(writer, ToServerKind::State, &state);
+            }
+            if stating || request.is_some() || !reliable {
+                return Fill::Datagram;
+            }
+            if let Some(interest) = fused.untold() {
+                push(writer, ToServerKind::Interest, &interest);
+                // Told as far as the window is concerned: the link sees to the rest.
+                fused.told(interest.number);
+                return Fill::Reliable(Token::Interest(interest.number));
+            }
+            if let Some(request) = fused.take_request() {
+                push(writer, ToServerKind::Request, &request);
+                return Fill::Reliable(Token::Request);
+            }
+            match publisher.fill(&mut map.pool, writer, now) {
+                Some(frame) => Fill::Reliable(Token::Tiles(frame)),
+                None => Fill::Datagram,
+            }
+        })?;
+        let bytes = sent.len as u64;
+        self.statistics.bytes_sent = self.statistics.bytes_sent.wrapping_add(bytes);
+        if matches!(sent.token, Some(Token::Tiles(_))) {
+            self.statistics.bytes_sent_map = self.statistics.bytes_sent_map.wrapping_add(bytes);
+        }
+        Some(sent.len)
+    }
+
+    /// When to come back at the latest: then call [`Agent::poll_transmit`] until it has nothing.
+    pub fn poll_timeout(&self) -> Instant {
+        let expiry = self.waiting.oldest().map(|taken| taken + self.config.scan_deadline);
+        let session = self.link.session() != ubimap_protocol::frame::SessionId::NONE;
+        let timers = if session {
+            let tiles = self.publisher.poll_timeout().filter(|_| self.link.can_send_reliable());
+            [
+                Some(self.clock.poll_timeout()),
+                Some(self.next_state),
+                tiles,
+                self.link.poll_timeout(),
+                expiry,
+            ]
+        } else {
+            [Some(self.knocking.poll_timeout()), None, None, None, expiry]
+        };
+        // There is always one of the first.
+        timers.into_iter().flatten().min().unwrap_or(Instant(u64::MAX))
+    }
+
+    /// Does what is due at `now` and has nothing to do with sending.
+    pub fn timeout(&mut self, now: Instant) {
+        self.map_waiting(now);
+    }
+
+    /// What has been counted.
+    pub fn statistics(&self) -> Statistics {
+        self.statistics
+    }
+
+    /// What the link has counted.
+    pub fn link_counters(&self) -> Counters {
+        self.link.counters()
+    }
+
+    /// The robot's own tiles.
+    pub fn own_tiles(&self) -> &Pool<'b> {
+        &self.map.pool
+    }
+
+    /// The server's tiles that the robot holds.
+    pub fn fused_tiles(&self) -> &FusedMap<'b> {
+        &self.fused
+    }
+
+    /// The newest pose known, and its moment in the server's clock (in the robot's, if odometry
+    /// told it before the clocks agreed).
+    pub fn pose(&self) -> Option<(Instant, Pose)> {
+        self.latest_pose
+    }
+
+    /// The server's time now, once the clocks agree.
+    pub fn server_time(&mut self, now: Instant) -> Option<Instant> {
+        self.clock.server_now(now)
+    }
+
+    /// Why the server refuses a session, if it does.
+    pub fn refusal(&self) -> Option<RefusalReason> {
+        self.refusal
+    }
+
+    /// Whether there is a session.
+    pub fn is_connected(&self) -> bool {
+        self.link.session() != ubimap_protocol::frame::SessionId::NONE
+    }
+
+    /// Whether everything that the robot has mapped is on the server, as far as it knows, and no
+    /// scan waits.
+    pub fn is_idle(&self) -> bool {
+        let told = self.map.pool.tiles().all(|tile| !tile.is_dirty());
+        told && self.waiting.oldest().is_none() && self.fused.untold().is_none()
+    }
+
+    fn knock(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
+        if !self.knocking.poll(now) {
+            return None;
+        }
+        let hello = Hello {
+            version: VERSION,
+            min_version: MIN_VERSION,
+            robot: self.config.robot,
+            nonce: self.knocking.nonce(),
+            frame: DEFAULT_FRAME as u16,
+            resolution: self.config.resolution,
+            fused_tiles: self.fused.capacity().min(usize::from(u16::MAX)) as u16,
+        };
+        let len = self.link.handshake(ToServerKind::Hello as u8, &hello, out)?;
+        self.statistics.bytes_sent = self.statistics.bytes_sent.wrapping_add(len as u64);
+        Some(len)
+    }
+
+    fn welcomed(&mut self, welcome: &Welcome, now: Instant) {
+        let stale = welcome.nonce != self.knocking.nonce() || self.is_connected();
+        if stale || !(MIN_VERSION..=VERSION).contains(&welcome.version) {
+            return;
+        }
+        self.refusal = None;
+        self.heard = now;
+        self.statistics.sessions = self.statistics.sessions.wrapping_add(1);
+        let same_server =
+            self.server_epoch.replace(welcome.server_epoch) == Some(welcome.server_epoch);
+        self.link.begin(welcome.session, usize::from(welcome.frame));
+        if !same_server {
+            // Another life of the server has another clock.
+            self.clock = ClockSync::default();
+            self.locator.forget_fixes();
+        }
+        self.map.pool.start_epochs_at(Epoch(welcome.first_epoch));
+        self.publisher.begin_session(&mut self.map.pool, same_server, now);
+        self.fused.begin_session(same_server);
+        self.next_state = now;
+    }
+
+    fn refused(&mut self, refusal: &Refusal, now: Instant) {
+        if refusal.nonce == self.knocking.nonce() && !self.is_connected() {
+            self.refusal = Some(refusal.reason);
+            self.knocking.refused(now);
+        }
+    }
+
+    /// The server knows no session here. One who merely says so, while the session lives, is not
+    /// believed.
+    fn reset(&mut self, now: Instant) {
+        if self.is_connected() && now.since(self.heard) > Duration::from_millis(300) {
+            self.link.end();
+            self.knocking.restart(now);
+        }
+    }
+
+    /// Takes note of acknowledged frames.
+    fn settle(&mut self, now: Instant) {
+        while let Some(token) = self.link.poll_acknowledged() {
+            if let Token::Tiles(frame) = token {
+                self.publisher.acknowledged(&mut self.map.pool, frame, now);
+            }
+        }
+    }
+
+    /// Maps the scans whose poses are known, and gives up those whose time is over.
+    fn map_waiting(&mut self, now: Instant) {
+        while let Some(taken) = self.waiting.oldest() {
+            let clock = &self.clock;
+            let last_chance = now >= taken + self.config.scan_deadline;
+            let server_moment = clock.to_server(taken);
+            let to_local = |server| clock.to_local(server);
+            let located = self.locator.at(taken, server_moment, to_local, last_chance);
+            if located == Located::NotYet {
+                return;
+            }
+            let Some(readings) = self.waiting.pop() else { return };
+            let Located::At(pose) = located else {
+                self.statistics.expired = self.statistics.expired.wrapping_add(1);
+                continue;
+            };
+            if matches!(self.config.pose_source, PoseSource::Odometry(_)) {
+                self.latest_pose = Some((server_moment.unwrap_or(taken), pose));
+            }
+            self.fused.follow(pose, self.config.resolution);
+            if !self.config.gate.opens(self.mapped_pose, pose) {
+                self.statistics.gated = self.statistics.gated.wrapping_add(1);
+                continue;
+            }
+            let Some(mapped) = self.map.add(self.beams, readings, pose) else {
+                self.statistics.expired = self.statistics.expired.wrapping_add(1);
+                continue;
+            };
+            self.mapped_pose = Some(pose);
+            let count = &mut self.statistics;
+            count.mapped = count.mapped.wrapping_add(1);
+            count.pixels.seen = count.pixels.seen.wrapping_add(mapped.pixels.seen);
+            count.pixels.kept = count.pixels.kept.wrapping_add(mapped.pixels.kept);
+            count.pixels.omitted = count.pixels.omitted.wrapping_add(mapped.pixels.omitted);
+            count.pixels.invalid = count.pixels.invalid.wrapping_add(mapped.pixels.invalid);
+            count.cells_refused = count.cells_refused.wrapping_add(mapped.cells_refused);
+            let seconds = server_moment.map(|moment| (moment.micros() / 1_000_000) as u32);
+            self.publisher.changed(now, seconds);
+        }
+    }
+}
+
+/// Adds a message to a frame that has room for it: those of the robot that are not tiles are
+/// small, and sent alone.
+fn push<M: serde::Serialize>(writer: &mut Writer<'_>, kind: ToServerKind, message: &M) {
+    let fitted = writer.push(kind as u8, message);
+    debug_assert!(fitted, "{kind:?} does not fit");
+}
+
+/// A message of the handshake.
+enum Knock {
+    Welcome(Welcome),
+    Refusal(Refusal),
+    Reset,
+}
+
+impl Knock {
+    fn parse(message: Message<'_>) -> Option<Self> {
+        match ToRobotKind::from_number(message.kind)? {
+            ToRobotKind::Welcome => Some(Self::Welcome(decode(message.body).ok()?.0)),
+            ToRobotKind::Refusal => Some(Self::Refusal(decode(message.body).ok()?.0)),
+            ToRobotKind::Reset => Some(Self::Reset),
+            _ => None,
+        }
+    }
+}
+
+/// The parts of an agent that messages of a session go to.
+struct Inbox<'a, 'b> {
+    clock: &'a mut ClockSync,
+    locator: &'a mut Locator,
+    latest_pose: &'a mut Option<(Instant, Pose)>,
+    fused: &'a mut FusedMap<'b>,
+    map: &'a mut LocalMap<'b>,
+    publisher: &'a mut Publisher,
+    statistics: &'a mut Statistics,
+}
+
+impl Inbox<'_, '_> {
+    fn take(&mut self, messages: Messages<'_>, now: Instant) {
+        for message in messages.map_while(Result::ok) {
+            if message.kind == ubimap_protocol::message::Ack::KIND {
+                continue;
+            }
+            let Some(kind) = ToRobotKind::from_number(message.kind) else {
+                self.statistics.unknown_messages = self.statistics.unknown_messages.wrapping_add(1);
+                continue;
+            };
+            if self.one(kind, message.body, now).is_none() {
+                self.statistics.malformed_messages =
+                    self.statistics.malformed_messages.wrapping_add(1);
+            }
+        }
+    }
+
+    /// `None` if the message cannot be read.
+    fn one(&mut self, kind: ToRobotKind, body: &[u8], now: Instant) -> Option<()> {
+        match kind {
+            ToRobotKind::TimeReply => self.clock.reply(&decode::<TimeReply>(body).ok()?.0, now),
+            ToRobotKind::PoseFix => self.fix(&decode::<PoseFix>(body).ok()?.0),
+            ToRobotKind::TileUpdate => {
+                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
+                if head.layer == Layer::Fused {
+                    self.fused.update(coded).ok()?;
+                }
+            }
+            ToRobotKind::Request => {
+                let (request, _) = decode::<Request>(body).ok()?;
+                let pool = &mut self.map.pool;
+                if request.tiles.is_empty() {
+                    self.publisher.requested(pool, None, now);
+                }
+                for &tile in &request.tiles {
+                    self.publisher.requested(pool, Some(tile), now);
+                }
+            }
+            // They belong into handshake frames.
+            ToRobotKind::Welcome | ToRobotKind::Refusal | ToRobotKind::Reset => return None,
+        }
+        Some(())
+    }
+
+    fn fix(&mut self, message: &PoseFix) {
+        for (moment, pose) in message.fixes() {
+            if self.locator.fix(moment, pose) {
+                self.statistics.fixes = self.statistics.fixes.wrapping_add(1);
+            }
+        }
+        if self.latest_pose.is_none_or(|(moment, _)| moment < message.time) {
+            *self.latest_pose = Some((message.time, message.pose));
+        }
+    }
+}

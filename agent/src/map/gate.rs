@@ -1,0 +1,52 @@
+//! The gate (Aluckal II.C-D, "thresholding"): has the pose moved enough to map?
+
+use ubimap_protocol::units::{Angle, Millimetres, Pose};
+
+/// How far the robot must have moved since the scan that it mapped last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gate {
+    /// In any direction.
+    pub distance: Millimetres,
+    /// Either way round.
+    pub turn: Angle,
+}
+
+impl Default for Gate {
+    /// 3.5 cm or 5 degrees (Aluckal II.D).
+    fn default() -> Self {
+        Self { distance: Millimetres(35), turn: Angle(910) }
+    }
+}
+
+impl Gate {
+    /// Whether `now` is far enough from the pose that was mapped last.
+    pub fn opens(&self, mapped: Option<Pose>, now: Pose) -> bool {
+        let Some(mapped) = mapped else { return true };
+        let square = |value: i32| i64::from(value) * i64::from(value);
+        let moved = square((now.x - mapped.x).0) + square((now.y - mapped.y).0);
+        moved > square(self.distance.0) || now.heading.distance(mapped.heading) > self.turn.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_papers_thresholds() {
+        let gate = Gate::default();
+        let at = |x, y, degrees| {
+            Some(Pose {
+                x: Millimetres(x),
+                y: Millimetres(y),
+                heading: Angle::from_degrees(degrees),
+            })
+        };
+        let opens = |now: Option<Pose>| gate.opens(at(0, 0, 179.0), now.unwrap());
+        assert!(gate.opens(None, Pose::default()));
+        assert!(!opens(at(35, 0, 179.0)));
+        assert!(opens(at(25, -25, 179.0)));
+        assert!(!opens(at(0, 0, -176.1)));
+        assert!(opens(at(0, 0, -175.9)));
+    }
+}

@@ -1,0 +1,161 @@
+//! A tile of the robot's own layer: its evidence, and what of it the server has.
+
+use ubimap_protocol::tile::{Epoch, Publication, TileId};
+
+use super::evidence::Evidence;
+
+/// One place in the pool of the robot's own tiles.
+#[derive(Clone, Debug)]
+pub struct OwnTile {
+    /// Which tile, or `None` if the place is free.
+    pub(crate) id: Option<TileId>,
+    /// Since when this tile is kept without a break.
+    pub(crate) epoch: Epoch,
+    /// What speaks for and against its cells.
+    pub(crate) evidence: Evidence,
+    /// What the server has of it.
+    pub(crate) publication: Publication,
+    /// The evidence may say something that has not been published.
+    pub(crate) dirty: bool,
+    /// The number of the last scan that said something of it.
+    pub(crate) touched: u32,
+}
+
+impl OwnTile {
+    /// A free place.
+    pub const FREE: Self = Self {
+        id: None,
+        epoch: Epoch(0),
+        evidence: Evidence::NONE,
+        publication: Publication::NOTHING,
+        dirty: false,
+        touched: 0,
+    };
+
+    /// Which tile, or `None` if the place is free.
+    pub fn id(&self) -> Option<TileId> {
+        self.id
+    }
+
+    /// Since when it is kept without a break.
+    pub fn epoch(&self) -> Epoch {
+        self.epoch
+    }
+
+    /// What the server has of it.
+    pub fn publication(&self) -> &Publication {
+        &self.publication
+    }
+
+    /// Whether the evidence may say something that has not been published.
+    pub fn is_dirty(&self) -> bool {
+        self.dirty
+    }
+
+    /// Whether the tile could be given up without losing anything.
+    fn is_safe(&self) -> bool {
+        !self.dirty && (self.publication.is_acknowledged())
+    }
+}
+
+/// The fixed pool of the robot's own tiles, in the caller's memory.
+#[derive(Debug)]
+pub struct Pool<'b> {
+    places: &'b mut [OwnTile],
+    /// The epoch of tiles that are begun now: one more after each eviction.
+    epoch: Epoch,
+    evicted: u32,
+}
+
+impl<'b> Pool<'b> {
+    /// A pool of as many tiles as there are places.
+    pub fn new(places: &'b mut [OwnTile]) -> Self {
+        places.fill(OwnTile::FREE);
+        Self { places, epoch: Epoch(0), evicted: 0 }
+    }
+
+    /// How many tiles have been given up to make room.
+    pub fn evicted(&self) -> u32 {
+        self.evicted
+    }
+
+    /// The epochs below this one have been used up in an earlier life of the robot.
+    pub fn start_epochs_at(&mut self, epoch: Epoch) {
+        self.epoch = self.epoch.max(epoch);
+        for tile in self.places.iter_mut() {
+            if tile.publication.version().0 == 0 {
+                tile.epoch = self.epoch;
+            }
+        }
+    }
+
+    /// The tile of this id, if it is kept.
+    pub fn find(&self, id: TileId) -> Option<&OwnTile> {
+        self.places.iter().find(|tile| tile.id == Some(id))
+    }
+
+    /// The tile of this id, begun if need be. `None` if there is no room: every tile says
+    /// something that the server has not stored, or was touched by scan `scan` itself.
+    pub fn find_or_begin(&mut self, id: TileId, scan: u32) -> Option<&mut OwnTile> {
+        let found = self.places.iter().position(|tile| tile.id == Some(id));
+        let index = match found {
+            Some(index) => index,
+            None => self.place_for_new(scan)?,
+        };
+        let epoch = self.epoch;
+        let tile = self.places.get_mut(index)?;
+        if found.is_none() {
+            *tile = OwnTile { id: Some(id), epoch, ..OwnTile::FREE };
+        }
+        tile.touched = scan;
+        Some(tile)
+    }
+
+    /// A free place, or that of the tile that was touched longest ago among those that are safe.
+    fn place_for_new(&mut self, scan: u32) -> Option<usize> {
+        if let Some(free) = self.places.iter().position(|tile| tile.id.is_none()) {
+            return Some(free);
+        }
+        let idle = self
+            .places
+            .iter()
+            .enumerate()
+            .filter(|(_, tile)| tile.is_safe() && tile.touched != scan);
+        let (index, _) = idle.min_by_key(|(_, tile)| tile.touched)?;
+        self.evicted = self.evicted.wrapping_add(1);
+        self.epoch.0 = self.epoch.0.wrapping_add(1);
+        Some(index)
+    }
+
+    /// The tiles that are kept.
+    pub fn tiles(&self) -> impl Iterator<Item = &OwnTile> {
+        self.places.iter().filter(|tile| tile.id.is_some())
+    }
+
+    /// The tiles that are kept, to change them.
+    pub(crate) fn tiles_mut(&mut self) -> impl Iterator<Item = &mut OwnTile> {
+        self.places.iter_mut().filter(|tile| tile.id.is_some())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn id(x: i16) -> TileId {
+        TileId { x, y: 0 }
+    }
+
+    #[test]
+    fn only_what_the_server_has_is_given_up() {
+        let mut places = [OwnTile::FREE; 2];
+        let mut pool = Pool::new(&mut places);
+        for x in 0..2 {
+            pool.find_or_begin(id(x), 1).unwrap().dirty = true;
+        }
+        assert!(pool.find_or_begin(id(2), 2).is_none(), "nothing is safe");
+        pool.tiles_mut().for_each(|tile| tile.dirty = false);
+        assert!(pool.find_or_begin(id(2), 2).is_none(), "nothing is acknowledged");
+        assert_eq!(pool.evicted(), 0);
+    }
+}

@@ -1,0 +1,105 @@
+//! Scans that wait for the pose of the moment they were taken.
+
+use heapless::Deque;
+use ubimap_protocol::time::Instant;
+
+/// The most scans that can wait, whatever memory there is.
+const MOST: usize = 16;
+
+/// Why a scan was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScanError {
+    /// It has another number of readings than the sensor was configured with.
+    Width {
+        /// Readings that a scan must have.
+        expected: usize,
+        /// Readings that it had.
+        found: usize,
+    },
+    /// As many scans as there is room for wait for their poses already.
+    Full,
+    /// It was taken before the scan that came before it.
+    Backwards,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    taken: Instant,
+    slot: u8,
+}
+
+/// The scans that wait, oldest first, in the caller's memory.
+#[derive(Debug)]
+pub struct WaitingScans<'b> {
+    readings: &'b mut [u16],
+    width: usize,
+    slots: usize,
+    entries: Deque<Entry, MOST>,
+    newest: Instant,
+}
+
+impl<'b> WaitingScans<'b> {
+    /// Room for as many scans of `width` readings as `readings` holds, at most 16.
+    pub fn new(readings: &'b mut [u16], width: usize) -> Self {
+        let slots = (readings.len() / width.max(1)).min(MOST);
+        Self { readings, width, slots, entries: Deque::new(), newest: Instant(0) }
+    }
+
+    /// Takes a scan: its readings in millimetres (0: no return) and the moment it was taken.
+    ///
+    /// # Errors
+    /// Every [`ScanError`]; nothing has changed then.
+    pub fn push(&mut self, taken: Instant, readings: &[u16]) -> Result<(), ScanError> {
+        if readings.len() != self.width {
+            return Err(ScanError::Width { expected: self.width, found: readings.len() });
+        }
+        if taken < self.newest {
+            return Err(ScanError::Backwards);
+        }
+        let free = (0..self.slots as u8)
+            .find(|slot| self.entries.iter().all(|entry| entry.slot != *slot))
+            .ok_or(ScanError::Full)?;
+        let start = usize::from(free) * self.width;
+        let room = self.readings.get_mut(start..start + self.width).ok_or(ScanError::Full)?;
+        self.entries.push_back(Entry { taken, slot: free }).map_err(|_| ScanError::Full)?;
+        room.copy_from_slice(readings);
+        self.newest = taken;
+        Ok(())
+    }
+
+    /// When the oldest scan was taken.
+    pub fn oldest(&self) -> Option<Instant> {
+        Some(self.entries.front()?.taken)
+    }
+
+    /// Takes the oldest scan out. Its readings stand until the next one is pushed.
+    pub fn pop(&mut self) -> Option<&[u16]> {
+        let entry = self.entries.pop_front()?;
+        let start = usize::from(entry.slot) * self.width;
+        self.readings.get(start..start + self.width)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scans_come_out_in_order_and_a_full_queue_refuses() {
+        let mut memory = [0u16; 7];
+        let mut waiting = WaitingScans::new(&mut memory, 3);
+        assert_eq!(waiting.push(Instant(5), &[1, 2, 3]), Ok(()));
+        assert_eq!(
+            waiting.push(Instant(6), &[1, 2]),
+            Err(ScanError::Width { expected: 3, found: 2 })
+        );
+        assert_eq!(waiting.push(Instant(4), &[4, 5, 6]), Err(ScanError::Backwards));
+        assert_eq!(waiting.push(Instant(6), &[4, 5, 6]), Ok(()));
+        assert_eq!(waiting.push(Instant(7), &[7, 8, 9]), Err(ScanError::Full));
+        assert_eq!((waiting.oldest(), waiting.pop()), (Some(Instant(5)), Some(&[1, 2, 3][..])));
+        assert_eq!(waiting.push(Instant(7), &[7, 8, 9]), Ok(()));
+        assert_eq!(waiting.pop(), Some(&[4, 5, 6][..]));
+        assert_eq!(waiting.pop(), Some(&[7, 8, 9][..]));
+        assert_eq!(waiting.pop(), None);
+    }
+}

@@ -1,0 +1,7 @@
+//! What the robot tells the server of its map, and the server's map on the robot.
+
+mod publish;
+mod receive;
+
+pub use publish::Publisher;
+pub use receive::{FusedMap, FusedTile};

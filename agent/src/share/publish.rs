@@ -1,0 +1,146 @@
+//! From the robot's own layer to tile updates.
+
+use ubimap_protocol::{
+    message::{TileUpdateHead, ToServerKind, Writer},
+    tile::{Epoch, Layer, TileEncoder, TileId, Version},
+    time::{Duration, Instant},
+};
+
+use crate::map::Pool;
+
+/// Bytes of a [`TileUpdateHead`] at the most.
+const HEAD_LEN: usize = 6;
+
+/// When to send what has changed, and what became of it.
+#[derive(Debug)]
+pub struct Publisher {
+    /// How long changes are gathered before they are sent.
+    hold: Duration,
+    /// Since when something is waiting.
+    waiting_since: Option<Instant>,
+    /// When the newest scan in the map was taken: seconds of the server's clock.
+    newest_scan: u32,
+    frame: u16,
+}
+
+impl Publisher {
+    /// Nothing to send yet.
+    pub fn new(hold: Duration) -> Self {
+        Self { hold, waiting_since: None, newest_scan: 0, frame: 0 }
+    }
+
+    /// The map has changed. `newest_scan` is in seconds of the server's clock, as far as known.
+    pub fn changed(&mut self, now: Instant, newest_scan: Option<u32>) {
+        self.waiting_since = self.waiting_since.or(Some(now));
+        self.newest_scan = newest_scan.unwrap_or(self.newest_scan);
+    }
+
+    /// When there is something to send.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        Some(self.waiting_since? + self.hold)
+    }
+
+    /// Adds a tile update of as many tiles as fit, if it is time. Returns the number of the
+    /// frame, by which the tiles will be known when it is acknowledged.
+    pub fn fill(
+        &mut self,
+        pool: &mut Pool<'_>,
+        writer: &mut Writer<'_>,
+        now: Instant,
+    ) -> Option<u16> {
+        if self.poll_timeout()? > now {
+            return None;
+        }
+        let frame = self.frame.wrapping_add(1);
+        let head = TileUpdateHead { layer: Layer::Robot, seconds: self.newest_scan };
+        let mut blocked = false;
+        let written = writer.push_with(ToServerKind::TileUpdate as u8, |body| {
+            let mut head_bytes = [0u8; HEAD_LEN];
+            let head = head.encode(&mut head_bytes)?;
+            body.get_mut(..head.len())?.copy_from_slice(head);
+            let mut encoder = TileEncoder::new(body.get_mut(head.len()..)?);
+            // In order of their ids: the next id is then coded in a few bits.
+            let mut done = None;
+            while let Some(tile) = next_tile(pool, done) {
+                let Some(id) = tile.id else { break };
+                done = Some(id);
+                let mut cells = tile.evidence.cells();
+                if !tile.publication.differs(&cells) {
+                    tile.dirty = false;
+                    continue;
+                }
+                let version = Version(tile.publication.version().0.wrapping_add(1));
+                let epoch: Epoch = tile.epoch;
+                // Dirty still: what is under way may be lost, or be the first part only.
+                blocked |=
+                    !tile.publication.push(&mut encoder, id, epoch, version, &mut cells, frame);
+            }
+            Some(head.len() + encoder.finish()?)
+        });
+        if written {
+            self.frame = frame;
+            return Some(frame);
+        }
+        // Nothing is left to send but what is under way already: its acknowledgement comes back
+        // here. What did not fit beside other messages is tried again in the next frame.
+        if !blocked {
+            self.waiting_since = None;
+        }
+        None
+    }
+
+    /// A frame with tiles has been acknowledged.
+    pub fn acknowledged(&mut self, pool: &mut Pool<'_>, frame: u16, now: Instant) {
+        for tile in pool.tiles_mut() {
+            if tile.publication.acknowledge(frame) && tile.dirty {
+                // There may be more of it by now. Further parts need not wait.
+                let since = if tile.publication.has_parts_left() { now - self.hold } else { now };
+                self.waiting_since = self.waiting_since.map(|old| old.min(since)).or(Some(since));
+            }
+        }
+    }
+
+    /// The server could not read an update of a tile (of all tiles, if `None`): it is sent whole,
+    /// and so is all that travelled with it.
+    pub fn requested(&mut self, pool: &mut Pool<'_>, id: Option<TileId>, now: Instant) {
+        let one = id.and_then(|id| Some(pool.find(id)?.publication.clone()));
+        for tile in pool.tiles_mut() {
+            let meant = match &one {
+                Some(one) => tile.publication.travelled_with(one),
+                None => id.is_none(),
+            };
+            if meant {
+                tile.publication.forget();
+                tile.dirty = true;
+                self.waiting_since = self.waiting_since.or(Some(now));
+            }
+        }
+    }
+
+    /// A session has begun. `same_server` tells whether it is with the server that acknowledged
+    /// what was acknowledged.
+    pub fn begin_session(&mut self, pool: &mut Pool<'_>, same_server: bool, now: Instant) {
+        for tile in pool.tiles_mut() {
+            if same_server {
+                tile.publication.interrupt();
+            } else {
+                tile.publication.forget();
+            }
+            if !tile.publication.is_acknowledged() {
+                tile.dirty = true;
+                self.waiting_since = self.waiting_since.or(Some(now));
+            }
+        }
+    }
+}
+
+/// The first tile after `done`, in order of ids, that is dirty and of which no update is under
+/// way.
+fn next_tile<'p>(
+    pool: &'p mut Pool<'_>,
+    done: Option<TileId>,
+) -> Option<&'p mut crate::map::OwnTile> {
+    pool.tiles_mut()
+        .filter(|tile| tile.dirty && tile.publication.is_ready() && tile.id > done)
+        .min_by_key(|tile| tile.id.map(|id| (id.x, id.y)))
+}

@@ -1,0 +1,355 @@
+//! The server: sessions on ports, the layers of all robots, and the map that they make.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use ubimap_protocol::{
+    frame::{Direction, SessionId},
+    link::{Answer, Counters, Received, Terms, answer},
+    message::{
+        Ack, Hello, Interest, Message, Messages, Request, State, TileUpdateHead, TimeRequest,
+        ToRobotKind, ToServerKind, decode,
+    },
+    tile::{Epoch, Layer, Tile, TileId},
+    time::{Duration, Instant},
+    units::{Pose, RobotId},
+};
+
+use super::session::{Link, Session};
+use crate::{
+    camera::Observation,
+    mapping::{CameraLayer, FusedLayer, RobotLayer, fuse},
+};
+
+/// At most this often a robot is told that it has no session here.
+const RESET_INTERVAL: Duration = Duration::from_millis(200);
+
+/// One way in: a serial port, a simulated channel. At most one robot is behind it.
+#[derive(Debug)]
+struct Port {
+    link: Link,
+    session: Option<Session>,
+    /// A frame of the handshake that is due.
+    answer: Option<Answer>,
+    reset: Reset,
+    /// Messages of unknown kinds, and such that could not be read.
+    unknown: u32,
+    malformed: u32,
+    bytes_sent: u64,
+}
+
+#[derive(Debug, Default)]
+struct Reset {
+    due: bool,
+    last: Option<Instant>,
+}
+
+/// The camera server's sans-IO core. The law is the agent's: after every input call
+/// [`Server::poll_transmit`] for each port until it has nothing more, then come back at
+/// [`Server::poll_timeout`].
+#[derive(Debug)]
+pub struct Server {
+    terms: Terms,
+    ports: Vec<Port>,
+    next_session: u32,
+    layers: BTreeMap<RobotId, RobotLayer>,
+    cameras: CameraLayer,
+    fused: FusedLayer,
+}
+
+/// A port that the server does not have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the server has no port {0}")]
+pub struct NoSuchPort(pub usize);
+
+impl Server {
+    /// A server with so many ports and an empty map.
+    pub fn new(terms: Terms, ports: usize) -> Self {
+        let port = || Port {
+            link: Link::new(Direction::ToRobot),
+            session: None,
+            answer: None,
+            reset: Reset::default(),
+            unknown: 0,
+            malformed: 0,
+            bytes_sent: 0,
+        };
+        Self {
+            terms,
+            ports: (0..ports).map(|_| port()).collect(),
+            // Sessions of different lives of the server must differ.
+            next_session: terms.server_epoch.wrapping_mul(0x9E37_79B9) | 1,
+            layers: BTreeMap::new(),
+            cameras: CameraLayer::default(),
+            fused: FusedLayer::default(),
+        }
+    }
+
+    /// Takes bytes that came in at a port, in pieces of any size.
+    ///
+    /// # Errors
+    /// [`NoSuchPort`].
+    pub fn receive(
+        &mut self,
+        port: usize,
+        mut bytes: &[u8],
+        now: Instant,
+    ) -> Result<(), NoSuchPort> {
+        let index = port;
+        loop {
+            let port = self.ports.get_mut(index).ok_or(NoSuchPort(index))?;
+            let mut changed = BTreeSet::new();
+            let mut hello = None;
+            match port.link.receive(&mut bytes, now) {
+                None => return Ok(()),
+                Some(Received::Bad) => port.reset.due |= port.session.is_none(),
+                Some(Received::Handshake(message)) => {
+                    hello = parse_hello(message);
+                    port.malformed += u32::from(hello.is_none());
+                }
+                Some(Received::Session(messages)) => {
+                    if let Some(session) = &mut port.session {
+                        let layer = self.layers.entry(session.robot).or_default();
+                        let mut inbox = Inbox { session, layer, changed: &mut changed };
+                        let (unknown, malformed) = inbox.take(messages, now);
+                        port.unknown += unknown;
+                        port.malformed += malformed;
+                    }
+                }
+            }
+            while let Some(frame) = port.link.poll_acknowledged() {
+                if let Some(session) = &mut port.session {
+                    session.acknowledged(frame);
+                }
+            }
+            if let Some(hello) = hello {
+                self.greet(index, &hello, now);
+            }
+            self.refuse_stale(&changed);
+        }
+    }
+
+    /// Takes what a frame of a camera says.
+    pub fn observe(&mut self, observation: &Observation) {
+        for &(robot, pose) in &observation.robots {
+            self.fix(robot, observation.captured, pose);
+        }
+        let changed = self.cameras.observe(observation);
+        self.refuse_stale(&changed);
+    }
+
+    /// Writes the next frame that is due at a port into `out`, which should have
+    /// [`MAX_FRAME`](ubimap_protocol::frame::MAX_FRAME) bytes. Returns its length.
+    #[must_use]
+    pub fn poll_transmit(&mut self, port: usize, now: Instant, out: &mut [u8]) -> Option<usize> {
+        let epoch = Epoch(self.terms.server_epoch);
+        let port = self.ports.get_mut(port)?;
+        let len = port.poll_handshake(now, out).or_else(|| {
+            let Port { link, session, .. } = port;
+            let session = session.as_mut()?;
+            let fused = &self.fused;
+            let sent = link.poll_transmit(now, out, |writer, reliable| {
+                session.fill(fused, epoch, now, writer, reliable)
+            });
+            Some(sent?.len)
+        })?;
+        port.bytes_sent += len as u64;
+        Some(len)
+    }
+
+    /// When to come back at the latest to call [`Server::poll_transmit`] for a port.
+    pub fn poll_timeout(&self, port: usize, now: Instant) -> Option<Instant> {
+        let port = self.ports.get(port)?;
+        if port.answer.is_some() {
+            return Some(now);
+        }
+        let reset = port.reset.due.then(|| port.reset.ready_at());
+        let reliable = port.link.can_send_reliable();
+        let session = port.session.as_ref();
+        let messages = session.and_then(|session| session.poll_timeout(&self.fused, reliable, now));
+        [reset, port.link.poll_timeout(), messages].into_iter().flatten().min()
+    }
+
+    /// The map that everybody gets.
+    pub fn fused(&self) -> &FusedLayer {
+        &self.fused
+    }
+
+    /// What a robot has seen.
+    pub fn layer(&self, robot: RobotId) -> Option<&RobotLayer> {
+        self.layers.get(&robot)
+    }
+
+    /// The robot whose session is on a port.
+    pub fn robot_at(&self, port: usize) -> Option<RobotId> {
+        Some(self.ports.get(port)?.session.as_ref()?.robot)
+    }
+
+    /// What a robot last said of itself.
+    pub fn state(&self, robot: RobotId) -> Option<State> {
+        self.session(robot)?.state
+    }
+
+    /// Whether a robot has acknowledged the newest state of every fused tile that it wants.
+    pub fn is_level(&self, robot: RobotId) -> bool {
+        self.session(robot).is_some_and(|session| session.is_level(&self.fused))
+    }
+
+    /// The epoch of the server's own layers.
+    pub fn epoch(&self) -> Epoch {
+        Epoch(self.terms.server_epoch)
+    }
+
+    /// Bytes sent at a port, framing and retransmissions included.
+    pub fn bytes_sent(&self, port: usize) -> u64 {
+        self.ports.get(port).map_or(0, |port| port.bytes_sent)
+    }
+
+    /// What the link of a port has counted.
+    pub fn link_counters(&self, port: usize) -> Counters {
+        self.ports.get(port).map_or_else(Counters::default, |port| port.link.counters())
+    }
+
+    /// Messages at a port that were of an unknown kind, and such that could not be read.
+    pub fn unread_messages(&self, port: usize) -> (u32, u32) {
+        self.ports.get(port).map_or((0, 0), |port| (port.unknown, port.malformed))
+    }
+
+    fn session(&self, robot: RobotId) -> Option<&Session> {
+        self.ports.iter().filter_map(|port| port.session.as_ref()).find(|it| it.robot == robot)
+    }
+
+    fn fix(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
+        let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
+        if let Some(session) = sessions.find(|session| session.robot == robot) {
+            session.fix(moment, pose);
+        }
+    }
+
+    /// Computes the fused tiles anew whose sources have changed.
+    fn refuse_stale(&mut self, changed: &BTreeSet<TileId>) {
+        for &id in changed {
+            let robots: Vec<Tile> = self.layers.values().map(|layer| layer.tile(id)).collect();
+            self.fused.set(id, fuse(&self.cameras.tile(id), &robots));
+        }
+    }
+
+    fn greet(&mut self, index: usize, hello: &Hello, now: Instant) {
+        let Some(port) = self.ports.get(index) else { return };
+        let known = port
+            .session
+            .as_ref()
+            .is_some_and(|session| session.robot == hello.robot && session.nonce == hello.nonce);
+        let id = if known { port.link.session() } else { SessionId(self.next_session.max(1)) };
+        let first_epoch = self.layers.get(&hello.robot).map_or(Epoch(1), RobotLayer::next_epoch);
+        let answered = answer(hello, &self.terms, id, first_epoch.0);
+        if let (Answer::Welcome(welcome), false) = (answered, known) {
+            self.next_session = self.next_session.wrapping_add(1);
+            // A robot has one session: it may have moved to another port.
+            for port in &mut self.ports {
+                if port.session.as_ref().is_some_and(|session| session.robot == hello.robot) {
+                    port.session = None;
+                    port.link.end();
+                }
+            }
+            if let Some(port) = self.ports.get_mut(index) {
+                port.link.begin(id, usize::from(welcome.frame));
+                let session = Session::new(hello.robot, hello.nonce, hello.fused_tiles, now);
+                port.session = Some(session);
+                log::info!("robot {} has a session on port {index}", hello.robot.0);
+            }
+        }
+        if let Answer::Refusal(refusal) = answered {
+            log::warn!("robot {} is refused: {:?}", hello.robot.0, refusal.reason);
+        }
+        if let Some(port) = self.ports.get_mut(index) {
+            port.answer = Some(answered);
+        }
+    }
+}
+
+impl Port {
+    fn poll_handshake(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
+        match self.answer.take() {
+            Some(Answer::Welcome(welcome)) => {
+                return self.link.handshake(ToRobotKind::Welcome as u8, &welcome, out);
+            }
+            Some(Answer::Refusal(refusal)) => {
+                return self.link.handshake(ToRobotKind::Refusal as u8, &refusal, out);
+            }
+            None => {}
+        }
+        if !self.reset.due || self.reset.ready_at() > now || self.session.is_some() {
+            return None;
+        }
+        self.reset = Reset { due: false, last: Some(now) };
+        self.link.handshake(ToRobotKind::Reset as u8, &(), out)
+    }
+}
+
+impl Reset {
+    fn ready_at(&self) -> Instant {
+        self.last.map_or(Instant(0), |last| last + RESET_INTERVAL)
+    }
+}
+
+fn parse_hello(message: Message<'_>) -> Option<Hello> {
+    match ToServerKind::from_number(message.kind)? {
+        ToServerKind::Hello => Some(decode(message.body).ok()?.0),
+        _ => None,
+    }
+}
+
+/// The parts of the server that the messages of one robot go to.
+struct Inbox<'a> {
+    session: &'a mut Session,
+    layer: &'a mut RobotLayer,
+    changed: &'a mut BTreeSet<TileId>,
+}
+
+impl Inbox<'_> {
+    /// Returns how many messages were of an unknown kind, and how many could not be read.
+    fn take(&mut self, messages: Messages<'_>, now: Instant) -> (u32, u32) {
+        let (mut unknown, mut malformed) = (0, 0);
+        for message in messages.map_while(Result::ok).filter(|it| it.kind != Ack::KIND) {
+            match ToServerKind::from_number(message.kind) {
+                None => unknown += 1,
+                Some(kind) => malformed += u32::from(self.one(kind, message.body, now).is_none()),
+            }
+        }
+        (unknown, malformed)
+    }
+
+    /// `None` if the message cannot be read.
+    fn one(&mut self, kind: ToServerKind, body: &[u8], now: Instant) -> Option<()> {
+        match kind {
+            ToServerKind::TimeRequest => {
+                self.session.time_requested(decode::<TimeRequest>(body).ok()?.0.nonce, now);
+            }
+            ToServerKind::State => self.session.state = Some(decode(body).ok()?.0),
+            ToServerKind::Interest => {
+                self.session.interested(decode::<Interest>(body).ok()?.0);
+            }
+            ToServerKind::Request => {
+                let (request, _) = decode::<Request>(body).ok()?;
+                if request.layer == Layer::Fused {
+                    self.session.requested(&request);
+                }
+            }
+            ToServerKind::TileUpdate => {
+                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
+                if head.layer != Layer::Robot {
+                    return None;
+                }
+                let (mut updated, result) = self.layer.update(coded, head.seconds);
+                self.changed.append(&mut updated.tiles);
+                if let Some(missing) = updated.missing {
+                    self.session.ask_for(missing);
+                }
+                result.ok()?;
+            }
+            // It belongs into a handshake frame.
+            ToServerKind::Hello => return None,
+        }
+        Some(())
+    }
+}

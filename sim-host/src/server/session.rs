@@ -1,0 +1,276 @@
+//! The server's end of a conversation with one robot.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    frame::MAX_FRAME,
+    link::{Endpoint, Fill},
+    message::{
+        Interest, MAX_REQUESTS, PoseFix, Request, State, TileUpdateHead, TimeReply, ToRobotKind,
+        Writer,
+    },
+    tile::{Epoch, Layer, Publication, TileEncoder, TileId},
+    time::{Duration, Instant},
+    units::{Pose, RobotId},
+};
+
+use crate::mapping::FusedLayer;
+
+/// Reliable frames under way to one robot.
+const WINDOW: usize = 16;
+/// Changes of a fused tile are gathered this long.
+const HOLD: Duration = Duration::from_secs(1);
+/// The downlink's budget for tiles.
+const BYTES_PER_SECOND: u64 = 2_000;
+
+pub(super) type Link = Endpoint<u16, WINDOW, MAX_FRAME>;
+
+/// One robot's session.
+#[derive(Debug)]
+pub(super) struct Session {
+    pub(super) robot: RobotId,
+    /// The nonce of the hello that it answers.
+    pub(super) nonce: u32,
+    pub(super) state: Option<State>,
+    interest: Option<Interest>,
+    fused_tiles: u16,
+    /// What the robot holds of the fused layer, and when each tile was last sent.
+    published: BTreeMap<TileId, (Publication, Option<Instant>)>,
+    frame: u16,
+    /// Newest first.
+    fixes: Vec<(Instant, Pose)>,
+    fix_due: bool,
+    times: Vec<(u16, Instant)>,
+    /// Tiles of the robot's layer to ask for; no tile means all of them.
+    requests: Vec<TileId>,
+    budget: Budget,
+}
+
+impl Session {
+    pub(super) fn new(robot: RobotId, nonce: u32, fused_tiles: u16, now: Instant) -> Self {
+        Self {
+            robot,
+            nonce,
+            state: None,
+            interest: None,
+            fused_tiles,
+            published: BTreeMap::new(),
+            frame: 0,
+            fixes: Vec::new(),
+            fix_due: false,
+            times: Vec::new(),
+            requests: Vec::new(),
+            budget: Budget { paid_until: now },
+        }
+    }
+
+    /// A fix of this robot, later than all before.
+    pub(super) fn fix(&mut self, moment: Instant, pose: Pose) {
+        if self.fixes.first().is_some_and(|&(newest, _)| newest >= moment) {
+            return;
+        }
+        self.fixes.insert(0, (moment, pose));
+        self.fixes.truncate(1 + ubimap_protocol::message::MAX_EARLIER_FIXES);
+        self.fix_due = true;
+    }
+
+    pub(super) fn time_requested(&mut self, nonce: u16, now: Instant) {
+        self.times.push((nonce, now));
+    }
+
+    /// The robot's window has moved: it has dropped what lies outside.
+    pub(super) fn interested(&mut self, interest: Interest) {
+        let newer = self.interest.is_none_or(|now| now.number < interest.number);
+        if !newer || interest.tiles() > u32::from(self.fused_tiles) {
+            return;
+        }
+        self.published.retain(|&id, _| interest.contains(id));
+        self.interest = Some(interest);
+    }
+
+    /// The robot could not read an update: that tile, and all that travelled with it, is sent
+    /// whole.
+    pub(super) fn requested(&mut self, request: &Request) {
+        for id in &request.tiles {
+            let Some((one, _)) = self.published.get(id).cloned() else { continue };
+            for (publication, _) in self.published.values_mut() {
+                if publication.travelled_with(&one) {
+                    publication.forget();
+                }
+            }
+        }
+        if request.tiles.is_empty() {
+            self.published.values_mut().for_each(|(publication, _)| publication.forget());
+        }
+    }
+
+    pub(super) fn ask_for(&mut self, id: TileId) {
+        if !self.requests.contains(&id) {
+            self.requests.push(id);
+        }
+    }
+
+    pub(super) fn acknowledged(&mut self, frame: u16) {
+        self.published.values_mut().for_each(|(publication, _)| {
+            publication.acknowledge(frame);
+        });
+    }
+
+    /// Puts what is due into a frame: what is urgent and stale soon first.
+    pub(super) fn fill(
+        &mut self,
+        fused: &FusedLayer,
+        epoch: Epoch,
+        now: Instant,
+        writer: &mut Writer<'_>,
+        reliable: bool,
+    ) -> Fill<u16> {
+        let before = writer.len();
+        if self.fix_due {
+            let fix = PoseFix::from_fixes(self.fixes.iter().copied());
+            self.fix_due = !fix.is_some_and(|fix| writer.push(ToRobotKind::PoseFix as u8, &fix));
+        }
+        while let Some(&(nonce, received)) = self.times.first() {
+            let held_micros = now.since(received).micros() as u32;
+            let reply = TimeReply { nonce, received, held_micros };
+            if !writer.push(ToRobotKind::TimeReply as u8, &reply) {
+                break;
+            }
+            self.times.remove(0);
+        }
+        if writer.len() > before || !reliable {
+            return Fill::Datagram;
+        }
+        if !self.requests.is_empty() {
+            let count = self.requests.len().min(MAX_REQUESTS);
+            let tiles = self.requests[..count].iter().copied().collect();
+            if writer.push(ToRobotKind::Request as u8, &Request { layer: Layer::Robot, tiles }) {
+                self.requests.drain(..count);
+                // No tile travels in it; frame 0 is never used for tiles.
+                return Fill::Reliable(0);
+            }
+        }
+        match self.fill_tile(fused, epoch, now, writer) {
+            Some(frame) => Fill::Reliable(frame),
+            None => Fill::Nothing,
+        }
+    }
+
+    /// Adds tile updates, one tile in each message: the robot may have dropped one of them, and
+    /// could then not read what follows it.
+    fn fill_tile(
+        &mut self,
+        fused: &FusedLayer,
+        epoch: Epoch,
+        now: Instant,
+        writer: &mut Writer<'_>,
+    ) -> Option<u16> {
+        if self.next_tile_time(fused)?.max(self.budget.ready_at()) > now {
+            return None;
+        }
+        let frame = if self.frame == u16::MAX { 1 } else { self.frame + 1 };
+        let before = writer.len();
+        let seconds = (now.micros() / 1_000_000) as u32;
+        let interest = self.interest?;
+        for (id, version, tile) in fused.within(&interest) {
+            let (publication, last) = self.published.entry(id).or_default();
+            let due = last.is_none_or(|last| last + HOLD <= now) || publication.has_parts_left();
+            if !due || !publication.is_ready() || !publication.differs(tile) {
+                continue;
+            }
+            let first = writer.len() == before;
+            let written = writer.push_with(ToRobotKind::TileUpdate as u8, |body| {
+                let mut head = [0u8; 8];
+                let head = TileUpdateHead { layer: Layer::Fused, seconds }.encode(&mut head)?;
+                let (start, rest) = body.split_at_mut_checked(head.len())?;
+                start.copy_from_slice(head);
+                let mut encoder = TileEncoder::new(rest);
+                let mut new = *tile;
+                let mut trial = publication.clone();
+                trial.push(&mut encoder, id, epoch, version, &mut new, frame).then_some(())?;
+                if trial.has_parts_left() && !first {
+                    // A tile is cut up only where it has a frame to itself.
+                    return None;
+                }
+                *publication = trial;
+                Some(head.len() + encoder.finish()?)
+            });
+            if !written {
+                break;
+            }
+            *last = Some(now);
+        }
+        if writer.len() == before {
+            return None;
+        }
+        self.budget.spend((writer.len() - before) as u64, now);
+        self.frame = frame;
+        Some(frame)
+    }
+
+    /// When the next tile is due, the budget aside.
+    fn next_tile_time(&self, fused: &FusedLayer) -> Option<Instant> {
+        let interest = self.interest?;
+        fused
+            .within(&interest)
+            .filter_map(|(id, _, tile)| match self.published.get(&id) {
+                None => Some(Instant(0)),
+                Some((publication, last)) => {
+                    let more = publication.is_ready() && publication.differs(tile);
+                    let parts = publication.has_parts_left();
+                    let due = last.filter(|_| !parts).map_or(Instant(0), |last| last + HOLD);
+                    more.then_some(due)
+                }
+            })
+            .min()
+    }
+
+    /// When there is something to send.
+    pub(super) fn poll_timeout(
+        &self,
+        fused: &FusedLayer,
+        reliable: bool,
+        now: Instant,
+    ) -> Option<Instant> {
+        if self.fix_due || !self.times.is_empty() {
+            return Some(now);
+        }
+        if !reliable {
+            return None;
+        }
+        if !self.requests.is_empty() {
+            return Some(now);
+        }
+        Some(self.next_tile_time(fused)?.max(self.budget.ready_at()))
+    }
+
+    /// Whether the robot has acknowledged the newest state of every tile that it wants.
+    pub(super) fn is_level(&self, fused: &FusedLayer) -> bool {
+        let Some(interest) = self.interest else { return true };
+        fused.within(&interest).all(|(id, version, tile)| {
+            self.published.get(&id).is_some_and(|(publication, _)| {
+                publication.is_acknowledged()
+                    && publication.version() == version
+                    && publication.sent() == tile
+            })
+        })
+    }
+}
+
+/// A rate of bytes, of which a second's worth may be saved up.
+#[derive(Debug)]
+struct Budget {
+    /// Until when what has been sent is paid for.
+    paid_until: Instant,
+}
+
+impl Budget {
+    fn ready_at(&self) -> Instant {
+        self.paid_until - Duration::from_secs(1)
+    }
+
+    fn spend(&mut self, bytes: u64, now: Instant) {
+        let cost = Duration(bytes * 1_000_000 / BYTES_PER_SECOND);
+        self.paid_until = self.paid_until.max(now) + cost;
+    }
+}
