@@ -1,0 +1,286 @@
+//! A serial port, or a pseudo-terminal that stands for one.
+//!
+//! Neither reading nor writing blocks: a stalled peer may stop a `write` to the operating system
+//! whatever its time limit, so a thread of its own does the writing, from a bounded queue.
+
+use std::{
+    io::{self, ErrorKind, Read, Write},
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
+    thread,
+    time::Duration,
+};
+
+/// Writes that may wait for the peer; at most 250 bytes each from the link.
+const QUEUED_WRITES: usize = 64;
+
+/// Bytes handed to the operating system at once: it takes so few whole when it says it has room.
+const WRITE_CHUNK: usize = 64;
+
+/// How often the writer looks whether the port has been dropped while its peer is stalled, and
+/// how long a dropped port waits for what is still queued.
+const WRITE_PATIENCE: Duration = Duration::from_millis(100);
+
+/// Why a serial port did not do what was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum SerialError {
+    /// It could not be opened.
+    #[error("{}: {reason}", path.display())]
+    Open {
+        /// The port.
+        path: PathBuf,
+        /// What the operating system said.
+        reason: serialport::Error,
+    },
+    /// The other end is gone: the adapter was unplugged or the pseudo-terminal closed.
+    #[error("{}: hung up", path.display())]
+    HungUp {
+        /// The port.
+        path: PathBuf,
+    },
+    /// The peer takes nothing and the queue is full; these bytes were not queued.
+    #[error("{}: the peer takes nothing", path.display())]
+    Stalled {
+        /// The port.
+        path: PathBuf,
+    },
+    /// Anything else.
+    #[error("{}: {reason}", path.display())]
+    Io {
+        /// The port.
+        path: PathBuf,
+        /// What the operating system said.
+        reason: io::Error,
+    },
+}
+
+/// An open serial port: 8 data bits, no parity, 1 stop bit, no flow control.
+#[derive(Debug)]
+pub struct SerialPort {
+    path: PathBuf,
+    port: Box<dyn serialport::SerialPort>,
+    /// Always there but while the port is dropped.
+    writes: Option<mpsc::SyncSender<Vec<u8>>>,
+    closing: Arc<AtomicBool>,
+    /// Hangs up when the writer ends.
+    writer: mpsc::Receiver<()>,
+}
+
+impl SerialPort {
+    /// Opens a port by its path, for this process alone.
+    pub fn open(path: impl AsRef<Path>, baud: u32) -> Result<Self, SerialError> {
+        let path = path.as_ref().to_path_buf();
+        let opened = serialport::new(path.to_string_lossy(), baud)
+            .timeout(WRITE_PATIENCE)
+            .open()
+            .and_then(|port| port.try_clone().map(|writer| (port, writer)));
+        let (port, writer_port) = match opened {
+            Ok(both) => both,
+            Err(reason) => return Err(SerialError::Open { path, reason }),
+        };
+        let closing = Arc::new(AtomicBool::new(false));
+        let (writes, queue) = mpsc::sync_channel(QUEUED_WRITES);
+        let (alive, writer) = mpsc::channel();
+        let spawned = thread::Builder::new().name("serial-write".into()).spawn({
+            let closing = Arc::clone(&closing);
+            move || {
+                write_queued(writer_port, &queue, &closing);
+                drop(alive);
+            }
+        });
+        match spawned {
+            Ok(_) => Ok(Self { path, port, writes: Some(writes), closing, writer }),
+            Err(reason) => Err(SerialError::Io { path, reason }),
+        }
+    }
+
+    /// Reads what has arrived, without waiting: the number of bytes, 0 if there are none.
+    pub fn read(&mut self, buffer: &mut [u8]) -> Result<usize, SerialError> {
+        self.read_within(buffer, Duration::ZERO)
+    }
+
+    /// Reads what has arrived, waiting that long for a first byte if there is none.
+    ///
+    /// What arrived but was not read before the other end hung up is lost.
+    pub fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        self.port
+            .set_timeout(wait)
+            .map_err(|reason| SerialError::Io { path: self.path.clone(), reason: reason.into() })?;
+        match self.port.read(buffer) {
+            Ok(0) => Err(self.hung_up()),
+            Ok(count) => Ok(count),
+            Err(reason) => match reason.kind() {
+                ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted => Ok(0),
+                ErrorKind::BrokenPipe | ErrorKind::NotConnected => Err(self.hung_up()),
+                _ => Err(SerialError::Io { path: self.path.clone(), reason }),
+            },
+        }
+    }
+
+    /// Queues bytes to be written, all of them or, in an error, none. Dropping the port still
+    /// writes what is queued if the peer takes it at once.
+    pub fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
+        let Some(writes) = &self.writes else { return Err(self.hung_up()) };
+        writes.try_send(bytes.to_vec()).map_err(|error| match error {
+            mpsc::TrySendError::Full(_) => SerialError::Stalled { path: self.path.clone() },
+            mpsc::TrySendError::Disconnected(_) => self.hung_up(),
+        })
+    }
+
+    fn hung_up(&self) -> SerialError {
+        SerialError::HungUp { path: self.path.clone() }
+    }
+}
+
+impl Drop for SerialPort {
+    fn drop(&mut self) {
+        self.closing.store(true, Ordering::Relaxed);
+        self.writes = None;
+        // Not joined: a writer that the operating system holds must not hold its owner too.
+        let _ = self.writer.recv_timeout(WRITE_PATIENCE);
+    }
+}
+
+/// Writes what is queued until the port is dropped or hangs up.
+fn write_queued(
+    mut port: Box<dyn serialport::SerialPort>,
+    queue: &mpsc::Receiver<Vec<u8>>,
+    closing: &AtomicBool,
+) {
+    for bytes in queue {
+        let mut rest = &bytes[..];
+        while !rest.is_empty() {
+            match port.write(&rest[..rest.len().min(WRITE_CHUNK)]) {
+                Ok(count) => rest = &rest[count..],
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == ErrorKind::TimedOut => {
+                    if closing.load(Ordering::Relaxed) {
+                        return;
+                    }
+                }
+                Err(_) => return,
+            }
+        }
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::time::Instant;
+
+    use serialport::{SerialPort as _, TTYPort};
+
+    use super::*;
+
+    /// A port under test on one end of a pseudo-terminal, and the other end.
+    fn pair() -> (SerialPort, TTYPort) {
+        let (master, slave) = TTYPort::pair().unwrap();
+        let path = slave.name().unwrap();
+        drop(slave);
+        (SerialPort::open(path, 115_200).unwrap(), master)
+    }
+
+    #[test]
+    fn bytes_of_every_value_cross_both_ways() {
+        let (mut port, mut master) = pair();
+        let all: Vec<u8> = (0..=255).cycle().take(3_000).collect();
+
+        port.write(&all).unwrap();
+        let mut arrived = vec![0; all.len()];
+        master.read_exact(&mut arrived).unwrap();
+        assert_eq!(arrived, all);
+
+        let mut arrived = Vec::new();
+        let mut buffer = [0; 300];
+        let writer = thread::spawn({
+            let all = all.clone();
+            move || {
+                master.write_all(&all).unwrap();
+                master
+            }
+        });
+        while arrived.len() < all.len() {
+            let count = port.read_within(&mut buffer, Duration::from_secs(5)).unwrap();
+            assert_ne!(count, 0, "nothing within five seconds");
+            arrived.extend_from_slice(&buffer[..count]);
+        }
+        assert_eq!(arrived, all);
+        drop(writer.join());
+    }
+
+    #[test]
+    fn an_empty_read_returns_at_once() {
+        let (mut port, _master) = pair();
+        let start = Instant::now();
+        assert_eq!(port.read(&mut [0; 8]).unwrap(), 0);
+        assert_eq!(port.read(&mut []).unwrap(), 0);
+        assert!(start.elapsed() < Duration::from_millis(50));
+    }
+
+    #[test]
+    fn a_hang_up_is_told_by_reads_and_by_writes() {
+        let (mut port, master) = pair();
+        drop(master);
+        assert!(matches!(port.read(&mut [0; 8]), Err(SerialError::HungUp { .. })));
+        let start = Instant::now();
+        while !matches!(port.write(b"x"), Err(SerialError::HungUp { .. })) {
+            assert!(start.elapsed() < Duration::from_secs(5));
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    #[test]
+    fn a_stalled_peer_stalls_neither_writes_nor_the_end() {
+        let (mut port, mut master) = pair();
+        let start = Instant::now();
+        let frame = [0x5A; 250];
+        let mut queued = 0;
+        // The operating system takes some tens of kilobytes; then the queue fills.
+        while port.write(&frame).is_ok() {
+            queued += frame.len();
+            assert!(queued < 10_000_000, "nobody reads, yet {queued} bytes went");
+            thread::sleep(Duration::from_micros(200));
+        }
+        assert!(matches!(port.write(&frame), Err(SerialError::Stalled { .. })));
+        assert_eq!(port.read(&mut [0; 8]).unwrap(), 0);
+
+        // All that was queued arrives once somebody reads, and a write goes through again.
+        let mut arrived = vec![0; queued];
+        master.read_exact(&mut arrived).unwrap();
+        assert!(arrived.iter().all(|&b| b == 0x5A));
+        port.write(b"again").unwrap();
+        master.read_exact(&mut arrived[..5]).unwrap();
+        assert_eq!(&arrived[..5], b"again");
+
+        while port.write(&frame).is_ok() {
+            thread::sleep(Duration::from_micros(200));
+        }
+        drop(port);
+        assert!(start.elapsed() < Duration::from_secs(10));
+    }
+
+    #[test]
+    fn what_was_written_goes_out_before_the_end() {
+        // The slave stays open: what is unread at a hang-up is lost.
+        let (mut master, slave) = TTYPort::pair().unwrap();
+        let mut port = SerialPort::open(slave.name().unwrap(), 115_200).unwrap();
+        port.write(&[7; 1_000]).unwrap();
+        drop(port);
+        let mut arrived = [0; 1_000];
+        master.read_exact(&mut arrived).unwrap();
+        assert_eq!(arrived, [7; 1_000]);
+    }
+
+    #[test]
+    fn a_port_that_is_not_there_is_named() {
+        let error = SerialPort::open("/dev/no-such-port", 115_200).unwrap_err();
+        assert!(error.to_string().starts_with("/dev/no-such-port: "), "{error}");
+    }
+}
