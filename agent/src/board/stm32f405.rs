@@ -1,0 +1,399 @@
+//! The reference board: an STM32F405 with the server on USART1 and a status LED.
+//!
+//! | pin | use |
+//! |---|---|
+//! | PA9, PA10 | USART1, to and from the server |
+//! | PC13 | status LED |
+//!
+//! The same image runs on the chip and in QEMU's `netduinoplus2`, which models no clock control
+//! (RCC): its core runs at 168 MHz from the start, and no ready bit ever comes.
+
+use core::{
+    cell::Cell,
+    sync::atomic::{AtomicU8, AtomicUsize, Ordering},
+};
+
+use cortex_m::{
+    Peripherals, asm,
+    interrupt::{self as interrupts, Mutex},
+    peripheral::{NVIC, SCB, SYST, syst::SystClkSource},
+};
+use cortex_m_rt::exception;
+use embedded_hal::delay::DelayNs;
+use stm32f4xx_hal::{
+    gpio::{Output, PC13},
+    interrupt,
+    pac::{self, FLASH, Interrupt, RCC, RNG, TIM2, USART1},
+    prelude::*,
+    rcc::{Enable, Rcc},
+    signature::Uid,
+};
+use ubimap_protocol::time::Instant;
+
+/// The core clock, on the chip (by its PLL) and in the emulator alike.
+const CORE_HZ: u32 = 168_000_000;
+
+/// The clock of USART1: APB2 at half the core's.
+const USART_HZ: u32 = CORE_HZ / 2;
+
+/// The clock of TIM2: APB1 at a quarter of the core's, doubled for its timers.
+const TIMER_HZ: u32 = CORE_HZ / 2;
+
+/// The status LED.
+pub(crate) type Led = PC13<Output>;
+
+/// What the firmware uses of the board.
+pub(crate) struct Board {
+    /// The time since boot.
+    pub(crate) clock: Clock,
+    /// The serial port to the server.
+    pub(crate) port: Port,
+    /// The status LED.
+    pub(crate) led: Led,
+    /// A number that tells this boot from others.
+    pub(crate) nonce: u64,
+}
+
+impl Board {
+    /// Sets up the board; `None` if that has been done before.
+    pub(crate) fn take(baud: u32) -> Option<Self> {
+        let core = Peripherals::take()?;
+        let chip = pac::Peripherals::take()?;
+
+        let timer_hz = if start_pll(&chip.RCC, &chip.FLASH) { TIMER_HZ } else { EMULATED_TIMER_HZ };
+        let mut rcc = chip.RCC.constrain();
+        start_alarm(chip.TIM2, timer_hz, &mut rcc);
+        let clock = Clock::start(core.SYST);
+
+        let pins = chip.GPIOA.split(&mut rcc);
+        pins.pa9.into_alternate::<7>();
+        pins.pa10.into_alternate::<7>();
+        let port = Port::start(chip.USART1, baud, &mut rcc)?;
+
+        let led = chip.GPIOC.split(&mut rcc).pc13.into_push_pull_output();
+        let nonce = boot_nonce(&chip.RNG, &mut rcc);
+        Some(Self { clock, port, led, nonce })
+    }
+}
+
+/// Brings the core to 168 MHz by the PLL from the internal oscillator, which every board has, APB1
+/// to 42 MHz, APB2 to 84 MHz and the noise generator to 48 MHz.
+///
+/// The oscillator keeps within 1 % at room temperature and 4.5 % up to 105 degrees; a robot that
+/// has a crystal and gets that warm should use it.
+///
+/// False in the emulator, where there is nothing to do.
+///
+/// Register by register, because the HAL's search for divisors brings its panics into the image.
+fn start_pll(rcc: &RCC, flash: &FLASH) -> bool {
+    // After a reset the chip runs on this oscillator, which says that it is ready.
+    if rcc.cr().read().hsirdy().bit_is_clear() {
+        return false;
+    }
+    flash.acr().write(|w| w.latency().ws5().prften().enabled().icen().enabled().dcen().enabled());
+    rcc.pllcfgr().write(|w| {
+        w.pllsrc().hsi().pllp().div2();
+        // 16 MHz / 16 * 336 = 336 MHz, half of which is the core's and a seventh the generator's.
+        #[allow(unsafe_code, reason = "the register has values that overclock the chip")]
+        // SAFETY: these do not: the VCO takes 1 to 2 MHz and gives 100 to 432 MHz.
+        unsafe {
+            w.pllm().bits(16).plln().bits(336).pllq().bits(7)
+        }
+    });
+    rcc.cr().modify(|_, w| w.pllon().on());
+    while rcc.cr().read().pllrdy().bit_is_clear() {}
+    rcc.cfgr().modify(|_, w| w.hpre().div1().ppre1().div4().ppre2().div2());
+    rcc.cfgr().modify(|_, w| w.sw().pll());
+    while !rcc.cfgr().read().sws().is_pll() {}
+    true
+}
+
+/// The time since boot: whole periods of SysTick, counted by its interrupt, and its count within
+/// the present one.
+#[derive(Clone, Copy)]
+pub(crate) struct Clock(());
+
+/// SysTick's period in microseconds. It counts to 99,864 at most; the longer it is, the longer an
+/// emulator may be held up by its host before two periods are taken for one.
+const PERIOD_MICROS: u32 = 90_000;
+
+/// SysTick's count in a microsecond.
+const PER_MICRO: u32 = CORE_HZ / 1_000_000;
+
+/// SysTick's count in a period.
+const PERIOD: u32 = PERIOD_MICROS * PER_MICRO;
+
+/// Whole periods of SysTick.
+static PERIODS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
+
+impl Clock {
+    fn start(mut systick: SYST) -> Self {
+        systick.set_clock_source(SystClkSource::Core);
+        systick.set_reload(PERIOD - 1);
+        systick.clear_current();
+        systick.enable_counter();
+        systick.enable_interrupt();
+        // From zero it steps to the top: the start of the first period.
+        while SYST::get_current() == 0 {}
+        Self(())
+    }
+
+    /// The time since boot. It never runs backwards.
+    pub(crate) fn now(self) -> Instant {
+        interrupts::free(|cs| {
+            let whole = PERIODS.borrow(cs).get();
+            // It counts down. The step to zero ends a period and makes the interrupt pending; an
+            // emulator that is late stays at zero until it does.
+            let left = SYST::get_current();
+            let (whole, part) = if SCB::is_pendst_pending() {
+                // Ended but not counted yet; what is left was perhaps read before the end.
+                (whole + 1, (PERIOD - SYST::get_current()) % PERIOD)
+            } else {
+                (whole, PERIOD - left)
+            };
+            let micros = whole * u64::from(PERIOD_MICROS) + u64::from(part / PER_MICRO);
+            Instant::from_micros(micros)
+        })
+    }
+}
+
+#[exception]
+fn SysTick() {
+    interrupts::free(|cs| {
+        let periods = PERIODS.borrow(cs);
+        periods.set(periods.get() + 1);
+    });
+}
+
+impl DelayNs for Clock {
+    fn delay_ns(&mut self, ns: u32) {
+        // One more than asked: the present microsecond has partly gone.
+        let end = self.now().micros() + u64::from(ns.div_ceil(1_000)) + 1;
+        while self.now().micros() < end {}
+    }
+}
+
+/// TIM2 wakes the core every millisecond, so that it may sleep and still keep its deadlines.
+fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
+    TIM2::enable(rcc);
+    timer.psc().write(|w| w.psc().set((timer_hz / 1_000_000 - 1) as u16));
+    timer.arr().write(|w| w.arr().set(1_000 - 1));
+    // Takes the prescaler over; the flag that it raises is the first alarm.
+    timer.egr().write(|w| w.ug().set_bit());
+    timer.dier().write(|w| w.uie().set_bit());
+    timer.cr1().write(|w| w.cen().set_bit());
+    interrupts::free(|cs| ALARM.borrow(cs).set(Some(timer)));
+    unmask(Interrupt::TIM2);
+}
+
+/// What TIM2 counts in the emulator; it wakes the core and tells no time, so this need not be
+/// exact in every version.
+const EMULATED_TIMER_HZ: u32 = 1_000_000_000;
+
+/// On its way from the start to the interrupt.
+static ALARM: Mutex<Cell<Option<TIM2>>> = Mutex::new(Cell::new(None));
+
+#[interrupt]
+fn TIM2() {
+    static mut OWNED: Option<TIM2> = None;
+    if OWNED.is_none() {
+        *OWNED = interrupts::free(|cs| ALARM.borrow(cs).take());
+    }
+    if let Some(timer) = OWNED {
+        timer.sr().modify(|_, w| w.uif().clear_bit());
+    }
+}
+
+/// The serial port to the server. Its interrupt moves bytes between the USART and two queues.
+pub(crate) struct Port(());
+
+/// Bytes received that wait for the main loop: 44 ms at 115,200 baud.
+static RECEIVED: Ring<512> = Ring::new();
+
+/// Bytes that wait for the port: two frames of the link.
+static QUEUED: Ring<512> = Ring::new();
+
+impl Port {
+    fn start(usart: USART1, baud: u32, rcc: &mut Rcc) -> Option<Self> {
+        USART1::enable(rcc);
+        // Oversampling by 16: the divisor's four fractional bits make it a plain quotient.
+        let divisor = (USART_HZ + baud / 2).checked_div(baud)?;
+        usart.brr().write(|w| {
+            w.div_mantissa().set((divisor >> 4) as u16).div_fraction().set((divisor & 0xF) as u8)
+        });
+        usart.cr1().write(|w| w.ue().set_bit().te().set_bit().re().set_bit().rxneie().set_bit());
+        interrupts::free(|cs| USART.borrow(cs).set(Some(usart)));
+        unmask(Interrupt::USART1);
+        Some(Self(()))
+    }
+
+    /// Takes received bytes out: how many.
+    pub(crate) fn read(&mut self, buffer: &mut [u8]) -> usize {
+        let mut count = 0;
+        for place in buffer {
+            let Some(byte) = RECEIVED.take() else { break };
+            *place = byte;
+            count += 1;
+        }
+        if count > 0 {
+            serve_soon();
+        }
+        count
+    }
+
+    /// How many bytes [`Port::write`] would take now.
+    pub(crate) fn room(&self) -> usize {
+        QUEUED.room()
+    }
+
+    /// Queues bytes to be sent: how many, fewer than given if the queue is full.
+    pub(crate) fn write(&mut self, bytes: &[u8]) -> usize {
+        let mut count = 0;
+        for &byte in bytes {
+            if !QUEUED.put(byte) {
+                break;
+            }
+            count += 1;
+        }
+        serve_soon();
+        count
+    }
+
+    /// Sleeps until bytes arrive or the alarm rings, at most a millisecond.
+    pub(crate) fn wait(&self) {
+        // With interrupts masked none can slip in between the look and the sleep; a pending one
+        // wakes the core all the same.
+        interrupts::free(|_| {
+            if RECEIVED.is_empty() {
+                asm::wfi();
+            }
+        });
+    }
+}
+
+/// On its way from the start to the interrupt, which alone uses it from then on.
+static USART: Mutex<Cell<Option<USART1>>> = Mutex::new(Cell::new(None));
+
+#[interrupt]
+fn USART1() {
+    static mut OWNED: Option<USART1> = None;
+    if OWNED.is_none() {
+        *OWNED = interrupts::free(|cs| USART.borrow(cs).take());
+    }
+    if let Some(usart) = OWNED {
+        serve(usart);
+    }
+}
+
+/// Lets the interrupt look at the queues, which the main loop has changed.
+fn serve_soon() {
+    NVIC::pend(Interrupt::USART1);
+}
+
+fn serve(usart: &mut USART1) {
+    while RECEIVED.room() > 0 {
+        let status = usart.sr().read();
+        // An overrun has lost the byte after this one; the same two reads clear it. The link's
+        // checksum notices what is lost or damaged.
+        if status.rxne().bit_is_clear() && status.ore().bit_is_clear() {
+            break;
+        }
+        let byte = usart.dr().read().dr().bits() as u8;
+        if status.rxne().bit_is_set() {
+            RECEIVED.put(byte);
+        }
+    }
+    while usart.sr().read().txe().bit_is_set() {
+        let Some(byte) = QUEUED.take() else { break };
+        usart.dr().write(|w| w.dr().set(byte.into()));
+    }
+    // With no room the byte stays in the USART, and a peer that can wait (the emulator's) does;
+    // reading makes room and calls us again.
+    usart.cr1().modify(|_, w| w.rxneie().bit(RECEIVED.room() > 0).txeie().bit(!QUEUED.is_empty()));
+}
+
+#[allow(unsafe_code, reason = "unmasking is unsafe for those whose critical sections mask it")]
+fn unmask(interrupt: Interrupt) {
+    // SAFETY: critical sections here mask all interrupts, none relies on this one's mask.
+    unsafe { NVIC::unmask(interrupt) }
+}
+
+/// A number that tells this boot from others: of the chip's noise where that is at hand, of its
+/// identity and the clock's phase. In the emulator only the last is left, which depends on how
+/// fast the host happened to be: it tells reboots apart and is no secret.
+fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
+    RNG::enable(rcc);
+    noise.cr().modify(|_, w| w.rngen().set_bit());
+    let mut nonce = 0;
+    // A word takes 40 cycles of 48 MHz; never wait for a generator that gives none.
+    for _ in 0..10_000 {
+        if noise.sr().read().drdy().bit_is_set() {
+            nonce = mix(nonce, noise.dr().read().bits());
+        }
+    }
+    // Where nothing is mapped the emulator faults.
+    if nonce != 0 {
+        let uid = Uid::get();
+        nonce = mix(nonce, u32::from(uid.x()) << 16 | u32::from(uid.y()));
+        nonce = uid.lot_num().bytes().fold(nonce, |nonce, byte| mix(nonce, byte.into()));
+    }
+    mix(nonce, SYST::get_current())
+}
+
+/// Stirs a word into a number: a multiplication that spreads low bits up, a shift that brings
+/// them down again.
+fn mix(number: u64, word: u32) -> u64 {
+    let spread = (number ^ u64::from(word)).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    spread ^ spread >> 32
+}
+
+/// A queue of bytes between the main loop and an interrupt: one side puts, the other takes.
+struct Ring<const N: usize> {
+    bytes: [AtomicU8; N],
+    /// How many bytes were ever put in and taken out; they wrap by themselves.
+    put: AtomicUsize,
+    taken: AtomicUsize,
+}
+
+impl<const N: usize> Ring<N> {
+    const fn new() -> Self {
+        // The counts wrap at a multiple of the size.
+        assert!(N.is_power_of_two());
+        Self {
+            bytes: [const { AtomicU8::new(0) }; N],
+            put: AtomicUsize::new(0),
+            taken: AtomicUsize::new(0),
+        }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.room() == N
+    }
+
+    fn room(&self) -> usize {
+        let (put, taken) = (self.put.load(Ordering::Acquire), self.taken.load(Ordering::Acquire));
+        N - put.wrapping_sub(taken).min(N)
+    }
+
+    /// Puts a byte in; false if there is no room.
+    fn put(&self, byte: u8) -> bool {
+        let put = self.put.load(Ordering::Relaxed);
+        if self.room() == 0 {
+            return false;
+        }
+        self.bytes[put % N].store(byte, Ordering::Relaxed);
+        self.put.store(put.wrapping_add(1), Ordering::Release);
+        true
+    }
+
+    /// Takes the oldest byte out.
+    fn take(&self) -> Option<u8> {
+        let taken = self.taken.load(Ordering::Relaxed);
+        if self.is_empty() {
+            return None;
+        }
+        let byte = self.bytes[taken % N].load(Ordering::Relaxed);
+        self.taken.store(taken.wrapping_add(1), Ordering::Release);
+        Some(byte)
+    }
+}
