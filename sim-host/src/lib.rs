@@ -20,3 +20,6 @@ pub mod report;
 pub mod run;
 pub mod server;
 pub mod world;
+
+#[cfg(test)]
+mod testing;

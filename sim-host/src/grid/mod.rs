@@ -1,1 +1,15 @@
 //! Occupancy grids, ROS map files and scores.
+//!
+//! [`OccupancyGrid`] is a map as one rectangle of cells: what tiles become when they leave the
+//! system, and what map files become when they enter it. [`read_map`], [`pgm`] and [`yaml`] read and write such files
+//! in the form of ROS's `map_server`; [`compare`] scores one grid against another.
+
+mod occupancy;
+pub(crate) mod raster;
+mod ros_map;
+mod score;
+
+pub use occupancy::{CellCounts, GridError, MAX_CELLS, OccupancyGrid};
+pub use raster::RasterError;
+pub use ros_map::{MapError, Thresholds, pgm, read_map, yaml};
+pub use score::{Scores, compare};

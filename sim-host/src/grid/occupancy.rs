@@ -1,0 +1,290 @@
+//! A map as one rectangle of cells.
+
+use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE, Tile, TileId},
+    units::Millimetres,
+};
+
+/// The most cells that a grid may have: 290 m square at 5 cm.
+pub const MAX_CELLS: usize = 1 << 25;
+
+/// Why a grid can't be made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum GridError {
+    /// More cells than [`MAX_CELLS`].
+    #[error(
+        "a map of {width} x {height} cells is too large (the limit is {MAX_CELLS} cells): \
+         use a coarser resolution"
+    )]
+    TooLarge {
+        /// Cells along x.
+        width: u64,
+        /// Cells along y.
+        height: u64,
+    },
+    /// The resolution is zero, negative or not a number.
+    #[error("a resolution of {0} m is not a positive length")]
+    Resolution(f64),
+    /// The origin is not a finite place.
+    #[error("the origin [{0}, {1}] m, yaw {2} rad is not finite")]
+    Origin(f64, f64, f64),
+}
+
+/// How many cells of a grid are what.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CellCounts {
+    /// Free or occupied.
+    pub known: usize,
+    /// Free.
+    pub free: usize,
+    /// Occupied, fixed or movable.
+    pub occupied: usize,
+}
+
+/// A rectangle of cells, row by row from the south (least y), each row from the west (least x).
+///
+/// Its lower left corner lies at `origin_m` in `map`, and the rectangle is turned about that corner
+/// by `yaw_rad`, counter-clockwise. It has at least one cell.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OccupancyGrid {
+    resolution_m: f64,
+    origin_m: [f64; 2],
+    yaw_rad: f64,
+    width: usize,
+    height: usize,
+    cells: Vec<Cell>,
+}
+
+impl OccupancyGrid {
+    /// A grid of unknown cells of `resolution_m` metres, its lower left corner at `origin_m`
+    /// (metres in `map`). No width or no height gives a single cell.
+    pub fn new(
+        resolution_m: f64,
+        origin_m: [f64; 2],
+        width: usize,
+        height: usize,
+    ) -> Result<Self, GridError> {
+        if !(resolution_m.is_finite() && resolution_m > 0.0) {
+            return Err(GridError::Resolution(resolution_m));
+        }
+        if !origin_m.iter().all(|coordinate| coordinate.is_finite()) {
+            return Err(GridError::Origin(origin_m[0], origin_m[1], 0.0));
+        }
+        let (width, height) = if width == 0 || height == 0 { (1, 1) } else { (width, height) };
+        let count = width
+            .checked_mul(height)
+            .filter(|count| *count <= MAX_CELLS)
+            .ok_or(GridError::TooLarge { width: width as u64, height: height as u64 })?;
+        let cells = vec![Cell::Unknown; count];
+        Ok(Self { resolution_m, origin_m, yaw_rad: 0.0, width, height, cells })
+    }
+
+    /// The grid that holds every known cell of the tiles and no more, aligned with them; a single
+    /// unknown cell at the origin if none is known.
+    pub fn from_tiles<'a>(
+        tiles: impl IntoIterator<Item = (TileId, &'a Tile)>,
+        resolution: Millimetres,
+    ) -> Result<Self, GridError> {
+        let tiles: Vec<_> = tiles.into_iter().collect();
+        let bounds = tiles.iter().filter_map(|(id, tile)| Bounds::of_tile(*id, tile));
+        let bounds = bounds.reduce(Bounds::union).unwrap_or_default();
+
+        let resolution_m = resolution.metres();
+        let corner = |cell: i32| (i64::from(cell) * i64::from(resolution.0)) as f64 / 1000.0;
+        let origin_m = [corner(bounds.west), corner(bounds.south)];
+        let width = i64::from(bounds.east) - i64::from(bounds.west) + 1;
+        let height = i64::from(bounds.north) - i64::from(bounds.south) + 1;
+        let mut grid = Self::new(resolution_m, origin_m, width as usize, height as usize)?;
+
+        for (id, tile) in tiles {
+            let (first_x, first_y) = id.first_cell();
+            for y in 0..TILE_SIDE {
+                let mut known = tile.row(y).known();
+                while known != 0 {
+                    let x = known.trailing_zeros() as usize;
+                    known &= known - 1;
+                    let column = first_x + x as i32 - bounds.west;
+                    let row = first_y + y as i32 - bounds.south;
+                    grid.set(column as usize, row as usize, tile.cell(x, y));
+                }
+            }
+        }
+        Ok(grid)
+    }
+
+    /// The same cells, turned about the lower left corner to a yaw in radians (counter-clockwise).
+    pub fn with_yaw(mut self, yaw_rad: f64) -> Result<Self, GridError> {
+        if !yaw_rad.is_finite() {
+            return Err(GridError::Origin(self.origin_m[0], self.origin_m[1], yaw_rad));
+        }
+        self.yaw_rad = yaw_rad;
+        Ok(self)
+    }
+
+    /// The side of a cell in metres.
+    pub fn resolution_m(&self) -> f64 {
+        self.resolution_m
+    }
+
+    /// The lower left corner of the lower left cell: x and y in `map`, metres.
+    pub fn origin_m(&self) -> [f64; 2] {
+        self.origin_m
+    }
+
+    /// How far the grid is turned about its origin, in radians, counter-clockwise.
+    pub fn yaw_rad(&self) -> f64 {
+        self.yaw_rad
+    }
+
+    /// Cells along x.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Cells along y.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The cells, row by row from the south, each row from the west.
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// The cell at column `x` and row `y`; outside of the grid all is unknown.
+    pub fn cell(&self, x: usize, y: usize) -> Cell {
+        if x < self.width && y < self.height {
+            self.cells[y * self.width + x]
+        } else {
+            Cell::Unknown
+        }
+    }
+
+    /// Sets the cell at column `x` and row `y`; outside of the grid nothing happens.
+    pub fn set(&mut self, x: usize, y: usize, cell: Cell) {
+        if x < self.width && y < self.height {
+            self.cells[y * self.width + x] = cell;
+        }
+    }
+
+    /// How many cells are known, free and occupied.
+    pub fn counts(&self) -> CellCounts {
+        let mut counts = CellCounts::default();
+        for cell in &self.cells {
+            match cell {
+                Cell::Unknown => {}
+                Cell::Free => counts.free += 1,
+                Cell::Occupied | Cell::Movable => counts.occupied += 1,
+            }
+        }
+        counts.known = counts.free + counts.occupied;
+        counts
+    }
+
+    /// Where a point of the grid, in cells from its lower left corner, lies in `map` (metres).
+    /// The centre of the cell at column 3 and row 0 is the point (3.5, 0.5).
+    pub fn to_map(&self, point: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.yaw_rad.sin_cos();
+        let [x, y] = point.map(|cells| cells * self.resolution_m);
+        [self.origin_m[0] + x * cos - y * sin, self.origin_m[1] + x * sin + y * cos]
+    }
+
+    /// Where a point in `map` (metres) lies in the grid, in cells from its lower left corner.
+    pub fn from_map(&self, point: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.yaw_rad.sin_cos();
+        let (x, y) = (point[0] - self.origin_m[0], point[1] - self.origin_m[1]);
+        [(x * cos + y * sin) / self.resolution_m, (y * cos - x * sin) / self.resolution_m]
+    }
+}
+
+/// The grid coordinates of the outermost cells (inclusive).
+#[derive(Clone, Copy, Default)]
+struct Bounds {
+    west: i32,
+    south: i32,
+    east: i32,
+    north: i32,
+}
+
+impl Bounds {
+    /// The bounds of the known cells, if any.
+    fn of_tile(id: TileId, tile: &Tile) -> Option<Self> {
+        let rows = || (0..TILE_SIDE).map(|y| tile.row(y).known());
+        let columns = rows().fold(0, |columns, known| columns | known);
+        if columns == 0 {
+            return None;
+        }
+        let south = rows().position(|known| known != 0)? as i32;
+        let north = (TILE_SIDE - 1 - rows().rev().position(|known| known != 0)?) as i32;
+        let (x, y) = id.first_cell();
+        Some(Self {
+            west: x + columns.trailing_zeros() as i32,
+            south: y + south,
+            east: x + (31 - columns.leading_zeros()) as i32,
+            north: y + north,
+        })
+    }
+
+    fn union(self, other: Self) -> Self {
+        Self {
+            west: self.west.min(other.west),
+            south: self.south.min(other.south),
+            east: self.east.max(other.east),
+            north: self.north.max(other.north),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_become_a_grid_cropped_to_what_is_known() {
+        let mut west = Tile::UNKNOWN;
+        west.set(31, 4, Cell::Free);
+        let mut east = Tile::UNKNOWN;
+        east.set(1, 6, Cell::Movable);
+        east.set(0, 5, Cell::Occupied);
+        let nothing = Tile::UNKNOWN;
+        let tiles = [
+            (TileId { x: -1, y: -1 }, &west),
+            (TileId { x: 0, y: -1 }, &east),
+            (TileId { x: 30_000, y: 30_000 }, &nothing),
+        ];
+
+        let grid = OccupancyGrid::from_tiles(tiles, Millimetres(50)).unwrap();
+        assert_eq!((grid.width(), grid.height()), (3, 3));
+        assert_eq!(grid.origin_m(), [-0.05, -1.4]);
+        assert_eq!(grid.cell(0, 0), Cell::Free);
+        assert_eq!(grid.cell(1, 1), Cell::Occupied);
+        assert_eq!(grid.cell(2, 2), Cell::Movable);
+        assert_eq!(grid.counts(), CellCounts { known: 3, free: 1, occupied: 2 });
+    }
+
+    #[test]
+    fn no_tiles_give_one_unknown_cell() {
+        let grid = OccupancyGrid::from_tiles([], Millimetres(50)).unwrap();
+        assert_eq!((grid.width(), grid.height()), (1, 1));
+        assert_eq!(grid.counts(), CellCounts::default());
+    }
+
+    #[test]
+    fn tiles_too_far_apart_are_refused() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(0, 0, Cell::Free);
+        let corners = [TileId { x: i16::MIN, y: i16::MIN }, TileId { x: i16::MAX, y: i16::MAX }];
+        let grid = OccupancyGrid::from_tiles(corners.map(|id| (id, &tile)), Millimetres(50));
+        assert!(matches!(grid, Err(GridError::TooLarge { width: 2_097_121, .. })));
+    }
+
+    #[test]
+    fn a_turned_grid_maps_there_and_back() {
+        let grid = OccupancyGrid::new(0.1, [2.0, 3.0], 10, 10).unwrap();
+        let grid = grid.with_yaw(std::f64::consts::FRAC_PI_2).unwrap();
+        let [x, y] = grid.to_map([10.0, 0.0]);
+        assert!((x - 2.0).abs() < 1e-9 && (y - 4.0).abs() < 1e-9);
+        let [column, row] = grid.from_map([x, y]);
+        assert!((column - 10.0).abs() < 1e-9 && row.abs() < 1e-9);
+    }
+}

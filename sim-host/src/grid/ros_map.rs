@@ -1,0 +1,409 @@
+//! Map files of ROS's `map_server`: a YAML file and the image that it names.
+//!
+//! Each pixel is a cell; the image's bottom row is the southmost. How dark a pixel is says how
+//! occupied the cell is, from 0 (white) to 1 (black), or the other way round with `negate`. Above
+//! `occupied_thresh` the cell is occupied, below `free_thresh` free, and unknown between.
+
+use std::path::{Path, PathBuf};
+
+use image::{DynamicImage, GrayImage, Luma};
+use serde::Deserialize;
+use ubimap_protocol::tile::Cell;
+
+use super::{
+    occupancy::{GridError, OccupancyGrid},
+    raster::{self, RasterError},
+};
+
+/// Pixel values of a written map: `map_server`'s own trinary ones.
+const FREE: u8 = 254;
+const OCCUPIED: u8 = 0;
+const UNKNOWN: u8 = 205;
+
+/// Why a map can't be read.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    /// The YAML file can't be read.
+    #[error("{path}: {error}", path = path.display())]
+    Io {
+        /// The YAML file.
+        path: PathBuf,
+        /// What the system says.
+        error: std::io::Error,
+    },
+    /// The YAML file is not YAML, or a key is missing or of the wrong kind.
+    #[error("{path}: {reason}", path = path.display())]
+    Yaml {
+        /// The YAML file.
+        path: PathBuf,
+        /// What is wrong, on one line.
+        reason: String,
+    },
+    /// A key has a value that can't be.
+    #[error("{path}: {key}: {reason}", path = path.display())]
+    Value {
+        /// The YAML file.
+        path: PathBuf,
+        /// The key.
+        key: &'static str,
+        /// What is wrong with its value.
+        reason: String,
+    },
+    /// The image can't be read.
+    #[error("{image}: {error} (named by `image` in {yaml})",
+        image = image.display(), yaml = yaml.display())]
+    Image {
+        /// The YAML file.
+        yaml: PathBuf,
+        /// The image file.
+        image: PathBuf,
+        /// What is wrong with it.
+        error: RasterError,
+    },
+    /// The numbers don't make a map.
+    #[error("{path}: {error}", path = path.display())]
+    Grid {
+        /// The YAML file.
+        path: PathBuf,
+        /// What is wrong.
+        error: GridError,
+    },
+}
+
+/// Where occupied begins and free ends, as shares of full occupancy (0 to 1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Thresholds {
+    /// Cells more occupied than this are occupied.
+    pub occupied: f64,
+    /// Cells less occupied than this are free.
+    pub free: f64,
+}
+
+impl Thresholds {
+    /// `map_server`'s own, and those of every map written here.
+    pub const MAP_SERVER: Self = Self { occupied: 0.65, free: 0.196 };
+
+    fn cell(self, occupancy: f64) -> Cell {
+        if occupancy > self.occupied {
+            Cell::Occupied
+        } else if occupancy < self.free {
+            Cell::Free
+        } else {
+            Cell::Unknown
+        }
+    }
+}
+
+/// Reads a map from its YAML file and the image which that names (relative to the YAML file).
+///
+/// The modes are those of nav2's `map_server`. `trinary` (the default) counts the opacity of an
+/// image that has one as a fourth colour; in `scale`, pixels that are not opaque are unknown, and
+/// so are here the shades between the thresholds; in `raw` a pixel's value is the occupancy in
+/// per cent, unknown above 100.
+pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
+    let value_error = |key, reason: &str| MapError::Value {
+        path: yaml.to_owned(),
+        key,
+        reason: reason.to_owned(),
+    };
+    let text =
+        std::fs::read(yaml).map_err(|error| MapError::Io { path: yaml.to_owned(), error })?;
+    let text = String::from_utf8(text).map_err(|_| MapError::Yaml {
+        path: yaml.to_owned(),
+        reason: "not a text file; a ROS map is given by its .yaml file".to_owned(),
+    })?;
+    let header =
+        MapYaml::parse(&text).map_err(|reason| MapError::Yaml { path: yaml.to_owned(), reason })?;
+    if !(header.resolution.is_finite() && header.resolution > 0.0) {
+        return Err(value_error("resolution", "must be a positive number of metres"));
+    }
+    let [x, y, yaw] = header.origin[..] else {
+        return Err(value_error("origin", "must be three numbers: x, y and yaw"));
+    };
+    let thresholds = header.thresholds();
+    if !(0.0 <= thresholds.free && thresholds.free <= thresholds.occupied) {
+        return Err(value_error("free_thresh", "must be from 0 to occupied_thresh"));
+    }
+    if thresholds.occupied > 1.0 {
+        return Err(value_error("occupied_thresh", "must be from free_thresh to 1"));
+    }
+
+    let image_path = yaml.parent().unwrap_or(Path::new("")).join(&header.image);
+    let image = raster::read(&image_path).map_err(|error| MapError::Image {
+        yaml: yaml.to_owned(),
+        image: image_path,
+        error,
+    })?;
+    let pixels = Pixels::of(image, header.mode);
+    let grid_error = |error| MapError::Grid { path: yaml.to_owned(), error };
+    let mut grid = OccupancyGrid::new(
+        header.resolution,
+        [x, y],
+        pixels.width as usize,
+        pixels.height as usize,
+    )
+    .and_then(|grid| grid.with_yaw(yaw))
+    .map_err(grid_error)?;
+    for row in 0..pixels.height {
+        for column in 0..pixels.width {
+            let pixel = pixels.at(column, row);
+            let cell = header.mode.cell(pixel, header.negate.into(), thresholds);
+            grid.set(column as usize, (pixels.height - 1 - row) as usize, cell);
+        }
+    }
+    Ok(grid)
+}
+
+/// The image of a map as a binary PGM file: free 254, occupied (fixed or movable) 0, unknown 205.
+pub fn pgm(grid: &OccupancyGrid) -> Vec<u8> {
+    let (width, height) = (grid.width() as u32, grid.height() as u32);
+    raster::encode_pgm(&GrayImage::from_fn(width, height, |column, row| {
+        Luma([match grid.cell(column as usize, (height - 1 - row) as usize) {
+            Cell::Free => FREE,
+            Cell::Occupied | Cell::Movable => OCCUPIED,
+            Cell::Unknown => UNKNOWN,
+        }])
+    }))
+}
+
+/// The YAML file of a map whose image ([`pgm`]) lies beside it under a plain name.
+pub fn yaml(grid: &OccupancyGrid, image: &str) -> String {
+    let [x, y] = grid.origin_m();
+    let Thresholds { occupied, free } = Thresholds::MAP_SERVER;
+    format!(
+        "image: {image}\nmode: trinary\nresolution: {:?}\norigin: [{x:?}, {y:?}, {:?}]\n\
+         negate: 0\noccupied_thresh: {occupied:?}\nfree_thresh: {free:?}\n",
+        grid.resolution_m(),
+        grid.yaw_rad(),
+    )
+}
+
+/// The YAML file as it is written. Other keys are left alone, as `map_server` does.
+#[derive(Deserialize)]
+struct MapYaml {
+    image: PathBuf,
+    resolution: f64,
+    origin: Vec<f64>,
+    #[serde(default)]
+    negate: Switch,
+    occupied_thresh: f64,
+    free_thresh: f64,
+    #[serde(default)]
+    mode: Mode,
+}
+
+impl MapYaml {
+    fn parse(text: &str) -> Result<Self, String> {
+        serde_saphyr::from_str(text).map_err(|error| {
+            let message = error.without_snippet().to_string();
+            message.lines().next().unwrap_or("not a map's YAML").to_owned()
+        })
+    }
+
+    fn thresholds(&self) -> Thresholds {
+        Thresholds { occupied: self.occupied_thresh, free: self.free_thresh }
+    }
+}
+
+/// `negate`: 0 or 1, or true or false.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(untagged)]
+enum Switch {
+    Bool(bool),
+    Number(i64),
+}
+
+impl Default for Switch {
+    fn default() -> Self {
+        Self::Bool(false)
+    }
+}
+
+impl From<Switch> for bool {
+    fn from(switch: Switch) -> Self {
+        match switch {
+            Switch::Bool(on) => on,
+            Switch::Number(number) => number != 0,
+        }
+    }
+}
+
+/// How pixels become cells.
+#[derive(Clone, Copy, Default, Deserialize, PartialEq)]
+#[serde(rename_all = "lowercase")]
+enum Mode {
+    #[default]
+    Trinary,
+    Scale,
+    Raw,
+}
+
+impl Mode {
+    fn cell(self, pixel: Pixel, negate: bool, thresholds: Thresholds) -> Cell {
+        let shade_occupancy = if negate { pixel.shade } else { 1.0 - pixel.shade };
+        match self {
+            Self::Trinary => thresholds.cell(shade_occupancy),
+            Self::Scale if !pixel.opaque => Cell::Unknown,
+            Self::Scale => thresholds.cell(shade_occupancy),
+            Self::Raw => {
+                let per_cent = (pixel.shade * 255.0).round();
+                if per_cent > 100.0 { Cell::Unknown } else { thresholds.cell(per_cent / 100.0) }
+            }
+        }
+    }
+}
+
+/// One pixel as `map_server` looks at it.
+#[derive(Clone, Copy)]
+struct Pixel {
+    /// From black (0) to white (1).
+    shade: f64,
+    opaque: bool,
+}
+
+/// The pixels of an image, whatever its kind.
+struct Pixels {
+    width: u32,
+    height: u32,
+    grey: Grey,
+    /// Whether opacity counts as a fourth colour.
+    mean_with_alpha: bool,
+}
+
+/// Grey in one byte where the file has no more: maps are large.
+enum Grey {
+    Luma(GrayImage),
+    Colour(image::ImageBuffer<image::Rgba<u16>, Vec<u16>>),
+}
+
+impl Pixels {
+    fn of(image: DynamicImage, mode: Mode) -> Self {
+        let (width, height) = (image.width(), image.height());
+        let mean_with_alpha = image.color().has_alpha() && mode == Mode::Trinary;
+        let grey = match image {
+            DynamicImage::ImageLuma8(image) => Grey::Luma(image),
+            other => Grey::Colour(other.into_rgba16()),
+        };
+        Self { width, height, grey, mean_with_alpha }
+    }
+
+    fn at(&self, column: u32, row: u32) -> Pixel {
+        match &self.grey {
+            Grey::Luma(image) => {
+                let shade = f64::from(image.get_pixel(column, row).0[0]) / 255.0;
+                Pixel { shade, opaque: true }
+            }
+            Grey::Colour(image) => {
+                let samples = image.get_pixel(column, row).0.map(f64::from);
+                let counted = if self.mean_with_alpha { 4 } else { 3 };
+                let mean = samples[..counted].iter().sum::<f64>() / counted as f64;
+                Pixel { shade: mean / 65_535.0, opaque: samples[3] >= 65_535.0 }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{Folder, shared_data};
+
+    /// Writes the files of a map and returns the path of its YAML file.
+    fn map_in(folder: &Folder, yaml: &str, image: &[u8]) -> PathBuf {
+        folder.file("map.pgm", image);
+        folder.file("map.yaml", yaml.as_bytes())
+    }
+
+    fn yaml_with(extra: &str) -> String {
+        format!(
+            "image: map.pgm\nresolution: 0.1\norigin: [1, -2.5, 0.0]\nnegate: 0\n\
+             occupied_thresh: 0.65\nfree_thresh: 0.196\n{extra}"
+        )
+    }
+
+    #[test]
+    fn what_is_written_reads_back() {
+        let folder = Folder::new("round-trip");
+        let mut grid = OccupancyGrid::new(0.05, [-7.15, 3.0], 3, 2).unwrap();
+        grid.set(0, 0, Cell::Free);
+        grid.set(1, 0, Cell::Movable);
+        grid.set(2, 1, Cell::Occupied);
+        let read = read_map(&map_in(&folder, &yaml(&grid, "map.pgm"), &pgm(&grid))).unwrap();
+        // A map file knows one kind of occupied.
+        grid.set(1, 0, Cell::Occupied);
+        assert_eq!(read, grid);
+    }
+
+    #[test]
+    fn text_images_of_any_depth_are_read() {
+        let folder = Folder::new("p2");
+        let path = map_in(&folder, &yaml_with(""), b"P2\n# remark\n3 1\n15\n0 12 15\n");
+        let grid = read_map(&path).unwrap();
+        assert_eq!(grid.cells(), [Cell::Occupied, Cell::Unknown, Cell::Free]);
+        assert_eq!(grid.origin_m(), [1.0, -2.5]);
+    }
+
+    #[test]
+    fn modes_and_negation_do_as_map_server_does() {
+        let folder = Folder::new("modes");
+        let image = b"P2 5 1 255 0 100 205 254 70";
+        let read = |extra: &str| read_map(&map_in(&folder, &yaml_with(extra), image));
+        use Cell::{Free, Occupied, Unknown};
+        assert_eq!(
+            read("mode: scale").unwrap().cells(),
+            [Occupied, Unknown, Unknown, Free, Occupied]
+        );
+        assert_eq!(
+            read("mode: raw").unwrap().cells(),
+            [Free, Occupied, Unknown, Unknown, Occupied]
+        );
+        let negated = yaml_with("").replace("negate: 0", "negate: true");
+        let grid = read_map(&map_in(&folder, &negated, image)).unwrap();
+        assert_eq!(grid.cells(), [Free, Unknown, Occupied, Occupied, Unknown]);
+    }
+
+    #[test]
+    fn errors_name_the_file_and_the_key_on_one_line() {
+        let folder = Folder::new("errors");
+        let image = &b"P2 1 1 255 0"[..];
+        for (yaml, image, expected) in [
+            (yaml_with("").replace("resolution: 0.1\n", ""), image, "resolution"),
+            (yaml_with("").replace(": 0.1\n", ": .nan\n"), image, "resolution"),
+            (yaml_with("").replace(": 0.1\n", ": -1\n"), image, "resolution"),
+            (yaml_with("").replace(": 0.1\n", ": []\n"), image, "line 2"),
+            (yaml_with("").replace(", 0.0]", "]"), image, "origin"),
+            (yaml_with("").replace("0.0]", ".inf]"), image, "origin"),
+            (yaml_with("").replace("0.196", "0.9"), image, "free_thresh"),
+            (yaml_with("").replace("0.65", "65"), image, "occupied_thresh"),
+            (yaml_with("").replace("map.pgm", "none.pgm"), image, "none.pgm"),
+            (yaml_with("mode: sepia"), image, "sepia"),
+            (yaml_with(""), b"P5 60000 60000 255\n", "too many"),
+            (yaml_with(""), b"P5 2 2 255\nx", "map.pgm"),
+            (yaml_with(""), b"P5 0 2 255\n", "map.pgm"),
+            (yaml_with(""), b"", "map.pgm"),
+            ("\u{0}\u{1}: [".to_owned(), image, "map.yaml"),
+            (String::new(), image, "map.yaml"),
+        ] {
+            let error = read_map(&map_in(&folder, &yaml, image)).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error} does not name {expected}");
+            assert!(error.contains("map.yaml"), "{error} does not name the file");
+            assert_eq!(error.lines().count(), 1, "{error}");
+        }
+    }
+
+    #[test]
+    fn maps_of_others_are_read() {
+        let Some(maps) = shared_data("maps") else { return };
+        // Counted from the bytes of the images, by shade. Depot's grey is free by its thresholds.
+        for (file, size, counts) in [
+            ("depot/depot.yaml", (604, 307), (179_481, 5_947)),
+            ("tb3_sandbox/tb3_sandbox.yaml", (384, 384), (7_903, 870)),
+        ] {
+            let grid = read_map(&maps.join(file)).unwrap();
+            assert_eq!((grid.width(), grid.height()), size, "{file}");
+            assert_eq!((grid.counts().free, grid.counts().occupied), counts, "{file}");
+        }
+        let turned = read_map(&maps.join("map_server_test/testmap.yaml")).unwrap();
+        assert_eq!((turned.origin_m(), turned.yaw_rad()), ([2.0, 3.0], 1.0));
+    }
+}
