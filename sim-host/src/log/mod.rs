@@ -1,1 +1,359 @@
-//! Readers of recorded logs.
+//! Readers of recorded logs: range scans or depth rows, with poses or odometry.
+//!
+//! [`read`] takes any of the formats and tells them apart by their content:
+//!
+//! | format | what | poses | odometry |
+//! |---|---|---|---|
+//! | [`Format::Carmen`] | `FLASER` records, plain or gzipped | where the log is corrected | where it is raw |
+//! | [`Format::Mines`] | a hobby lidar and wheel encoders, plain or gzipped | none | from the ticks |
+//! | [`Format::Rgbd`] | a folder of 16-bit depth images; one row of each | of the camera | none |
+//!
+//! What a log leaves open (no time stamps, say) is settled by a documented rule, and
+//! [`Log::notes`] says so.
+
+mod carmen;
+mod lines;
+mod mines;
+mod times;
+
+use std::path::{Path, PathBuf};
+
+use ubimap_protocol::time::Duration;
+
+/// The formats that can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// CARMEN text, `FLASER` records.
+    Carmen,
+    /// CoreSLAM's mine robot: 707 numbers a line.
+    Mines,
+    /// A folder of depth images, poses and intrinsics.
+    Rgbd,
+}
+
+impl std::fmt::Display for Format {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Carmen => "carmen",
+            Self::Mines => "mines",
+            Self::Rgbd => "rgbd",
+        })
+    }
+}
+
+/// Where the readings of one scan point, in the frame of the sensor: x forward, y left.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Sensor {
+    /// Readings are distances along beams. Angles in radians, counter-clockwise from x.
+    Radial {
+        /// Angle of beam 0, the clockwise-most one.
+        first_rad: f64,
+        /// From one beam to the next.
+        step_rad: f64,
+        /// Readings in a scan.
+        beams: usize,
+    },
+    /// Readings are depths along x, one for each image column `u` from the left: the point is
+    /// x = depth, y = (cx - u) * depth / fx.
+    Pinhole {
+        /// Focal length in pixels.
+        fx: f64,
+        /// Column of the optical axis.
+        cx: f64,
+        /// Readings in a scan.
+        width: usize,
+    },
+}
+
+impl Sensor {
+    /// Readings in a scan.
+    pub fn readings(&self) -> usize {
+        match self {
+            Self::Radial { beams, .. } => *beams,
+            Self::Pinhole { width, .. } => *width,
+        }
+    }
+}
+
+/// One scan of a log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedScan {
+    /// Since the first scan; later than that of the scan before.
+    pub time: Duration,
+    /// Millimetres, as [`Sensor`] tells; 0 where nothing came back, whatever the log's code for it.
+    pub readings_mm: Vec<u16>,
+    /// The sensor in `map`: x and y in metres, heading in radians.
+    pub pose: Option<[f64; 3]>,
+    /// The robot in `odom`: x and y in metres, heading in radians.
+    pub odometry: Option<[f64; 3]>,
+    /// Where it stands in its file: the line, or the number of the frame, from 1.
+    pub line: usize,
+}
+
+/// A log: at least one scan, all of one sensor, all with a pose or none, all with odometry or none.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Log {
+    /// What it was read from.
+    pub format: Format,
+    /// What made the scans.
+    pub sensor: Sensor,
+    /// The scans in the order of their times.
+    pub scans: Vec<LoggedScan>,
+    /// What the user should know, one line each.
+    pub notes: Vec<String>,
+}
+
+/// Why a log can't be read.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The file or folder can't be read.
+    #[error("{path}: {error}", path = path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        error: std::io::Error,
+    },
+    /// The compressed data is damaged or ends too early.
+    #[error("{path}:{line}: the gzip data is damaged or cut off after this line ({error})",
+        path = path.display())]
+    Gzip {
+        /// The file.
+        path: PathBuf,
+        /// The last line that could be read.
+        line: usize,
+        /// What the decoder says.
+        error: std::io::Error,
+    },
+    /// A line that can't be right.
+    #[error("{path}:{line}: {fault}", path = path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        fault: LineFault,
+    },
+    /// None of the formats.
+    #[error(
+        "{path}: not a log of a known format (CARMEN text, mines text or a folder of depth \
+         images); if it is one, name it with --format",
+        path = path.display()
+    )]
+    UnknownFormat {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// A file where a folder is needed, or the other way round.
+    #[error("{path}: a log of the format {format} is a {expected}", path = path.display())]
+    Kind {
+        /// The file or folder.
+        path: PathBuf,
+        /// The format that was asked for.
+        format: Format,
+        /// "file" or "folder".
+        expected: &'static str,
+    },
+    /// A log of the right form without a scan in it.
+    #[error("{path}: no {record} in it", path = path.display())]
+    Empty {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was looked for.
+        record: &'static str,
+    },
+    /// Logs that can't be joined.
+    #[error("{path}: its {what} differs from that of {first}; replay them one by one",
+        path = path.display(), first = first.display())]
+    Mixed {
+        /// The log that doesn't fit.
+        path: PathBuf,
+        /// The first one.
+        first: PathBuf,
+        /// What differs.
+        what: &'static str,
+    },
+}
+
+/// What is wrong with a line.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LineFault {
+    /// Bytes that are no text.
+    #[error("not text (a damaged file, or another format?)")]
+    NotText,
+    /// A line longer than any that a log has.
+    #[error("the line is longer than {0} bytes (a damaged file, or another format?)")]
+    TooLong(usize),
+    /// A line that begins with no word where records begin with their kind.
+    #[error("{0:?} is no kind of record (a damaged file, or another format?)")]
+    NotARecord(String),
+    /// A word where a number should be.
+    #[error("{field}: {text:?} is not a finite number")]
+    NotANumber {
+        /// Which number.
+        field: Field,
+        /// The word.
+        text: String,
+    },
+    /// A number that can't be.
+    #[error("{field}: {value} is {reason}")]
+    OutOfRange {
+        /// Which number.
+        field: Field,
+        /// The number.
+        value: f64,
+        /// Why it can't be.
+        reason: &'static str,
+    },
+    /// A scan that is not like the others.
+    #[error("a scan of {found} readings in a log of scans of {expected}")]
+    Width {
+        /// Readings in this scan.
+        found: usize,
+        /// Readings in the first scan.
+        expected: usize,
+    },
+    /// Not as many fields as the record has.
+    #[error("{found} fields where {expected} are needed (cut off, or another format?)")]
+    Fields {
+        /// Fields in this line.
+        found: usize,
+        /// Fields that it should have.
+        expected: usize,
+    },
+}
+
+/// Which number of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Field {
+    /// One with a name.
+    Named(&'static str),
+    /// A reading of a scan, from 0.
+    Reading(usize),
+}
+
+impl std::fmt::Display for Field {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Named(name) => f.write_str(name),
+            Self::Reading(index) => write!(f, "reading {index}"),
+        }
+    }
+}
+
+/// Reads a log; `None` tells the format by the content: a folder holds depth images, a file that
+/// begins with a word is CARMEN text, one that begins with a number comes from the mines.
+pub fn read(path: &Path, format: Option<Format>) -> Result<Log, LogError> {
+    let is_folder = std::fs::metadata(path)
+        .map_err(|error| LogError::Io { path: path.to_owned(), error })?
+        .is_dir();
+    let format = match format {
+        Some(format) => format,
+        None if is_folder => Format::Rgbd,
+        None => detect(path)?,
+    };
+    if is_folder != (format == Format::Rgbd) {
+        let expected = if is_folder { "file" } else { "folder" };
+        return Err(LogError::Kind { path: path.to_owned(), format, expected });
+    }
+    match format {
+        Format::Carmen => carmen::read(path),
+        Format::Mines => mines::read(path),
+        Format::Rgbd => Err(LogError::UnknownFormat { path: path.to_owned() }),
+    }
+}
+
+/// Reads several logs of one sensor and joins them; see [`concatenate`].
+pub fn read_all(paths: &[PathBuf], format: Option<Format>) -> Result<Log, LogError> {
+    let logs: Result<Vec<_>, _> =
+        paths.iter().map(|path| Ok((path.clone(), read(path, format)?))).collect();
+    concatenate(logs?)
+}
+
+/// Joins logs of one sensor, each under the path that errors name, into one. Each goes on where the
+/// one before ended: in time, and in odometry, whose frames have nothing else in common.
+pub fn concatenate(logs: Vec<(PathBuf, Log)>) -> Result<Log, LogError> {
+    let mut logs = logs.into_iter();
+    let Some((first, mut joined)) = logs.next() else {
+        return Err(LogError::Empty { path: PathBuf::new(), record: "logs" });
+    };
+    for (path, log) in logs {
+        let mixed = |what| LogError::Mixed { path: path.clone(), first: first.clone(), what };
+        let has = |scans: &[LoggedScan]| {
+            scans.first().map(|scan| (scan.pose.is_some(), scan.odometry.is_some()))
+        };
+        if log.sensor != joined.sensor {
+            return Err(mixed("sensor"));
+        }
+        if has(&log.scans) != has(&joined.scans) {
+            return Err(mixed("kind of poses (corrected or odometry alone)"));
+        }
+        append(&mut joined, log);
+    }
+    Ok(joined)
+}
+
+fn append(joined: &mut Log, log: Log) {
+    let times = |index: usize| joined.scans.get(index).map(|scan| scan.time.micros());
+    let last_index = joined.scans.len().wrapping_sub(1);
+    let last_time = times(last_index).unwrap_or(0);
+    let gap = times(last_index.wrapping_sub(1)).map_or(1_000_000, |before| last_time - before);
+    let start = Duration::from_micros(last_time + gap);
+
+    let end_of = |scans: &[LoggedScan]| scans.last().and_then(|scan| scan.odometry);
+    let begin_of = |scans: &[LoggedScan]| scans.first().and_then(|scan| scan.odometry);
+    let odometry_shift = end_of(&joined.scans).zip(begin_of(&log.scans));
+    if odometry_shift.is_some() {
+        joined.notes.push("odometry goes on from where the log before ended".to_owned());
+    }
+    joined.scans.extend(log.scans.into_iter().map(|mut scan| {
+        scan.time = start + scan.time;
+        scan.odometry = scan.odometry.map(|pose| match odometry_shift {
+            Some((end, begin)) => compose(end, relative(begin, pose)),
+            None => pose,
+        });
+        scan
+    }));
+    joined.notes.extend(log.notes);
+}
+
+/// The pose `to` seen from the pose `from`.
+fn relative(from: [f64; 3], to: [f64; 3]) -> [f64; 3] {
+    let (sin, cos) = from[2].sin_cos();
+    let (x, y) = (to[0] - from[0], to[1] - from[1]);
+    [x * cos + y * sin, y * cos - x * sin, to[2] - from[2]]
+}
+
+/// The pose that lies at `step`, seen from `from`.
+fn compose(from: [f64; 3], step: [f64; 3]) -> [f64; 3] {
+    let (sin, cos) = from[2].sin_cos();
+    let [x, y, turn] = step;
+    [from[0] + x * cos - y * sin, from[1] + x * sin + y * cos, from[2] + turn]
+}
+
+/// Tells a text format by the first word of the first line that has one and is no comment.
+fn detect(path: &Path) -> Result<Format, LogError> {
+    let mut lines = lines::Lines::open(path)?;
+    let unknown = || LogError::UnknownFormat { path: path.to_owned() };
+    while let Some(line) = lines.next() {
+        let text = match line {
+            Ok((_, text)) => text,
+            // What is no text is no log, however far one gets with it.
+            Err(LogError::Line { .. }) => return Err(unknown()),
+            Err(error) => return Err(error),
+        };
+        let Some(word) = text.split_ascii_whitespace().next() else { continue };
+        if word.starts_with('#') {
+            continue;
+        }
+        return if word.parse::<f64>().is_ok_and(f64::is_finite) {
+            Ok(Format::Mines)
+        } else if carmen::is_record_kind(word) {
+            Ok(Format::Carmen)
+        } else {
+            Err(unknown())
+        };
+    }
+    Err(unknown())
+}

@@ -1,0 +1,113 @@
+//! Time stamps of a log, made to advance.
+
+use ubimap_protocol::time::Duration;
+
+/// Between scans, where a log says nothing of it.
+pub(super) const USUAL_S: f64 = 1.0;
+
+/// A longer gap is a clock that was set.
+const LONGEST_S: f64 = 3600.0;
+
+/// Stamps that fail to advance more often than this are of no use one by one.
+const MOST_REPAIRED: f64 = 0.1;
+
+/// Times since the first scan, each later than the one before, from time stamps in seconds (`None`:
+/// the log has none). The second value is what the user should know.
+///
+/// Stamps that stand still, go back or leap are replaced by the usual (median) step, if they are
+/// few. If they are many, the scans are spread evenly over the time from first to last, or follow
+/// each other every second if the stamps tell not even that.
+pub(super) fn repair(stamps: Option<&[f64]>, scans: usize) -> (Vec<Duration>, Option<String>) {
+    let evenly = |step_s: f64| {
+        let micros = |index: usize| (index as f64 * step_s * 1e6).round() as u64;
+        (0..scans).map(|index| Duration::from_micros(micros(index))).collect()
+    };
+    let by_index = |why: &str| {
+        let note = format!("{why}; going on by scan index at {USUAL_S} s a scan");
+        (evenly(USUAL_S), Some(note))
+    };
+    let Some(stamps) = stamps else { return by_index("no time stamps") };
+    if scans < 2 {
+        return (evenly(USUAL_S), None);
+    }
+    let numbered = stamps.iter().enumerate().all(|(index, stamp)| *stamp == index as f64);
+
+    let steps: Vec<f64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let is_usable = |step: &f64| *step >= 1e-6 && *step <= LONGEST_S;
+    let mut usable: Vec<f64> = steps.iter().copied().filter(is_usable).collect();
+    let repaired = steps.len() - usable.len();
+
+    if repaired as f64 <= MOST_REPAIRED * steps.len() as f64 {
+        usable.sort_by(f64::total_cmp);
+        let usual = usable[usable.len() / 2];
+        let mut time = Duration::from_micros(0);
+        let mut times = vec![time];
+        for step in &steps {
+            let step = if is_usable(step) { *step } else { usual };
+            time = time + Duration::from_micros(((step * 1e6).round() as u64).max(1));
+            times.push(time);
+        }
+        let note = if repaired > 0 {
+            Some(format!(
+                "{repaired} of {scans} time stamps don't advance, or leap; \
+                 each counted as the usual {usual:.3} s"
+            ))
+        } else if numbered {
+            Some("the time stamps are the scan numbers; taken as seconds".to_owned())
+        } else {
+            None
+        };
+        return (times, note);
+    }
+
+    let span = stamps[scans - 1] - stamps[0];
+    let step = span / (scans - 1) as f64;
+    if steps.iter().all(|step| *step >= 0.0) && (1e-6..=LONGEST_S).contains(&step) {
+        let note = format!(
+            "the time stamps are coarse; going on by scan index at {step:.3} s a scan, their average"
+        );
+        return (evenly(step), Some(note));
+    }
+    by_index("no usable time stamps")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn micros(stamps: &[f64]) -> (Vec<u64>, Option<String>) {
+        let (times, note) = repair(Some(stamps), stamps.len());
+        (times.into_iter().map(Duration::micros).collect(), note)
+    }
+
+    #[test]
+    fn good_stamps_count_from_the_first() {
+        assert_eq!(micros(&[32.5, 33.0, 35.25]), (vec![0, 500_000, 2_750_000], None));
+    }
+
+    #[test]
+    fn few_bad_steps_become_usual_ones() {
+        let mut stamps: Vec<f64> = (0..40).map(|index| 5.0 + 2.0 * f64::from(index)).collect();
+        stamps[10] = 3.0;
+        stamps[30] = 1e9;
+        let (times, note) = micros(&stamps);
+        assert!(times.windows(2).all(|pair| pair[0] < pair[1]));
+        assert!(*times.last().unwrap() < 120_000_000);
+        assert!(note.unwrap().contains("3 of 40"));
+    }
+
+    #[test]
+    fn coarse_stamps_are_spread_and_missing_ones_counted() {
+        let (times, note) = micros(&[7.0, 7.0, 7.0, 8.0, 8.0]);
+        assert_eq!(times, [0, 250_000, 500_000, 750_000, 1_000_000]);
+        assert!(note.unwrap().contains("coarse"));
+        for stamps in [&[0.0; 4][..], &[9.0, 5.0, 4.0, 3.0], &[1e300, -1e300, 1e300, 0.0]] {
+            let (times, note) = micros(stamps);
+            assert_eq!(times, [0, 1_000_000, 2_000_000, 3_000_000]);
+            assert!(note.unwrap().contains("scan index"));
+        }
+        let (times, note) = repair(None, 2);
+        assert_eq!(times, [Duration::from_secs(0), Duration::from_secs(1)]);
+        assert!(note.is_some());
+    }
+}
