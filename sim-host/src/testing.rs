@@ -1,6 +1,6 @@
 //! What tests need: the recorded data of others, and folders that clean up after themselves.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A file or folder of the recorded data, at `../shared/data` beside the repository or where
 /// `UBIMAP_DATA` points; says so and gives `None` where there is none.
@@ -26,6 +26,11 @@ impl Folder {
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
+    }
+
+    /// Where it is.
+    pub(crate) fn path(&self) -> &Path {
+        &self.0
     }
 
     /// Writes a file, with the folders on its way, and returns its path.

@@ -2,7 +2,10 @@
 
 use std::{io::Cursor, path::Path};
 
-use image::{DynamicImage, GrayImage, ImageDecoder, ImageReader, Limits};
+use image::{
+    DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits,
+    codecs::pnm::{PnmDecoder, PnmSubtype},
+};
 
 use super::occupancy::MAX_CELLS;
 
@@ -28,15 +31,38 @@ pub enum RasterError {
     Empty,
 }
 
-/// Reads a PNG, PGM or BMP file; its kind is told from its content. White is 255 or 65,535: the
-/// decoder spreads the smaller ranges that a PGM may have.
-pub(crate) fn read(path: &Path) -> Result<DynamicImage, RasterError> {
+/// A decoded image.
+pub(crate) struct Raster {
+    /// The pixels; the first row is the top one. White is 255 or 65,535.
+    pub(crate) image: DynamicImage,
+    /// What white was in the file, where the header of a PGM or PPM says so: the decoder spreads
+    /// smaller ranges over the whole of 8 or 16 bits.
+    pub(crate) file_white: Option<u32>,
+}
+
+/// Reads a PNG, PGM or BMP file; its kind is told from its content.
+pub(crate) fn read(path: &Path) -> Result<Raster, RasterError> {
     decode(&std::fs::read(path)?)
 }
 
-fn decode(bytes: &[u8]) -> Result<DynamicImage, RasterError> {
-    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
-    let mut decoder = reader.into_decoder()?;
+/// Decodes the bytes of a PNG, PGM or BMP file.
+pub(crate) fn decode(bytes: &[u8]) -> Result<Raster, RasterError> {
+    if image::guess_format(bytes)? == ImageFormat::Pnm {
+        let decoder = PnmDecoder::new(Cursor::new(bytes))?;
+        let header = decoder.header();
+        let graduated = matches!(header.subtype(), PnmSubtype::Graymap(_) | PnmSubtype::Pixmap(_));
+        let file_white = graduated.then_some(header.maximal_sample());
+        decode_with(decoder, file_white)
+    } else {
+        let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+        decode_with(reader.into_decoder()?, None)
+    }
+}
+
+fn decode_with(
+    mut decoder: impl ImageDecoder,
+    file_white: Option<u32>,
+) -> Result<Raster, RasterError> {
     let (width, height) = decoder.dimensions();
     if width == 0 || height == 0 {
         return Err(RasterError::Empty);
@@ -45,7 +71,8 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, RasterError> {
         return Err(RasterError::TooLarge { width, height });
     }
     decoder.set_limits(Limits::default())?;
-    Ok(DynamicImage::from_decoder(decoder)?)
+    let image = DynamicImage::from_decoder(decoder)?;
+    Ok(Raster { image, file_white })
 }
 
 /// An image of 8-bit grey as the bytes of a binary PGM (P5).

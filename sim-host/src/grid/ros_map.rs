@@ -129,12 +129,12 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
     }
 
     let image_path = yaml.parent().unwrap_or(Path::new("")).join(&header.image);
-    let image = raster::read(&image_path).map_err(|error| MapError::Image {
+    let raster = raster::read(&image_path).map_err(|error| MapError::Image {
         yaml: yaml.to_owned(),
         image: image_path,
         error,
     })?;
-    let pixels = Pixels::of(image, header.mode);
+    let pixels = Pixels::of(raster.image, header.mode);
     let grid_error = |error| MapError::Grid { path: yaml.to_owned(), error };
     let mut grid = OccupancyGrid::new(
         header.resolution,

@@ -194,12 +194,11 @@ impl Record {
 
         let ranges = fields[1..=count].iter().enumerate();
         let ranges_m: Result<_, _> = ranges.map(|(index, text)| reading(text, index)).collect();
-        let pose = |start: usize, names: [&'static str; 3]| {
-            Ok([
-                coordinate(fields[start], Field::Named(names[0]))?,
-                coordinate(fields[start + 1], Field::Named(names[1]))?,
-                coordinate(fields[start + 2], Field::Named(names[2]))?,
-            ])
+        let field = |index: usize, name| {
+            coordinate(number(fields[index], Field::Named(name))?, Field::Named(name))
+        };
+        let pose = |start: usize, [x, y, theta]: [&'static str; 3]| {
+            Ok([field(start, x)?, field(start + 1, y)?, field(start + 2, theta)?])
         };
         Ok(Self {
             line,

@@ -90,10 +90,9 @@ pub(super) fn reading(text: &str, index: usize) -> Result<f64, LineFault> {
     Ok(value)
 }
 
-/// A coordinate of a pose in metres, within what a map can hold.
-pub(super) fn coordinate(text: &str, field: Field) -> Result<f64, LineFault> {
+/// A coordinate of a pose in metres, if it is near enough to be one.
+pub(super) fn coordinate(value: f64, field: Field) -> Result<f64, LineFault> {
     const FARTHEST_M: f64 = 1e6;
-    let value = number(text, field)?;
     if value.abs() > FARTHEST_M {
         let reason = "more than a thousand kilometres away";
         return Err(LineFault::OutOfRange { field, value, reason });

@@ -14,11 +14,14 @@
 mod carmen;
 mod lines;
 mod mines;
+mod rgbd;
 mod times;
 
 use std::path::{Path, PathBuf};
 
 use ubimap_protocol::time::Duration;
+
+use crate::grid::RasterError;
 
 /// The formats that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -163,6 +166,39 @@ pub enum LogError {
         /// What was looked for.
         record: &'static str,
     },
+    /// An image that can't be sliced.
+    #[error("{path}: {fault}", path = path.display())]
+    Frame {
+        /// The image.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: FrameFault,
+    },
+    /// Not one pose for each image.
+    #[error("{path}: {images} depth images but {poses} poses", path = path.display())]
+    Poses {
+        /// The file of the poses.
+        path: PathBuf,
+        /// Depth images in the folder.
+        images: usize,
+        /// Poses in the file.
+        poses: usize,
+    },
+    /// Cameras that don't agree on which way is up.
+    #[error("{path}: the up axes of the cameras cancel out; no telling where the floor is",
+        path = path.display())]
+    NoPlane {
+        /// The file of the poses.
+        path: PathBuf,
+    },
+    /// Intrinsics that are missing, damaged or impossible.
+    #[error("{path}: intrinsics: {reason}", path = path.display())]
+    Intrinsics {
+        /// The file of the intrinsics.
+        path: PathBuf,
+        /// What is wrong, on one line.
+        reason: String,
+    },
     /// Logs that can't be joined.
     #[error("{path}: its {what} differs from that of {first}; replay them one by one",
         path = path.display(), first = first.display())]
@@ -173,6 +209,29 @@ pub enum LogError {
         first: PathBuf,
         /// What differs.
         what: &'static str,
+    },
+}
+
+/// What is wrong with a depth image.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameFault {
+    /// It can't be decoded.
+    #[error("{0}")]
+    Image(RasterError),
+    /// It is no image of depths.
+    #[error("not a depth image (16-bit grey)")]
+    NotDepth,
+    /// Not of the size that the intrinsics are for.
+    #[error("{width} x {height} pixels where {expected_width} x {expected_height} are needed")]
+    Size {
+        /// Pixels in a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Pixels in a row, by the intrinsics.
+        expected_width: u32,
+        /// Rows, by the intrinsics.
+        expected_height: u32,
     },
 }
 
@@ -213,6 +272,15 @@ pub enum LineFault {
         found: usize,
         /// Readings in the first scan.
         expected: usize,
+    },
+    /// A pose whose matrix or quaternion is not a rotation.
+    #[error("not a rotation")]
+    NoRotation,
+    /// A camera that looks at the floor or the ceiling.
+    #[error("the camera looks {tilt_deg:.0} degrees off the horizon; its rows draw no map")]
+    Steep {
+        /// Degrees above or below the horizon.
+        tilt_deg: f64,
     },
     /// Not as many fields as the record has.
     #[error("{found} fields where {expected} are needed (cut off, or another format?)")]
@@ -260,7 +328,7 @@ pub fn read(path: &Path, format: Option<Format>) -> Result<Log, LogError> {
     match format {
         Format::Carmen => carmen::read(path),
         Format::Mines => mines::read(path),
-        Format::Rgbd => Err(LogError::UnknownFormat { path: path.to_owned() }),
+        Format::Rgbd => rgbd::read(path),
     }
 }
 
@@ -356,4 +424,116 @@ fn detect(path: &Path) -> Result<Format, LogError> {
         };
     }
     Err(unknown())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::testing::Folder;
+
+    fn scan(seconds: u64, x: f64) -> LoggedScan {
+        LoggedScan {
+            time: Duration::from_secs(seconds),
+            readings_mm: vec![0; 2],
+            pose: None,
+            odometry: Some([x, 0.0, 0.0]),
+            line: 1,
+        }
+    }
+
+    fn log(step_rad: f64, scans: Vec<LoggedScan>) -> Log {
+        let sensor = Sensor::Radial { first_rad: 0.0, step_rad, beams: 2 };
+        Log { format: Format::Mines, sensor, scans, notes: Vec::new() }
+    }
+
+    #[test]
+    fn joined_logs_go_on_in_time_and_odometry() {
+        let first = log(0.1, vec![scan(0, 5.0), scan(3, 6.0)]);
+        let second = log(0.1, vec![scan(0, 1.0), scan(1, 1.5)]);
+        let joined = concatenate(vec![("a".into(), first.clone()), ("b".into(), second)]).unwrap();
+        let seen: Vec<_> = joined.scans.iter().map(|scan| (scan.time, scan.odometry)).collect();
+        let expected = [(0, 5.0), (3, 6.0), (6, 6.0), (7, 6.5)];
+        assert_eq!(seen, expected.map(|(s, x)| (Duration::from_secs(s), Some([x, 0.0, 0.0]))));
+
+        let other = log(0.2, vec![scan(0, 0.0)]);
+        let error = concatenate(vec![("a".into(), first), ("b".into(), other)]).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "b: its sensor differs from that of a; replay them one by one"
+        );
+    }
+
+    #[test]
+    fn formats_are_told_by_content() {
+        let folder = Folder::new("log-detect");
+        for (bytes, format) in [
+            (&b"# c\n\nPARAM x 1 h 0\nFLASER"[..], Some(Format::Carmen)),
+            (b"1234 5 6", Some(Format::Mines)),
+            (b"\x89PNG\r\n", None),
+            (b"{\"a\": 1}", None),
+            (b"", None),
+        ] {
+            let path = folder.file("some.log", bytes);
+            match format {
+                Some(format) => assert_eq!(detect(&path).unwrap(), format),
+                None => assert!(matches!(read(&path, None), Err(LogError::UnknownFormat { .. }))),
+            }
+        }
+        let carmen_as_folder = read(folder.path(), Some(Format::Carmen)).unwrap_err();
+        assert!(carmen_as_folder.to_string().ends_with("a log of the format carmen is a file"));
+        assert!(matches!(read(&folder.path().join("none"), None), Err(LogError::Io { .. })));
+    }
+
+    #[test]
+    fn a_cut_off_gzip_names_the_last_line() {
+        use std::io::Write;
+        let line = "FLASER 2 1 1 0 0 0 0 0 0\n";
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::none());
+        encoder.write_all(line.repeat(100).as_bytes()).unwrap();
+        let bytes = encoder.finish().unwrap();
+        let folder = Folder::new("log-gzip");
+        assert_eq!(read(&folder.file("whole.gz", &bytes), None).unwrap().scans.len(), 100);
+        let cut = read(&folder.file("cut.gz", &bytes[..bytes.len() - 9]), None).unwrap_err();
+        assert!(matches!(cut, LogError::Gzip { line: 99.., .. }), "{cut}");
+        assert!(cut.to_string().contains("cut.gz:"));
+        let mut damaged = bytes.clone();
+        damaged[500] ^= 0x01;
+        assert!(read(&folder.file("damaged.gz", &damaged), None).is_err());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(200))]
+
+        /// Whatever is in a file, reading it ends with a log or with one line.
+        #[test]
+        fn garbled_files_never_panic(
+            at in any::<prop::sample::Index>(),
+            byte in any::<u8>(),
+            length in any::<prop::sample::Index>(),
+            format in prop::sample::select(vec![Format::Carmen, Format::Mines]),
+        ) {
+            let folder = Folder::new(&format!("log-garbled-{format}"));
+            let mut bytes = match format {
+                Format::Mines => {
+                    let mut line = vec!["1"; 707].join(" ");
+                    line.push('\n');
+                    line.repeat(3).into_bytes()
+                }
+                _ => b"PARAM robot_front_laser_max 80 h 0\n\
+                       FLASER 3 1.5 81.83 0.2 1 2 3 1 2 3 0.5 h 0.5\n\
+                       FLASER 3 1.5 81.83 0.2 1 2 3 1 2 3 0.7 h 0.7\n".to_vec(),
+            };
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+            bytes.truncate(length.index(bytes.len() + 1));
+            for format in [Some(format), None] {
+                match read(&folder.file("garbled.log", &bytes), format) {
+                    Ok(log) => prop_assert!(!log.scans.is_empty()),
+                    Err(error) => prop_assert_eq!(error.to_string().lines().count(), 1),
+                }
+            }
+        }
+    }
 }

@@ -1,0 +1,526 @@
+//! Folders of depth images with the camera's poses; one row of each image becomes a scan.
+//!
+//! ```text
+//! depth/*.png, *.pgm    16-bit grey; or the images lie in the folder itself
+//! pose.txt              one line for each image: [time] x y z qx qy qz qw
+//! trajectory.log        or five: three numbers, then the four rows of a matrix
+//! intrinsics.toml       width, height, fx, fy, cx, cy, depth_per_metre (1000), row (cy)
+//! *.json                or Open3D's camera file; depth in millimetres
+//! ```
+//!
+//! Images are taken in the order of the numbers in their names, and there are as many as poses.
+//! Poses are camera to world, the camera's x to the right and z forward; y points down, or up if
+//! `fy` is negative. Which way is up in the world is not said: the mean of the cameras' own up axes
+//! is. A scan's pose in `map` is the camera's position and forward axis seen from above, x of `map`
+//! being the world's x (its y, if x is closer to the vertical).
+//!
+//! Two sets of frames are often passed on without their intrinsics, both 640 x 480 with a
+//! `pose.txt`: ICL-NUIM's (PNG) and a hand-held sensor's (PGM), from the slambook examples. A folder
+//! of that form without intrinsics is taken as one of them, and a note says so.
+
+use std::path::{Path, PathBuf};
+
+use image::DynamicImage;
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+use super::{
+    Field, Format, FrameFault, LineFault, Log, LogError, LoggedScan, Sensor,
+    lines::{Lines, coordinate, number},
+    times,
+};
+use crate::grid::raster::{self, Raster};
+
+/// A camera that looks more steeply up or down than this draws no map.
+const STEEPEST_DEG: f64 = 75.0;
+
+/// A camera that looks more steeply than this is worth a note: its row is no level slice.
+const TILTED_DEG: f64 = 10.0;
+
+/// Reads a folder of depth images.
+pub(super) fn read(folder: &Path) -> Result<Log, LogError> {
+    let images = depth_images(folder)?;
+    let (pose_file, poses) = read_poses(folder)?;
+    if images.len() != poses.len() {
+        let (images, poses) = (images.len(), poses.len());
+        return Err(LogError::Poses { path: pose_file, images, poses });
+    }
+    let (intrinsics, note) = find_intrinsics(folder, &images)?;
+    let mut notes: Vec<String> = note.into_iter().collect();
+
+    let slices: Result<Vec<_>, _> = images.iter().map(|image| slice(image, &intrinsics)).collect();
+    let planar = Plane::under(&poses, intrinsics.fy.signum())
+        .ok_or_else(|| LogError::NoPlane { path: pose_file.clone() })?;
+    let mut steepest_deg = 0.0_f64;
+    let mut planar_poses = Vec::new();
+    for pose in &poses {
+        let tilt_deg = planar.tilt_deg(pose);
+        if tilt_deg > STEEPEST_DEG {
+            let fault = LineFault::Steep { tilt_deg };
+            return Err(LogError::Line { path: pose_file, line: pose.line, fault });
+        }
+        steepest_deg = steepest_deg.max(tilt_deg);
+        planar_poses.push(planar.pose(pose));
+    }
+    if steepest_deg > TILTED_DEG {
+        notes.push(format!(
+            "the camera is tilted by up to {steepest_deg:.0} degrees; its rows are no level slices"
+        ));
+    }
+
+    let stamps: Option<Vec<f64>> = poses.iter().map(|pose| pose.stamp_s).collect();
+    let (times, note) = times::repair(stamps.as_deref(), poses.len());
+    notes.extend(note);
+    let scans = slices?.into_iter().zip(times).zip(planar_poses).enumerate().map(
+        |(index, ((readings_mm, time), pose))| LoggedScan {
+            time,
+            readings_mm,
+            pose: Some(pose),
+            odometry: None,
+            line: index + 1,
+        },
+    );
+    let Intrinsics { fx, cx, width, .. } = intrinsics;
+    let sensor = Sensor::Pinhole { fx, cx, width: width as usize };
+    Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), notes })
+}
+
+/// The depth images in the order of the numbers in their names.
+fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
+    let inner = folder.join("depth");
+    let place = if inner.is_dir() { inner } else { folder.to_owned() };
+    let images = files_in(&place, &["png", "pgm"])?;
+    if images.is_empty() {
+        return Err(LogError::Empty { path: place, record: "depth image (.png or .pgm)" });
+    }
+    Ok(images)
+}
+
+fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, LogError> {
+    let io_error = |error| LogError::Io { path: folder.to_owned(), error };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io_error)? {
+        let path = entry.map_err(io_error)?.path();
+        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+        if extensions.iter().any(|known| extension == *known) && path.is_file() {
+            files.push(path);
+        }
+    }
+    files.sort_by_cached_key(|path| {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
+        (digits.parse::<u128>().unwrap_or(0), path.clone())
+    });
+    Ok(files)
+}
+
+/// A camera's pose in the world.
+struct CameraPose {
+    line: usize,
+    stamp_s: Option<f64>,
+    position: Vector3<f64>,
+    rotation: Matrix3<f64>,
+}
+
+fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), LogError> {
+    type Parse = fn(&[(usize, Vec<f64>)]) -> Result<CameraPose, LineFault>;
+    let kinds: [(&str, usize, Parse); 2] = [
+        ("trajectory.log", 5, CameraPose::from_matrix),
+        ("pose.txt", 1, CameraPose::from_quaternion),
+    ];
+    let Some((name, lines_each, parse)) =
+        kinds.into_iter().find(|(name, ..)| folder.join(name).is_file())
+    else {
+        let path = folder.to_owned();
+        return Err(LogError::Empty { path, record: "pose.txt or trajectory.log" });
+    };
+
+    let path = folder.join(name);
+    let fault_at = |line, fault| LogError::Line { path: path.clone(), line, fault };
+    let mut rows = Vec::new();
+    let mut lines = Lines::open(&path)?;
+    while let Some(line) = lines.next() {
+        let (at, text) = line?;
+        if text.trim_ascii().is_empty() || text.starts_with('#') {
+            continue;
+        }
+        let numbers: Result<Vec<f64>, _> =
+            text.split_ascii_whitespace().map(|word| number(word, Field::Named("pose"))).collect();
+        rows.push((at, numbers.map_err(|fault| fault_at(at, fault))?));
+    }
+    let poses: Result<Vec<_>, _> = rows
+        .chunks(lines_each)
+        .map(|rows| parse(rows).map_err(|fault| fault_at(rows[0].0, fault)))
+        .collect();
+    Ok((path.clone(), poses?))
+}
+
+impl CameraPose {
+    /// `[time] x y z qx qy qz qw`.
+    fn from_quaternion(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
+        let (line, numbers) = &rows[0];
+        let (stamp_s, pose) = match numbers.as_slice() {
+            [time, pose @ ..] if pose.len() == 7 => (Some(*time), pose),
+            pose => (None, pose),
+        };
+        let &[x, y, z, qx, qy, qz, qw] = pose else {
+            return Err(LineFault::Fields { found: numbers.len(), expected: 7 });
+        };
+        let quaternion = Quaternion::new(qw, qx, qy, qz);
+        if !(0.9..1.1).contains(&quaternion.norm()) {
+            return Err(LineFault::NoRotation);
+        }
+        let rotation = UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix();
+        Self::new(*line, stamp_s, [x, y, z], *rotation.matrix())
+    }
+
+    /// Three numbers (of the frames), then a matrix of four rows.
+    fn from_matrix(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
+        let [_, matrix @ ..] = rows else { return Err(LineFault::NoRotation) };
+        if let Some((_, row)) = matrix.iter().find(|(_, row)| row.len() != 4) {
+            return Err(LineFault::Fields { found: row.len(), expected: 4 });
+        }
+        let [a, b, c, _] = matrix else {
+            return Err(LineFault::Fields { found: 4 * matrix.len(), expected: 16 });
+        };
+        let [a, b, c] = [&a.1, &b.1, &c.1];
+        let rotation = Matrix3::new(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]);
+        let departure = (rotation * rotation.transpose() - Matrix3::identity()).norm();
+        if departure > 0.1 || rotation.determinant() < 0.0 {
+            return Err(LineFault::NoRotation);
+        }
+        Self::new(rows[0].0, None, [a[3], b[3], c[3]], rotation)
+    }
+
+    fn new(
+        line: usize,
+        stamp_s: Option<f64>,
+        position: [f64; 3],
+        rotation: Matrix3<f64>,
+    ) -> Result<Self, LineFault> {
+        for value in position {
+            coordinate(value, Field::Named("position"))?;
+        }
+        Ok(Self { line, stamp_s, position: Vector3::from(position), rotation })
+    }
+
+    fn forward(&self) -> Vector3<f64> {
+        self.rotation.column(2).into_owned()
+    }
+}
+
+/// The horizontal plane of a world, and `map`'s axes in it.
+struct Plane {
+    up: Vector3<f64>,
+    x: Vector3<f64>,
+    y: Vector3<f64>,
+}
+
+impl Plane {
+    /// From the mean of the cameras' up axes; `None` if they cancel out. `down_sign` is 1 where the
+    /// camera's y points down, -1 where it points up, which makes the world a mirrored one.
+    fn under(poses: &[CameraPose], down_sign: f64) -> Option<Self> {
+        let sum: Vector3<f64> = poses.iter().map(|pose| pose.rotation.column(1).into_owned()).sum();
+        let mean = sum * (-down_sign / poses.len().max(1) as f64);
+        if mean.norm() < 0.2 {
+            return None;
+        }
+        let up = mean.normalize();
+        let seed = if up.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+        let x = (seed - up * up.dot(&seed)).normalize();
+        let y = up.cross(&x) * down_sign;
+        Some(Self { up, x, y })
+    }
+
+    /// How far the camera looks above or below the horizon.
+    fn tilt_deg(&self, pose: &CameraPose) -> f64 {
+        self.up.dot(&pose.forward()).clamp(-1.0, 1.0).asin().to_degrees().abs()
+    }
+
+    fn pose(&self, pose: &CameraPose) -> [f64; 3] {
+        let seen = |vector: &Vector3<f64>| (self.x.dot(vector), self.y.dot(vector));
+        let (x, y) = seen(&pose.position);
+        let (forward_x, forward_y) = seen(&pose.forward());
+        [x, y, forward_y.atan2(forward_x)]
+    }
+}
+
+/// What turns a depth image into points.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+struct Intrinsics {
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+    #[serde(default = "millimetres")]
+    depth_per_metre: f64,
+    row: Option<u32>,
+}
+
+fn millimetres() -> f64 {
+    1000.0
+}
+
+/// Open3D's camera file; the matrix goes column by column.
+#[derive(Deserialize)]
+struct Open3dCamera {
+    width: u32,
+    height: u32,
+    intrinsic_matrix: [f64; 9],
+}
+
+impl Intrinsics {
+    const ICL_NUIM: Self = Self {
+        width: 640,
+        height: 480,
+        fx: 481.2,
+        fy: -480.0,
+        cx: 319.5,
+        cy: 239.5,
+        depth_per_metre: 5000.0,
+        row: None,
+    };
+    const HANDHELD: Self = Self {
+        width: 640,
+        height: 480,
+        fx: 518.0,
+        fy: 519.0,
+        cx: 325.5,
+        cy: 253.5,
+        depth_per_metre: 1000.0,
+        row: None,
+    };
+
+    /// Refuses what no camera has.
+    fn checked(self) -> Result<Self, String> {
+        let focal = |value: f64| value.is_finite() && value.abs() > 1.0;
+        if self.width == 0 || self.height == 0 {
+            Err("width and height must be positive".to_owned())
+        } else if !(focal(self.fx) && self.fx > 0.0 && focal(self.fy)) {
+            Err("fx must be more than one pixel, fy too (or less than minus one)".to_owned())
+        } else if !(0.0..f64::from(self.width)).contains(&self.cx)
+            || !(0.0..f64::from(self.height)).contains(&self.cy)
+        {
+            Err("cx and cy must lie in the image".to_owned())
+        } else if !(1.0..=1e6).contains(&self.depth_per_metre) {
+            Err("depth_per_metre must be from 1 to 1000000".to_owned())
+        } else if self.row() >= self.height {
+            Err("row must lie in the image".to_owned())
+        } else {
+            Ok(self)
+        }
+    }
+
+    /// The row to slice: the one asked for, or the one on the optical axis.
+    fn row(&self) -> u32 {
+        self.row.unwrap_or_else(|| (self.cy.round() as u32).min(self.height - 1))
+    }
+}
+
+/// The intrinsics, and a note if they are a guess.
+fn find_intrinsics(
+    folder: &Path,
+    images: &[PathBuf],
+) -> Result<(Intrinsics, Option<String>), LogError> {
+    let toml_file = folder.join("intrinsics.toml");
+    let text_of = |path: &Path| {
+        std::fs::read_to_string(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
+    };
+    let refuse = |path: &Path, reason: String| {
+        let reason = reason.lines().next().unwrap_or_default().to_owned();
+        LogError::Intrinsics { path: path.to_owned(), reason }
+    };
+    if toml_file.is_file() {
+        let parsed = toml::from_str::<Intrinsics>(&text_of(&toml_file)?)
+            .map_err(|error| error.message().to_owned());
+        let intrinsics = parsed.and_then(Intrinsics::checked);
+        return Ok((intrinsics.map_err(|reason| refuse(&toml_file, reason))?, None));
+    }
+    if let Some(json_file) = files_in(folder, &["json"])?.first() {
+        let parsed = serde_json::from_str::<Open3dCamera>(&text_of(json_file)?);
+        let intrinsics = parsed.map_err(|error| error.to_string()).and_then(|camera| {
+            let [fx, _, _, _, fy, _, cx, cy, _] = camera.intrinsic_matrix;
+            let Open3dCamera { width, height, .. } = camera;
+            let depth_per_metre = millimetres();
+            Intrinsics { width, height, fx, fy, cx, cy, depth_per_metre, row: None }.checked()
+        });
+        return Ok((intrinsics.map_err(|reason| refuse(json_file, reason))?, None));
+    }
+
+    let missing = || {
+        let reason = "missing; write width, height, fx, fy, cx, cy and depth_per_metre there";
+        LogError::Intrinsics { path: toml_file.clone(), reason: reason.to_owned() }
+    };
+    if !folder.join("pose.txt").is_file() {
+        return Err(missing());
+    }
+    let all_are = |extension: &str| {
+        images.iter().all(|image| image.extension().is_some_and(|found| found == extension))
+    };
+    let (intrinsics, whose) = if all_are("png") {
+        (Intrinsics::ICL_NUIM, "ICL-NUIM's")
+    } else if all_are("pgm") {
+        (Intrinsics::HANDHELD, "the slambook hand-held sensor's")
+    } else {
+        return Err(missing());
+    };
+    let Intrinsics { fx, fy, cx, cy, depth_per_metre, .. } = intrinsics;
+    let note = format!(
+        "no intrinsics; taking {whose} (fx {fx}, fy {fy}, cx {cx}, cy {cy}, {depth_per_metre} to \
+         the metre): write an intrinsics.toml if that is wrong"
+    );
+    Ok((intrinsics, Some(note)))
+}
+
+/// One row of a depth image in millimetres.
+fn slice(path: &Path, intrinsics: &Intrinsics) -> Result<Vec<u16>, LogError> {
+    let refuse = |fault| LogError::Frame { path: path.to_owned(), fault };
+    let Raster { image, file_white } =
+        raster::read(path).map_err(|error| refuse(FrameFault::Image(error)))?;
+    let DynamicImage::ImageLuma16(image) = image else { return Err(refuse(FrameFault::NotDepth)) };
+    if image.dimensions() != (intrinsics.width, intrinsics.height) {
+        let (width, height) = image.dimensions();
+        let (expected_width, expected_height) = (intrinsics.width, intrinsics.height);
+        return Err(refuse(FrameFault::Size { width, height, expected_width, expected_height }));
+    }
+    // The decoder spread a smaller range over all 16 bits: back to the file's numbers.
+    let spread = f64::from(u16::MAX) / f64::from(file_white.unwrap_or(u32::from(u16::MAX)));
+    let row = intrinsics.row();
+    let readings = (0..intrinsics.width).map(|column| {
+        let sample = image.get_pixel(column, row).0[0];
+        let depth_mm = (f64::from(sample) / spread).round() * 1000.0 / intrinsics.depth_per_metre;
+        // A saturated sample measured nothing.
+        let is_measured = sample < u16::MAX && depth_mm.round() <= f64::from(u16::MAX);
+        if is_measured { depth_mm.round() as u16 } else { 0 }
+    });
+    Ok(readings.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{ImageBuffer, Luma};
+
+    use super::*;
+    use crate::testing::{Folder, shared_data};
+
+    const INTRINSICS: &str = "width = 4\nheight = 3\nfx = 2.0\nfy = 2.0\ncx = 1.5\ncy = 1.0\n";
+
+    fn depth_png(folder: &Folder, name: &str, samples: [u16; 12]) {
+        let image: ImageBuffer<Luma<u16>, _> =
+            ImageBuffer::from_raw(4, 3, samples.to_vec()).unwrap();
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        folder.file(name, &bytes.into_inner());
+    }
+
+    fn two_frames(name: &str) -> Folder {
+        let folder = Folder::new(name);
+        depth_png(&folder, "depth/10.png", [5; 12]);
+        depth_png(&folder, "depth/9.png", [1, 1, 1, 1, 0, 1_000, 2_000, 65_535, 3, 3, 3, 3]);
+        folder.file("intrinsics.toml", INTRINSICS.as_bytes());
+        // The camera's z along the world's x, its y down along -z; then turned left by a quarter.
+        folder.file("pose.txt", b"1 2 0.5 -0.5 0.5 -0.5 0.5\n3 4 0.5 -0.70710678 0 0 0.70710678\n");
+        folder
+    }
+
+    #[test]
+    fn rows_and_poses_come_from_the_frames_in_their_order() {
+        let log = super::super::read(two_frames("rgbd").path(), None).unwrap();
+        assert_eq!(log.sensor, Sensor::Pinhole { fx: 2.0, cx: 1.5, width: 4 });
+        assert_eq!(log.scans[0].readings_mm, [0, 1_000, 2_000, 0]);
+        assert_eq!(log.scans[1].readings_mm, [5; 4]);
+        let near = |pose: Option<[f64; 3]>, expected: [f64; 3]| {
+            let pose = pose.unwrap();
+            assert!(pose.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{pose:?}");
+        };
+        near(log.scans[0].pose, [1.0, 2.0, 0.0]);
+        near(log.scans[1].pose, [3.0, 4.0, std::f64::consts::FRAC_PI_2]);
+    }
+
+    #[test]
+    fn a_row_and_a_scale_can_be_asked_for() {
+        let folder = two_frames("rgbd-row");
+        let asked = format!("{INTRINSICS}row = 2\ndepth_per_metre = 5000\n");
+        folder.file("intrinsics.toml", asked.replace("5000", "100").as_bytes());
+        let log = read(folder.path()).unwrap();
+        assert_eq!(log.scans[0].readings_mm, [30; 4]);
+        folder.file("depth/9.pgm", b"P2 4 3 10000 0 0 0 0 0 0 0 0 1 2 9999 10000");
+        std::fs::remove_file(folder.path().join("depth/9.png")).unwrap();
+        let log = read(folder.path()).unwrap();
+        assert_eq!(log.scans[0].readings_mm[..2], [10, 20]);
+    }
+
+    #[test]
+    fn faults_name_the_file() {
+        let folder = two_frames("rgbd-faults");
+        let error = || read(folder.path()).unwrap_err().to_string();
+        let pose = std::fs::read(folder.path().join("pose.txt")).unwrap();
+        for (text, expected) in [
+            (&b"1 2 3 0 0 0 1\n"[..], "2 depth images but 1 pose"),
+            (b"1 2 3 0 0 0 1\n1 2 3 0 0 nan 1\n", "pose.txt:2: pose: \"nan\""),
+            (b"1 2 3 0 0 0 1\n1 2 3 0 0 0 0\n", "pose.txt:2: not a rotation"),
+            (b"1 2 3 0 0 0 1\n1 2 3 0 0 0\n", "pose.txt:2: 6 fields"),
+            (b"1 2 3 0 0 0 1\n1 2 3 1 0 0 0\n", "up"),
+            (b"\xff\xfe", "pose.txt:1: not text"),
+        ] {
+            folder.file("pose.txt", text);
+            let error = error();
+            assert!(error.contains(expected), "{error}");
+        }
+        folder.file("pose.txt", &pose);
+        for (text, expected) in [
+            (INTRINSICS.replace("fx = 2.0\n", ""), "fx"),
+            (INTRINSICS.replace("fx = 2.0", "fx = nan"), "fx"),
+            (INTRINSICS.replace("cy = 1.0", "cy = 9.0"), "cy"),
+            (INTRINSICS.replace("width = 4", "width = 5"), "4 x 3 pixels where 5 x 3"),
+        ] {
+            folder.file("intrinsics.toml", text.as_bytes());
+            let error = error();
+            assert!(error.contains(expected), "{error}");
+        }
+        folder.file("intrinsics.toml", INTRINSICS.as_bytes());
+        folder.file("depth/9.png", b"P5 4 3 255\n............");
+        assert!(error().contains("9.png"));
+        folder.file("depth/9.png", b"");
+        assert!(error().contains("9.png"));
+    }
+
+    /// Where the readings of a scan lie in `map`.
+    fn points(log: &Log, scan: &LoggedScan) -> Vec<[f64; 2]> {
+        let Sensor::Pinhole { fx, cx, .. } = log.sensor else { return Vec::new() };
+        let pose = scan.pose.unwrap();
+        let measured = scan.readings_mm.iter().enumerate().filter(|(_, depth)| **depth > 0);
+        measured
+            .map(|(column, depth)| {
+                let x = f64::from(*depth) / 1000.0;
+                let point = super::super::compose(pose, [x, (cx - column as f64) * x / fx, 0.0]);
+                [point[0], point[1]]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn recorded_frames_lie_on_each_other() {
+        // The hand-held camera and ICL-NUIM's turn away between some of their five frames.
+        for (name, share) in
+            [("rgbd_redwood", 0.9), ("rgbd_frames/icl_nuim", 0.15), ("rgbd_frames/handheld", 0.4)]
+        {
+            let Some(folder) = shared_data(name) else { continue };
+            let log = super::super::read(&folder, None).unwrap();
+            assert_eq!((log.scans.len(), log.sensor.readings()), (5, 640), "{name}");
+            let mut matched = 0;
+            let mut measured = 0;
+            for pair in log.scans.windows(2) {
+                let (before, after) = (points(&log, &pair[0]), points(&log, &pair[1]));
+                let is_near =
+                    |p: &&[f64; 2]| before.iter().any(|q| (p[0] - q[0]).hypot(p[1] - q[1]) < 0.1);
+                matched += after.iter().filter(is_near).count();
+                measured += after.len();
+            }
+            assert!(matched as f64 > share * measured as f64, "{name}: {matched} of {measured}");
+        }
+    }
+}
