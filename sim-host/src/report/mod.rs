@@ -1,1 +1,12 @@
 //! Figures and pictures of a run.
+//!
+//! [`Report`] is `report.json`, [`render`] draws `map.png`, and [`OutputFolder`] writes files all
+//! or none.
+
+mod output;
+mod picture;
+mod summary;
+
+pub use output::{OutputError, OutputFolder};
+pub use picture::{Marker, MarkerKind, png, render};
+pub use summary::{HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores};

@@ -1,0 +1,216 @@
+//! The map as a picture, in the colours of UbiSLAM's figure 1: explored light grey, unexplored dark
+//! grey, walls black, robots green, obstacles red. North (`map`'s y) is up.
+
+use image::{Rgb, RgbImage};
+use ubimap_protocol::tile::Cell;
+
+use crate::grid::OccupancyGrid;
+
+const EXPLORED: Rgb<u8> = Rgb([224, 224, 224]);
+const UNEXPLORED: Rgb<u8> = Rgb([104, 104, 104]);
+const WALL: Rgb<u8> = Rgb([0, 0, 0]);
+const OBSTACLE: Rgb<u8> = Rgb([208, 40, 40]);
+const ROBOT: Rgb<u8> = Rgb([24, 140, 52]);
+const ROBOT_PATH: Rgb<u8> = Rgb([120, 190, 132]);
+const PERSON_PATH: Rgb<u8> = Rgb([226, 150, 146]);
+const HEADING: Rgb<u8> = Rgb([255, 255, 255]);
+
+/// Unexplored cells around the map.
+const MARGIN: usize = 4;
+
+/// The longer side of a picture is about this many pixels, as far as the scales allow.
+const SIDE: usize = 1200;
+const SCALES: std::ops::RangeInclusive<usize> = 2..=8;
+
+/// Past this many cells a cell is one pixel.
+const MOST_SCALED_CELLS: usize = 1 << 22;
+
+const ROBOT_RADIUS_M: f64 = 0.2;
+const LEAST_RADIUS: f64 = 5.0;
+
+/// What a marker stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MarkerKind {
+    /// A robot: green.
+    Robot,
+    /// A person: an obstacle, red.
+    Person,
+}
+
+/// A robot or a person on the picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Marker {
+    /// Where it stands along `map`'s x, in metres.
+    pub x_m: f64,
+    /// Where it stands along `map`'s y, in metres.
+    pub y_m: f64,
+    /// Where it looks, in radians, counter-clockwise from `map`'s x.
+    pub heading_rad: f64,
+    /// What it is.
+    pub kind: MarkerKind,
+    /// Where it has been, in `map`, metres; may be empty.
+    pub path: Vec<[f64; 2]>,
+}
+
+/// Draws a map and what moves on it. A cell becomes 2 to 8 pixels wide, so that the picture of a
+/// room and that of a building are of about the same size; huge maps get one pixel a cell.
+pub fn render(grid: &OccupancyGrid, markers: &[Marker]) -> RgbImage {
+    let (columns, rows) = (grid.width() + 2 * MARGIN, grid.height() + 2 * MARGIN);
+    let scale = if grid.width() * grid.height() > MOST_SCALED_CELLS {
+        1
+    } else {
+        (SIDE / columns.max(rows)).clamp(*SCALES.start(), *SCALES.end())
+    };
+    let image = RgbImage::from_fn((columns * scale) as u32, (rows * scale) as u32, |x, y| {
+        // West and south of the grid the subtraction wraps, and outside all is unknown.
+        let column = (x as usize / scale).wrapping_sub(MARGIN);
+        let row = (rows - 1 - y as usize / scale).wrapping_sub(MARGIN);
+        match grid.cell(column, row) {
+            Cell::Unknown => UNEXPLORED,
+            Cell::Free => EXPLORED,
+            Cell::Occupied => WALL,
+            Cell::Movable => OBSTACLE,
+        }
+    });
+
+    let mut canvas = Canvas { image, grid, scale: scale as f64 };
+    for marker in markers {
+        canvas.path(marker);
+    }
+    for marker in markers {
+        canvas.marker(marker);
+    }
+    canvas.image
+}
+
+/// A picture as the bytes of a PNG file.
+pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write_to(&mut bytes, image::ImageFormat::Png)?;
+    Ok(bytes.into_inner())
+}
+
+/// A picture under way.
+struct Canvas<'a> {
+    image: RgbImage,
+    grid: &'a OccupancyGrid,
+    /// Pixels of a cell.
+    scale: f64,
+}
+
+impl Canvas<'_> {
+    fn path(&mut self, marker: &Marker) {
+        let colour = match marker.kind {
+            MarkerKind::Robot => ROBOT_PATH,
+            MarkerKind::Person => PERSON_PATH,
+        };
+        for step in marker.path.windows(2) {
+            self.line(self.pixel(step[0]), self.pixel(step[1]), self.scale * 0.35, colour);
+        }
+    }
+
+    fn marker(&mut self, marker: &Marker) {
+        let centre = self.pixel([marker.x_m, marker.y_m]);
+        let radius = (ROBOT_RADIUS_M / self.grid.resolution_m() * self.scale).max(LEAST_RADIUS);
+        let colour = match marker.kind {
+            MarkerKind::Robot => ROBOT,
+            MarkerKind::Person => OBSTACLE,
+        };
+        self.line(centre, centre, radius, colour);
+        let (sin, cos) = (marker.heading_rad - self.grid.yaw_rad()).sin_cos();
+        let nose = [centre[0] + 0.9 * radius * cos, centre[1] - 0.9 * radius * sin];
+        self.line(centre, nose, radius * 0.15, HEADING);
+    }
+
+    /// The place on the picture of a point in `map`.
+    fn pixel(&self, point: [f64; 2]) -> [f64; 2] {
+        let [column, row] = self.grid.from_map(point);
+        let margin = MARGIN as f64;
+        let height = f64::from(self.image.height());
+        [(column + margin) * self.scale, height - (row + margin) * self.scale]
+    }
+
+    /// A stroke with round ends, its edge blended; of no length, a disc.
+    fn line(&mut self, from: [f64; 2], to: [f64; 2], half_width: f64, colour: Rgb<u8>) {
+        let reach = half_width + 1.0;
+        let range = |axis: usize, end: u32| {
+            let least = from[axis].min(to[axis]) - reach;
+            let most = from[axis].max(to[axis]) + reach;
+            // NaN becomes zero: an empty or a one-pixel range, and nothing is drawn there.
+            least.clamp(0.0, f64::from(end)) as u32..most.ceil().clamp(0.0, f64::from(end)) as u32
+        };
+        let (columns, rows) = (range(0, self.image.width()), range(1, self.image.height()));
+        for y in rows {
+            for x in columns.clone() {
+                let away = distance([f64::from(x) + 0.5, f64::from(y) + 0.5], from, to);
+                let cover = (half_width + 0.5 - away).clamp(0.0, 1.0);
+                if cover > 0.0 {
+                    let pixel = self.image.get_pixel_mut(x, y);
+                    for (old, new) in pixel.0.iter_mut().zip(colour.0) {
+                        *old = (f64::from(*old) * (1.0 - cover) + f64::from(new) * cover).round()
+                            as u8;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// From a point to a stroke.
+fn distance(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
+    let (x, y) = (to[0] - from[0], to[1] - from[1]);
+    let length_squared = x * x + y * y;
+    let along = if length_squared > 0.0 {
+        (((point[0] - from[0]) * x + (point[1] - from[1]) * y) / length_squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    (point[0] - from[0] - along * x).hypot(point[1] - from[1] - along * y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn room() -> OccupancyGrid {
+        let mut grid = OccupancyGrid::new(0.05, [-1.0, 2.0], 100, 60).unwrap();
+        for y in 0..60 {
+            for x in 0..100 {
+                let is_wall = x == 0 || y == 0 || x == 99 || y == 59;
+                grid.set(x, y, if is_wall { Cell::Occupied } else { Cell::Free });
+            }
+        }
+        grid.set(50, 57, Cell::Movable);
+        grid
+    }
+
+    fn robot(x_m: f64, y_m: f64, path: Vec<[f64; 2]>) -> Marker {
+        Marker { x_m, y_m, heading_rad: 0.0, kind: MarkerKind::Robot, path }
+    }
+
+    #[test]
+    fn north_is_up_and_colours_are_the_papers() {
+        let picture = render(&room(), &[robot(0.0, 3.0, vec![[0.0, 3.0], [3.0, 4.0]])]);
+        assert_eq!(picture.dimensions(), (108 * 8, 68 * 8));
+        let cell = |x: u32, y: u32| *picture.get_pixel((x + 4) * 8 + 4, (67 - 4 - y) * 8 + 4);
+        assert_eq!(cell(0, 0), WALL);
+        assert_eq!(cell(50, 57), OBSTACLE);
+        assert_eq!(cell(50, 2), EXPLORED);
+        assert_eq!(*picture.get_pixel(0, 0), UNEXPLORED);
+        // The robot at (0, 3) m is in the cell (20, 20); its disc reaches three cells to the west.
+        assert_eq!(cell(17, 20), ROBOT);
+        assert_eq!(cell(14, 20), EXPLORED);
+        assert_eq!(cell(50, 30), ROBOT_PATH);
+    }
+
+    #[test]
+    fn markers_anywhere_are_drawn_or_left_out() {
+        let plain = render(&room(), &[]);
+        for place in [f64::NAN, f64::INFINITY, -1e300, 1e9] {
+            let markers = [robot(place, 3.0, vec![[place, place], [place, 0.0]])];
+            assert_eq!(render(&room(), &markers), plain);
+        }
+        let unknown = OccupancyGrid::new(0.05, [0.0, 0.0], 0, 0).unwrap();
+        assert!(png(&render(&unknown, &[])).unwrap().starts_with(b"\x89PNG"));
+    }
+}
