@@ -1,2 +1,123 @@
 //! `ubimap`, the command line.
-fn main() {}
+
+use std::{
+    io::{self, Write},
+    process::ExitCode,
+};
+
+use clap::{Parser, Subcommand, error::ErrorKind};
+use ubimap_sim_host::run::{
+    Outcome, RunError, compare, open_output,
+    options::{CompareOptions, ReplayOptions, RunOptions, SimulateOptions},
+    replay, simulate,
+};
+
+/// The run failed; a map on which not all agree counts as that.
+const FAILED: u8 = 1;
+/// Bad use, or bad input.
+const BAD_INPUT: u8 = 2;
+
+/// One live indoor map shared by ceiling cameras and cheap robots.
+#[derive(Parser)]
+#[command(name = "ubimap", version)]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run robots on recorded logs
+    Replay(ReplayOptions),
+    /// Run robots in a simulated room
+    Simulate(SimulateOptions),
+    /// Score one ROS map against another
+    Compare(CompareOptions),
+}
+
+fn main() -> ExitCode {
+    start_logging();
+    let command_line = match CommandLine::try_parse() {
+        Ok(command_line) => command_line,
+        Err(error) => return refuse_use(&error),
+    };
+    let finished = match command_line.command {
+        Command::Replay(options) => finish(&options.run, || replay::run(&options)),
+        Command::Simulate(options) => finish(&options.run, || simulate::run(&options)),
+        Command::Compare(options) => compare(&options),
+    };
+    finished.unwrap_or_else(|error| {
+        complain(&error.to_string());
+        ExitCode::from(if error.is_bad_input() { BAD_INPUT } else { FAILED })
+    })
+}
+
+/// Makes a run and hands out its results.
+fn finish(
+    options: &RunOptions,
+    run: impl FnOnce() -> Result<Outcome, RunError>,
+) -> Result<ExitCode, RunError> {
+    let folder = open_output(options.out.as_deref())?;
+    let outcome = run()?;
+    if let Some(folder) = folder {
+        outcome.write(folder)?;
+    }
+    let report = &outcome.report;
+    print(&if options.json { report.to_json_pretty() } else { report.to_string() });
+    Ok(if report.map.converged { ExitCode::SUCCESS } else { ExitCode::from(FAILED) })
+}
+
+fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
+    let scores = compare::run(options)?;
+    print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) });
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Logs go to standard error, from `info` on or as `RUST_LOG` says.
+fn start_logging() {
+    let environment = env_logger::Env::default().default_filter_or("info");
+    env_logger::Builder::from_env(environment)
+        .format(|out, record| {
+            let level = record.level().as_str().to_ascii_lowercase();
+            writeln!(out, "ubimap: {level}: {}", record.args())
+        })
+        .init();
+}
+
+/// Help and version go to standard output; all else is bad use, told in one line.
+fn refuse_use(error: &clap::Error) -> ExitCode {
+    if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) {
+        print(&error.to_string());
+        return ExitCode::SUCCESS;
+    }
+    let text = error.to_string();
+    let of_interest: Vec<&str> = text
+        .lines()
+        .map(str::trim)
+        .take_while(|line| !line.starts_with("Usage:"))
+        .filter(|line| {
+            !["For more information", "tip:"].iter().any(|start| line.starts_with(start))
+        })
+        .filter(|line| !line.is_empty())
+        .collect();
+    let message = of_interest.join(" ");
+    let message = if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        "no command given"
+    } else {
+        message.strip_prefix("error: ").unwrap_or(&message)
+    };
+    complain(&format!("{message} (see ubimap --help)"));
+    ExitCode::from(BAD_INPUT)
+}
+
+fn complain(message: &str) {
+    let one_line = message.lines().collect::<Vec<_>>().join(" ");
+    // There is nobody left to tell if that fails.
+    let _ = writeln!(io::stderr(), "ubimap: {one_line}");
+}
+
+/// To standard output; a reader that has gone away is no reason to fail.
+fn print(text: &str) {
+    let mut out = io::stdout().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}

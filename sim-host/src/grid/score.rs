@@ -33,6 +33,14 @@ pub struct Scores {
     pub occupied_reference: usize,
 }
 
+impl Scores {
+    /// The scores as indented JSON with a line break at the end.
+    pub fn to_json_pretty(&self) -> String {
+        // A plain struct of numbers: there is nothing that could fail.
+        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
+    }
+}
+
 /// Scores a map against a reference.
 ///
 /// Distances are Euclidean, between the centres of cells in `map`; the two grids may differ in

@@ -1,1 +1,76 @@
-//! What joins a source, agents, channels and the server into one run.
+//! What joins a source, agents, channels and the server into one run: one file for each of
+//! `ubimap`'s commands, and their options.
+
+pub mod compare;
+pub mod options;
+pub mod replay;
+pub mod simulate;
+
+use std::path::Path;
+
+use crate::{
+    grid::{self, GridError, MapError, OccupancyGrid},
+    log::LogError,
+    report::{self, Marker, OutputError, OutputFolder, Report},
+};
+
+/// What a replay or a simulation ends with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// The figures.
+    pub report: Report,
+    /// The fused map.
+    pub map: OccupancyGrid,
+    /// The robots, and what else moves, where they ended.
+    pub markers: Vec<Marker>,
+}
+
+impl Outcome {
+    /// Writes `map.pgm`, `map.yaml`, `map.png` and `report.json`: all of them or none.
+    pub fn write(&self, mut folder: OutputFolder) -> Result<(), RunError> {
+        folder.add("map.pgm", &grid::pgm(&self.map))?;
+        folder.add("map.yaml", grid::yaml(&self.map, "map.pgm").as_bytes())?;
+        folder.add("map.png", &report::png(&report::render(&self.map, &self.markers))?)?;
+        folder.add("report.json", self.report.to_json_pretty().as_bytes())?;
+        Ok(folder.finish()?)
+    }
+}
+
+/// Opens the folder for the results, if one is asked for: before the run, so that a folder that
+/// can't be written to costs no run.
+pub fn open_output(out: Option<&Path>) -> Result<Option<OutputFolder>, RunError> {
+    Ok(out.map(OutputFolder::create).transpose()?)
+}
+
+/// Why a run could not be made or finished. Each is one line.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A log can't be read.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// A map can't be read.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// The fused map can't become a grid.
+    #[error(transparent)]
+    Grid(#[from] GridError),
+    /// The results can't be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// The picture can't be encoded.
+    #[error("map.png: {0}")]
+    Picture(#[from] image::ImageError),
+    /// A command that is not there yet.
+    #[error("{0} is not built yet")]
+    NotBuilt(&'static str),
+}
+
+impl RunError {
+    /// Whether what was given to the run is at fault, and not the run.
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            Self::Log(_) | Self::Map(_) | Self::Output(_) => true,
+            Self::Grid(_) | Self::Picture(_) | Self::NotBuilt(_) => false,
+        }
+    }
+}

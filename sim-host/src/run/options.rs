@@ -1,0 +1,223 @@
+//! The options of `ubimap`'s commands, checked as they are parsed.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum, value_parser};
+use ubimap_protocol::{time::Duration, units::Millimetres};
+
+use crate::log::Format;
+
+/// Options of `ubimap replay`.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayOptions {
+    /// Recorded logs of one sensor: files, or folders of depth images
+    #[arg(required = true, value_name = "LOG")]
+    pub logs: Vec<PathBuf>,
+
+    /// What the logs are
+    #[arg(long, value_enum, default_value_t)]
+    pub format: FormatChoice,
+
+    /// Cut the log into this many consecutive segments, one robot each, all at the same time
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = robots(), allow_negative_numbers = true)]
+    pub robots: u16,
+
+    /// Side of a cell in metres
+    #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
+    pub resolution: Millimetres,
+
+    /// Map nothing beyond this range, in metres
+    #[arg(long, value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
+    pub max_range: Millimetres,
+
+    /// What every run has.
+    #[command(flatten)]
+    pub run: RunOptions,
+}
+
+/// Options of `ubimap simulate`.
+#[derive(Args, Clone, Debug)]
+pub struct SimulateOptions {
+    /// A scenario file (TOML); without one, the built-in room
+    pub scenario: Option<PathBuf>,
+
+    /// How many robots drive, in place of the scenario's number
+    #[arg(long, value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
+    pub robots: Option<u16>,
+
+    /// How long they drive in seconds, in place of the scenario's time
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
+    pub duration: Option<Duration>,
+
+    /// What every run has.
+    #[command(flatten)]
+    pub run: RunOptions,
+}
+
+/// Options that every run has.
+#[derive(Args, Clone, Debug)]
+pub struct RunOptions {
+    /// What the channels do.
+    #[command(flatten)]
+    pub channel: ChannelOptions,
+
+    /// Seed of all random numbers: the same seed gives the same report
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+
+    /// Tiles in each robot's pool, in place of the robots' real bound
+    #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..=65_536))]
+    pub tiles: Option<u32>,
+
+    /// Write map.pgm, map.yaml, map.png and report.json to this folder
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+
+    /// Print the report as JSON, and nothing else, on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What the channel between the server and each robot does to a frame, both ways. Probabilities are
+/// from 0 to 1.
+#[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChannelOptions {
+    /// Probability that a frame is lost
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub loss: f64,
+
+    /// Probability that a frame arrives twice
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub duplicate: f64,
+
+    /// Probability that a frame is overtaken by later ones
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub reorder: f64,
+
+    /// Probability that bits of a frame are flipped
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub corrupt: f64,
+
+    /// How long a frame takes, in milliseconds
+    #[arg(long, value_name = "MS", default_value = "0", value_parser = milliseconds, allow_negative_numbers = true)]
+    pub latency: Duration,
+}
+
+/// Options of `ubimap compare`.
+#[derive(Args, Clone, Debug)]
+pub struct CompareOptions {
+    /// The map's YAML file, as ROS's map_server has it
+    #[arg(value_name = "MAP.yaml")]
+    pub map: PathBuf,
+
+    /// The YAML file of the map to hold it against
+    #[arg(value_name = "REFERENCE.yaml")]
+    pub reference: PathBuf,
+
+    /// How far apart occupied cells may lie to count as the same, in metres [default: one cell of
+    /// the reference]
+    #[arg(long, value_name = "M", value_parser = tolerance, allow_negative_numbers = true)]
+    pub tolerance: Option<f64>,
+
+    /// Print the scores as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The format of a log, as it is asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum FormatChoice {
+    /// Told by the content
+    #[default]
+    Auto,
+    /// CARMEN text with FLASER records, plain or gzipped
+    Carmen,
+    /// CoreSLAM's mine robot, plain or gzipped
+    Mines,
+    /// A folder of depth images with poses and intrinsics
+    Rgbd,
+}
+
+impl FormatChoice {
+    /// The format, or `None` to tell it by the content.
+    pub fn format(self) -> Option<Format> {
+        match self {
+            Self::Auto => None,
+            Self::Carmen => Some(Format::Carmen),
+            Self::Mines => Some(Format::Mines),
+            Self::Rgbd => Some(Format::Rgbd),
+        }
+    }
+}
+
+/// Why the value of an option is refused.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+enum OptionError {
+    #[error("not a number")]
+    NotANumber,
+    #[error("must be from {least} to {most} {unit}")]
+    OutOfRange { least: f64, most: f64, unit: &'static str },
+    #[error("must be whole millimetres")]
+    FractionOfMillimetre,
+}
+
+fn robots() -> clap::builder::RangedI64ValueParser<u16> {
+    value_parser!(u16).range(1..=1_000)
+}
+
+fn number(text: &str, least: f64, most: f64, unit: &'static str) -> Result<f64, OptionError> {
+    let value: f64 = text.parse().map_err(|_| OptionError::NotANumber)?;
+    if (least..=most).contains(&value) {
+        Ok(value)
+    } else {
+        Err(OptionError::OutOfRange { least, most, unit })
+    }
+}
+
+fn probability(text: &str) -> Result<f64, OptionError> {
+    number(text, 0.0, 1.0, "(a probability)")
+}
+
+fn resolution(text: &str) -> Result<Millimetres, OptionError> {
+    let metres = number(text, 0.01, 1.0, "m")?;
+    if ((metres * 1000.0).round() - metres * 1000.0).abs() > 1e-6 {
+        return Err(OptionError::FractionOfMillimetre);
+    }
+    Ok(Millimetres::from_metres(metres))
+}
+
+fn max_range(text: &str) -> Result<Millimetres, OptionError> {
+    number(text, 0.1, 65.0, "m").map(Millimetres::from_metres)
+}
+
+fn tolerance(text: &str) -> Result<f64, OptionError> {
+    number(text, 0.0, 1e6, "m")
+}
+
+fn seconds(text: &str) -> Result<Duration, OptionError> {
+    let seconds = number(text, 0.1, 1e6, "s")?;
+    Ok(Duration::from_micros((seconds * 1e6).round() as u64))
+}
+
+fn milliseconds(text: &str) -> Result<Duration, OptionError> {
+    let milliseconds = number(text, 0.0, 60_000.0, "ms")?;
+    Ok(Duration::from_micros((milliseconds * 1e3).round() as u64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_checked() {
+        assert_eq!(probability("0.3"), Ok(0.3));
+        assert!(
+            ["-0.1", "1.1", "nan", "inf", "x", ""].iter().all(|text| probability(text).is_err())
+        );
+        assert_eq!(resolution("0.05"), Ok(Millimetres(50)));
+        assert_eq!(resolution("0.029"), Ok(Millimetres(29)));
+        assert_eq!(resolution("0.0505"), Err(OptionError::FractionOfMillimetre));
+        assert!(resolution("0").is_err() && max_range("-4").is_err());
+        assert_eq!(milliseconds("0.25"), Ok(Duration::from_micros(250)));
+    }
+}
