@@ -1,0 +1,324 @@
+//! Ideal cameras: a cell in view is seen, a robot in view is localised.
+//!
+//! What the room hides from a camera never changes and is found once. In each frame only people
+//! and robots are looked at again: where they stand and what their shadows hide.
+
+use libm::{atan2, cos, sin, tan};
+use parry2d_f64::{
+    bounding_volume::Aabb,
+    glamx::{DVec2, DVec3},
+};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use ubimap_protocol::{
+    tile::Cell,
+    units::{Pose, RobotId},
+};
+
+use super::{
+    robots::{PlanePose, SimRobot},
+    room::{Cells, Room},
+    route::Body,
+    scenario::CameraConfig,
+    sensor::cylinder,
+    shapes::Prism,
+};
+
+/// A body whose top is not this far below a camera has an endless shadow, in metres.
+const HEADROOM: f64 = 0.05;
+
+/// What stands in a cell that is looked at, and where one looks to see it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct View {
+    pub(super) cell: (i32, i32),
+    /// Free or occupied.
+    pub(super) state: Cell,
+    /// The point of the cell that is in sight.
+    pub(super) target: DVec3,
+}
+
+/// A robot as a camera may see it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SeenRobot {
+    pub(super) id: RobotId,
+    pub(super) pose: PlanePose,
+    pub(super) body: Body,
+}
+
+impl SeenRobot {
+    pub(super) fn of(robot: &SimRobot) -> Self {
+        Self { id: robot.id(), pose: robot.pose(), body: robot.body() }
+    }
+}
+
+/// What one frame says.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Frame {
+    pub(super) robots: Vec<(RobotId, Pose)>,
+    pub(super) cells: Vec<((i32, i32), Cell)>,
+}
+
+/// A camera in its place.
+pub(super) struct Camera {
+    lens: Lens,
+    position_noise: f64,
+    heading_noise: f64,
+    dice: ChaCha8Rng,
+    cells: Cells,
+    /// What it sees of the room without people and robots.
+    views: Vec<View>,
+    /// For each cell the index of its view plus one; zero for none.
+    view_of: Vec<u32>,
+}
+
+impl Camera {
+    pub(super) fn new(
+        config: &CameraConfig,
+        room: &Room,
+        cells: Cells,
+        robot_height: f64,
+        dice: ChaCha8Rng,
+    ) -> Self {
+        let lens = Lens::new(config);
+        let views = views(&lens, room, cells, robot_height);
+        let mut view_of = vec![0; cells.count()];
+        for (number, view) in (1..).zip(&views) {
+            if let Some(index) = cells.index(view.cell) {
+                view_of[index] = number;
+            }
+        }
+        Self {
+            lens,
+            position_noise: config.position_noise_m,
+            heading_noise: config.heading_noise_deg.to_radians(),
+            dice,
+            cells,
+            views,
+            view_of,
+        }
+    }
+
+    /// What it sees of the room without people and robots.
+    pub(super) fn views(&self) -> &[View] {
+        &self.views
+    }
+
+    #[cfg(test)]
+    pub(super) fn position(&self) -> DVec3 {
+        self.lens.position
+    }
+
+    /// What it sees now; the cells only when they are asked for.
+    pub(super) fn frame(
+        &mut self,
+        room: &Room,
+        robots: &[SeenRobot],
+        people: &[Body],
+        with_cells: bool,
+    ) -> Frame {
+        let bodies: Vec<Body> =
+            robots.iter().map(|robot| robot.body).chain(people.iter().copied()).collect();
+        let prisms: Vec<Prism> = bodies.iter().map(cylinder).collect();
+        let mut localised = Vec::new();
+        let mut frame = Frame::default();
+        for (index, robot) in robots.iter().enumerate() {
+            // The same throws whether it is in view or not.
+            let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
+            let (x, y, turn) = (noise(), noise(), noise());
+            let top = robot.body.centre.extend(robot.body.height);
+            if self.lens.covers(top)
+                && room.sees(self.lens.position, top)
+                && !is_hidden(&prisms, Some(index), self.lens.position, top)
+            {
+                let offset = DVec2::new(x, y) * self.position_noise;
+                let measured = PlanePose {
+                    position: robot.pose.position + offset,
+                    heading: robot.pose.heading + turn * self.heading_noise,
+                };
+                frame.robots.push((robot.id, measured.quantised()));
+                localised.push(robot.body);
+            }
+        }
+        if with_cells {
+            frame.cells = self.cells_in_view(room, &localised, robots.len(), &bodies, &prisms);
+        }
+        frame
+    }
+
+    /// Free, occupied and movable cells; `bodies` are the robots first, then people.
+    fn cells_in_view(
+        &self,
+        room: &Room,
+        localised: &[Body],
+        robots: usize,
+        bodies: &[Body],
+        prisms: &[Prism],
+    ) -> Vec<((i32, i32), Cell)> {
+        let mut hidden = vec![false; self.views.len()];
+        for (body, prism) in bodies.iter().zip(prisms) {
+            for index in self.shadow(body).filter_map(|cell| self.view_index(cell)) {
+                let target = self.views[index].target;
+                let way = target - self.lens.position;
+                hidden[index] |= prism.first_hit(self.lens.position, way, 1.0).is_some();
+            }
+        }
+        let under = |body: &Body| self.cells.under_disc(body.centre, body.radius);
+        for index in localised.iter().flat_map(under).filter_map(|cell| self.view_index(cell)) {
+            hidden[index] = true;
+        }
+        let mut moving = Vec::new();
+        for (number, person) in bodies.iter().enumerate().skip(robots) {
+            for cell in under(person) {
+                let top = self.cells.centre(cell).extend(person.height);
+                let is_seen = self.lens.covers(top)
+                    && room.sees(self.lens.position, top)
+                    && !is_hidden(prisms, Some(number), self.lens.position, top);
+                if let Some(index) = self.view_index(cell) {
+                    // What stands there hides the floor beneath it, seen or not.
+                    hidden[index] = true;
+                }
+                if is_seen {
+                    moving.push((cell, Cell::Movable));
+                }
+            }
+        }
+        moving.sort_unstable_by_key(|&(cell, _)| cell);
+        moving.dedup();
+        let fixed = self.views.iter().zip(hidden).filter(|(_, hidden)| !hidden);
+        fixed.map(|(view, _)| (view.cell, view.state)).chain(moving).collect()
+    }
+
+    fn view_index(&self, cell: (i32, i32)) -> Option<usize> {
+        let number = self.view_of[self.cells.index(cell)?];
+        (number as usize).checked_sub(1)
+    }
+
+    /// The cells that a body may hide: those about its foot and its shadow on the floor.
+    fn shadow(&self, body: &Body) -> impl Iterator<Item = (i32, i32)> + use<> {
+        let eye = self.lens.position;
+        let reach = DVec2::splat(body.radius);
+        let foot = Aabb::new(body.centre - reach, body.centre + reach);
+        let below = eye.z - body.height;
+        let rectangle = if below < HEADROOM {
+            // At or above the camera: the shadow ends only where the camera's range does.
+            let range = DVec2::splat(self.lens.range);
+            Aabb::new(eye.truncate() - range, eye.truncate() + range)
+        } else {
+            let stretch = eye.z / below;
+            let cast = |point: DVec2| eye.truncate() + (point - eye.truncate()) * stretch;
+            let (a, b) = (cast(foot.mins), cast(foot.maxs));
+            Aabb::new(foot.mins.min(a), foot.maxs.max(b))
+        };
+        self.cells.within(&rectangle)
+    }
+}
+
+/// Where a camera is and what its picture covers.
+struct Lens {
+    position: DVec3,
+    forward: DVec3,
+    right: DVec3,
+    up: DVec3,
+    /// Tangents of half the field of view: to the right, and up.
+    half: (f64, f64),
+    range: f64,
+}
+
+impl Lens {
+    fn new(config: &CameraConfig) -> Self {
+        let position = DVec3::from(config.position_m);
+        let (heading, tilt) = match config.look_at_m {
+            Some(look_at) => {
+                let way = DVec3::from(look_at) - position;
+                (atan2(way.y, way.x), atan2(-way.z, way.truncate().length()))
+            }
+            None => (
+                config.heading_deg.unwrap_or_default().to_radians(),
+                config.tilt_deg.unwrap_or_default().to_radians(),
+            ),
+        };
+        let level = DVec3::new(cos(heading), sin(heading), 0.0);
+        let right = DVec3::new(level.y, -level.x, 0.0);
+        let forward = level * cos(tilt) - DVec3::Z * sin(tilt);
+        let half_tangent = |degrees: f64| tan(degrees.to_radians() / 2.0);
+        Self {
+            position,
+            forward,
+            right,
+            up: right.cross(forward),
+            half: (half_tangent(config.horizontal_fov_deg), half_tangent(config.vertical_fov_deg)),
+            range: config.range_m,
+        }
+    }
+
+    /// Whether a point is in the picture, if nothing hides it.
+    fn covers(&self, point: DVec3) -> bool {
+        let way = point - self.position;
+        let depth = way.dot(self.forward);
+        depth > 0.0
+            && way.dot(self.right).abs() <= depth * self.half.0
+            && way.dot(self.up).abs() <= depth * self.half.1
+            && way.length_squared() <= self.range * self.range
+    }
+}
+
+/// Whether a body other than `but` stands between two points.
+fn is_hidden(prisms: &[Prism], but: Option<usize>, from: DVec3, to: DVec3) -> bool {
+    prisms
+        .iter()
+        .enumerate()
+        .any(|(index, prism)| Some(index) != but && prism.first_hit(from, to - from, 1.0).is_some())
+}
+
+/// The cells of the room that a camera sees when nobody is there.
+fn views(lens: &Lens, room: &Room, cells: Cells, robot_height: f64) -> Vec<View> {
+    let reach = DVec2::splat(lens.range);
+    let eye = lens.position.truncate();
+    let mut views = Vec::new();
+    for cell in cells.within(&Aabb::new(eye - reach, eye + reach)) {
+        let square = cells.square(cell);
+        let standing: Vec<&Prism> = room
+            .near(&square)
+            .filter(|prism| prism.reaches(0.0, robot_height) && prism.footprint.overlaps(&square))
+            .collect();
+        if standing.is_empty() {
+            let target = cells.centre(cell).extend(0.0);
+            if lens.covers(target) && room.sees(lens.position, target) {
+                views.push(View { cell, state: Cell::Free, target });
+            }
+        } else if let Some(target) = seen_part(lens, room, cells, cell, robot_height, &standing) {
+            views.push(View { cell, state: Cell::Occupied, target });
+        }
+    }
+    views
+}
+
+/// The point of what stands in a cell that a camera sees, if it sees any: on top, or on a side.
+fn seen_part(
+    lens: &Lens,
+    room: &Room,
+    cells: Cells,
+    cell: (i32, i32),
+    robot_height: f64,
+    standing: &[&Prism],
+) -> Option<DVec3> {
+    let square = cells.square(cell);
+    standing.iter().find_map(|prism| {
+        let aim = prism.footprint.nearest(cells.centre(cell));
+        let side = (prism.bottom + prism.top.min(robot_height)) / 2.0;
+        [prism.top, side].into_iter().find_map(|height| {
+            if height >= lens.position.z || !square.contains_local_point(aim) {
+                return None;
+            }
+            // A little beyond the aim, which may lie on the very edge.
+            let way = aim.extend(height) - lens.position;
+            let (hit, at) = room.first_hit(lens.position, way, 1.0 + 1e-6)?;
+            let point = lens.position + way * at;
+            let is_here = cells.cell_at(point.truncate()) == cell;
+            let stands = room.prisms()[hit].reaches(0.0, robot_height);
+            // A hair before what is seen, so that it does not hide itself.
+            let target = lens.position + way * (at - 1e-6);
+            (is_here && stands && lens.covers(target)).then_some(target)
+        })
+    })
+}

@@ -1,0 +1,197 @@
+//! Robots that drive their routes: turn in place, drive straight, wait for whoever is ahead.
+
+use std::f64::consts::{PI, TAU};
+
+use libm::{atan2, cos, sin};
+use parry2d_f64::glamx::DVec2;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use ubimap_protocol::units::{Pose, RobotId};
+
+use super::{
+    route::{Body, Route},
+    scenario::{OdometryConfig, RobotConfig},
+    sensor::RangeSensor,
+};
+
+/// A robot stops for anybody this near ahead, in metres.
+const GAP: f64 = 0.35;
+
+/// It brakes harder than it accelerates.
+const BRAKE: f64 = 3.0;
+
+/// How long a robot waits before it goes back, in seconds; each later robot a little longer, so
+/// that of two who wait for each other one goes first.
+const PATIENCE: f64 = 5.0;
+
+/// A position in metres and a heading in radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PlanePose {
+    pub(super) position: DVec2,
+    pub(super) heading: f64,
+}
+
+impl PlanePose {
+    /// The same on the wire.
+    pub(super) fn quantised(self) -> Pose {
+        Pose::from_metres(self.position.x, self.position.y, self.heading)
+    }
+}
+
+/// A simulated robot.
+#[derive(Clone, Debug)]
+pub struct SimRobot {
+    id: RobotId,
+    radius: f64,
+    height: f64,
+    sensor: RangeSensor,
+    truth: PlanePose,
+    odometry: PlanePose,
+    error: OdometryConfig,
+    dice: ChaCha8Rng,
+    route: Route,
+    top_speed: f64,
+    acceleration: f64,
+    turn_rate: f64,
+    patience: f64,
+    speed: f64,
+    waited: f64,
+}
+
+impl SimRobot {
+    /// Its number.
+    pub fn id(&self) -> RobotId {
+        self.id
+    }
+
+    /// Where it really is: `base_link` in `map`.
+    pub fn truth(&self) -> Pose {
+        self.truth.quantised()
+    }
+
+    /// Where its wheels say it is: `base_link` in `odom`, which began at its start.
+    pub fn odometry(&self) -> Pose {
+        self.odometry.quantised()
+    }
+
+    /// Its range sensor.
+    pub fn sensor(&self) -> &RangeSensor {
+        &self.sensor
+    }
+
+    /// The radius of its footprint, in metres.
+    pub fn radius_m(&self) -> f64 {
+        self.radius
+    }
+
+    /// Its height, in metres.
+    pub fn height_m(&self) -> f64 {
+        self.height
+    }
+
+    pub(super) fn new(config: &RobotConfig, index: usize, dice: ChaCha8Rng) -> Self {
+        let start = DVec2::new(config.start.x_m, config.start.y_m);
+        Self {
+            id: RobotId(config.id),
+            radius: config.radius_m,
+            height: config.height_m,
+            sensor: RangeSensor::new(&config.sensor),
+            truth: PlanePose { position: start, heading: config.start.heading_deg.to_radians() },
+            odometry: PlanePose { position: DVec2::ZERO, heading: 0.0 },
+            error: config.odometry.clone(),
+            dice,
+            route: Route::new(start, config.route.waypoints_m.iter().map(|&p| DVec2::from(p))),
+            top_speed: config.route.speed_m_s,
+            acceleration: config.route.acceleration_m_s2,
+            turn_rate: config.route.turn_rate_deg_s.to_radians(),
+            patience: PATIENCE + 1.5 * index as f64,
+            speed: 0.0,
+            waited: 0.0,
+        }
+    }
+
+    pub(super) fn pose(&self) -> PlanePose {
+        self.truth
+    }
+
+    pub(super) fn body(&self) -> Body {
+        Body { centre: self.truth.position, radius: self.radius, height: self.height }
+    }
+
+    /// Drives on for a moment among the others.
+    pub(super) fn step(&mut self, seconds: f64, others: &[Body]) {
+        let Some(target) = self.route.target() else { return };
+        let way = target - self.truth.position;
+        let turn = wrap(atan2(way.y, way.x) - self.truth.heading);
+        if turn.abs() > 1e-9 && self.speed == 0.0 {
+            let most = self.turn_rate * seconds;
+            self.turn(turn.clamp(-most, most));
+            return;
+        }
+        let heading = way.normalize_or_zero();
+        let me = self.body();
+        let left = way.length();
+        let blocked = others.iter().any(|other| me.is_blocked(heading, other, GAP.min(left)));
+        let gained = self.acceleration * seconds;
+        self.speed = if blocked {
+            (self.speed - BRAKE * gained).max(0.0)
+        } else {
+            // Slow enough to stand still at the stop, but never so slow as not to get there.
+            let stopping = (2.0 * self.acceleration * left).sqrt().max(gained);
+            (self.speed + gained).min(self.top_speed).min(stopping)
+        };
+        let step = (self.speed * seconds).min(left);
+        let next = self.truth.position + heading * step;
+        if others.iter().any(|other| me.would_touch(next, other)) {
+            self.speed = 0.0;
+        }
+        if self.speed == 0.0 {
+            self.wait(seconds);
+            return;
+        }
+        self.waited = 0.0;
+        self.truth.position = next;
+        self.measure(step, 0.0);
+        if left - step < 1e-9 {
+            self.truth.position = target;
+            self.speed = 0.0;
+            self.route.arrive();
+        }
+    }
+
+    fn wait(&mut self, seconds: f64) {
+        self.waited += seconds;
+        if self.waited > self.patience {
+            self.waited = 0.0;
+            self.route.turn_round();
+        }
+    }
+
+    fn turn(&mut self, angle: f64) {
+        self.truth.heading = wrap(self.truth.heading + angle);
+        self.measure(0.0, angle);
+    }
+
+    /// What the wheels make of a way and a turn.
+    fn measure(&mut self, way: f64, angle: f64) {
+        let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
+        let error = &self.error;
+        let measured_way = way * (1.0 + error.slip) + error.noise_m * way.sqrt() * noise();
+        let measured_angle = angle * (1.0 + error.turn_slip)
+            + error.drift_deg_per_m.to_radians() * way
+            + error.heading_noise_deg.to_radians() * (way + angle.abs()).sqrt() * noise();
+        self.odometry.heading = wrap(self.odometry.heading + measured_angle);
+        let heading = self.odometry.heading;
+        self.odometry.position += DVec2::new(cos(heading), sin(heading)) * measured_way;
+    }
+}
+
+/// The same angle between -pi and pi.
+fn wrap(angle: f64) -> f64 {
+    let wrapped = libm::fmod(angle, TAU);
+    match wrapped {
+        _ if wrapped > PI => wrapped - TAU,
+        _ if wrapped < -PI => wrapped + TAU,
+        _ => wrapped,
+    }
+}

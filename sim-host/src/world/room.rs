@@ -1,0 +1,387 @@
+//! What never moves: walls and furniture, found by a tree of bounding boxes.
+
+use parry2d_f64::{
+    bounding_volume::{Aabb, BoundingVolume},
+    glamx::{DVec2, DVec3},
+    partitioning::{Bvh, BvhBuildStrategy, TraversalAction},
+    query::Ray,
+};
+
+use super::{
+    scenario::{FootprintConfig, FurnitureConfig, Scenario, ScenarioError},
+    shapes::{Footprint, Prism},
+};
+
+/// The most cells that a room may have.
+const MOST_CELLS: f64 = 16e6;
+
+/// Walls as the occupied cells of a grid, as a ROS map has them.
+#[derive(Clone, Debug)]
+pub struct WallGrid {
+    /// The side of a cell.
+    pub resolution_m: f64,
+    /// The lower left corner of the first cell, in `map`.
+    pub origin_m: [f64; 2],
+    /// Cells along x.
+    pub width: usize,
+    /// Cells along y.
+    pub height: usize,
+    /// Row by row from the lower left: whether the cell is wall.
+    pub occupied: Vec<bool>,
+}
+
+/// Walls and furniture.
+pub(super) struct Room {
+    prisms: Vec<Prism>,
+    /// For each prism the key of the scenario that it comes from.
+    keys: Vec<String>,
+    tree: Bvh,
+    outline: Vec<DVec2>,
+    bounds: Aabb,
+}
+
+impl Room {
+    pub(super) fn new(
+        scenario: &Scenario,
+        walls: Option<&WallGrid>,
+    ) -> Result<Self, ScenarioError> {
+        let mut parts = Vec::new();
+        match (&scenario.room.map, walls) {
+            (Some(_), Some(grid)) => add_grid(&mut parts, scenario, grid)?,
+            (Some(map), None) => {
+                let problem = format!("names {}, but no map was read", map.display());
+                return Err(scenario.invalid("room.map", problem));
+            }
+            (None, _) => {}
+        }
+        let outline: Vec<DVec2> =
+            scenario.room.outline_m.iter().map(|&point| DVec2::from(point)).collect();
+        add_walls(&mut parts, scenario);
+        for (index, furniture) in scenario.furniture.iter().enumerate() {
+            add_furniture(&mut parts, scenario, &format!("furniture[{index}]"), furniture)?;
+        }
+        let (prisms, keys): (Vec<Prism>, Vec<String>) = parts.into_iter().unzip();
+        let boxes: Vec<Aabb> = prisms.iter().map(|prism| prism.footprint.bounds()).collect();
+        let bounds = match walls {
+            Some(grid) if outline.is_empty() => grid_bounds(grid),
+            _ => outline_bounds(&outline, scenario.room.wall_thickness_m),
+        };
+        let tree = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes);
+        Ok(Self { prisms, keys, tree, outline, bounds })
+    }
+
+    pub(super) fn prisms(&self) -> &[Prism] {
+        &self.prisms
+    }
+
+    /// Whether a point is within the outer walls (within the map, for a room from a map).
+    pub(super) fn encloses(&self, point: DVec2) -> bool {
+        if self.outline.is_empty() {
+            return self.bounds.contains_local_point(point);
+        }
+        // A ray to the right crosses the outline an odd number of times.
+        let mut inside = false;
+        for (index, &from) in self.outline.iter().enumerate() {
+            let to = self.outline[(index + 1) % self.outline.len()];
+            if (from.y > point.y) != (to.y > point.y) {
+                let along = (point.y - from.y) / (to.y - from.y);
+                inside ^= point.x < from.x + along * (to.x - from.x);
+            }
+        }
+        inside
+    }
+
+    /// The prisms whose bounding boxes meet a rectangle.
+    pub(super) fn near<'a>(&'a self, rectangle: &'a Aabb) -> impl Iterator<Item = &'a Prism> {
+        self.tree.intersect_aabb(rectangle).map(|index| &self.prisms[index as usize])
+    }
+
+    /// Whether some prism with anything between two heights holds the point.
+    pub(super) fn is_solid(&self, point: DVec2, from: f64, to: f64) -> bool {
+        let at = Aabb::new(point, point);
+        self.near(&at).any(|prism| prism.reaches(from, to) && prism.footprint.contains(point))
+    }
+
+    /// The key of what an upright cylinder meets on its way between two points.
+    pub(super) fn obstacle(
+        &self,
+        from: DVec2,
+        to: DVec2,
+        radius: f64,
+        height: f64,
+    ) -> Option<&str> {
+        let reach = DVec2::splat(radius);
+        let swept = Aabb::new(from.min(to) - reach, from.max(to) + reach);
+        let mut found: Vec<u32> = self
+            .tree
+            .intersect_aabb(&swept)
+            .filter(|&index| {
+                let prism = &self.prisms[index as usize];
+                prism.reaches(0.0, height) && prism.footprint.distance_to_way(from, to) < radius
+            })
+            .collect();
+        found.sort_unstable();
+        found.first().map(|&index| self.keys[index as usize].as_str())
+    }
+
+    /// The first prism that a ray meets and where, as a multiple of `direction` up to `limit`.
+    pub(super) fn first_hit(
+        &self,
+        origin: DVec3,
+        direction: DVec3,
+        limit: f64,
+    ) -> Option<(usize, f64)> {
+        let level = direction.truncate();
+        if level.length_squared() < 1e-20 {
+            let at = Aabb::new(origin.truncate(), origin.truncate());
+            return self
+                .tree
+                .intersect_aabb(&at)
+                .filter_map(|index| {
+                    let hit = self.prisms[index as usize].first_hit(origin, direction, limit)?;
+                    Some((index as usize, hit))
+                })
+                .min_by(|(_, a), (_, b)| a.total_cmp(b));
+        }
+        let ray = Ray::new(origin.truncate(), level);
+        // The tree wants something better than its limit; `limit` itself counts too.
+        let (index, hit) = self.tree.cast_ray(&ray, limit * (1.0 + 1e-12), |index, best| {
+            self.prisms[index as usize].first_hit(origin, direction, best.min(limit))
+        })?;
+        Some((index as usize, hit))
+    }
+
+    /// Whether nothing stands between two points.
+    pub(super) fn sees(&self, from: DVec3, to: DVec3) -> bool {
+        let direction = to - from;
+        let way = Aabb::new(from.truncate().min(to.truncate()), from.truncate().max(to.truncate()));
+        let ray = Ray::new(from.truncate(), direction.truncate());
+        let mut clear = true;
+        self.tree.traverse(|node| {
+            if !node.aabb().intersects(&way) || node.cast_ray(&ray, 1.0) > 1.0 {
+                return TraversalAction::Prune;
+            }
+            let blocks =
+                |index: u32| self.prisms[index as usize].first_hit(from, direction, 1.0).is_some();
+            if node.leaf_data().is_some_and(blocks) {
+                clear = false;
+                return TraversalAction::EarlyExit;
+            }
+            TraversalAction::Continue
+        });
+        clear
+    }
+}
+
+/// The cells of `map` that the room fills: columns and rows from a first cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cells {
+    pub(super) first: (i32, i32),
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+    /// The side of a cell in metres.
+    pub(super) side: f64,
+}
+
+impl Cells {
+    /// The cells that cover the room.
+    pub(super) fn of(room: &Room, side: f64, scenario: &Scenario) -> Result<Self, ScenarioError> {
+        let (low, high) = (room.bounds.mins / side, room.bounds.maxs / side);
+        let first = (low.x.floor(), low.y.floor());
+        let (columns, rows) = (high.x.ceil() - first.0, high.y.ceil() - first.1);
+        if !(columns >= 1.0 && rows >= 1.0 && columns * rows <= MOST_CELLS) {
+            let problem = format!(
+                "has {columns} x {rows} cells of {side} m; make it smaller or the cells larger \
+                 (at most {MOST_CELLS} cells)"
+            );
+            return Err(scenario.invalid("room", problem));
+        }
+        Ok(Self {
+            first: (first.0 as i32, first.1 as i32),
+            columns: columns as usize,
+            rows: rows as usize,
+            side,
+        })
+    }
+
+    /// How many there are.
+    pub(super) fn count(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// The cell of an index, row by row from the lower left.
+    pub(super) fn cell(&self, index: usize) -> (i32, i32) {
+        (self.first.0 + (index % self.columns) as i32, self.first.1 + (index / self.columns) as i32)
+    }
+
+    /// The index of a cell of the room.
+    pub(super) fn index(&self, cell: (i32, i32)) -> Option<usize> {
+        let column = usize::try_from(cell.0.checked_sub(self.first.0)?).ok()?;
+        let row = usize::try_from(cell.1.checked_sub(self.first.1)?).ok()?;
+        (column < self.columns && row < self.rows).then_some(row * self.columns + column)
+    }
+
+    /// The cell that holds a point.
+    pub(super) fn cell_at(&self, point: DVec2) -> (i32, i32) {
+        ((point.x / self.side).floor() as i32, (point.y / self.side).floor() as i32)
+    }
+
+    pub(super) fn centre(&self, cell: (i32, i32)) -> DVec2 {
+        DVec2::new(f64::from(cell.0) + 0.5, f64::from(cell.1) + 0.5) * self.side
+    }
+
+    pub(super) fn square(&self, cell: (i32, i32)) -> Aabb {
+        Aabb::from_half_extents(self.centre(cell), DVec2::splat(self.side / 2.0))
+    }
+
+    /// The cells of the room that meet a rectangle.
+    pub(super) fn within(&self, rectangle: &Aabb) -> impl Iterator<Item = (i32, i32)> + use<> {
+        let (low, high) = (self.cell_at(rectangle.mins), self.cell_at(rectangle.maxs));
+        let last = (self.first.0 + self.columns as i32 - 1, self.first.1 + self.rows as i32 - 1);
+        let columns = low.0.max(self.first.0)..=high.0.min(last.0);
+        let rows = low.1.max(self.first.1)..=high.1.min(last.1);
+        rows.flat_map(move |row| columns.clone().map(move |column| (column, row)))
+    }
+
+    /// The cells of the room that a disc covers, wholly or in part.
+    pub(super) fn under_disc(
+        &self,
+        centre: DVec2,
+        radius: f64,
+    ) -> impl Iterator<Item = (i32, i32)> + use<> {
+        let cells = *self;
+        let reach = DVec2::splat(radius);
+        self.within(&Aabb::new(centre - reach, centre + reach)).filter(move |&cell| {
+            let square = cells.square(cell);
+            centre.clamp(square.mins, square.maxs).distance_squared(centre) < radius * radius
+        })
+    }
+}
+
+fn add_walls(parts: &mut Vec<(Prism, String)>, scenario: &Scenario) {
+    let room = &scenario.room;
+    let count = room.outline_m.len();
+    for index in 0..count {
+        let ends = [room.outline_m[index], room.outline_m[(index + 1) % count]];
+        let wall = wall(ends, room.wall_thickness_m, room.height_m);
+        parts.push((wall, format!("room.outline_m[{index}]")));
+    }
+    for (index, config) in room.walls.iter().enumerate() {
+        let thickness = config.thickness_m.unwrap_or(room.wall_thickness_m);
+        let height = config.height_m.unwrap_or(room.height_m);
+        for ends in config.points_m.windows(2) {
+            let wall = wall([ends[0], ends[1]], thickness, height);
+            parts.push((wall, format!("room.walls[{index}]")));
+        }
+    }
+}
+
+/// A straight wall on its centre line, half a thickness longer at both ends to close corners.
+fn wall([from, to]: [[f64; 2]; 2], thickness: f64, height: f64) -> Prism {
+    let (from, to) = (DVec2::from(from), DVec2::from(to));
+    let way = to - from;
+    let heading = libm::atan2(way.y, way.x);
+    let size = DVec2::new(way.length() + thickness, thickness);
+    Prism {
+        footprint: Footprint::rectangle((from + to) / 2.0, size, heading),
+        bottom: 0.0,
+        top: height,
+    }
+}
+
+fn add_furniture(
+    parts: &mut Vec<(Prism, String)>,
+    scenario: &Scenario,
+    key: &str,
+    furniture: &FurnitureConfig,
+) -> Result<(), ScenarioError> {
+    let footprint = match &furniture.footprint {
+        FootprintConfig::Box { centre_m, size_m, heading_deg } => {
+            let (centre, size) = (DVec2::from(*centre_m), DVec2::from(*size_m));
+            let heading = heading_deg.to_radians();
+            if let Some(side) = furniture.legs_m {
+                let (sine, cosine) = (libm::sin(heading), libm::cos(heading));
+                let corner = (size - DVec2::splat(side)) / 2.0;
+                for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
+                    let offset = DVec2::new(cosine, sine).rotate(corner * DVec2::new(x, y));
+                    let leg = Footprint::rectangle(centre + offset, DVec2::splat(side), heading);
+                    let leg = Prism { footprint: leg, bottom: 0.0, top: furniture.bottom_m };
+                    parts.push((leg, key.to_owned()));
+                }
+            }
+            Footprint::rectangle(centre, size, heading)
+        }
+        FootprintConfig::Disc { centre_m, radius_m } => {
+            Footprint::disc(DVec2::from(*centre_m), *radius_m)
+        }
+        FootprintConfig::Polygon { points_m } => {
+            let corners: Vec<DVec2> = points_m.iter().map(|&point| DVec2::from(point)).collect();
+            Footprint::polygon(&corners).ok_or_else(|| {
+                scenario.invalid(format!("{key}.footprint.polygon.points_m"), "has no area")
+            })?
+        }
+    };
+    let prism = Prism { footprint, bottom: furniture.bottom_m, top: furniture.top_m };
+    parts.push((prism, key.to_owned()));
+    Ok(())
+}
+
+/// Occupied cells as few upright boxes: runs of a row, grown upward while the rows agree.
+fn add_grid(
+    parts: &mut Vec<(Prism, String)>,
+    scenario: &Scenario,
+    grid: &WallGrid,
+) -> Result<(), ScenarioError> {
+    let numbers = [grid.resolution_m, grid.origin_m[0], grid.origin_m[1]];
+    if grid.occupied.len() != grid.width.saturating_mul(grid.height)
+        || !numbers.iter().all(|number| number.is_finite())
+        || grid.resolution_m <= 0.0
+    {
+        return Err(scenario.invalid("room.map", "is not a grid of cells with a finite origin"));
+    }
+    let mut left = grid.occupied.clone();
+    for row in 0..grid.height {
+        let mut column = 0;
+        while column < grid.width {
+            if !left[row * grid.width + column] {
+                column += 1;
+                continue;
+            }
+            let run = left[row * grid.width..][column..grid.width]
+                .iter()
+                .take_while(|&&occupied| occupied)
+                .count();
+            let mut rows = 0;
+            while row + rows < grid.height {
+                let cells = &mut left[(row + rows) * grid.width..][column..column + run];
+                if !cells.iter().all(|&occupied| occupied) {
+                    break;
+                }
+                cells.fill(false);
+                rows += 1;
+            }
+            let size = DVec2::new(run as f64, rows as f64) * grid.resolution_m;
+            let corner = DVec2::from(grid.origin_m)
+                + DVec2::new(column as f64, row as f64) * grid.resolution_m;
+            let footprint = Footprint::rectangle(corner + size / 2.0, size, 0.0);
+            let prism = Prism { footprint, bottom: 0.0, top: scenario.room.height_m };
+            parts.push((prism, "room.map".to_owned()));
+            column += run;
+        }
+    }
+    Ok(())
+}
+
+fn grid_bounds(grid: &WallGrid) -> Aabb {
+    let low = DVec2::from(grid.origin_m);
+    let size = DVec2::new(grid.width as f64, grid.height as f64) * grid.resolution_m;
+    Aabb::new(low, low + size)
+}
+
+fn outline_bounds(outline: &[DVec2], thickness: f64) -> Aabb {
+    let corners = || outline.iter().copied();
+    let low = corners().reduce(DVec2::min).unwrap_or_default();
+    let high = corners().reduce(DVec2::max).unwrap_or_default();
+    let reach = DVec2::splat(thickness / 2.0);
+    Aabb::new(low - reach, high + reach)
+}

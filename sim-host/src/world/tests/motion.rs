@@ -1,0 +1,199 @@
+//! Everybody moves the same way for a seed, comes to every stop, and runs into nobody.
+
+use parry2d_f64::glamx::DVec2;
+use ubimap_protocol::units::Pose;
+
+use super::{super::route::Body, built_in, seconds, small_room, world};
+use crate::{
+    camera::{Observation, Source},
+    world::{STEP, ScanEvent, Scenario, World},
+};
+
+/// All that is measured in some seconds, polled at these intervals.
+fn recorded(world: &mut World, until: f64, interval: f64) -> (Vec<ScanEvent>, Vec<Observation>) {
+    let (mut scans, mut frames) = (Vec::new(), Vec::new());
+    let mut time = 0.0;
+    while time < until {
+        time = (time + interval).min(until);
+        scans.extend(std::iter::from_fn(|| world.poll_scan(seconds(time))));
+        frames.extend(std::iter::from_fn(|| world.poll(seconds(time))));
+    }
+    (scans, frames)
+}
+
+#[test]
+fn a_seed_is_a_run_however_it_is_polled() {
+    let run = recorded(&mut built_in(3), 12.0, 12.0);
+    assert!(run == recorded(&mut built_in(3), 12.0, 0.0137));
+    assert!(run != recorded(&mut built_in(4), 12.0, 12.0));
+    assert_eq!(run.0.len(), 4 * 121);
+}
+
+#[test]
+fn one_robot_fewer_leaves_the_noise_of_the_others() {
+    let mut scenario = Scenario::built_in().unwrap();
+    let all = recorded(&mut world(&scenario, 5), 1.0, 1.0).0;
+    scenario.robots.remove(3);
+    let fewer = recorded(&mut world(&scenario, 5), 1.0, 1.0).0;
+    let readings = |scans: &[ScanEvent]| -> Vec<Vec<u16>> {
+        scans.iter().filter(|s| s.robot == 1).map(|s| s.readings_mm.clone()).collect()
+    };
+    assert_eq!(readings(&all), readings(&fewer));
+}
+
+#[test]
+fn nobody_runs_into_anything() {
+    for seed in 1..=3 {
+        let mut world = built_in(seed);
+        for step in 0..30_000 {
+            world.advance(seconds(step as f64 * 0.01));
+            let bodies: Vec<Body> = world.bodies(None, None);
+            for (index, body) in bodies.iter().enumerate() {
+                assert!(world.room.encloses(body.centre));
+                let within = body.radius - 1e-6;
+                let met = world.room.obstacle(body.centre, body.centre, within, body.height);
+                assert_eq!(met, None, "number {index} at {step} of seed {seed}");
+                for other in &bodies[..index] {
+                    let apart = other.centre.distance(body.centre) - other.radius - body.radius;
+                    assert!(apart > 0.0, "number {index} at {step} of seed {seed}: {apart} m");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn robots_are_no_faster_than_they_should_be_and_come_to_every_stop() {
+    let scenario = Scenario::built_in().unwrap();
+    let mut world = world(&scenario, 1);
+    let mut missing: Vec<Vec<DVec2>> = scenario
+        .robots
+        .iter()
+        .map(|robot| robot.route.waypoints_m.iter().map(|&stop| stop.into()).collect())
+        .collect();
+    let mut before: Vec<_> = world.robots().iter().map(|robot| robot.pose()).collect();
+    for step in 1..12_000_u64 {
+        world.advance(seconds(step as f64 * 0.01));
+        for (index, robot) in world.robots().iter().enumerate() {
+            let pose = robot.pose();
+            missing[index].retain(|stop| stop.distance(pose.position) > 0.005);
+            let route = &scenario.robots[index].route;
+            let seconds = STEP.micros() as f64 / 1e6;
+            let way = pose.position.distance(before[index].position);
+            assert!(way <= route.speed_m_s * seconds + 1e-9);
+            let turned = (pose.heading - before[index].heading).sin().asin().abs();
+            assert!(turned <= route.turn_rate_deg_s.to_radians() * seconds + 1e-9);
+            assert!(way == 0.0 || turned == 0.0, "turns in place");
+            before[index] = pose;
+        }
+    }
+    assert!(missing.iter().all(Vec::is_empty), "stops not reached in two minutes: {missing:?}");
+}
+
+const ROBOT: &str = "
+    [[robots]]
+    id = 1
+    start = { x_m = 1.0, y_m = 0.5, heading_deg = 90.0 }
+    route.waypoints_m = [[3.0, 0.5], [3.0, 2.5]]
+    sensor.noise_m = 0.0
+    sensor.noise_ratio = 0.0
+";
+
+/// The robot's truth in the frame in which its odometry began.
+fn from_start(world: &World) -> (DVec2, f64) {
+    let pose = world.robots()[0].pose();
+    let offset = pose.position - DVec2::new(1.0, 0.5);
+    (DVec2::new(offset.y, -offset.x), pose.heading - std::f64::consts::FRAC_PI_2)
+}
+
+#[test]
+fn good_odometry_is_the_truth_from_the_start_and_slip_stretches_it() {
+    let mut scenario = small_room(ROBOT);
+    let error = &mut scenario.robots[0].odometry;
+    (error.slip, error.turn_slip, error.noise_m, error.heading_noise_deg) = (0.0, 0.0, 0.0, 0.0);
+    let mut exact = world(&scenario, 1);
+    scenario.robots[0].odometry.slip = 0.02;
+    let mut slipping = world(&scenario, 1);
+    for step in 0..100 {
+        exact.advance(seconds(f64::from(step) * 0.2));
+        slipping.advance(seconds(f64::from(step) * 0.2));
+        let (offset, heading) = from_start(&exact);
+        let expected = Pose::from_metres(offset.x, offset.y, heading);
+        let odometry = exact.robots()[0].odometry();
+        assert!((odometry.x - expected.x).0.abs() <= 1 && (odometry.y - expected.y).0.abs() <= 1);
+        assert!(odometry.heading.distance(expected.heading) <= 2);
+        let stretched = Pose::from_metres(offset.x * 1.02, offset.y * 1.02, heading);
+        let odometry = slipping.robots()[0].odometry();
+        assert!((odometry.x - stretched.x).0.abs() <= 1 && (odometry.y - stretched.y).0.abs() <= 1);
+    }
+}
+
+#[test]
+fn a_scan_without_noise_measures_the_walls_and_who_stands_before_them() {
+    let mut scenario = small_room(ROBOT);
+    scenario.robots[0].route.waypoints_m.clear();
+    let empty = world(&scenario, 1).poll_scan(seconds(0.0)).unwrap();
+    let mut with_person = scenario.clone();
+    with_person.people = small_room(
+        "[[people]]
+        waypoints_m = [[1.0, 2.0]]",
+    )
+    .people;
+    let person = world(&with_person, 1).poll_scan(seconds(0.0)).unwrap();
+    let sensor = world(&scenario, 1).robots()[0].sensor().clone();
+    // The sensor is 0.1 m ahead of the robot, which looks north.
+    let eye = DVec2::new(1.0, 0.6);
+    let mut nearer = 0;
+    for beam in 0..sensor.beams() {
+        let angle = std::f64::consts::FRAC_PI_2
+            + sensor.first_angle_rad()
+            + beam as f64 * sensor.step_rad();
+        let (sine, cosine) = angle.sin_cos();
+        let to_side = if cosine > 0.0 { (4.0 - eye.x) / cosine } else { -eye.x / cosine };
+        let range = to_side.min((3.0 - eye.y) / sine);
+        let expected = if range > 4.0 { 0 } else { (range * 1000.0).round() as i32 };
+        assert!((i32::from(empty.readings_mm[beam]) - expected).abs() <= 1, "beam {beam}");
+
+        let offset = DVec2::new(1.0, 2.0) - eye;
+        let (along, aside) =
+            (offset.dot(DVec2::new(cosine, sine)), offset.perp_dot(DVec2::new(cosine, sine)));
+        let expected = if aside.abs() < 0.2 {
+            nearer += 1;
+            ((along - (0.04 - aside * aside).sqrt()) * 1000.0).round() as i32
+        } else {
+            i32::from(empty.readings_mm[beam])
+        };
+        assert!((i32::from(person.readings_mm[beam]) - expected).abs() <= 1, "beam {beam}");
+    }
+    assert!(nearer > 10);
+}
+
+#[test]
+fn two_robots_that_meet_head_on_get_on() {
+    let mut scenario = small_room(
+        "[[robots]]
+        id = 1
+        start = { x_m = 0.5, y_m = 1.5 }
+        route.waypoints_m = [[3.5, 1.5]]
+        [[robots]]
+        id = 2
+        start = { x_m = 3.5, y_m = 1.5 }
+        route.waypoints_m = [[0.5, 1.5]]",
+    );
+    scenario.robots[1].start.x_m = 3.0;
+    let mut world = world(&scenario, 1);
+    let mut last_moved = [0.0; 2];
+    let mut before: Vec<DVec2> = world.robots().iter().map(|robot| robot.pose().position).collect();
+    for step in 0..20_000 {
+        let time = f64::from(step) * 0.01;
+        world.advance(seconds(time));
+        for (index, robot) in world.robots().iter().enumerate() {
+            if robot.pose().position != before[index] {
+                last_moved[index] = time;
+            }
+            before[index] = robot.pose().position;
+            assert!(time - last_moved[index] < 30.0, "robot {index} stands since {last_moved:?}");
+        }
+        assert!(before[0].distance(before[1]) > 0.3);
+    }
+}
