@@ -6,7 +6,7 @@ use parry2d_f64::glamx::{DVec2, DVec3};
 
 use super::room::{Cells, Room};
 
-/// How far outside of a surface there must be air, in metres.
+/// How far before a surface one must be able to look, in metres.
 const AIR: f64 = 0.01;
 
 /// How far behind a surface the cell is taken that holds it, in metres.
@@ -85,7 +85,6 @@ fn surfaces(room: &Room, cells: Cells, height: f64, reached: &[bool]) -> BTreeSe
             let air = point + normal * AIR;
             if cells.index(cell).is_some()
                 && !surfaces.contains(&cell)
-                && !is_solid(room, air, height)
                 && is_seen(room, cells, air.extend(height), reached)
             {
                 surfaces.insert(cell);

@@ -174,3 +174,22 @@ fn the_truth_of_an_empty_room_is_the_inner_faces_of_its_walls() {
     assert!(missing.is_empty(), "{missing:?}");
     assert_eq!(truth.surfaces.len(), expected.len());
 }
+
+#[test]
+fn what_stands_against_a_wall_hides_its_surface_and_has_no_inside() {
+    let scenario = small_room(
+        "[[furniture]]
+        footprint.box = { centre_m = [3.48, 1.5], size_m = [1.06, 1.02] }
+        top_m = 0.5
+        [[robots]]
+        id = 1
+        start = { x_m = 1.0, y_m = 1.0 }",
+    );
+    let truth = super::world(&scenario, 0).truth().clone();
+    // The box begins at x = 2.95 and goes from y = 0.99 to y = 2.01.
+    assert!(truth.surfaces.contains(&(59, 30)));
+    let inside = |cell: &&(i32, i32)| cell.0 >= 60 && (20..40).contains(&cell.1);
+    assert_eq!(truth.surfaces.iter().find(inside), None);
+    assert_eq!(truth.free.iter().find(inside), None);
+    assert!(truth.surfaces.contains(&(80, 45)), "the wall beside it is still seen");
+}

@@ -1,6 +1,7 @@
 //! Everybody moves the same way for a seed, comes to every stop, and runs into nobody.
 
 use parry2d_f64::glamx::DVec2;
+use proptest::prelude::*;
 use ubimap_protocol::units::Pose;
 
 use super::{super::route::Body, built_in, seconds, small_room, world};
@@ -33,12 +34,34 @@ fn a_seed_is_a_run_however_it_is_polled() {
 fn one_robot_fewer_leaves_the_noise_of_the_others() {
     let mut scenario = Scenario::built_in().unwrap();
     let all = recorded(&mut world(&scenario, 5), 1.0, 1.0).0;
-    scenario.robots.remove(3);
+    scenario.robots.remove(0);
     let fewer = recorded(&mut world(&scenario, 5), 1.0, 1.0).0;
-    let readings = |scans: &[ScanEvent]| -> Vec<Vec<u16>> {
-        scans.iter().filter(|s| s.robot == 1).map(|s| s.readings_mm.clone()).collect()
+    let readings = |scans: &[ScanEvent], robot: usize| -> Vec<Vec<u16>> {
+        let scans = scans.iter().filter(|scan| scan.robot == robot);
+        scans.map(|scan| scan.readings_mm.clone()).collect()
     };
-    assert_eq!(readings(&all), readings(&fewer));
+    assert_eq!(readings(&all, 1), readings(&fewer, 0));
+}
+
+#[test]
+fn each_robot_has_noise_of_its_own() {
+    // Both look at the same wall from the same distance.
+    let scenario = small_room(
+        "[[robots]]
+        id = 1
+        start = { x_m = 1.2, y_m = 1.5, heading_deg = 90.0 }
+        sensor.fov_deg = 40.0
+        [[robots]]
+        id = 2
+        start = { x_m = 2.8, y_m = 1.5, heading_deg = 90.0 }
+        sensor.fov_deg = 40.0",
+    );
+    let mut world = world(&scenario, 1);
+    let [first, second] = [(); 2].map(|()| world.poll_scan(seconds(0.0)).unwrap().readings_mm);
+    assert_ne!(first, second);
+    // Five standard deviations at 1.8 m.
+    let differ = |(a, b): (&u16, &u16)| a.abs_diff(*b) > 55;
+    assert!(!first.iter().zip(&second).any(differ), "{first:?} {second:?}");
 }
 
 #[test]
@@ -56,6 +79,53 @@ fn nobody_runs_into_anything() {
                 for other in &bodies[..index] {
                     let apart = other.centre.distance(body.centre) - other.radius - body.radius;
                     assert!(apart > 0.0, "number {index} at {step} of seed {seed}: {apart} m");
+                }
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn a_crowd_with_any_routes_never_touches(
+        stops in prop::collection::vec([0.3..3.7, 0.3..2.7_f64], 12),
+        seed in any::<u64>(),
+    ) {
+        let mut scenario = small_room(ROBOT);
+        scenario.people = small_room(
+            "[[people]]
+            waypoints_m = [[1.0, 1.0]]",
+        )
+        .people;
+        let (robot, person) = (scenario.robots.remove(0), scenario.people.remove(0));
+        // Everybody starts in a corner or at the side of the room, and goes anywhere.
+        for (index, ([x_m, y_m], ways)) in
+            [[0.3, 0.3], [3.7, 0.3], [0.3, 2.7]].into_iter().zip(stops.chunks(2)).enumerate()
+        {
+            let mut robot = robot.clone();
+            (robot.id, robot.start.x_m, robot.start.y_m) = (index as u16, x_m, y_m);
+            robot.route.waypoints_m = ways.to_vec();
+            // Too fast to stop in time by braking alone.
+            robot.route.speed_m_s = 1.2;
+            scenario.robots.push(robot);
+        }
+        for (start, ways) in
+            [[3.7, 2.7], [2.0, 0.3], [2.0, 2.7]].into_iter().zip(stops.chunks(2).skip(3))
+        {
+            let mut person = person.clone();
+            person.waypoints_m = [&[start], ways].concat();
+            scenario.people.push(person);
+        }
+        let mut world = world(&scenario, seed);
+        for step in 0..4_000 {
+            world.advance(seconds(f64::from(step) * 0.01));
+            let bodies = world.bodies(None, None);
+            for (index, body) in bodies.iter().enumerate() {
+                for other in &bodies[..index] {
+                    let apart = other.centre.distance(body.centre) - other.radius - body.radius;
+                    prop_assert!(apart > 0.0, "number {index} at {step}: {apart} m");
                 }
             }
         }
