@@ -462,11 +462,9 @@ impl<'b> Agent<'b> {
     /// Maps the scans whose poses are known, and gives up those whose time is over.
     fn map_waiting(&mut self, now: Instant) {
         while let Some(taken) = self.waiting.oldest() {
-            let clock = &self.clock;
             let last_chance = now >= taken + self.config.scan_deadline;
-            let server_moment = clock.to_server(taken);
-            let to_local = |server| clock.to_local(server);
-            let located = self.locator.at(taken, server_moment, to_local, last_chance);
+            let server_moment = self.clock.to_server(taken);
+            let located = self.locator.at(taken, server_moment, last_chance);
             if located == Located::NotYet {
                 return;
             }
@@ -583,7 +581,7 @@ impl Inbox<'_, '_> {
 
     fn fix(&mut self, message: &PoseFix) {
         for (moment, pose) in message.fixes() {
-            if self.locator.fix(moment, pose) {
+            if self.locator.fix(moment, self.clock.to_local(moment), pose) {
                 self.statistics.fixes = self.statistics.fixes.wrapping_add(1);
             }
         }

@@ -6,7 +6,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
-use super::track::{Around, Track};
+use super::track::Track;
 
 /// Where the poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,10 +28,11 @@ pub enum Located {
     Never,
 }
 
-/// Two fixes further apart than this say too little of what lies between.
+/// Two fixes further apart than this say too little of what lies between. A robot without a fix
+/// for as long is taken to be out of the cameras' sight.
 const WIDEST_GAP: Duration = Duration::from_millis(350);
 /// How long odometry is trusted to carry a fix on.
-const LONGEST_BRIDGE: Duration = Duration::from_secs(5);
+const LONGEST_BRIDGE: Duration = Duration::from_secs(30);
 
 /// The last fixes and the last odometry.
 #[derive(Debug)]
@@ -41,17 +42,29 @@ pub struct Locator {
     fixes: Track<16>,
     /// By the robot's clock.
     odometry: Track<64>,
+    /// The newest fix for which there was odometry: its moment (robot's clock), and `odom` in
+    /// `map` as it tells.
+    anchor: Option<(Instant, Isometry2<f32>)>,
 }
 
 impl Locator {
     /// A locator that knows nothing yet.
     pub fn new(source: PoseSource) -> Self {
-        Self { source, fixes: Track::default(), odometry: Track::default() }
+        let (fixes, odometry) = (Track::default(), Track::default());
+        Self { source, fixes, odometry, anchor: None }
     }
 
-    /// Takes a fix: `base_link` in `map` at a moment of the server's clock.
-    pub fn fix(&mut self, server_moment: Instant, pose: Pose) -> bool {
-        self.fixes.insert(server_moment, pose)
+    /// Takes a fix: `base_link` in `map` at a moment of the server's clock, which is `local` of
+    /// the robot's (if that is known). `false` if there was one of that moment.
+    pub fn fix(&mut self, server_moment: Instant, local: Option<Instant>, pose: Pose) -> bool {
+        let new = self.fixes.insert(server_moment, pose);
+        if let Some(local) = local.filter(|_| new)
+            && self.anchor.is_none_or(|(moment, _)| moment < local)
+            && let Some(odometry) = self.odometry_at(local)
+        {
+            self.anchor = Some((local, isometry(pose) * isometry(odometry).inverse()));
+        }
+        new
     }
 
     /// Takes a reading of the odometry: `base_link` in `odom` at a moment of the robot's clock.
@@ -65,25 +78,21 @@ impl Locator {
     }
 
     /// The pose at `moment` of the robot's clock, which is `server_moment` of the server's (if
-    /// that is known). `to_local` converts the other way. With `last_chance` it is not waited
-    /// for anything better. About 500 instructions, 5,000 where odometry is composed.
+    /// that is known). With `last_chance` it is not waited for anything better. About 500
+    /// instructions, 5,000 where odometry is composed.
     pub fn at(
         &self,
         moment: Instant,
         server_moment: Option<Instant>,
-        to_local: impl Fn(Instant) -> Option<Instant>,
         last_chance: bool,
     ) -> Located {
+        let pending = if last_chance { Located::Never } else { Located::NotYet };
         if let PoseSource::Odometry(start) = self.source {
-            return match self.odometry_at(moment) {
-                Some(pose) => Located::At(to_pose(isometry(start) * isometry(pose))),
-                None if last_chance => Located::Never,
-                None => Located::NotYet,
-            };
+            let pose = self.odometry_at(moment);
+            return pose
+                .map_or(pending, |pose| Located::At(to_pose(isometry(start) * isometry(pose))));
         }
-        let Some(server_moment) = server_moment else {
-            return if last_chance { Located::Never } else { Located::NotYet };
-        };
+        let Some(server_moment) = server_moment else { return pending };
         let around = self.fixes.around(server_moment);
         let narrow = around.gap().is_some_and(|gap| gap <= WIDEST_GAP);
         if let Some(pose) = around.at(server_moment)
@@ -91,32 +100,27 @@ impl Locator {
         {
             return Located::At(pose);
         }
-        // A fix that comes late may still close the gap.
-        if !last_chance {
+        // A fix that comes late may still close the gap, if the cameras see the robot at all.
+        let seen = around.before.is_some_and(|(fix, _)| server_moment.since(fix) <= WIDEST_GAP);
+        if !last_chance && (seen || self.anchor.is_none()) {
             return Located::NotYet;
         }
-        self.bridge(&around, moment, to_local).map_or(Located::Never, Located::At)
+        if let Some(pose) = self.bridge(moment) {
+            return Located::At(pose);
+        }
+        let at_hand = [around.before, around.after].into_iter().flatten().find(|(fix, _)| {
+            fix.since(server_moment).max(server_moment.since(*fix)) <= Duration::from_millis(10)
+        });
+        at_hand.map_or(pending, |(_, pose)| Located::At(pose))
     }
 
-    /// The nearest fix, carried to `moment` by odometry.
-    fn bridge(
-        &self,
-        around: &Around,
-        moment: Instant,
-        to_local: impl Fn(Instant) -> Option<Instant>,
-    ) -> Option<Pose> {
-        let carried = [around.before, around.after].into_iter().flatten().filter_map(|fix| {
-            let local = to_local(fix.0)?;
-            let span = moment.since(local).max(local.since(moment));
-            (span <= LONGEST_BRIDGE).then_some((span, local, fix.1))
-        });
-        let (span, local, fix) = carried.min_by_key(|&(span, ..)| span)?;
-        if span <= Duration::from_millis(10) {
-            return Some(fix);
+    /// The newest fix, carried to `moment` by odometry.
+    fn bridge(&self, moment: Instant) -> Option<Pose> {
+        let (anchored, odom_in_map) = self.anchor?;
+        if moment.since(anchored) > LONGEST_BRIDGE {
+            return None;
         }
-        let then = isometry(self.odometry_at(local)?);
-        let now = isometry(self.odometry_at(moment)?);
-        Some(to_pose(isometry(fix) * (then.inverse() * now)))
+        Some(to_pose(odom_in_map * isometry(self.odometry_at(moment)?)))
     }
 
     fn odometry_at(&self, moment: Instant) -> Option<Pose> {
@@ -153,35 +157,43 @@ mod tests {
         assert!(found.heading.distance(expected.heading) <= 2, "{found:?}");
     }
 
+    const AHEAD: Duration = Duration::from_secs(7);
+
     /// The server's clock is 7 s ahead.
     fn at(locator: &Locator, moment: u64, last_chance: bool) -> Located {
-        let ahead = Duration::from_secs(7);
-        let to_local = |server: Instant| Some(server - ahead);
         let moment = Instant(moment * 1000);
-        locator.at(moment, Some(moment + ahead), to_local, last_chance)
+        locator.at(moment, Some(moment + AHEAD), last_chance)
+    }
+
+    fn fix(locator: &mut Locator, moment: u64, pose: Pose) {
+        let moment = Instant(moment * 1000);
+        assert!(locator.fix(moment + AHEAD, Some(moment), pose));
     }
 
     #[test]
     fn a_scan_waits_until_fixes_enclose_it() {
         let mut locator = Locator::new(PoseSource::Fixes);
-        locator.fix(Instant(8_000_000), pose(0, 0, 0.0));
+        fix(&mut locator, 1_000, pose(0, 0, 0.0));
         assert_eq!(at(&locator, 1_050, false), Located::NotYet);
         assert_eq!(at(&locator, 1_050, true), Located::Never);
-        locator.fix(Instant(8_100_000), pose(100, 0, 10.0));
+        fix(&mut locator, 1_100, pose(100, 0, 10.0));
         near(at(&locator, 1_050, false), pose(50, 0, 5.0));
         // A gap that is too wide is not believed.
-        locator.fix(Instant(9_100_000), pose(1100, 0, 10.0));
+        fix(&mut locator, 2_100, pose(1100, 0, 10.0));
         assert_eq!(at(&locator, 1_600, true), Located::Never);
     }
 
     #[test]
-    fn odometry_carries_a_fix_on() {
+    fn odometry_carries_a_fix_on_where_no_camera_looks() {
         let mut locator = Locator::new(PoseSource::Fixes);
-        locator.fix(Instant(8_000_000), pose(1000, 2000, 90.0));
         locator.odometry(Instant(900_000), pose(0, 0, 0.0));
         locator.odometry(Instant(2_100_000), pose(1200, 0, 0.0));
+        fix(&mut locator, 1_000, pose(1000, 2000, 90.0));
+        assert_eq!(at(&locator, 1_200, false), Located::NotYet);
         // In a second of the 1.2 s it drove 1 m forward, which is north.
-        near(at(&locator, 2_000, true), pose(1000, 3000, 90.0));
+        near(at(&locator, 2_000, false), pose(1000, 3000, 90.0));
+        locator.odometry(Instant(40_000_000), pose(1200, 0, 0.0));
+        assert_eq!(at(&locator, 39_000, true), Located::Never);
     }
 
     #[test]

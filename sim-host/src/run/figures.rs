@@ -1,0 +1,82 @@
+//! The figures of a run, from the fleet that ran.
+
+use ubimap_protocol::{
+    tile::{Digest, Stamp, tile_hash},
+    units::Millimetres,
+};
+
+use super::fleet::{Fleet, Robot};
+use crate::{
+    grid::OccupancyGrid,
+    report::{HexDigest, MapSummary, Marker, MarkerKind, Pixels, Report, RobotSummary},
+    server::Server,
+};
+
+/// The report of a run, but for what only the command knows.
+pub(super) fn report(
+    fleet: &Fleet<'_>,
+    map: &OccupancyGrid,
+    seed: u64,
+    converged: bool,
+    tiles: usize,
+) -> Report {
+    let robots = fleet.robots().iter().enumerate();
+    let robots = robots.map(|(port, robot)| summary(fleet.server(), port, robot, tiles)).collect();
+    let counts = map.counts();
+    let map = MapSummary {
+        resolution_m: map.resolution_m(),
+        known: counts.known() as u64,
+        free: counts.free as u64,
+        occupied: counts.occupied as u64,
+        digest: HexDigest(fleet.server().fused().digest().0),
+        converged,
+        ..MapSummary::default()
+    };
+    Report::new(seed, robots, map)
+}
+
+fn summary(server: &Server, port: usize, robot: &Robot<'_>, tiles: usize) -> RobotSummary {
+    let counted = robot.agent().statistics();
+    let mut digest = Digest::default();
+    if let Some(layer) = server.layer(robot.id()) {
+        layer.ids().for_each(|id| digest.add(id, Stamp::default(), tile_hash(&layer.tile(id))));
+    }
+    let pixels = counted.pixels;
+    RobotSummary {
+        id: robot.id().0,
+        scans: counted.scans.into(),
+        mapped: counted.mapped.into(),
+        pixels: Pixels {
+            seen: pixels.seen.into(),
+            kept: pixels.kept.into(),
+            omitted: pixels.omitted.into(),
+            invalid: pixels.invalid.into(),
+        },
+        bytes_up: counted.bytes_sent,
+        bytes_up_map: counted.bytes_sent_map,
+        bytes_down: server.bytes_sent(port),
+        retransmissions: robot.agent().link_counters().retransmissions.into(),
+        frames_lost: robot.frames_lost(),
+        tiles: tiles as u64,
+        tiles_evicted: robot.agent().own_tiles().evicted().into(),
+        cells_refused: counted.cells_refused.into(),
+        digest: HexDigest(digest.0),
+        ..RobotSummary::default()
+    }
+}
+
+/// The robots as the picture shows them.
+pub(super) fn markers(fleet: &Fleet<'_>) -> Vec<Marker> {
+    let robots = fleet.robots().iter().filter_map(|robot| {
+        let (_, pose) = robot.agent().pose()?;
+        let metres = |length: Millimetres| length.metres();
+        Some(Marker {
+            kind: MarkerKind::Robot,
+            x_m: metres(pose.x),
+            y_m: metres(pose.y),
+            heading_rad: pose.heading.radians(),
+            path: robot.path().iter().map(|pose| [metres(pose.x), metres(pose.y)]).collect(),
+        })
+    });
+    robots.collect()
+}

@@ -1,0 +1,367 @@
+//! Agents and the server, joined by channels under virtual time.
+//!
+//! Nothing here waits: the clock jumps from event to event, each agent and the server come back
+//! when they asked to, and the same seed gives the same bytes.
+
+use std::iter;
+
+use ubimap_agent::{
+    Agent, Config, ConfigError, Memory,
+    map::{OwnTile, scratch_words},
+    sense::Beam,
+    share::FusedTile,
+};
+use ubimap_protocol::{
+    frame::{DEFAULT_FRAME, MAX_FRAME},
+    link::Terms,
+    tile::{Stamp, tile_hash},
+    time::{Duration, Instant},
+    units::{Millimetres, Pose, RobotId},
+};
+
+use crate::{
+    camera::Observation,
+    channel::{FaultWire, Faults},
+    server::Server,
+};
+
+/// Tiles of its own that a robot keeps, unless more are asked for.
+pub const OWN_TILES: usize = 32;
+/// Fused tiles that a robot keeps.
+pub const FUSED_TILES: usize = 64;
+/// Scans that can wait for their poses on a robot.
+const WAITING_SCANS: usize = 4;
+
+/// Something that happens at a moment of the server's clock.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// A robot, by its place in the fleet, takes a scan.
+    Scan {
+        /// Which robot.
+        robot: usize,
+        /// Readings in millimetres, 0 where nothing came back.
+        readings: Vec<u16>,
+    },
+    /// A robot reads its odometry.
+    Odometry {
+        /// Which robot.
+        robot: usize,
+        /// `base_link` in `odom`.
+        pose: Pose,
+    },
+    /// A frame of a camera has been looked at.
+    Observation(Observation),
+}
+
+/// Where the events come from: a log, or a simulated room.
+pub trait Stage {
+    /// When the next event happens; `None` if there will be no more.
+    fn next_event(&self) -> Option<Instant>;
+
+    /// An event that has happened by `now`, oldest first.
+    fn poll(&mut self, now: Instant) -> Option<Event>;
+}
+
+/// The memory of one agent, sized like a robot's.
+pub struct AgentMemory {
+    beams: Vec<Beam>,
+    waiting: Vec<u16>,
+    scratch: Vec<u32>,
+    own: Vec<OwnTile>,
+    fused: Vec<FusedTile>,
+}
+
+impl AgentMemory {
+    /// Memory for scans of so many readings, and a pool of so many tiles.
+    pub fn new(config: &Config, readings: usize, own_tiles: usize) -> Self {
+        Self {
+            beams: vec![Beam::default(); readings],
+            waiting: vec![0; readings * WAITING_SCANS],
+            scratch: vec![0; scratch_words(config.max_range, config.resolution)],
+            own: vec![OwnTile::FREE; own_tiles],
+            fused: vec![FusedTile::default(); FUSED_TILES],
+        }
+    }
+
+    fn lend(&mut self) -> Memory<'_> {
+        Memory {
+            beams: &mut self.beams,
+            waiting: &mut self.waiting,
+            scratch: &mut self.scratch,
+            own: &mut self.own,
+            fused: &mut self.fused,
+        }
+    }
+}
+
+/// A robot's clock: it starts somewhere, and runs a little fast or slow.
+#[derive(Clone, Copy, Debug)]
+struct RobotClock {
+    start: u64,
+    ppm: i64,
+}
+
+impl RobotClock {
+    /// Clocks of different robots differ by minutes and up to 40 ppm.
+    fn of(robot: RobotId, seed: u64) -> Self {
+        // SplitMix64's mixing step: any two clocks differ.
+        let mixed = (seed ^ u64::from(robot.0) << 32).wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = mixed ^ mixed >> 27;
+        Self { start: mixed % 600_000_000, ppm: (mixed >> 32) as i64 % 41 }
+    }
+
+    fn local(self, server: Instant) -> Instant {
+        let drift = server.0 as i64 * self.ppm / 1_000_000;
+        Instant(self.start.wrapping_add(server.0).wrapping_add(drift as u64))
+    }
+
+    /// The first moment of the server's clock at which this one shows `local`.
+    fn server(self, local: Instant) -> Instant {
+        if local.0 == u64::MAX {
+            return local;
+        }
+        let elapsed = local.0.saturating_sub(self.start);
+        let scaled = i128::from(elapsed) * 1_000_000 / i128::from(1_000_000 + self.ppm);
+        let mut server = Instant((scaled as u64).saturating_sub(2));
+        while self.local(server) < local {
+            server.0 += 1;
+        }
+        server
+    }
+}
+
+/// One robot with its channel.
+pub struct Robot<'b> {
+    id: RobotId,
+    clock: RobotClock,
+    agent: Agent<'b>,
+    up: FaultWire,
+    down: FaultWire,
+    path: Vec<Pose>,
+}
+
+impl Robot<'_> {
+    /// Its number.
+    pub fn id(&self) -> RobotId {
+        self.id
+    }
+
+    /// Its agent.
+    pub fn agent(&self) -> &Agent<'_> {
+        &self.agent
+    }
+
+    /// Frames that the channel lost, both ways.
+    pub fn frames_lost(&self) -> u64 {
+        self.up.counters().lost + self.down.counters().lost
+    }
+
+    /// Where it believes that it has been.
+    pub fn path(&self) -> &[Pose] {
+        &self.path
+    }
+}
+
+/// All robots and the server.
+pub struct Fleet<'b> {
+    server: Server,
+    robots: Vec<Robot<'b>>,
+    now: Instant,
+    frame: Vec<u8>,
+}
+
+/// A run goes on for so long after the last event, if not all hold the same map before.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+impl<'b> Fleet<'b> {
+    /// A robot for each configuration; `memory` has one entry for each as well.
+    ///
+    /// # Errors
+    /// Every [`ConfigError`] of an agent.
+    pub fn new(
+        configs: &[Config],
+        memory: &'b mut [AgentMemory],
+        faults: Faults,
+        resolution: Millimetres,
+        seed: u64,
+    ) -> Result<Self, ConfigError> {
+        let terms =
+            Terms { resolution, frame: MAX_FRAME as u16, server_epoch: 1, stores: false };
+        let robots = configs.iter().zip(memory).map(|(config, memory)| {
+            let id = config.robot;
+            let wire = |way: u64| {
+                FaultWire::new(faults, seed.wrapping_mul(0x1_0001) ^ u64::from(id.0) << 8 ^ way)
+            };
+            Ok(Robot {
+                id,
+                clock: RobotClock::of(id, seed),
+                agent: Agent::new(*config, memory.lend())?,
+                up: wire(1),
+                down: wire(2),
+                path: Vec::new(),
+            })
+        });
+        let robots = robots.collect::<Result<Vec<_>, _>>()?;
+        let server = Server::new(terms, robots.len());
+        Ok(Self { server, robots, now: Instant(0), frame: vec![0; MAX_FRAME] })
+    }
+
+    /// The server.
+    pub fn server(&self) -> &Server {
+        &self.server
+    }
+
+    /// The robots.
+    pub fn robots(&self) -> &[Robot<'b>] {
+        &self.robots
+    }
+
+    /// The server's time.
+    pub fn now(&self) -> Instant {
+        self.now
+    }
+
+    /// Runs until the stage has ended and all hold the same map, or until patience ends. Returns
+    /// whether they do. `progress` is told the time now and then.
+    pub fn run(&mut self, stage: &mut dyn Stage, mut progress: impl FnMut(Instant)) -> bool {
+        while let Some(next) = stage.next_event() {
+            self.run_until(next);
+            while let Some(event) = stage.poll(self.now) {
+                self.happen(event);
+            }
+            self.drain();
+            progress(self.now);
+        }
+        let end = self.now + PATIENCE;
+        while !self.has_converged() && self.now < end {
+            self.run_until(self.now + Duration::from_millis(100));
+        }
+        self.has_converged()
+    }
+
+    /// Lets all that is due before `until` happen; then it is `until`.
+    fn run_until(&mut self, until: Instant) {
+        while let Some(next) = self.next_due().filter(|&next| next < until) {
+            self.now = self.now.max(next);
+            self.deliver();
+            self.drain();
+        }
+        self.now = self.now.max(until);
+    }
+
+    /// When a frame arrives, or an agent or the server wants to come back.
+    fn next_due(&self) -> Option<Instant> {
+        let robots = self.robots.iter().enumerate().flat_map(|(port, robot)| {
+            [
+                robot.up.next_delivery(),
+                robot.down.next_delivery(),
+                Some(robot.clock.server(robot.agent.poll_timeout())),
+                self.server.poll_timeout(port, self.now),
+            ]
+        });
+        robots.flatten().min()
+    }
+
+    fn deliver(&mut self) {
+        let now = self.now;
+        for (port, robot) in self.robots.iter_mut().enumerate() {
+            while let Some(bytes) = robot.up.poll(now) {
+                let known = self.server.receive(port, &bytes, now);
+                debug_assert!(known.is_ok());
+            }
+            let local = robot.clock.local(now);
+            while let Some(bytes) = robot.down.poll(now) {
+                robot.agent.receive(&bytes, local);
+            }
+            robot.agent.timeout(local);
+        }
+    }
+
+    fn happen(&mut self, event: Event) {
+        match event {
+            Event::Scan { robot, readings } => {
+                let Some(robot) = self.robots.get_mut(robot) else { return };
+                let local = robot.clock.local(self.now);
+                if let Err(error) = robot.agent.scan(local, &readings, local) {
+                    log::warn!("robot {}: a scan is not taken: {error:?}", robot.id.0);
+                }
+                robot.path.extend(robot.agent.pose().map(|(_, pose)| pose));
+            }
+            Event::Odometry { robot, pose } => {
+                let Some(robot) = self.robots.get_mut(robot) else { return };
+                let local = robot.clock.local(self.now);
+                robot.agent.odometry(local, pose, local);
+            }
+            Event::Observation(observation) => self.server.observe(&observation),
+        }
+    }
+
+    /// Drains the outputs of all, until none has any left.
+    fn drain(&mut self) {
+        let now = self.now;
+        for (port, robot) in self.robots.iter_mut().enumerate() {
+            let local = robot.clock.local(now);
+            let up = &mut self.frame[..DEFAULT_FRAME];
+            let frames = iter::from_fn(|| robot.agent.poll_transmit(local, up).map(|len| up[..len].to_vec()));
+            frames.for_each(|frame| robot.up.send(now, &frame));
+            while let Some(len) = self.server.poll_transmit(port, now, &mut self.frame) {
+                robot.down.send(now, &self.frame[..len]);
+            }
+        }
+    }
+
+    /// Whether the server holds the newest version of every tile that each robot has published,
+    /// and every fused tile that a robot holds is the server's newest, hash for hash.
+    pub fn has_converged(&self) -> bool {
+        self.robots.iter().all(|robot| {
+            robot.agent.is_idle()
+                && self.server.is_level(robot.id)
+                && self.server_holds_all_of(robot)
+                && self.all_held_is_newest(robot)
+        })
+    }
+
+    fn server_holds_all_of(&self, robot: &Robot<'_>) -> bool {
+        let Some(layer) = self.server.layer(robot.id) else {
+            return robot.agent.own_tiles().tiles().next().is_none();
+        };
+        robot.agent.own_tiles().tiles().all(|tile| {
+            let stamp = Stamp { epoch: tile.epoch(), version: tile.publication().version() };
+            let held = tile.id().and_then(|id| layer.held(id, tile.epoch()));
+            held.is_some_and(|(held, cells)| {
+                held == stamp && tile_hash(cells) == tile_hash(tile.publication().sent())
+            })
+        })
+    }
+
+    fn all_held_is_newest(&self, robot: &Robot<'_>) -> bool {
+        robot.agent.fused_tiles().tiles().all(|tile| {
+            let newest = tile.id().and_then(|id| self.server.fused().get(id));
+            newest.is_some_and(|(version, cells)| {
+                let stamp = Stamp { epoch: self.server.epoch(), version };
+                let replica = tile.replica();
+                !replica.is_partial()
+                    && replica.stamp() == stamp
+                    && tile_hash(replica.tile()) == tile_hash(cells)
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robots_clock_comes_back_when_it_was_asked_to() {
+        for id in 0..50 {
+            let clock = RobotClock::of(RobotId(id), 7);
+            for server in [0, 1, 999, 1_000_000, 3_600_000_000] {
+                let local = clock.local(Instant(server));
+                let back = clock.server(local);
+                assert!(clock.local(back) >= local && back.0 <= server);
+            }
+        }
+    }
+}
