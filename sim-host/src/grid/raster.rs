@@ -1,6 +1,9 @@
 //! Image files, decoded within bounds.
 
-use std::{io::Cursor, path::Path};
+use std::{
+    io::{Cursor, Read},
+    path::Path,
+};
 
 use image::{
     DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits,
@@ -8,6 +11,9 @@ use image::{
 };
 
 use super::occupancy::MAX_CELLS;
+
+/// No more is read of a file: four samples of two bytes for each cell.
+const MAX_BYTES: u64 = 8 * MAX_CELLS as u64;
 
 /// Why an image can't be read; the path is the caller's to name.
 #[derive(Debug, thiserror::Error)]
@@ -42,7 +48,9 @@ pub(crate) struct Raster {
 
 /// Reads a PNG, PGM or BMP file; its kind is told from its content.
 pub(crate) fn read(path: &Path) -> Result<Raster, RasterError> {
-    decode(&std::fs::read(path)?)
+    let mut bytes = Vec::new();
+    std::fs::File::open(path)?.take(MAX_BYTES).read_to_end(&mut bytes)?;
+    decode(&bytes)
 }
 
 /// Decodes the bytes of a PNG, PGM or BMP file.
@@ -80,4 +88,59 @@ pub(crate) fn encode_pgm(image: &GrayImage) -> Vec<u8> {
     let mut bytes = format!("P5\n{} {}\n255\n", image.width(), image.height()).into_bytes();
     bytes.extend_from_slice(image.as_raw());
     bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// One small image in each of the forms that maps and depth images have.
+    fn images() -> Vec<Vec<u8>> {
+        let grey = GrayImage::from_fn(5, 4, |x, y| image::Luma([(50 * x + y) as u8]));
+        let encoded = |image: DynamicImage, format| {
+            let mut bytes = Cursor::new(Vec::new());
+            image.write_to(&mut bytes, format).unwrap();
+            bytes.into_inner()
+        };
+        let deep = DynamicImage::ImageLuma8(grey.clone()).into_luma16();
+        vec![
+            encode_pgm(&grey),
+            b"P2 3 2 15 0 1 2 3 4 15".to_vec(),
+            b"P5 2 2 1000 abcdefgh".to_vec(),
+            encoded(deep.into(), ImageFormat::Png),
+            encoded(DynamicImage::from(grey.clone()).into_rgba8().into(), ImageFormat::Png),
+            encoded(DynamicImage::from(grey).into_rgb8().into(), ImageFormat::Bmp),
+        ]
+    }
+
+    #[test]
+    fn the_forms_are_decoded() {
+        for bytes in images() {
+            assert!(decode(&bytes).is_ok());
+        }
+        assert_eq!(decode(&images()[1]).unwrap().file_white, Some(15));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(1_000))]
+
+        #[test]
+        fn garbled_images_never_panic(
+            bytes in prop::sample::select(images()),
+            at in any::<prop::sample::Index>(),
+            byte in any::<u8>(),
+            length in any::<prop::sample::Index>(),
+            is_cut in any::<bool>(),
+        ) {
+            let mut bytes = bytes;
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+            if is_cut {
+                bytes.truncate(length.index(bytes.len() + 1));
+            }
+            let _ = decode(&bytes);
+        }
+    }
 }

@@ -4,7 +4,11 @@
 //! occupied the cell is, from 0 (white) to 1 (black), or the other way round with `negate`. Above
 //! `occupied_thresh` the cell is occupied, below `free_thresh` free, and unknown between.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
 
 use image::{DynamicImage, GrayImage, Luma};
 use serde::Deserialize;
@@ -106,8 +110,7 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
         key,
         reason: reason.to_owned(),
     };
-    let text =
-        std::fs::read(yaml).map_err(|error| MapError::Io { path: yaml.to_owned(), error })?;
+    let text = read_bounded(yaml).map_err(|error| MapError::Io { path: yaml.to_owned(), error })?;
     let text = String::from_utf8(text).map_err(|_| MapError::Yaml {
         path: yaml.to_owned(),
         reason: "not a text file; a ROS map is given by its .yaml file".to_owned(),
@@ -152,6 +155,13 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
         }
     }
     Ok(grid)
+}
+
+/// The bytes of a YAML file; a file that is longer than any such is cut off, and fails to parse.
+fn read_bounded(yaml: &Path) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(yaml)?.take(1 << 20).read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// The image of a map as a binary PGM file: free 254, occupied (fixed or movable) 0, unknown 205.
