@@ -473,8 +473,9 @@ impl<'b> Agent<'b> {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
                 continue;
             };
-            if matches!(self.config.pose_source, PoseSource::Odometry(_)) {
-                self.latest_pose = Some((server_moment.unwrap_or(taken), pose));
+            let moment = server_moment.unwrap_or(taken);
+            if self.latest_pose.is_none_or(|(newest, _)| newest < moment) {
+                self.latest_pose = Some((moment, pose));
             }
             self.fused.follow(pose, self.config.resolution);
             if !self.config.gate.opens(self.mapped_pose, pose) {

@@ -25,7 +25,7 @@ pub(super) fn report(
     let counts = map.counts();
     let map = MapSummary {
         resolution_m: map.resolution_m(),
-        known: counts.known() as u64,
+        known: counts.known as u64,
         free: counts.free as u64,
         occupied: counts.occupied as u64,
         digest: HexDigest(fleet.server().fused().digest().0),
@@ -75,7 +75,7 @@ pub(super) fn markers(fleet: &Fleet<'_>) -> Vec<Marker> {
             x_m: metres(pose.x),
             y_m: metres(pose.y),
             heading_rad: pose.heading.radians(),
-            path: robot.path().iter().map(|pose| [metres(pose.x), metres(pose.y)]).collect(),
+            path: robot.path().iter().map(|(_, pose)| [metres(pose.x), metres(pose.y)]).collect(),
         })
     });
     robots.collect()

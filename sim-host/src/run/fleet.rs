@@ -21,7 +21,7 @@ use ubimap_protocol::{
 
 use crate::{
     camera::Observation,
-    channel::{FaultWire, Faults},
+    channel::fault::{FaultWire, Faults},
     server::Server,
 };
 
@@ -138,7 +138,7 @@ pub struct Robot<'b> {
     agent: Agent<'b>,
     up: FaultWire,
     down: FaultWire,
-    path: Vec<Pose>,
+    path: Vec<(Instant, Pose)>,
 }
 
 impl Robot<'_> {
@@ -157,8 +157,8 @@ impl Robot<'_> {
         self.up.counters().lost + self.down.counters().lost
     }
 
-    /// Where it believes that it has been.
-    pub fn path(&self) -> &[Pose] {
+    /// Where it believes that it has been, and when by the server's clock.
+    pub fn path(&self) -> &[(Instant, Pose)] {
         &self.path
     }
 }
@@ -186,8 +186,7 @@ impl<'b> Fleet<'b> {
         resolution: Millimetres,
         seed: u64,
     ) -> Result<Self, ConfigError> {
-        let terms =
-            Terms { resolution, frame: MAX_FRAME as u16, server_epoch: 1, stores: false };
+        let terms = Terms { resolution, frame: MAX_FRAME as u16, server_epoch: 1, stores: false };
         let robots = configs.iter().zip(memory).map(|(config, memory)| {
             let id = config.robot;
             let wire = |way: u64| {
@@ -286,7 +285,7 @@ impl<'b> Fleet<'b> {
                 if let Err(error) = robot.agent.scan(local, &readings, local) {
                     log::warn!("robot {}: a scan is not taken: {error:?}", robot.id.0);
                 }
-                robot.path.extend(robot.agent.pose().map(|(_, pose)| pose));
+                robot.path.extend(robot.agent.pose());
             }
             Event::Odometry { robot, pose } => {
                 let Some(robot) = self.robots.get_mut(robot) else { return };
@@ -303,7 +302,9 @@ impl<'b> Fleet<'b> {
         for (port, robot) in self.robots.iter_mut().enumerate() {
             let local = robot.clock.local(now);
             let up = &mut self.frame[..DEFAULT_FRAME];
-            let frames = iter::from_fn(|| robot.agent.poll_transmit(local, up).map(|len| up[..len].to_vec()));
+            let frames = iter::from_fn(|| {
+                robot.agent.poll_transmit(local, up).map(|len| up[..len].to_vec())
+            });
             frames.for_each(|frame| robot.up.send(now, &frame));
             while let Some(len) = self.server.poll_transmit(port, now, &mut self.frame) {
                 robot.down.send(now, &self.frame[..len]);

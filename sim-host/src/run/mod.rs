@@ -2,16 +2,22 @@
 //! `ubimap`'s commands, and their options.
 
 pub mod compare;
+mod figures;
+pub mod fleet;
 pub mod options;
+mod progress;
 pub mod replay;
 pub mod simulate;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+use ubimap_agent::{ConfigError, map::MAX_RADIUS};
 
 use crate::{
     grid::{self, GridError, MapError, OccupancyGrid},
     log::LogError,
     report::{self, Marker, OutputError, OutputFolder, Report},
+    world::ScenarioError,
 };
 
 /// What a replay or a simulation ends with.
@@ -60,17 +66,59 @@ pub enum RunError {
     /// The picture can't be encoded.
     #[error("map.png: {0}")]
     Picture(#[from] image::ImageError),
-    /// A command that is not there yet.
-    #[error("{0} is not built yet")]
-    NotBuilt(&'static str),
+    /// A scenario can't be used.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// The robots can't work with these options.
+    #[error("no robot can be made with these options: {}", explain(.0))]
+    Agent(ConfigError),
+    /// The scenario has fewer robots.
+    #[error("--robots {asked}: the scenario has {there}")]
+    TooManyRobots {
+        /// Robots asked for.
+        asked: usize,
+        /// Robots in the scenario.
+        there: usize,
+    },
+    /// A map that is to be the walls lies askew.
+    #[error("{path}: origin: walls must lie straight, but the map is turned by {yaw_rad} rad", path = path.display())]
+    TurnedMap {
+        /// The map.
+        path: PathBuf,
+        /// Its yaw.
+        yaw_rad: f64,
+    },
 }
 
 impl RunError {
     /// Whether what was given to the run is at fault, and not the run.
     pub fn is_bad_input(&self) -> bool {
         match self {
-            Self::Log(_) | Self::Map(_) | Self::Output(_) => true,
-            Self::Grid(_) | Self::Picture(_) | Self::NotBuilt(_) => false,
+            Self::Log(_)
+            | Self::Map(_)
+            | Self::Output(_)
+            | Self::Scenario(_)
+            | Self::Agent(_)
+            | Self::TooManyRobots { .. }
+            | Self::TurnedMap { .. } => true,
+            Self::Grid(_) | Self::Picture(_) => false,
         }
+    }
+}
+
+impl From<ConfigError> for RunError {
+    fn from(error: ConfigError) -> Self {
+        Self::Agent(error)
+    }
+}
+
+fn explain(error: &ConfigError) -> String {
+    match error {
+        ConfigError::Resolution => "the cells have no size".into(),
+        ConfigError::Range => {
+            format!("the range must be 1 to {MAX_RADIUS} cells; change --max-range or --resolution")
+        }
+        ConfigError::Scratch(words) => format!("{words} words of scratch memory are needed"),
+        ConfigError::Memory => "there is no memory for a scan or a tile".into(),
     }
 }

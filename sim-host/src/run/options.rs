@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum, value_parser};
 use ubimap_protocol::{time::Duration, units::Millimetres};
 
-use crate::log::Format;
+use crate::{channel::fault::Faults, log::Format};
 
 /// Options of `ubimap replay`.
 #[derive(Args, Clone, Debug)]
@@ -101,6 +101,20 @@ pub struct ChannelOptions {
     /// How long a frame takes, in milliseconds
     #[arg(long, value_name = "MS", default_value = "0", value_parser = milliseconds, allow_negative_numbers = true)]
     pub latency: Duration,
+}
+
+impl ChannelOptions {
+    /// The same, as the wires take it.
+    pub fn faults(&self) -> Faults {
+        Faults {
+            loss: self.loss,
+            duplicate: self.duplicate,
+            reorder: self.reorder,
+            corrupt: self.corrupt,
+            latency: self.latency,
+            ..Faults::default()
+        }
+    }
 }
 
 /// Options of `ubimap compare`.

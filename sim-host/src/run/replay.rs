@@ -1,8 +1,234 @@
 //! `ubimap replay`: robots on the scans of a recorded log.
+//!
+//! The log is cut into consecutive segments, one for each robot, and all of them run at the same
+//! time. The poses of a log stand for what ceiling cameras would have seen: a fix for every scan,
+//! and at camera rate in between.
 
-use super::{Outcome, RunError, options::ReplayOptions};
+use std::{collections::VecDeque, time};
+
+use ubimap_agent::{Config, locate::PoseSource, sense::SensorModel};
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::{Pose, RobotId},
+};
+
+use super::{
+    Outcome, RunError, figures,
+    fleet::{AgentMemory, Event, Fleet, OWN_TILES, Stage},
+    options::ReplayOptions,
+    progress::Progress,
+};
+use crate::{
+    camera::Observation,
+    grid::OccupancyGrid,
+    log::{self, Log, LoggedScan, Sensor},
+};
+
+/// The robots boot so long before the first scan: time to meet the server.
+const BOOT: Duration = Duration::from_secs(5);
+/// Between two frames of the ceiling cameras.
+const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
 
 /// Runs the logs through robots, channels and the server.
-pub fn run(_options: &ReplayOptions) -> Result<Outcome, RunError> {
-    Err(RunError::NotBuilt("replay"))
+pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
+    let started = time::Instant::now();
+    let log = log::read_all(&options.logs, options.format.format())?;
+    log.notes.iter().for_each(|note| ::log::info!("{note}"));
+    let mut recording = Recording::of(&log, usize::from(options.robots));
+
+    let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
+    let configs: Vec<Config> =
+        (1..=recording.robots as u16).map(|robot| config(RobotId(robot), &log, options)).collect();
+    let readings = log.sensor.readings();
+    let mut memory: Vec<AgentMemory> =
+        configs.iter().map(|config| AgentMemory::new(config, readings, own_tiles)).collect();
+    let faults = options.run.channel.faults();
+    let mut fleet =
+        Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed)?;
+
+    let progress = Progress::new(recording.end(), options.run.json);
+    let converged = fleet.run(&mut recording, |now| progress.at(now));
+    progress.finish();
+
+    let fused = fleet.server().fused();
+    let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
+    let map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
+    let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
+    report.simulated_s = fleet.now().micros() as f64 / 1e6;
+    report.elapsed_s = started.elapsed().as_secs_f64();
+    Ok(Outcome { report, map, markers: figures::markers(&fleet) })
+}
+
+fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
+    let sensor = match log.sensor {
+        Sensor::Radial { first_rad, step_rad, .. } => {
+            SensorModel::Radial { first: first_rad as f32, step: step_rad as f32 }
+        }
+        Sensor::Pinhole { fx, cx, .. } => {
+            SensorModel::Pinhole { focal: fx as f32, centre: cx as f32 }
+        }
+    };
+    let located = log.scans.iter().all(|scan| scan.pose.is_some());
+    Config {
+        resolution: options.resolution,
+        // The option's bound is 65 m.
+        max_range: options.max_range.0.clamp(0, i32::from(u16::MAX)) as u16,
+        boot_nonce: options.run.seed as u32 ^ u32::from(robot.0) << 16,
+        pose_source: if located {
+            PoseSource::Fixes
+        } else {
+            PoseSource::Odometry(Pose::default())
+        },
+        ..Config::new(robot, sensor)
+    }
+}
+
+/// A log on its way through the robots.
+struct Recording {
+    events: VecDeque<(Instant, Event)>,
+    robots: usize,
+}
+
+impl Recording {
+    /// Cuts the log into segments of as equal a length as can be; there are never more robots
+    /// than scans.
+    fn of(log: &Log, robots: usize) -> Self {
+        let robots = robots.min(log.scans.len());
+        let mut events = Vec::new();
+        for robot in 0..robots {
+            let bound = |robot: usize| robot * log.scans.len() / robots;
+            let segment = &log.scans[bound(robot)..bound(robot + 1)];
+            events.extend(play(robot, segment));
+        }
+        // What happens at the same moment keeps its order: first the camera, then the robot.
+        events.sort_by_key(|(moment, _)| *moment);
+        Self { events: events.into(), robots }
+    }
+
+    fn end(&self) -> Instant {
+        self.events.back().map_or(Instant(0), |(moment, _)| *moment)
+    }
+}
+
+impl Stage for Recording {
+    fn next_event(&self) -> Option<Instant> {
+        Some(self.events.front()?.0)
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Event> {
+        let due = self.events.front().is_some_and(|(moment, _)| *moment <= now);
+        self.events.pop_front_if(|_| due).map(|(_, event)| event)
+    }
+}
+
+/// One robot's segment.
+fn play(robot: usize, segment: &[LoggedScan]) -> Vec<(Instant, Event)> {
+    let Some(first) = segment.first() else { return Vec::new() };
+    let moment = |scan: &LoggedScan| Instant(0) + BOOT + Duration(scan.time.0 - first.time.0);
+    let mut events = Vec::new();
+    for (index, scan) in segment.iter().enumerate() {
+        let now = moment(scan);
+        if let Some(pose) = scan.pose {
+            events.push((now, seen(robot, now, to_pose(pose))));
+        }
+        if let Some(pose) = scan.odometry {
+            events.push((now, Event::Odometry { robot, pose: to_pose(pose) }));
+        }
+        events.push((now, Event::Scan { robot, readings: scan.readings_mm.clone() }));
+        let next = segment.get(index + 1);
+        if let Some((next, from, to)) = next.and_then(|it| Some((moment(it), scan.pose?, it.pose?)))
+        {
+            let span = next.since(now).micros();
+            let frames = (span - 1) / FRAME_INTERVAL.micros();
+            events.extend((1..=frames).map(|frame| {
+                let captured = now + Duration(frame * FRAME_INTERVAL.micros());
+                let part = captured.since(now).micros() as f64 / span as f64;
+                (captured, seen(robot, captured, to_pose(between(from, to, part))))
+            }));
+        }
+    }
+    // The cameras go on for a moment, so that the last scan has a fix after it.
+    if let Some(last) = segment.last()
+        && let Some(pose) = last.pose
+    {
+        events.extend((1..=15).map(|frame| {
+            let captured = moment(last) + Duration(frame * FRAME_INTERVAL.micros());
+            (captured, seen(robot, captured, to_pose(pose)))
+        }));
+    }
+    events
+}
+
+/// What a camera says that sees one robot. Each robot has a camera of its own here.
+fn seen(robot: usize, captured: Instant, pose: Pose) -> Event {
+    Event::Observation(Observation {
+        camera: robot,
+        captured,
+        robots: vec![(RobotId(robot as u16 + 1), pose)],
+        cells: Vec::new(),
+    })
+}
+
+fn to_pose([x, y, heading]: [f64; 3]) -> Pose {
+    Pose::from_metres(x, y, heading)
+}
+
+/// In proportion, turning the short way.
+fn between(from: [f64; 3], to: [f64; 3], part: f64) -> [f64; 3] {
+    use std::f64::consts::{PI, TAU};
+    let turn = (to[2] - from[2] + PI).rem_euclid(TAU) - PI;
+    let mix = |axis: usize| from[axis] + (to[axis] - from[axis]) * part;
+    [mix(0), mix(1), from[2] + turn * part]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::Format;
+
+    fn log(scans: usize) -> Log {
+        let scan = |index: usize| LoggedScan {
+            time: Duration::from_secs(2 * index as u64),
+            readings_mm: vec![index as u16; 3],
+            pose: Some([index as f64, 0.0, 3.0 * index as f64]),
+            odometry: None,
+            line: index + 1,
+        };
+        Log {
+            format: Format::Carmen,
+            sensor: Sensor::Radial { first_rad: 0.0, step_rad: 0.1, beams: 3 },
+            scans: (0..scans).map(scan).collect(),
+            notes: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn segments_run_side_by_side_and_lose_no_scan() {
+        let recording = Recording::of(&log(10), 3);
+        let mut scans = [const { Vec::new() }; 3];
+        for (moment, event) in &recording.events {
+            if let Event::Scan { robot, readings } = event {
+                scans[*robot].push((moment.0 / 1_000_000, readings[0]));
+            }
+        }
+        assert_eq!(scans[0], [(5, 0), (7, 1), (9, 2)]);
+        assert_eq!(scans[1], [(5, 3), (7, 4), (9, 5)]);
+        assert_eq!(scans[2], [(5, 6), (7, 7), (9, 8), (11, 9)]);
+        assert_eq!(Recording::of(&log(2), 5).robots, 2);
+    }
+
+    #[test]
+    fn there_is_a_fix_for_each_scan_and_at_camera_rate_between() {
+        let events = play(0, &log(2).scans);
+        let fixes: Vec<_> = events
+            .iter()
+            .filter_map(|(_, event)| match event {
+                Event::Observation(seen) => Some((seen.captured.0, seen.robots[0].1)),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(fixes[0].0, 5_000_000);
+        assert!(fixes.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 66_667));
+        assert!(fixes.contains(&(7_000_000, Pose::from_metres(1.0, 0.0, 3.0))));
+    }
 }
