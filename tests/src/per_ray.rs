@@ -1,0 +1,73 @@
+//! The oracle of the onboard pipeline: a plain occupancy map, one line of cells for each beam, in
+//! floating point, straight from a CARMEN log. It shares nothing with the code under test.
+
+use std::{
+    collections::HashMap,
+    f64::consts::{FRAC_PI_2, PI},
+};
+
+/// Log odds of the cells that were seen.
+pub type LogOdds = HashMap<(i32, i32), f64>;
+
+const HIT: f64 = 0.85;
+const MISS: f64 = -0.4;
+const CLAMP: f64 = 4.0;
+
+/// The map of all `FLASER` records of a log: `resolution` and `max_range` in metres. Readings from
+/// `no_return` metres up say nothing.
+pub fn map(log: &str, resolution: f64, max_range: f64, no_return: f64) -> LogOdds {
+    let mut cells = LogOdds::new();
+    let mut mapped: Option<[f64; 3]> = None;
+    for line in log.lines().filter(|line| line.starts_with("FLASER")) {
+        let numbers: Vec<f64> =
+            line.split_whitespace().skip(1).filter_map(|word| word.parse().ok()).collect();
+        let beams = numbers[0] as usize;
+        let ranges = &numbers[1..=beams];
+        let pose = [numbers[beams + 1], numbers[beams + 2], numbers[beams + 3]];
+        // The gate of the paper: 3.5 cm or 5 degrees.
+        let moved = mapped.is_none_or(|last| {
+            let turn = (pose[2] - last[2] + PI).rem_euclid(2.0 * PI) - PI;
+            (pose[0] - last[0]).hypot(pose[1] - last[1]) > 0.035 || turn.abs().to_degrees() > 5.0
+        });
+        if !moved {
+            continue;
+        }
+        mapped = Some(pose);
+        let step = PI / if beams % 2 == 1 { beams - 1 } else { beams } as f64;
+        for (beam, &range) in ranges.iter().enumerate() {
+            if range <= 0.0 || range >= no_return {
+                continue;
+            }
+            let bearing = pose[2] - FRAC_PI_2 + beam as f64 * step;
+            let reach = range.min(max_range);
+            let end = [pose[0] + reach * bearing.cos(), pose[1] + reach * bearing.sin()];
+            ray(&mut cells, resolution, [pose[0], pose[1]], end, range <= max_range);
+        }
+    }
+    cells
+}
+
+/// The cells that a ray crosses are missed; the one that it ends in is hit, if it is.
+fn ray(cells: &mut LogOdds, resolution: f64, from: [f64; 2], to: [f64; 2], hit: bool) {
+    let cell = |point: [f64; 2]| {
+        ((point[0] / resolution).floor() as i32, (point[1] / resolution).floor() as i32)
+    };
+    let last = cell(to);
+    let length = (to[0] - from[0]).hypot(to[1] - from[1]);
+    let steps = (length / (resolution * 0.1)).ceil().max(1.0) as usize;
+    let mut seen = None;
+    for step in 0..=steps {
+        let part = step as f64 / steps as f64;
+        let here = cell([from[0] + (to[0] - from[0]) * part, from[1] + (to[1] - from[1]) * part]);
+        if seen != Some(here) && here != last {
+            add(cells, here, MISS);
+        }
+        seen = Some(here);
+    }
+    add(cells, last, if hit { HIT } else { MISS });
+}
+
+fn add(cells: &mut LogOdds, cell: (i32, i32), odds: f64) {
+    let value = cells.entry(cell).or_default();
+    *value = (*value + odds).clamp(-CLAMP, CLAMP);
+}
