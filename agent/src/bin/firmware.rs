@@ -37,7 +37,7 @@ fn run(mut board: Board) -> ! {
     let mut echo = Echo::new(board.nonce, board.clock.now());
     let mut bytes = [0; FRAME];
     loop {
-        let count = board.port.read(&mut bytes);
+        let count = board.port.read(&mut bytes[..echo.room().min(FRAME)]);
         echo.receive(&bytes[..count.min(FRAME)], board.clock.now());
         // The port's interrupt makes room meanwhile.
         while board.port.room() >= FRAME {
@@ -54,24 +54,28 @@ fn run(mut board: Board) -> ! {
 /// Stands in the agent's place: it sends back what it receives, after a line that says who it is,
 /// and its heart beats.
 struct Echo {
-    pending: heapless::Vec<u8, 512>,
+    pending: heapless::Deque<u8, 512>,
     lit: bool,
     heartbeat: Instant,
 }
 
 impl Echo {
     fn new(nonce: u64, now: Instant) -> Self {
-        let mut pending = heapless::Vec::new();
-        let _ = pending.extend_from_slice(b"ubimap ");
-        for nibble in (0..16).rev().map(|place| (nonce >> (4 * place)) as u8 & 0xF) {
-            let _ = pending.push(nibble + if nibble < 10 { b'0' } else { b'a' - 10 });
+        let mut pending = heapless::Deque::new();
+        for byte in *b"ubimap " {
+            let _ = pending.push_back(byte);
         }
-        let _ = pending.push(b'\n');
+        for nibble in (0..16).rev().map(|place| (nonce >> (4 * place)) as u8 & 0xF) {
+            let _ = pending.push_back(nibble + if nibble < 10 { b'0' } else { b'a' - 10 });
+        }
+        let _ = pending.push_back(b'\n');
         Self { pending, lit: false, heartbeat: now }
     }
 
     fn receive(&mut self, bytes: &[u8], now: Instant) {
-        let _ = self.pending.extend_from_slice(bytes);
+        for &byte in bytes {
+            let _ = self.pending.push_back(byte);
+        }
         while self.heartbeat <= now {
             self.heartbeat = self.heartbeat + HEARTBEAT;
             self.lit = !self.lit;
@@ -79,12 +83,17 @@ impl Echo {
     }
 
     fn poll_transmit(&mut self, _now: Instant, buffer: &mut [u8]) -> Option<usize> {
-        let count = self.pending.len().min(buffer.len());
-        for (place, byte) in buffer.iter_mut().zip(&self.pending) {
-            *place = *byte;
+        let mut count = 0;
+        for place in buffer {
+            let Some(byte) = self.pending.pop_front() else { break };
+            *place = byte;
+            count += 1;
         }
-        self.pending.clear();
         (count > 0).then_some(count)
+    }
+
+    fn room(&self) -> usize {
+        self.pending.capacity() - self.pending.len()
     }
 
     fn poll_timeout(&self) -> Instant {

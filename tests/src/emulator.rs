@@ -1,0 +1,199 @@
+//! The firmware, built for the reference board and run in QEMU.
+//!
+//! [`firmware`] builds the image, [`Emulator::start`] runs it with its serial port on a
+//! pseudo-terminal. A machine that can do neither gets one line from [`leave_out`], unless it was
+//! told (`CI` or `UBIMAP_REQUIRE_EMULATOR`) that the emulator is a must.
+
+use std::{
+    env, fmt,
+    io::{self, BufRead, BufReader, Read, Write},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    sync::{OnceLock, mpsc},
+    thread,
+    time::Duration,
+};
+
+/// What the reference board's core is to the compiler.
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// The emulator.
+const QEMU: &str = "qemu-system-arm";
+
+/// How long the emulator may take to say where its serial port is.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Why the firmware does not run here.
+#[derive(Clone, Debug)]
+pub enum EmulatorError {
+    /// The machine lacks something.
+    Missing(&'static str),
+    /// Something is there and failed: what it said.
+    Failed(String),
+}
+
+impl fmt::Display for EmulatorError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Missing(what) => write!(f, "{what} is missing"),
+            Self::Failed(said) => write!(f, "failed: {said}"),
+        }
+    }
+}
+
+impl std::error::Error for EmulatorError {}
+
+/// Says on the terminal, in one line, that a test was left out because something is missing.
+///
+/// # Panics
+///
+/// If something failed rather than was missing, or if nothing may be left out here.
+pub fn leave_out(test: &str, error: &EmulatorError) {
+    let must = ["CI", "UBIMAP_REQUIRE_EMULATOR"].iter().any(|name| env::var_os(name).is_some());
+    assert!(!must && matches!(error, EmulatorError::Missing(_)), "{test}: {error}");
+    // Not `eprintln`, whose output the test harness keeps from the user.
+    let _ = writeln!(io::stderr(), "left out: {test}: {error}");
+}
+
+/// The firmware image, built when first asked for.
+pub fn firmware() -> Result<PathBuf, EmulatorError> {
+    static IMAGE: OnceLock<Result<PathBuf, EmulatorError>> = OnceLock::new();
+    IMAGE.get_or_init(build_firmware).clone()
+}
+
+/// A running firmware; it ends with this value.
+#[derive(Debug)]
+pub struct Emulator {
+    qemu: Child,
+    port: PathBuf,
+}
+
+impl Emulator {
+    /// Runs an image.
+    pub fn start(image: &Path) -> Result<Self, EmulatorError> {
+        let mut qemu = Command::new(QEMU)
+            .args(["-M", "netduinoplus2", "-display", "none", "-monitor", "none"])
+            .args(["-serial", "pty", "-kernel"])
+            .arg(image)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|error| match error.kind() {
+                io::ErrorKind::NotFound => EmulatorError::Missing(QEMU),
+                _ => EmulatorError::Failed(format!("{QEMU}: {error}")),
+            })?;
+        let said = qemu.stdout.take();
+        // From here on the emulator ends with this value, whatever happens.
+        let mut emulator = Self { qemu, port: PathBuf::new() };
+        let (found, port) = mpsc::channel();
+        thread::spawn(move || {
+            // It may go on talking: read until it ends.
+            for line in said.into_iter().flat_map(|out| BufReader::new(out).lines()).flatten() {
+                if let Some(path) = pseudo_terminal(&line) {
+                    let _ = found.send(PathBuf::from(path));
+                }
+            }
+        });
+        match port.recv_timeout(PATIENCE) {
+            Ok(port) => {
+                emulator.port = port;
+                Ok(emulator)
+            }
+            Err(_) => Err(EmulatorError::Failed(format!("{QEMU}: {}", emulator.last_words()))),
+        }
+    }
+
+    /// The serial port to the firmware.
+    pub fn port(&self) -> &Path {
+        &self.port
+    }
+
+    fn last_words(&mut self) -> String {
+        let _ = self.qemu.kill();
+        let mut said = String::new();
+        if let Some(mut errors) = self.qemu.stderr.take() {
+            let _ = errors.read_to_string(&mut said);
+        }
+        said
+    }
+}
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        let _ = self.qemu.kill();
+        let _ = self.qemu.wait();
+    }
+}
+
+/// The path in `char device redirected to /dev/pts/3 (label serial0)`.
+fn pseudo_terminal(line: &str) -> Option<&str> {
+    line.strip_prefix("char device redirected to ")?.split_whitespace().next()
+}
+
+fn build_firmware() -> Result<PathBuf, EmulatorError> {
+    let mut cargo = compiler()?;
+    let output = cargo
+        .args(["--locked", "--package", "ubimap-agent", "--bin", "firmware"])
+        .args(["--features", "firmware", "--target", TARGET, "--profile", "firmware"])
+        .arg("--message-format=json-render-diagnostics")
+        .current_dir(workspace())
+        // The host's flags are not for the board, and would replace those of `.cargo/config.toml`.
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO_ENCODED_RUSTFLAGS")
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|error| EmulatorError::Failed(format!("cargo: {error}")))?;
+    if !output.status.success() {
+        return Err(EmulatorError::Failed(String::from_utf8_lossy(&output.stderr).into_owned()));
+    }
+    output
+        .stdout
+        .split(|&byte| byte == b'\n')
+        .filter_map(|line| serde_json::from_slice::<serde_json::Value>(line).ok())
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .ok_or_else(|| EmulatorError::Failed("cargo named no executable".into()))
+}
+
+/// A `cargo build` that can build for the board: the toolchain at hand if it has the target, else
+/// Debian's, which has the sources of `core`.
+fn compiler() -> Result<Command, EmulatorError> {
+    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    if printed(Path::new(&rustc), &["--print", "target-libdir", "--target", TARGET])
+        .is_some_and(|folder| Path::new(&folder).is_dir())
+    {
+        let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        cargo.arg("build");
+        return Ok(cargo);
+    }
+
+    let (rustc, cargo) = (Path::new("/usr/bin/rustc"), Path::new("/usr/bin/cargo"));
+    let has_sources = printed(rustc, &["--print", "sysroot"])
+        .is_some_and(|root| Path::new(&root).join("lib/rustlib/src/rust/library/core").is_dir());
+    if !has_sources || !cargo.is_file() {
+        return Err(EmulatorError::Missing("the target thumbv7em-none-eabihf"));
+    }
+    let linker = ["rust-lld", "ld.lld"]
+        .into_iter()
+        .find(|name| printed(Path::new(name), &["-flavor", "gnu", "--version"]).is_some())
+        .or_else(|| printed(Path::new("ld.lld"), &["--version"]).map(|_| "ld.lld"))
+        .ok_or(EmulatorError::Missing("the linker ld.lld"))?;
+    let mut command = Command::new(cargo);
+    command
+        .args(["build", "-Zbuild-std=core", "--target-dir"])
+        .arg(workspace().join("target/firmware-debian"))
+        .env("RUSTC", rustc)
+        .env("RUSTC_BOOTSTRAP", "1")
+        .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
+    Ok(command)
+}
+
+/// What a program printed, or `None` if it is not there or failed.
+fn printed(program: &Path, arguments: &[&str]) -> Option<String> {
+    let output = Command::new(program).args(arguments).stdin(Stdio::null()).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
+fn workspace() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().map(Path::to_path_buf).unwrap_or_default()
+}
