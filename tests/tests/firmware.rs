@@ -3,7 +3,10 @@
 use std::time::{Duration, Instant};
 
 use ubimap_sim_host::channel::serial::SerialPort;
-use ubimap_tests::emulator::{Emulator, EmulatorError, firmware, leave_out};
+use ubimap_tests::{
+    elf::Image,
+    emulator::{Emulator, EmulatorError, firmware, leave_out},
+};
 
 /// How long the slowest exchange may take on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -13,6 +16,24 @@ fn start() -> Result<(Emulator, SerialPort), EmulatorError> {
     let port = SerialPort::open(emulator.port(), 115_200)
         .map_err(|error| EmulatorError::Failed(error.to_string()))?;
     Ok((emulator, port))
+}
+
+#[test]
+fn the_image_fits_and_holds_neither_panics_nor_a_heap() {
+    let path = match firmware() {
+        Ok(path) => path,
+        Err(error) => return leave_out("the firmware's image", &error),
+    };
+    let image = Image::parse(&std::fs::read(path).unwrap()).unwrap();
+    assert!(image.symbols.iter().any(|name| name == "main"), "no symbols: {image:?}");
+    let unwanted: Vec<_> = image
+        .symbols
+        .iter()
+        .filter(|name| ["panicking", "_failed", "__rust_alloc"].iter().any(|s| name.contains(s)))
+        .collect();
+    assert!(unwanted.is_empty(), "{unwanted:?}");
+    assert!(image.flash <= 64 * 1024, "{} bytes of flash", image.flash);
+    assert!(image.ram <= 24 * 1024, "{} bytes of RAM", image.ram);
 }
 
 #[test]
