@@ -308,7 +308,7 @@ impl<'b> Agent<'b> {
                 push(writer, ToServerKind::Request, &request);
                 return Fill::Reliable(Token::Request);
             }
-            match publisher.fill(&mut map.pool, writer, now) {
+            match publisher.fill(&mut map.pool, fused, writer, now) {
                 Some(frame) => Fill::Reliable(Token::Tiles(frame)),
                 None => Fill::Datagram,
             }
@@ -482,7 +482,9 @@ impl<'b> Agent<'b> {
                 self.statistics.gated = self.statistics.gated.wrapping_add(1);
                 continue;
             }
-            let Some(mapped) = self.map.add(self.beams, readings, pose) else {
+            let fused = &self.fused;
+            let merged = |id| fused.tile(id);
+            let Some(mapped) = self.map.add(self.beams, readings, pose, merged) else {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
                 continue;
             };

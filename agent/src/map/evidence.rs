@@ -4,8 +4,12 @@
 //! 0 is unknown, 1 to 3 free, 4 to 7 occupied. A hit counts up by one, a near hit by two, a cell
 //! that beams crossed counts down by one. An unknown cell starts at the border of what it is
 //! seen to be: 4 (5 if near) or 3.
+//!
+//! What the server's map says already is not counted again: where it agrees with what is seen,
+//! the cell stays unknown here; where it does not, the cell starts from what the map says, 7 or
+//! 1, and must be seen otherwise a few times before this robot contradicts.
 
-use ubimap_protocol::tile::{TILE_SIDE, Tile};
+use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 
 /// The evidence of one tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,15 +32,31 @@ impl Evidence {
     /// Nothing is known of any cell.
     pub const NONE: Self = Self { planes: [[0; TILE_SIDE]; 3] };
 
-    /// Adds what a scan says of row `y` modulo 32. About 40 instructions.
-    pub fn add(&mut self, y: usize, sighting: RowSighting) {
+    /// Adds what a scan says of row `y` modulo 32, of which the server's map says `known`. About
+    /// 60 instructions.
+    pub fn add(&mut self, y: usize, sighting: RowSighting, known: Row) {
         let y = y % TILE_SIDE;
         let [p0, p1, p2] = &mut self.planes;
         let mut row = [p0[y], p1[y], p2[y]];
-        up(&mut row, sighting.hit);
-        up(&mut row, sighting.hit & sighting.near);
-        down(&mut row, sighting.free & !sighting.hit);
+        let new = !(row[0] | row[1] | row[2]);
+        let (known_free, known_occupied) = (new & known.low & !known.high, new & known.high);
+        let hit = sighting.hit & !known_occupied;
+        let free = sighting.free & !sighting.hit & !known_free;
+        let from_free = hit & known_free;
+        let from_occupied = free & known_occupied;
+        row[0] |= from_free | from_occupied;
+        row[1] |= from_occupied;
+        row[2] |= from_occupied;
+        up(&mut row, hit);
+        up(&mut row, hit & sighting.near);
+        down(&mut row, free);
         [p0[y], p1[y], p2[y]] = row;
+    }
+
+    /// The cells of row `y` modulo 32 of which nothing is known here.
+    pub fn unknown(&self, y: usize) -> u32 {
+        let y = y % TILE_SIDE;
+        !(self.planes[0][y] | self.planes[1][y] | self.planes[2][y])
     }
 
     /// The cells of row `y` modulo 32 for whose being occupied no further hit can say more.
@@ -89,10 +109,19 @@ mod tests {
     use ubimap_protocol::tile::Cell;
 
     /// The same for one cell, plainly.
-    fn count(value: u8, bit: usize, sighting: RowSighting) -> u8 {
+    fn count(value: u8, bit: usize, sighting: RowSighting, known: Row) -> u8 {
         let is = |mask: u32| mask >> bit & 1 != 0;
         let up = |value: u8| if value == 0 { 4 } else { (value + 1).min(7) };
         let mut value = value;
+        if value == 0 && (is(sighting.hit) || is(sighting.free)) {
+            match (is(known.low), is(known.high)) {
+                (_, true) if is(sighting.hit) => return 0,
+                (_, true) => value = 7,
+                (true, false) if !is(sighting.hit) => return 0,
+                (true, false) => value = 1,
+                (false, false) => {}
+            }
+        }
         if is(sighting.hit) {
             value = up(value);
             if is(sighting.near) {
@@ -108,15 +137,17 @@ mod tests {
         #[test]
         fn planes_count_like_numbers(
             sightings in proptest::collection::vec((any::<u32>(), any::<u32>(), any::<u32>()), 0..30),
+            low: u32, high: u32,
             y in 0usize..TILE_SIDE,
         ) {
             let mut evidence = Evidence::NONE;
             let mut plain = [0u8; 32];
+            let known = Row { low, high };
             for (free, hit, near) in sightings {
                 let sighting = RowSighting { free, hit, near };
-                evidence.add(y, sighting);
+                evidence.add(y, sighting, known);
                 for (bit, value) in plain.iter_mut().enumerate() {
-                    *value = count(*value, bit, sighting);
+                    *value = count(*value, bit, sighting, known);
                 }
             }
             let cells = evidence.cells();

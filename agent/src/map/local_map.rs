@@ -1,13 +1,13 @@
 //! The robot layer: what this robot has seen, in a fixed pool of tiles.
 
 use ubimap_protocol::{
-    tile::{TILE_SIDE, TileId},
+    tile::{TILE_SIDE, Tile, TileId},
     units::Pose,
 };
 
 use super::{
     evidence::RowSighting,
-    own_tile::Pool,
+    own_tile::{OwnTile, Pool},
     sighting::{PixelCounts, Sighting, SightingConfig},
 };
 use crate::sense::Beam;
@@ -37,25 +37,34 @@ impl<'b> LocalMap<'b> {
         Self { config, scratch, pool, scans: 0 }
     }
 
-    /// Adds a scan that was taken at `pose` (`base_link` in `map`). `None` if the map does not
-    /// reach there.
-    pub fn add(&mut self, beams: &[Beam], readings: &[u16], pose: Pose) -> Option<Mapped> {
+    /// Adds a scan that was taken at `pose` (`base_link` in `map`). `merged` gives a tile of the
+    /// server's map, if it is held. `None` if the map does not reach there.
+    pub fn add<'m>(
+        &mut self,
+        beams: &[Beam],
+        readings: &[u16],
+        pose: Pose,
+        merged: impl Fn(TileId) -> Option<&'m Tile>,
+    ) -> Option<Mapped> {
         self.scans = self.scans.wrapping_add(1);
         let pool = &self.pool;
-        // Omission: a hit in a cell of which no hit can say more. Scans touch a few tiles only,
-        // and neighbouring beams mostly the same one.
+        // Omission: a hit in a cell that is known to be occupied, by the server's map or for as
+        // certain as can be. Scans touch a few tiles only, neighbouring beams mostly the same.
         let mut last = None;
         let omit = |x: i32, y: i32| {
             let Some(id) = TileId::of_cell(x, y) else { return false };
-            let tile = match last {
-                Some((last_id, tile)) if last_id == id => tile,
-                _ => pool.find(id),
+            let (own, merged) = match last {
+                Some((last_id, own, merged)) if last_id == id => (own, merged),
+                _ => (pool.find(id), merged(id)),
             };
-            last = Some((id, tile));
-            tile.is_some_and(|tile| {
-                let bit = x.rem_euclid(TILE_SIDE as i32);
-                tile.evidence.certain(y.rem_euclid(TILE_SIDE as i32) as usize) >> bit & 1 != 0
-            })
+            last = Some((id, own, merged));
+            let (bit, y) =
+                (x.rem_euclid(TILE_SIDE as i32), y.rem_euclid(TILE_SIDE as i32) as usize);
+            let merged = merged.map_or(0, |tile| tile.row(y).high);
+            let known = own.map_or(merged, |tile: &OwnTile| {
+                tile.evidence.certain(y) | merged & tile.evidence.unknown(y)
+            });
+            known >> bit & 1 != 0
         };
         let (sighting, pixels) =
             Sighting::of_scan(&self.config, beams, readings, pose, self.scratch, omit)?;
@@ -64,7 +73,8 @@ impl<'b> LocalMap<'b> {
             let rows = (0..TILE_SIDE).map(|y| (y, sighting.tile_row(id, y)));
             match self.pool.find_or_begin(id, self.scans) {
                 Some(tile) => {
-                    rows.for_each(|(y, row)| tile.evidence.add(y, row));
+                    let merged = merged(id).unwrap_or(&Tile::UNKNOWN);
+                    rows.for_each(|(y, row)| tile.evidence.add(y, row, merged.row(y)));
                     tile.dirty = true;
                 }
                 None => {

@@ -2,11 +2,12 @@
 
 use ubimap_protocol::{
     message::{TileUpdateHead, ToServerKind, Writer},
-    tile::{Epoch, Layer, TileEncoder, TileId, Version},
+    tile::{Epoch, Layer, Row, TILE_SIDE, Tile, TileEncoder, TileId, Version},
     time::{Duration, Instant},
 };
 
-use crate::map::Pool;
+use super::receive::FusedMap;
+use crate::map::{OwnTile, Pool};
 
 /// Bytes of a [`TileUpdateHead`] at the most.
 const HEAD_LEN: usize = 6;
@@ -45,6 +46,7 @@ impl Publisher {
     pub fn fill(
         &mut self,
         pool: &mut Pool<'_>,
+        merged: &FusedMap<'_>,
         writer: &mut Writer<'_>,
         now: Instant,
     ) -> Option<u16> {
@@ -64,7 +66,7 @@ impl Publisher {
             while let Some(tile) = next_tile(pool, done) {
                 let Some(id) = tile.id else { break };
                 done = Some(id);
-                let mut cells = tile.evidence.cells();
+                let mut cells = news(tile, merged.tile(id));
                 if !tile.publication.differs(&cells) {
                     tile.dirty = false;
                     continue;
@@ -134,12 +136,25 @@ impl Publisher {
     }
 }
 
+/// What a tile has to tell: what it has told in this epoch, and what the server's map does not
+/// say already.
+fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
+    let mut cells = tile.evidence.cells();
+    let Some(merged) = merged else { return cells };
+    let sent = tile.publication.sent();
+    for y in 0..TILE_SIDE {
+        let (own, known) = (cells.row(y), merged.row(y));
+        let same = !(own.low ^ known.low | own.high ^ known.high);
+        let told = sent.row(y).known();
+        let tell = told | !same;
+        cells.set_row(y, Row { low: own.low & tell, high: own.high & tell });
+    }
+    cells
+}
+
 /// The first tile after `done`, in order of ids, that is dirty and of which no update is under
 /// way.
-fn next_tile<'p>(
-    pool: &'p mut Pool<'_>,
-    done: Option<TileId>,
-) -> Option<&'p mut crate::map::OwnTile> {
+fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut OwnTile> {
     pool.tiles_mut()
         .filter(|tile| tile.dirty && tile.publication.is_ready() && tile.id > done)
         .min_by_key(|tile| tile.id.map(|id| (id.x, id.y)))

@@ -53,6 +53,12 @@ impl<'b> FusedMap<'b> {
         self.places.iter().filter(|tile| tile.id.is_some())
     }
 
+    /// The cells of a tile, if it is held whole.
+    pub fn tile(&self, id: TileId) -> Option<&Tile> {
+        let place = self.places.iter().find(|place| place.id == Some(id))?;
+        (!place.replica.is_partial()).then(|| place.replica.tile())
+    }
+
     /// Moves the window when the robot has left its middle third. Tiles outside are dropped.
     pub fn follow(&mut self, pose: Pose, resolution: Millimetres) {
         let side =

@@ -2,8 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use ubimap_protocol::message::Interest;
-use ubimap_protocol::tile::{Digest, Row, Stamp, TILE_SIDE, Tile, TileId, Version, tile_hash};
+use ubimap_protocol::{
+    message::Interest,
+    tile::{Cell, Digest, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileId, Version, tile_hash},
+};
+
+use super::robot_layer::SeenTile;
 
 /// Fuses one tile: what the cameras have seen, and what each robot has, in any order. A pure
 /// function:
@@ -12,35 +16,25 @@ use ubimap_protocol::tile::{Digest, Row, Stamp, TILE_SIDE, Tile, TileId, Version
 /// |---|---|---|
 /// | know the cell | anything | the cameras' code |
 /// | don't | none knows it | unknown |
-/// | don't | as many or more say occupied as free | occupied |
-/// | don't | more say free | free |
-pub fn fuse(cameras: &Tile, robots: &[Tile]) -> Tile {
+/// | don't | one said something new of it last | what that one said |
+/// | don't | several did, within the same second | occupied if any of them says so |
+///
+/// A robot that agrees with the map is silent, so whoever spoke last has seen it otherwise.
+pub fn fuse(cameras: &Tile, robots: &[&SeenTile]) -> Tile {
     let mut fused = *cameras;
-    for y in 0..TILE_SIDE {
-        let row = cameras.row(y);
-        let voted = vote(robots.iter().map(|robot| robot.row(y)));
-        let blind = !row.known();
-        let low = row.low | voted.low & blind;
-        let high = row.high | voted.high & blind;
-        fused.set_row(y, Row { low, high });
-    }
-    fused
-}
-
-/// The majority of the robots that know a cell; a tie is occupied.
-fn vote(rows: impl Iterator<Item = Row>) -> Row {
-    let mut balance = [0i32; TILE_SIDE];
-    let mut known = 0;
-    for row in rows {
-        known |= row.known();
-        for (x, balance) in balance.iter_mut().enumerate() {
-            if row.known() >> x & 1 != 0 {
-                *balance += if row.high >> x & 1 != 0 { 1 } else { -1 };
-            }
+    for cell in 0..usize::from(TILE_CELLS) {
+        let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+        if cameras.cell(x, y) != Cell::Unknown {
+            continue;
+        }
+        let said = robots.iter().map(|robot| (robot.tile.cell(x, y), robot.seconds[cell]));
+        let known = said.filter(|(code, _)| *code != Cell::Unknown);
+        // Of the codes, free is the least.
+        if let Some((_, code)) = known.map(|(code, second)| (second, code.code())).max() {
+            fused.set(x, y, Cell::from_code(code));
         }
     }
-    let occupied = (0..TILE_SIDE).filter(|&x| balance[x] >= 0).fold(0, |word, x| word | 1u32 << x);
-    Row { low: known & !occupied, high: known & occupied }
+    fused
 }
 
 /// The tiles of the fused layer. The server alone writes them: a tile's version is raised
@@ -94,7 +88,7 @@ impl FusedLayer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::tile::Cell::{self, Free, Movable, Occupied, Unknown};
+    use Cell::{Free, Movable, Occupied, Unknown};
 
     fn of(cell: Cell) -> Tile {
         let mut tile = Tile::UNKNOWN;
@@ -102,21 +96,26 @@ mod tests {
         tile
     }
 
+    fn seen(&(cell, second): &(Cell, u32)) -> SeenTile {
+        SeenTile { tile: of(cell), seconds: [second; TILE_CELLS as usize] }
+    }
+
     #[test]
     fn the_table_of_cases() {
-        let cases: [(Cell, &[Cell], Cell); 9] = [
+        let cases: [(Cell, &[(Cell, u32)], Cell); 9] = [
             (Unknown, &[], Unknown),
-            (Unknown, &[Unknown, Unknown], Unknown),
-            (Unknown, &[Free, Unknown], Free),
-            (Unknown, &[Unknown, Occupied], Occupied),
-            (Unknown, &[Free, Occupied], Occupied),
-            (Unknown, &[Free, Occupied, Free], Free),
-            (Free, &[Occupied, Occupied], Free),
-            (Movable, &[Free], Movable),
-            (Occupied, &[Free, Unknown], Occupied),
+            (Unknown, &[(Unknown, 3), (Unknown, 4)], Unknown),
+            (Unknown, &[(Free, 3), (Unknown, 4)], Free),
+            (Unknown, &[(Free, 3), (Occupied, 3)], Occupied),
+            (Unknown, &[(Free, 4), (Occupied, 3)], Free),
+            (Unknown, &[(Free, 4), (Occupied, 3), (Movable, 4)], Movable),
+            (Free, &[(Occupied, 3), (Occupied, 4)], Free),
+            (Movable, &[(Free, 3)], Movable),
+            (Occupied, &[(Free, 3), (Unknown, 4)], Occupied),
         ];
         for (camera, robots, expected) in cases {
-            let mut robots: Vec<Tile> = robots.iter().map(|&cell| of(cell)).collect();
+            let robots: Vec<SeenTile> = robots.iter().map(seen).collect();
+            let mut robots: Vec<&SeenTile> = robots.iter().collect();
             for _ in 0..2 {
                 let fused = fuse(&of(camera), &robots);
                 assert_eq!(fused.cell(7, 9), expected, "{camera:?} and {robots:?}");

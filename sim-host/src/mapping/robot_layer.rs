@@ -3,16 +3,32 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::tile::{
-    Applied, BaseMissing, Epoch, Replica, Stamp, Tile, TileDecoder, TileError, TileId,
+    Applied, BaseMissing, Epoch, Replica, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
+    TileError, TileId,
 };
 
 /// One epoch of one tile.
 #[derive(Clone, Debug, Default)]
 struct Held {
     replica: Replica,
-    /// What the replica held before it was begun anew within its epoch: what is known stays
-    /// known until the new whole has arrived.
+    /// What the replica held before it was begun anew within its epoch: what an epoch knows it
+    /// knows for good.
     before: Option<Tile>,
+}
+
+/// What a robot has seen of one tile, and when it last said something new of each cell: seconds of
+/// the server's clock, row by row from the south-west.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SeenTile {
+    /// The cells.
+    pub tile: Tile,
+    /// One for each cell.
+    pub seconds: [u32; TILE_CELLS as usize],
+}
+
+impl SeenTile {
+    /// Nothing has been seen.
+    const NOTHING: Self = Self { tile: Tile::UNKNOWN, seconds: [0; TILE_CELLS as usize] };
 }
 
 /// The layer of one robot. For each cell the code is that of the newest epoch that knows it, so
@@ -20,7 +36,8 @@ struct Held {
 #[derive(Clone, Debug, Default)]
 pub struct RobotLayer {
     tiles: BTreeMap<TileId, BTreeMap<Epoch, Held>>,
-    newest_scan: BTreeMap<TileId, u32>,
+    /// The epochs of each tile, joined.
+    seen: BTreeMap<TileId, SeenTile>,
 }
 
 /// What an update came to.
@@ -57,22 +74,33 @@ impl RobotLayer {
                 held.before = Some(before);
             }
             match held.replica.apply(&header, &mut decoder) {
-                Ok(Applied::Complete) => held.before = None,
-                Ok(Applied::Partial) => {}
+                Ok(Applied::Complete | Applied::Partial) => {}
                 Err(BaseMissing) => {
                     epochs.retain(|_, held| *held.replica.tile() != Tile::UNKNOWN);
                     updated.missing = Some(header.id);
                     return (updated, Ok(()));
                 }
             }
-            let newest = self.newest_scan.entry(header.id).or_default();
-            *newest = seconds.max(*newest);
-            updated.tiles.insert(header.id);
+            if self.join(header.id, seconds) {
+                updated.tiles.insert(header.id);
+            }
         }
     }
 
-    /// What the robot has seen of a tile.
-    pub fn tile(&self, id: TileId) -> Tile {
+    /// Joins the epochs of a tile anew. Whether anything has changed.
+    fn join(&mut self, id: TileId, seconds: u32) -> bool {
+        let joined = self.joined(id);
+        let seen = self.seen.entry(id).or_insert(SeenTile::NOTHING);
+        for (cell, time) in seen.seconds.iter_mut().enumerate() {
+            let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+            if seen.tile.cell(x, y) != joined.cell(x, y) {
+                *time = seconds;
+            }
+        }
+        core::mem::replace(&mut seen.tile, joined) != joined
+    }
+
+    fn joined(&self, id: TileId) -> Tile {
         let mut joined = Tile::UNKNOWN;
         for held in self.tiles.get(&id).into_iter().flat_map(|epochs| epochs.values().rev()) {
             joined.fill_unknown_from(held.replica.tile());
@@ -83,21 +111,20 @@ impl RobotLayer {
         joined
     }
 
-    /// The tiles of which the robot has seen something.
-    pub fn ids(&self) -> impl Iterator<Item = TileId> + '_ {
-        self.tiles.keys().copied()
+    /// What the robot has seen of a tile.
+    pub fn seen(&self, id: TileId) -> Option<&SeenTile> {
+        self.seen.get(&id)
     }
 
-    /// When the newest scan in a tile was taken, in seconds of the server's clock.
-    pub fn newest_scan(&self, id: TileId) -> Option<u32> {
-        self.newest_scan.get(&id).copied()
+    /// The tiles of which the robot has seen something.
+    pub fn tiles(&self) -> impl Iterator<Item = (TileId, &SeenTile)> {
+        self.seen.iter().map(|(&id, seen)| (id, seen))
     }
 
     /// The newest complete state of an epoch of a tile, and its cells.
     pub fn held(&self, id: TileId, epoch: Epoch) -> Option<(Stamp, &Tile)> {
         let held = self.tiles.get(&id)?.get(&epoch)?;
-        let complete = held.before.is_none() && !held.replica.is_partial();
-        complete.then(|| (held.replica.stamp(), held.replica.tile()))
+        (!held.replica.is_partial()).then(|| (held.replica.stamp(), held.replica.tile()))
     }
 
     /// The first epoch that the robot has not used.
@@ -141,7 +168,7 @@ mod tests {
             for coded in order {
                 assert_eq!(layer.update(coded, 5).1, Ok(()));
             }
-            assert_eq!(layer.tile(ID), joined);
+            assert_eq!(layer.seen(ID).unwrap().tile, joined);
             assert_eq!(layer.next_epoch(), Epoch(3));
         }
     }
@@ -154,10 +181,10 @@ mod tests {
         let (updated, result) = layer.update(&coded, 5);
         assert_eq!((updated.missing, result), (Some(ID), Ok(())));
         assert!(updated.tiles.is_empty());
-        assert_eq!(layer.tile(ID), Tile::UNKNOWN);
+        assert_eq!(layer.seen(ID), None);
         assert_eq!(layer.update(&update(1, 1, None, &base), 5).1, Ok(()));
         assert_eq!(layer.update(&coded, 6).0.missing, None);
-        assert_eq!(layer.tile(ID).cell(0, 0), Cell::Occupied);
-        assert_eq!(layer.newest_scan(ID), Some(6));
+        let seen = layer.seen(ID).unwrap();
+        assert_eq!((seen.tile.cell(0, 0), seen.seconds[0]), (Cell::Occupied, 6));
     }
 }

@@ -39,7 +39,8 @@ fn summary(server: &Server, port: usize, robot: &Robot<'_>, tiles: usize) -> Rob
     let counted = robot.agent().statistics();
     let mut digest = Digest::default();
     if let Some(layer) = server.layer(robot.id()) {
-        layer.ids().for_each(|id| digest.add(id, Stamp::default(), tile_hash(&layer.tile(id))));
+        let tiles = layer.tiles();
+        tiles.for_each(|(id, seen)| digest.add(id, Stamp::default(), tile_hash(&seen.tile)));
     }
     let pixels = counted.pixels;
     RobotSummary {

@@ -9,7 +9,7 @@ use ubimap_protocol::{
         Ack, Hello, Interest, Message, Messages, Request, State, TileUpdateHead, TimeRequest,
         ToRobotKind, ToServerKind, decode,
     },
-    tile::{Epoch, Layer, Tile, TileId},
+    tile::{Epoch, Layer, TileId},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
@@ -228,7 +228,7 @@ impl Server {
     /// Computes the fused tiles anew whose sources have changed.
     fn refuse_stale(&mut self, changed: &BTreeSet<TileId>) {
         for &id in changed {
-            let robots: Vec<Tile> = self.layers.values().map(|layer| layer.tile(id)).collect();
+            let robots: Vec<_> = self.layers.values().filter_map(|layer| layer.seen(id)).collect();
             self.fused.set(id, fuse(&self.cameras.tile(id), &robots));
         }
     }

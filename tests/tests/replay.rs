@@ -1,0 +1,86 @@
+//! Recorded logs through robots, bad channels and the server, to one map.
+
+use clap::Parser;
+use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE, Tile, TileId},
+    units::Millimetres,
+};
+use ubimap_sim_host::{
+    grid::{OccupancyGrid, compare},
+    run::{Outcome, options::ReplayOptions, replay},
+};
+use ubimap_tests::{data, per_ray};
+
+/// A log, and the range in metres from which its readings mean no return.
+const LOGS: [(&str, f64); 4] = [
+    ("carmen_corrected/intel-corrected.log.gz", 81.0),
+    ("carmen_corrected/freiburg-101-corrected.log.gz", 50.0),
+    ("carmen_corrected/orebro-corrected.log.gz", 32.0),
+    ("carmen_corrected/fhw-corrected.log.gz", 50.0),
+];
+
+const BAD_LINK: &str = "--loss 0.3 --duplicate 0.05 --reorder 0.1 --corrupt 0.02";
+
+#[derive(Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    options: ReplayOptions,
+}
+
+fn run(log: &std::path::Path, options: &str) -> Outcome {
+    let words = ["replay"].into_iter().map(Into::into).chain([log.as_os_str().to_owned()]);
+    let words = words.chain(options.split_whitespace().map(Into::into));
+    replay::run(&CommandLine::parse_from(words).options).unwrap()
+}
+
+#[test]
+fn over_a_bad_link_all_end_with_the_map_of_a_perfect_one() {
+    for (name, _) in LOGS {
+        let Some(log) = data::file(name) else { return };
+        let perfect = run(&log, "--robots 3");
+        let bad = run(&log, &format!("--robots 3 {BAD_LINK}"));
+        for outcome in [&perfect, &bad] {
+            assert!(outcome.report.map.converged, "{name}");
+            let refused: u64 = outcome.report.robots.iter().map(|it| it.cells_refused).sum();
+            assert_eq!(refused, 0, "{name}");
+        }
+        let f1 = compare(&bad.map, &perfect.map, None).f1;
+        assert!(f1 >= 0.98, "{name}: F1 {f1}");
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_report_and_another_one_another() {
+    let Some(log) = data::file(LOGS[1].0) else { return };
+    let report = |seed: u32| {
+        let mut outcome = run(&log, &format!("--robots 2 {BAD_LINK} --seed {seed}"));
+        outcome.report.elapsed_s = 0.0;
+        (outcome.report.to_json_pretty(), outcome.map)
+    };
+    assert_eq!(report(7), report(7));
+    assert_ne!(report(7).0, report(8).0);
+}
+
+#[test]
+fn the_map_agrees_with_one_made_ray_by_ray() {
+    for (name, no_return) in LOGS {
+        let Some(log) = data::file(name) else { return };
+        let resolution = Millimetres(50);
+        let rays = per_ray::map(&data::text(&log).unwrap(), 0.05, 4.0, no_return);
+        let mut tiles = std::collections::BTreeMap::<TileId, Tile>::new();
+        for (&(x, y), &odds) in &rays {
+            let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
+            let cell = if odds > 0.0 { Cell::Occupied } else { Cell::Free };
+            let tile = tiles.entry(TileId::of_cell(x, y).unwrap()).or_default();
+            tile.set(within(x), within(y), cell);
+        }
+        let tiles = tiles.iter().map(|(&id, tile)| (id, tile));
+        let oracle = OccupancyGrid::from_tiles(tiles, resolution).unwrap();
+        for robots in [1, 3] {
+            let outcome = run(&log, &format!("--robots {robots}"));
+            let scores = compare(&outcome.map, &oracle, None);
+            println!("{name}, {robots} robots: {scores:?}");
+            assert!(scores.f1 >= 0.98, "{name}, {robots} robots: {scores:?}");
+        }
+    }
+}
