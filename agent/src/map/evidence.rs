@@ -6,7 +6,7 @@
 //! seen to be: 4 (5 if near) or 3.
 //!
 //! What the server's map says already is not counted again: where it agrees with what is seen,
-//! the cell stays unknown here; where it does not, the cell starts from what the map says, 7 or
+//! the cell stays unknown here; where it does not, the cell starts from what the map says, 5 or
 //! 1, and must be seen otherwise a few times before this robot contradicts.
 
 use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
@@ -45,7 +45,6 @@ impl Evidence {
         let from_free = hit & known_free;
         let from_occupied = free & known_occupied;
         row[0] |= from_free | from_occupied;
-        row[1] |= from_occupied;
         row[2] |= from_occupied;
         up(&mut row, hit);
         up(&mut row, hit & sighting.near);
@@ -116,7 +115,7 @@ mod tests {
         if value == 0 && (is(sighting.hit) || is(sighting.free)) {
             match (is(known.low), is(known.high)) {
                 (_, true) if is(sighting.hit) => return 0,
-                (_, true) => value = 7,
+                (_, true) => value = 5,
                 (true, false) if !is(sighting.hit) => return 0,
                 (true, false) => value = 1,
                 (false, false) => {}

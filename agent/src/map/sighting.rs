@@ -18,7 +18,7 @@ use crate::sense::{Beam, DIRECTION_BITS};
 const FRACTION: i32 = 8;
 const CELL: i32 = 1 << FRACTION;
 /// Two beams whose readings differ by more than this look past an edge.
-const JUMP: u16 = 200;
+const JUMP: u16 = 150;
 
 /// The longest range that can be mapped, in cells.
 pub const MAX_RADIUS: usize = 1000;
@@ -138,7 +138,8 @@ impl<'s> Sighting<'s> {
                 } else {
                     counts.kept += 1;
                 }
-                self.mark(x, y, reading <= beam.limit / 2);
+                // The nearest quarter of the range, where the beams are closer than cells.
+                self.mark(x, y, reading <= beam.limit / 4);
                 reach = reading.saturating_sub(margin);
             } else {
                 counts.kept += 1;
