@@ -2,8 +2,8 @@
 //! a row of 32 cells is updated by a handful of logic instructions.
 //!
 //! 0 is unknown, 1 to 3 free, 4 to 7 occupied. A hit counts up by one, a near hit by two, a cell
-//! that beams crossed counts down by one. An unknown cell starts at the border of what it is
-//! seen to be: 4 (5 if near) or 3.
+//! that beams crossed counts down by one. An unknown cell starts at 3 if it was crossed, and at 5
+//! (6 if near) if it was hit: a hit says more than a beam that passed by.
 //!
 //! What the server's map says already is not counted again: where it agrees with what is seen,
 //! the cell stays unknown here; where it does not, the cell starts from what the map says, 5 or
@@ -76,7 +76,7 @@ impl Evidence {
     }
 }
 
-/// Counts up by one: unknown to 4, 7 stays.
+/// Counts up by one: unknown to 5, 7 stays.
 fn up([p0, p1, p2]: &mut [u32; 3], mask: u32) {
     let unknown = !(*p0 | *p1 | *p2) & mask;
     let carry = mask & !unknown & !(*p0 & *p1 & *p2);
@@ -86,6 +86,7 @@ fn up([p0, p1, p2]: &mut [u32; 3], mask: u32) {
     *p1 ^= carry_1;
     *p2 ^= carry_2;
     *p2 |= unknown;
+    *p0 |= unknown;
 }
 
 /// Counts down by one: unknown to 3, 1 stays.
@@ -110,7 +111,7 @@ mod tests {
     /// The same for one cell, plainly.
     fn count(value: u8, bit: usize, sighting: RowSighting, known: Row) -> u8 {
         let is = |mask: u32| mask >> bit & 1 != 0;
-        let up = |value: u8| if value == 0 { 4 } else { (value + 1).min(7) };
+        let up = |value: u8| if value == 0 { 5 } else { (value + 1).min(7) };
         let mut value = value;
         if value == 0 && (is(sighting.hit) || is(sighting.free)) {
             match (is(known.low), is(known.high)) {
