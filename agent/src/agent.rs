@@ -464,7 +464,7 @@ impl<'b> Agent<'b> {
         while let Some(taken) = self.waiting.oldest() {
             let last_chance = now >= taken + self.config.scan_deadline;
             let server_moment = self.clock.to_server(taken);
-            let located = self.locator.at(taken, server_moment, last_chance);
+            let located = self.locator.at(taken, server_moment, now.since(taken), last_chance);
             if located == Located::NotYet {
                 return;
             }

@@ -78,12 +78,13 @@ impl Locator {
     }
 
     /// The pose at `moment` of the robot's clock, which is `server_moment` of the server's (if
-    /// that is known). With `last_chance` it is not waited for anything better. About 500
-    /// instructions, 5,000 where odometry is composed.
+    /// that is known), `age` ago. With `last_chance` it is not waited for anything better. About
+    /// 500 instructions, 5,000 where odometry is composed.
     pub fn at(
         &self,
         moment: Instant,
         server_moment: Option<Instant>,
+        age: Duration,
         last_chance: bool,
     ) -> Located {
         let pending = if last_chance { Located::Never } else { Located::NotYet };
@@ -101,7 +102,8 @@ impl Locator {
             return Located::At(pose);
         }
         // A fix that comes late may still close the gap, if the cameras see the robot at all.
-        let seen = around.before.is_some_and(|(fix, _)| server_moment.since(fix) <= WIDEST_GAP);
+        let newest = self.fixes.newest().map(|(fix, _)| (server_moment + age).since(fix));
+        let seen = newest.is_some_and(|since| since <= WIDEST_GAP);
         if !last_chance && (seen || self.anchor.is_none()) {
             return Located::NotYet;
         }
@@ -111,7 +113,8 @@ impl Locator {
         let at_hand = [around.before, around.after].into_iter().flatten().find(|(fix, _)| {
             fix.since(server_moment).max(server_moment.since(*fix)) <= Duration::from_millis(10)
         });
-        at_hand.map_or(pending, |(_, pose)| Located::At(pose))
+        // Lost for longer than odometry is trusted: no fix to come would tell where it was here.
+        at_hand.map_or(Located::Never, |(_, pose)| Located::At(pose))
     }
 
     /// The newest fix, carried to `moment` by odometry.
@@ -162,7 +165,7 @@ mod tests {
     /// The server's clock is 7 s ahead.
     fn at(locator: &Locator, moment: u64, last_chance: bool) -> Located {
         let moment = Instant(moment * 1000);
-        locator.at(moment, Some(moment + AHEAD), last_chance)
+        locator.at(moment, Some(moment + AHEAD), Duration(0), last_chance)
     }
 
     fn fix(locator: &mut Locator, moment: u64, pose: Pose) {
@@ -190,6 +193,9 @@ mod tests {
         locator.odometry(Instant(2_100_000), pose(1200, 0, 0.0));
         fix(&mut locator, 1_000, pose(1000, 2000, 90.0));
         assert_eq!(at(&locator, 1_200, false), Located::NotYet);
+        let later = Instant(1_200_000);
+        let found = locator.at(later, Some(later + AHEAD), Duration::from_millis(200), false);
+        near(found, pose(1000, 2200, 90.0));
         // In a second of the 1.2 s it drove 1 m forward, which is north.
         near(at(&locator, 2_000, false), pose(1000, 3000, 90.0));
         locator.odometry(Instant(40_000_000), pose(1200, 0, 0.0));

@@ -1,4 +1,5 @@
-//! What the cameras have seen: for each cell, what it was when it was last in view.
+//! What the cameras have seen: for each cell, what stood or did not stand there when it was last
+//! in view, and what moves there now.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,42 +10,65 @@ use ubimap_protocol::{
 
 use crate::camera::Observation;
 
-/// The camera evidence, and when the newest frame in each tile was captured.
+/// The camera evidence.
 #[derive(Clone, Debug, Default)]
 pub struct CameraLayer {
-    tiles: BTreeMap<TileId, (Tile, Instant)>,
+    /// What does not move, and when the newest frame in each tile was captured.
+    still: BTreeMap<TileId, (Tile, Instant)>,
+    /// What moves, as the newest frame of each camera has it: its next frame replaces it, so that
+    /// what walks out of view leaves nothing behind.
+    moving: BTreeMap<usize, (Instant, BTreeMap<TileId, Tile>)>,
 }
 
 impl CameraLayer {
-    /// Takes the cells of a frame. A frame that is older than what is known of a tile is passed
-    /// over there. Returns the tiles that have changed.
+    /// Takes the cells of a frame; a frame without cells says nothing. A frame that is older than
+    /// what is known is passed over. Returns the tiles that have changed.
     pub fn observe(&mut self, observation: &Observation) -> BTreeSet<TileId> {
-        let mut by_tile = BTreeMap::<TileId, Vec<(usize, usize, Cell)>>::new();
+        if observation.cells.is_empty() {
+            return BTreeSet::new();
+        }
+        let captured = observation.captured;
+        let mut moving = BTreeMap::<TileId, Tile>::new();
+        let mut still = BTreeMap::<TileId, Tile>::new();
         for &((x, y), cell) in &observation.cells {
             let Some(id) = TileId::of_cell(x, y) else { continue };
             let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
-            by_tile.entry(id).or_default().push((within(x), within(y), cell));
+            let tiles = if cell == Cell::Movable { &mut moving } else { &mut still };
+            tiles.entry(id).or_default().set(within(x), within(y), cell);
         }
         let mut changed = BTreeSet::new();
-        for (id, cells) in by_tile {
-            let (tile, newest) = self.tiles.entry(id).or_default();
-            if observation.captured < *newest {
+        for (id, mut seen) in still {
+            let (tile, newest) = self.still.entry(id).or_default();
+            if captured < *newest {
                 continue;
             }
-            *newest = observation.captured;
-            for (x, y, cell) in cells {
-                if tile.cell(x, y) != cell {
-                    tile.set(x, y, cell);
-                    changed.insert(id);
-                }
+            *newest = captured;
+            seen.fill_unknown_from(tile);
+            if seen != *tile {
+                *tile = seen;
+                changed.insert(id);
             }
+        }
+        let (newest, tiles) = self.moving.entry(observation.camera).or_default();
+        if captured >= *newest {
+            changed.extend(
+                moving.keys().chain(tiles.keys()).filter(|id| moving.get(id) != tiles.get(id)),
+            );
+            (*newest, *tiles) = (captured, moving);
         }
         changed
     }
 
-    /// What the cameras have seen of a tile.
+    /// What the cameras know of a tile.
     pub fn tile(&self, id: TileId) -> Tile {
-        self.tiles.get(&id).map_or(Tile::UNKNOWN, |(tile, _)| *tile)
+        let mut tile = Tile::UNKNOWN;
+        for moving in self.moving.values().filter_map(|(_, tiles)| tiles.get(&id)) {
+            tile.fill_unknown_from(moving);
+        }
+        if let Some((still, _)) = self.still.get(&id) {
+            tile.fill_unknown_from(still);
+        }
+        tile
     }
 }
 
@@ -52,18 +76,37 @@ impl CameraLayer {
 mod tests {
     use super::*;
 
+    const ID: TileId = TileId { x: -1, y: 0 };
+
+    fn frame(camera: usize, captured: u64, cells: &[(i32, Cell)]) -> Observation {
+        Observation {
+            camera,
+            captured: Instant(captured),
+            cells: cells.iter().map(|&(x, cell)| ((x, 5), cell)).collect(),
+            ..Observation::default()
+        }
+    }
+
     #[test]
     fn the_newest_frame_holds() {
         let mut layer = CameraLayer::default();
-        let frame = |captured, cell| Observation {
-            captured: Instant(captured),
-            cells: vec![((-1, 5), cell)],
-            ..Observation::default()
-        };
-        let id = TileId { x: -1, y: 0 };
-        assert!(layer.observe(&frame(10, Cell::Movable)).contains(&id));
-        assert!(layer.observe(&frame(20, Cell::Free)).contains(&id));
-        assert!(layer.observe(&frame(15, Cell::Occupied)).is_empty());
-        assert_eq!(layer.tile(id).cell(31, 5), Cell::Free);
+        assert!(layer.observe(&frame(0, 10, &[(-1, Cell::Occupied)])).contains(&ID));
+        assert!(layer.observe(&frame(1, 20, &[(-1, Cell::Free)])).contains(&ID));
+        assert!(layer.observe(&frame(0, 15, &[(-1, Cell::Occupied)])).is_empty());
+        assert_eq!(layer.tile(ID).cell(31, 5), Cell::Free);
+    }
+
+    #[test]
+    fn what_walks_out_of_view_leaves_nothing_behind() {
+        let mut layer = CameraLayer::default();
+        layer.observe(&frame(0, 10, &[(-1, Cell::Free), (-2, Cell::Movable)]));
+        layer.observe(&frame(0, 20, &[(-1, Cell::Movable), (-2, Cell::Free)]));
+        assert_eq!(layer.tile(ID).cell(31, 5), Cell::Movable);
+        // Its shadow hides where it was.
+        assert!(layer.observe(&frame(0, 30, &[(-2, Cell::Free)])).contains(&ID));
+        assert_eq!(layer.tile(ID).cell(31, 5), Cell::Free);
+        // A frame without cells says nothing.
+        layer.observe(&frame(0, 40, &[]));
+        assert_eq!(layer.tile(ID).cell(30, 5), Cell::Free);
     }
 }

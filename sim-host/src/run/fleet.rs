@@ -283,7 +283,8 @@ impl<'b> Fleet<'b> {
                 let Some(robot) = self.robots.get_mut(robot) else { return };
                 let local = robot.clock.local(self.now);
                 if let Err(error) = robot.agent.scan(local, &readings, local) {
-                    log::warn!("robot {}: a scan is not taken: {error:?}", robot.id.0);
+                    // The agent counts them.
+                    log::debug!("robot {}: a scan is not taken: {error:?}", robot.id.0);
                 }
                 robot.path.extend(robot.agent.pose());
             }
