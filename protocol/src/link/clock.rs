@@ -119,25 +119,25 @@ impl ClockSync {
         }
     }
 
-    /// The server's clock less the robot's, in microseconds (modulo 2^64), once known.
-    fn offset(&self) -> Option<u64> {
+    /// The server's clock less the robot's, in microseconds, once known.
+    fn offset(&self) -> Option<i64> {
         let fastest = self.generations.iter().fold(Fastest::NONE, |all, &one| all.min(one));
-        // The sum of both is the fastest round trip, so halving their difference loses nothing
-        // that matters; the wrapping keeps any two clocks apart by the right amount.
         (self.exchanges > 0).then(|| {
             let round_trip = fastest.there.wrapping_add(fastest.back);
-            fastest.there.wrapping_sub(round_trip / 2) as u64
+            fastest.there.wrapping_sub(round_trip / 2)
         })
     }
 
-    /// A moment of the robot's clock in the server's, once known.
+    /// A moment of the robot's clock in the server's, once known; `None` as well if the server's
+    /// clock had not started then.
     pub fn to_server(&self, local: Instant) -> Option<Instant> {
-        Some(Instant(local.0.wrapping_add(self.offset()?)))
+        local.0.checked_add_signed(self.offset()?).map(Instant)
     }
 
-    /// A moment of the server's clock in the robot's, once known.
+    /// A moment of the server's clock in the robot's, once known; `None` as well if the robot's
+    /// clock had not started then.
     pub fn to_local(&self, server: Instant) -> Option<Instant> {
-        Some(Instant(server.0.wrapping_sub(self.offset()?)))
+        server.0.checked_add_signed(self.offset()?.checked_neg()?).map(Instant)
     }
 
     /// The server's time now, once known. Never less than at an earlier call.
@@ -200,6 +200,18 @@ mod tests {
         assert_eq!(clock.to_server(Instant(10)), None);
         clock.reply(&TimeReply { nonce: request.nonce, received, held_micros: 0 }, Instant(10));
         assert_eq!(clock.to_server(Instant(10)), Some(Instant(5_000_005)));
+    }
+
+    #[test]
+    fn a_moment_before_the_other_clock_started_has_no_time_there() {
+        let mut clock = ClockSync::default();
+        let start = Instant(9_000_000);
+        let request = clock.poll_request(start).unwrap();
+        let received = Instant(1_000);
+        clock.reply(&TimeReply { nonce: request.nonce, received, held_micros: 0 }, start);
+        assert_eq!(clock.to_server(start), Some(received));
+        assert_eq!(clock.to_server(start - Duration(2_000)), None);
+        assert_eq!(clock.to_local(Instant(0)), Some(start - Duration(1_000)));
     }
 
     #[test]
