@@ -281,6 +281,7 @@ impl<'b> Agent<'b> {
         }
         let server_moment = self.latest_pose.map(|(moment, _)| moment);
         let pose = self.latest_pose.map(|(_, pose)| pose);
+        let odometry = self.locator.newest_odometry();
         let cells_refused = self.statistics.cells_refused;
         let Self { link, clock, fused, map, publisher, next_state, .. } = self;
         let sent = link.poll_transmit(now, out, |writer, reliable| {
@@ -292,7 +293,7 @@ impl<'b> Agent<'b> {
             let stating = *next_state <= now;
             if stating {
                 *next_state = now + STATE_INTERVAL;
-                let state = State { time: server_moment, pose, cells_refused };
+                let state = State { time: server_moment, pose, odometry, cells_refused };
                 push(writer, ToServerKind::State, &state);
             }
             if stating || request.is_some() || !reliable {
@@ -576,6 +577,14 @@ impl Inbox<'_, '_> {
                     self.publisher.requested(pool, Some(tile), now);
                 }
             }
+            // Nothing is done with these yet.
+            ToRobotKind::Peers
+            | ToRobotKind::Obstacles
+            | ToRobotKind::Path
+            | ToRobotKind::Stop
+            | ToRobotKind::Parameter
+            | ToRobotKind::Stored
+            | ToRobotKind::Digests => {}
             // They belong into handshake frames.
             ToRobotKind::Welcome | ToRobotKind::Refusal | ToRobotKind::Reset => return None,
         }

@@ -72,6 +72,11 @@ impl Locator {
         self.odometry.insert(moment, pose)
     }
 
+    /// The newest reading of the odometry: `base_link` in `odom`.
+    pub fn newest_odometry(&self) -> Option<Pose> {
+        self.odometry.newest().map(|(_, pose)| pose)
+    }
+
     /// The server's clock has begun anew: its earlier fixes mean nothing.
     pub fn forget_fixes(&mut self) {
         self.fixes.clear();

@@ -6,7 +6,16 @@ mod to_server;
 mod wire;
 
 pub use to_robot::{
-    EarlierFix, MAX_EARLIER_FIXES, PoseFix, Refusal, RefusalReason, TimeReply, ToRobotKind, Welcome,
+    Certainty, EarlierFix, FixSource, MAX_EARLIER_FIXES, MAX_OBSTACLES, MAX_PEERS, MAX_STORED,
+    MAX_WAYPOINTS, Obstacle, ObstacleClass, Obstacles, ParameterAction, ParameterCommand, Path,
+    Peer, Peers, PoseFix, Refusal, RefusalReason, Stop, Stored, TimeReply, ToRobotKind, Waypoint,
+    Welcome,
 };
-pub use to_server::{Hello, Interest, MAX_REQUESTS, Request, State, TimeRequest, ToServerKind};
-pub use wire::{Ack, MalformedMessage, Message, Messages, TileUpdateHead, Writer, decode};
+pub use to_server::{
+    DistanceVector, Event, Hello, Interest, MAX_COLUMNS, MAX_DETAIL, MAX_REQUESTS,
+    ParameterOutcome, ParameterReport, Request, Severity, State, TimeRequest, ToServerKind,
+};
+pub use wire::{
+    Ack, Digests, MAX_DIGESTS, MAX_PARAMETERS, MalformedMessage, Message, Messages, ParameterValue,
+    TileDigest, TileUpdateHead, Writer, decode,
+};

@@ -3,10 +3,12 @@
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
+use super::wire::ParameterValue;
 use crate::{
     frame::SessionId,
+    tile::{Stamp, TileId},
     time::Instant,
-    units::{Millimetres, Pose},
+    units::{Millimetres, Pose, RobotId},
 };
 
 /// The kinds of messages to a robot. Kind 0 is [`Ack`](super::Ack).
@@ -27,6 +29,20 @@ pub enum ToRobotKind {
     Request = 6,
     /// In a handshake frame, without a body: the server has no session here, say hello.
     Reset = 7,
+    /// [`Peers`].
+    Peers = 8,
+    /// [`Obstacles`].
+    Obstacles = 9,
+    /// [`Path`].
+    Path = 10,
+    /// [`Stop`].
+    Stop = 11,
+    /// [`ParameterCommand`].
+    Parameter = 12,
+    /// [`Stored`].
+    Stored = 13,
+    /// [`Digests`](super::Digests) of the fused layer.
+    Digests = 14,
 }
 
 impl ToRobotKind {
@@ -40,6 +56,13 @@ impl ToRobotKind {
             5 => Self::Refusal,
             6 => Self::Request,
             7 => Self::Reset,
+            8 => Self::Peers,
+            9 => Self::Obstacles,
+            10 => Self::Path,
+            11 => Self::Stop,
+            12 => Self::Parameter,
+            13 => Self::Stored,
+            14 => Self::Digests,
             _ => return None,
         })
     }
@@ -112,8 +135,33 @@ pub struct PoseFix {
     pub time: Instant,
     /// `base_link` in `map` at that moment.
     pub pose: Pose,
+    /// How sure it is.
+    pub certainty: Certainty,
+    /// Where it comes from.
+    pub source: FixSource,
     /// The fixes before it, newest first.
     pub earlier: Vec<EarlierFix, MAX_EARLIER_FIXES>,
+}
+
+/// How sure a fix is: standard deviations. The covariance that they stand for is diagonal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Certainty {
+    /// Of x, in millimetres.
+    pub x: u16,
+    /// Of y, in millimetres.
+    pub y: u16,
+    /// Of the heading, in binary angle units.
+    pub heading: u16,
+}
+
+/// Where a fix comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FixSource {
+    /// A camera saw the robot.
+    #[default]
+    Camera,
+    /// What the robot saw was matched with the map.
+    MapMatch,
 }
 
 /// A fix before the one that follows it in time.
@@ -150,7 +198,11 @@ impl PoseFix {
 
     /// The message for these fixes, newest first, as many as it holds. Steps in time that it
     /// can't express (over an hour) end it. `None` if there is no fix.
-    pub fn from_fixes(mut fixes: impl Iterator<Item = (Instant, Pose)>) -> Option<Self> {
+    pub fn from_fixes(
+        mut fixes: impl Iterator<Item = (Instant, Pose)>,
+        certainty: Certainty,
+        source: FixSource,
+    ) -> Option<Self> {
         let (time, pose) = fixes.next()?;
         let mut earlier = Vec::new();
         let mut last = (time, pose);
@@ -167,8 +219,136 @@ impl PoseFix {
             }
             last = fix;
         }
-        Some(Self { time, pose, earlier })
+        Some(Self { time, pose, certainty, source, earlier })
     }
+}
+
+/// The most robots in one [`Peers`].
+pub const MAX_PEERS: usize = 8;
+
+/// The other robots near this one, all that the server tells of: they are not to be mapped.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Peers {
+    /// The moment of the poses, in the server's clock.
+    pub time: Instant,
+    /// The robots.
+    pub peers: Vec<Peer, MAX_PEERS>,
+}
+
+/// One of the other robots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Peer {
+    /// Which one.
+    pub robot: RobotId,
+    /// `base_link` in `map`.
+    pub pose: Pose,
+    /// Half its length, in millimetres.
+    pub half_length: u16,
+    /// Half its width, in millimetres.
+    pub half_width: u16,
+}
+
+/// The most things in one [`Obstacles`].
+pub const MAX_OBSTACLES: usize = 12;
+
+/// What the cameras see near the robot that is no wall: all of it, newest state.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Obstacles {
+    /// The moment of the positions, in the server's clock.
+    pub time: Instant,
+    /// The things.
+    pub obstacles: Vec<Obstacle, MAX_OBSTACLES>,
+}
+
+/// A thing or a person.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Obstacle {
+    /// The same thing keeps its number.
+    pub number: u16,
+    /// What it is.
+    pub class: ObstacleClass,
+    /// Its centre in `map`.
+    pub x: Millimetres,
+    /// Its centre in `map`.
+    pub y: Millimetres,
+    /// Along `map`'s x, in millimetres a second.
+    pub velocity_x: i16,
+    /// Along `map`'s y, in millimetres a second.
+    pub velocity_y: i16,
+    /// The radius of a circle around it, in millimetres.
+    pub radius: u16,
+}
+
+/// What an obstacle is, by height and motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ObstacleClass {
+    /// A person.
+    Person,
+    /// Likely to be moved.
+    Movable,
+    /// Part of the room.
+    Fixed,
+}
+
+/// The most points of one [`Path`].
+pub const MAX_WAYPOINTS: usize = 16;
+
+/// Where to drive; it replaces the path before. One point is a goal, none ends the drive.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Path {
+    /// Counts the paths: of two, the one with the higher number holds.
+    pub number: u32,
+    /// The points in `map`, in order.
+    pub waypoints: Vec<Waypoint, MAX_WAYPOINTS>,
+}
+
+/// A point of a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Waypoint {
+    /// In `map`.
+    pub x: Millimetres,
+    /// In `map`.
+    pub y: Millimetres,
+}
+
+/// Stop, or drive again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stop {
+    /// Counts: of two, the one with the higher number holds.
+    pub number: u32,
+    /// Whether to stand.
+    pub stop: bool,
+}
+
+/// Asks for parameters, or sets one. Answered by a
+/// [`ParameterReport`](super::ParameterReport).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ParameterCommand {
+    /// Given back in the report.
+    pub number: u16,
+    /// What to do.
+    pub action: ParameterAction,
+}
+
+/// What to do with parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ParameterAction {
+    /// Report all of them.
+    List,
+    /// Report this one.
+    Get(u16),
+    /// Set one, and report it.
+    Set(ParameterValue),
+}
+
+/// The most tiles in one [`Stored`].
+pub const MAX_STORED: usize = 8;
+
+/// The server has these states of the robot's tiles on disk.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stored {
+    /// The tiles and their states.
+    pub tiles: Vec<(TileId, Stamp), MAX_STORED>,
 }
 
 #[cfg(test)]
@@ -187,7 +367,9 @@ mod tests {
             (Instant(100_000), pose(0, 0, 0)),
             (Instant(50_000), pose(0, 0, 0)),
         ];
-        let message = PoseFix::from_fixes(fixes.into_iter()).unwrap();
+        let message =
+            PoseFix::from_fixes(fixes.into_iter(), Certainty::default(), FixSource::Camera)
+                .unwrap();
         let read: std::vec::Vec<_> = message.fixes().collect();
         assert_eq!(read, fixes[..4]);
     }

@@ -1,12 +1,13 @@
 //! What a robot says to the server.
 
-use heapless::Vec;
+use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
+use super::wire::{MAX_PARAMETERS, ParameterValue};
 use crate::{
     tile::{Layer, TileId},
     time::Instant,
-    units::{Millimetres, Pose, RobotId},
+    units::{Angle, Millimetres, Pose, RobotId},
 };
 
 /// The kinds of messages to the server. Kind 0 is [`Ack`](super::Ack).
@@ -25,6 +26,14 @@ pub enum ToServerKind {
     Interest = 5,
     /// [`Request`].
     Request = 6,
+    /// [`DistanceVector`].
+    DistanceVector = 7,
+    /// [`Event`].
+    Event = 8,
+    /// [`Digests`](super::Digests) of the robot's layer.
+    Digests = 9,
+    /// [`ParameterReport`].
+    ParameterReport = 10,
 }
 
 impl ToServerKind {
@@ -37,6 +46,10 @@ impl ToServerKind {
             4 => Self::State,
             5 => Self::Interest,
             6 => Self::Request,
+            7 => Self::DistanceVector,
+            8 => Self::Event,
+            9 => Self::Digests,
+            10 => Self::ParameterReport,
             _ => return None,
         })
     }
@@ -75,6 +88,9 @@ pub struct State {
     pub time: Option<Instant>,
     /// Where the robot believes that it is (`base_link` in `map`); `None` if it doesn't know.
     pub pose: Option<Pose>,
+    /// Where its wheels say that it is (`base_link` in `odom`) at the same moment; `None` if it
+    /// has no odometry.
+    pub odometry: Option<Pose>,
     /// Cells that it could not map since it started because its pool of tiles was full.
     pub cells_refused: u32,
 }
@@ -101,6 +117,75 @@ impl Interest {
         let side = |from: i16, to: i16| (i32::from(to) - i32::from(from) + 1).max(0) as u32;
         side(self.from.x, self.to.x).saturating_mul(side(self.from.y, self.to.y))
     }
+}
+
+/// The most columns of one [`DistanceVector`].
+pub const MAX_COLUMNS: usize = 64;
+
+/// The free distance in front of the robot, a few columns wide (Ahmed 2.1): from it the server
+/// measures the error of the robot's pose.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DistanceVector {
+    /// When it was taken, in the server's clock.
+    pub time: Instant,
+    /// Where the robot believed to be (`base_link` in `map`).
+    pub pose: Pose,
+    /// The bearing of the first column in `base_link`.
+    pub first: Angle,
+    /// From one column to the next, in binary angle units; negative for clockwise.
+    pub step: i16,
+    /// For each column the free distance in units of 2 cm; 0 where nothing is known, 255 for 5.1 m
+    /// and more.
+    pub distances: Vec<u8, MAX_COLUMNS>,
+}
+
+/// How much an event matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Severity {
+    /// Good to know.
+    Info,
+    /// Something works less well than it should.
+    Warning,
+    /// Something does not work.
+    Error,
+}
+
+/// The most bytes of an event's detail.
+pub const MAX_DETAIL: usize = 32;
+
+/// Something that happened on the robot.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Event {
+    /// When, in the server's clock; `None` before the clocks agree.
+    pub time: Option<Instant>,
+    /// How much it matters.
+    pub severity: Severity,
+    /// What happened; SPEC.md lists the codes.
+    pub code: u16,
+    /// More about it, for people: UTF-8.
+    pub detail: String<MAX_DETAIL>,
+}
+
+/// The values of parameters, in answer to a [`ParameterCommand`](super::ParameterCommand).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ParameterReport {
+    /// The number of the command.
+    pub number: u16,
+    /// How it went.
+    pub outcome: ParameterOutcome,
+    /// The parameters that were asked for, as they are now.
+    pub values: Vec<ParameterValue, MAX_PARAMETERS>,
+}
+
+/// How a command about parameters went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ParameterOutcome {
+    /// It was carried out.
+    Done,
+    /// The robot has no such parameter.
+    Unknown,
+    /// The value is out of its range; nothing was changed.
+    OutOfRange,
 }
 
 /// The most tiles that one [`Request`] can name.

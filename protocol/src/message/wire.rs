@@ -1,8 +1,9 @@
 //! How messages stand in a frame, and those that both directions share.
 
+use heapless::Vec;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::tile::Layer;
+use crate::tile::{Layer, Stamp, TileId};
 
 /// Acknowledges reliable frames. The same in both directions, kind 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -16,6 +17,42 @@ pub struct Ack {
 impl Ack {
     /// The kind of this message, in both directions.
     pub const KIND: u8 = 0;
+}
+
+/// The most parameters of a robot.
+pub const MAX_PARAMETERS: usize = 16;
+
+/// A parameter and its value; SPEC.md lists the parameters, their units and ranges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ParameterValue {
+    /// Which parameter.
+    pub parameter: u16,
+    /// Its value, in its unit.
+    pub value: i32,
+}
+
+/// The most tiles in one [`Digests`].
+pub const MAX_DIGESTS: usize = 8;
+
+/// What the writer of a layer has, of a few of its tiles: whoever holds an older state, or other
+/// cells, asks for the tile. The same in both directions.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Digests {
+    /// The layer.
+    pub layer: Layer,
+    /// The tiles.
+    pub tiles: Vec<TileDigest, MAX_DIGESTS>,
+}
+
+/// The state of one tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TileDigest {
+    /// Which tile.
+    pub id: TileId,
+    /// Its state.
+    pub stamp: Stamp,
+    /// The hash of its cells ([`tile_hash`](crate::tile::tile_hash)).
+    pub hash: u32,
 }
 
 /// What precedes the coded tiles in the body of a tile update.

@@ -347,6 +347,11 @@ impl Inbox<'_> {
                 }
                 result.ok()?;
             }
+            // Nothing is done with these yet.
+            ToServerKind::DistanceVector
+            | ToServerKind::Event
+            | ToServerKind::Digests
+            | ToServerKind::ParameterReport => {}
             // It belongs into a handshake frame.
             ToServerKind::Hello => return None,
         }

@@ -6,8 +6,8 @@ use ubimap_protocol::{
     frame::MAX_FRAME,
     link::{Endpoint, Fill},
     message::{
-        Interest, MAX_REQUESTS, PoseFix, Request, State, TileUpdateHead, TimeReply, ToRobotKind,
-        Writer,
+        Certainty, FixSource, Interest, MAX_REQUESTS, PoseFix, Request, State, TileUpdateHead,
+        TimeReply, ToRobotKind, Writer,
     },
     tile::{Epoch, Layer, Publication, TileEncoder, TileId},
     time::{Duration, Instant},
@@ -18,6 +18,8 @@ use crate::mapping::FusedLayer;
 
 /// Reliable frames under way to one robot.
 const WINDOW: usize = 16;
+/// What a fix of the cameras is taken to be good for, until they say it themselves.
+const CAMERA_CERTAINTY: Certainty = Certainty { x: 20, y: 20, heading: 182 };
 /// Changes of a fused tile are gathered this long.
 const HOLD: Duration = Duration::from_secs(1);
 /// The downlink's budget for tiles.
@@ -127,7 +129,11 @@ impl Session {
     ) -> Fill<u16> {
         let before = writer.len();
         if self.fix_due {
-            let fix = PoseFix::from_fixes(self.fixes.iter().copied());
+            let fix = PoseFix::from_fixes(
+                self.fixes.iter().copied(),
+                CAMERA_CERTAINTY,
+                FixSource::Camera,
+            );
             self.fix_due = !fix.is_some_and(|fix| writer.push(ToRobotKind::PoseFix as u8, &fix));
         }
         while let Some(&(nonce, received)) = self.times.first() {
