@@ -4,8 +4,9 @@ use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MIN_VERSION, VERSION},
     link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
     message::{
-        Hello, Message, Messages, PoseFix, Refusal, RefusalReason, Request, State, TileUpdateHead,
-        TimeReply, ToRobotKind, ToServerKind, Welcome, Writer, decode,
+        Digests, Hello, Message, Messages, ParameterCommand, ParameterReport, PoseFix, Refusal,
+        RefusalReason, Request, State, Stored, TileUpdateHead, TimeReply, ToRobotKind,
+        ToServerKind, Welcome, Writer, decode,
     },
     tile::{Epoch, Layer},
     time::{Duration, Instant},
@@ -15,8 +16,9 @@ use ubimap_protocol::{
 use crate::{
     locate::{Located, Locator, PoseSource},
     map::{Gate, LocalMap, MAX_RADIUS, OwnTile, PixelCounts, Pool, SightingConfig, scratch_words},
+    parameters::carry_out,
     sense::{Beam, ScanError, SensorModel, WaitingScans, fill_beams},
-    share::{FusedMap, FusedTile, Publisher},
+    share::{Commands, FusedMap, FusedTile, Publisher},
 };
 
 /// Reliable frames that may be under way.
@@ -130,8 +132,7 @@ pub struct Statistics {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Token {
     Tiles(u16),
-    Interest(u32),
-    Request,
+    Other,
 }
 
 /// The agent: the sans-IO core of a robot. See the crate's documentation for the law by which it
@@ -139,7 +140,7 @@ enum Token {
 #[derive(Debug)]
 pub struct Agent<'b> {
     config: Config,
-    beams: &'b [Beam],
+    beams: &'b mut [Beam],
     waiting: WaitingScans<'b>,
     locator: Locator,
     mapped_pose: Option<Pose>,
@@ -147,6 +148,9 @@ pub struct Agent<'b> {
     map: LocalMap<'b>,
     publisher: Publisher,
     fused: FusedMap<'b>,
+    commands: Commands,
+    /// The answer to the newest command about parameters, until it is sent.
+    report: Option<ParameterReport>,
     link: Endpoint<Token, WINDOW, DEFAULT_FRAME>,
     knocking: Knocking,
     clock: ClockSync,
@@ -198,6 +202,8 @@ impl<'b> Agent<'b> {
             map: LocalMap::new(sighting, memory.scratch, Pool::new(memory.own)),
             publisher: Publisher::new(config.hold),
             fused: FusedMap::new(memory.fused),
+            commands: Commands::default(),
+            report: None,
             link: Endpoint::new(Direction::ToServer),
             knocking: Knocking::new(config.boot_nonce),
             clock: ClockSync::default(),
@@ -255,16 +261,22 @@ impl<'b> Agent<'b> {
                 }
                 Received::Session(messages) => {
                     self.heard = now;
+                    let mut command = None;
                     Inbox {
                         clock: &mut self.clock,
                         locator: &mut self.locator,
                         latest_pose: &mut self.latest_pose,
                         fused: &mut self.fused,
+                        commands: &mut self.commands,
+                        command: &mut command,
                         map: &mut self.map,
                         publisher: &mut self.publisher,
                         statistics: &mut self.statistics,
                     }
                     .take(messages, now);
+                    if let Some(command) = command {
+                        self.configure(&command);
+                    }
                 }
             }
             self.settle(now);
@@ -283,8 +295,8 @@ impl<'b> Agent<'b> {
         let pose = self.latest_pose.map(|(_, pose)| pose);
         let odometry = self.locator.newest_odometry();
         let cells_refused = self.statistics.cells_refused;
-        let Self { link, clock, fused, map, publisher, next_state, .. } = self;
-        let sent = link.poll_transmit(now, out, |writer, reliable| {
+        let Self { link, clock, fused, map, publisher, next_state, report, .. } = self;
+        let sent = link.poll_transmit(now, out, false, |writer, reliable| {
             // What must not be sent again, for it would be stale then, goes apart.
             let request = clock.poll_request(now);
             if let Some(request) = request {
@@ -299,20 +311,27 @@ impl<'b> Agent<'b> {
             if stating || request.is_some() || !reliable {
                 return Fill::Datagram;
             }
+            if let Some(report) = report.take() {
+                push(writer, ToServerKind::ParameterReport, &report);
+                return Fill::Reliable(Token::Other);
+            }
             if let Some(interest) = fused.untold() {
                 push(writer, ToServerKind::Interest, &interest);
                 // Told as far as the window is concerned: the link sees to the rest.
                 fused.told(interest.number);
-                return Fill::Reliable(Token::Interest(interest.number));
+                return Fill::Reliable(Token::Other);
             }
             if let Some(request) = fused.take_request() {
                 push(writer, ToServerKind::Request, &request);
-                return Fill::Reliable(Token::Request);
+                return Fill::Reliable(Token::Other);
             }
-            match publisher.fill(&mut map.pool, fused, writer, now) {
-                Some(frame) => Fill::Reliable(Token::Tiles(frame)),
-                None => Fill::Datagram,
+            if let Some(frame) = publisher.fill(&mut map.pool, fused, writer, now) {
+                return Fill::Reliable(Token::Tiles(frame));
             }
+            if let Some(digests) = publisher.poll_digests(&map.pool, now) {
+                push(writer, ToServerKind::Digests, &digests);
+            }
+            Fill::Datagram
         })?;
         let bytes = sent.len as u64;
         self.statistics.bytes_sent = self.statistics.bytes_sent.wrapping_add(bytes);
@@ -329,7 +348,7 @@ impl<'b> Agent<'b> {
         let timers = if session {
             let tiles = self.publisher.poll_timeout().filter(|_| self.link.can_send_reliable());
             [
-                Some(self.clock.poll_timeout()),
+                Some(self.clock.poll_timeout().min(self.publisher.digest_timeout())),
                 Some(self.next_state),
                 tiles,
                 self.link.poll_timeout(),
@@ -376,6 +395,11 @@ impl<'b> Agent<'b> {
     /// The server's time now, once the clocks agree.
     pub fn server_time(&mut self, now: Instant) -> Option<Instant> {
         self.clock.server_now(now)
+    }
+
+    /// What the server wants of the robot, and what it tells of its surroundings.
+    pub fn commands(&self) -> &Commands {
+        &self.commands
     }
 
     /// Why the server refuses a session, if it does.
@@ -428,7 +452,9 @@ impl<'b> Agent<'b> {
             // Another life of the server has another clock.
             self.clock = ClockSync::default();
             self.locator.forget_fixes();
+            self.commands.forget();
         }
+        self.map.pool.begin_session(welcome.stores, same_server);
         self.map.pool.start_epochs_at(Epoch(welcome.first_epoch));
         self.publisher.begin_session(&mut self.map.pool, same_server, now);
         self.fused.begin_session(same_server);
@@ -448,6 +474,18 @@ impl<'b> Agent<'b> {
         if self.is_connected() && now.since(self.heard) > Duration::from_millis(300) {
             self.link.end();
             self.knocking.restart(now);
+        }
+    }
+
+    /// Carries out a command about parameters.
+    fn configure(&mut self, command: &ParameterCommand) {
+        let mounting = self.config.mounting;
+        self.report = Some(carry_out(command, &mut self.config));
+        self.publisher.set_hold(self.config.hold);
+        if self.config.mounting != mounting {
+            let Config { sensor, mounting, max_range, .. } = self.config;
+            fill_beams(self.beams, sensor, mounting, max_range);
+            self.map.remount(mounting);
         }
     }
 
@@ -534,6 +572,9 @@ struct Inbox<'a, 'b> {
     locator: &'a mut Locator,
     latest_pose: &'a mut Option<(Instant, Pose)>,
     fused: &'a mut FusedMap<'b>,
+    commands: &'a mut Commands,
+    /// A command about parameters, to be carried out when the frame has been read.
+    command: &'a mut Option<ParameterCommand>,
     map: &'a mut LocalMap<'b>,
     publisher: &'a mut Publisher,
     statistics: &'a mut Statistics,
@@ -577,14 +618,22 @@ impl Inbox<'_, '_> {
                     self.publisher.requested(pool, Some(tile), now);
                 }
             }
-            // Nothing is done with these yet.
-            ToRobotKind::Peers
-            | ToRobotKind::Obstacles
-            | ToRobotKind::Path
-            | ToRobotKind::Stop
-            | ToRobotKind::Parameter
-            | ToRobotKind::Stored
-            | ToRobotKind::Digests => {}
+            ToRobotKind::Peers => self.commands.take_peers(decode(body).ok()?.0),
+            ToRobotKind::Obstacles => self.commands.take_obstacles(decode(body).ok()?.0),
+            ToRobotKind::Path => self.commands.take_path(decode(body).ok()?.0),
+            ToRobotKind::Stop => self.commands.take_stop(decode(body).ok()?.0),
+            ToRobotKind::Parameter => *self.command = Some(decode(body).ok()?.0),
+            ToRobotKind::Stored => {
+                for &(id, stamp) in &decode::<Stored>(body).ok()?.0.tiles {
+                    self.map.pool.stored(id, stamp);
+                }
+            }
+            ToRobotKind::Digests => {
+                let (digests, _) = decode::<Digests>(body).ok()?;
+                if digests.layer == Layer::Fused {
+                    self.fused.compare(&digests);
+                }
+            }
             // They belong into handshake frames.
             ToRobotKind::Welcome | ToRobotKind::Refusal | ToRobotKind::Reset => return None,
         }

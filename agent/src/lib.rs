@@ -6,7 +6,7 @@
 //! 2. [`locate`]: the pose of the moment it was taken, from the server's fixes and odometry;
 //! 3. [`map`]: the gate, what is known already, the transform to `map`, the tiles;
 //! 4. [`share`]: tile updates to the server, the merged map back;
-//! 5. [`Agent`] ties them together.
+//! 5. [`Agent`] ties them together; [`Parameter`] lists what the server may change of it.
 //!
 //! It owns no clock, no port, no thread and no heap: time is an argument, memory is the caller's.
 //! **After every input (`scan`, `odometry`, `receive`, `timeout`) call `poll_transmit` until it
@@ -20,7 +20,9 @@ extern crate std;
 mod agent;
 pub mod locate;
 pub mod map;
+mod parameters;
 pub mod sense;
 pub mod share;
 
 pub use agent::{Agent, Config, ConfigError, Memory, Statistics};
+pub use parameters::Parameter;

@@ -37,6 +37,11 @@ impl<'b> LocalMap<'b> {
         Self { config, scratch, pool, scans: 0 }
     }
 
+    /// The sensor is mounted otherwise from now on.
+    pub(crate) fn remount(&mut self, mounting: Pose) {
+        self.config.mounting = mounting;
+    }
+
     /// Adds a scan that was taken at `pose` (`base_link` in `map`). `merged` gives a tile of the
     /// server's map, if it is held. `None` if the map does not reach there.
     pub fn add<'m>(

@@ -1,6 +1,6 @@
 //! A tile of the robot's own layer: its evidence, and what of it the server has.
 
-use ubimap_protocol::tile::{Epoch, Publication, TileId};
+use ubimap_protocol::tile::{Epoch, Publication, Stamp, TileId, Version};
 
 use super::evidence::Evidence;
 
@@ -15,6 +15,8 @@ pub struct OwnTile {
     pub(crate) evidence: Evidence,
     /// What the server has of it.
     pub(crate) publication: Publication,
+    /// The version that the server has on disk, if it stores any.
+    pub(crate) stored: Version,
     /// The evidence may say something that has not been published.
     pub(crate) dirty: bool,
     /// The number of the last scan that said something of it.
@@ -28,6 +30,7 @@ impl OwnTile {
         epoch: Epoch(0),
         evidence: Evidence::NONE,
         publication: Publication::NOTHING,
+        stored: Version(0),
         dirty: false,
         touched: 0,
     };
@@ -53,8 +56,9 @@ impl OwnTile {
     }
 
     /// Whether the tile could be given up without losing anything.
-    fn is_safe(&self) -> bool {
-        !self.dirty && (self.publication.is_acknowledged())
+    fn is_safe(&self, server_stores: bool) -> bool {
+        let stored = !server_stores || self.stored == self.publication.version();
+        !self.dirty && self.publication.is_acknowledged() && stored
     }
 }
 
@@ -65,18 +69,37 @@ pub struct Pool<'b> {
     /// The epoch of tiles that are begun now: one more after each eviction.
     epoch: Epoch,
     evicted: u32,
+    /// Whether the server says when a tile is on disk.
+    server_stores: bool,
 }
 
 impl<'b> Pool<'b> {
     /// A pool of as many tiles as there are places.
     pub fn new(places: &'b mut [OwnTile]) -> Self {
         places.fill(OwnTile::FREE);
-        Self { places, epoch: Epoch(0), evicted: 0 }
+        Self { places, epoch: Epoch(0), evicted: 0, server_stores: false }
     }
 
     /// How many tiles have been given up to make room.
     pub fn evicted(&self) -> u32 {
         self.evicted
+    }
+
+    /// Whether tiles may be given up only when the server has them on disk. What an earlier life
+    /// of the server stored does not count.
+    pub(crate) fn begin_session(&mut self, server_stores: bool, same_server: bool) {
+        self.server_stores = server_stores;
+        if !same_server {
+            self.places.iter_mut().for_each(|tile| tile.stored = Version(0));
+        }
+    }
+
+    /// The server has a state of a tile on disk.
+    pub(crate) fn stored(&mut self, id: TileId, stamp: Stamp) {
+        let mut tiles = self.places.iter_mut();
+        if let Some(tile) = tiles.find(|tile| tile.id == Some(id) && tile.epoch == stamp.epoch) {
+            tile.stored = tile.stored.max(stamp.version);
+        }
     }
 
     /// The epochs below this one have been used up in an earlier life of the robot.
@@ -120,7 +143,7 @@ impl<'b> Pool<'b> {
             .places
             .iter()
             .enumerate()
-            .filter(|(_, tile)| tile.is_safe() && tile.touched != scan);
+            .filter(|(_, tile)| tile.is_safe(self.server_stores) && tile.touched != scan);
         let (index, _) = idle.min_by_key(|(_, tile)| tile.touched)?;
         self.evicted = self.evicted.wrapping_add(1);
         self.epoch.0 = self.epoch.0.wrapping_add(1);
@@ -141,6 +164,7 @@ impl<'b> Pool<'b> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ubimap_protocol::tile::{Tile, TileEncoder};
 
     fn id(x: i16) -> TileId {
         TileId { x, y: 0 }
@@ -157,5 +181,20 @@ mod tests {
         pool.tiles_mut().for_each(|tile| tile.dirty = false);
         assert!(pool.find_or_begin(id(2), 2).is_none(), "nothing is acknowledged");
         assert_eq!(pool.evicted(), 0);
+
+        // The server acknowledges tile 0, but has it on disk only later.
+        let mut out = [0; 64];
+        let mut encoder = TileEncoder::new(&mut out);
+        let tile = pool.find_or_begin(id(0), 2).unwrap();
+        let stamp = Stamp { epoch: tile.epoch, version: Version(1) };
+        let mut cells = Tile::UNKNOWN;
+        let (epoch, version) = (stamp.epoch, stamp.version);
+        assert!(tile.publication.push(&mut encoder, id(0), epoch, version, &mut cells, 7));
+        assert!(tile.publication.acknowledge(7));
+        pool.begin_session(true, true);
+        assert!(pool.find_or_begin(id(2), 3).is_none(), "nothing is stored");
+        pool.stored(id(0), stamp);
+        assert!(pool.find_or_begin(id(2), 3).is_some());
+        assert_eq!((pool.evicted(), pool.find(id(0)).is_none()), (1, true));
     }
 }

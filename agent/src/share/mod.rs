@@ -1,7 +1,9 @@
 //! What the robot tells the server of its map, and the server's map on the robot.
 
+mod commands;
 mod publish;
 mod receive;
 
+pub use commands::Commands;
 pub use publish::Publisher;
 pub use receive::{FusedMap, FusedTile};

@@ -1,8 +1,9 @@
 //! From the robot's own layer to tile updates.
 
+use heapless::Vec;
 use ubimap_protocol::{
-    message::{TileUpdateHead, ToServerKind, Writer},
-    tile::{Epoch, Layer, Row, TILE_SIDE, Tile, TileEncoder, TileId, Version},
+    message::{Digests, TileDigest, TileUpdateHead, ToServerKind, Writer},
+    tile::{Epoch, Layer, Row, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version, tile_hash},
     time::{Duration, Instant},
 };
 
@@ -11,6 +12,11 @@ use crate::map::{OwnTile, Pool};
 
 /// Bytes of a [`TileUpdateHead`] at the most.
 const HEAD_LEN: usize = 6;
+
+/// How often the states of a few tiles are told, and of how many at once: a pool of 32 in three
+/// minutes, for 3 bytes a second.
+const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
+const DIGESTS: usize = 2;
 
 /// When to send what has changed, and what became of it.
 #[derive(Debug)]
@@ -22,12 +28,52 @@ pub struct Publisher {
     /// When the newest scan in the map was taken: seconds of the server's clock.
     newest_scan: u32,
     frame: u16,
+    /// The tile whose digest was sent last.
+    digested: Option<TileId>,
+    next_digest: Instant,
 }
 
 impl Publisher {
     /// Nothing to send yet.
     pub fn new(hold: Duration) -> Self {
-        Self { hold, waiting_since: None, newest_scan: 0, frame: 0 }
+        Self {
+            hold,
+            waiting_since: None,
+            newest_scan: 0,
+            frame: 0,
+            digested: None,
+            next_digest: Instant(0),
+        }
+    }
+
+    /// Changes are gathered this long from now on.
+    pub(crate) fn set_hold(&mut self, hold: Duration) {
+        self.hold = hold;
+    }
+
+    /// The states of the next few tiles that the server should hold, now and then.
+    pub fn poll_digests(&mut self, pool: &Pool<'_>, now: Instant) -> Option<Digests> {
+        if now < self.next_digest {
+            return None;
+        }
+        self.next_digest = now + DIGEST_INTERVAL;
+        let mut digests = Digests { layer: Layer::Robot, tiles: Vec::new() };
+        for _ in 0..DIGESTS {
+            let level = |tile: &&OwnTile| !tile.dirty && tile.publication.is_acknowledged();
+            let next = pool.tiles().filter(level).filter(|tile| tile.id > self.digested);
+            let tile = next.min_by_key(|tile| tile.id);
+            self.digested = tile.and_then(|tile| tile.id);
+            let Some((tile, id)) = tile.and_then(|tile| Some((tile, tile.id?))) else { break };
+            let stamp = Stamp { epoch: tile.epoch, version: tile.publication.version() };
+            let hash = tile_hash(tile.publication.sent());
+            let _ = digests.tiles.push(TileDigest { id, stamp, hash });
+        }
+        (!digests.tiles.is_empty()).then_some(digests)
+    }
+
+    /// When the next digests are due.
+    pub fn digest_timeout(&self) -> Instant {
+        self.next_digest
     }
 
     /// The map has changed. `newest_scan` is in seconds of the server's clock, as far as known.

@@ -2,8 +2,10 @@
 
 use heapless::Vec;
 use ubimap_protocol::{
-    message::{Interest, MAX_REQUESTS, Request},
-    tile::{BaseMissing, Layer, Replica, TILE_SIDE, Tile, TileDecoder, TileError, TileId},
+    message::{Digests, Interest, MAX_REQUESTS, Request},
+    tile::{
+        BaseMissing, Layer, Replica, TILE_SIDE, Tile, TileDecoder, TileError, TileId, tile_hash,
+    },
     units::{Millimetres, Pose},
 };
 
@@ -162,6 +164,23 @@ impl<'b> FusedMap<'b> {
             }
         }
         Ok(())
+    }
+
+    /// Takes the states of some tiles of the server's: those of which an older state or other
+    /// cells are held are asked for.
+    pub fn compare(&mut self, digests: &Digests) {
+        for digest in &digests.tiles {
+            let place = self.places.iter().find(|place| place.id == Some(digest.id));
+            let level = place.is_some_and(|place| {
+                let (held, told) = (place.replica.stamp(), digest.stamp);
+                let hash = tile_hash(place.replica.tile());
+                held > told || held == told && hash == digest.hash
+            });
+            let wanted = self.interest.is_some_and(|interest| interest.contains(digest.id));
+            if wanted && !level {
+                self.request(digest.id);
+            }
+        }
     }
 
     fn request(&mut self, id: TileId) {

@@ -214,18 +214,20 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
 
     /// Writes the next frame that is due into `out` (at least as long as the agreed frame):
     /// one that must be sent again, or a new one, for which `fill` is asked. `fill` gets a writer
-    /// and whether a reliable frame may be sent. Call it until it returns `None`.
+    /// and whether a reliable frame may be sent. With `urgent`, what is new goes before what must
+    /// be sent again. Call it until it returns `None`.
     #[must_use]
     pub fn poll_transmit(
         &mut self,
         now: Instant,
         out: &mut [u8],
+        urgent: bool,
         fill: impl FnOnce(&mut Writer<'_>, bool) -> Fill<T>,
     ) -> Option<Transmit<T>> {
         if self.session == SessionId::NONE {
             return None;
         }
-        if let Some((contents, token)) = self.sending.resend(now) {
+        if !urgent && let Some((contents, token)) = self.sending.resend(now) {
             let tail = seal(self.session, self.outgoing, contents);
             let len = cobs::encode([contents, &tail], out)?;
             self.counters.sent = self.counters.sent.wrapping_add(1);
@@ -298,7 +300,7 @@ mod tests {
 
     fn send(end: &mut End, now: u64, token: Option<u32>) -> std::vec::Vec<u8> {
         let mut out = [0u8; 64];
-        let sent = end.poll_transmit(Instant(now), &mut out, |writer, _| {
+        let sent = end.poll_transmit(Instant(now), &mut out, false, |writer, _| {
             assert!(writer.push(9, &now));
             token.map_or(Fill::Datagram, Fill::Reliable)
         });
@@ -324,14 +326,14 @@ mod tests {
         let _lost = send(&mut robot, 5, Some(42));
         let due = robot.poll_timeout().unwrap();
         let mut out = [0u8; 64];
-        let again = robot.poll_transmit(due, &mut out, |_, _| Fill::Nothing).unwrap();
+        let again = robot.poll_transmit(due, &mut out, false, |_, _| Fill::Nothing).unwrap();
         assert_eq!(again.token, Some(42));
         assert_eq!(numbers(&mut server, &out[..again.len], due.0), [5]);
         // The same frame once more says nothing new, and is acknowledged.
         assert_eq!(numbers(&mut server, &out[..again.len], due.0), []);
         assert_eq!(server.counters().duplicates, 1);
         let now = server.poll_timeout().unwrap();
-        let ack = server.poll_transmit(now, &mut out, |_, _| Fill::Nothing).unwrap();
+        let ack = server.poll_transmit(now, &mut out, false, |_, _| Fill::Nothing).unwrap();
         numbers(&mut robot, &out[..ack.len], now.0);
         assert_eq!(robot.poll_acknowledged(), Some(42));
         assert_eq!(robot.poll_timeout(), None);

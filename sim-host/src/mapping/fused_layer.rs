@@ -102,7 +102,8 @@ mod tests {
 
     #[test]
     fn the_table_of_cases() {
-        let cases: [(Cell, &[(Cell, u32)], Cell); 9] = [
+        type Case = (Cell, &'static [(Cell, u32)], Cell);
+        let cases: [Case; 9] = [
             (Unknown, &[], Unknown),
             (Unknown, &[(Unknown, 3), (Unknown, 4)], Unknown),
             (Unknown, &[(Free, 3), (Unknown, 4)], Free),

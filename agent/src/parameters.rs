@@ -1,0 +1,172 @@
+//! What the server may ask of the robot's configuration, and change while it runs.
+
+use heapless::Vec;
+use ubimap_protocol::{
+    message::{
+        MAX_PARAMETERS, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport,
+        ParameterValue,
+    },
+    time::Duration,
+    units::{Angle, Millimetres},
+};
+
+use crate::agent::Config;
+
+/// The parameters by number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum Parameter {
+    /// The sensor in `base_link`: forward, in millimetres, at most 2 m either way.
+    MountingX = 1,
+    /// The sensor in `base_link`: left, in millimetres, at most 2 m either way.
+    MountingY = 2,
+    /// The sensor in `base_link`: its heading, in binary angle units, -32,768 to 65,535.
+    MountingHeading = 3,
+    /// How far the robot must move to map again, in millimetres, 0 to 10,000.
+    GateDistance = 4,
+    /// How far it must turn to map again, in binary angle units, 0 to 32,767.
+    GateTurn = 5,
+    /// How long changes are gathered, in milliseconds, 0 to 60,000.
+    Hold = 6,
+    /// How long a scan waits for its pose, in milliseconds, 0 to 60,000.
+    ScanDeadline = 7,
+}
+
+impl Parameter {
+    const ALL: [Self; 7] = [
+        Self::MountingX,
+        Self::MountingY,
+        Self::MountingHeading,
+        Self::GateDistance,
+        Self::GateTurn,
+        Self::Hold,
+        Self::ScanDeadline,
+    ];
+
+    fn of(number: u16) -> Option<Self> {
+        Self::ALL.into_iter().find(|parameter| *parameter as u16 == number)
+    }
+
+    fn range(self) -> (i32, i32) {
+        match self {
+            Self::MountingX | Self::MountingY => (-2_000, 2_000),
+            Self::MountingHeading => (-32_768, 65_535),
+            Self::GateDistance => (0, 10_000),
+            Self::GateTurn => (0, 32_767),
+            Self::Hold | Self::ScanDeadline => (0, 60_000),
+        }
+    }
+
+    fn value(self, config: &Config) -> ParameterValue {
+        let millis = |span: Duration| (span.micros() / 1_000).min(60_000) as i32;
+        let value = match self {
+            Self::MountingX => config.mounting.x.0,
+            Self::MountingY => config.mounting.y.0,
+            Self::MountingHeading => i32::from(config.mounting.heading.0),
+            Self::GateDistance => config.gate.distance.0,
+            Self::GateTurn => i32::from(config.gate.turn.0),
+            Self::Hold => millis(config.hold),
+            Self::ScanDeadline => millis(config.scan_deadline),
+        };
+        ParameterValue { parameter: self as u16, value }
+    }
+
+    fn set(self, config: &mut Config, value: i32) {
+        let span = Duration::from_millis(value.max(0) as u64);
+        match self {
+            Self::MountingX => config.mounting.x = Millimetres(value),
+            Self::MountingY => config.mounting.y = Millimetres(value),
+            Self::MountingHeading => config.mounting.heading = Angle(value as u16),
+            Self::GateDistance => config.gate.distance = Millimetres(value),
+            Self::GateTurn => config.gate.turn = Angle(value as u16),
+            Self::Hold => config.hold = span,
+            Self::ScanDeadline => config.scan_deadline = span,
+        }
+    }
+}
+
+/// Carries out a command on a configuration.
+pub(crate) fn carry_out(command: &ParameterCommand, config: &mut Config) -> ParameterReport {
+    let mut report = ParameterReport {
+        number: command.number,
+        outcome: ParameterOutcome::Done,
+        values: Vec::new(),
+    };
+    let wanted = match command.action {
+        ParameterAction::List => {
+            for parameter in Parameter::ALL {
+                // The bound is checked below.
+                let _ = report.values.push(parameter.value(config));
+            }
+            return report;
+        }
+        ParameterAction::Get(number) => Parameter::of(number),
+        ParameterAction::Set(ParameterValue { parameter, value }) => {
+            let wanted = Parameter::of(parameter);
+            if let Some(wanted) = wanted {
+                let (least, most) = wanted.range();
+                if (least..=most).contains(&value) {
+                    wanted.set(config, value);
+                } else {
+                    report.outcome = ParameterOutcome::OutOfRange;
+                }
+            }
+            wanted
+        }
+    };
+    match wanted {
+        Some(wanted) => {
+            let _ = report.values.push(wanted.value(config));
+        }
+        None => report.outcome = ParameterOutcome::Unknown,
+    }
+    report
+}
+
+const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sense::SensorModel;
+    use ubimap_protocol::units::RobotId;
+
+    fn config() -> Config {
+        Config::new(RobotId(1), SensorModel::Radial { first: 0.0, step: 0.1 })
+    }
+
+    fn set(parameter: u16, value: i32) -> ParameterCommand {
+        let action = ParameterAction::Set(ParameterValue { parameter, value });
+        ParameterCommand { number: 9, action }
+    }
+
+    #[test]
+    fn every_parameter_reads_back_what_was_set() {
+        let mut config = config();
+        for parameter in Parameter::ALL {
+            let (_, most) = parameter.range();
+            let report = carry_out(&set(parameter as u16, most), &mut config);
+            let value = ParameterValue { parameter: parameter as u16, value: most };
+            assert_eq!(
+                (report.outcome, &report.values[..]),
+                (ParameterOutcome::Done, &[value][..])
+            );
+        }
+        let list = ParameterCommand { number: 1, action: ParameterAction::List };
+        assert_eq!(carry_out(&list, &mut config).values.len(), Parameter::ALL.len());
+    }
+
+    #[test]
+    fn what_is_out_of_range_or_unknown_changes_nothing() {
+        let mut changed = config();
+        for parameter in Parameter::ALL {
+            let (least, most) = parameter.range();
+            for value in [least - 1, most + 1, i32::MIN, i32::MAX] {
+                let report = carry_out(&set(parameter as u16, value), &mut changed);
+                assert_eq!(report.outcome, ParameterOutcome::OutOfRange);
+            }
+        }
+        assert_eq!(carry_out(&set(99, 0), &mut changed).outcome, ParameterOutcome::Unknown);
+        assert_eq!(changed, config());
+    }
+}
