@@ -227,13 +227,31 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         if self.session == SessionId::NONE {
             return None;
         }
-        if !urgent && let Some((contents, token)) = self.sending.resend(now) {
-            let tail = seal(self.session, self.outgoing, contents);
-            let len = cobs::encode([contents, &tail], out)?;
-            self.counters.sent = self.counters.sent.wrapping_add(1);
-            self.counters.retransmissions = self.counters.retransmissions.wrapping_add(1);
-            return Some(Transmit { len, token: Some(token) });
+        if urgent {
+            // It may be that the new frame cannot be sent: then what is old goes on.
+            return self.send_new(now, out, fill).or_else(|| self.send_again(now, out));
         }
+        match self.send_again(now, out) {
+            Some(sent) => Some(sent),
+            None => self.send_new(now, out, fill),
+        }
+    }
+
+    fn send_again(&mut self, now: Instant, out: &mut [u8]) -> Option<Transmit<T>> {
+        let (contents, token) = self.sending.resend(now)?;
+        let tail = seal(self.session, self.outgoing, contents);
+        let len = cobs::encode([contents, &tail], out)?;
+        self.counters.sent = self.counters.sent.wrapping_add(1);
+        self.counters.retransmissions = self.counters.retransmissions.wrapping_add(1);
+        Some(Transmit { len, token: Some(token) })
+    }
+
+    fn send_new(
+        &mut self,
+        now: Instant,
+        out: &mut [u8],
+        fill: impl FnOnce(&mut Writer<'_>, bool) -> Fill<T>,
+    ) -> Option<Transmit<T>> {
         let sequence = self.sending.next_sequence();
         let room = payload_capacity(self.frame.min(out.len()));
         let (head, payload) = self.scratch.split_first_chunk_mut::<HEADER_LEN>()?;
@@ -337,6 +355,24 @@ mod tests {
         numbers(&mut robot, &out[..ack.len], now.0);
         assert_eq!(robot.poll_acknowledged(), Some(42));
         assert_eq!(robot.poll_timeout(), None);
+    }
+
+    #[test]
+    fn what_is_urgent_goes_before_what_is_sent_again_and_blocks_nothing() {
+        let (mut robot, _) = pair();
+        let _lost = send(&mut robot, 5, Some(42));
+        let due = robot.poll_timeout().unwrap();
+        let mut out = [0u8; 64];
+        let mut poll = |fill: Fill<u32>| {
+            let sent = robot.poll_transmit(due, &mut out, true, |writer, _| {
+                assert!(writer.push(9, &1u8));
+                fill
+            });
+            sent.map(|sent| sent.token)
+        };
+        assert_eq!(poll(Fill::Reliable(7)), Some(Some(7)));
+        assert_eq!(poll(Fill::Nothing), Some(Some(42)));
+        assert_eq!(poll(Fill::Nothing), None);
     }
 
     #[test]

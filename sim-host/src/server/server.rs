@@ -6,15 +6,18 @@ use ubimap_protocol::{
     frame::{Direction, SessionId},
     link::{Answer, Counters, Received, Terms, answer},
     message::{
-        Ack, Hello, Interest, Message, Messages, Request, State, TileUpdateHead, TimeRequest,
-        ToRobotKind, ToServerKind, decode,
+        Ack, Digests, DistanceVector, Event, Hello, Interest, Message, Messages, ParameterReport,
+        Request, State, TileDigest, TileUpdateHead, TimeRequest, ToRobotKind, ToServerKind, decode,
     },
-    tile::{Epoch, Layer, TileId},
+    tile::{Epoch, Layer, TileId, tile_hash},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 
-use super::session::{Link, Session};
+use super::{
+    command::Command,
+    session::{Link, Session},
+};
 use crate::{
     camera::Observation,
     mapping::{CameraLayer, FusedLayer, RobotLayer, fuse},
@@ -137,6 +140,26 @@ impl Server {
         self.refuse_stale(&changed);
     }
 
+    /// A command for a robot.
+    ///
+    /// # Errors
+    /// The command, if the robot has no session.
+    pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), Command> {
+        let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
+        match sessions.find(|session| session.robot == robot) {
+            Some(session) => {
+                session.command(command);
+                Ok(())
+            }
+            None => Err(command),
+        }
+    }
+
+    /// What a robot last reported of its parameters.
+    pub fn parameters(&self, robot: RobotId) -> Option<&ParameterReport> {
+        self.session(robot)?.parameters.as_ref()
+    }
+
     /// Writes the next frame that is due at a port into `out`, which should have
     /// [`MAX_FRAME`](ubimap_protocol::frame::MAX_FRAME) bytes. Returns its length.
     #[must_use]
@@ -147,7 +170,8 @@ impl Server {
             let Port { link, session, .. } = port;
             let session = session.as_mut()?;
             let fused = &self.fused;
-            let sent = link.poll_transmit(now, out, |writer, reliable| {
+            let urgent = session.is_urgent();
+            let sent = link.poll_transmit(now, out, urgent, |writer, reliable| {
                 session.fill(fused, epoch, now, writer, reliable)
             });
             Some(sent?.len)
@@ -319,6 +343,13 @@ impl Inbox<'_> {
         (unknown, malformed)
     }
 
+    /// Whether the state that the robot tells of, or a newer one, is held.
+    fn holds(&self, told: &TileDigest) -> bool {
+        self.layer.held(told.id, told.stamp.epoch).is_some_and(|(held, cells)| {
+            held > told.stamp || held == told.stamp && tile_hash(cells) == told.hash
+        })
+    }
+
     /// `None` if the message cannot be read.
     fn one(&mut self, kind: ToServerKind, body: &[u8], now: Instant) -> Option<()> {
         match kind {
@@ -347,11 +378,26 @@ impl Inbox<'_> {
                 }
                 result.ok()?;
             }
-            // Nothing is done with these yet.
-            ToServerKind::DistanceVector
-            | ToServerKind::Event
-            | ToServerKind::Digests
-            | ToServerKind::ParameterReport => {}
+            ToServerKind::Digests => {
+                let (digests, _) = decode::<Digests>(body).ok()?;
+                for digest in digests.tiles.iter().filter(|_| digests.layer == Layer::Robot) {
+                    if !self.holds(digest) {
+                        self.session.ask_for(digest.id);
+                    }
+                }
+            }
+            ToServerKind::ParameterReport => {
+                self.session.parameters = Some(decode(body).ok()?.0);
+            }
+            ToServerKind::Event => {
+                let (event, _) = decode::<Event>(body).ok()?;
+                let robot = self.session.robot.0;
+                log::warn!("robot {robot}: {:?} {}: {}", event.severity, event.code, event.detail);
+            }
+            // Read, so that what is malformed is counted; matched with the map in time to come.
+            ToServerKind::DistanceVector => {
+                decode::<DistanceVector>(body).ok()?;
+            }
             // It belongs into a handshake frame.
             ToServerKind::Hello => return None,
         }

@@ -1,25 +1,30 @@
 //! The server's end of a conversation with one robot.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
     link::{Endpoint, Fill},
     message::{
-        Certainty, FixSource, Interest, MAX_REQUESTS, PoseFix, Request, State, TileUpdateHead,
-        TimeReply, ToRobotKind, Writer,
+        Certainty, Digests, FixSource, Interest, MAX_DIGESTS, MAX_REQUESTS, ParameterReport,
+        PoseFix, Request, State, TileDigest, TileUpdateHead, TimeReply, ToRobotKind, Writer,
     },
-    tile::{Epoch, Layer, Publication, TileEncoder, TileId},
+    tile::{Epoch, Layer, Publication, Stamp, TileEncoder, TileId, tile_hash},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 
+use super::command::Command;
 use crate::mapping::FusedLayer;
 
 /// Reliable frames under way to one robot.
 const WINDOW: usize = 16;
 /// What a fix of the cameras is taken to be good for, until they say it themselves.
 const CAMERA_CERTAINTY: Certainty = Certainty { x: 20, y: 20, heading: 182 };
+/// The token of frames in which no tile travels.
+const NO_TILES: u16 = 0;
+/// How often the states of a few tiles are told.
+const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
 /// Changes of a fused tile are gathered this long.
 const HOLD: Duration = Duration::from_secs(1);
 /// The downlink's budget for tiles.
@@ -43,6 +48,13 @@ pub(super) struct Session {
     fixes: Vec<(Instant, Pose)>,
     fix_due: bool,
     times: Vec<(u16, Instant)>,
+    /// Commands that have not been sent yet, in order.
+    commands: VecDeque<Command>,
+    /// What the robot last reported of its parameters.
+    pub(super) parameters: Option<ParameterReport>,
+    /// The tile whose digest was sent last, and when the next ones are due.
+    digested: Option<TileId>,
+    next_digests: Instant,
     /// Tiles of the robot's layer to ask for; no tile means all of them.
     requests: Vec<TileId>,
     budget: Budget,
@@ -61,6 +73,10 @@ impl Session {
             fixes: Vec::new(),
             fix_due: false,
             times: Vec::new(),
+            commands: VecDeque::new(),
+            parameters: None,
+            digested: None,
+            next_digests: now + DIGEST_INTERVAL,
             requests: Vec::new(),
             budget: Budget { paid_until: now },
         }
@@ -74,6 +90,21 @@ impl Session {
         self.fixes.insert(0, (moment, pose));
         self.fixes.truncate(1 + ubimap_protocol::message::MAX_EARLIER_FIXES);
         self.fix_due = true;
+    }
+
+    /// A command for the robot. One that has not been sent gives way to a newer one of its kind.
+    pub(super) fn command(&mut self, command: Command) {
+        self.commands.retain(|waiting| !waiting.is_replaced_by(&command));
+        if command.is_urgent() {
+            self.commands.push_front(command);
+        } else {
+            self.commands.push_back(command);
+        }
+    }
+
+    /// Whether something waits that must go before frames that are sent again: a pose, a stop.
+    pub(super) fn is_urgent(&self) -> bool {
+        self.fix_due || self.commands.front().is_some_and(Command::is_urgent)
     }
 
     pub(super) fn time_requested(&mut self, nonce: u16, now: Instant) {
@@ -127,6 +158,13 @@ impl Session {
         writer: &mut Writer<'_>,
         reliable: bool,
     ) -> Fill<u16> {
+        if reliable
+            && self.commands.front().is_some_and(Command::is_urgent)
+            && self.commands.front().is_some_and(|command| command.write(writer))
+        {
+            self.commands.pop_front();
+            return Fill::Reliable(NO_TILES);
+        }
         let before = writer.len();
         if self.fix_due {
             let fix = PoseFix::from_fixes(
@@ -144,21 +182,66 @@ impl Session {
             }
             self.times.remove(0);
         }
+        let news = self.commands.iter().position(|command| !command.is_reliable());
+        if let Some(index) = news
+            && self.commands[index].write(writer)
+        {
+            self.commands.remove(index);
+        }
         if writer.len() > before || !reliable {
             return Fill::Datagram;
+        }
+        if self.commands.front().is_some_and(|command| command.write(writer)) {
+            self.commands.pop_front();
+            return Fill::Reliable(NO_TILES);
         }
         if !self.requests.is_empty() {
             let count = self.requests.len().min(MAX_REQUESTS);
             let tiles = self.requests[..count].iter().copied().collect();
             if writer.push(ToRobotKind::Request as u8, &Request { layer: Layer::Robot, tiles }) {
                 self.requests.drain(..count);
-                // No tile travels in it; frame 0 is never used for tiles.
-                return Fill::Reliable(0);
+                return Fill::Reliable(NO_TILES);
             }
         }
         match self.fill_tile(fused, epoch, now, writer) {
             Some(frame) => Fill::Reliable(frame),
-            None => Fill::Nothing,
+            None => {
+                self.fill_digests(fused, epoch, now, writer);
+                Fill::Datagram
+            }
+        }
+    }
+
+    /// Adds the states of the next few tiles that the robot should hold, now and then.
+    fn fill_digests(
+        &mut self,
+        fused: &FusedLayer,
+        epoch: Epoch,
+        now: Instant,
+        writer: &mut Writer<'_>,
+    ) {
+        let Some(interest) = self.interest.filter(|_| self.next_digests <= now) else { return };
+        self.next_digests = now + DIGEST_INTERVAL;
+        let level = fused.within(&interest).filter(|(id, version, tile)| {
+            self.published.get(id).is_some_and(|(publication, _)| {
+                publication.is_acknowledged()
+                    && publication.version() == *version
+                    && publication.sent() == *tile
+            })
+        });
+        let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
+        let tiles: heapless::Vec<TileDigest, MAX_DIGESTS> = next
+            .map(|(id, version, tile)| TileDigest {
+                id,
+                stamp: Stamp { epoch, version },
+                hash: tile_hash(tile),
+            })
+            .collect();
+        self.digested = tiles.last().map(|digest| digest.id);
+        if !tiles.is_empty() {
+            let digests = Digests { layer: Layer::Fused, tiles };
+            // What does not fit is told again in a later round.
+            let _ = writer.push(ToRobotKind::Digests as u8, &digests);
         }
     }
 
@@ -174,7 +257,7 @@ impl Session {
         if self.next_tile_time(fused)?.max(self.budget.ready_at()) > now {
             return None;
         }
-        let frame = if self.frame == u16::MAX { 1 } else { self.frame + 1 };
+        let frame = if self.frame == u16::MAX { NO_TILES + 1 } else { self.frame + 1 };
         let before = writer.len();
         let seconds = (now.micros() / 1_000_000) as u32;
         let interest = self.interest?;
@@ -238,16 +321,19 @@ impl Session {
         reliable: bool,
         now: Instant,
     ) -> Option<Instant> {
-        if self.fix_due || !self.times.is_empty() {
+        let news = self.commands.iter().any(|command| !command.is_reliable());
+        if self.fix_due || !self.times.is_empty() || news {
             return Some(now);
         }
         if !reliable {
             return None;
         }
-        if !self.requests.is_empty() {
+        if !self.requests.is_empty() || !self.commands.is_empty() {
             return Some(now);
         }
-        Some(self.next_tile_time(fused)?.max(self.budget.ready_at()))
+        let digests = self.interest.map(|_| self.next_digests);
+        let tiles = self.next_tile_time(fused).map(|due| due.max(self.budget.ready_at()));
+        digests.into_iter().chain(tiles).min()
     }
 
     /// Whether the robot has acknowledged the newest state of every tile that it wants.
