@@ -7,6 +7,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     grid::{OccupancyGrid, compare},
+    report::Report,
     run::{Outcome, options::ReplayOptions, replay},
 };
 use ubimap_tests::{data, per_ray};
@@ -33,6 +34,13 @@ fn run(log: &std::path::Path, options: &str) -> Outcome {
     replay::run(&CommandLine::parse_from(words).options).unwrap()
 }
 
+/// Map traffic up: bytes for each mapped scan, and in all.
+fn bytes(report: &Report) -> (f64, f64) {
+    let bytes: u64 = report.robots.iter().map(|robot| robot.bytes_up_map).sum();
+    let mapped: u64 = report.robots.iter().map(|robot| robot.mapped).sum();
+    (bytes as f64 / mapped as f64, bytes as f64)
+}
+
 #[test]
 fn over_a_bad_link_all_end_with_the_map_of_a_perfect_one() {
     for (name, _) in LOGS {
@@ -45,7 +53,20 @@ fn over_a_bad_link_all_end_with_the_map_of_a_perfect_one() {
             assert_eq!(refused, 0, "{name}");
         }
         let f1 = compare(&bad.map, &perfect.map, None).f1;
+        let (clean, paid) = (bytes(&perfect.report), bytes(&bad.report));
+        println!(
+            "{name}: {:.1} bytes a scan and {:.2} bits a cell; bad link {:.1} bytes, {:.2} times as \
+             many, F1 {f1:.4} against the perfect one",
+            clean.0,
+            perfect.report.map.bits_per_known,
+            paid.0,
+            paid.1 / clean.1,
+        );
         assert!(f1 >= 0.98, "{name}: F1 {f1}");
+        assert!(paid.1 <= 1.6 * clean.1, "{name}: {} bytes for {}", paid.1, clean.1);
+        if name.contains("intel") {
+            assert!(clean.0 <= 100.0 && perfect.report.map.bits_per_known <= 3.5);
+        }
     }
 }
 
@@ -81,6 +102,7 @@ fn the_map_agrees_with_one_made_ray_by_ray() {
             let scores = compare(&outcome.map, &oracle, None);
             // In the museum people stand about: robots that run at the same time meet them in
             // another order than the log, in which the oracle takes them.
+            println!("{name}, {robots} robots: F1 {:.4} against rays", scores.f1);
             let bound = if robots > 1 && name.contains("fhw") { 0.97 } else { 0.98 };
             assert!(scores.f1 >= bound, "{name}, {robots} robots: {scores:?}");
         }
