@@ -32,6 +32,11 @@ pub enum Applied {
 pub struct BaseMissing;
 
 impl Replica {
+    /// A replica in a complete state that was kept elsewhere.
+    pub fn restored(tile: Tile, stamp: Stamp) -> Self {
+        Self { tile, stamp, partial: None }
+    }
+
     /// The cells. While parts are missing, some of them are newer than the others.
     pub fn tile(&self) -> &Tile {
         &self.tile

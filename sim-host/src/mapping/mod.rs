@@ -6,4 +6,4 @@ mod robot_layer;
 
 pub use camera_layer::CameraLayer;
 pub use fused_layer::{FusedLayer, fuse};
-pub use robot_layer::{RobotLayer, SeenTile, Updated};
+pub use robot_layer::{RobotLayer, SeenTile, TileRecord, Updated};

@@ -31,6 +31,21 @@ impl SeenTile {
     const NOTHING: Self = Self { tile: Tile::UNKNOWN, seconds: [0; TILE_CELLS as usize] };
 }
 
+/// A complete state of one epoch of a tile, to be kept on disk.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TileRecord {
+    /// Which tile.
+    pub id: TileId,
+    /// Its state.
+    pub stamp: Stamp,
+    /// The cells of this state.
+    pub cells: Tile,
+    /// All that the epoch has ever known.
+    pub known: Tile,
+    /// When the newest scan in it was taken, in seconds of the server's clock.
+    pub seconds: u32,
+}
+
 /// The layer of one robot. For each cell the code is that of the newest epoch that knows it, so
 /// the layer does not depend on the order in which states of its tiles arrive.
 #[derive(Clone, Debug, Default)]
@@ -45,6 +60,8 @@ pub struct RobotLayer {
 pub struct Updated {
     /// The tiles that have changed.
     pub tiles: BTreeSet<TileId>,
+    /// The tiles and epochs of which a new state is complete.
+    pub complete: BTreeSet<(TileId, Epoch)>,
     /// The tile that could not be read because its base is not held. What followed it in the
     /// update was lost as well; asking for this tile brings all of that back.
     pub missing: Option<TileId>,
@@ -64,8 +81,9 @@ impl RobotLayer {
                 Ok(None) => return (updated, Ok(())),
                 Err(error) => return (updated, Err(error)),
             };
+            let epoch = header.stamp.epoch;
             let epochs = self.tiles.entry(header.id).or_default();
-            let held = epochs.entry(header.stamp.epoch).or_default();
+            let held = epochs.entry(epoch).or_default();
             if header.base.is_none() && header.start == 0 {
                 let mut before = *held.replica.tile();
                 if let Some(earlier) = &held.before {
@@ -81,6 +99,7 @@ impl RobotLayer {
                     return (updated, Ok(()));
                 }
             }
+            updated.complete.extend((header.end == TILE_CELLS).then_some((header.id, epoch)));
             if self.join(header.id, seconds) {
                 updated.tiles.insert(header.id);
             }
@@ -127,6 +146,30 @@ impl RobotLayer {
         (!held.replica.is_partial()).then(|| (held.replica.stamp(), held.replica.tile()))
     }
 
+    /// What is to be kept of an epoch of a tile, if its state is complete.
+    pub fn record(&self, id: TileId, epoch: Epoch) -> Option<TileRecord> {
+        let held = self.tiles.get(&id)?.get(&epoch)?;
+        let mut known = *held.replica.tile();
+        if let Some(before) = &held.before {
+            known.fill_unknown_from(before);
+        }
+        let (stamp, cells) = self.held(id, epoch)?;
+        let seconds = self.seen.get(&id)?.seconds.iter().copied().max().unwrap_or(0);
+        Some(TileRecord { id, stamp, cells: *cells, known, seconds })
+    }
+
+    /// Takes back what was kept. A state that is not newer than what is held is passed over.
+    /// Whether anything has changed.
+    pub fn restore(&mut self, record: &TileRecord) -> bool {
+        let held = self.tiles.entry(record.id).or_default().entry(record.stamp.epoch).or_default();
+        if held.replica.stamp() >= record.stamp {
+            return false;
+        }
+        held.replica = Replica::restored(record.cells, record.stamp);
+        held.before = Some(record.known);
+        self.join(record.id, record.seconds)
+    }
+
     /// The first epoch that the robot has not used.
     pub fn next_epoch(&self) -> Epoch {
         let used = self.tiles.values().filter_map(|epochs| epochs.keys().next_back()).max();
@@ -171,6 +214,23 @@ mod tests {
             assert_eq!(layer.seen(ID).unwrap().tile, joined);
             assert_eq!(layer.next_epoch(), Epoch(3));
         }
+    }
+
+    #[test]
+    fn what_was_kept_comes_back_and_is_built_upon() {
+        let mut layer = RobotLayer::default();
+        let first = tile(&[(0, Cell::Occupied), (1, Cell::Free)]);
+        assert_eq!(layer.update(&update(3, 1, None, &first), 5).1, Ok(()));
+        let record = layer.record(ID, Epoch(3)).unwrap();
+        let mut restarted = RobotLayer::default();
+        assert!(restarted.restore(&record));
+        assert!(!restarted.restore(&record));
+        assert_eq!(restarted.seen(ID), layer.seen(ID));
+        assert_eq!(restarted.next_epoch(), Epoch(4));
+        let second = tile(&[(0, Cell::Occupied), (1, Cell::Occupied)]);
+        let coded = update(3, 2, Some((1, &first)), &second);
+        assert_eq!(restarted.update(&coded, 6).0.missing, None);
+        assert_eq!(restarted.seen(ID).unwrap().tile, second);
     }
 
     #[test]

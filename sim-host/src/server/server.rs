@@ -20,7 +20,7 @@ use super::{
 };
 use crate::{
     camera::Observation,
-    mapping::{CameraLayer, FusedLayer, RobotLayer, fuse},
+    mapping::{CameraLayer, FusedLayer, RobotLayer, TileRecord, Updated, fuse},
 };
 
 /// At most this often a robot is told that it has no session here.
@@ -57,12 +57,19 @@ pub struct Server {
     layers: BTreeMap<RobotId, RobotLayer>,
     cameras: CameraLayer,
     fused: FusedLayer,
+    /// Tiles of robots that have changed since they were kept on disk.
+    unsaved: BTreeSet<(RobotId, TileId, Epoch)>,
 }
 
 /// A port that the server does not have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the server has no port {0}")]
 pub struct NoSuchPort(pub usize);
+
+/// A robot that has no session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("robot {} has no session", .0.0)]
+pub struct NoSession(pub RobotId);
 
 impl Server {
     /// A server with so many ports and an empty map.
@@ -84,6 +91,7 @@ impl Server {
             layers: BTreeMap::new(),
             cameras: CameraLayer::default(),
             fused: FusedLayer::default(),
+            unsaved: BTreeSet::new(),
         }
     }
 
@@ -100,7 +108,7 @@ impl Server {
         let index = port;
         loop {
             let port = self.ports.get_mut(index).ok_or(NoSuchPort(index))?;
-            let mut changed = BTreeSet::new();
+            let mut updated = Updated::default();
             let mut hello = None;
             match port.link.receive(&mut bytes, now) {
                 None => return Ok(()),
@@ -112,10 +120,15 @@ impl Server {
                 Some(Received::Session(messages)) => {
                     if let Some(session) = &mut port.session {
                         let layer = self.layers.entry(session.robot).or_default();
-                        let mut inbox = Inbox { session, layer, changed: &mut changed };
+                        let mut inbox = Inbox { session, layer, updated: &mut updated };
                         let (unknown, malformed) = inbox.take(messages, now);
                         port.unknown += unknown;
                         port.malformed += malformed;
+                        if self.terms.stores {
+                            let robot = session.robot;
+                            let complete = updated.complete.iter();
+                            self.unsaved.extend(complete.map(|&(id, epoch)| (robot, id, epoch)));
+                        }
                     }
                 }
             }
@@ -127,7 +140,7 @@ impl Server {
             if let Some(hello) = hello {
                 self.greet(index, &hello, now);
             }
-            self.refuse_stale(&changed);
+            self.fuse_anew(&updated.tiles);
         }
     }
 
@@ -137,21 +150,49 @@ impl Server {
             self.fix(robot, observation.captured, pose);
         }
         let changed = self.cameras.observe(observation);
-        self.refuse_stale(&changed);
+        self.fuse_anew(&changed);
+    }
+
+    /// A state of a robot's tile to be kept on disk, if the terms say that the server stores any.
+    /// Call [`Server::stored`] when it is there.
+    #[must_use]
+    pub fn poll_store(&mut self) -> Option<(RobotId, TileRecord)> {
+        while let Some((robot, id, epoch)) = self.unsaved.pop_first() {
+            // A state of which only parts have arrived comes back when it is complete.
+            if let Some(record) = self.layers.get(&robot).and_then(|it| it.record(id, epoch)) {
+                return Some((robot, record));
+            }
+        }
+        None
+    }
+
+    /// A record is on disk: the robot may give the tile up.
+    pub fn stored(&mut self, robot: RobotId, record: &TileRecord) {
+        let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
+        if let Some(session) = sessions.find(|session| session.robot == robot) {
+            session.stored(record.id, record.stamp);
+        }
+    }
+
+    /// Takes back a record that an earlier life of the server kept.
+    pub fn restore(&mut self, robot: RobotId, record: &TileRecord) {
+        if self.layers.entry(robot).or_default().restore(record) {
+            self.fuse_anew(&BTreeSet::from([record.id]));
+        }
     }
 
     /// A command for a robot.
     ///
     /// # Errors
-    /// The command, if the robot has no session.
-    pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), Command> {
+    /// [`NoSession`].
+    pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), NoSession> {
         let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
         match sessions.find(|session| session.robot == robot) {
             Some(session) => {
                 session.command(command);
                 Ok(())
             }
-            None => Err(command),
+            None => Err(NoSession(robot)),
         }
     }
 
@@ -250,7 +291,7 @@ impl Server {
     }
 
     /// Computes the fused tiles anew whose sources have changed.
-    fn refuse_stale(&mut self, changed: &BTreeSet<TileId>) {
+    fn fuse_anew(&mut self, changed: &BTreeSet<TileId>) {
         for &id in changed {
             let robots: Vec<_> = self.layers.values().filter_map(|layer| layer.seen(id)).collect();
             self.fused.set(id, fuse(&self.cameras.tile(id), &robots));
@@ -327,7 +368,7 @@ fn parse_hello(message: Message<'_>) -> Option<Hello> {
 struct Inbox<'a> {
     session: &'a mut Session,
     layer: &'a mut RobotLayer,
-    changed: &'a mut BTreeSet<TileId>,
+    updated: &'a mut Updated,
 }
 
 impl Inbox<'_> {
@@ -372,7 +413,8 @@ impl Inbox<'_> {
                     return None;
                 }
                 let (mut updated, result) = self.layer.update(coded, head.seconds);
-                self.changed.append(&mut updated.tiles);
+                self.updated.tiles.append(&mut updated.tiles);
+                self.updated.complete.append(&mut updated.complete);
                 if let Some(missing) = updated.missing {
                     self.session.ask_for(missing);
                 }

@@ -6,8 +6,9 @@ use ubimap_protocol::{
     frame::MAX_FRAME,
     link::{Endpoint, Fill},
     message::{
-        Certainty, Digests, FixSource, Interest, MAX_DIGESTS, MAX_REQUESTS, ParameterReport,
-        PoseFix, Request, State, TileDigest, TileUpdateHead, TimeReply, ToRobotKind, Writer,
+        Certainty, Digests, FixSource, Interest, MAX_DIGESTS, MAX_REQUESTS, MAX_STORED,
+        ParameterReport, PoseFix, Request, State, Stored, TileDigest, TileUpdateHead, TimeReply,
+        ToRobotKind, Writer,
     },
     tile::{Epoch, Layer, Publication, Stamp, TileEncoder, TileId, tile_hash},
     time::{Duration, Instant},
@@ -55,6 +56,8 @@ pub(super) struct Session {
     /// The tile whose digest was sent last, and when the next ones are due.
     digested: Option<TileId>,
     next_digests: Instant,
+    /// States of the robot's tiles that are on disk, and of which it has not been told.
+    stored: Vec<(TileId, Stamp)>,
     /// Tiles of the robot's layer to ask for; no tile means all of them.
     requests: Vec<TileId>,
     budget: Budget,
@@ -77,6 +80,7 @@ impl Session {
             parameters: None,
             digested: None,
             next_digests: now + DIGEST_INTERVAL,
+            stored: Vec::new(),
             requests: Vec::new(),
             budget: Budget { paid_until: now },
         }
@@ -143,6 +147,10 @@ impl Session {
         }
     }
 
+    pub(super) fn stored(&mut self, id: TileId, stamp: Stamp) {
+        self.stored.push((id, stamp));
+    }
+
     pub(super) fn acknowledged(&mut self, frame: u16) {
         self.published.values_mut().for_each(|(publication, _)| {
             publication.acknowledge(frame);
@@ -194,6 +202,14 @@ impl Session {
         if self.commands.front().is_some_and(|command| command.write(writer)) {
             self.commands.pop_front();
             return Fill::Reliable(NO_TILES);
+        }
+        if !self.stored.is_empty() {
+            let count = self.stored.len().min(MAX_STORED);
+            let tiles = self.stored[..count].iter().copied().collect();
+            if writer.push(ToRobotKind::Stored as u8, &Stored { tiles }) {
+                self.stored.drain(..count);
+                return Fill::Reliable(NO_TILES);
+            }
         }
         if !self.requests.is_empty() {
             let count = self.requests.len().min(MAX_REQUESTS);
@@ -328,7 +344,7 @@ impl Session {
         if !reliable {
             return None;
         }
-        if !self.requests.is_empty() || !self.commands.is_empty() {
+        if !(self.requests.is_empty() && self.commands.is_empty() && self.stored.is_empty()) {
             return Some(now);
         }
         let digests = self.interest.map(|_| self.next_digests);
