@@ -11,98 +11,105 @@ use board::Board;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::entry;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
-use ubimap_protocol::time::{Duration, Instant};
+use ubimap_agent::{
+    Agent, Config, ConfigError, Memory,
+    map::{OwnTile, scratch_words},
+    sense::{Beam, SensorModel},
+    share::FusedTile,
+};
+use ubimap_protocol::{
+    frame::DEFAULT_FRAME,
+    time::{Duration, Instant},
+    units::{Millimetres, RobotId},
+};
+
+/// Which robot this is: unique in one deployment.
+const ROBOT: RobotId = RobotId(1);
 
 /// The speed of the port to the server.
 const BAUD: u32 = 115_200;
 
-/// The longest frame of the link.
-const FRAME: usize = 250;
+/// The side of the map's cells; the server's must be the same.
+const RESOLUTION: Millimetres = Millimetres(50);
 
-/// How often the status LED changes.
-const HEARTBEAT: Duration = Duration::from_millis(500);
+/// Beyond it nothing is mapped: as far as a pool of eight tiles holds, in millimetres.
+const MAX_RANGE: u16 = 2_000;
+
+/// Pixels in the row of the depth sensor, which looks forward.
+const PIXELS: usize = 100;
+
+/// The focal length in pixels: 100 of them see 78 degrees.
+const FOCAL: f32 = 61.7;
+
+/// Scans that can wait for their poses.
+const WAITING_SCANS: usize = 2;
+
+/// Tiles of its own that the robot keeps.
+const OWN_TILES: usize = 8;
+
+/// Fused tiles that the robot keeps: a window of 4 x 4.
+const FUSED_TILES: usize = 16;
+
+/// How often the status LED changes while there is no session.
+const BLINK: Duration = Duration::from_millis(250);
 
 #[entry]
 fn main() -> ! {
-    match Board::take(BAUD) {
-        Some(board) => run(board),
-        None => SCB::sys_reset(),
+    // Here, and not on the stack, so that the image tells how much memory there must be.
+    static mut BEAMS: [Beam; PIXELS] = [Beam { forward: 0, left: 0, limit: 0 }; PIXELS];
+    static mut WAITING: [u16; PIXELS * WAITING_SCANS] = [0; _];
+    static mut SCRATCH: [u32; scratch_words(MAX_RANGE, RESOLUTION)] = [0; _];
+    static mut OWN: [OwnTile; OWN_TILES] = [OwnTile::FREE; _];
+    static mut FUSED: [FusedTile; FUSED_TILES] = [FusedTile::FREE; _];
+
+    let memory =
+        Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: FUSED };
+    let Some(board) = Board::take(BAUD) else { SCB::sys_reset() };
+    match agent(board.nonce, memory) {
+        Ok(agent) => run(board, agent),
+        // The constants above are at odds.
+        Err(_) => SCB::sys_reset(),
     }
+}
+
+fn agent(nonce: u64, memory: Memory<'_>) -> Result<Agent<'_>, ConfigError> {
+    let centre = (PIXELS - 1) as f32 / 2.0;
+    let config = Config {
+        boot_nonce: (nonce ^ nonce >> 32) as u32,
+        resolution: RESOLUTION,
+        max_range: MAX_RANGE,
+        ..Config::new(ROBOT, SensorModel::Pinhole { focal: FOCAL, centre })
+    };
+    Agent::new(config, memory)
 }
 
 /// Joins the port and the agent for ever: after every input, drain the outputs until none is left,
 /// then come back at the next deadline or with the next byte.
-fn run(mut board: Board) -> ! {
+fn run(mut board: Board, mut agent: Agent<'_>) -> ! {
     flash(&mut board.led, &mut board.clock);
-    let mut echo = Echo::new(board.nonce, board.clock.now());
-    let mut bytes = [0; FRAME];
+    let mut bytes = [0; DEFAULT_FRAME];
     loop {
-        let count = board.port.read(&mut bytes[..echo.room().min(FRAME)]);
-        echo.receive(&bytes[..count.min(FRAME)], board.clock.now());
+        let count = board.port.read(&mut bytes);
+        let now = board.clock.now();
+        agent.receive(bytes.get(..count).unwrap_or_default(), now);
+        agent.timeout(now);
         // The port's interrupt makes room meanwhile.
-        while board.port.room() >= FRAME {
-            let Some(count) = echo.poll_transmit(board.clock.now(), &mut bytes) else { break };
-            board.port.write(&bytes[..count.min(FRAME)]);
+        while board.port.room() >= DEFAULT_FRAME
+            && let Some(count) = agent.poll_transmit(board.clock.now(), &mut bytes)
+        {
+            board.port.write(bytes.get(..count).unwrap_or_default());
         }
-        show(&mut board.led, echo.is_lit());
-        if count == 0 && board.clock.now() < echo.poll_timeout() {
+        let now = board.clock.now();
+        show(&mut board.led, agent.is_connected() || blinks(now));
+        if count == 0 && now < agent.poll_timeout() {
             board.port.wait();
         }
     }
 }
 
-/// Stands in the agent's place: it sends back what it receives, after a line that says who it is,
-/// and its heart beats.
-struct Echo {
-    pending: heapless::Deque<u8, 512>,
-    lit: bool,
-    heartbeat: Instant,
-}
-
-impl Echo {
-    fn new(nonce: u64, now: Instant) -> Self {
-        let mut pending = heapless::Deque::new();
-        for byte in *b"ubimap " {
-            let _ = pending.push_back(byte);
-        }
-        for nibble in (0..16).rev().map(|place| (nonce >> (4 * place)) as u8 & 0xF) {
-            let _ = pending.push_back(nibble + if nibble < 10 { b'0' } else { b'a' - 10 });
-        }
-        let _ = pending.push_back(b'\n');
-        Self { pending, lit: false, heartbeat: now }
-    }
-
-    fn receive(&mut self, bytes: &[u8], now: Instant) {
-        for &byte in bytes {
-            let _ = self.pending.push_back(byte);
-        }
-        while self.heartbeat <= now {
-            self.heartbeat = self.heartbeat + HEARTBEAT;
-            self.lit = !self.lit;
-        }
-    }
-
-    fn poll_transmit(&mut self, _now: Instant, buffer: &mut [u8]) -> Option<usize> {
-        let mut count = 0;
-        for place in buffer {
-            let Some(byte) = self.pending.pop_front() else { break };
-            *place = byte;
-            count += 1;
-        }
-        (count > 0).then_some(count)
-    }
-
-    fn room(&self) -> usize {
-        self.pending.capacity() - self.pending.len()
-    }
-
-    fn poll_timeout(&self) -> Instant {
-        self.heartbeat
-    }
-
-    fn is_lit(&self) -> bool {
-        self.lit
-    }
+/// Whether an LED that blinks is lit now.
+fn blinks(now: Instant) -> bool {
+    now.micros() / BLINK.micros() % 2 == 0
 }
 
 /// A flash of the status LED.

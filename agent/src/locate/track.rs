@@ -38,13 +38,12 @@ impl<const N: usize> Track<N> {
             return false;
         }
         // Sink it to its place: nearly always it is there already.
-        let entries = self.poses.make_contiguous();
-        for index in (1..entries.len()).rev() {
-            let out_of_order = matches!(entries.get(index - 1..=index), Some([a, b]) if a.0 > b.0);
-            if !out_of_order {
-                break;
-            }
-            entries.swap(index - 1, index);
+        let mut entries = self.poses.iter_mut().rev();
+        let mut new = entries.next();
+        for earlier in entries {
+            let Some(later) = new.filter(|later| earlier.0 > later.0) else { break };
+            core::mem::swap(earlier, later);
+            new = Some(earlier);
         }
         true
     }

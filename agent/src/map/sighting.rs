@@ -193,7 +193,7 @@ impl<'s> Sighting<'s> {
             return;
         }
         const SLOPE: u32 = 12;
-        let slope = ((high.0 - low.0) << SLOPE) / (high.1 - low.1);
+        let slope = ((high.0 - low.0) << SLOPE) / (high.1 - low.1).max(1);
         let columns = (self.side * TILE_SIDE) as i32;
         for row in first..last {
             let up = (row << FRACTION) + CELL / 2 - low.1;
@@ -210,7 +210,7 @@ impl<'s> Sighting<'s> {
 
     /// Turns flipped cells into the interior, less the hits.
     fn fill(&mut self) {
-        let side = self.side;
+        let side = self.side.max(1);
         for (free, hit) in self.free.chunks_exact_mut(side).zip(self.hit.chunks_exact(side)) {
             let mut inside = 0;
             for (word, hit) in free.iter_mut().zip(hit) {
@@ -227,8 +227,8 @@ impl<'s> Sighting<'s> {
 
     /// The tiles that the scan says something of, in order of their ids.
     pub fn tiles(&self) -> impl Iterator<Item = TileId> + '_ {
-        (0..self.side * self.side).filter_map(move |index| {
-            let (column, row) = (index / self.side, index % self.side);
+        let places = (0..self.side).flat_map(|column| (0..self.side).map(move |row| (column, row)));
+        places.filter_map(|(column, row)| {
             let any = (0..TILE_SIDE).any(|y| {
                 let sighting = self.row(column, row, y);
                 sighting.free | sighting.hit != 0

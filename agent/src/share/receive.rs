@@ -17,6 +17,9 @@ pub struct FusedTile {
 }
 
 impl FusedTile {
+    /// A free place.
+    pub const FREE: Self = Self { id: None, replica: Replica::NOTHING };
+
     /// Which tile, or `None` if the place is free.
     pub fn id(&self) -> Option<TileId> {
         self.id

@@ -161,7 +161,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
                 index += 1;
                 continue;
             }
-            let frame = self.outstanding.swap_remove(index);
+            let Some(frame) = swap_remove(&mut self.outstanding, index) else { return };
             if frame.sent == 1 {
                 self.round_trip.sample(now.since(frame.last_sent));
             }
@@ -201,6 +201,15 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
             _ => patience,
         }
     }
+}
+
+/// Takes an entry out; the last one takes its place. Without a panic, unlike `Vec::swap_remove`.
+fn swap_remove<T, const N: usize>(entries: &mut Vec<T, N>, index: usize) -> Option<T> {
+    let last = entries.pop()?;
+    Some(match entries.get_mut(index) {
+        Some(entry) => core::mem::replace(entry, last),
+        None => last,
+    })
 }
 
 #[cfg(test)]

@@ -106,11 +106,10 @@ impl ClockSync {
         if self.in_generation >= PER_GENERATION {
             self.in_generation = 0;
             let age = now.since(core::mem::replace(&mut self.generation_began, now));
-            self.generations = self.generations.map(|minima| minima.aged(age));
-            self.generations.rotate_right(1);
-            if let Some(newest) = self.generations.first_mut() {
-                *newest = Fastest::NONE;
-            }
+            // Each moves on by one place, and the oldest out.
+            let mut newer = Fastest::NONE;
+            let shift = |minima: Fastest| core::mem::replace(&mut newer, minima.aged(age));
+            self.generations = self.generations.map(shift);
         }
         self.in_generation += 1;
         self.exchanges = self.exchanges.saturating_add(1);

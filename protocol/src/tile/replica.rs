@@ -32,6 +32,13 @@ pub enum Applied {
 pub struct BaseMissing;
 
 impl Replica {
+    /// Nothing has arrived yet.
+    pub const NOTHING: Self = Self {
+        tile: Tile::UNKNOWN,
+        stamp: Stamp { epoch: Epoch(0), version: Version(0) },
+        partial: None,
+    };
+
     /// A replica in a complete state that was kept elsewhere.
     pub fn restored(tile: Tile, stamp: Stamp) -> Self {
         Self { tile, stamp, partial: None }
