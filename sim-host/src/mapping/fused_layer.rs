@@ -102,8 +102,7 @@ mod tests {
 
     #[test]
     fn the_table_of_cases() {
-        type Case = (Cell, &'static [(Cell, u32)], Cell);
-        let cases: [Case; 9] = [
+        let cases: [(_, &[_], _); 9] = [
             (Unknown, &[], Unknown),
             (Unknown, &[(Unknown, 3), (Unknown, 4)], Unknown),
             (Unknown, &[(Free, 3), (Unknown, 4)], Free),

@@ -117,7 +117,8 @@ impl Stage for Recording {
 
     fn poll(&mut self, now: Instant) -> Option<Event> {
         let due = self.events.front().is_some_and(|(moment, _)| *moment <= now);
-        self.events.pop_front_if(|_| due).map(|(_, event)| event)
+        let (_, event) = due.then(|| self.events.pop_front()).flatten()?;
+        Some(event)
     }
 }
 
