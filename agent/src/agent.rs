@@ -449,10 +449,11 @@ impl<'b> Agent<'b> {
             self.server_epoch.replace(welcome.server_epoch) == Some(welcome.server_epoch);
         self.link.begin(welcome.session, usize::from(welcome.frame));
         if !same_server {
-            // Another life of the server has another clock.
+            // Another life of the server has another clock: moments of the last one mean nothing.
             self.clock = ClockSync::default();
             self.locator.forget_fixes();
             self.commands.forget();
+            self.latest_pose = None;
         }
         self.map.pool.begin_session(welcome.stores, same_server);
         self.map.pool.start_epochs_at(Epoch(welcome.first_epoch));
