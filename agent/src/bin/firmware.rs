@@ -109,7 +109,7 @@ fn run(mut board: Board, mut agent: Agent<'_>) -> ! {
 
 /// Whether an LED that blinks is lit now.
 fn blinks(now: Instant) -> bool {
-    now.micros() / BLINK.micros() % 2 == 0
+    (now.micros() / BLINK.micros()).is_multiple_of(2)
 }
 
 /// A flash of the status LED.

@@ -69,7 +69,7 @@ impl<'b> FusedMap<'b> {
         let side =
             (1..=255u16).take_while(|side| usize::from(side * side) <= self.capacity()).last();
         let Some(side) = side.map(i32::from) else { return };
-        let tile_size = resolution.0.max(1).saturating_mul(TILE_SIDE as i32);
+        let tile_size = resolution.0.saturating_mul(TILE_SIDE as i32).max(1);
         // The south-western tile of a window in whose middle the robot is.
         let first = |coordinate: Millimetres| {
             let half = side * tile_size / 2;
