@@ -8,8 +8,8 @@ use std::{
 use clap::{Parser, Subcommand, error::ErrorKind};
 use ubimap_sim_host::run::{
     Outcome, RunError, compare, open_output,
-    options::{CompareOptions, ReplayOptions, RunOptions, SimulateOptions},
-    replay, simulate,
+    options::{CompareOptions, ReplayOptions, RunOptions, ServeOptions, SimulateOptions},
+    replay, serve, simulate,
 };
 
 /// The run failed; a map on which not all agree counts as that.
@@ -31,6 +31,8 @@ enum Command {
     Replay(ReplayOptions),
     /// Run robots in a simulated room
     Simulate(SimulateOptions),
+    /// Serve real robots on serial ports
+    Serve(ServeOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
 }
@@ -44,6 +46,7 @@ fn main() -> ExitCode {
     let finished = match command_line.command {
         Command::Replay(options) => finish(&options.run, || replay::run(&options)),
         Command::Simulate(options) => finish(&options.run, || simulate::run(&options)),
+        Command::Serve(options) => serve(&options),
         Command::Compare(options) => compare(&options),
     };
     finished.unwrap_or_else(|error| {
@@ -65,6 +68,12 @@ fn finish(
     let report = &outcome.report;
     print(&if options.json { report.to_json_pretty() } else { report.to_string() });
     Ok(if report.map.converged { ExitCode::SUCCESS } else { ExitCode::from(FAILED) })
+}
+
+fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
+    let report = serve::run(options)?;
+    print(&if options.json { report.to_json_pretty() } else { report.to_string() });
+    Ok(if report.has_robot() { ExitCode::SUCCESS } else { ExitCode::from(FAILED) })
 }
 
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {

@@ -32,6 +32,11 @@ fn bad_use_is_told_in_one_line() {
     refused(&["replay", "x", "--resolution", "0"], "--resolution");
     refused(&["replay", "x", "--format", "png"], "--format");
     refused(&["simulate", "--duration", "-1"], "--duration");
+    refused(&["serve"], "PORT");
+    refused(&["serve", "/dev/no-such-port"], "/dev/no-such-port: ");
+    refused(&["serve", "x", "--baud", "0"], "--baud");
+    refused(&["serve", "x", "--pose", "-1,2"], "--pose");
+    refused(&["serve", "x", "--pose", "1,2,3", "--pose", "1,2,3"], "--pose");
     refused(&["compare", "a.yaml"], "REFERENCE.yaml");
     refused(&["compare", "a.yaml", "b.yaml", "--tolerance", "-1"], "--tolerance");
     refused(&["compare", "a.yaml", "b.yaml"], "a.yaml");

@@ -1,12 +1,14 @@
 //! Figures and pictures of a run.
 //!
-//! [`Report`] is `report.json`, [`render`] draws `map.png`, and [`OutputFolder`] writes files all
+//! [`Report`] is `report.json`, [`ServeReport`] its like for serial ports, [`render`] draws `map.png`, and [`OutputFolder`] writes files all
 //! or none.
 
 mod output;
 mod picture;
+mod serving;
 mod summary;
 
 pub use output::{OutputError, OutputFolder};
 pub use picture::{Marker, MarkerKind, png, render};
+pub use serving::{PortSummary, ServeReport, StateSummary};
 pub use summary::{HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores};

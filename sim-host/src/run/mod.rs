@@ -7,6 +7,7 @@ pub mod fleet;
 pub mod options;
 mod progress;
 pub mod replay;
+pub mod serve;
 pub mod simulate;
 
 use std::path::{Path, PathBuf};
@@ -14,6 +15,7 @@ use std::path::{Path, PathBuf};
 use ubimap_agent::{ConfigError, map::MAX_RADIUS};
 
 use crate::{
+    channel::serial::SerialError,
     grid::{self, GridError, MapError, OccupancyGrid},
     log::LogError,
     report::{self, Marker, OutputError, OutputFolder, Report},
@@ -69,6 +71,17 @@ pub enum RunError {
     /// A scenario can't be used.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
+    /// A serial port can't be opened.
+    #[error(transparent)]
+    Port(#[from] SerialError),
+    /// There are neither as many poses as ports, nor one, nor none.
+    #[error("--pose: given {poses} times for {ports} ports; give one for all, or one for each")]
+    Poses {
+        /// Poses given.
+        poses: usize,
+        /// Ports given.
+        ports: usize,
+    },
     /// The robots can't work with these options.
     #[error("no robot can be made with these options: {}", explain(.0))]
     Agent(ConfigError),
@@ -98,6 +111,8 @@ impl RunError {
             | Self::Map(_)
             | Self::Output(_)
             | Self::Scenario(_)
+            | Self::Port(_)
+            | Self::Poses { .. }
             | Self::Agent(_)
             | Self::TooManyRobots { .. }
             | Self::TurnedMap { .. } => true,

@@ -3,7 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum, value_parser};
-use ubimap_protocol::{time::Duration, units::Millimetres};
+use ubimap_protocol::{
+    time::Duration,
+    units::{Millimetres, Pose},
+};
 
 use crate::{channel::fault::Faults, log::Format};
 
@@ -52,6 +55,35 @@ pub struct SimulateOptions {
     /// What every run has.
     #[command(flatten)]
     pub run: RunOptions,
+}
+
+/// Options of `ubimap serve`.
+#[derive(Args, Clone, Debug)]
+pub struct ServeOptions {
+    /// Serial ports, with one robot behind each
+    #[arg(required = true, value_name = "PORT")]
+    pub ports: Vec<PathBuf>,
+
+    /// Speed of the ports in bits per second
+    #[arg(long, value_name = "N", default_value_t = 115_200, value_parser = value_parser!(u32).range(1_200..=12_000_000))]
+    pub baud: u32,
+
+    /// Until there are real cameras: where the robot stands on the bench, in metres and degrees;
+    /// once for all ports, or once for each in their order. Without it no fix is sent
+    #[arg(long, value_name = "X,Y,DEG", value_parser = pose, allow_hyphen_values = true)]
+    pub pose: Vec<Pose>,
+
+    /// Side of a cell in metres; the robots' must be the same
+    #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
+    pub resolution: Millimetres,
+
+    /// How long to serve, in seconds; without it, until stopped
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
+    pub duration: Option<Duration>,
+
+    /// Print the report as JSON, and nothing else, on standard output
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Options that every run has.
@@ -173,6 +205,8 @@ enum OptionError {
     OutOfRange { least: f64, most: f64, unit: &'static str },
     #[error("must be whole millimetres")]
     FractionOfMillimetre,
+    #[error("must be X,Y,DEG: metres, metres, degrees")]
+    NotAPose,
 }
 
 fn robots() -> clap::builder::RangedI64ValueParser<u16> {
@@ -208,6 +242,14 @@ fn tolerance(text: &str) -> Result<f64, OptionError> {
     number(text, 0.0, 1e6, "m")
 }
 
+fn pose(text: &str) -> Result<Pose, OptionError> {
+    let parts: Vec<&str> = text.split(',').map(str::trim).collect();
+    let [x, y, heading] = parts[..] else { return Err(OptionError::NotAPose) };
+    let metres = |text| number(text, -10_000.0, 10_000.0, "m");
+    let degrees = number(heading, -360.0, 360.0, "degrees")?;
+    Ok(Pose::from_metres(metres(x)?, metres(y)?, degrees.to_radians()))
+}
+
 fn seconds(text: &str) -> Result<Duration, OptionError> {
     let seconds = number(text, 0.1, 1e6, "s")?;
     Ok(Duration::from_micros((seconds * 1e6).round() as u64))
@@ -220,6 +262,8 @@ fn milliseconds(text: &str) -> Result<Duration, OptionError> {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
     use super::*;
 
     #[test]
@@ -233,5 +277,9 @@ mod tests {
         assert_eq!(resolution("0.0505"), Err(OptionError::FractionOfMillimetre));
         assert!(resolution("0").is_err() && max_range("-4").is_err());
         assert_eq!(milliseconds("0.25"), Ok(Duration::from_micros(250)));
+        assert_eq!(pose("-1.5, 2,90"), Ok(Pose::from_metres(-1.5, 2.0, FRAC_PI_2)));
+        assert_eq!(pose("1,2"), Err(OptionError::NotAPose));
+        assert_eq!(pose("1,2,x"), Err(OptionError::NotANumber));
+        assert!(pose("1,inf,0").is_err() && pose("1,2,400").is_err());
     }
 }

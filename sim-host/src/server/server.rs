@@ -254,6 +254,11 @@ impl Server {
         self.session(robot)?.state
     }
 
+    /// How often a robot has asked for the time in its session.
+    pub fn time_requests(&self, robot: RobotId) -> u32 {
+        self.session(robot).map_or(0, |session| session.time_requests)
+    }
+
     /// Whether a robot has acknowledged the newest state of every fused tile that it wants.
     pub fn is_level(&self, robot: RobotId) -> bool {
         self.session(robot).is_some_and(|session| session.is_level(&self.fused))

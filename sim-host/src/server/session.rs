@@ -58,6 +58,7 @@ pub(super) struct Session {
     next_digests: Instant,
     /// States of the robot's tiles that are on disk, and of which it has not been told.
     stored: Vec<(TileId, Stamp)>,
+    pub(super) time_requests: u32,
     /// Tiles of the robot's layer to ask for; no tile means all of them.
     requests: Vec<TileId>,
     budget: Budget,
@@ -81,6 +82,7 @@ impl Session {
             digested: None,
             next_digests: now + DIGEST_INTERVAL,
             stored: Vec::new(),
+            time_requests: 0,
             requests: Vec::new(),
             budget: Budget { paid_until: now },
         }
@@ -113,6 +115,7 @@ impl Session {
 
     pub(super) fn time_requested(&mut self, nonce: u16, now: Instant) {
         self.times.push((nonce, now));
+        self.time_requests = self.time_requests.saturating_add(1);
     }
 
     /// The robot's window has moved: it has dropped what lies outside.
