@@ -1,29 +1,21 @@
 //! The firmware in an emulated STM32F405, over its serial port.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use ubimap_protocol::{
-    frame::{Direction, MAX_FRAME},
-    link::{Endpoint, Received},
-    message::{Hello, ToServerKind, decode},
-    time,
-    units::RobotId,
+use ubimap_protocol::units::{Millimetres, Pose, RobotId};
+use ubimap_sim_host::{
+    channel::serial::{SerialError, SerialPort},
+    run::serve::{Attached, CAPTURE_INTERVAL, Station, Wire},
 };
-use ubimap_sim_host::channel::serial::SerialPort;
 use ubimap_tests::{
     elf::Image,
-    emulator::{Emulator, EmulatorError, firmware, leave_out},
+    emulator::{Emulator, firmware, leave_out},
 };
 
-/// How long the slowest exchange may take on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(60);
-
-fn start() -> Result<(Emulator, SerialPort), EmulatorError> {
-    let emulator = Emulator::start(&firmware()?)?;
-    let port = SerialPort::open(emulator.port(), 115_200)
-        .map_err(|error| EmulatorError::Failed(error.to_string()))?;
-    Ok((emulator, port))
-}
+/// The robot that the firmware is.
+const ROBOT: RobotId = RobotId(1);
+/// The side of the firmware's cells.
+const RESOLUTION: Millimetres = Millimetres(50);
 
 #[test]
 fn the_image_fits_and_holds_neither_panics_nor_a_heap() {
@@ -36,7 +28,9 @@ fn the_image_fits_and_holds_neither_panics_nor_a_heap() {
     let unwanted: Vec<_> = image
         .symbols
         .iter()
-        .filter(|name| ["panicking", "_failed", "__rust_alloc"].iter().any(|s| name.contains(s)))
+        .filter(|name| {
+            ["panicking", "_fail", "__rust_alloc"].iter().any(|part| name.contains(part))
+        })
         .collect();
     assert!(unwanted.is_empty(), "{unwanted:?}");
     assert!(image.flash <= 64 * 1024, "{} bytes of flash", image.flash);
@@ -44,24 +38,122 @@ fn the_image_fits_and_holds_neither_panics_nor_a_heap() {
 }
 
 #[test]
-fn the_firmware_says_hello() {
-    let (_emulator, mut port) = match start() {
-        Ok(started) => started,
-        Err(error) => return leave_out("the firmware's hello", &error),
+fn a_robot_gets_a_session_the_time_and_its_pose_and_all_again_from_the_next_server() {
+    let emulator = match firmware().and_then(|image| Emulator::start(&image)) {
+        Ok(emulator) => emulator,
+        Err(error) => return leave_out("the firmware's conversation with the server", &error),
     };
-    let mut link = Endpoint::<(), 1, MAX_FRAME>::new(Direction::ToRobot);
-    let mut buffer = [0; 4096];
-    let start = Instant::now();
-    loop {
-        assert!(start.elapsed() < PATIENCE, "no hello: {:?}", link.counters());
-        let count = port.read_within(&mut buffer, Duration::from_millis(100)).unwrap();
-        let mut bytes = &buffer[..count];
-        while let Some(received) = link.receive(&mut bytes, time::Instant(0)) {
-            let Received::Handshake(message) = received else { continue };
-            assert_eq!(message.kind, ToServerKind::Hello as u8);
-            let (hello, _) = decode::<Hello>(message.body).unwrap();
-            assert_eq!(hello.robot, RobotId(1));
-            return;
+
+    let mut noise = Noise(1);
+    let pose = Pose::from_metres(1.25, -0.5, 1.0);
+    let mut station = station(&emulator, 7, pose, &mut noise);
+    wait_for_pose(&mut station, pose, Duration::from_secs(20));
+    // A robot that has used as many answers asks once in five seconds; one that does not hear
+    // them, or can make nothing of them, goes on asking eight times a second.
+    let mut asked = (0, station.now());
+    turn_until(&mut station, "the clocks agree", Duration::from_secs(60), |station| {
+        let now = station.now();
+        let times = station.server().time_requests(ROBOT);
+        if times != asked.0 {
+            asked = (times, now);
         }
+        times >= 64 && now.since(asked.1).micros() >= 2_000_000
+    });
+    let report = station.report();
+    assert!(report.ports[0].frames_bad > 0, "no noise arrived: {report:?}");
+    drop(station);
+
+    // Its next life has another epoch and another clock; what the robot knew of the first one's
+    // session and time is of no use.
+    let pose = Pose::from_metres(-2.0, 3.0, -3.0);
+    let mut station = self::station(&emulator, 8, pose, &mut noise);
+    wait_for_pose(&mut station, pose, Duration::from_secs(20));
+}
+
+/// A server behind the emulator's port, to which noise has been said.
+fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> Station {
+    let mut port = SerialPort::open(emulator.port(), 115_200).unwrap();
+    port.write(&noise.bytes(700)).unwrap();
+    let wire = NoisyWire { port, noise: Noise(noise.next()), reads: 0, writes: 0 };
+    let attached = Attached::new("the firmware".into(), Box::new(wire), Some(pose));
+    Station::new(RESOLUTION, epoch, vec![attached])
+}
+
+/// Waits until the robot says that it stands where the camera saw it, at a moment that is that of
+/// a frame of the camera by the server's clock.
+#[track_caller]
+fn wait_for_pose(station: &mut Station, pose: Pose, patience: Duration) {
+    turn_until(station, "the robot knows its pose", patience, |station| {
+        let state = station.server().state(ROBOT);
+        let Some((found, time)) = state.and_then(|state| state.pose.zip(state.time)) else {
+            return false;
+        };
+        assert_eq!(found, pose);
+        assert!(time <= station.now() && station.now().since(time).micros() < 500_000, "{time:?}");
+        assert_eq!(time.micros() % CAPTURE_INTERVAL.micros(), 0, "{time:?} is of no frame");
+        true
+    });
+}
+
+#[track_caller]
+fn turn_until(
+    station: &mut Station,
+    what: &str,
+    patience: Duration,
+    mut done: impl FnMut(&Station) -> bool,
+) {
+    let start = station.now();
+    while !done(station) {
+        let waited = Duration::from_micros(station.now().since(start).micros());
+        assert!(waited < patience, "waited in vain until {what}: {:?}", station.report());
+        assert!(station.is_attached(), "hung up");
+        station.turn();
+    }
+}
+
+/// A port on which noise comes before every fifth piece, both ways, and spoils what follows it.
+struct NoisyWire {
+    port: SerialPort,
+    noise: Noise,
+    reads: u32,
+    writes: u32,
+}
+
+impl Wire for NoisyWire {
+    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
+        let noise = self.noise.bytes(5);
+        let (head, rest) = buffer.split_at_mut(noise.len());
+        let count = self.port.read_within(rest, wait)?;
+        self.reads += u32::from(count > 0);
+        if count == 0 || !self.reads.is_multiple_of(5) {
+            buffer.copy_within(noise.len()..noise.len() + count, 0);
+            return Ok(count);
+        }
+        head.copy_from_slice(&noise);
+        Ok(noise.len() + count)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
+        self.writes += 1;
+        if self.writes.is_multiple_of(5) {
+            let length = self.noise.next() % 300;
+            let noise = self.noise.bytes(length as usize);
+            self.port.write(&noise)?;
+        }
+        self.port.write(bytes)
+    }
+}
+
+/// Bytes of all values: a linear congruence.
+struct Noise(u32);
+
+impl Noise {
+    fn next(&mut self) -> u32 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        self.0 >> 8
+    }
+
+    fn bytes(&mut self, count: usize) -> Vec<u8> {
+        (0..count).map(|_| (self.next() >> 8) as u8).collect()
     }
 }
