@@ -1,6 +1,9 @@
 //! What the end-to-end tests share.
 
+pub mod boxes;
 pub mod data;
 pub mod elf;
 pub mod emulator;
 pub mod per_ray;
+pub mod schedule;
+pub mod star;

@@ -101,6 +101,11 @@ impl<'b> FusedMap<'b> {
         }
     }
 
+    /// The window that the robot wants, once it knows where it is.
+    pub fn interest(&self) -> Option<Interest> {
+        self.interest
+    }
+
     /// The window, if the server does not know it yet.
     pub fn untold(&self) -> Option<Interest> {
         self.interest.filter(|interest| interest.number > self.told)

@@ -1,0 +1,356 @@
+//! Schedules: what befalls a star of robots, all of it fixed by a seed. Whatever it is, once the
+//! links are up again and nothing new is mapped, all must hold the same map before long.
+
+use std::fmt;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use ubimap_agent::{Config, locate::PoseSource};
+use ubimap_protocol::{
+    frame::Direction,
+    link::Terms,
+    time::{Duration, Instant},
+    units::{Millimetres, Pose, RobotId},
+};
+use ubimap_sim_host::channel::fault::Faults;
+
+use crate::{
+    boxes::{Boxes, Fan, Walk},
+    star::{Life, Robot, Star},
+};
+
+/// Between two moments at which the robots move.
+const STEP: Duration = Duration::from_millis(100);
+/// How long after the links are up again and the last scan all must hold the same map: a knock
+/// after a long cut (3.2 s), a session that somebody else opened with an old hello, the tiles of
+/// a window by the downlink's budget, and a mildly bad link.
+pub const PATIENCE: Duration = Duration::from_secs(30);
+/// How long nothing may be said once all hold the same.
+const QUIET: Duration = Duration::from_secs(3);
+
+/// Something that happens at a moment.
+#[derive(Clone, Copy, Debug)]
+enum Happening {
+    /// A robot boots, for the first time or anew.
+    Boot { robot: usize },
+    /// Its link is cut, both ways.
+    Cut { robot: usize, length: Duration },
+    /// Its link becomes better or worse.
+    Weather { robot: usize, up: Faults, down: Faults },
+    /// It is plugged in elsewhere.
+    Move { robot: usize, port: usize },
+    /// The server loses everything; the robots keep theirs.
+    Restart,
+    /// Bytes that nobody sent.
+    Garbage { robot: usize, direction: Direction },
+    /// A frame from before, perhaps of an earlier session.
+    Replay { robot: usize, direction: Direction },
+}
+
+/// A robot and its way.
+#[derive(Clone, Debug)]
+struct Plan {
+    config: Config,
+    own: usize,
+    fused: usize,
+    walk: Walk,
+    /// Steps from scan to scan.
+    scan_every: u64,
+}
+
+/// A schedule.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    seed: u64,
+    world: Boxes,
+    sensor: Fan,
+    plans: Vec<Plan>,
+    ports: usize,
+    frame: u16,
+    /// By time.
+    happenings: Vec<(Instant, Happening)>,
+    /// When the last scan is taken and the links are up again.
+    calm: Instant,
+    calm_faults: Faults,
+    drop_repeats: bool,
+}
+
+/// How a schedule ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Ending {
+    /// How long it took until all held the same; or why they did not.
+    pub level: Result<Duration, String>,
+    /// Reliable frames that robots sent again in their last lives.
+    pub retransmissions: u32,
+    /// Tiles that robots gave up in their last lives.
+    pub evicted: u32,
+    /// Cells that the map knows in the end.
+    pub known: u32,
+}
+
+impl fmt::Display for Ending {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}, {} known", self.level, self.known)
+    }
+}
+
+impl Schedule {
+    /// The schedule of this seed.
+    pub fn of(seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let rng = &mut rng;
+        let robots = rng.random_range(1..=5);
+        let calm = Instant(rng.random_range(5_000_000..25_000_000));
+        let mut schedule = Self::quiet(seed, rng, robots, calm);
+        for robot in 0..robots {
+            let joins = if rng.random_bool(0.7) { 0 } else { rng.random_range(0..calm.0) };
+            schedule.happenings.push((Instant(joins), Happening::Boot { robot }));
+            let weather = weather(rng, robot);
+            schedule.happenings.push((Instant(0), weather));
+        }
+        let mut ports: Vec<usize> = (0..robots).collect();
+        let mut moments: Vec<u64> =
+            (0..rng.random_range(0..16)).map(|_| rng.random_range(0..calm.0)).collect();
+        moments.sort_unstable();
+        for moment in moments {
+            let robot = rng.random_range(0..robots);
+            let direction = if rng.random() { Direction::ToServer } else { Direction::ToRobot };
+            let happening = match rng.random_range(0..20) {
+                0..3 => Happening::Boot { robot },
+                3..6 => {
+                    Happening::Cut { robot, length: Duration(rng.random_range(100_000..6_000_000)) }
+                }
+                6..9 => weather(rng, robot),
+                9..11 => {
+                    let port = rng.random_range(0..schedule.ports);
+                    if ports.contains(&port) {
+                        continue;
+                    }
+                    ports[robot] = port;
+                    Happening::Move { robot, port }
+                }
+                11..13 => Happening::Restart,
+                13..15 => Happening::Garbage { robot, direction },
+                _ => Happening::Replay { robot, direction },
+            };
+            schedule.happenings.push((Instant(moment), happening));
+        }
+        // All robots at once, as after a power cut.
+        if rng.random_bool(0.1) {
+            let moment = Instant(rng.random_range(0..calm.0));
+            schedule.happenings.push((moment, Happening::Restart));
+            let boots = (0..robots).map(|robot| (moment, Happening::Boot { robot }));
+            schedule.happenings.extend(boots);
+        }
+        schedule.happenings.sort_by_key(|(moment, _)| *moment);
+        schedule
+    }
+
+    /// A schedule in which nothing happens but losses, of this share: some robots map, and are
+    /// done.
+    pub fn lossy(seed: u64, loss: f64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(10_000_000));
+        let latency = Duration::from_millis(20);
+        let faults = Faults { loss, latency, ..Faults::default() };
+        schedule.calm_faults = faults;
+        schedule.happenings = (0..2)
+            .flat_map(|robot| {
+                [Happening::Boot { robot }, Happening::Weather { robot, up: faults, down: faults }]
+            })
+            .map(|happening| (Instant(0), happening))
+            .collect();
+        schedule
+    }
+
+    /// The same without the frames that robots send again: the wire swallows them.
+    pub fn without_retransmissions(self) -> Self {
+        Self { drop_repeats: true, ..self }
+    }
+
+    fn quiet(seed: u64, rng: &mut ChaCha8Rng, robots: usize, calm: Instant) -> Self {
+        let world = Boxes::random(rng);
+        let sensor = Fan { beams: rng.random_range(24..72), angle: rng.random_range(1.5..5.0) };
+        let plans = (1..=robots as u16).map(|id| plan(rng, &world, sensor, RobotId(id))).collect();
+        let mild = rng.random_bool(0.5);
+        let calm_faults = Faults {
+            loss: if mild { 0.1 } else { 0.0 },
+            duplicate: if mild { 0.05 } else { 0.0 },
+            reorder: if mild { 0.1 } else { 0.0 },
+            latency: Duration(rng.random_range(0..100_000)),
+            ..Faults::default()
+        };
+        Self {
+            seed,
+            world,
+            sensor,
+            plans,
+            ports: robots + 2,
+            frame: if rng.random() { 250 } else { rng.random_range(64..300) },
+            happenings: Vec::new(),
+            calm,
+            calm_faults,
+            drop_repeats: false,
+        }
+    }
+
+    /// Lets it happen.
+    ///
+    /// # Panics
+    /// If anything is not as it must be at any moment.
+    pub fn run(&self) -> Ending {
+        let terms = Terms {
+            resolution: Millimetres(50),
+            frame: self.frame,
+            server_epoch: 1,
+            stores: false,
+        };
+        let boots = self.happenings.iter().filter_map(|(_, happening)| match happening {
+            Happening::Boot { robot } => Some(*robot),
+            _ => None,
+        });
+        let mut lives: Vec<Life> = boots
+            .map(|robot| &self.plans[robot])
+            .map(|plan| Life::new(&plan.config, self.sensor.beams, plan.own, plan.fused))
+            .collect();
+        let mut lives = lives.iter_mut();
+        let mut star = Star::new(terms, self.ports, self.seed);
+        let robots = self.plans.iter().enumerate();
+        star.robots = robots.map(|(port, plan)| Robot::new(plan.config.robot, port)).collect();
+        if self.drop_repeats {
+            star.robots.iter_mut().for_each(|robot| robot.up.drop_repeats());
+        }
+
+        let mut happenings = self.happenings.iter().peekable();
+        let mut step = 0;
+        while Instant(step * STEP.0) < self.calm {
+            let next = Instant(step * STEP.0);
+            while let Some((moment, happening)) = happenings.next_if(|(moment, _)| *moment <= next)
+            {
+                star.run_until(*moment);
+                match *happening {
+                    Happening::Boot { robot } => {
+                        let life = lives.next().expect("there is one for each boot");
+                        let nonce = (moment.0 as u32).wrapping_mul(2_654_435_761) ^ robot as u32;
+                        let config = Config { boot_nonce: nonce, ..self.plans[robot].config };
+                        star.boot(robot, config, life);
+                    }
+                    happening => self.happen(&mut star, *moment, happening),
+                }
+            }
+            star.run_until(next);
+            self.step(&mut star, step);
+            step += 1;
+        }
+        let faults = Happening::Weather { robot: 0, up: self.calm_faults, down: self.calm_faults };
+        for robot in 0..self.plans.len() {
+            let Happening::Weather { up, down, .. } = faults else { continue };
+            self.happen(&mut star, self.calm, Happening::Weather { robot, up, down });
+        }
+        self.settle(&mut star, step)
+    }
+
+    fn happen(&self, star: &mut Star<'_>, moment: Instant, happening: Happening) {
+        match happening {
+            Happening::Boot { .. } => {}
+            Happening::Cut { robot, length } => {
+                let until = (moment + length).min(self.calm);
+                star.robots[robot].up.cut(until);
+                star.robots[robot].down.cut(until);
+            }
+            Happening::Weather { robot, up, down } => {
+                let seed = self.seed.wrapping_mul(0x1_0001) ^ moment.0 << 8 ^ (robot as u64) << 1;
+                star.robots[robot].up.weather(up, seed);
+                star.robots[robot].down.weather(down, seed ^ 1);
+            }
+            Happening::Move { robot, port } => star.move_to_port(robot, port),
+            Happening::Restart => star.restart_server(),
+            Happening::Garbage { robot, direction } => star.garbage(robot, direction),
+            Happening::Replay { robot, direction } => star.replay(robot, direction),
+        }
+    }
+
+    /// The robots move on; some of them look around.
+    fn step(&self, star: &mut Star<'_>, step: u64) {
+        let now = star.now();
+        for (robot, plan) in self.plans.iter().enumerate() {
+            let pose = plan.walk.pose(now);
+            let seen_by_cameras = plan.config.pose_source == PoseSource::Fixes;
+            if seen_by_cameras {
+                star.fix(robot, pose);
+            }
+            if step % plan.scan_every == 0 {
+                let odometry = (!seen_by_cameras).then_some(pose);
+                star.scan(robot, odometry, &self.world.scan(self.sensor, pose, now));
+            }
+        }
+    }
+
+    /// Nothing new is mapped: waits until all hold the same, and for nothing more to be said.
+    fn settle(&self, star: &mut Star<'_>, mut step: u64) -> Ending {
+        let mut behind = star.behind();
+        let end = self.calm + PATIENCE;
+        while behind.is_some() && star.now() < end {
+            step += 1;
+            star.run_until(Instant(step * STEP.0));
+            behind = star.behind();
+        }
+        let took = star.now().since(self.calm);
+        star.check_all_fused();
+        let mut level = behind.map_or(Ok(took), Err);
+        if level.is_ok() {
+            let effort = star.effort();
+            star.run_until(star.now() + QUIET);
+            if star.effort().iter().zip(&effort).any(|(now, then)| now.0 != then.0) {
+                level = Err("tiles were sent after all held the same".into());
+            } else if let Some(why) = star.behind() {
+                level = Err(format!("no longer level: {why}"));
+            }
+        }
+        let agents = || star.robots.iter().filter_map(|robot| robot.agent());
+        let known = star.server().fused().tiles().map(|(.., tile)| {
+            let (free, occupied, movable) = tile.counts();
+            free + occupied + movable
+        });
+        Ending {
+            level,
+            retransmissions: agents().map(|agent| agent.link_counters().retransmissions).sum(),
+            evicted: agents().map(|agent| agent.own_tiles().evicted()).sum(),
+            known: known.sum(),
+        }
+    }
+}
+
+fn plan(rng: &mut ChaCha8Rng, world: &Boxes, sensor: Fan, id: RobotId) -> Plan {
+    let max_range = rng.random_range(900..2_500u16);
+    // A scan touches as many tiles as a square of twice its range; some pools have room for more.
+    let side = (2 * usize::from(max_range)).div_ceil(1_600) + 1;
+    let own = side * side + if rng.random() { 0 } else { rng.random_range(0..12) };
+    let pose_source =
+        if rng.random() { PoseSource::Fixes } else { PoseSource::Odometry(Pose::default()) };
+    Plan {
+        config: Config { max_range, pose_source, ..Config::new(id, sensor.model()) },
+        own,
+        fused: rng.random_range(4..=16),
+        walk: Walk::random(world, rng),
+        scan_every: rng.random_range(1..8),
+    }
+}
+
+fn weather(rng: &mut ChaCha8Rng, robot: usize) -> Happening {
+    let mut faults = || {
+        let at_most = |most: f64, rng: &mut ChaCha8Rng| {
+            if rng.random_bool(0.3) { 0.0 } else { rng.random_range(0.0..most) }
+        };
+        Faults {
+            loss: at_most(0.6, rng),
+            burst: rng.random_range(1.0..8.0),
+            duplicate: at_most(0.3, rng),
+            reorder: at_most(0.3, rng),
+            corrupt: at_most(0.1, rng),
+            latency: Duration(rng.random_range(0..200_000)),
+            jitter: Duration(rng.random_range(0..100_000)),
+        }
+    };
+    Happening::Weather { robot, up: faults(), down: faults() }
+}

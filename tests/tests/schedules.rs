@@ -1,0 +1,78 @@
+//! Whatever befalls the links, the robots and the server: in the end all hold one map.
+//!
+//! ```text
+//! cargo test -p ubimap-tests --test schedules                   a few hundred schedules
+//! UBIMAP_SCHEDULES=10000 cargo test --release -p ubimap-tests --test schedules
+//! UBIMAP_SCHEDULE=4711 cargo test -p ubimap-tests --test schedules    that one alone
+//! ```
+
+use std::{
+    env,
+    panic::{self, AssertUnwindSafe},
+    sync::atomic::{AtomicU64, Ordering},
+    thread,
+};
+
+use ubimap_tests::schedule::Schedule;
+
+/// So many schedules, unless the environment says otherwise.
+const SCHEDULES: u64 = 300;
+
+fn number(name: &str) -> Option<u64> {
+    let text = env::var(name).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{name} is a number, not {text:?}")))
+}
+
+/// What went wrong in the schedule of a seed, and how to see it again.
+fn failure(seed: u64) -> Option<String> {
+    let ending = panic::catch_unwind(AssertUnwindSafe(|| Schedule::of(seed).run()));
+    let why = match ending {
+        Ok(ending) => ending.level.err()?,
+        Err(panic) => match (panic.downcast_ref::<String>(), panic.downcast_ref::<&str>()) {
+            (Some(text), _) => text.clone(),
+            (None, text) => text.unwrap_or(&"a panic").to_string(),
+        },
+    };
+    Some(format!(
+        "schedule {seed}: {why}\n  again: UBIMAP_SCHEDULE={seed} cargo test -p ubimap-tests --test schedules"
+    ))
+}
+
+#[test]
+fn every_schedule_ends_in_one_map() {
+    let one = number("UBIMAP_SCHEDULE");
+    let first = one.unwrap_or(0);
+    let count = one.map_or_else(|| number("UBIMAP_SCHEDULES").unwrap_or(SCHEDULES), |_| 1);
+    let next = AtomicU64::new(first);
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    let mut failures = Vec::new();
+    thread::scope(|scope| {
+        let work = || {
+            let mut failures = Vec::new();
+            loop {
+                let seed = next.fetch_add(1, Ordering::Relaxed);
+                if seed >= first + count {
+                    return failures;
+                }
+                failures.extend(failure(seed));
+            }
+        };
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        failures.extend(workers.into_iter().flat_map(|it| it.join().unwrap()));
+    });
+    assert!(failures.is_empty(), "{} of {count}:\n{}", failures.len(), failures.join("\n"));
+}
+
+/// The fault channel is worth its name: the same schedules, in which the wire swallows what a
+/// robot sends again, do not converge.
+#[test]
+fn without_retransmission_a_lossy_wire_leaves_the_map_incomplete() {
+    for seed in 0..5 {
+        let schedule = Schedule::lossy(seed, 0.3);
+        let with = schedule.clone().run();
+        assert!(with.level.is_ok() && with.retransmissions > 0, "schedule {seed}: {with}");
+        let without = schedule.without_retransmissions().run();
+        assert!(without.level.is_err(), "schedule {seed}: {without}");
+        assert!(without.known < with.known, "schedule {seed}: {without}, not {with}");
+    }
+}
