@@ -323,6 +323,8 @@ impl Server {
             }
             if let Some(port) = self.ports.get_mut(index) {
                 port.link.begin(id, usize::from(welcome.frame));
+                // A reset that was due was for what came before.
+                port.reset.due = false;
                 let session = Session::new(hello.robot, hello.nonce, hello.fused_tiles, now);
                 port.session = Some(session);
                 log::info!("robot {} has a session on port {index}", hello.robot.0);
@@ -449,5 +451,54 @@ impl Inbox<'_> {
             ToServerKind::Hello => return None,
         }
         Some(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ubimap_protocol::{
+        frame::{MAX_FRAME, MIN_VERSION, VERSION},
+        units::Millimetres,
+    };
+
+    const TERMS: Terms =
+        Terms { resolution: Millimetres(50), frame: 250, server_epoch: 1, stores: false };
+
+    fn hello(nonce: u32) -> Vec<u8> {
+        let hello = Hello {
+            version: VERSION,
+            min_version: MIN_VERSION,
+            robot: RobotId(1),
+            nonce,
+            frame: 250,
+            resolution: Millimetres(50),
+            fused_tiles: 16,
+        };
+        let mut out = [0u8; 250];
+        let len = Link::new(Direction::ToServer)
+            .handshake(ToServerKind::Hello as u8, &hello, &mut out)
+            .unwrap();
+        out[..len].to_vec()
+    }
+
+    /// The frames that the server has for port 0.
+    fn drain(server: &mut Server, now: Instant) -> usize {
+        let mut out = [0u8; MAX_FRAME];
+        std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
+    }
+
+    #[test]
+    fn a_reset_that_was_due_is_forgotten_with_the_session_that_begins() {
+        let mut server = Server::new(TERMS, 1);
+        let garbage = [7u8, 7, 0];
+        server.receive(0, &garbage, Instant(0)).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        // The next one must wait for a while, and a hello comes before.
+        server.receive(0, &garbage, Instant(1)).unwrap();
+        assert_eq!(drain(&mut server, Instant(1)), 0);
+        server.receive(0, &hello(5), Instant(2)).unwrap();
+        assert_eq!(drain(&mut server, Instant(2)), 1);
+        assert_eq!(server.poll_timeout(0, Instant(2)), None);
     }
 }
