@@ -124,7 +124,9 @@ impl Session {
         if !newer || interest.tiles() > u32::from(self.fused_tiles) {
             return;
         }
-        self.published.retain(|&id, _| interest.contains(id));
+        // Of a window in between, of which nothing was heard, the robot has dropped tiles as well.
+        let next = self.interest.is_none_or(|now| now.number.wrapping_add(1) == interest.number);
+        self.published.retain(|&id, _| next && interest.contains(id));
         self.interest = Some(interest);
     }
 
@@ -383,5 +385,46 @@ impl Budget {
     fn spend(&mut self, bytes: u64, now: Instant) {
         let cost = Duration(bytes * 1_000_000 / BYTES_PER_SECOND);
         self.paid_until = self.paid_until.max(now) + cost;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ubimap_protocol::tile::{Cell, Tile};
+
+    const ID: TileId = TileId { x: 1, y: 0 };
+
+    fn window(number: u32, west: i16) -> Interest {
+        let from = TileId { x: west, y: 0 };
+        Interest { number, from, to: TileId { x: west + 1, y: 1 } }
+    }
+
+    /// A session whose robot has the only fused tile.
+    fn level(fused: &FusedLayer) -> Session {
+        let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
+        session.interested(window(1, 0));
+        let mut buffer = [0u8; 200];
+        let mut writer = Writer::new(&mut buffer);
+        let filled = session.fill(fused, Epoch(1), Instant(0), &mut writer, true);
+        let Fill::Reliable(frame) = filled else { panic!("{filled:?}") };
+        session.acknowledged(frame);
+        assert!(session.is_level(fused));
+        session
+    }
+
+    #[test]
+    fn what_a_window_that_was_never_heard_of_left_out_is_sent_again() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(3, 3, Cell::Free);
+        let mut fused = FusedLayer::default();
+        fused.set(ID, tile);
+        let mut session = level(&fused);
+        session.interested(window(2, 1));
+        assert!(session.is_level(&fused), "it has kept the tile");
+        // The third window may have been elsewhere.
+        session.interested(window(4, 0));
+        assert!(!session.is_level(&fused));
+        assert!(session.poll_timeout(&fused, true, Instant(0)).is_some());
     }
 }
