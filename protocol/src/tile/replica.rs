@@ -24,6 +24,8 @@ pub enum Applied {
     Complete,
     /// Further parts must follow.
     Partial,
+    /// It came late: what the tile holds is as new, or newer. It was read past.
+    Old,
 }
 
 /// The replica does not hold what the update builds upon. The cells of the update, and whatever
@@ -71,6 +73,10 @@ impl Replica {
         let Stamp { epoch, version } = header.stamp;
         let continues = self.stamp.epoch == epoch || self.stamp.version == Version(0);
         match (header.start, header.base) {
+            (0, None) if self.is_newer_than(header.stamp) => {
+                decoder.cells(header, &mut Tile::default());
+                return Ok(Applied::Old);
+            }
             (0, None) => self.tile = Tile::UNKNOWN,
             (0, Some(base)) => {
                 if self.stamp != (Stamp { epoch, version: base }) || self.partial.is_some() {
@@ -94,6 +100,13 @@ impl Replica {
         self.partial = None;
         self.stamp = header.stamp;
         Ok(Applied::Complete)
+    }
+
+    /// Whether a whole tile of this state would be a step back. One that was given up by its
+    /// sender may still come, after the one that was sent in its stead.
+    fn is_newer_than(&self, stamp: Stamp) -> bool {
+        let begun = self.partial.map(|(version, _)| Stamp { version, ..self.stamp });
+        stamp <= self.stamp || begun.is_some_and(|begun| stamp < begun)
     }
 }
 
@@ -295,6 +308,40 @@ mod tests {
             prop_assert_eq!(replica.tile(), &noise(999));
             prop_assert_eq!(replica.stamp(), Stamp { epoch: EPOCH, version: publication.version() });
             prop_assert!(publication.is_acknowledged());
+        }
+    }
+
+    #[test]
+    fn a_whole_tile_that_comes_late_takes_nothing_back() {
+        let whole = |version: u32, room: usize| {
+            let mut out = std::vec![0; room];
+            let mut encoder = TileEncoder::new(&mut out);
+            let stamp = Stamp { epoch: EPOCH, version: Version(version) };
+            let end = encoder.push(ID, stamp, None, 0, &Tile::UNKNOWN, &noise(version)).unwrap();
+            let len = encoder.finish().unwrap();
+            out.truncate(len);
+            (out, end)
+        };
+        let apply = |replica: &mut Replica, coded: &[u8]| {
+            let mut decoder = TileDecoder::new(coded);
+            let header = decoder.header().unwrap().unwrap();
+            let applied = replica.apply(&header, &mut decoder).unwrap();
+            // What follows in the same update can still be read.
+            assert_eq!(decoder.header(), Ok(None));
+            applied
+        };
+        let (part, end) = whole(5, 60);
+        assert!(end < TILE_CELLS);
+        let mut replica = Replica::default();
+        assert_eq!(apply(&mut replica, &whole(4, 600).0), Applied::Complete);
+        assert_eq!(apply(&mut replica, &part), Applied::Partial);
+        assert_eq!(apply(&mut replica, &whole(4, 600).0), Applied::Old);
+        assert!(replica.is_partial());
+        assert_eq!(apply(&mut replica, &whole(5, 600).0), Applied::Complete);
+        for late in [&part, &whole(5, 600).0, &whole(4, 600).0, &whole(3, 60).0] {
+            assert_eq!(apply(&mut replica, late), Applied::Old);
+            assert_eq!((replica.tile(), replica.stamp().version), (&noise(5), Version(5)));
+            assert!(!replica.is_partial());
         }
     }
 

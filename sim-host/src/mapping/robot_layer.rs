@@ -84,17 +84,21 @@ impl RobotLayer {
             let epoch = header.stamp.epoch;
             let epochs = self.tiles.entry(header.id).or_default();
             let held = epochs.entry(epoch).or_default();
-            if header.base.is_none() && header.start == 0 {
-                let mut before = *held.replica.tile();
-                if let Some(earlier) = &held.before {
-                    before.fill_unknown_from(earlier);
-                }
-                held.before = Some(before);
-            }
+            let mut before = *held.replica.tile();
             match held.replica.apply(&header, &mut decoder) {
-                Ok(Applied::Complete | Applied::Partial) => {}
+                Ok(Applied::Old) => continue,
+                Ok(Applied::Complete | Applied::Partial) => {
+                    if header.base.is_none() && header.start == 0 {
+                        if let Some(earlier) = &held.before {
+                            before.fill_unknown_from(earlier);
+                        }
+                        held.before = Some(before);
+                    }
+                }
                 Err(BaseMissing) => {
-                    epochs.retain(|_, held| *held.replica.tile() != Tile::UNKNOWN);
+                    if held.replica == Replica::default() {
+                        epochs.remove(&epoch);
+                    }
                     updated.missing = Some(header.id);
                     return (updated, Ok(()));
                 }
@@ -238,10 +242,13 @@ mod tests {
         let base = tile(&[(0, Cell::Free)]);
         let coded = update(1, 2, Some((1, &base)), &tile(&[(0, Cell::Occupied)]));
         let mut layer = RobotLayer::default();
+        // An epoch that knows nothing yet is held all the same.
+        assert_eq!(layer.update(&update(0, 1, None, &Tile::UNKNOWN), 5).1, Ok(()));
         let (updated, result) = layer.update(&coded, 5);
         assert_eq!((updated.missing, result), (Some(ID), Ok(())));
+        assert!(layer.held(ID, Epoch(0)).is_some() && layer.held(ID, Epoch(1)).is_none());
         assert!(updated.tiles.is_empty());
-        assert_eq!(layer.seen(ID), None);
+        assert_eq!(layer.seen(ID).unwrap().tile, Tile::UNKNOWN);
         assert_eq!(layer.update(&update(1, 1, None, &base), 5).1, Ok(()));
         assert_eq!(layer.update(&coded, 6).0.missing, None);
         let seen = layer.seen(ID).unwrap();
