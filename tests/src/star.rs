@@ -352,7 +352,7 @@ impl<'b> Star<'b> {
         let mut rounds = 0;
         while let Some(next) = self.next_due().filter(|&next| next <= until) {
             rounds = if next > self.now { 0 } else { rounds + 1 };
-            assert!(rounds < MOST_ROUNDS, "time stands still at {:?}", self.now);
+            assert!(rounds < MOST_ROUNDS, "time stands still: {}", self.who_is_due());
             self.now = self.now.max(next);
             self.deliver();
             self.drain();
@@ -380,6 +380,21 @@ impl<'b> Star<'b> {
             Some(self.now + due.since(server_now))
         });
         robots.chain(ports).flatten().min()
+    }
+
+    /// For messages: who wants to come back, and when.
+    fn who_is_due(&self) -> String {
+        let server_now = self.server_now();
+        let robots = self.robots.iter().map(|robot| {
+            let due = robot.agent.as_ref().map(|agent| robot.global(agent.poll_timeout()));
+            format!("robot {} at {due:?}", robot.id.0)
+        });
+        let ports = (0..self.ports).map(|port| {
+            let due = self.server.poll_timeout(port, server_now);
+            format!("port {port} at {due:?}")
+        });
+        let all: Vec<String> = robots.chain(ports).collect();
+        format!("now {:?}, {server_now:?} at the server; {}", self.now, all.join(", "))
     }
 
     fn deliver(&mut self) {
