@@ -25,6 +25,10 @@ use crate::{
 
 /// At most this often a robot is told that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
+/// A robot states how it fares every two seconds. A session of which nothing has been heard for so
+/// long, where frames of something else come in, is not the one that the robot has: an old hello
+/// may have opened it.
+const SILENCE: Duration = Duration::from_secs(5);
 
 /// One way in: a serial port, a simulated channel. At most one robot is behind it.
 #[derive(Debug)]
@@ -112,13 +116,14 @@ impl Server {
             let mut hello = None;
             match port.link.receive(&mut bytes, now) {
                 None => return Ok(()),
-                Some(Received::Bad) => port.reset.due |= port.session.is_none(),
+                Some(Received::Bad) => port.reset.due |= !port.hears(now),
                 Some(Received::Handshake(message)) => {
                     hello = parse_hello(message);
                     port.malformed += u32::from(hello.is_none());
                 }
                 Some(Received::Session(messages)) => {
                     if let Some(session) = &mut port.session {
+                        session.heard = now;
                         let layer = self.layers.entry(session.robot).or_default();
                         let mut inbox = Inbox { session, layer, updated: &mut updated };
                         let (unknown, malformed) = inbox.take(messages, now);
@@ -340,6 +345,11 @@ impl Server {
 }
 
 impl Port {
+    /// Whether there is a session, and its robot there.
+    fn hears(&self, now: Instant) -> bool {
+        self.session.as_ref().is_some_and(|session| now.since(session.heard) < SILENCE)
+    }
+
     fn poll_handshake(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
         match self.answer.take() {
             Some(Answer::Welcome(welcome)) => {
@@ -350,7 +360,7 @@ impl Port {
             }
             None => {}
         }
-        if !self.reset.due || self.reset.ready_at() > now || self.session.is_some() {
+        if !self.reset.due || self.reset.ready_at() > now {
             return None;
         }
         self.reset = Reset { due: false, last: Some(now) };
@@ -486,6 +496,22 @@ mod tests {
     fn drain(server: &mut Server, now: Instant) -> usize {
         let mut out = [0u8; MAX_FRAME];
         std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
+    }
+
+    /// An old hello must not shut the robot out whose session it has ended.
+    #[test]
+    fn a_session_that_only_an_old_hello_speaks_for_is_reset() {
+        let mut server = Server::new(TERMS, 1);
+        server.receive(0, &hello(5), Instant(0)).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        let of_the_session_before = [7u8, 7, 0];
+        let soon = Instant(0) + Duration::from_secs(1);
+        server.receive(0, &of_the_session_before, soon).unwrap();
+        assert_eq!(drain(&mut server, soon), 0, "a frame may be damaged");
+        let later = Instant(0) + SILENCE;
+        server.receive(0, &of_the_session_before, later).unwrap();
+        assert_eq!(drain(&mut server, later), 1);
+        assert_eq!(server.robot_at(0), Some(RobotId(1)));
     }
 
     #[test]

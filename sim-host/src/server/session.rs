@@ -40,6 +40,8 @@ pub(super) struct Session {
     /// The nonce of the hello that it answers.
     pub(super) nonce: u32,
     pub(super) state: Option<State>,
+    /// When something of it was last heard.
+    pub(super) heard: Instant,
     interest: Option<Interest>,
     fused_tiles: u16,
     /// What the robot holds of the fused layer, and when each tile was last sent.
@@ -70,6 +72,7 @@ impl Session {
             robot,
             nonce,
             state: None,
+            heard: now,
             interest: None,
             fused_tiles,
             published: BTreeMap::new(),
