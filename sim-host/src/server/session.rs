@@ -10,7 +10,7 @@ use ubimap_protocol::{
         ParameterReport, PoseFix, Request, State, Stored, TileDigest, TileUpdateHead, TimeReply,
         ToRobotKind, Writer,
     },
-    tile::{Epoch, Layer, Publication, Stamp, TileEncoder, TileId, tile_hash},
+    tile::{Epoch, Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
@@ -288,7 +288,7 @@ impl Session {
         for (id, version, tile) in fused.within(&interest) {
             let (publication, last) = self.published.entry(id).or_default();
             let due = last.is_none_or(|last| last + HOLD <= now) || publication.has_parts_left();
-            if !due || !publication.is_ready() || !publication.differs(tile) {
+            if !due || !has_more(publication, version, tile) {
                 continue;
             }
             let first = writer.len() == before;
@@ -326,10 +326,10 @@ impl Session {
         let interest = self.interest?;
         fused
             .within(&interest)
-            .filter_map(|(id, _, tile)| match self.published.get(&id) {
+            .filter_map(|(id, version, tile)| match self.published.get(&id) {
                 None => Some(Instant(0)),
                 Some((publication, last)) => {
-                    let more = publication.is_ready() && publication.differs(tile);
+                    let more = has_more(publication, version, tile);
                     let parts = publication.has_parts_left();
                     let due = last.filter(|_| !parts).map_or(Instant(0), |last| last + HOLD);
                     more.then_some(due)
@@ -373,6 +373,13 @@ impl Session {
     }
 }
 
+/// Whether there is something to send of a tile now. One that has changed and changed back is
+/// newer all the same.
+fn has_more(publication: &Publication, version: Version, tile: &Tile) -> bool {
+    let newer = publication.version() != version;
+    publication.is_ready() && (newer || publication.differs(tile))
+}
+
 /// A rate of bytes, of which a second's worth may be saved up.
 #[derive(Debug)]
 struct Budget {
@@ -394,7 +401,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::tile::{Cell, Tile};
+    use ubimap_protocol::tile::Cell;
 
     const ID: TileId = TileId { x: 1, y: 0 };
 
@@ -403,17 +410,35 @@ mod tests {
         Interest { number, from, to: TileId { x: west + 1, y: 1 } }
     }
 
+    /// Sends what is due, and has it acknowledged.
+    fn tell(session: &mut Session, fused: &FusedLayer, now: Instant) {
+        let mut buffer = [0u8; 200];
+        let mut writer = Writer::new(&mut buffer);
+        let filled = session.fill(fused, Epoch(1), now, &mut writer, true);
+        let Fill::Reliable(frame) = filled else { panic!("{filled:?}") };
+        session.acknowledged(frame);
+        assert!(session.is_level(fused));
+    }
+
     /// A session whose robot has the only fused tile.
     fn level(fused: &FusedLayer) -> Session {
         let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
         session.interested(window(1, 0));
-        let mut buffer = [0u8; 200];
-        let mut writer = Writer::new(&mut buffer);
-        let filled = session.fill(fused, Epoch(1), Instant(0), &mut writer, true);
-        let Fill::Reliable(frame) = filled else { panic!("{filled:?}") };
-        session.acknowledged(frame);
-        assert!(session.is_level(fused));
+        tell(&mut session, fused, Instant(0));
         session
+    }
+
+    #[test]
+    fn a_tile_that_has_changed_back_is_sent_for_its_version() {
+        let mut fused = FusedLayer::default();
+        let (mut tile, mut other) = (Tile::UNKNOWN, Tile::UNKNOWN);
+        tile.set(3, 3, Cell::Free);
+        other.set(3, 3, Cell::Occupied);
+        fused.set(ID, tile);
+        let mut session = level(&fused);
+        fused.set(ID, other);
+        fused.set(ID, tile);
+        tell(&mut session, &fused, Instant(0) + HOLD);
     }
 
     #[test]
