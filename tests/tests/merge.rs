@@ -1,0 +1,124 @@
+//! The merge: whatever order the states of a robot's tile come in, and however often, the server
+//! ends with the same layer.
+
+use proptest::prelude::*;
+use ubimap_protocol::tile::{Cell, Epoch, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version};
+use ubimap_sim_host::mapping::{RobotLayer, SeenTile, fuse};
+
+const ID: TileId = TileId { x: -3, y: 2 };
+const CODES: [Cell; 4] = [Cell::Unknown, Cell::Free, Cell::Occupied, Cell::Movable];
+
+/// The states of one epoch, by version. Within an epoch a known cell never becomes unknown again.
+fn states() -> impl Strategy<Value = Vec<Tile>> {
+    let cells = proptest::collection::vec((0..TILE_SIDE, 0..TILE_SIDE, 1..4usize), 0..60);
+    proptest::collection::vec(cells, 1..5).prop_map(|changes| {
+        let mut tile = Tile::UNKNOWN;
+        let state = |cells: Vec<(usize, usize, usize)>| {
+            cells.into_iter().for_each(|(x, y, code)| tile.set(x, y, CODES[code]));
+            tile
+        };
+        changes.into_iter().map(state).collect()
+    })
+}
+
+/// A robot's tile in several epochs; all of its states, each with its stamp.
+fn history() -> impl Strategy<Value = Vec<(Stamp, Tile)>> {
+    proptest::collection::vec(states(), 1..5).prop_map(|epochs| {
+        let numbered = |(epoch, states): (usize, Vec<Tile>)| {
+            states.into_iter().enumerate().map(move |(version, tile)| {
+                let (epoch, version) = (Epoch(epoch as u32 + 1), Version(version as u32 + 1));
+                (Stamp { epoch, version }, tile)
+            })
+        };
+        epochs.into_iter().enumerate().flat_map(numbered).collect()
+    })
+}
+
+/// A history, and some of its states (the newest of each epoch among them, or not) in any order.
+fn arrivals() -> impl Strategy<Value = (Vec<(Stamp, Tile)>, Vec<usize>, Vec<usize>)> {
+    history().prop_flat_map(|history| {
+        let indices: Vec<usize> = (0..history.len()).collect();
+        let some = proptest::collection::vec(0..history.len(), 0..8);
+        (Just(history), Just(indices).prop_shuffle(), some)
+    })
+}
+
+fn coded(&(stamp, ref tile): &(Stamp, Tile)) -> Vec<u8> {
+    let mut out = [0u8; 1_000];
+    let mut encoder = TileEncoder::new(&mut out);
+    encoder.push(ID, stamp, None, 0, &Tile::UNKNOWN, tile).expect("it fits");
+    let len = encoder.finish().expect("it fits");
+    out[..len].to_vec()
+}
+
+fn apply<'a>(layer: &mut RobotLayer, states: impl Iterator<Item = &'a (Stamp, Tile)>) {
+    for state in states {
+        let (updated, result) = layer.update(&coded(state), 5);
+        assert_eq!((updated.missing, result), (None, Ok(())));
+    }
+}
+
+/// What a layer holds: each epoch's newest state, and all of them joined.
+fn held(layer: &RobotLayer) -> (Vec<Option<(Stamp, Tile)>>, Option<Tile>) {
+    let epoch = |epoch| layer.held(ID, Epoch(epoch)).map(|(stamp, tile)| (stamp, *tile));
+    ((1..6).map(epoch).collect(), layer.seen(ID).map(|seen| seen.tile))
+}
+
+/// The same, as the design says it: of each cell the code of the newest epoch that knows it.
+fn joined(history: &[(Stamp, Tile)]) -> Tile {
+    let mut newest: Vec<&(Stamp, Tile)> = history.iter().collect();
+    newest.sort_by_key(|(stamp, _)| std::cmp::Reverse(*stamp));
+    let mut joined = Tile::UNKNOWN;
+    newest.iter().for_each(|(_, tile)| joined.fill_unknown_from(tile));
+    joined
+}
+
+proptest! {
+    /// Commutative and associative, and what comes twice changes nothing.
+    #[test]
+    fn any_order_of_any_states_ends_in_one_layer((history, order, again) in arrivals()) {
+        let mut in_order = RobotLayer::default();
+        apply(&mut in_order, history.iter());
+        let expected = held(&in_order);
+        prop_assert_eq!(expected.1, Some(joined(&history)));
+        let mut other = RobotLayer::default();
+        let pick = |indices: &'_ [usize]| indices.iter().map(|&i| history[i]).collect::<Vec<_>>();
+        apply(&mut other, pick(&again).iter());
+        apply(&mut other, pick(&order).iter());
+        prop_assert_eq!(&held(&other), &expected);
+        apply(&mut other, pick(&again).iter());
+        prop_assert_eq!(&held(&other), &expected);
+    }
+
+    /// Whatever part of a history has come, what it knows is not lost to what comes later.
+    #[test]
+    fn nothing_known_becomes_unknown((history, order, _) in arrivals()) {
+        let mut layer = RobotLayer::default();
+        let mut known = [0u32; TILE_SIDE];
+        for index in order {
+            apply(&mut layer, [history[index]].iter());
+            let tile = layer.seen(ID).map_or(Tile::UNKNOWN, |seen| seen.tile);
+            for (y, known) in known.iter_mut().enumerate() {
+                let now = tile.row(y).known();
+                prop_assert_eq!(*known & !now, 0);
+                *known = now;
+            }
+        }
+    }
+
+    /// The fused tile does not depend on the order of the robots, nor on one who says nothing.
+    #[test]
+    fn the_order_of_the_robots_does_not_matter(
+        robots in proptest::collection::vec((states(), 0u32..4), 0..4),
+        cameras in states(),
+    ) {
+        let seen = |(states, second): &(Vec<Tile>, u32)| {
+            SeenTile { tile: states[0], seconds: [*second; TILE_SIDE * TILE_SIDE] }
+        };
+        let silent = SeenTile { tile: Tile::UNKNOWN, seconds: [9; TILE_SIDE * TILE_SIDE] };
+        let seen: Vec<SeenTile> = robots.iter().map(seen).collect();
+        let there: Vec<&SeenTile> = seen.iter().collect();
+        let back: Vec<&SeenTile> = seen.iter().rev().chain([&silent]).collect();
+        prop_assert_eq!(fuse(&cameras[0], &there), fuse(&cameras[0], &back));
+    }
+}
