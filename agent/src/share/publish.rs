@@ -168,6 +168,10 @@ impl Publisher {
     /// A session has begun. `same_server` tells whether it is with the server that acknowledged
     /// what was acknowledged.
     pub fn begin_session(&mut self, pool: &mut Pool<'_>, same_server: bool, now: Instant) {
+        if !same_server {
+            // That was by another clock: what is told again is older than all that is new.
+            self.newest_scan = 0;
+        }
         for tile in pool.tiles_mut() {
             if same_server {
                 tile.publication.interrupt();
@@ -204,4 +208,39 @@ fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut
     pool.tiles_mut()
         .filter(|tile| tile.dirty && tile.publication.is_ready() && tile.id > done)
         .min_by_key(|tile| tile.id.map(|id| (id.x, id.y)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::RowSighting;
+    use ubimap_protocol::{
+        message::{Messages, decode},
+        tile::Row,
+    };
+
+    #[test]
+    fn another_server_is_not_told_the_time_of_the_last_ones_clock() {
+        let mut places = [OwnTile::FREE; 1];
+        let mut pool = Pool::new(&mut places);
+        let merged = FusedMap::new(&mut []);
+        let mut publisher = Publisher::new(Duration(0));
+        let tile = pool.find_or_begin(TileId { x: 0, y: 0 }, 1).unwrap();
+        tile.evidence.add(0, RowSighting { free: 1, ..RowSighting::default() }, Row::default());
+        tile.dirty = true;
+        publisher.changed(Instant(0), Some(7_000));
+        let told = |publisher: &mut Publisher, pool: &mut Pool<'_>| {
+            let mut buffer = [0u8; 100];
+            let mut writer = Writer::new(&mut buffer);
+            publisher.fill(pool, &merged, &mut writer, Instant(9)).unwrap();
+            let len = writer.len();
+            let message = Messages::new(&buffer[..len]).next().unwrap().unwrap();
+            decode::<TileUpdateHead>(message.body).unwrap().0.seconds
+        };
+        assert_eq!(told(&mut publisher, &mut pool), 7_000);
+        publisher.begin_session(&mut pool, true, Instant(9));
+        assert_eq!(told(&mut publisher, &mut pool), 7_000);
+        publisher.begin_session(&mut pool, false, Instant(9));
+        assert_eq!(told(&mut publisher, &mut pool), 0);
+    }
 }
