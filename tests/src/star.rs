@@ -531,6 +531,7 @@ impl<'b> Star<'b> {
     /// Nothing that the server knew of a robot's layer is unknown again, and the fused layer is
     /// what the layers make.
     fn check_layers(&mut self) {
+        let seconds = (self.server_now().micros() / 1_000_000) as u32 + 1;
         let mut changed = BTreeSet::new();
         for robot in &self.robots {
             let Some(layer) = self.server.layer(robot.id) else { continue };
@@ -544,6 +545,8 @@ impl<'b> Star<'b> {
                     assert!(before.seconds == seen.seconds, "a time without a change: {id:?}");
                     continue;
                 }
+                let newest = seen.seconds.iter().max().copied().unwrap_or(0);
+                assert!(newest <= seconds, "{id:?} was seen at {newest} s, it is {seconds} s now");
                 let known = |tile: &Tile, y: usize| tile.row(y).known();
                 let kept =
                     (0..TILE_SIDE).all(|y| known(&before.tile, y) & !known(&seen.tile, y) == 0);
