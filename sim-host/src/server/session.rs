@@ -246,13 +246,8 @@ impl Session {
     ) {
         let Some(interest) = self.interest.filter(|_| self.next_digests <= now) else { return };
         self.next_digests = now + DIGEST_INTERVAL;
-        let level = fused.within(&interest).filter(|(id, version, tile)| {
-            self.published.get(id).is_some_and(|(publication, _)| {
-                publication.is_acknowledged()
-                    && publication.version() == *version
-                    && publication.sent() == *tile
-            })
-        });
+        let level =
+            fused.within(&interest).filter(|&(id, version, tile)| self.has(id, version, tile));
         let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
         let tiles: heapless::Vec<TileDigest, MAX_DIGESTS> = next
             .map(|(id, version, tile)| TileDigest {
@@ -363,12 +358,15 @@ impl Session {
     /// Whether the robot has acknowledged the newest state of every tile that it wants.
     pub(super) fn is_level(&self, fused: &FusedLayer) -> bool {
         let Some(interest) = self.interest else { return true };
-        fused.within(&interest).all(|(id, version, tile)| {
-            self.published.get(&id).is_some_and(|(publication, _)| {
-                publication.is_acknowledged()
-                    && publication.version() == version
-                    && publication.sent() == tile
-            })
+        fused.within(&interest).all(|(id, version, tile)| self.has(id, version, tile))
+    }
+
+    /// Whether the robot has acknowledged this state of a tile.
+    fn has(&self, id: TileId, version: Version, tile: &Tile) -> bool {
+        self.published.get(&id).is_some_and(|(publication, _)| {
+            publication.is_acknowledged()
+                && publication.version() == version
+                && publication.sent() == tile
         })
     }
 }
