@@ -298,17 +298,24 @@ impl<'b> Agent<'b> {
         let Self { link, clock, fused, map, publisher, next_state, report, .. } = self;
         let sent = link.poll_transmit(now, out, false, |writer, reliable| {
             // What must not be sent again, for it would be stale then, goes apart.
-            let request = clock.poll_request(now);
-            if let Some(request) = request {
+            let before = writer.len();
+            if let Some(request) = clock.poll_request(now) {
                 push(writer, ToServerKind::TimeRequest, &request);
             }
-            let stating = *next_state <= now;
-            if stating {
+            if *next_state <= now {
                 *next_state = now + STATE_INTERVAL;
                 let state = State { time: server_moment, pose, odometry, cells_refused };
-                push(writer, ToServerKind::State, &state);
+                // The smallest frames have no room for all of it.
+                let short = State { odometry: None, ..state };
+                let shortest = State { pose: None, ..short };
+                let kind = ToServerKind::State as u8;
+                let _ = [state, short, shortest].iter().any(|state| writer.push(kind, state));
             }
-            if stating || request.is_some() || !reliable {
+            if let Some(digests) = publisher.poll_digests(&map.pool, now) {
+                // What does not fit is told again in a later round.
+                let _ = writer.push(ToServerKind::Digests as u8, &digests);
+            }
+            if writer.len() > before || !reliable {
                 return Fill::Datagram;
             }
             if let Some(report) = report.take() {
@@ -328,10 +335,7 @@ impl<'b> Agent<'b> {
             if let Some(frame) = publisher.fill(&mut map.pool, fused, writer, now) {
                 return Fill::Reliable(Token::Tiles(frame));
             }
-            if let Some(digests) = publisher.poll_digests(&map.pool, now) {
-                push(writer, ToServerKind::Digests, &digests);
-            }
-            Fill::Datagram
+            Fill::Nothing
         })?;
         let bytes = sent.len as u64;
         self.statistics.bytes_sent = self.statistics.bytes_sent.wrapping_add(bytes);
