@@ -328,8 +328,7 @@ impl<'b> Agent<'b> {
                 fused.told(interest.number);
                 return Fill::Reliable(Token::Other);
             }
-            if let Some(request) = fused.take_request() {
-                push(writer, ToServerKind::Request, &request);
+            if fused.push_request(writer) {
                 return Fill::Reliable(Token::Other);
             }
             if let Some(frame) = publisher.fill(&mut map.pool, fused, writer, now) {

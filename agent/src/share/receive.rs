@@ -2,7 +2,7 @@
 
 use heapless::Vec;
 use ubimap_protocol::{
-    message::{Digests, Interest, MAX_REQUESTS, Request},
+    message::{Digests, Interest, MAX_REQUESTS, Request, ToServerKind, Writer},
     tile::{
         BaseMissing, Layer, Replica, TILE_SIDE, Tile, TileDecoder, TileError, TileId, tile_hash,
     },
@@ -116,12 +116,19 @@ impl<'b> FusedMap<'b> {
         self.told = self.told.max(number);
     }
 
-    /// The tiles to ask for, once.
-    pub fn take_request(&mut self) -> Option<Request> {
-        if self.requests.is_empty() {
-            return None;
+    /// Asks for the tiles that are to be asked for, as many as there is room for, once. `false`
+    /// if there are none.
+    pub fn push_request(&mut self, writer: &mut Writer<'_>) -> bool {
+        for count in (1..=self.requests.len()).rev() {
+            let tiles = self.requests.iter().take(count).copied().collect();
+            let request = Request { layer: Layer::Fused, tiles };
+            if writer.push(ToServerKind::Request as u8, &request) {
+                self.requests.rotate_left(count);
+                self.requests.truncate(self.requests.len() - count);
+                return true;
+            }
         }
-        Some(Request { layer: Layer::Fused, tiles: core::mem::take(&mut self.requests) })
+        false
     }
 
     /// Whether there are tiles to ask for.

@@ -10,6 +10,10 @@ use crate::{
     time::Instant,
 };
 
+/// In a frame with less room than this for messages an acknowledgement travels alone: beside it
+/// the longest message that cannot be split (a state, 28 bytes) might not fit.
+const ROOM_FOR_TWO: usize = 40;
+
 /// What an endpoint has counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
@@ -256,18 +260,21 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         let room = payload_capacity(self.frame.min(out.len()));
         let (head, payload) = self.scratch.split_first_chunk_mut::<HEADER_LEN>()?;
         let mut writer = Writer::new(payload.get_mut(..room)?);
-        let owed = self.receiving.owed();
+        let due = self.receiving.due().is_some_and(|due| due <= now);
+        let alone = room < ROOM_FOR_TWO;
+        let owed = self.receiving.owed().filter(|_| due || !alone);
         let acknowledges = owed.is_some_and(|ack| writer.push(Ack::KIND, &ack));
         let empty = writer.len();
-        let filled = fill(&mut writer, sequence.is_some());
+        let filled = match alone && acknowledges {
+            true => Fill::Nothing,
+            false => fill(&mut writer, sequence.is_some()),
+        };
         let (kind, sequence, token) = match (filled, sequence) {
             (Fill::Reliable(token), Some(sequence)) => (FrameKind::Reliable, sequence, Some(token)),
             (Fill::Datagram, _) if writer.len() > empty => {
                 (FrameKind::Datagram, self.datagrams, None)
             }
-            _ if acknowledges && self.receiving.due().is_some_and(|due| due <= now) => {
-                (FrameKind::Datagram, self.datagrams, None)
-            }
+            _ if acknowledges && due => (FrameKind::Datagram, self.datagrams, None),
             _ => return None,
         };
         let len = HEADER_LEN + writer.len();
@@ -373,6 +380,29 @@ mod tests {
         assert_eq!(poll(Fill::Reliable(7)), Some(Some(7)));
         assert_eq!(poll(Fill::Nothing), Some(Some(42)));
         assert_eq!(poll(Fill::Nothing), None);
+    }
+
+    #[test]
+    fn in_a_small_frame_an_acknowledgement_leaves_all_the_room_to_others() {
+        let (mut robot, mut server) = pair();
+        robot.begin(SessionId(77), 32);
+        server.begin(SessionId(77), 32);
+        let frame = send(&mut robot, 5, Some(1));
+        numbers(&mut server, &frame, 5);
+        let mut out = [0u8; 64];
+        let mut fill = |server: &mut End, now: Instant| {
+            let longest = |writer: &mut Writer<'_>, _| {
+                assert!(writer.push_with(9, |body| (body.len() >= 21).then_some(21)));
+                Fill::Datagram
+            };
+            let len = server.poll_transmit(now, &mut out, false, longest).unwrap().len;
+            robot.receive(&mut &out[..len], now);
+            (len, robot.poll_acknowledged())
+        };
+        let due = server.poll_timeout().unwrap();
+        assert_eq!(fill(&mut server, Instant(5)), (31, None));
+        assert_eq!(fill(&mut server, due).1, Some(1));
+        assert_eq!(fill(&mut server, due), (31, None));
     }
 
     #[test]

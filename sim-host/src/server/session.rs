@@ -183,12 +183,15 @@ impl Session {
         }
         let before = writer.len();
         if self.fix_due {
-            let fix = PoseFix::from_fixes(
-                self.fixes.iter().copied(),
-                CAMERA_CERTAINTY,
-                FixSource::Camera,
-            );
-            self.fix_due = !fix.is_some_and(|fix| writer.push(ToRobotKind::PoseFix as u8, &fix));
+            // As many of the earlier ones as there is room for.
+            self.fix_due = !(1..=self.fixes.len()).rev().any(|count| {
+                let fix = PoseFix::from_fixes(
+                    self.fixes.iter().take(count).copied(),
+                    CAMERA_CERTAINTY,
+                    FixSource::Camera,
+                );
+                fix.is_some_and(|fix| writer.push(ToRobotKind::PoseFix as u8, &fix))
+            });
         }
         while let Some(&(nonce, received)) = self.times.first() {
             let held_micros = now.since(received).micros() as u32;
@@ -211,16 +214,14 @@ impl Session {
             self.commands.pop_front();
             return Fill::Reliable(NO_TILES);
         }
-        if !self.stored.is_empty() {
-            let count = self.stored.len().min(MAX_STORED);
+        for count in (1..=self.stored.len().min(MAX_STORED)).rev() {
             let tiles = self.stored[..count].iter().copied().collect();
             if writer.push(ToRobotKind::Stored as u8, &Stored { tiles }) {
                 self.stored.drain(..count);
                 return Fill::Reliable(NO_TILES);
             }
         }
-        if !self.requests.is_empty() {
-            let count = self.requests.len().min(MAX_REQUESTS);
+        for count in (1..=self.requests.len().min(MAX_REQUESTS)).rev() {
             let tiles = self.requests[..count].iter().copied().collect();
             if writer.push(ToRobotKind::Request as u8, &Request { layer: Layer::Robot, tiles }) {
                 self.requests.drain(..count);
@@ -424,6 +425,24 @@ mod tests {
         session.interested(window(1, 0));
         tell(&mut session, fused, Instant(0));
         session
+    }
+
+    #[test]
+    fn what_is_long_is_cut_to_a_small_frame() {
+        let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
+        let far = Pose::from_metres(-900.0, 900.0, 3.0);
+        (0..4).for_each(|hour| session.fix(Instant((hour + 1) * 3_600_000_000), far));
+        (0..8).for_each(|x| session.ask_for(TileId { x: 30_000 + x, y: -30_000 }));
+        let fused = FusedLayer::default();
+        let mut frames = 0;
+        while session.poll_timeout(&fused, true, Instant(0)).is_some() {
+            let mut buffer = [0u8; 24];
+            let mut writer = Writer::new(&mut buffer);
+            let filled = session.fill(&fused, Epoch(1), Instant(0), &mut writer, true);
+            assert!(writer.len() > 0, "{filled:?} stands still");
+            frames += 1;
+        }
+        assert_eq!(frames, 1 + 3, "one with a fix, and three tiles in each of the others");
     }
 
     #[test]
