@@ -186,7 +186,7 @@ impl Schedule {
             sensor,
             plans,
             ports: robots + 2,
-            frame: if rng.random() { 250 } else { rng.random_range(64..300) },
+            frame: if rng.random() { 250 } else { rng.random_range(32..300) },
             happenings: Vec::new(),
             calm,
             calm_faults,
