@@ -39,13 +39,15 @@ pub struct FusedMap<'b> {
     /// The number of the interest that the server is known to have.
     told: u32,
     requests: Vec<TileId, MAX_REQUESTS>,
+    /// There were more tiles to ask for than can be listed: all are.
+    request_all: bool,
 }
 
 impl<'b> FusedMap<'b> {
     /// A window of as many tiles as there are places.
     pub fn new(places: &'b mut [FusedTile]) -> Self {
         places.fill(FusedTile::default());
-        Self { places, interest: None, told: 0, requests: Vec::new() }
+        Self { places, interest: None, told: 0, requests: Vec::new(), request_all: false }
     }
 
     /// How many tiles can be held.
@@ -119,6 +121,11 @@ impl<'b> FusedMap<'b> {
     /// Asks for the tiles that are to be asked for, as many as there is room for, once. `false`
     /// if there are none.
     pub fn push_request(&mut self, writer: &mut Writer<'_>) -> bool {
+        if self.request_all {
+            let request = Request { layer: Layer::Fused, tiles: Vec::new() };
+            self.request_all = !writer.push(ToServerKind::Request as u8, &request);
+            return !self.request_all;
+        }
         for count in (1..=self.requests.len()).rev() {
             let tiles = self.requests.iter().take(count).copied().collect();
             let request = Request { layer: Layer::Fused, tiles };
@@ -133,7 +140,7 @@ impl<'b> FusedMap<'b> {
 
     /// Whether there are tiles to ask for.
     pub fn wants_request(&self) -> bool {
-        !self.requests.is_empty()
+        self.request_all || !self.requests.is_empty()
     }
 
     /// A session has begun: the server knows no window. Tiles of another epoch of the server
@@ -141,6 +148,7 @@ impl<'b> FusedMap<'b> {
     pub fn begin_session(&mut self, same_server: bool) {
         self.told = 0;
         self.requests.clear();
+        self.request_all = false;
         if !same_server {
             self.places.fill(FusedTile::default());
         }
@@ -199,9 +207,44 @@ impl<'b> FusedMap<'b> {
     }
 
     fn request(&mut self, id: TileId) {
-        if !self.requests.contains(&id) {
-            // If the list is full, the next update that cannot be read asks again.
-            let _ = self.requests.push(id);
+        if !self.requests.contains(&id) && self.requests.push(id).is_err() {
+            // No other update may come to ask for this one again.
+            self.requests.clear();
+            self.request_all = true;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ubimap_protocol::{
+        message::{Messages, decode},
+        tile::{Epoch, Stamp, TileEncoder, Version},
+    };
+
+    #[test]
+    fn more_tiles_than_a_request_names_are_asked_for_all_at_once() {
+        let mut places: [FusedTile; 16] = core::array::from_fn(|_| FusedTile::default());
+        let mut map = FusedMap::new(&mut places);
+        map.follow(Pose::default(), Millimetres(50));
+        let mut asked = |missing: i16| {
+            for x in 0..missing {
+                let mut out = [0u8; 60];
+                let mut encoder = TileEncoder::new(&mut out);
+                let id = TileId { x: x % 4 - 2, y: x / 4 - 2 };
+                let stamp = Stamp { epoch: Epoch(1), version: Version(2) };
+                encoder.push(id, stamp, Some(Version(1)), 0, &Tile::UNKNOWN, &Tile::UNKNOWN);
+                let len = encoder.finish().unwrap();
+                assert_eq!(map.update(&out[..len]), Ok(()));
+            }
+            let mut buffer = [0u8; 60];
+            let mut writer = Writer::new(&mut buffer);
+            assert!(map.push_request(&mut writer) && !map.wants_request());
+            let len = writer.len();
+            let message = Messages::new(&buffer[..len]).next().unwrap().unwrap();
+            decode::<Request>(message.body).unwrap().0.tiles.len()
+        };
+        assert_eq!((asked(8), asked(9), asked(3)), (8, 0, 3));
     }
 }
