@@ -1,132 +1,32 @@
 //! The robot's surface: scans, odometry and bytes in; bytes out.
 
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, MIN_VERSION, VERSION},
+    frame::{DEFAULT_FRAME, Direction, MIN_VERSION, SessionId, VERSION},
     link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
     message::{
-        Digests, Hello, Message, Messages, ParameterCommand, ParameterReport, PoseFix, Refusal,
-        RefusalReason, Request, State, Stored, TileUpdateHead, TimeReply, ToRobotKind,
-        ToServerKind, Welcome, Writer, decode,
+        Hello, ParameterCommand, ParameterReport, Refusal, RefusalReason, State, ToServerKind,
+        Welcome, Writer,
     },
-    tile::{Epoch, Layer},
+    tile::Epoch,
     time::{Duration, Instant},
-    units::{Millimetres, Pose, RobotId},
+    units::Pose,
 };
 
 use crate::{
-    locate::{Located, Locator, PoseSource},
-    map::{Gate, LocalMap, MAX_RADIUS, OwnTile, PixelCounts, Pool, SightingConfig, scratch_words},
+    config::{Config, ConfigError, Memory},
+    inbox::{Inbox, Knock},
+    locate::{Located, Locator},
+    map::{LocalMap, MAX_RADIUS, Pool, SightingConfig, scratch_words},
     parameters::carry_out,
-    sense::{Beam, ScanError, SensorModel, WaitingScans, fill_beams},
-    share::{Commands, FusedMap, FusedTile, Publisher},
+    sense::{Beam, ScanError, WaitingScans, fill_beams},
+    share::{Commands, FusedMap, Publisher},
+    statistics::Statistics,
 };
 
 /// Reliable frames that may be under way.
 const WINDOW: usize = 8;
 /// Between two states; what keeps an idle session alive.
 const STATE_INTERVAL: Duration = Duration::from_secs(2);
-
-/// What does not change while the robot runs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Config {
-    /// Which robot.
-    pub robot: RobotId,
-    /// Should differ from boot to boot.
-    pub boot_nonce: u32,
-    /// The side of the map's cells; the server's must be the same.
-    pub resolution: Millimetres,
-    /// Beyond it nothing is mapped: millimetres, radial.
-    pub max_range: u16,
-    /// What the sensor's readings mean.
-    pub sensor: SensorModel,
-    /// The sensor in `base_link`.
-    pub mounting: Pose,
-    /// Where the poses come from.
-    pub pose_source: PoseSource,
-    /// How far the robot must have moved to map again.
-    pub gate: Gate,
-    /// How long a scan waits for its pose.
-    pub scan_deadline: Duration,
-    /// How long changes of the map are gathered before they are sent.
-    pub hold: Duration,
-}
-
-impl Config {
-    /// The usual robot: 5 cm cells, 4 m of range, a scan waits 1.5 s, changes wait 1 s.
-    pub fn new(robot: RobotId, sensor: SensorModel) -> Self {
-        Self {
-            robot,
-            boot_nonce: 0,
-            resolution: Millimetres(50),
-            max_range: 4_000,
-            sensor,
-            mounting: Pose::default(),
-            pose_source: PoseSource::Fixes,
-            gate: Gate::default(),
-            scan_deadline: Duration::from_millis(1_500),
-            hold: Duration::from_secs(1),
-        }
-    }
-}
-
-/// The caller's memory, which bounds everything that the agent keeps.
-#[derive(Debug)]
-pub struct Memory<'b> {
-    /// One for each reading of a scan.
-    pub beams: &'b mut [Beam],
-    /// As many readings as scans shall be able to wait, at most 16.
-    pub waiting: &'b mut [u16],
-    /// At least [`scratch_words`](crate::map::scratch_words).
-    pub scratch: &'b mut [u32],
-    /// The pool of the robot's own tiles; a scan of 4 m touches 21 of 5 cm at most.
-    pub own: &'b mut [OwnTile],
-    /// The pool of fused tiles.
-    pub fused: &'b mut [FusedTile],
-}
-
-/// Why an agent cannot be made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ConfigError {
-    /// The cells have no size.
-    Resolution,
-    /// The range is over 1,000 cells, or nothing.
-    Range,
-    /// The scratch memory is too short; it must have this many words.
-    Scratch(usize),
-    /// There is no memory for a scan, or none for a tile.
-    Memory,
-}
-
-/// What the agent has counted since it was made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Statistics {
-    /// Scans taken in.
-    pub scans: u32,
-    /// Scans that went into the map.
-    pub mapped: u32,
-    /// Scans that the gate held back.
-    pub gated: u32,
-    /// Scans whose pose never came.
-    pub expired: u32,
-    /// Scans that found as many waiting as there is room for.
-    pub overflowed: u32,
-    /// The readings of the scans that were mapped.
-    pub pixels: PixelCounts,
-    /// Cells that found no room in the pool.
-    pub cells_refused: u32,
-    /// Pose fixes received, each once.
-    pub fixes: u32,
-    /// Bytes sent, framing and retransmissions included.
-    pub bytes_sent: u64,
-    /// Bytes of frames with tile updates among them.
-    pub bytes_sent_map: u64,
-    /// Messages of a kind that this version does not know.
-    pub unknown_messages: u32,
-    /// Messages that could not be read.
-    pub malformed_messages: u32,
-    /// Sessions begun.
-    pub sessions: u32,
-}
 
 /// What a reliable frame carries, to be told apart when it is acknowledged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -288,7 +188,7 @@ impl<'b> Agent<'b> {
     /// length. Call it until it returns `None`.
     #[must_use]
     pub fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
-        if self.link.session() == ubimap_protocol::frame::SessionId::NONE {
+        if self.link.session() == SessionId::NONE {
             return self.knock(now, out);
         }
         let server_moment = self.latest_pose.map(|(moment, _)| moment);
@@ -347,7 +247,7 @@ impl<'b> Agent<'b> {
     /// When to come back at the latest: then call [`Agent::poll_transmit`] until it has nothing.
     pub fn poll_timeout(&self) -> Instant {
         let expiry = self.waiting.oldest().map(|taken| taken + self.config.scan_deadline);
-        let session = self.link.session() != ubimap_protocol::frame::SessionId::NONE;
+        let session = self.link.session() != SessionId::NONE;
         let timers = if session {
             let tiles = self.publisher.poll_timeout().filter(|_| self.link.can_send_reliable());
             [
@@ -412,7 +312,7 @@ impl<'b> Agent<'b> {
 
     /// Whether there is a session.
     pub fn is_connected(&self) -> bool {
-        self.link.session() != ubimap_protocol::frame::SessionId::NONE
+        self.link.session() != SessionId::NONE
     }
 
     /// Whether everything that the robot has mapped is on the server, as far as it knows, and no
@@ -550,108 +450,4 @@ impl<'b> Agent<'b> {
 fn push<M: serde::Serialize>(writer: &mut Writer<'_>, kind: ToServerKind, message: &M) {
     let fitted = writer.push(kind as u8, message);
     debug_assert!(fitted, "{kind:?} does not fit");
-}
-
-/// A message of the handshake.
-enum Knock {
-    Welcome(Welcome),
-    Refusal(Refusal),
-    Reset,
-}
-
-impl Knock {
-    fn parse(message: Message<'_>) -> Option<Self> {
-        match ToRobotKind::from_number(message.kind)? {
-            ToRobotKind::Welcome => Some(Self::Welcome(decode(message.body).ok()?.0)),
-            ToRobotKind::Refusal => Some(Self::Refusal(decode(message.body).ok()?.0)),
-            ToRobotKind::Reset => Some(Self::Reset),
-            _ => None,
-        }
-    }
-}
-
-/// The parts of an agent that messages of a session go to.
-struct Inbox<'a, 'b> {
-    clock: &'a mut ClockSync,
-    locator: &'a mut Locator,
-    latest_pose: &'a mut Option<(Instant, Pose)>,
-    fused: &'a mut FusedMap<'b>,
-    commands: &'a mut Commands,
-    /// A command about parameters, to be carried out when the frame has been read.
-    command: &'a mut Option<ParameterCommand>,
-    map: &'a mut LocalMap<'b>,
-    publisher: &'a mut Publisher,
-    statistics: &'a mut Statistics,
-}
-
-impl Inbox<'_, '_> {
-    fn take(&mut self, messages: Messages<'_>, now: Instant) {
-        for message in messages.map_while(Result::ok) {
-            if message.kind == ubimap_protocol::message::Ack::KIND {
-                continue;
-            }
-            let Some(kind) = ToRobotKind::from_number(message.kind) else {
-                self.statistics.unknown_messages = self.statistics.unknown_messages.wrapping_add(1);
-                continue;
-            };
-            if self.one(kind, message.body, now).is_none() {
-                self.statistics.malformed_messages =
-                    self.statistics.malformed_messages.wrapping_add(1);
-            }
-        }
-    }
-
-    /// `None` if the message cannot be read.
-    fn one(&mut self, kind: ToRobotKind, body: &[u8], now: Instant) -> Option<()> {
-        match kind {
-            ToRobotKind::TimeReply => self.clock.reply(&decode::<TimeReply>(body).ok()?.0, now),
-            ToRobotKind::PoseFix => self.fix(&decode::<PoseFix>(body).ok()?.0),
-            ToRobotKind::TileUpdate => {
-                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
-                if head.layer == Layer::Fused {
-                    self.fused.update(coded).ok()?;
-                }
-            }
-            ToRobotKind::Request => {
-                let (request, _) = decode::<Request>(body).ok()?;
-                let pool = &mut self.map.pool;
-                if request.tiles.is_empty() {
-                    self.publisher.requested(pool, None, now);
-                }
-                for &tile in &request.tiles {
-                    self.publisher.requested(pool, Some(tile), now);
-                }
-            }
-            ToRobotKind::Peers => self.commands.take_peers(decode(body).ok()?.0),
-            ToRobotKind::Obstacles => self.commands.take_obstacles(decode(body).ok()?.0),
-            ToRobotKind::Path => self.commands.take_path(decode(body).ok()?.0),
-            ToRobotKind::Stop => self.commands.take_stop(decode(body).ok()?.0),
-            ToRobotKind::Parameter => *self.command = Some(decode(body).ok()?.0),
-            ToRobotKind::Stored => {
-                for &(id, stamp) in &decode::<Stored>(body).ok()?.0.tiles {
-                    self.map.pool.stored(id, stamp);
-                }
-            }
-            ToRobotKind::Digests => {
-                let (digests, _) = decode::<Digests>(body).ok()?;
-                if digests.layer == Layer::Fused {
-                    self.fused.compare(&digests);
-                }
-            }
-            // They belong into handshake frames.
-            ToRobotKind::Welcome | ToRobotKind::Refusal | ToRobotKind::Reset => return None,
-        }
-        Some(())
-    }
-
-    fn fix(&mut self, message: &PoseFix) {
-        for (moment, pose) in message.fixes() {
-            if self.locator.fix(moment, self.clock.to_local(moment), pose) {
-                self.statistics.fixes = self.statistics.fixes.wrapping_add(1);
-            }
-        }
-        if self.latest_pose.is_none_or(|(moment, _)| moment < message.time) {
-            *self.latest_pose = Some((message.time, message.pose));
-        }
-    }
 }

@@ -18,11 +18,16 @@
 extern crate std;
 
 mod agent;
+mod config;
+mod inbox;
 pub mod locate;
 pub mod map;
 mod parameters;
 pub mod sense;
 pub mod share;
+mod statistics;
 
-pub use agent::{Agent, Config, ConfigError, Memory, Statistics};
+pub use agent::Agent;
+pub use config::{Config, ConfigError, Memory};
 pub use parameters::Parameter;
+pub use statistics::Statistics;

@@ -10,7 +10,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres},
 };
 
-use crate::agent::Config;
+use crate::config::Config;
 
 /// The parameters by number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

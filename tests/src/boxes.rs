@@ -61,7 +61,8 @@ impl Boxes {
             turns: None,
         };
         let seconds = now.micros() / 1_000_000;
-        let there = |block: &&Block| block.turns.is_none_or(|turns| seconds / turns % 2 == 0);
+        let there =
+            |block: &&Block| block.turns.is_none_or(|turns| (seconds / turns).is_multiple_of(2));
         let blocks = self.blocks.iter().filter(there).chain([&walls]);
         blocks.filter_map(|block| block.hit(from, way)).fold(60.0, f64::min)
     }

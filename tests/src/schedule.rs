@@ -279,7 +279,7 @@ impl Schedule {
             if seen_by_cameras {
                 star.fix(robot, pose);
             }
-            if step % plan.scan_every == 0 {
+            if step.is_multiple_of(plan.scan_every) {
                 let odometry = (!seen_by_cameras).then_some(pose);
                 star.scan(robot, odometry, &self.world.scan(self.sensor, pose, now));
             }

@@ -112,9 +112,7 @@ impl Way {
 
     fn send(&mut self, now: Instant, frame: &[u8]) {
         self.bytes += frame.len() as u64;
-        if self.sent < REMEMBERED {
-            self.remembered.push(frame.to_vec());
-        } else if self.sent < 2 * REMEMBERED {
+        if self.sent < 2 * REMEMBERED {
             self.remembered.push(frame.to_vec());
         } else {
             self.remembered[REMEMBERED + self.sent % REMEMBERED] = frame.to_vec();

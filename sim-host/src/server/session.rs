@@ -439,7 +439,7 @@ mod tests {
             let mut buffer = [0u8; 24];
             let mut writer = Writer::new(&mut buffer);
             let filled = session.fill(&fused, Epoch(1), Instant(0), &mut writer, true);
-            assert!(writer.len() > 0, "{filled:?} stands still");
+            assert!(!writer.is_empty(), "{filled:?} stands still");
             frames += 1;
         }
         assert_eq!(frames, 1 + 3, "one with a fix, and three tiles in each of the others");

@@ -1,0 +1,84 @@
+//! What an agent is made from: its configuration and the caller's memory.
+
+use ubimap_protocol::{
+    time::Duration,
+    units::{Millimetres, Pose, RobotId},
+};
+
+use crate::{
+    locate::PoseSource,
+    map::{Gate, OwnTile},
+    sense::{Beam, SensorModel},
+    share::FusedTile,
+};
+
+/// What does not change while the robot runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Config {
+    /// Which robot.
+    pub robot: RobotId,
+    /// Should differ from boot to boot.
+    pub boot_nonce: u32,
+    /// The side of the map's cells; the server's must be the same.
+    pub resolution: Millimetres,
+    /// Beyond it nothing is mapped: millimetres, radial.
+    pub max_range: u16,
+    /// What the sensor's readings mean.
+    pub sensor: SensorModel,
+    /// The sensor in `base_link`.
+    pub mounting: Pose,
+    /// Where the poses come from.
+    pub pose_source: PoseSource,
+    /// How far the robot must have moved to map again.
+    pub gate: Gate,
+    /// How long a scan waits for its pose.
+    pub scan_deadline: Duration,
+    /// How long changes of the map are gathered before they are sent.
+    pub hold: Duration,
+}
+
+impl Config {
+    /// The usual robot: 5 cm cells, 4 m of range, a scan waits 1.5 s, changes wait 1 s.
+    pub fn new(robot: RobotId, sensor: SensorModel) -> Self {
+        Self {
+            robot,
+            boot_nonce: 0,
+            resolution: Millimetres(50),
+            max_range: 4_000,
+            sensor,
+            mounting: Pose::default(),
+            pose_source: PoseSource::Fixes,
+            gate: Gate::default(),
+            scan_deadline: Duration::from_millis(1_500),
+            hold: Duration::from_secs(1),
+        }
+    }
+}
+
+/// The caller's memory, which bounds everything that the agent keeps.
+#[derive(Debug)]
+pub struct Memory<'b> {
+    /// One for each reading of a scan.
+    pub beams: &'b mut [Beam],
+    /// As many readings as scans shall be able to wait, at most 16.
+    pub waiting: &'b mut [u16],
+    /// At least [`scratch_words`](crate::map::scratch_words).
+    pub scratch: &'b mut [u32],
+    /// The pool of the robot's own tiles; a scan of 4 m touches 21 of 5 cm at most.
+    pub own: &'b mut [OwnTile],
+    /// The pool of fused tiles.
+    pub fused: &'b mut [FusedTile],
+}
+
+/// Why an agent cannot be made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConfigError {
+    /// The cells have no size.
+    Resolution,
+    /// The range is over 1,000 cells, or nothing.
+    Range,
+    /// The scratch memory is too short; it must have this many words.
+    Scratch(usize),
+    /// There is no memory for a scan, or none for a tile.
+    Memory,
+}

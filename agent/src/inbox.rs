@@ -1,0 +1,123 @@
+//! What the server says: each message to the part of the agent that it is for.
+
+use ubimap_protocol::{
+    link::ClockSync,
+    message::{
+        Ack, Digests, Message, Messages, ParameterCommand, PoseFix, Refusal, Request, Stored,
+        TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
+    },
+    tile::Layer,
+    time::Instant,
+    units::Pose,
+};
+
+use crate::{
+    locate::Locator,
+    map::LocalMap,
+    share::{Commands, FusedMap, Publisher},
+    statistics::Statistics,
+};
+
+/// A message of the handshake.
+pub(crate) enum Knock {
+    Welcome(Welcome),
+    Refusal(Refusal),
+    Reset,
+}
+
+impl Knock {
+    pub(crate) fn parse(message: Message<'_>) -> Option<Self> {
+        match ToRobotKind::from_number(message.kind)? {
+            ToRobotKind::Welcome => Some(Self::Welcome(decode(message.body).ok()?.0)),
+            ToRobotKind::Refusal => Some(Self::Refusal(decode(message.body).ok()?.0)),
+            ToRobotKind::Reset => Some(Self::Reset),
+            _ => None,
+        }
+    }
+}
+
+/// The parts of an agent that messages of a session go to.
+pub(crate) struct Inbox<'a, 'b> {
+    pub(crate) clock: &'a mut ClockSync,
+    pub(crate) locator: &'a mut Locator,
+    pub(crate) latest_pose: &'a mut Option<(Instant, Pose)>,
+    pub(crate) fused: &'a mut FusedMap<'b>,
+    pub(crate) commands: &'a mut Commands,
+    /// A command about parameters, to be carried out when the frame has been read.
+    pub(crate) command: &'a mut Option<ParameterCommand>,
+    pub(crate) map: &'a mut LocalMap<'b>,
+    pub(crate) publisher: &'a mut Publisher,
+    pub(crate) statistics: &'a mut Statistics,
+}
+
+impl Inbox<'_, '_> {
+    pub(crate) fn take(&mut self, messages: Messages<'_>, now: Instant) {
+        for message in messages.map_while(Result::ok) {
+            if message.kind == Ack::KIND {
+                continue;
+            }
+            let Some(kind) = ToRobotKind::from_number(message.kind) else {
+                self.statistics.unknown_messages = self.statistics.unknown_messages.wrapping_add(1);
+                continue;
+            };
+            if self.one(kind, message.body, now).is_none() {
+                self.statistics.malformed_messages =
+                    self.statistics.malformed_messages.wrapping_add(1);
+            }
+        }
+    }
+
+    /// `None` if the message cannot be read.
+    fn one(&mut self, kind: ToRobotKind, body: &[u8], now: Instant) -> Option<()> {
+        match kind {
+            ToRobotKind::TimeReply => self.clock.reply(&decode::<TimeReply>(body).ok()?.0, now),
+            ToRobotKind::PoseFix => self.fix(&decode::<PoseFix>(body).ok()?.0),
+            ToRobotKind::TileUpdate => {
+                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
+                if head.layer == Layer::Fused {
+                    self.fused.update(coded).ok()?;
+                }
+            }
+            ToRobotKind::Request => {
+                let (request, _) = decode::<Request>(body).ok()?;
+                let pool = &mut self.map.pool;
+                if request.tiles.is_empty() {
+                    self.publisher.requested(pool, None, now);
+                }
+                for &tile in &request.tiles {
+                    self.publisher.requested(pool, Some(tile), now);
+                }
+            }
+            ToRobotKind::Peers => self.commands.take_peers(decode(body).ok()?.0),
+            ToRobotKind::Obstacles => self.commands.take_obstacles(decode(body).ok()?.0),
+            ToRobotKind::Path => self.commands.take_path(decode(body).ok()?.0),
+            ToRobotKind::Stop => self.commands.take_stop(decode(body).ok()?.0),
+            ToRobotKind::Parameter => *self.command = Some(decode(body).ok()?.0),
+            ToRobotKind::Stored => {
+                for &(id, stamp) in &decode::<Stored>(body).ok()?.0.tiles {
+                    self.map.pool.stored(id, stamp);
+                }
+            }
+            ToRobotKind::Digests => {
+                let (digests, _) = decode::<Digests>(body).ok()?;
+                if digests.layer == Layer::Fused {
+                    self.fused.compare(&digests);
+                }
+            }
+            // They belong into handshake frames.
+            ToRobotKind::Welcome | ToRobotKind::Refusal | ToRobotKind::Reset => return None,
+        }
+        Some(())
+    }
+
+    fn fix(&mut self, message: &PoseFix) {
+        for (moment, pose) in message.fixes() {
+            if self.locator.fix(moment, self.clock.to_local(moment), pose) {
+                self.statistics.fixes = self.statistics.fixes.wrapping_add(1);
+            }
+        }
+        if self.latest_pose.is_none_or(|(moment, _)| moment < message.time) {
+            *self.latest_pose = Some((message.time, message.pose));
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! What an agent has counted.
+
+use crate::map::PixelCounts;
+
+/// What the agent has counted since it was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// Scans taken in.
+    pub scans: u32,
+    /// Scans that went into the map.
+    pub mapped: u32,
+    /// Scans that the gate held back.
+    pub gated: u32,
+    /// Scans whose pose never came.
+    pub expired: u32,
+    /// Scans that found as many waiting as there is room for.
+    pub overflowed: u32,
+    /// The readings of the scans that were mapped.
+    pub pixels: PixelCounts,
+    /// Cells that found no room in the pool.
+    pub cells_refused: u32,
+    /// Pose fixes received, each once.
+    pub fixes: u32,
+    /// Bytes sent, framing and retransmissions included.
+    pub bytes_sent: u64,
+    /// Bytes of frames with tile updates among them.
+    pub bytes_sent_map: u64,
+    /// Messages of a kind that this version does not know.
+    pub unknown_messages: u32,
+    /// Messages that could not be read.
+    pub malformed_messages: u32,
+    /// Sessions begun.
+    pub sessions: u32,
+}
