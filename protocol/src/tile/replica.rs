@@ -77,6 +77,15 @@ impl Replica {
                 decoder.cells(header, &mut Tile::default());
                 return Ok(Applied::Old);
             }
+            (start, None) if start != 0 && self.partial.is_none() && self.stamp == header.stamp => {
+                // The sender does not know that the tile is held, and its parts before this one
+                // were read past. What it adds may be newer than the first of them.
+                let mut part = self.tile;
+                copy_cells(&Tile::UNKNOWN, &mut part, start, TILE_CELLS);
+                decoder.cells(header, &mut part);
+                copy_cells(&part, &mut self.tile, start, header.end);
+                return Ok(Applied::Complete);
+            }
             (0, None) => self.tile = Tile::UNKNOWN,
             (0, Some(base)) => {
                 if self.stamp != (Stamp { epoch, version: base }) || self.partial.is_some() {
@@ -343,6 +352,36 @@ mod tests {
             assert_eq!((replica.tile(), replica.stamp().version), (&noise(5), Version(5)));
             assert!(!replica.is_partial());
         }
+    }
+
+    #[test]
+    fn a_tile_that_is_held_already_can_come_in_parts() {
+        let mut replica = Replica::default();
+        let mut send = |publication: &mut Publication, tile: &Tile, frame: u16| {
+            let mut out = [0u8; 80];
+            let mut encoder = TileEncoder::new(&mut out);
+            let mut new = *tile;
+            assert!(publication.push(&mut encoder, ID, EPOCH, Version(5), &mut new, frame));
+            let len = encoder.finish().unwrap();
+            let mut decoder = TileDecoder::new(&out[..len]);
+            let header = decoder.header().unwrap().unwrap();
+            replica.apply(&header, &mut decoder).unwrap();
+            assert!(publication.acknowledge(frame));
+            *replica.tile()
+        };
+        // A session begins anew; meanwhile the tile changes, and the rest of it is of its new state.
+        let mut frames = 0;
+        for tiles in [[noise(1), noise(1)], [noise(1), noise(1)], [noise(1), noise(2)]] {
+            let mut publication = Publication::NOTHING;
+            let [mut tile, then] = tiles;
+            while !publication.is_acknowledged() {
+                frames += 1;
+                let held = send(&mut publication, &tile, frames);
+                tile = then;
+                assert!(!publication.is_acknowledged() || held == *publication.sent());
+            }
+        }
+        assert!(frames > 6);
     }
 
     #[test]
