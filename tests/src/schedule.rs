@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::{Config, locate::PoseSource};
 use ubimap_protocol::{
-    frame::Direction,
+    frame::{DEFAULT_FRAME, Direction},
     link::Terms,
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
@@ -25,6 +25,8 @@ const STEP: Duration = Duration::from_millis(100);
 /// after a long cut (3.2 s), a session that somebody else opened with an old hello, the tiles of
 /// a window by the downlink's budget, and a mildly bad link.
 pub const PATIENCE: Duration = Duration::from_secs(30);
+/// How finely a newcomer's time is taken.
+const TICK: Duration = Duration::from_millis(1);
 /// How long nothing may be said once all hold the same.
 const QUIET: Duration = Duration::from_secs(3);
 
@@ -86,6 +88,39 @@ pub struct Ending {
     pub evicted: u32,
     /// Cells that the map knows in the end.
     pub known: u32,
+}
+
+/// How a robot comes to hold nothing of the server's map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Newcomer {
+    /// It was not there before.
+    Joins,
+    /// It has lost its memory.
+    Reboots,
+}
+
+/// How long a newcomer took to be level.
+#[derive(Clone, Copy, Debug)]
+pub struct Level {
+    /// From its boot.
+    pub took: Duration,
+    /// A frame to the server and one back.
+    pub round_trip: Duration,
+    /// The tiles in its window.
+    pub tiles: usize,
+    /// What the server sent it meanwhile, all told.
+    pub bytes: u64,
+}
+
+impl Level {
+    /// How long it may take: two round trips (hello and welcome, interest and tiles), and the
+    /// bytes beyond a second's worth at 2 kB/s; a frame more, for the budget counts whole frames.
+    /// The server's gathering of changes (up to a second) does not count: nothing changes.
+    pub fn bound(&self) -> Duration {
+        let paced = self.bytes.saturating_sub(2_000) * 1_000_000 / 2_000;
+        let frame = DEFAULT_FRAME as u64 * 1_000_000 / 2_000;
+        Duration(2 * self.round_trip.0 + TICK.0 + paced + if paced > 0 { frame } else { 0 })
+    }
 }
 
 impl fmt::Display for Ending {
@@ -163,6 +198,85 @@ impl Schedule {
         schedule
     }
 
+    /// A schedule on a clean link, for [`Self::level_after`]: two robots, of which the second comes
+    /// anew.
+    pub fn newcomer(seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(20_000_000));
+        for plan in &mut schedule.plans {
+            plan.config.pose_source = PoseSource::Odometry(Pose::default());
+            plan.config.max_range = 4_000;
+            plan.own = 128;
+            plan.fused = 100;
+            plan.scan_every = 3;
+        }
+        schedule.frame = DEFAULT_FRAME as u16;
+        schedule.calm_faults =
+            Faults { latency: schedule.calm_faults.latency, ..Faults::default() };
+        schedule
+    }
+
+    /// The first robot maps; when all is quiet the second one comes anew, knows where it is and
+    /// sees nothing.
+    ///
+    /// # Panics
+    /// If it never holds what it wants.
+    pub fn level_after(&self, who: Newcomer) -> Level {
+        let plans = [&self.plans[0], &self.plans[1], &self.plans[1]];
+        let mut lives =
+            plans.map(|plan| Life::new(&plan.config, self.sensor.beams, plan.own, plan.fused));
+        let [first, second, third] = &mut lives;
+        let terms = self.terms();
+        let mut star = Star::new(terms, self.ports, self.seed);
+        let ids = self.plans.iter().enumerate();
+        star.robots = ids.map(|(port, plan)| Robot::new(plan.config.robot, port)).collect();
+        let (up, down) = (self.calm_faults, self.calm_faults);
+        for robot in 0..2 {
+            self.happen(&mut star, Instant(0), Happening::Weather { robot, up, down });
+        }
+        star.boot(0, self.plans[0].config, first);
+        if who == Newcomer::Reboots {
+            star.boot(1, self.plans[1].config, second);
+        }
+        // Some of the worlds are full of rubble, and their tiles long.
+        let mut rubble = ChaCha8Rng::seed_from_u64(self.seed);
+        let density = if self.seed % 2 == 0 { 0.0 } else { 0.9 };
+        let mut step = 0;
+        while Instant(step * STEP.0) < self.calm {
+            star.run_until(Instant(step * STEP.0));
+            if rubble.random_bool(density) {
+                let readings = (0..self.sensor.beams).map(|_| rubble.random_range(300..4_000));
+                let pose = self.plans[0].walk.pose(star.now());
+                star.scan(0, Some(pose), &readings.collect::<Vec<u16>>());
+            } else {
+                self.step(&mut star, step);
+            }
+            step += 1;
+        }
+        star.run_until(self.calm + Duration::from_secs(20));
+        assert_eq!(star.behind(), None);
+
+        let booted = star.now();
+        let before = star.robots[1].down.bytes();
+        star.boot(1, Config { boot_nonce: 99, ..self.plans[1].config }, third);
+        star.scan(1, Some(self.plans[1].walk.pose(booted)), &vec![0; self.sensor.beams]);
+        while star.holds_its_window(1) != Some(true) {
+            assert!(star.now() < booted + PATIENCE, "it never holds what it wants");
+            star.run_until(star.now() + TICK);
+        }
+        let fused = star.robots[1].agent().map(|agent| agent.fused_tiles().tiles().count());
+        Level {
+            took: star.now().since(booted),
+            round_trip: Duration(2 * self.calm_faults.latency.0),
+            tiles: fused.unwrap_or(0),
+            bytes: star.robots[1].down.bytes() - before,
+        }
+    }
+
+    fn terms(&self) -> Terms {
+        Terms { resolution: Millimetres(50), frame: self.frame, server_epoch: 1, stores: false }
+    }
+
     /// The same without the frames that robots send again: the wire swallows them.
     pub fn without_retransmissions(self) -> Self {
         Self { drop_repeats: true, ..self }
@@ -199,12 +313,7 @@ impl Schedule {
     /// # Panics
     /// If anything is not as it must be at any moment.
     pub fn run(&self) -> Ending {
-        let terms = Terms {
-            resolution: Millimetres(50),
-            frame: self.frame,
-            server_epoch: 1,
-            stores: false,
-        };
+        let terms = self.terms();
         let boots = self.happenings.iter().filter_map(|(_, happening)| match happening {
             Happening::Boot { robot } => Some(*robot),
             _ => None,
@@ -242,9 +351,8 @@ impl Schedule {
             self.step(&mut star, step);
             step += 1;
         }
-        let faults = Happening::Weather { robot: 0, up: self.calm_faults, down: self.calm_faults };
+        let (up, down) = (self.calm_faults, self.calm_faults);
         for robot in 0..self.plans.len() {
-            let Happening::Weather { up, down, .. } = faults else { continue };
             self.happen(&mut star, self.calm, Happening::Weather { robot, up, down });
         }
         self.settle(&mut star, step)

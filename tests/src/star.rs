@@ -110,6 +110,11 @@ impl Way {
         self.once = Some(BTreeSet::new());
     }
 
+    /// Bytes that were given to it so far, whatever became of them.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     fn send(&mut self, now: Instant, frame: &[u8]) {
         self.bytes += frame.len() as u64;
         if self.sent < 2 * REMEMBERED {
@@ -506,6 +511,23 @@ impl<'b> Star<'b> {
         wanted.find_map(|(id, ..)| {
             (!agent.fused_tiles().tiles().any(|tile| tile.id() == Some(id))).then_some(id)
         })
+    }
+
+    /// When a robot holds every fused tile that it wants, as new as the server's. `None` before
+    /// it wants any.
+    pub fn holds_its_window(&self, robot: usize) -> Option<bool> {
+        let agent = self.robots[robot].agent.as_ref()?;
+        let window = agent.fused_tiles().interest()?;
+        let epoch = self.server.epoch();
+        let level = self.server.fused().within(&window).all(|(id, version, cells)| {
+            let mut held = agent.fused_tiles().tiles().filter(|tile| tile.id() == Some(id));
+            held.any(|tile| {
+                let replica = tile.replica();
+                let newest = replica.stamp() == Stamp { epoch, version };
+                newest && !replica.is_partial() && replica.tile() == cells
+            })
+        });
+        Some(level)
     }
 
     /// Bytes of frames with tiles of robots so far, and frames sent again.

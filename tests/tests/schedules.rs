@@ -13,7 +13,7 @@ use std::{
     thread,
 };
 
-use ubimap_tests::schedule::Schedule;
+use ubimap_tests::schedule::{Newcomer, Schedule};
 
 /// So many schedules, unless the environment says otherwise.
 const SCHEDULES: u64 = 300;
@@ -75,4 +75,21 @@ fn without_retransmission_a_lossy_wire_leaves_the_map_incomplete() {
         assert!(without.level.is_err(), "schedule {seed}: {without}");
         assert!(without.known < with.known, "schedule {seed}: {without}, not {with}");
     }
+}
+
+/// A robot that joins late or reboots: two round trips, and what its tiles take on the wire beyond
+/// the second's worth that the downlink may save up.
+#[test]
+fn a_newcomer_is_level_as_soon_as_the_downlink_allows() {
+    let mut paced = 0;
+    for seed in 0..60 {
+        let schedule = Schedule::newcomer(seed);
+        for who in [Newcomer::Joins, Newcomer::Reboots] {
+            let level = schedule.level_after(who);
+            assert!(level.tiles > 0, "schedule {seed}: {level:?}");
+            assert!(level.took <= level.bound(), "schedule {seed}, {who:?}: {level:?}");
+            paced += u32::from(level.bytes > 2_000);
+        }
+    }
+    assert!(paced > 10, "the budget was met {paced} times");
 }
