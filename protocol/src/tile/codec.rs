@@ -59,8 +59,8 @@ impl<'a> TileEncoder<'a> {
     /// [`TileHeader`]). `old` is what the receiver holds of the tile: the base version from
     /// `start` on, and `new` before it; unknown from `start` on if there is no base.
     ///
-    /// Returns the cell after the last that fitted, or `None` if not even one did or the update
-    /// holds [`MAX_TILES_PER_UPDATE`]. Only the first tile of an update is cut short.
+    /// Returns the cell after the last that fitted, or `None` if not even one did, if the update
+    /// holds [`MAX_TILES_PER_UPDATE`], or if the versions do not run 0 < base < version. Only the first tile of an update is cut short.
     /// About 60 instructions for each cell of the rows that have changed.
     pub fn push(
         &mut self,
@@ -72,6 +72,10 @@ impl<'a> TileEncoder<'a> {
         new: &Tile,
     ) -> Option<u16> {
         if self.tiles >= MAX_TILES_PER_UPDATE || start >= TILE_CELLS {
+            return None;
+        }
+        let least = base.unwrap_or(Version(0));
+        if base == Some(Version(0)) || stamp.version <= least {
             return None;
         }
         let (before, models) = (self.coder.state(), self.models);
@@ -212,7 +216,7 @@ impl<'a> TileDecoder<'a> {
         let (id, epoch) = match *previous {
             None => (
                 tile_id(coder.signed(FIRST_ID_ORDER), coder.signed(FIRST_ID_ORDER))?,
-                Epoch(coder.golomb(EPOCH_ORDER)),
+                Epoch(number(coder.golomb(EPOCH_ORDER))?),
             ),
             Some((id, epoch)) => {
                 if !coder.bit(&mut models[context::MORE]) {
@@ -222,21 +226,26 @@ impl<'a> TileDecoder<'a> {
                 if *tiles >= MAX_TILES_PER_UPDATE {
                     return Err(TileError::TooManyTiles);
                 }
-                let x = i32::from(id.x).wrapping_add(coder.signed(0));
-                let y = i32::from(id.y).wrapping_add(coder.signed(0));
+                let x = coder.signed(0).and_then(|step| step.checked_add(i32::from(id.x)));
+                let y = coder.signed(0).and_then(|step| step.checked_add(i32::from(id.y)));
+                let id = tile_id(x, y)?;
                 let same = coder.bit(&mut models[context::SAME_EPOCH]);
-                (tile_id(x, y)?, if same { epoch } else { Epoch(coder.golomb(EPOCH_ORDER)) })
+                let epoch = if same { epoch } else { Epoch(number(coder.golomb(EPOCH_ORDER))?) };
+                (id, epoch)
             }
         };
         let has_base = coder.bit(&mut models[context::HAS_BASE]);
-        let version = Version(coder.golomb(VERSION_ORDER));
+        let version = Version(number(coder.golomb(VERSION_ORDER))?);
         let base = match has_base {
             true => {
-                let steps = coder.golomb(0).checked_add(1).ok_or(TileError::Malformed)?;
-                Some(Version(version.0.checked_sub(steps).ok_or(TileError::Malformed)?))
+                let steps = coder.golomb(0).and_then(|between| between.checked_add(1));
+                Some(Version(version.0.checked_sub(number(steps)?).ok_or(TileError::Malformed)?))
             }
             false => None,
         };
+        if version == Version(0) || base == Some(Version(0)) {
+            return Err(TileError::Malformed);
+        }
         let from_start = coder.bit(&mut models[context::FROM_START]);
         let start = if from_start { 0 } else { coder.plain(10) as u16 };
         let to_end = coder.bit(&mut models[context::TO_END]);
@@ -278,9 +287,14 @@ impl<'a> TileDecoder<'a> {
     }
 }
 
-fn tile_id(x: i32, y: i32) -> Result<TileId, TileError> {
-    let side = |value: i32| i16::try_from(value).map_err(|_| TileError::Malformed);
-    Ok(TileId { x: side(x)?, y: side(y)? })
+fn number(value: Option<u32>) -> Result<u32, TileError> {
+    value.ok_or(TileError::Malformed)
+}
+
+fn tile_id(x: Option<i32>, y: Option<i32>) -> Result<TileId, TileError> {
+    let side = |value: Option<i32>| i16::try_from(value?).ok();
+    let id = side(x).and_then(|x| Some(TileId { x, y: side(y)? }));
+    id.ok_or(TileError::Malformed)
 }
 
 impl TileHeader {
@@ -428,7 +442,7 @@ mod tests {
 
         #[test]
         fn updates_of_several_tiles_read_back(
-            pairs in proptest::collection::vec((tile(), tile(), any::<bool>(), -40i16..40, -40i16..40, 0u32..3, 1u32..900), 1..6),
+            pairs in proptest::collection::vec((tile(), tile(), any::<bool>(), -40i16..40, -40i16..40, prop_oneof![0u32..3, u32::MAX - 40..=u32::MAX], prop_oneof![2u32..900, u32::MAX - 9..=u32::MAX]), 1..6),
         ) {
             let mut out = [0u8; 4096];
             let mut encoder = TileEncoder::new(&mut out);
@@ -492,6 +506,18 @@ mod tests {
                 tiles += 1;
             }
             prop_assert!(tiles <= MAX_TILES_PER_UPDATE);
+        }
+    }
+
+    #[test]
+    fn versions_begin_at_one_and_a_base_comes_before() {
+        let mut out = [0u8; 60];
+        let mut encoder = TileEncoder::new(&mut out);
+        let tile = Tile::UNKNOWN;
+        for (version, base) in [(0, None), (1, Some(0)), (4, Some(4)), (4, Some(5))] {
+            let base = base.map(Version);
+            let pushed = encoder.push(TileId::default(), stamp(1, version), base, 0, &tile, &tile);
+            assert_eq!(pushed, None, "{version} on {base:?}");
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! The encoder leaves out the first byte (always zero) and the zero bytes at the end; the decoder
 //! reads zeros past the end of its input, so any input decodes to something and reading ends when
-//! the caller has what it asked for.
+//! the caller has what it asked for. Only a number of more than 32 bits is refused.
 
 const TOP: u32 = 1 << 24;
 /// How fast a probability follows what is coded: each decision moves it by 1/32 of the way.
@@ -100,7 +100,7 @@ impl<'a> Encoder<'a> {
     /// Codes a number in an Exp-Golomb code: short for small ones.
     pub(super) fn golomb(&mut self, value: u32, order: u32) {
         let bits = golomb_bits(value, order);
-        self.plain((1 << bits) - 1, bits);
+        self.plain(u32::MAX, bits);
         self.plain(0, 1);
         let rest = u64::from(value) + (1 << order) - (1 << (bits + order));
         self.plain(rest as u32, bits + order);
@@ -165,7 +165,7 @@ impl<'a> Encoder<'a> {
     }
 }
 
-/// Reads decisions. Any input gives some: it never fails and never runs on by itself.
+/// Reads decisions. Any input gives some: it never runs on by itself.
 #[derive(Debug)]
 pub(super) struct Decoder<'a> {
     input: &'a [u8],
@@ -208,19 +208,23 @@ impl<'a> Decoder<'a> {
         value
     }
 
-    /// Reads a number in an Exp-Golomb code; one that no encoder writes reads as some number.
-    pub(super) fn golomb(&mut self, order: u32) -> u32 {
-        let mut bits = 0;
-        while bits < 31 - order && self.plain(1) == 1 {
+    /// Reads a number in an Exp-Golomb code; `None` for one of more than 32 bits, which no encoder
+    /// writes.
+    pub(super) fn golomb(&mut self, order: u32) -> Option<u32> {
+        let mut bits = order;
+        while self.plain(1) == 1 {
             bits += 1;
+            if bits > 32 {
+                return None;
+            }
         }
-        let rest = self.plain(bits + order);
-        ((1u32 << (bits + order)) - (1 << order)).wrapping_add(rest)
+        let rest = self.plain(bits);
+        u32::try_from((1u64 << bits) - (1 << order) + u64::from(rest)).ok()
     }
 
-    /// Reads a signed number in an Exp-Golomb code.
-    pub(super) fn signed(&mut self, order: u32) -> i32 {
-        unzigzag(self.golomb(order))
+    /// Reads a signed number in an Exp-Golomb code; `None` as for [`Decoder::golomb`].
+    pub(super) fn signed(&mut self, order: u32) -> Option<i32> {
+        Some(unzigzag(self.golomb(order)?))
     }
 
     fn widen(&mut self, split: u32) -> bool {
@@ -265,7 +269,10 @@ mod tests {
             2 => (0usize..4, any::<bool>()).prop_map(|(m, b)| Step::Bit(m, b)),
             1 => (any::<u32>(), 0u32..=32).prop_map(|(v, n)| Step::Plain(v, n)),
             1 => (0u32..100_000, 0u32..6).prop_map(|(v, k)| Step::Golomb(v, k)),
+            1 => (any::<u32>(), 0u32..6).prop_map(|(v, k)| Step::Golomb(v, k)),
+            1 => (any::<u32>(), 0u32..6).prop_map(|(v, k)| Step::Golomb(u32::MAX - v % 40, k)),
             1 => (-40_000i32..40_000, 0u32..6).prop_map(|(v, k)| Step::Signed(v, k)),
+            1 => (any::<i32>(), 0u32..6).prop_map(|(v, k)| Step::Signed(v, k)),
         ];
         proptest::collection::vec(step, 0..400)
     }
@@ -295,8 +302,12 @@ mod tests {
                         let mask = (1u64 << count) - 1;
                         prop_assert_eq!(u64::from(decoder.plain(count)), u64::from(value) & mask);
                     }
-                    Step::Golomb(value, order) => prop_assert_eq!(decoder.golomb(order), value),
-                    Step::Signed(value, order) => prop_assert_eq!(decoder.signed(order), value),
+                    Step::Golomb(value, order) => {
+                        prop_assert_eq!(decoder.golomb(order), Some(value));
+                    }
+                    Step::Signed(value, order) => {
+                        prop_assert_eq!(decoder.signed(order), Some(value));
+                    }
                 }
             }
             prop_assert!(decoder.is_exhausted());
@@ -322,6 +333,20 @@ mod tests {
                 prop_assert_eq!(&out[..wide_len], &small[..tight_len]);
             }
         }
+    }
+
+    #[test]
+    fn a_number_of_more_than_32_bits_is_none() {
+        let ones = [0xFF; 40];
+        assert_eq!(Decoder::new(&ones).golomb(4), None);
+        let mut out = [0u8; 40];
+        let mut encoder = Encoder::new(&mut out);
+        // 2^32 in order 3: 29 ones, a zero, and the remainder 8 of 32 bits.
+        encoder.plain(u32::MAX, 29);
+        encoder.plain(0, 1);
+        encoder.plain(8, 32);
+        let len = encoder.finish().unwrap();
+        assert_eq!(Decoder::new(&out[..len]).golomb(3), None);
     }
 
     #[test]
