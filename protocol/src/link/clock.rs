@@ -103,6 +103,9 @@ impl ClockSync {
             there: reply.received.0.wrapping_sub(sent.0) as i64,
             back: now.0.wrapping_sub(replied) as i64,
         };
+        if self.exchanges == 0 {
+            self.generation_began = now;
+        }
         if self.in_generation >= PER_GENERATION {
             self.in_generation = 0;
             let age = now.since(core::mem::replace(&mut self.generation_began, now));
@@ -188,6 +191,24 @@ mod tests {
     fn a_clock_that_drifts_is_followed() {
         let worst = (0..100).map(|seed| error_after(400, seed, 25).abs()).max().unwrap();
         assert!(worst <= 5_000, "{worst} us");
+    }
+
+    #[test]
+    fn the_first_minima_do_not_age_by_the_time_before_them() {
+        let mut clock = ClockSync::default();
+        // A robot that knocked for a day: the best exchange is the first, then all are slow there.
+        let day = 86_400_000_000;
+        for exchange in 0..9 {
+            let now = clock.poll_timeout().0.max(day);
+            let request = clock.poll_request(Instant(now)).unwrap();
+            let there = if exchange == 0 { 0 } else { 5_000 };
+            let received = Instant(now + there);
+            let reply = TimeReply { nonce: request.nonce, received, held_micros: 0 };
+            clock.reply(&reply, received);
+        }
+        let now = clock.poll_timeout();
+        let error = clock.to_server(now).unwrap().0.abs_diff(now.0);
+        assert!(error < 100, "{error} us");
     }
 
     #[test]
