@@ -4,6 +4,8 @@ pub mod boxes;
 pub mod data;
 pub mod elf;
 pub mod emulator;
+pub mod fuzz;
 pub mod per_ray;
 pub mod schedule;
 pub mod star;
+pub mod vectors;

@@ -547,3 +547,7 @@ mod tests {
         assert_eq!(decoder.header(), Ok(None));
     }
 }
+
+#[cfg(test)]
+#[path = "vectors.rs"]
+mod vectors;

@@ -1,0 +1,340 @@
+//! What is thrown at the protocol: any bytes, and any order of operations. Each target must end
+//! without a panic, whatever it is given. The fuzzer's workspace (`fuzz/`) and the corpus test
+//! share this file, so it depends on the protocol alone.
+
+use std::fmt::Debug;
+
+use serde::{Serialize, de::DeserializeOwned};
+use ubimap_protocol::{
+    frame::{Direction, FrameKind, HEADER_LEN, Header, MAX_FRAME, SessionId, cobs, open, seal},
+    link::{Endpoint, Fill, Received},
+    message::{
+        Ack, Digests, DistanceVector, Event, Hello, Interest, Messages, Obstacles,
+        ParameterCommand, ParameterReport, Path, Peers, PoseFix, Refusal, Request, State, Stop,
+        Stored, TileUpdateHead, TimeReply, TimeRequest, Welcome, Writer, decode,
+    },
+    tile::{MAX_TILES_PER_UPDATE, Replica, TILE_CELLS, Tile, TileDecoder, TileEncoder, TileHeader},
+    time::{Duration, Instant},
+};
+
+/// Something to be done with the type that stands for a kind of message.
+pub trait BodyVisitor {
+    /// What comes of it.
+    type Output;
+
+    /// Does it.
+    fn visit<T: Serialize + DeserializeOwned + PartialEq + Debug>(self) -> Self::Output;
+}
+
+/// Visits the type of a message's body; for a tile update that of its head. `None` for a kind
+/// that this version does not know.
+pub fn visit_body<V: BodyVisitor>(direction: Direction, kind: u8, visitor: V) -> Option<V::Output> {
+    Some(match (direction, kind) {
+        (_, Ack::KIND) => visitor.visit::<Ack>(),
+        (Direction::ToServer, 1) => visitor.visit::<Hello>(),
+        (Direction::ToServer, 2) => visitor.visit::<TimeRequest>(),
+        (_, 3) => visitor.visit::<TileUpdateHead>(),
+        (Direction::ToServer, 4) => visitor.visit::<State>(),
+        (Direction::ToServer, 5) => visitor.visit::<Interest>(),
+        (_, 6) => visitor.visit::<Request>(),
+        (Direction::ToServer, 7) => visitor.visit::<DistanceVector>(),
+        (Direction::ToServer, 8) => visitor.visit::<Event>(),
+        (Direction::ToServer, 9) | (Direction::ToRobot, 14) => visitor.visit::<Digests>(),
+        (Direction::ToServer, 10) => visitor.visit::<ParameterReport>(),
+        (Direction::ToRobot, 1) => visitor.visit::<Welcome>(),
+        (Direction::ToRobot, 2) => visitor.visit::<TimeReply>(),
+        (Direction::ToRobot, 4) => visitor.visit::<PoseFix>(),
+        (Direction::ToRobot, 5) => visitor.visit::<Refusal>(),
+        (Direction::ToRobot, 7) => visitor.visit::<()>(),
+        (Direction::ToRobot, 8) => visitor.visit::<Peers>(),
+        (Direction::ToRobot, 9) => visitor.visit::<Obstacles>(),
+        (Direction::ToRobot, 10) => visitor.visit::<Path>(),
+        (Direction::ToRobot, 11) => visitor.visit::<Stop>(),
+        (Direction::ToRobot, 12) => visitor.visit::<ParameterCommand>(),
+        (Direction::ToRobot, 13) => visitor.visit::<Stored>(),
+        _ => return None,
+    })
+}
+
+/// A stream of bytes as frames: what can be read is written again, and read back.
+pub fn frames(data: &[u8]) {
+    let mut decoder = cobs::Decoder::<256>::default();
+    let mut input = data;
+    let mut read = 0;
+    while let Some(frame) = decoder.next(&mut input) {
+        read += 1;
+        let Ok(frame) = frame else { continue };
+        let mut wire = [0; cobs::encoded_len(256)];
+        let len = cobs::encode([frame, &[]], &mut wire).expect("there is room");
+        let mut again = cobs::Decoder::<256>::default();
+        assert_eq!(again.next(&mut &wire[..len]), (!frame.is_empty()).then_some(Ok(frame)));
+        let Some(contents) = open(SessionId(1), Direction::ToServer, frame) else { continue };
+        if let Some((header, payload)) = Header::decode(contents) {
+            assert_eq!(header.encode(), contents[..HEADER_LEN]);
+            assert!(Messages::new(payload).count() <= payload.len());
+        }
+    }
+    assert!(read <= data.len());
+    // Whatever came before, a good frame is read.
+    let contents = Header { version: 1, kind: FrameKind::Datagram, sequence: 9 }.encode();
+    let tail = seal(SessionId(1), Direction::ToServer, &contents);
+    let mut wire = [0; 32];
+    let len = cobs::encode([&contents, &tail], &mut wire).expect("there is room");
+    let mut good = vec![0];
+    good.extend(&wire[..len]);
+    let mut input = &good[..];
+    let mut last = None;
+    while let Some(frame) = decoder.next(&mut input) {
+        last = frame
+            .ok()
+            .and_then(|frame| open(SessionId(1), Direction::ToServer, frame))
+            .map(<[u8]>::to_vec);
+    }
+    assert_eq!(last.as_deref(), Some(&contents[..]));
+}
+
+/// Direction and kind in the first byte, then a body: what can be read is written again, and
+/// read back.
+pub fn messages(data: &[u8]) {
+    let Some((&first, body)) = data.split_first() else { return };
+    let direction = if first & 0x80 == 0 { Direction::ToServer } else { Direction::ToRobot };
+    let _ = visit_body(direction, first & 0x7F, RoundTrip { body });
+    for message in Messages::new(body).map_while(Result::ok) {
+        let _ = visit_body(direction, message.kind, RoundTrip { body: message.body });
+    }
+}
+
+struct RoundTrip<'a> {
+    body: &'a [u8],
+}
+
+impl BodyVisitor for RoundTrip<'_> {
+    type Output = ();
+
+    fn visit<T: Serialize + DeserializeOwned + PartialEq + Debug>(self) {
+        let Ok((message, rest)) = decode::<T>(self.body) else { return };
+        assert!(rest.len() <= self.body.len());
+        let mut buffer = [0; MAX_FRAME];
+        let mut writer = Writer::new(&mut buffer);
+        assert!(writer.push(1, &message), "{message:?} does not fit any frame");
+        let len = writer.len();
+        let written =
+            Messages::new(&buffer[..len]).next().and_then(Result::ok).expect("one message");
+        assert_eq!(decode::<T>(written.body).map(|(again, _)| again), Ok(message));
+    }
+}
+
+/// A tile update, to a replica and past it: what can be read is written again, and read back.
+pub fn tiles(data: &[u8]) {
+    let mut decoder = TileDecoder::new(data);
+    let mut read: Vec<(TileHeader, Tile)> = Vec::new();
+    let whole = loop {
+        match decoder.header() {
+            Ok(Some(header)) => {
+                let mut tile = Tile::UNKNOWN;
+                decoder.cells(&header, &mut tile);
+                for cell in (0..usize::from(header.start)).chain(usize::from(header.end)..1024) {
+                    assert_eq!(tile.cell(cell % 32, cell / 32).code(), 0, "outside of the part");
+                }
+                read.push((header, tile));
+            }
+            Ok(None) => break true,
+            Err(_) => break false,
+        }
+    };
+    assert!(read.len() <= MAX_TILES_PER_UPDATE);
+    if whole && read.iter().all(|(header, _)| header.start == 0 && header.end == TILE_CELLS) {
+        let mut out = vec![0; 32 * 2048];
+        let mut encoder = TileEncoder::new(&mut out);
+        for (header, tile) in &read {
+            let TileHeader { id, stamp, base, .. } = *header;
+            let pushed = encoder.push(id, stamp, base, 0, &Tile::UNKNOWN, tile);
+            assert_eq!(pushed, Some(TILE_CELLS));
+        }
+        let len = encoder.finish().expect("there is a tile");
+        let mut again = TileDecoder::new(&out[..len]);
+        for (header, tile) in &read {
+            assert_eq!(again.header(), Ok(Some(*header)));
+            let mut cells = Tile::UNKNOWN;
+            again.cells(header, &mut cells);
+            assert_eq!(&cells, tile);
+        }
+        assert_eq!(again.header(), Ok(None));
+    }
+    let mut replica = Replica::default();
+    let mut decoder = TileDecoder::new(data);
+    while let Ok(Some(header)) = decoder.header() {
+        let before = replica.stamp();
+        if replica.apply(&header, &mut decoder).is_err() {
+            assert_eq!(replica.stamp(), before);
+            break;
+        }
+    }
+}
+
+type End = Endpoint<u32, 8, 64>;
+
+/// Two ends of a link under any order of operations, each one or two bytes: send, deliver, lose,
+/// hold back, damage, let time pass, begin anew. Then the wire is good: everything that was sent
+/// reliably in the last session has arrived once, and is acknowledged.
+pub fn links(data: &[u8]) {
+    let mut pair = Pair::new();
+    let mut operations = data.iter().copied();
+    while let Some(operation) = operations.next() {
+        let side = usize::from(operation >> 7);
+        match operation & 7 {
+            0 | 1 => pair.say(side, true),
+            2 => pair.say(side, false),
+            3 => pair.poll(side),
+            4 => pair.deliver(side, usize::from(operation >> 3 & 15)),
+            5 => {
+                let count = pair.wire[side].len();
+                if count > 0 {
+                    pair.wire[side].remove(usize::from(operation >> 3 & 15) % count);
+                }
+            }
+            6 => {
+                let (at, bit) = (operations.next().unwrap_or(0), operation >> 3 & 7);
+                // Checksums are off while fuzzing: what is damaged would be believed.
+                let frame = pair.wire[side].last_mut().filter(|_| !cfg!(fuzzing));
+                if let Some(frame) = frame
+                    && let Some(byte) = {
+                        let at = usize::from(at) % frame.len();
+                        frame.get_mut(at)
+                    }
+                {
+                    *byte ^= 1 << bit;
+                }
+            }
+            _ if operation & 0x7F == 0x7F => pair.begin(),
+            _ => pair.now = pair.now + Duration::from_millis(u64::from(operation >> 3 & 15) * 20),
+        }
+    }
+    pair.settle();
+}
+
+struct Pair {
+    ends: [End; 2],
+    /// What is on its way from each end.
+    wire: [Vec<Vec<u8>>; 2],
+    session: u32,
+    now: Instant,
+    /// Reliable numbers said by each end in this session, and what the other end heard of them.
+    said: [u32; 2],
+    heard: [Vec<u32>; 2],
+    acknowledged: [Vec<u32>; 2],
+    wanted: [Vec<Option<u32>>; 2],
+}
+
+impl Pair {
+    fn new() -> Self {
+        let mut pair = Self {
+            ends: [End::new(Direction::ToServer), End::new(Direction::ToRobot)],
+            wire: Default::default(),
+            session: 0,
+            now: Instant(0),
+            said: [0; 2],
+            heard: Default::default(),
+            acknowledged: Default::default(),
+            wanted: Default::default(),
+        };
+        pair.begin();
+        pair
+    }
+
+    fn begin(&mut self) {
+        self.session += 1;
+        self.ends.iter_mut().for_each(|end| end.begin(SessionId(self.session), 64));
+        self.said = [0; 2];
+        self.heard = Default::default();
+        self.acknowledged = Default::default();
+        self.wanted = Default::default();
+        if cfg!(fuzzing) {
+            // Without checksums, frames of the session before would be believed.
+            self.wire = Default::default();
+        }
+    }
+
+    fn say(&mut self, side: usize, reliable: bool) {
+        if self.wanted[side].len() < 8 {
+            let number = self.said[side];
+            self.said[side] += u32::from(reliable);
+            self.wanted[side].push(reliable.then_some(number));
+        }
+        self.poll(side);
+    }
+
+    fn poll(&mut self, side: usize) {
+        let (end, wanted, now) = (&mut self.ends[side], &mut self.wanted[side], self.now);
+        for _ in 0..64 {
+            let mut out = [0; 64];
+            let mut urgent = false;
+            if let Some(None) = wanted.first() {
+                urgent = true;
+            }
+            let sent =
+                end.poll_transmit(now, &mut out, urgent, |writer, reliable| match wanted.first() {
+                    Some(&Some(number)) if reliable => {
+                        assert!(writer.push(9, &number));
+                        wanted.remove(0);
+                        Fill::Reliable(number)
+                    }
+                    Some(None) => {
+                        assert!(writer.push(8, &0u8));
+                        wanted.remove(0);
+                        Fill::Datagram
+                    }
+                    _ => Fill::Nothing,
+                });
+            let Some(sent) = sent else { return };
+            if self.wire[side].len() < 64 {
+                self.wire[side].push(out[..sent.len].to_vec());
+            }
+        }
+        panic!("an end never stops sending");
+    }
+
+    fn deliver(&mut self, from: usize, index: usize) {
+        let count = self.wire[from].len();
+        if count == 0 {
+            return;
+        }
+        let frame = self.wire[from].remove(index % count);
+        let mut bytes = &frame[..];
+        let to = 1 - from;
+        while let Some(received) = self.ends[to].receive(&mut bytes, self.now) {
+            if let Received::Session(messages) = received {
+                for message in messages.map_while(Result::ok).filter(|it| it.kind == 9) {
+                    self.heard[to].extend(decode::<u32>(message.body).map(|(number, _)| number));
+                }
+            }
+        }
+        while let Some(number) = self.ends[to].poll_acknowledged() {
+            self.acknowledged[to].push(number);
+        }
+    }
+
+    fn settle(&mut self) {
+        for _ in 0..400 {
+            for side in [0, 1] {
+                self.poll(side);
+                while !self.wire[side].is_empty() {
+                    self.deliver(side, 0);
+                }
+            }
+            let timeouts = self.ends.each_ref().map(End::poll_timeout);
+            match timeouts.into_iter().flatten().min() {
+                Some(timeout) => self.now = self.now.max(timeout),
+                None if self.wanted.iter().all(Vec::is_empty) => break,
+                None => {}
+            }
+        }
+        for side in [0, 1] {
+            let all: Vec<u32> = (0..self.said[side]).collect();
+            self.heard[1 - side].sort_unstable();
+            assert_eq!(self.heard[1 - side], all, "each number arrives, and once");
+            self.acknowledged[side].sort_unstable();
+            assert_eq!(self.acknowledged[side], all, "each number is acknowledged, and once");
+        }
+    }
+}

@@ -1,0 +1,494 @@
+//! The vectors of the protocol, against the code. They are the law: **a vector that fails means
+//! that the code is wrong.** Vectors are added with `UBIMAP_WRITE_VECTORS=1 cargo test -p
+//! ubimap-tests --test vectors`; those of a released version never change.
+
+use std::{
+    collections::BTreeSet,
+    env,
+    fmt::Debug,
+    io::Write,
+    process::{Command, Stdio},
+    sync::Once,
+};
+
+use serde::{Serialize, de::DeserializeOwned};
+use serde_json::{Value, json};
+use ubimap_protocol::{
+    frame::{
+        Direction, FrameKind, Header, MIN_VERSION, SessionId, VERSION, cobs, crc32, open, seal,
+    },
+    link::{Answer, Endpoint, Fill, Received, Terms, answer},
+    message::{Hello, MalformedMessage, Messages, Writer, decode},
+    tile::{
+        Applied, BaseMissing, Digest, Epoch, MAX_TILES_PER_UPDATE, Replica, Stamp, TILE_CELLS,
+        TileDecoder, TileEncoder, TileError, TileId, Version, tile_hash,
+    },
+    time::Instant,
+    units::Millimetres,
+};
+use ubimap_tests::{
+    fuzz::{BodyVisitor, visit_body},
+    vectors::{direction, folder, hex, load, planes, tile, unhex},
+};
+
+#[path = "vectors/generate.rs"]
+mod generate;
+
+/// The longest contents (seal included) that the receiver of the refused frames takes.
+const FRAME_LIMIT: usize = 64;
+
+/// The cases of a file, which is written first if that was asked for.
+fn cases(file: &str) -> Value {
+    static WRITTEN: Once = Once::new();
+    WRITTEN.call_once(|| {
+        if env::var_os("UBIMAP_WRITE_VECTORS").is_some() {
+            generate::all();
+        }
+    });
+    load(file)
+}
+
+fn list(value: &Value) -> &[Value] {
+    let list = value.as_array().expect("a list");
+    assert!(!list.is_empty());
+    list
+}
+
+fn text<'v>(case: &'v Value, field: &str) -> &'v str {
+    case[field].as_str().unwrap_or_else(|| panic!("{field} of {case}"))
+}
+
+fn number(case: &Value, field: &str) -> u64 {
+    case[field].as_u64().unwrap_or_else(|| panic!("{field} of {case}"))
+}
+
+fn bytes(case: &Value, field: &str) -> Vec<u8> {
+    unhex(text(case, field))
+}
+
+fn stuff(contents: &[u8]) -> Vec<u8> {
+    let mut wire = vec![0; cobs::encoded_len(contents.len())];
+    let len = cobs::encode([contents, &[]], &mut wire).unwrap();
+    wire.truncate(len);
+    wire
+}
+
+/// A frame from its parts, the messages written one by one.
+fn frame(way: Direction, session: SessionId, header: Header, payload: &[u8]) -> Vec<u8> {
+    let mut buffer = vec![0; payload.len() + 8];
+    let mut writer = Writer::new(&mut buffer);
+    for message in Messages::new(payload) {
+        // Bytes that are no messages are for frames alone.
+        let Ok(message) = message else { return finish(way, session, header, payload) };
+        assert!(writer.push_with(message.kind, |body| {
+            body.get_mut(..message.body.len())?.copy_from_slice(message.body);
+            Some(message.body.len())
+        }));
+    }
+    let len = writer.len();
+    finish(way, session, header, &buffer[..len])
+}
+
+fn finish(way: Direction, session: SessionId, header: Header, payload: &[u8]) -> Vec<u8> {
+    let contents = [&header.encode()[..], payload].concat();
+    let tail = seal(session, way, &contents);
+    stuff(&[&contents[..], &tail].concat())
+}
+
+/// The contents of the one frame in these bytes.
+fn unstuff(wire: &[u8]) -> Vec<u8> {
+    let mut decoder = cobs::Decoder::<1024>::default();
+    decoder.next(&mut &wire[..]).expect("a frame").expect("a good one").to_vec()
+}
+
+#[test]
+fn stuffing() {
+    for case in list(&cases("frames")["stuffing"]) {
+        let (contents, wire) = (bytes(case, "contents"), bytes(case, "wire"));
+        assert_eq!(hex(&stuff(&contents)), hex(&wire), "{case}");
+        assert_eq!(hex(&unstuff(&wire)), hex(&contents), "{case}");
+    }
+}
+
+#[test]
+fn frames_read_and_write() {
+    for case in list(&cases("frames")["frames"]) {
+        let (way, session) = (direction(text(case, "direction")), number(case, "session") as u32);
+        let wire = bytes(case, "wire");
+        let frame_bytes = unstuff(&wire);
+        let contents = open(SessionId(session), way, &frame_bytes).expect("a good seal");
+        let (header, payload) = Header::decode(contents).expect("a header");
+        assert_eq!(u64::from(header.version), number(case, "version"), "{case}");
+        assert_eq!(format!("{:?}", header.kind).to_lowercase(), text(case, "kind"));
+        assert_eq!(u64::from(header.sequence), number(case, "sequence"), "{case}");
+        assert_eq!(hex(payload), text(case, "payload"));
+        assert_eq!(hex(&frame(way, SessionId(session), header, payload)), hex(&wire));
+    }
+}
+
+/// Decodes a body into JSON and back, and writes it again.
+struct Body<'a> {
+    body: &'a [u8],
+    fields: &'a Value,
+}
+
+impl BodyVisitor for Body<'_> {
+    type Output = Result<(Value, Vec<u8>, Vec<u8>), MalformedMessage>;
+
+    fn visit<T: Serialize + DeserializeOwned + PartialEq + Debug>(self) -> Self::Output {
+        let (message, rest) = decode::<T>(self.body)?;
+        if !self.fields.is_null() {
+            let said: T = serde_json::from_value(self.fields.clone()).unwrap();
+            assert_eq!(said, message);
+        }
+        let mut buffer = [0; 1024];
+        let mut writer = Writer::new(&mut buffer);
+        assert!(writer.push(1, &message));
+        let len = writer.len();
+        let written = Messages::new(&buffer[..len]).next().unwrap().unwrap();
+        Ok((serde_json::to_value(&message).unwrap(), rest.to_vec(), written.body.to_vec()))
+    }
+}
+
+#[test]
+fn messages_read_and_write() {
+    let mut seen = BTreeSet::new();
+    let mut times = [[0; 16]; 2];
+    for case in list(&cases("messages")) {
+        assert!(seen.insert(text(case, "name").to_owned()), "twice: {case}");
+        let way = direction(text(case, "direction"));
+        let (kind, body) = (number(case, "kind") as u8, bytes(case, "body"));
+        let read = visit_body(way, kind, Body { body: &body, fields: &case["fields"] });
+        let (fields, rest, mut written) = read.expect("a known kind").expect("a good message");
+        assert_eq!(fields, case["fields"], "{case}");
+        assert_eq!(hex(&rest), text(case, "rest"), "{case}");
+        written.extend(rest);
+        assert_eq!(hex(&written), hex(&body), "{case}");
+        times[way as usize][usize::from(kind)] += 1;
+    }
+    assert!(times[0][..=10].iter().chain(&times[1][..=14]).all(|&times| times >= 2), "{times:?}");
+}
+
+#[test]
+fn payloads_are_split() {
+    for case in list(&cases("payloads")) {
+        let payload = bytes(case, "payload");
+        let messages: Vec<_> = Messages::new(&payload)
+            .map(|message| message.expect("a good one"))
+            .map(|message| json!({ "kind": message.kind, "body": hex(message.body) }))
+            .collect();
+        assert_eq!(Value::Array(messages), case["messages"], "{case}");
+    }
+}
+
+fn stamp_of(case: &Value) -> Stamp {
+    Stamp {
+        epoch: Epoch(number(case, "epoch") as u32),
+        version: Version(number(case, "version") as u32),
+    }
+}
+
+fn id_of(case: &Value) -> TileId {
+    let side = |field: &str| i16::try_from(case[field].as_i64().unwrap()).unwrap();
+    TileId { x: side("x"), y: side("y") }
+}
+
+#[test]
+fn tiles_read_and_write() {
+    for case in list(&cases("tiles")) {
+        let coded = bytes(case, "coded");
+        let mut decoder = TileDecoder::new(&coded);
+        let mut out = vec![0; number(case, "room") as usize];
+        let mut encoder = TileEncoder::new(&mut out);
+        for part in list(&case["tiles"]) {
+            let header = decoder.header().unwrap().expect("one more tile");
+            assert_eq!((header.id, header.stamp), (id_of(part), stamp_of(part)), "{case}");
+            assert_eq!(header.base.map(|base| u64::from(base.0)), part["base"].as_u64());
+            assert_eq!(u64::from(header.start), number(part, "start"));
+            assert_eq!(u64::from(header.end), number(part, "end"));
+            let mut cells = tile(text(part, "before"));
+            let before = cells;
+            decoder.cells(&header, &mut cells);
+            assert_eq!(planes(&cells), text(part, "after"), "{}", case["name"]);
+            assert_eq!(u64::from(tile_hash(&cells)), number(part, "hash"));
+            // What comes after the part is unknown here, so the encoder may go on: it is cut
+            // short by its room where the vector is.
+            let whole = if header.end < TILE_CELLS { series_end(case) } else { cells };
+            let end =
+                encoder.push(header.id, header.stamp, header.base, header.start, &before, &whole);
+            assert_eq!(end, Some(header.end), "{}", case["name"]);
+        }
+        assert_eq!(decoder.header(), Ok(None), "{}", case["name"]);
+        let len = encoder.finish().unwrap();
+        assert_eq!(hex(&out[..len]), hex(&coded), "{}", case["name"]);
+    }
+}
+
+/// The whole tile that the parts of a case come from: what the last part leaves.
+fn series_end(case: &Value) -> ubimap_protocol::tile::Tile {
+    let series = text(case, "name").split(", part").next().unwrap();
+    let all = cases("tiles");
+    let last = list(&all).iter().rfind(|other| text(other, "name").starts_with(series)).unwrap();
+    tile(text(&last["tiles"][0], "after"))
+}
+
+/// What an update of one tile comes to at a replica.
+fn outcome_of(replica: &mut Replica, coded: &[u8]) -> &'static str {
+    let mut decoder = TileDecoder::new(coded);
+    let header = decoder.header().unwrap().unwrap();
+    match replica.apply(&header, &mut decoder) {
+        Ok(Applied::Complete) => "complete",
+        Ok(Applied::Partial) => "partial",
+        Err(BaseMissing) => "base missing",
+    }
+}
+
+#[test]
+fn replicas() {
+    for case in list(&cases("replica")) {
+        let mut replica = Replica::default();
+        for step in list(&case["steps"]) {
+            let outcome = outcome_of(&mut replica, &bytes(step, "coded"));
+            assert_eq!(outcome, text(step, "outcome"), "{}", case["name"]);
+            assert_eq!(replica.stamp(), stamp_of(step), "{}", case["name"]);
+            assert_eq!(u64::from(tile_hash(replica.tile())), number(step, "hash"));
+        }
+    }
+}
+
+#[test]
+fn digests() {
+    for case in list(&cases("digests")) {
+        let mut digest = Digest::default();
+        for tile in case["tiles"].as_array().unwrap() {
+            digest.add(id_of(tile), stamp_of(tile), number(tile, "hash") as u32);
+        }
+        assert_eq!(digest.0, number(case, "digest"), "{case}");
+    }
+}
+
+#[test]
+fn the_transcript_of_a_session() {
+    type End = Endpoint<u8, 8, 1024>;
+    let mut ends = [End::new(Direction::ToServer), End::new(Direction::ToRobot)];
+    let mut kinds = Vec::new();
+    for line in list(&cases("handshake")["transcript"]) {
+        let way = direction(text(line, "direction"));
+        let session = SessionId(number(line, "session") as u32);
+        let wire = bytes(line, "wire");
+        let contents = unstuff(&wire);
+        let (header, payload) =
+            Header::decode(open(session, way, &contents).expect("a good seal")).unwrap();
+        assert_eq!(hex(&frame(way, session, header, payload)), hex(&wire), "{line}");
+        let to = &mut ends[usize::from(way == Direction::ToServer)];
+        if session != SessionId::NONE && to.session() == SessionId::NONE {
+            ends.iter_mut().for_each(|end| end.begin(session, 250));
+        }
+        if line["lost"].as_bool().unwrap() {
+            continue;
+        }
+        let to = &mut ends[usize::from(way == Direction::ToServer)];
+        let mut input = &wire[..];
+        match to.receive(&mut input, Instant(0)).expect("a frame") {
+            Received::Handshake(message) => {
+                assert_eq!(session, SessionId::NONE);
+                kinds.push(message.kind);
+            }
+            Received::Session(messages) => {
+                assert_ne!(session, SessionId::NONE);
+                kinds.extend(messages.map(|message| message.unwrap().kind));
+            }
+            Received::Bad => panic!("{line}"),
+        }
+    }
+    assert_eq!(kinds, [7, 1, 1, 2, 4, 2, 3, 0, 5, 0, 13, 0, 11]);
+    assert!(ends.iter().all(|end| end.counters().bad + end.counters().refused == 0));
+}
+
+#[test]
+fn hellos_are_answered() {
+    for case in list(&cases("handshake")["answers"]) {
+        let hello: Hello = decode(&bytes(case, "hello")).unwrap().0;
+        let terms = Terms {
+            resolution: Millimetres(number(case, "resolution") as i32),
+            frame: number(case, "frame") as u16,
+            server_epoch: number(case, "server_epoch") as u32,
+            stores: case["stores"].as_bool().unwrap(),
+        };
+        let session = SessionId(number(case, "session") as u32);
+        let mut buffer = [0; 64];
+        let mut writer = Writer::new(&mut buffer);
+        match answer(&hello, &terms, session, number(case, "first_epoch") as u32) {
+            Answer::Welcome(welcome) => assert!(writer.push(1, &welcome)),
+            Answer::Refusal(refusal) => assert!(writer.push(5, &refusal)),
+        }
+        let len = writer.len();
+        assert_eq!(u64::from(buffer[0]), number(case, "kind"), "{case}");
+        assert_eq!(hex(&buffer[2..len]), text(case, "body"), "{case}");
+    }
+}
+
+#[test]
+fn reliable_frames_are_acknowledged() {
+    for case in list(&cases("window")) {
+        let mut end = Endpoint::<u8, 8, 64>::new(Direction::ToRobot);
+        end.begin(SessionId(number(case, "session") as u32), 64);
+        for frame in list(&case["frames"]) {
+            let before = end.counters();
+            let wire = bytes(frame, "wire");
+            let mut input = &wire[..];
+            let Some(Received::Session(messages)) = end.receive(&mut input, Instant(0)) else {
+                panic!("{frame}")
+            };
+            let new = messages.count() == 1;
+            let duplicate = end.counters().duplicates > before.duplicates;
+            let refused = end.counters().refused > before.refused;
+            let outcome = match (new, duplicate, refused) {
+                (true, false, false) => "new",
+                (false, true, false) => "duplicate",
+                (false, false, true) => "refused",
+                _ => panic!("{frame}"),
+            };
+            assert_eq!(outcome, text(frame, "outcome"), "{frame} of {}", case["name"]);
+        }
+        let due = end.poll_timeout().unwrap();
+        let mut out = [0; 64];
+        let sent = end.poll_transmit(due, &mut out, false, |_, _| Fill::Nothing).unwrap();
+        assert_eq!(hex(&out[..sent.len]), text(case, "answer"), "{}", case["name"]);
+    }
+}
+
+/// Why a frame is refused, by the rules of the specification in their order.
+fn error_of(wire: &[u8], way: Direction, session: SessionId) -> Option<&'static str> {
+    let mut decoder = cobs::Decoder::<FRAME_LIMIT>::default();
+    let frame = match decoder.next(&mut &wire[..]).expect("a delimiter") {
+        Err(cobs::CobsError::Truncated) => return Some("truncated"),
+        Err(cobs::CobsError::TooLong) => return Some("too long"),
+        Ok(frame) => frame,
+    };
+    let within = open(session, way, frame);
+    let Some(contents) = within.or_else(|| open(SessionId::NONE, way, frame)) else {
+        return Some("seal");
+    };
+    let Some((header, payload)) = Header::decode(contents) else { return Some("header") };
+    if within.is_some() == (header.kind == FrameKind::Handshake) {
+        return Some("kind");
+    }
+    if within.is_none() {
+        return (!matches!(Messages::new(payload).next(), Some(Ok(_)))).then_some("payload");
+    }
+    if !(MIN_VERSION..=VERSION).contains(&header.version) {
+        return Some("version");
+    }
+    (header.kind == FrameKind::Reliable && header.sequence > 32).then_some("sequence")
+}
+
+#[test]
+fn what_is_no_good_is_refused() {
+    let refused = cases("refused");
+    for case in list(&refused["frames"]) {
+        let (way, session) = (direction(text(case, "direction")), number(case, "session") as u32);
+        let wire = bytes(case, "wire");
+        assert_eq!(error_of(&wire, way, SessionId(session)), Some(text(case, "error")), "{case}");
+        // The endpoint says the same, and reads the good frame that follows.
+        let mut end = Endpoint::<u8, 8, FRAME_LIMIT>::new(Direction::ToRobot);
+        end.begin(SessionId(session), FRAME_LIMIT);
+        let header = Header { version: 1, kind: FrameKind::Datagram, sequence: 0 };
+        let good = frame(way, SessionId(session), header, &[200, 0]);
+        let stream = [&wire[..], &good].concat();
+        let mut input = &stream[..];
+        let mut read = 0;
+        while let Some(received) = end.receive(&mut input, Instant(0)) {
+            if let Received::Session(messages) = received {
+                read += messages.count();
+            }
+        }
+        let bad = u32::from(["truncated", "too long", "seal"].contains(&text(case, "error")));
+        let counters = end.counters();
+        assert_eq!((counters.bad, counters.refused, read), (bad, 1 - bad, 1), "{case}");
+    }
+    for case in list(&refused["payloads"]) {
+        let payload = bytes(case, "payload");
+        let read: Vec<_> = Messages::new(&payload).collect();
+        let (last, before) = read.split_last().unwrap();
+        assert_eq!(last, &Err(MalformedMessage), "{case}");
+        assert_eq!(before.len() as u64, number(case, "messages_before"), "{case}");
+        assert!(before.iter().all(Result::is_ok));
+    }
+    for case in list(&refused["messages"]) {
+        let way = direction(text(case, "direction"));
+        let (kind, body) = (number(case, "kind") as u8, bytes(case, "body"));
+        let read = visit_body(way, kind, Body { body: &body, fields: &Value::Null });
+        assert_eq!(read.expect("a known kind"), Err(MalformedMessage), "{case}");
+        assert_eq!(text(case, "error"), "malformed");
+    }
+    for case in list(&load("coder")["refused"]) {
+        let coded = bytes(case, "coded");
+        let mut decoder = TileDecoder::new(&coded);
+        let mut before = 0;
+        let error = loop {
+            match decoder.header() {
+                Ok(Some(header)) => {
+                    decoder.cells(&header, &mut tile(&"00".repeat(256)));
+                    before += 1;
+                }
+                Ok(None) => panic!("not refused: {case}"),
+                Err(TileError::Malformed) => break "malformed",
+                Err(TileError::TooManyTiles) => break "too many tiles",
+            }
+        };
+        assert_eq!((error, before), (text(case, "error"), number(case, "tiles_before")), "{case}");
+    }
+    assert_eq!(MAX_TILES_PER_UPDATE, 32);
+}
+
+/// Every example of the specification is a case of the vectors: a block that is tagged
+/// `vector FILE FIELD NAME` holds that field of that case.
+#[test]
+fn the_examples_of_the_specification() {
+    let path = folder().join("../../protocol/SPEC.md");
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut blocks = 0;
+    for block in text.split("```vector ").skip(1) {
+        let (tag, rest) = block.split_once('\n').unwrap();
+        let shown = unhex(rest.split("```").next().unwrap());
+        let mut tag = tag.splitn(3, ' ');
+        let (file, field, name) = (tag.next().unwrap(), tag.next().unwrap(), tag.next().unwrap());
+        let found = find(&cases(file), name).unwrap_or_else(|| panic!("no case {name} in {file}"));
+        assert_eq!(hex(&shown), self::text(&found, field), "{name}");
+        blocks += 1;
+    }
+    assert!(blocks >= 8, "{blocks} examples");
+    assert_eq!(crc32(&[b"123456789"]), 0xCBF4_3926);
+    assert!(text.contains("0xCBF43926"));
+}
+
+fn find(value: &Value, name: &str) -> Option<Value> {
+    match value {
+        Value::Array(cases) => cases.iter().find_map(|case| find(case, name)),
+        Value::Object(fields) if fields.get("name").is_some_and(|it| it == name) => {
+            Some(value.clone())
+        }
+        Value::Object(fields) => fields.values().find_map(|inner| find(inner, name)),
+        _ => None,
+    }
+}
+
+/// The same vectors, read by a decoder that was written from the specification in another
+/// language.
+#[test]
+fn a_second_implementation_agrees() {
+    let script = folder().join("../python/check_vectors.py");
+    let run = Command::new("python3").arg("-B").arg(script).stdin(Stdio::null()).output();
+    let output = match run {
+        Ok(output) => output,
+        Err(error) => {
+            assert!(env::var_os("CI").is_none(), "python3: {error}");
+            let _ = writeln!(std::io::stderr(), "left out: the vectors in Python: {error}");
+            return;
+        }
+    };
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    assert!(said.contains(" passed, 0 failed"), "{said}");
+}
