@@ -712,11 +712,18 @@ class Replica:
     def apply(self, update):
         header = update.header()
         epoch, version = header["epoch"], header["version"]
-        if header["start"] == 0 and header["base"] is None:
-            if (epoch, version) < (self.epoch, self.version):
+        whole, held = header["base"] is None, (self.epoch, self.version)
+        begun = (self.epoch, self.partial[0]) if self.partial else held
+        if whole and header["start"] == 0:
+            if (epoch, version) <= held or (epoch, version) < begun:
                 update.cells(header, UNKNOWN)
-                return "complete"
+                return "old"
             self.cells = list(UNKNOWN)
+        elif whole and not self.partial and (epoch, version) == held:
+            start, end = header["start"], header["end"]
+            part = update.cells(header, self.cells[:start] + list(UNKNOWN)[start:])
+            self.cells[start:end] = part[start:end]
+            return "complete"
         elif header["start"] == 0:
             if (self.epoch, self.version) != (epoch, header["base"]) or self.partial:
                 return "base missing"

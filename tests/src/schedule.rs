@@ -240,7 +240,7 @@ impl Schedule {
         }
         // Some of the worlds are full of rubble, and their tiles long.
         let mut rubble = ChaCha8Rng::seed_from_u64(self.seed);
-        let density = if self.seed % 2 == 0 { 0.0 } else { 0.9 };
+        let density = if self.seed.is_multiple_of(2) { 0.0 } else { 0.9 };
         let mut step = 0;
         while Instant(step * STEP.0) < self.calm {
             star.run_until(Instant(step * STEP.0));

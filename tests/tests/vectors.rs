@@ -239,6 +239,7 @@ fn outcome_of(replica: &mut Replica, coded: &[u8]) -> &'static str {
     match replica.apply(&header, &mut decoder) {
         Ok(Applied::Complete) => "complete",
         Ok(Applied::Partial) => "partial",
+        Ok(Applied::Old) => "old",
         Err(BaseMissing) => "base missing",
     }
 }

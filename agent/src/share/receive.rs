@@ -193,11 +193,15 @@ impl<'b> FusedMap<'b> {
     /// cells are held are asked for.
     pub fn compare(&mut self, digests: &Digests) {
         for digest in &digests.tiles {
-            let place = self.places.iter().find(|place| place.id == Some(digest.id));
+            let place = self.places.iter_mut().find(|place| place.id == Some(digest.id));
             let level = place.is_some_and(|place| {
                 let (held, told) = (place.replica.stamp(), digest.stamp);
-                let hash = tile_hash(place.replica.tile());
-                held > told || held == told && hash == digest.hash
+                let other = held == told && tile_hash(place.replica.tile()) != digest.hash;
+                if other {
+                    // It must be dropped: the same state would be taken for an old one.
+                    *place = FusedTile::FREE;
+                }
+                held >= told && !other
             });
             let wanted = self.interest.is_some_and(|interest| interest.contains(digest.id));
             if wanted && !level {
