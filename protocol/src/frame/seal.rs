@@ -43,7 +43,9 @@ pub fn seal(session: SessionId, direction: Direction, contents: &[u8]) -> [u8; S
 /// The header and payload of a frame whose seal is good, or `None`.
 pub fn open(session: SessionId, direction: Direction, frame: &[u8]) -> Option<&[u8]> {
     let (contents, found) = frame.split_at_checked(frame.len().checked_sub(SEAL_LEN)?)?;
-    (seal(session, direction, contents) == found).then_some(contents)
+    // A fuzzer would spend its time on checksums.
+    let good = seal(session, direction, contents) == found || cfg!(fuzzing);
+    good.then_some(contents)
 }
 
 /// The CRC-32 (ISO-HDLC) of some bytes; also the hash of tiles and maps.

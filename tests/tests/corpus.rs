@@ -1,0 +1,114 @@
+//! What the fuzzer has kept, and a few thousand changes of it that are the same in every run.
+
+use std::{
+    fs,
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::Path,
+    time::{Duration, Instant},
+};
+
+use ubimap_tests::{
+    fuzz::{frames, links, messages, tiles},
+    vectors::hex,
+};
+
+/// Changed inputs for each target.
+const CHANGED: usize = 3_000;
+/// The longest input that is made.
+const LONGEST: usize = 1_500;
+/// What no input may take, on a machine however busy: most take less than a millisecond.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+#[test]
+fn frames_hold() {
+    run("frames", frames);
+}
+
+#[test]
+fn messages_hold() {
+    run("messages", messages);
+}
+
+#[test]
+fn tiles_hold() {
+    run("tiles", tiles);
+}
+
+#[test]
+fn links_hold() {
+    run("links", links);
+}
+
+fn run(name: &str, target: fn(&[u8])) {
+    let kept = kept(name);
+    kept.iter().for_each(|input| check(target, input));
+    let mut dice = Dice(name.len() as u64);
+    for _ in 0..CHANGED {
+        let mut input = kept[dice.below(kept.len())].clone();
+        for _ in 0..1 + dice.below(6) {
+            change(&mut input, &kept, &mut dice);
+        }
+        input.truncate(LONGEST);
+        check(target, &input);
+    }
+}
+
+fn kept(name: &str) -> Vec<Vec<u8>> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/kept").join(name);
+    let mut paths: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    paths.sort();
+    assert!(paths.len() >= 5, "{name}: {} inputs", paths.len());
+    paths.iter().map(|path| fs::read(path).unwrap()).collect()
+}
+
+fn check(target: fn(&[u8]), input: &[u8]) {
+    let start = Instant::now();
+    let result = catch_unwind(AssertUnwindSafe(|| target(input)));
+    // The panic's own message has been printed above.
+    assert!(result.is_ok(), "the input was {}", hex(input));
+    assert!(start.elapsed() < PATIENCE, "too slow: {}", hex(input));
+}
+
+fn change(input: &mut Vec<u8>, kept: &[Vec<u8>], dice: &mut Dice) {
+    let at = dice.below(input.len() + 1);
+    let end = (at + 1 + dice.below(8)).min(input.len());
+    match dice.below(7) {
+        0 => input.insert(at, dice.byte()),
+        1 => input.truncate(at),
+        2 if at < end => drop(input.drain(at..end)),
+        3 if at < end => {
+            let again = input[at..end].to_vec();
+            input.splice(at..at, again);
+        }
+        4 => {
+            let other = &kept[dice.below(kept.len())];
+            let from = dice.below(other.len() + 1);
+            input.truncate(at);
+            input.extend(&other[from..]);
+        }
+        5 if at < end => input[at] = [0, 1, 0x7F, 0x80, 0xFF][dice.below(5)],
+        _ if at < end => input[at] ^= 1 << dice.below(8),
+        _ => input.push(dice.byte()),
+    }
+}
+
+/// SplitMix64.
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        mixed ^ mixed >> 31
+    }
+
+    fn below(&mut self, bound: usize) -> usize {
+        (self.next() % bound as u64) as usize
+    }
+
+    fn byte(&mut self) -> u8 {
+        self.next() as u8
+    }
+}
