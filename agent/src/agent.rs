@@ -17,7 +17,7 @@ use crate::{
     inbox::{Inbox, Knock},
     locate::{Located, Locator},
     map::{LocalMap, MAX_RADIUS, Pool, SightingConfig, scratch_words},
-    parameters::carry_out,
+    parameters::{carry_out, push_report},
     sense::{Beam, ScanError, WaitingScans, fill_beams},
     share::{Commands, FusedMap, Publisher},
     statistics::Statistics,
@@ -218,8 +218,7 @@ impl<'b> Agent<'b> {
             if writer.len() > before || !reliable {
                 return Fill::Datagram;
             }
-            if let Some(report) = report.take() {
-                push(writer, ToServerKind::ParameterReport, &report);
+            if push_report(report, writer) {
                 return Fill::Reliable(Token::Other);
             }
             if let Some(interest) = fused.untold() {

@@ -4,7 +4,7 @@ use heapless::Vec;
 use ubimap_protocol::{
     message::{
         MAX_PARAMETERS, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport,
-        ParameterValue,
+        ParameterValue, ToServerKind, Writer,
     },
     time::Duration,
     units::{Angle, Millimetres},
@@ -125,6 +125,25 @@ pub(crate) fn carry_out(command: &ParameterCommand, config: &mut Config) -> Para
 
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 
+/// Adds as much of a report to a frame as there is room for; the rest stays for the next one.
+/// `false` if there is none.
+pub(crate) fn push_report(report: &mut Option<ParameterReport>, writer: &mut Writer<'_>) -> bool {
+    let Some(whole) = report else { return false };
+    for count in (0..=whole.values.len()).rev() {
+        let mut part = whole.clone();
+        part.values.truncate(count);
+        if writer.push(ToServerKind::ParameterReport as u8, &part) {
+            whole.values.rotate_left(count);
+            whole.values.truncate(whole.values.len().saturating_sub(count));
+            if whole.values.is_empty() {
+                *report = None;
+            }
+            return true;
+        }
+    }
+    false
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -154,6 +173,27 @@ mod tests {
         }
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
         assert_eq!(carry_out(&list, &mut config).values.len(), Parameter::ALL.len());
+    }
+
+    #[test]
+    fn a_report_that_is_too_long_for_a_frame_comes_in_parts() {
+        let list = ParameterCommand { number: 1, action: ParameterAction::List };
+        let mut report = Some(carry_out(&list, &mut config()));
+        let mut numbers = std::vec::Vec::new();
+        for _ in 0..Parameter::ALL.len() {
+            let mut frame = [0; 24];
+            let mut writer = Writer::new(&mut frame);
+            if !push_report(&mut report, &mut writer) {
+                break;
+            }
+            let len = writer.len();
+            let message = ubimap_protocol::message::Messages::new(&frame[..len]).next().unwrap();
+            let body = message.unwrap().body;
+            let part = ubimap_protocol::message::decode::<ParameterReport>(body).unwrap().0;
+            numbers.extend(part.values.iter().map(|value| value.parameter));
+        }
+        assert_eq!(report, None);
+        assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 7]);
     }
 
     #[test]

@@ -12,11 +12,11 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::channel::fault::Faults;
+use ubimap_sim_host::{channel::fault::Faults, run::fleet::AgentMemory};
 
 use crate::{
     boxes::{Boxes, Fan, Walk},
-    star::{Life, Robot, Star},
+    star::{Robot, Star},
 };
 
 /// Between two moments at which the robots move.
@@ -223,8 +223,8 @@ impl Schedule {
     /// If it never holds what it wants.
     pub fn level_after(&self, who: Newcomer) -> Level {
         let plans = [&self.plans[0], &self.plans[1], &self.plans[1]];
-        let mut lives =
-            plans.map(|plan| Life::new(&plan.config, self.sensor.beams, plan.own, plan.fused));
+        let mut lives = plans
+            .map(|plan| AgentMemory::new(&plan.config, self.sensor.beams, plan.own, plan.fused));
         let [first, second, third] = &mut lives;
         let terms = self.terms();
         let mut star = Star::new(terms, self.ports, self.seed);
@@ -318,9 +318,9 @@ impl Schedule {
             Happening::Boot { robot } => Some(*robot),
             _ => None,
         });
-        let mut lives: Vec<Life> = boots
+        let mut lives: Vec<AgentMemory> = boots
             .map(|robot| &self.plans[robot])
-            .map(|plan| Life::new(&plan.config, self.sensor.beams, plan.own, plan.fused))
+            .map(|plan| AgentMemory::new(&plan.config, self.sensor.beams, plan.own, plan.fused))
             .collect();
         let mut lives = lives.iter_mut();
         let mut star = Star::new(terms, self.ports, self.seed);

@@ -8,12 +8,7 @@ use std::{
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_agent::{
-    Agent, Config, Memory, Statistics,
-    map::{OwnTile, scratch_words},
-    sense::Beam,
-    share::FusedTile,
-};
+use ubimap_agent::{Agent, Config, Statistics};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MAX_FRAME, SessionId, cobs, open},
     link::{Counters, Terms},
@@ -25,46 +20,14 @@ use ubimap_sim_host::{
     camera::Observation,
     channel::fault::{FaultWire, Faults},
     mapping::{SeenTile, fuse},
-    server::Server,
+    run::fleet::AgentMemory,
+    server::{Command, CommandError, Server},
 };
 
 /// Rounds of input and output at one moment, after which time is taken to stand still for good.
 const MOST_ROUNDS: u32 = 2_000;
 /// Frames that a way remembers, so that they can be replayed: the first, and the last.
 const REMEMBERED: usize = 40;
-
-/// The memory of one life of a robot.
-#[derive(Debug)]
-pub struct Life {
-    beams: Vec<Beam>,
-    waiting: Vec<u16>,
-    scratch: Vec<u32>,
-    own: Vec<OwnTile>,
-    fused: Vec<FusedTile>,
-}
-
-impl Life {
-    /// Memory for scans of so many readings and so many tiles.
-    pub fn new(config: &Config, readings: usize, own: usize, fused: usize) -> Self {
-        Self {
-            beams: vec![Beam::default(); readings],
-            waiting: vec![0; readings * 4],
-            scratch: vec![0; scratch_words(config.max_range, config.resolution)],
-            own: vec![OwnTile::FREE; own],
-            fused: vec![FusedTile::default(); fused],
-        }
-    }
-
-    fn lend(&mut self) -> Memory<'_> {
-        Memory {
-            beams: &mut self.beams,
-            waiting: &mut self.waiting,
-            scratch: &mut self.scratch,
-            own: &mut self.own,
-            fused: &mut self.fused,
-        }
-    }
-}
 
 /// One direction of a robot's channel.
 #[derive(Debug)]
@@ -256,8 +219,18 @@ impl<'b> Star<'b> {
         &self.server
     }
 
+    /// The server commands a robot.
+    ///
+    /// # Errors
+    /// Every [`CommandError`].
+    pub fn command(&mut self, robot: usize, command: Command) -> Result<(), CommandError> {
+        let done = self.server.command(self.robots[robot].id, command);
+        self.drain();
+        done
+    }
+
     /// A robot boots, for the first time or anew, with fresh memory.
-    pub fn boot(&mut self, robot: usize, config: Config, life: &'b mut Life) {
+    pub fn boot(&mut self, robot: usize, config: Config, life: &'b mut AgentMemory) {
         let start = self.rng.random_range(0..600_000_000);
         let robot = &mut self.robots[robot];
         let agent = Agent::new(config, life.lend());

@@ -7,7 +7,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     channel::fault::Faults,
-    run::fleet::{AgentMemory, Event, Fleet, OWN_TILES, Stage},
+    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
 };
 
 /// A robot that does nothing until some moment.
@@ -27,7 +27,7 @@ impl Stage for Idle {
 fn bytes_up_after(seconds: u64, faults: Faults) -> u64 {
     let model = SensorModel::Radial { first: -1.5, step: 0.1 };
     let config = Config::new(RobotId(1), model);
-    let mut memory = [AgentMemory::new(&config, 30, OWN_TILES)];
+    let mut memory = [AgentMemory::new(&config, 30, OWN_TILES, FUSED_TILES)];
     let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1).unwrap();
     fleet.run(&mut Idle(Some(Instant(0) + Duration::from_secs(seconds))), |_| {});
     fleet.robots()[0].agent().statistics().bytes_sent

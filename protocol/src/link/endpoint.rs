@@ -14,6 +14,9 @@ use crate::{
 /// the longest message that cannot be split (a state, 28 bytes) might not fit.
 const ROOM_FOR_TWO: usize = 40;
 
+/// Bytes of an acknowledgement at the most, kind and length included.
+const ACK_LEN: usize = 10;
+
 /// What an endpoint has counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
@@ -125,6 +128,12 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
     /// Whether there is a session and room for one more reliable frame.
     pub fn can_send_reliable(&self) -> bool {
         self.session != SessionId::NONE && self.sending.next_sequence().is_some()
+    }
+
+    /// Bytes of messages that fit a frame of this session, whatever else it must carry.
+    pub fn room(&self) -> usize {
+        let room = payload_capacity(self.frame);
+        if room < ROOM_FOR_TWO { room } else { room.saturating_sub(ACK_LEN) }
     }
 
     /// Takes bytes from the front of `input` until there is something to say of them. Call it

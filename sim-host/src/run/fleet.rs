@@ -63,6 +63,7 @@ pub trait Stage {
 }
 
 /// The memory of one agent, sized like a robot's.
+#[derive(Debug)]
 pub struct AgentMemory {
     beams: Vec<Beam>,
     waiting: Vec<u16>,
@@ -72,18 +73,19 @@ pub struct AgentMemory {
 }
 
 impl AgentMemory {
-    /// Memory for scans of so many readings, and a pool of so many tiles.
-    pub fn new(config: &Config, readings: usize, own_tiles: usize) -> Self {
+    /// Memory for scans of so many readings, and for so many tiles of its own and fused ones.
+    pub fn new(config: &Config, readings: usize, own_tiles: usize, fused_tiles: usize) -> Self {
         Self {
             beams: vec![Beam::default(); readings],
             waiting: vec![0; readings * WAITING_SCANS],
             scratch: vec![0; scratch_words(config.max_range, config.resolution)],
             own: vec![OwnTile::FREE; own_tiles],
-            fused: vec![FusedTile::default(); FUSED_TILES],
+            fused: vec![FusedTile::FREE; fused_tiles],
         }
     }
 
-    fn lend(&mut self) -> Memory<'_> {
+    /// Lends it to an agent.
+    pub fn lend(&mut self) -> Memory<'_> {
         Memory {
             beams: &mut self.beams,
             waiting: &mut self.waiting,

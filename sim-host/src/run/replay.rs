@@ -14,7 +14,7 @@ use ubimap_protocol::{
 
 use super::{
     Outcome, RunError, figures,
-    fleet::{AgentMemory, Event, Fleet, OWN_TILES, Stage},
+    fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
     options::ReplayOptions,
     progress::Progress,
 };
@@ -40,8 +40,10 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
     let configs: Vec<Config> =
         (1..=recording.robots as u16).map(|robot| config(RobotId(robot), &log, options)).collect();
     let readings = log.sensor.readings();
-    let mut memory: Vec<AgentMemory> =
-        configs.iter().map(|config| AgentMemory::new(config, readings, own_tiles)).collect();
+    let mut memory: Vec<AgentMemory> = configs
+        .iter()
+        .map(|config| AgentMemory::new(config, readings, own_tiles, FUSED_TILES))
+        .collect();
     let faults = options.run.channel.faults();
     let mut fleet =
         Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed)?;

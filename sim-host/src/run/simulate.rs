@@ -15,7 +15,7 @@ use ubimap_protocol::{
 
 use super::{
     Outcome, RunError, figures,
-    fleet::{AgentMemory, Event, Fleet, OWN_TILES, Stage},
+    fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
     options::SimulateOptions,
     progress::Progress,
 };
@@ -58,7 +58,9 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         .robots()
         .iter()
         .zip(&configs)
-        .map(|(robot, config)| AgentMemory::new(config, robot.sensor().beams(), own_tiles))
+        .map(|(robot, config)| {
+            AgentMemory::new(config, robot.sensor().beams(), own_tiles, FUSED_TILES)
+        })
         .collect();
     let faults = options.run.channel.faults();
     let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, options.run.seed)?;

@@ -30,6 +30,11 @@ impl Command {
         matches!(self, Self::Stop(_) | Self::Path(_) | Self::Parameter(_))
     }
 
+    /// Whether it holds until another one of its kind comes.
+    pub(super) fn stands(&self) -> bool {
+        matches!(self, Self::Stop(_) | Self::Path(_))
+    }
+
     /// Whether a newer command makes this one, unsent as yet, obsolete.
     pub(super) fn is_replaced_by(&self, newer: &Self) -> bool {
         !matches!(self, Self::Parameter(_))

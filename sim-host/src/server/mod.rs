@@ -6,4 +6,4 @@ mod server;
 mod session;
 
 pub use command::Command;
-pub use server::{NoSession, NoSuchPort, Server};
+pub use server::{CommandError, NoSuchPort, Server};

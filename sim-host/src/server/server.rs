@@ -7,7 +7,8 @@ use ubimap_protocol::{
     link::{Answer, Counters, Received, Terms, answer},
     message::{
         Ack, Digests, DistanceVector, Event, Hello, Interest, Message, Messages, ParameterReport,
-        Request, State, TileDigest, TileUpdateHead, TimeRequest, ToRobotKind, ToServerKind, decode,
+        Request, State, TileDigest, TileUpdateHead, TimeRequest, ToRobotKind, ToServerKind, Writer,
+        decode,
     },
     tile::{Epoch, Layer, TileId, tile_hash},
     time::{Duration, Instant},
@@ -26,9 +27,9 @@ use crate::{
 /// At most this often a robot is told that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
 /// A robot states how it fares every two seconds. A session of which nothing has been heard for so
-/// long, where frames of something else come in, is not the one that the robot has: an old hello
+/// long (not even seven states on a bad link), where frames of something else come in, is not the one that the robot has: an old hello
 /// may have opened it.
-const SILENCE: Duration = Duration::from_secs(5);
+const SILENCE: Duration = Duration::from_secs(15);
 
 /// One way in: a serial port, a simulated channel. At most one robot is behind it.
 #[derive(Debug)]
@@ -70,10 +71,16 @@ pub struct Server {
 #[error("the server has no port {0}")]
 pub struct NoSuchPort(pub usize);
 
-/// A robot that has no session.
+/// Why a command is not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("robot {} has no session", .0.0)]
-pub struct NoSession(pub RobotId);
+pub enum CommandError {
+    /// The robot has no session.
+    #[error("robot {} has no session", .0.0)]
+    NoSession(RobotId),
+    /// It does not fit the frames that were agreed on with the robot.
+    #[error("the command is too long for the frames of robot {}: shorten it", .0.0)]
+    TooLong(RobotId),
+}
 
 impl Server {
     /// A server with so many ports and an empty map.
@@ -189,16 +196,19 @@ impl Server {
     /// A command for a robot.
     ///
     /// # Errors
-    /// [`NoSession`].
-    pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), NoSession> {
-        let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
-        match sessions.find(|session| session.robot == robot) {
-            Some(session) => {
+    /// Every [`CommandError`].
+    pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), CommandError> {
+        for port in &mut self.ports {
+            if let Some(session) = port.session.as_mut().filter(|it| it.robot == robot) {
+                let mut frame = vec![0; port.link.room()];
+                if !command.write(&mut Writer::new(&mut frame)) {
+                    return Err(CommandError::TooLong(robot));
+                }
                 session.command(command);
-                Ok(())
+                return Ok(());
             }
-            None => Err(NoSession(robot)),
         }
+        Err(CommandError::NoSession(robot))
     }
 
     /// What a robot last reported of its parameters.
@@ -320,9 +330,10 @@ impl Server {
         if let (Answer::Welcome(welcome), false) = (answered, known) {
             self.next_session = self.next_session.wrapping_add(1);
             // A robot has one session: it may have moved to another port.
+            let mut last = None;
             for port in &mut self.ports {
                 if port.session.as_ref().is_some_and(|session| session.robot == hello.robot) {
-                    port.session = None;
+                    last = port.session.take();
                     port.link.end();
                 }
             }
@@ -330,7 +341,10 @@ impl Server {
                 port.link.begin(id, usize::from(welcome.frame));
                 // A reset that was due was for what came before.
                 port.reset.due = false;
-                let session = Session::new(hello.robot, hello.nonce, hello.fused_tiles, now);
+                let mut session = Session::new(hello.robot, hello.nonce, hello.fused_tiles, now);
+                if let Some(last) = last {
+                    session.continue_from(last);
+                }
                 port.session = Some(session);
                 log::info!("robot {} has a session on port {index}", hello.robot.0);
             }

@@ -53,6 +53,8 @@ pub(super) struct Session {
     times: Vec<(u16, Instant)>,
     /// Commands that have not been sent yet, in order.
     commands: VecDeque<Command>,
+    /// The newest of each command that holds until it is replaced: a new session repeats them.
+    standing: Vec<Command>,
     /// What the robot last reported of its parameters.
     pub(super) parameters: Option<ParameterReport>,
     /// The tile whose digest was sent last, and when the next ones are due.
@@ -81,6 +83,7 @@ impl Session {
             fix_due: false,
             times: Vec::new(),
             commands: VecDeque::new(),
+            standing: Vec::new(),
             parameters: None,
             digested: None,
             next_digests: now + DIGEST_INTERVAL,
@@ -104,10 +107,23 @@ impl Session {
     /// A command for the robot. One that has not been sent gives way to a newer one of its kind.
     pub(super) fn command(&mut self, command: Command) {
         self.commands.retain(|waiting| !waiting.is_replaced_by(&command));
+        if command.stands() {
+            self.standing.retain(|standing| !standing.is_replaced_by(&command));
+            self.standing.push(command.clone());
+        }
         if command.is_urgent() {
             self.commands.push_front(command);
         } else {
             self.commands.push_back(command);
+        }
+    }
+
+    /// Takes over what an earlier session of the same robot left: commands that have not been sent,
+    /// those that stand, and what was reported.
+    pub(super) fn continue_from(&mut self, earlier: Self) {
+        self.parameters = earlier.parameters;
+        for command in earlier.standing.into_iter().chain(earlier.commands) {
+            self.command(command);
         }
     }
 

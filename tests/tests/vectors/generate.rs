@@ -766,7 +766,10 @@ fn replica() -> Value {
     (0..usize::from(end))
         .for_each(|at| held.set(at % 32, at / 32, noise(1).cell(at % 32, at / 32)));
     let second = one(900, stamp(2, 5), None, end, &held, &noise(1));
+    let held_already = one(1000, stamp(2, 5), None, 0, &unknown, &noise(1));
     let cases = [
+        ("held already, and comes in parts", vec![&held_already, &first, &second]),
+        ("an older whole tile between two parts", vec![&first, &whole, &second]),
         ("whole, then a change", vec![&whole, &change]),
         ("a change without its base", vec![&change]),
         ("the same update twice", vec![&whole, &whole, &change, &change]),

@@ -1,0 +1,68 @@
+//! What the server wants of a robot arrives over a bad link, and is answered.
+
+use ubimap_agent::{Config, Parameter, sense::SensorModel};
+use ubimap_protocol::{
+    link::Terms,
+    message::{
+        ParameterAction, ParameterCommand, ParameterOutcome, ParameterValue, Path, Stop, Waypoint,
+    },
+    time::{Duration, Instant},
+    units::{Millimetres, RobotId},
+};
+use ubimap_sim_host::{
+    channel::fault::Faults,
+    run::fleet::AgentMemory,
+    server::{Command, CommandError},
+};
+use ubimap_tests::star::{Robot, Star};
+
+fn seconds(seconds: u64) -> Instant {
+    Instant(0) + Duration::from_secs(seconds)
+}
+
+#[test]
+fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
+    let config = Config::new(RobotId(7), SensorModel::Radial { first: -1.5, step: 0.1 });
+    for (seed, frame) in [(1, 250), (2, 250), (3, 32), (4, 32)] {
+        let mut memory = AgentMemory::new(&config, 30, 4, 4);
+        let terms = Terms { resolution: config.resolution, frame, server_epoch: 1, stores: false };
+        let mut star = Star::new(terms, 1, seed);
+        star.robots.push(Robot::new(config.robot, 0));
+        let bad =
+            Faults { loss: 0.4, duplicate: 0.1, reorder: 0.2, corrupt: 0.05, ..Faults::default() };
+        star.robots[0].up.weather(bad, seed);
+        star.robots[0].down.weather(bad, seed + 100);
+        let stop = Command::Stop(Stop { number: 1, stop: true });
+        assert_eq!(star.command(0, stop.clone()), Err(CommandError::NoSession(config.robot)));
+        star.boot(0, config, &mut memory);
+        star.run_until(seconds(20));
+
+        let waypoint = Waypoint { x: Millimetres(100), y: Millimetres(-5) };
+        let path = Path { number: 1, waypoints: [waypoint].into_iter().collect() };
+        star.command(0, Command::Path(path.clone())).unwrap();
+        star.command(0, stop).unwrap();
+        if frame == 32 {
+            let path = Path { number: 2, waypoints: [waypoint; 16].into_iter().collect() };
+            let sent = star.command(0, Command::Path(path));
+            assert_eq!(sent, Err(CommandError::TooLong(config.robot)));
+        }
+        let value = ParameterValue { parameter: Parameter::GateDistance as u16, value: 50 };
+        let set = ParameterCommand { number: 9, action: ParameterAction::Set(value) };
+        star.command(0, Command::Parameter(set)).unwrap();
+        star.run_until(seconds(60));
+
+        let commands = star.robots[0].agent().unwrap().commands();
+        assert!(commands.must_stop(), "seed {seed}");
+        assert_eq!(commands.path(), Some(&path), "seed {seed}");
+        let report = star
+            .server()
+            .parameters(config.robot)
+            .unwrap_or_else(|| panic!("seed {seed}: no report"));
+        assert_eq!((report.number, report.outcome), (9, ParameterOutcome::Done));
+        assert_eq!(&report.values[..], [value]);
+
+        star.command(0, Command::Stop(Stop { number: 2, stop: false })).unwrap();
+        star.run_until(seconds(100));
+        assert!(!star.robots[0].agent().unwrap().commands().must_stop(), "seed {seed}");
+    }
+}
