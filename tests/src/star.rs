@@ -434,6 +434,10 @@ impl<'b> Star<'b> {
                 self.server.robot_at(robot.port)
             ));
         }
+        if self.server.state(robot.id).is_none() {
+            // An old hello may have opened the session: then the robot speaks in another one.
+            return Some("the server has heard nothing of it in this session".into());
+        }
         if !agent.is_idle() {
             let dirty: Vec<_> = agent.own_tiles().tiles().filter(|tile| tile.is_dirty()).collect();
             let dirty: Vec<_> =
