@@ -25,7 +25,9 @@ use ubimap_agent::{
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, SessionId, payload_capacity},
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
-    message::{Hello, Messages, PoseFix, TileUpdateHead, ToRobotKind, Writer, decode},
+    message::{
+        Certainty, FixSource, Hello, Messages, PoseFix, TileUpdateHead, ToRobotKind, Writer, decode,
+    },
     tile::{Epoch, Replica, Stamp, Tile, TileDecoder, TileEncoder, TileId, Version},
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
@@ -211,8 +213,8 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
     for count in 1..=5u64 {
         now = Instant(count * 66_667);
         let fixes = (0..count).rev().map(|fix| (Instant((fix + 1) * 66_667), POSE));
-        let fix = PoseFix::from_fixes(fixes)?;
-        let sent = server.poll_transmit(now, &mut frame, |writer, _| {
+        let fix = PoseFix::from_fixes(fixes, Certainty::default(), FixSource::Camera)?;
+        let sent = server.poll_transmit(now, &mut frame, false, |writer, _| {
             if writer.push(ToRobotKind::PoseFix as u8, &fix) {
                 Fill::Datagram
             } else {
