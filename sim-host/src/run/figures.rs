@@ -21,7 +21,15 @@ pub(super) fn report(
     tiles: usize,
 ) -> Report {
     let robots = fleet.robots().iter().enumerate();
-    let robots = robots.map(|(port, robot)| summary(fleet.server(), port, robot, tiles)).collect();
+    let robots: Vec<RobotSummary> =
+        robots.map(|(port, robot)| summary(fleet.server(), port, robot, tiles)).collect();
+    for robot in robots.iter().filter(|robot| robot.cells_refused > 0) {
+        log::warn!(
+            "robot {} had no room for {} cells: its {tiles} tiles were full; --tiles gives it more",
+            robot.id,
+            robot.cells_refused,
+        );
+    }
     let counts = map.counts();
     let map = MapSummary {
         resolution_m: map.resolution_m(),
