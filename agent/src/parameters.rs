@@ -133,8 +133,11 @@ pub(crate) fn push_report(report: &mut Option<ParameterReport>, writer: &mut Wri
         let mut part = whole.clone();
         part.values.truncate(count);
         if writer.push(ToServerKind::ParameterReport as u8, &part) {
-            whole.values.rotate_left(count);
-            whole.values.truncate(whole.values.len().saturating_sub(count));
+            let mut rest = Vec::new();
+            for &value in whole.values.iter().skip(count) {
+                let _ = rest.push(value);
+            }
+            whole.values = rest;
             if whole.values.is_empty() {
                 *report = None;
             }

@@ -127,11 +127,14 @@ impl<'b> FusedMap<'b> {
             return !self.request_all;
         }
         for count in (1..=self.requests.len()).rev() {
-            let tiles = self.requests.iter().take(count).copied().collect();
-            let request = Request { layer: Layer::Fused, tiles };
+            let mut request = Request { layer: Layer::Fused, tiles: self.requests.clone() };
+            request.tiles.truncate(count);
             if writer.push(ToServerKind::Request as u8, &request) {
-                self.requests.rotate_left(count);
-                self.requests.truncate(self.requests.len() - count);
+                let mut rest = Vec::new();
+                for &id in self.requests.iter().skip(count) {
+                    let _ = rest.push(id);
+                }
+                self.requests = rest;
                 return true;
             }
         }
