@@ -95,7 +95,7 @@ pub(crate) fn carry_out(command: &ParameterCommand, config: &mut Config) -> Para
     let wanted = match command.action {
         ParameterAction::List => {
             for parameter in Parameter::ALL {
-                // The bound is checked below.
+                // There is room for all of them: checked below at compile time.
                 let _ = report.values.push(parameter.value(config));
             }
             return report;

@@ -83,8 +83,7 @@ impl Locator {
     }
 
     /// The pose at `moment` of the robot's clock, which is `server_moment` of the server's (if
-    /// that is known), `age` ago. With `last_chance` it is not waited for anything better. About
-    /// 500 instructions, 5,000 where odometry is composed.
+    /// that is known), `age` ago. With `last_chance` it is not waited for anything better.
     pub fn at(
         &self,
         moment: Instant,

@@ -32,8 +32,7 @@ impl Evidence {
     /// Nothing is known of any cell.
     pub const NONE: Self = Self { planes: [[0; TILE_SIDE]; 3] };
 
-    /// Adds what a scan says of row `y` modulo 32, of which the server's map says `known`. About
-    /// 60 instructions.
+    /// Adds what a scan says of row `y` modulo 32, of which the server's map says `known`.
     pub fn add(&mut self, y: usize, sighting: RowSighting, known: Row) {
         let y = y % TILE_SIDE;
         let [p0, p1, p2] = &mut self.planes;

@@ -30,7 +30,7 @@ const fn tiles_across(max_range: u16, resolution: Millimetres) -> usize {
     (2 * radius + 1).div_ceil(TILE_SIDE) + 1
 }
 
-/// Words of scratch memory that scans of this range need: 4 to 5 KiB of words for 4 m of 5 cm.
+/// Words of scratch memory that scans of this range need: 4,704 (18.8 kB) for 4 m of 5 cm.
 pub const fn scratch_words(max_range: u16, resolution: Millimetres) -> usize {
     let side = tiles_across(max_range, resolution);
     3 * side * side * TILE_SIDE

@@ -141,11 +141,6 @@ impl<'b> FusedMap<'b> {
         false
     }
 
-    /// Whether there are tiles to ask for.
-    pub fn wants_request(&self) -> bool {
-        self.request_all || !self.requests.is_empty()
-    }
-
     /// A session has begun: the server knows no window. Tiles of another epoch of the server
     /// are void.
     pub fn begin_session(&mut self, same_server: bool) {
@@ -247,7 +242,7 @@ mod tests {
             }
             let mut buffer = [0u8; 60];
             let mut writer = Writer::new(&mut buffer);
-            assert!(map.push_request(&mut writer) && !map.wants_request());
+            assert!(map.push_request(&mut writer) && !map.push_request(&mut writer));
             let len = writer.len();
             let message = Messages::new(&buffer[..len]).next().unwrap().unwrap();
             decode::<Request>(message.body).unwrap().0.tiles.len()

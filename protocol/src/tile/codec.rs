@@ -61,7 +61,8 @@ impl<'a> TileEncoder<'a> {
     ///
     /// Returns the cell after the last that fitted, or `None` if not even one did, if the update
     /// holds [`MAX_TILES_PER_UPDATE`], or if the versions do not run 0 < base < version. Only the first tile of an update is cut short.
-    /// About 60 instructions for each cell of the rows that have changed.
+    /// 192,000 instructions for a whole tile of a scan, measured on a Cortex-M4 (`cargo
+    /// instructions`).
     pub fn push(
         &mut self,
         id: TileId,
