@@ -16,7 +16,7 @@ use crate::{
     config::{Config, ConfigError, Memory},
     inbox::{Inbox, Knock},
     locate::{Located, Locator},
-    map::{LocalMap, MAX_RADIUS, Pool, SightingConfig, scratch_words},
+    map::{LocalMap, MAX_RADIUS, MIN_RESOLUTION, MappingConfig, Pool, scratch_words},
     parameters::{carry_out, push_report},
     sense::{Beam, ScanError, WaitingScans, fill_beams},
     share::{Commands, FusedMap, Publisher},
@@ -68,7 +68,7 @@ impl<'b> Agent<'b> {
     /// # Errors
     /// Every [`ConfigError`].
     pub fn new(config: Config, memory: Memory<'b>) -> Result<Self, ConfigError> {
-        if config.resolution.0 <= 0 {
+        if config.resolution < MIN_RESOLUTION {
             return Err(ConfigError::Resolution);
         }
         let radius = i32::from(config.max_range) / config.resolution.0;
@@ -86,11 +86,12 @@ impl<'b> Agent<'b> {
             return Err(ConfigError::Memory);
         }
         fill_beams(memory.beams, config.sensor, config.mounting, config.max_range);
-        let sighting = SightingConfig {
+        let mapping = MappingConfig {
             resolution: config.resolution,
             max_range: config.max_range,
             mounting: config.mounting,
         };
+        let map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
         let width = memory.beams.len();
         Ok(Self {
             config,
@@ -99,7 +100,7 @@ impl<'b> Agent<'b> {
             locator: Locator::new(config.pose_source),
             mapped_pose: None,
             latest_pose: None,
-            map: LocalMap::new(sighting, memory.scratch, Pool::new(memory.own)),
+            map,
             publisher: Publisher::new(config.hold),
             fused: FusedMap::new(memory.fused),
             commands: Commands::default(),
@@ -433,10 +434,7 @@ impl<'b> Agent<'b> {
             self.mapped_pose = Some(pose);
             let count = &mut self.statistics;
             count.mapped = count.mapped.wrapping_add(1);
-            count.pixels.seen = count.pixels.seen.wrapping_add(mapped.pixels.seen);
-            count.pixels.kept = count.pixels.kept.wrapping_add(mapped.pixels.kept);
-            count.pixels.omitted = count.pixels.omitted.wrapping_add(mapped.pixels.omitted);
-            count.pixels.invalid = count.pixels.invalid.wrapping_add(mapped.pixels.invalid);
+            count.pixels += mapped.pixels;
             count.cells_refused = count.cells_refused.wrapping_add(mapped.cells_refused);
             let seconds = server_moment.map(|moment| (moment.micros() / 1_000_000) as u32);
             self.publisher.changed(now, seconds);

@@ -7,7 +7,7 @@ use ubimap_protocol::{
 
 use crate::{
     locate::PoseSource,
-    map::{Gate, OwnTile},
+    map::{Gate, OwnTile, RowSighting},
     sense::{Beam, SensorModel},
     share::FusedTile,
 };
@@ -63,7 +63,7 @@ pub struct Memory<'b> {
     /// As many readings as scans shall be able to wait, at most 16.
     pub waiting: &'b mut [u16],
     /// At least [`scratch_words`](crate::map::scratch_words).
-    pub scratch: &'b mut [u32],
+    pub scratch: &'b mut [RowSighting],
     /// The pool of the robot's own tiles; a scan of 4 m touches 21 of 5 cm at most.
     pub own: &'b mut [OwnTile],
     /// The pool of fused tiles.
@@ -73,7 +73,7 @@ pub struct Memory<'b> {
 /// Why an agent cannot be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConfigError {
-    /// The cells have no size.
+    /// The cells are smaller than 8 mm.
     Resolution,
     /// The range is over 1,000 cells, or nothing.
     Range,

@@ -18,7 +18,7 @@ use cortex_m_semihosting::{debug, hprintln};
 use stm32f4xx_hal as _;
 use ubimap_agent::{
     Agent, Config, Memory,
-    map::{LocalMap, OwnTile, Pool, SightingConfig, scratch_words},
+    map::{LocalMap, MappingConfig, OwnTile, Pool, RowSighting, scratch_words},
     sense::{Beam, SensorModel, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
 };
@@ -63,7 +63,8 @@ const PERIOD: u32 = 1 << 24;
 fn main() -> ! {
     static mut BEAMS: [Beam; PIXELS] = [Beam { forward: 0, left: 0, limit: 0 }; PIXELS];
     static mut WAITING: [u16; PIXELS] = [0; _];
-    static mut SCRATCH: [u32; scratch_words(MAX_RANGE, RESOLUTION)] = [0; _];
+    static mut SCRATCH: [RowSighting; scratch_words(MAX_RANGE, RESOLUTION)] =
+        [RowSighting { free: 0, hit: 0 }; _];
     static mut OWN: [OwnTile; OWN_TILES] = [OwnTile::FREE; _];
     static mut FUSED: [FusedTile; FUSED_TILES] = [FusedTile::FREE; _];
 
@@ -103,9 +104,14 @@ fn sensor() -> SensorModel {
 }
 
 /// The robot layer with nothing in it.
-fn local_map<'m>(scratch: &'m mut [u32], own: &'m mut [OwnTile]) -> LocalMap<'m> {
+fn local_map<'m>(
+    beams: &[Beam],
+    scratch: &'m mut [RowSighting],
+    own: &'m mut [OwnTile],
+) -> LocalMap<'m> {
     let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
-    LocalMap::new(SightingConfig { resolution, max_range, mounting }, scratch, Pool::new(own))
+    let config = MappingConfig { resolution, max_range, mounting };
+    LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 
 /// A row from readings to evidence planes, and the same row once more.
@@ -115,7 +121,7 @@ fn rows(
     scene: &str,
     readings: &[u16; PIXELS],
 ) -> Option<()> {
-    let mut map = local_map(memory.scratch, memory.own);
+    let mut map = local_map(memory.beams, memory.scratch, memory.own);
     for time in ["new", "known"] {
         let mapped = bench
             .measure(format_args!("a row of {PIXELS} to planes: {scene}, {time}"), || {
@@ -133,7 +139,7 @@ fn publish(
     readings: &[u16],
     payload: &mut [u8],
 ) -> Option<usize> {
-    let mut map = local_map(memory.scratch, memory.own);
+    let mut map = local_map(memory.beams, memory.scratch, memory.own);
     let merged = FusedMap::new(memory.fused);
     map.add(memory.beams, readings, POSE, |_| None)?;
     let mut publisher = Publisher::new(Duration(0));

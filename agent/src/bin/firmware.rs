@@ -13,7 +13,7 @@ use cortex_m_rt::entry;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
 use ubimap_agent::{
     Agent, Config, ConfigError, Memory,
-    map::{OwnTile, scratch_words},
+    map::{OwnTile, RowSighting, scratch_words},
     sense::{Beam, SensorModel},
     share::FusedTile,
 };
@@ -58,7 +58,8 @@ fn main() -> ! {
     // Here, and not on the stack, so that the image tells how much memory there must be.
     static mut BEAMS: [Beam; PIXELS] = [Beam { forward: 0, left: 0, limit: 0 }; PIXELS];
     static mut WAITING: [u16; PIXELS * WAITING_SCANS] = [0; _];
-    static mut SCRATCH: [u32; scratch_words(MAX_RANGE, RESOLUTION)] = [0; _];
+    static mut SCRATCH: [RowSighting; scratch_words(MAX_RANGE, RESOLUTION)] =
+        [RowSighting { free: 0, hit: 0 }; _];
     static mut OWN: [OwnTile; OWN_TILES] = [OwnTile::FREE; _];
     static mut FUSED: [FusedTile; FUSED_TILES] = [FusedTile::FREE; _];
 

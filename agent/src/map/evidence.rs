@@ -14,7 +14,8 @@ use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 /// The evidence of one tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Evidence {
-    planes: [[u32; TILE_SIDE]; 3],
+    /// For each row its words of the three planes, the lowest bit first.
+    rows: [[u32; 3]; TILE_SIDE],
 }
 
 /// What a scan says of one row of a tile; a cell is in at most one of `free` and `hit`.
@@ -24,81 +25,113 @@ pub struct RowSighting {
     pub free: u32,
     /// Cells that beams ended in.
     pub hit: u32,
-    /// Those of the hits that were near: they count twice.
-    pub near: u32,
+}
+
+impl RowSighting {
+    /// The cells of which it says something.
+    pub fn known(self) -> u32 {
+        self.free | self.hit
+    }
 }
 
 impl Evidence {
     /// Nothing is known of any cell.
-    pub const NONE: Self = Self { planes: [[0; TILE_SIDE]; 3] };
+    pub const NONE: Self = Self { rows: [[0; 3]; TILE_SIDE] };
 
-    /// Adds what a scan says of row `y` modulo 32, of which the server's map says `known`.
-    pub fn add(&mut self, y: usize, sighting: RowSighting, known: Row) {
-        let y = y % TILE_SIDE;
-        let [p0, p1, p2] = &mut self.planes;
-        let mut row = [p0[y], p1[y], p2[y]];
-        let new = !(row[0] | row[1] | row[2]);
-        let (known_free, known_occupied) = (new & known.low & !known.high, new & known.high);
-        let hit = sighting.hit & !known_occupied;
-        let free = sighting.free & !sighting.hit & !known_free;
-        let from_free = hit & known_free;
-        let from_occupied = free & known_occupied;
-        row[0] |= from_free | from_occupied;
-        row[2] |= from_occupied;
-        up(&mut row, hit);
-        up(&mut row, hit & sighting.near);
-        down(&mut row, free);
-        [p0[y], p1[y], p2[y]] = row;
+    /// Adds what a scan says of some rows from `first` on. `known`: the server's map of the tile.
+    pub fn add(
+        &mut self,
+        first: usize,
+        sightings: impl Iterator<Item = RowSighting>,
+        known: Option<&Tile>,
+    ) {
+        let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
+        match known {
+            None => {
+                for (row, sighting) in rows.iter_mut().zip(sightings) {
+                    if sighting.known() != 0 {
+                        count(row, sighting);
+                    }
+                }
+            }
+            Some(known) => {
+                for ((y, row), mut sighting) in (first..).zip(rows).zip(sightings) {
+                    leave_known(row, &mut sighting, known.row(y));
+                    count(row, sighting);
+                }
+            }
+        }
+    }
+
+    /// Adds hits in some rows from `first` on that are near, and count twice: once here, and once
+    /// with the rest of the scan, which is to follow.
+    pub fn add_near(
+        &mut self,
+        first: usize,
+        hits: impl Iterator<Item = u32>,
+        known: Option<&Tile>,
+    ) {
+        let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
+        for ((y, row), hit) in (first..).zip(rows).zip(hits) {
+            if hit != 0 {
+                let mut sighting = RowSighting { free: 0, hit };
+                leave_known(row, &mut sighting, known.map_or(Row::default(), |tile| tile.row(y)));
+                count(row, sighting);
+            }
+        }
     }
 
     /// The cells of row `y` modulo 32 of which nothing is known here.
     pub fn unknown(&self, y: usize) -> u32 {
-        let y = y % TILE_SIDE;
-        !(self.planes[0][y] | self.planes[1][y] | self.planes[2][y])
+        let [low, middle, high] = self.rows[y % TILE_SIDE];
+        !(low | middle | high)
     }
 
     /// The cells of row `y` modulo 32 for whose being occupied no further hit can say more.
     pub fn certain(&self, y: usize) -> u32 {
-        let y = y % TILE_SIDE;
-        self.planes[0][y] & self.planes[1][y] & self.planes[2][y]
+        let [low, middle, high] = self.rows[y % TILE_SIDE];
+        low & middle & high
     }
 
     /// What is to be published: unknown, free or occupied.
     pub fn cells(&self) -> Tile {
-        let [p0, p1, p2] = &self.planes;
         let mut tile = Tile::UNKNOWN;
-        for y in 0..TILE_SIDE {
-            tile.low[y] = (p0[y] | p1[y]) & !p2[y];
-            tile.high[y] = p2[y];
+        let planes = tile.low.iter_mut().zip(&mut tile.high);
+        for ((out_low, out_high), [low, middle, high]) in planes.zip(&self.rows) {
+            *out_low = (low | middle) & !high;
+            *out_high = *high;
         }
         tile
     }
 }
 
-/// Counts up by one: unknown to 5, 7 stays.
-fn up([p0, p1, p2]: &mut [u32; 3], mask: u32) {
-    let unknown = !(*p0 | *p1 | *p2) & mask;
-    let carry = mask & !unknown & !(*p0 & *p1 & *p2);
-    let carry_1 = *p0 & carry;
-    *p0 ^= carry;
-    let carry_2 = *p1 & carry_1;
-    *p1 ^= carry_1;
-    *p2 ^= carry_2;
-    *p2 |= unknown;
-    *p0 |= unknown;
+/// Counts what a scan says of a row: a hit up, from unknown to 5, and no further than 7; a
+/// crossing down, from unknown to 3, and no further than 1.
+#[inline(always)]
+fn count(row: &mut [u32; 3], sighting: RowSighting) {
+    let [low, middle, high] = *row;
+    let (hit, free) = (sighting.hit, sighting.free & !sighting.hit);
+    let unknown = !(low | middle | high);
+    let up = hit & !unknown & !(low & middle & high);
+    let down = free & !unknown & !(low & !middle & !high);
+    let carry = low & up | !low & down;
+    let carry_high = middle & carry & up | !middle & carry & down;
+    *row = [
+        (low ^ (up | down)) | unknown & (hit | free),
+        (middle ^ carry) | unknown & free,
+        (high ^ carry_high) | unknown & hit,
+    ];
 }
 
-/// Counts down by one: unknown to 3, 1 stays.
-fn down([p0, p1, p2]: &mut [u32; 3], mask: u32) {
-    let unknown = !(*p0 | *p1 | *p2) & mask;
-    let borrow = mask & !unknown & !(*p0 & !*p1 & !*p2);
-    let borrow_1 = !*p0 & borrow;
-    *p0 ^= borrow;
-    let borrow_2 = !*p1 & borrow_1;
-    *p1 ^= borrow_1;
-    *p2 ^= borrow_2;
-    *p0 |= unknown;
-    *p1 |= unknown;
+/// Leaves to the server's map what it says already of a row, and takes over what it says otherwise.
+fn leave_known(row: &mut [u32; 3], sighting: &mut RowSighting, known: Row) {
+    let [low, middle, high] = row;
+    let unknown = !(*low | *middle | *high);
+    let (known_free, known_occupied) = (unknown & known.low & !known.high, unknown & known.high);
+    sighting.free &= !(sighting.hit | known_free);
+    sighting.hit &= !known_occupied;
+    *low |= sighting.hit & known_free | sighting.free & known_occupied;
+    *high |= sighting.free & known_occupied;
 }
 
 #[cfg(test)]
@@ -108,7 +141,7 @@ mod tests {
     use ubimap_protocol::tile::Cell;
 
     /// The same for one cell, plainly.
-    fn count(value: u8, bit: usize, sighting: RowSighting, known: Row) -> u8 {
+    fn plainly(value: u8, bit: usize, sighting: RowSighting, near: u32, known: Row) -> u8 {
         let is = |mask: u32| mask >> bit & 1 != 0;
         let up = |value: u8| if value == 0 { 5 } else { (value + 1).min(7) };
         let mut value = value;
@@ -123,7 +156,7 @@ mod tests {
         }
         if is(sighting.hit) {
             value = up(value);
-            if is(sighting.near) {
+            if is(near) {
                 value = up(value);
             }
         } else if is(sighting.free) {
@@ -143,10 +176,13 @@ mod tests {
             let mut plain = [0u8; 32];
             let known = Row { low, high };
             for (free, hit, near) in sightings {
-                let sighting = RowSighting { free, hit, near };
-                evidence.add(y, sighting, known);
+                let sighting = RowSighting { free, hit };
+                let mut tile = Tile::UNKNOWN;
+                tile.set_row(y, known);
+                evidence.add_near(y, [hit & near].into_iter(), Some(&tile));
+                evidence.add(y, [sighting].into_iter(), Some(&tile));
                 for (bit, value) in plain.iter_mut().enumerate() {
-                    *value = count(*value, bit, sighting, known);
+                    *value = plainly(*value, bit, sighting, near, known);
                 }
             }
             let cells = evidence.cells();

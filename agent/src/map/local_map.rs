@@ -1,16 +1,76 @@
 //! The robot layer: what this robot has seen, in a fixed pool of tiles.
 
+use core::ops::Range;
+
 use ubimap_protocol::{
     tile::{TILE_SIDE, Tile, TileId},
-    units::Pose,
+    units::{Millimetres, Pose},
 };
 
 use super::{
     evidence::RowSighting,
-    own_tile::{OwnTile, Pool},
-    sighting::{PixelCounts, Sighting, SightingConfig},
+    own_tile::Pool,
+    projection::Projection,
+    trace::{Grain, PixelCounts, trace},
+    window::{Window, words_of},
 };
 use crate::sense::Beam;
+
+/// The longest range that can be mapped, in cells.
+pub const MAX_RADIUS: usize = 1000;
+
+/// Words of scratch memory that scans of this range need: 344 (2.8 kB) for 4 m of 5 cm.
+pub const fn scratch_words(max_range: u16, resolution: Millimetres) -> usize {
+    let side = if resolution.0 > 0 { resolution.0 as usize } else { 1 };
+    words_of((max_range as usize).div_ceil(side))
+}
+
+/// What is constant from scan to scan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MappingConfig {
+    /// The side of a cell.
+    pub resolution: Millimetres,
+    /// Beyond it nothing is mapped: millimetres, radial.
+    pub max_range: u16,
+    /// The sensor in `base_link`.
+    pub mounting: Pose,
+}
+
+/// The cells in which a hit is near: the square of a quarter of the range around the sensor, where
+/// the beams are closer than cells.
+struct Near {
+    low: (i32, i32),
+    high: (i32, i32),
+}
+
+impl Near {
+    fn new(projection: &Projection, max_range: u16, resolution: Millimetres) -> Self {
+        let radius = i32::from(max_range) / 4 / resolution.0.max(1);
+        let (x, y) = projection.cell();
+        Self {
+            low: (x.wrapping_sub(radius), y.wrapping_sub(radius)),
+            high: (x.wrapping_add(radius + 1), y.wrapping_add(radius + 1)),
+        }
+    }
+
+    /// Those of a tile.
+    fn within(&self, id: TileId) -> NearCells {
+        let (x, y) = id.first_cell();
+        let side = TILE_SIDE as i32;
+        let from = |low: i32, first: i32| low.wrapping_sub(first).max(0).min(side) as u32;
+        let below = |columns: u32| ((1u64 << columns) - 1) as u32;
+        let rows = from(self.low.1, y) as usize..from(self.high.1, y) as usize;
+        NearCells { rows, columns: below(from(self.high.0, x)) & !below(from(self.low.0, x)) }
+    }
+}
+
+/// The cells of a tile in which a hit is near.
+struct NearCells {
+    /// Some rows.
+    rows: Range<usize>,
+    /// In them, these columns.
+    columns: u32,
+}
 
 /// What mapping a scan came to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -24,17 +84,26 @@ pub struct Mapped {
 /// The map of one robot.
 #[derive(Debug)]
 pub struct LocalMap<'b> {
-    config: SightingConfig,
-    scratch: &'b mut [u32],
+    config: MappingConfig,
+    grain: Grain,
+    /// Holds no sighting between two scans.
+    scratch: &'b mut [RowSighting],
     /// The tiles.
     pub pool: Pool<'b>,
     scans: u32,
 }
 
 impl<'b> LocalMap<'b> {
-    /// A map without a cell. `scratch` must have [`scratch_words`](super::scratch_words).
-    pub fn new(config: SightingConfig, scratch: &'b mut [u32], pool: Pool<'b>) -> Self {
-        Self { config, scratch, pool, scans: 0 }
+    /// A map without a cell, for the scans of a sensor. `scratch` must have [`scratch_words`].
+    pub fn new(
+        config: MappingConfig,
+        beams: &[Beam],
+        scratch: &'b mut [RowSighting],
+        pool: Pool<'b>,
+    ) -> Self {
+        scratch.fill(RowSighting::default());
+        let grain = Grain::new(beams, config.resolution.0);
+        Self { config, grain, scratch, pool, scans: 0 }
     }
 
     /// The sensor is mounted otherwise from now on.
@@ -51,43 +120,249 @@ impl<'b> LocalMap<'b> {
         pose: Pose,
         merged: impl Fn(TileId) -> Option<&'m Tile>,
     ) -> Option<Mapped> {
+        let MappingConfig { resolution, max_range, mounting } = self.config;
         self.scans = self.scans.wrapping_add(1);
-        let pool = &self.pool;
-        // Omission: a hit in a cell that is known to be occupied, by the server's map or for as
-        // certain as can be. Scans touch a few tiles only, neighbouring beams mostly the same.
-        let mut last = None;
-        let omit = |x: i32, y: i32| {
-            let Some(id) = TileId::of_cell(x, y) else { return false };
-            let (own, merged) = match last {
-                Some((last_id, own, merged)) if last_id == id => (own, merged),
-                _ => (pool.find(id), merged(id)),
+        let projection = Projection::new(pose, mounting, resolution);
+        let near = Near::new(&projection, max_range, resolution);
+        let mut mapped = Mapped::default();
+        let mut start = 0;
+        let count = beams.len().min(readings.len());
+        // The whole scan, or as much of it at a time as the scratch memory has room for.
+        let mut end = count;
+        while start < count {
+            let part = beams.get(start..end)?;
+            let Some(mut window) = Window::over(part, &projection, self.scratch) else {
+                if end - start <= 2 {
+                    return None;
+                }
+                end = start + (end - start).div_ceil(2);
+                continue;
             };
-            last = Some((id, own, merged));
-            let (bit, y) =
-                (x.rem_euclid(TILE_SIDE as i32), y.rem_euclid(TILE_SIDE as i32) as usize);
-            let merged = merged.map_or(0, |tile| tile.row(y).high);
-            let known = own.map_or(merged, |tile: &OwnTile| {
-                tile.evidence.certain(y) | merged & tile.evidence.unknown(y)
-            });
-            known >> bit & 1 != 0
-        };
-        let (sighting, pixels) =
-            Sighting::of_scan(&self.config, beams, readings, pose, self.scratch, omit)?;
-        let mut mapped = Mapped { pixels, cells_refused: 0 };
-        for id in sighting.tiles() {
-            let rows = (0..TILE_SIDE).map(|y| (y, sighting.tile_row(id, y)));
-            match self.pool.find_or_begin(id, self.scans) {
+            if !window.is_on_the_map() {
+                return None;
+            }
+            let readings = readings.get(start..end)?;
+            let projection = projection.from_corner(window.corner());
+
+            trace(
+                &mut window,
+                &projection,
+                self.grain,
+                part,
+                readings,
+                start > 0,
+                &mut mapped.pixels,
+            );
+            let Self { pool, scans, .. } = self;
+            window.for_each_piece(|piece| match pool.find_or_begin(piece.id, *scans) {
                 Some(tile) => {
-                    let merged = merged(id).unwrap_or(&Tile::UNKNOWN);
-                    rows.for_each(|(y, row)| tile.evidence.add(y, row, merged.row(y)));
                     tile.dirty = true;
+                    let near = near.within(piece.id);
+                    let first = piece.first_row;
+                    let rows = near.rows.start.max(first)..near.rows.end.min(first + piece.len());
+                    let known = merged(piece.id);
+                    if rows.start < rows.end {
+                        let hits = piece.hits(rows.start - first..rows.end - first);
+                        tile.evidence.add_near(
+                            rows.start,
+                            hits.map(|hit| hit & near.columns),
+                            known,
+                        );
+                    }
+                    tile.evidence.add(first, piece.fill(), known);
                 }
                 None => {
-                    let cells = |row: RowSighting| (row.free | row.hit).count_ones();
-                    mapped.cells_refused += rows.map(|(_, row)| cells(row)).sum::<u32>();
+                    mapped.cells_refused +=
+                        piece.fill().map(|row| row.known().count_ones()).sum::<u32>();
                 }
+            });
+            if end == count {
+                break;
             }
+            // What lies between the last beam and the next one belongs to the next part.
+            (start, end) = (end - 1, count);
         }
         Some(mapped)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{collections::BTreeSet, vec, vec::Vec};
+
+    use super::*;
+    use crate::{
+        map::OwnTile,
+        sense::{SensorModel, fill_beams},
+    };
+    use proptest::prelude::*;
+    use ubimap_protocol::{tile::Cell, units::Angle};
+
+    const CONFIG: MappingConfig = MappingConfig {
+        resolution: Millimetres(50),
+        max_range: 4_000,
+        mounting: Pose { x: Millimetres(0), y: Millimetres(0), heading: Angle(0) },
+    };
+
+    struct Seen {
+        free: BTreeSet<(i32, i32)>,
+        hit: BTreeSet<(i32, i32)>,
+        counts: PixelCounts,
+    }
+
+    /// What a first scan makes of an empty map, drawn in one piece or in as many as the least
+    /// scratch memory wants.
+    fn see_with(words: usize, beams: &[Beam], readings: &[u16], pose: Pose) -> Seen {
+        let mut scratch = vec![RowSighting::default(); words];
+        let mut places = vec![OwnTile::FREE; 40];
+        let mut map = LocalMap::new(CONFIG, beams, &mut scratch, Pool::new(&mut places));
+        let mapped = map.add(beams, readings, pose, |_| None).unwrap();
+        assert_eq!(mapped.cells_refused, 0);
+        let mut seen = Seen { free: BTreeSet::new(), hit: BTreeSet::new(), counts: mapped.pixels };
+        for tile in map.pool.tiles() {
+            let (x0, y0) = tile.id().unwrap().first_cell();
+            let cells = tile.evidence.cells();
+            for (x, y) in (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y))) {
+                let cell = (x0 + x as i32, y0 + y as i32);
+                match cells.cell(x, y) {
+                    Cell::Free => seen.free.insert(cell),
+                    Cell::Unknown => continue,
+                    _ => seen.hit.insert(cell),
+                };
+            }
+        }
+        drop(map);
+        assert!(scratch.iter().all(|row| row.known() == 0), "the scratch memory is not clean");
+        seen
+    }
+
+    fn see(beams: &[Beam], readings: &[u16], pose: Pose) -> Seen {
+        see_with(scratch_words(4_000, CONFIG.resolution), beams, readings, pose)
+    }
+
+    fn half_circle(beams: usize) -> Vec<Beam> {
+        let mut table = vec![Beam::default(); beams];
+        let step = core::f32::consts::PI / (beams - 1) as f32;
+        let model = SensorModel::Radial { first: -core::f32::consts::FRAC_PI_2, step };
+        fill_beams(&mut table, model, Pose::default(), 4_000);
+        table
+    }
+
+    /// The cell that a point at some range along beam `index` of [`half_circle`] lies in.
+    fn cell_at(pose: Pose, beams: usize, index: f64, range: f64) -> (i32, i32) {
+        let bearing = -core::f64::consts::FRAC_PI_2
+            + index * core::f64::consts::PI / (beams - 1) as f64
+            + pose.heading.radians();
+        let x = pose.x.metres() * 1000.0 + range * bearing.cos();
+        let y = pose.y.metres() * 1000.0 + range * bearing.sin();
+        ((x / 50.0).floor() as i32, (y / 50.0).floor() as i32)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(40))]
+
+        /// Cell by cell against the beams themselves: what is free was crossed, or lies between
+        /// two neighbouring beams that both went further; what the middles of two such beams
+        /// crossed is free.
+        #[test]
+        fn the_polygon_is_what_the_beams_crossed(
+            ranges in proptest::collection::vec(prop_oneof![3 => 300u16..4_000, 1 => Just(0u16)], 4..24),
+            x in -9_000i32..9_000, y in -9_000i32..9_000, heading: u16,
+        ) {
+            let pose = Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) };
+            let beams = half_circle(181);
+            // Walls of eight beams each.
+            let readings: Vec<u16> = (0..181).map(|beam| ranges[beam / 8 % ranges.len()]).collect();
+            let seen = see(&beams, &readings, pose);
+            prop_assert_eq!(seen.counts.invalid as usize, readings.iter().filter(|&&r| r == 0).count());
+            for (index, &reading) in readings.iter().enumerate() {
+                if reading != 0 {
+                    let cell = cell_at(pose, 181, index as f64, f64::from(reading));
+                    let near = |cell: (i32, i32)| (-1..=1).any(|dx| (-1..=1).any(|dy|
+                        seen.hit.contains(&(cell.0 + dx, cell.1 + dy))));
+                    prop_assert!(near(cell), "no hit near {cell:?}");
+                }
+                let Some(&next) = readings.get(index + 1) else { continue };
+                let reach = reading.min(next);
+                if reach == 0 {
+                    continue;
+                }
+                // Nearer, eight beams are narrower than a cell.
+                let mut range = 700.0;
+                while range < f64::from(reach) - 130.0 {
+                    let cell = cell_at(pose, 181, index as f64 + 0.5, range);
+                    let near = |cell: (i32, i32)| (-1..=1).any(|dx| (-1..=1).any(|dy|
+                        seen.free.contains(&(cell.0 + dx, cell.1 + dy))));
+                    prop_assert!(near(cell), "{cell:?} at {range} is not free");
+                    range += 50.0;
+                }
+            }
+            for &(cx, cy) in &seen.free {
+                let dx = f64::from(cx * 50 + 25 - x);
+                let dy = f64::from(cy * 50 + 25 - y);
+                let range = dx.hypot(dy);
+                let bearing = (dy.atan2(dx) - pose.heading.radians()).rem_euclid(core::f64::consts::TAU);
+                let index = (bearing + core::f64::consts::FRAC_PI_2)
+                    .rem_euclid(core::f64::consts::TAU) / core::f64::consts::PI * 180.0;
+                let index = if index > 270.0 { index - 360.0 } else { index };
+                let (low, high) = ((index - 1.0).floor().max(0.0), (index + 1.0).ceil().min(180.0));
+                let furthest = (low as i64..=high as i64).map(|i| readings[i.clamp(0, 180) as usize]).max();
+                // Near the sensor one cell is many beams wide.
+                prop_assert!(range < 150.0 || f64::from(furthest.unwrap_or(0)) + 40.0 >= range,
+                    "free at {range} mm, beam {index}, but nothing seen beyond {furthest:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_scan_without_a_return_says_nothing() {
+        let beams = half_circle(181);
+        let seen = see(&beams, &[0; 181], Pose::default());
+        assert!(seen.free.is_empty() && seen.hit.is_empty());
+    }
+
+    #[test]
+    fn beyond_the_range_the_way_is_free_up_to_it() {
+        let beams = half_circle(181);
+        let seen = see(&beams, &[30_000; 181], Pose::default());
+        assert!(seen.hit.is_empty());
+        // Half a disc of 4 m.
+        let expected = core::f64::consts::PI * 80.0 * 80.0 / 2.0;
+        assert!((seen.free.len() as f64 - expected).abs() < 160.0, "{}", seen.free.len());
+    }
+
+    #[test]
+    fn a_scan_at_the_end_of_the_map_is_refused() {
+        let beams = half_circle(5);
+        let add = |words: usize, pose: Pose| {
+            let mut scratch = vec![RowSighting::default(); words];
+            let mut places = vec![OwnTile::FREE; 40];
+            let mut map = LocalMap::new(CONFIG, &beams, &mut scratch, Pool::new(&mut places));
+            map.add(&beams, &[900; 5], pose, |_| None)
+        };
+        let words = scratch_words(4_000, CONFIG.resolution);
+        for x in [i32::MAX, i32::MIN, 52_428_000] {
+            let pose = Pose { x: Millimetres(x), ..Pose::default() };
+            assert_eq!(add(words, pose), None, "{x}");
+        }
+        assert_eq!(add(9, Pose::default()), None);
+    }
+
+    #[test]
+    fn a_scan_drawn_in_parts_is_the_same() {
+        let beams = half_circle(181);
+        let readings: Vec<u16> = (0..181).map(|beam| 1_500 + beam * 7 % 900).collect();
+        for heading in [0, 7_000, 30_000] {
+            let pose = Pose { heading: Angle(heading), ..Pose::default() };
+            let least = see(&beams, &readings, pose);
+            let whole = see_with(10_000, &beams, &readings, pose);
+            assert!(least.free.symmetric_difference(&whole.free).count() <= 20);
+            let near = |cells: &BTreeSet<(i32, i32)>, (x, y): (i32, i32)| {
+                cells.range((x - 1, y - 1)..=(x + 1, y + 1)).any(|cell| cell.1.abs_diff(y) <= 1)
+            };
+            assert!(least.hit.iter().all(|&cell| near(&whole.hit, cell)));
+            assert!(whole.hit.iter().all(|&cell| near(&least.hit, cell)));
+            assert_eq!(least.counts.seen, whole.counts.seen);
+        }
     }
 }

@@ -4,10 +4,13 @@ mod evidence;
 mod gate;
 mod local_map;
 mod own_tile;
-mod sighting;
+mod projection;
+mod trace;
+mod window;
 
 pub use evidence::{Evidence, RowSighting};
 pub use gate::Gate;
-pub use local_map::{LocalMap, Mapped};
+pub use local_map::{LocalMap, MAX_RADIUS, Mapped, MappingConfig, scratch_words};
 pub use own_tile::{OwnTile, Pool};
-pub use sighting::{MAX_RADIUS, PixelCounts, Sighting, SightingConfig, scratch_words};
+pub use projection::MIN_RESOLUTION;
+pub use trace::PixelCounts;

@@ -65,10 +65,14 @@ impl OwnTile {
 /// The fixed pool of the robot's own tiles, in the caller's memory.
 #[derive(Debug)]
 pub struct Pool<'b> {
+    /// The tiles that are kept, and then the free places.
     places: &'b mut [OwnTile],
+    kept: usize,
     /// The epoch of tiles that are begun now: one more after each eviction.
     epoch: Epoch,
     evicted: u32,
+    /// The place after the one that was asked for last.
+    next: usize,
     /// Whether the server says when a tile is on disk.
     server_stores: bool,
 }
@@ -77,7 +81,7 @@ impl<'b> Pool<'b> {
     /// A pool of as many tiles as there are places.
     pub fn new(places: &'b mut [OwnTile]) -> Self {
         places.fill(OwnTile::FREE);
-        Self { places, epoch: Epoch(0), evicted: 0, server_stores: false }
+        Self { places, kept: 0, epoch: Epoch(0), evicted: 0, next: 0, server_stores: false }
     }
 
     /// How many tiles have been given up to make room.
@@ -120,24 +124,32 @@ impl<'b> Pool<'b> {
     /// The tile of this id, begun if need be. `None` if there is no room: every tile says
     /// something that the server has not stored, or was touched by scan `scan` itself.
     pub fn find_or_begin(&mut self, id: TileId, scan: u32) -> Option<&mut OwnTile> {
-        let found = self.places.iter().position(|tile| tile.id == Some(id));
-        let index = match found {
+        // Scans touch the same few tiles in the same order.
+        let kept = self.places.get(..self.kept)?;
+        let next = self.next.min(kept.len());
+        let is_it = |tile: &OwnTile| tile.id == Some(id);
+        let found = kept.iter().skip(next).position(is_it).map(|index| index + next);
+        let index = match found.or_else(|| kept.iter().take(next).position(is_it)) {
             Some(index) => index,
-            None => self.place_for_new(scan)?,
+            None => {
+                let index = self.place_for_new(scan)?;
+                let epoch = self.epoch;
+                let tile = self.places.get_mut(index)?;
+                (tile.id, tile.epoch) = (Some(id), epoch);
+                index
+            }
         };
-        let epoch = self.epoch;
+        self.next = index + 1;
         let tile = self.places.get_mut(index)?;
-        if found.is_none() {
-            *tile = OwnTile { id: Some(id), epoch, ..OwnTile::FREE };
-        }
         tile.touched = scan;
         Some(tile)
     }
 
     /// A free place, or that of the tile that was touched longest ago among those that are safe.
     fn place_for_new(&mut self, scan: u32) -> Option<usize> {
-        if let Some(free) = self.places.iter().position(|tile| tile.id.is_none()) {
-            return Some(free);
+        if self.kept < self.places.len() {
+            self.kept += 1;
+            return Some(self.kept - 1);
         }
         let idle = self
             .places
@@ -147,17 +159,18 @@ impl<'b> Pool<'b> {
         let (index, _) = idle.min_by_key(|(_, tile)| tile.touched)?;
         self.evicted = self.evicted.wrapping_add(1);
         self.epoch.0 = self.epoch.0.wrapping_add(1);
+        *self.places.get_mut(index)? = OwnTile::FREE;
         Some(index)
     }
 
     /// The tiles that are kept.
     pub fn tiles(&self) -> impl Iterator<Item = &OwnTile> {
-        self.places.iter().filter(|tile| tile.id.is_some())
+        self.places.iter().take(self.kept)
     }
 
     /// The tiles that are kept, to change them.
     pub(crate) fn tiles_mut(&mut self) -> impl Iterator<Item = &mut OwnTile> {
-        self.places.iter_mut().filter(|tile| tile.id.is_some())
+        self.places.iter_mut().take(self.kept)
     }
 }
 

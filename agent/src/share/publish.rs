@@ -214,10 +214,7 @@ fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut
 mod tests {
     use super::*;
     use crate::map::RowSighting;
-    use ubimap_protocol::{
-        message::{Messages, decode},
-        tile::Row,
-    };
+    use ubimap_protocol::message::{Messages, decode};
 
     #[test]
     fn another_server_is_not_told_the_time_of_the_last_ones_clock() {
@@ -226,7 +223,7 @@ mod tests {
         let merged = FusedMap::new(&mut []);
         let mut publisher = Publisher::new(Duration(0));
         let tile = pool.find_or_begin(TileId { x: 0, y: 0 }, 1).unwrap();
-        tile.evidence.add(0, RowSighting { free: 1, ..RowSighting::default() }, Row::default());
+        tile.evidence.add(0, [RowSighting { free: 1, hit: 0 }].into_iter(), None);
         tile.dirty = true;
         publisher.changed(Instant(0), Some(7_000));
         let told = |publisher: &mut Publisher, pool: &mut Pool<'_>| {

@@ -7,7 +7,7 @@ use std::iter;
 
 use ubimap_agent::{
     Agent, Config, ConfigError, Memory,
-    map::{OwnTile, scratch_words},
+    map::{OwnTile, RowSighting, scratch_words},
     sense::Beam,
     share::FusedTile,
 };
@@ -67,7 +67,7 @@ pub trait Stage {
 pub struct AgentMemory {
     beams: Vec<Beam>,
     waiting: Vec<u16>,
-    scratch: Vec<u32>,
+    scratch: Vec<RowSighting>,
     own: Vec<OwnTile>,
     fused: Vec<FusedTile>,
 }
@@ -78,7 +78,10 @@ impl AgentMemory {
         Self {
             beams: vec![Beam::default(); readings],
             waiting: vec![0; readings * WAITING_SCANS],
-            scratch: vec![0; scratch_words(config.max_range, config.resolution)],
+            scratch: vec![
+                RowSighting::default();
+                scratch_words(config.max_range, config.resolution)
+            ],
             own: vec![OwnTile::FREE; own_tiles],
             fused: vec![FusedTile::FREE; fused_tiles],
         }

@@ -1,0 +1,133 @@
+//! From a beam and a reading to a position in the grid of the map (Aluckal, "offsetting").
+
+use ubimap_protocol::units::{Angle, Millimetres, Pose};
+
+use crate::sense::{Beam, DIRECTION_BITS};
+
+/// Fractional bits of a position in cells.
+pub(super) const FRACTION: u32 = 16;
+/// The finest cells that can be mapped.
+pub const MIN_RESOLUTION: Millimetres = Millimetres(20);
+
+/// One cell.
+pub(super) const CELL: i32 = 1 << FRACTION;
+
+/// A position, x and y in 1/65,536 cells.
+pub(super) type Point = (i32, i32);
+
+/// Further bits of a [`Direction`].
+const EXTRA: u32 = 3;
+
+/// Where one beam goes: 1/524,288 cells for each millimetre of reading, along x and y of the map.
+#[derive(Clone, Copy)]
+pub(super) struct Direction(i32, i32);
+
+/// Places what a sensor sees: where it stands, and how it is turned.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Projection {
+    /// The cell that the sensor is in.
+    cell: (i32, i32),
+    /// The sensor, from the corner of the grid of the moment.
+    origin: Point,
+    /// Cosine and sine of the heading, in 1/524,288 cells for each millimetre.
+    turn: (i32, i32),
+}
+
+impl Projection {
+    /// For a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in `base_link`
+    /// (whose heading is in the table of beams) and cells of [`MIN_RESOLUTION`] or more.
+    /// Positions are counted from the corner of the sensor's cell.
+    pub(super) fn new(pose: Pose, mounting: Pose, resolution: Millimetres) -> Self {
+        let (cos, sin) = cos_sin(pose.heading);
+        let side = resolution.max(MIN_RESOLUTION).0;
+        let (forward, left) = (i64::from(mounting.x.0), i64::from(mounting.y.0));
+        let (cos_64, sin_64) = (i64::from(cos), i64::from(sin));
+        let half = 1 << (DIRECTION_BITS - 1);
+        let along = |base: Millimetres, offset: i64| {
+            base.0.wrapping_add(((offset + half) >> DIRECTION_BITS) as i32)
+        };
+        let x = along(pose.x, forward * cos_64 - left * sin_64);
+        let y = along(pose.y, forward * sin_64 + left * cos_64);
+        let within = |position: i32| (position.rem_euclid(side) << FRACTION) / side;
+        let scale = |turn: i32| (turn << (FRACTION + EXTRA - DIRECTION_BITS)) / side;
+        Self {
+            cell: (x.div_euclid(side), y.div_euclid(side)),
+            origin: (within(x), within(y)),
+            turn: (scale(cos), scale(sin)),
+        }
+    }
+
+    /// The cell of the grid that the sensor is in.
+    pub(super) fn cell(&self) -> (i32, i32) {
+        self.cell
+    }
+
+    /// The same with positions counted from a cell at most 1,000 cells away.
+    pub(super) fn from_corner(self, (x, y): (i32, i32)) -> Self {
+        let shifted = |origin: i32, cell: i32, corner: i32| {
+            origin.wrapping_add(cell.wrapping_sub(corner) << FRACTION)
+        };
+        let origin =
+            (shifted(self.origin.0, self.cell.0, x), shifted(self.origin.1, self.cell.1, y));
+        Self { origin, ..self }
+    }
+
+    /// The sensor.
+    pub(super) fn origin(&self) -> Point {
+        self.origin
+    }
+
+    /// Where a beam goes.
+    #[inline(always)]
+    pub(super) fn direction(&self, beam: Beam) -> Direction {
+        let (cos, sin) = self.turn;
+        let (forward, left) = (i32::from(beam.forward), i32::from(beam.left));
+        Direction(
+            (forward * cos - left * sin) >> DIRECTION_BITS,
+            (forward * sin + left * cos) >> DIRECTION_BITS,
+        )
+    }
+
+    /// What a beam of this direction reaches with a reading of at most 1,000 cells.
+    #[inline(always)]
+    pub(super) fn point(&self, direction: Direction, reading: u32) -> Point {
+        let reading = reading as i32;
+        (
+            self.origin.0.wrapping_add(direction.0.wrapping_mul(reading) >> EXTRA),
+            self.origin.1.wrapping_add(direction.1.wrapping_mul(reading) >> EXTRA),
+        )
+    }
+}
+
+/// Cosine and sine in 1/16,384, to 1.5 of them: a polynomial in a quarter of a turn, for no
+/// microcontroller of ours has doubles.
+fn cos_sin(angle: Angle) -> (i32, i32) {
+    let quarter = |angle: u16| {
+        // sin(pi/2 z) for z in 0 to 1, in 1/32,768.
+        let z = i32::from(angle & 0x3FFF) << 1;
+        let z = if angle & 0x4000 == 0 { z } else { 0x8000 - z };
+        let square = (z * z) >> 15;
+        let sum = 2_603 - ((square * 142) >> 15);
+        let sum = 21_165 - ((square * sum) >> 15);
+        let sum = 51_472 - ((square * sum) >> 15);
+        // 51,472 x 32,768 is below 2^31.
+        let sine = ((z * sum >> 15) + 1) >> 1;
+        if angle & 0x8000 == 0 { sine } else { -sine }
+    };
+    (quarter(angle.0.wrapping_add(0x4000)), quarter(angle.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cosine_and_sine_are_right() {
+        for angle in 0..=u16::MAX {
+            let radians = f64::from(angle) / 65_536.0 * core::f64::consts::TAU;
+            let (cos, sin) = cos_sin(Angle(angle));
+            assert!((f64::from(cos) - radians.cos() * 16_384.0).abs() <= 1.5, "{angle}: {cos}");
+            assert!((f64::from(sin) - radians.sin() * 16_384.0).abs() <= 1.5, "{angle}: {sin}");
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! The outline of what a scan saw, drawn on a window.
+//!
+//! The ends of the beams, in order of bearing, close a polygon with the sensor; what is inside,
+//! minus the hits, is free. Invalid beams break the polygon, and where the range jumps between two
+//! beams only the nearer range is claimed between them: nothing is free that no beam crossed.
+//!
+//! Most beams end on a surface that others have shown already. From each beam that is drawn on,
+//! those are passed over that end where the surface goes on, within a cell, up to some cells
+//! further; in between the surface is drawn as a line.
+
+use core::ops::AddAssign;
+
+use super::{
+    projection::{Point, Projection},
+    window::Window,
+};
+use crate::sense::{Beam, DIRECTION_BITS};
+
+/// Two beams whose readings differ by more than this look past an edge, in millimetres.
+const JUMP: u32 = 150;
+
+/// How the readings of a scan fared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PixelCounts {
+    /// All of them.
+    pub seen: u32,
+    /// Those that went into the map.
+    pub kept: u32,
+    /// Those that could have said nothing new.
+    pub omitted: u32,
+    /// Those without a return, or that the sensor model has no place for.
+    pub invalid: u32,
+}
+
+impl AddAssign for PixelCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.seen = self.seen.wrapping_add(other.seen);
+        self.kept = self.kept.wrapping_add(other.kept);
+        self.omitted = self.omitted.wrapping_add(other.omitted);
+        self.invalid = self.invalid.wrapping_add(other.invalid);
+    }
+}
+
+/// What is constant from scan to scan: millimetres, if not said otherwise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Grain {
+    /// Half a cell: the free space ends so much before a hit, for its cell, and its neighbours on
+    /// a wall that is seen at a slant, are not free.
+    margin: u32,
+    /// Three quarters of a cell: what differs less is within a cell.
+    tolerance: u32,
+    /// Millimetres of reading times beams that fit [`SPAN`] cells side by side.
+    spread: u32,
+}
+
+/// Cells that are passed over at most, across the beams.
+const SPAN: u32 = 4;
+/// Beams that are looked at among those that are passed over: one in half a cell.
+const CHECKS: usize = 2 * SPAN as usize;
+
+impl Grain {
+    /// For the table of a sensor, and cells of `side` millimetres.
+    pub(super) fn new(beams: &[Beam], side: i32) -> Self {
+        let apart = beams.windows(2).map(|pair| match pair {
+            [a, b] if a.limit != 0 && b.limit != 0 => {
+                let across = |a: i16, b: i16| u32::from(a.abs_diff(b));
+                across(a.forward, b.forward).max(across(a.left, b.left))
+            }
+            _ => 0,
+        });
+        let widest = apart.max().unwrap_or(0).max(1);
+        let side = side.clamp(0, 10_000) as u32;
+        Self {
+            margin: side / 2,
+            tolerance: side * 3 / 4,
+            spread: ((SPAN * side) << DIRECTION_BITS) / widest,
+        }
+    }
+}
+
+/// One end of the polygon.
+#[derive(Clone, Copy)]
+struct End {
+    index: usize,
+    /// What of the reading is free.
+    reach: u32,
+    at: Point,
+    hit: Option<Point>,
+}
+
+/// Draws a part of a scan. `continued`: the first beam was the last one of the part before.
+#[inline(never)]
+pub(super) fn trace(
+    window: &mut Window<'_>,
+    projection: &Projection,
+    grain: Grain,
+    beams: &[Beam],
+    readings: &[u16],
+    continued: bool,
+    counts: &mut PixelCounts,
+) {
+    let sensor = projection.origin();
+    let (mut kept, mut invalid) = (0, 0);
+    let mut last: Option<End> = None;
+    let mut index = 0;
+    while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
+        let (reading, limit) = (u32::from(reading), u32::from(beam.limit));
+        let is_hit = reading <= limit;
+        let reach = if is_hit { reading.saturating_sub(grain.margin) } else { limit };
+        if reach == 0 {
+            invalid += u32::from(index > 0 || !continued);
+            index += 1;
+            if let Some(end) = last.take() {
+                window.edge(end.at, sensor);
+            }
+            continue;
+        }
+        kept += u32::from(index > 0 || !continued);
+        let direction = projection.direction(beam);
+        let at = projection.point(direction, reach);
+        let hit = is_hit.then(|| projection.point(direction, reading));
+        // By how much the reading changes from beam to beam, as far as known: 8 fractional bits.
+        let mut slope = 0;
+        let mut from = sensor;
+        let mut surface = hit;
+        let mut passed = 1;
+        if let Some(before) = last {
+            from = before.at;
+            if before.index + 1 == index && before.reach.abs_diff(reach) > JUMP {
+                // Only the nearer range is claimed between them.
+                let step = match before.reach < reach {
+                    true => projection.point(direction, before.reach),
+                    false => {
+                        let beam = beams.get(before.index).copied().unwrap_or(beam);
+                        projection.point(projection.direction(beam), reach)
+                    }
+                };
+                window.edge(from, step);
+                from = step;
+            } else if before.hit.is_some() {
+                surface = before.hit;
+                passed = (index - before.index) as i32;
+                slope = ((reach as i32 - before.reach as i32) << 8) / passed.max(4);
+            }
+        }
+        window.edge(from, at);
+        if let (Some(hit), Some(surface)) = (hit, surface) {
+            window.surface(surface, hit, passed);
+        }
+        last = Some(End { index, reach, at, hit });
+
+        // Where the surface goes on, or nothing is in range, up to some cells further.
+        let ahead = (grain.spread / reach) as usize;
+        let stride = ahead / CHECKS + 1;
+        let (mut expected, span) = match is_hit {
+            true => (reading.saturating_sub(grain.tolerance) << 8, 2 * grain.tolerance),
+            false => (limit << 8, u32::from(u16::MAX)),
+        };
+        let change = if is_hit { slope.wrapping_mul(stride as i32) } else { 0 };
+        let goes_on = |index: usize, expected: u32| {
+            let reading = readings.get(index).copied().unwrap_or(0);
+            u32::from(reading).wrapping_sub(expected >> 8) <= span
+        };
+        let here = index;
+        let mut next = expected.wrapping_add_signed(change);
+        while index + stride <= here + ahead && goes_on(index + stride, next) {
+            index += stride;
+            expected = next;
+            next = expected.wrapping_add_signed(change);
+        }
+        if index + stride <= here + ahead {
+            while goes_on(index + 1, expected) {
+                index += 1;
+            }
+        }
+        index = index.max(here + 1);
+    }
+    if let Some(end) = last {
+        window.edge(end.at, sensor);
+    }
+    let seen = (readings.len() as u32).saturating_sub(u32::from(continued));
+    *counts += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
+}

@@ -1,0 +1,224 @@
+//! A stretch of the grid on which a part of a scan is drawn.
+//!
+//! Free space is not carved ray by ray. Edges of a polygon flip one cell in every row of cells
+//! that they cross; the running XOR along a row then is the interior, 32 cells at a time.
+
+use core::ops::Range;
+
+use ubimap_protocol::tile::{TILE_SIDE, TileId};
+
+use super::{
+    evidence::RowSighting,
+    projection::{CELL, FRACTION, Point, Projection},
+};
+use crate::sense::Beam;
+
+/// Between the outermost cells that a beam can touch and the side of the window.
+const RIM: i32 = 2;
+/// Beams that are looked at to find out how far a part of a scan can reach.
+const SAMPLES: usize = 8;
+
+/// What a window must hold for any eighth of a turn of a scan of so many cells: 344 words of
+/// two planes (2.8 kB) for 80.
+pub(super) const fn words_of(radius: usize) -> usize {
+    let across = radius + 2 * RIM as usize + 1;
+    across * ((across + TILE_SIDE - 2) / TILE_SIDE + 1)
+}
+
+/// Some rows of whole tiles' columns of the grid.
+#[derive(Debug)]
+pub(super) struct Window<'s> {
+    /// Words of cells, column of tiles by column of tiles from the west, from south to north.
+    cells: &'s mut [RowSighting],
+    /// The column of tiles in the west, and how many there are.
+    west: i32,
+    width: usize,
+    /// The row of cells in the south, and how many there are.
+    south: i32,
+    rows: usize,
+}
+
+impl<'s> Window<'s> {
+    /// A window on all that these beams can reach, in `memory` that holds no sighting. `None` if
+    /// it is too short.
+    pub(super) fn over(
+        beams: &[Beam],
+        projection: &Projection,
+        memory: &'s mut [RowSighting],
+    ) -> Option<Self> {
+        let at = |(x, y): Point| (x >> FRACTION, y >> FRACTION);
+        let sensor = at(projection.origin());
+        let (mut low, mut high) = (sensor, sensor);
+        let mut reach = |beam: &Beam| {
+            let (x, y) = at(projection.point(projection.direction(*beam), u32::from(beam.limit)));
+            low = (low.0.min(x), low.1.min(y));
+            high = (high.0.max(x), high.1.max(y));
+        };
+        beams.iter().step_by(beams.len() / SAMPLES + 1).for_each(&mut reach);
+        beams.last().into_iter().for_each(reach);
+        let (cell_x, cell_y) = projection.cell();
+        let tile = |x: i32| x.wrapping_add(cell_x) >> TILE_SIDE.ilog2();
+        let west = tile(low.0 - RIM);
+        let width = usize::try_from(tile(high.0 + RIM).wrapping_sub(west)).ok()? + 1;
+        let rows = usize::try_from(high.1 - low.1 + 2 * RIM + 1).ok()?;
+        let cells = memory.get_mut(..rows.checked_mul(width)?)?;
+        let south = cell_y.wrapping_add(low.1 - RIM);
+        Some(Self { cells, west, width, south, rows })
+    }
+
+    /// The grid coordinates of the cell in the south-west corner.
+    pub(super) fn corner(&self) -> (i32, i32) {
+        (self.west << TILE_SIDE.ilog2(), self.south)
+    }
+
+    /// Whether all of it is on the map.
+    pub(super) fn is_on_the_map(&self) -> bool {
+        let (x, y) = self.corner();
+        let far = |from: i32, cells: usize| i32::try_from(cells).ok()?.checked_add(from);
+        let far = far(x, self.width * TILE_SIDE).zip(far(y, self.rows));
+        let near = TileId::of_cell(x, y);
+        near.is_some() && far.is_some_and(|(x, y)| TileId::of_cell(x, y).is_some())
+    }
+
+    /// Marks the cells of a surface as hit, from one point (which is marked already) to another that
+    /// is so many beams further. Points are counted from the corner.
+    #[inline(never)]
+    pub(super) fn surface(&mut self, from: Point, to: Point, beams: i32) {
+        let (run, rise) = (to.0 - from.0, to.1 - from.1);
+        let cells = (run.abs().max(rise.abs()) >> FRACTION).min(beams);
+        if cells > 1 {
+            let (step_x, step_y) = (run / cells, rise / cells);
+            let mut at = from;
+            for _ in 1..cells {
+                at = (at.0 + step_x, at.1 + step_y);
+                self.hit(at);
+            }
+        }
+        self.hit(to);
+    }
+
+    #[inline(always)]
+    fn hit(&mut self, (x, y): Point) {
+        let column = (x >> FRACTION) as u32;
+        if let Some(cells) = self.word((y >> FRACTION) as usize, column) {
+            cells.hit |= 1 << (column % TILE_SIDE as u32);
+        }
+    }
+
+    /// Flips a cell.
+    #[inline(always)]
+    fn flip(&mut self, row: usize, column: u32) {
+        if let Some(cells) = self.word(row, column) {
+            cells.free ^= 1 << (column % TILE_SIDE as u32);
+        }
+    }
+
+    #[inline(always)]
+    fn word(&mut self, row: usize, column: u32) -> Option<&mut RowSighting> {
+        let index = (column as usize / TILE_SIDE).wrapping_mul(self.rows).wrapping_add(row);
+        self.cells.get_mut(index)
+    }
+
+    /// Flips, in every row whose middle the edge crosses, the first cell whose middle is not to
+    /// the west of the crossing.
+    #[inline(always)]
+    pub(super) fn edge(&mut self, a: Point, b: Point) {
+        if middle_from(a.1) != middle_from(b.1) {
+            self.cross(a, b);
+        }
+    }
+
+    #[inline(never)]
+    fn cross(&mut self, a: Point, b: Point) {
+        let (low, high) = if a.1 <= b.1 { (a, b) } else { (b, a) };
+        let (first, last) = (middle_from(low.1), middle_from(high.1));
+        let up = (first << FRACTION) + CELL / 2 - low.1;
+        let (run, rise) = (high.0 - low.0, high.1 - low.1);
+        // Up to the first crossing, and from one to the next.
+        let mut x = low.0.wrapping_add(((run >> 6) * (up >> 6) / ((rise >> 6) + 1)) << 6);
+        let mut step = 0;
+        if last - first > 1 {
+            step = ((run >> 8) << 12) / (rise >> 8) << 4;
+        }
+        for row in first..last {
+            self.flip(row as usize, middle_from(x) as u32);
+            x = x.wrapping_add(step);
+        }
+    }
+
+    /// What is said of the tiles, column by column of tiles from the west, from south to north.
+    /// Each piece must be read before the next one is asked for: what is inside at its eastern
+    /// side goes on there.
+    pub(super) fn for_each_piece(&mut self, mut take: impl FnMut(Piece<'_>)) {
+        let Self { west, south, rows, .. } = *self;
+        let mut beyond = [RowSighting::default(); TILE_SIDE];
+        let mut rest = &mut *self.cells;
+        for x in west.. {
+            let Some((column, east)) = rest.split_at_mut_checked(rows.max(1)) else { break };
+            let mut y = south;
+            let mut start = 0;
+            while start < rows {
+                let first_row = y as usize % TILE_SIDE;
+                let end = rows.min(start + TILE_SIDE - first_row);
+                let east = east.get_mut(start..end).unwrap_or(&mut beyond);
+                if let Some(rows) = column.get_mut(start..end)
+                    && rows.iter().any(|row| row.known() != 0)
+                {
+                    let id = TileId { x: x as i16, y: (y >> TILE_SIDE.ilog2()) as i16 };
+                    take(Piece { id, first_row, rows, east });
+                }
+                y = y.wrapping_add((end - start) as i32);
+                start = end;
+            }
+            rest = east;
+        }
+    }
+}
+
+/// The first row, or column, whose middle is at or beyond a coordinate.
+#[inline(always)]
+fn middle_from(coordinate: i32) -> i32 {
+    (coordinate + CELL / 2 - 1) >> FRACTION
+}
+
+/// The rows of a tile that a window touches.
+#[derive(Debug)]
+pub(super) struct Piece<'w> {
+    /// Which tile.
+    pub(super) id: TileId,
+    /// The row of the tile that is the first.
+    pub(super) first_row: usize,
+    rows: &'w mut [RowSighting],
+    /// The rows to the east of them.
+    east: &'w mut [RowSighting],
+}
+
+impl<'w> Piece<'w> {
+    /// How many rows there are.
+    pub(super) fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// The hits in some of the rows.
+    pub(super) fn hits(&self, rows: Range<usize>) -> impl Iterator<Item = u32> {
+        self.rows.get(rows).unwrap_or_default().iter().map(|row| row.hit)
+    }
+
+    /// Takes what is said of the rows: the flipped cells turned into the interior, less the hits.
+    #[inline(always)]
+    pub(super) fn fill(self) -> impl Iterator<Item = RowSighting> + use<'w> {
+        self.rows.iter_mut().zip(self.east).map(|(row, east)| {
+            let RowSighting { mut free, hit } = *row;
+            if free | hit != 0 {
+                *row = RowSighting::default();
+                free ^= free << 1;
+                free ^= free << 2;
+                free ^= free << 4;
+                free ^= free << 8;
+                free ^= free << 16;
+                east.free ^= free >> (TILE_SIDE - 1);
+            }
+            RowSighting { free: free & !hit, hit }
+        })
+    }
+}
