@@ -112,6 +112,18 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) {
     let [low, middle, high] = *row;
     let (hit, free) = (sighting.hit, sighting.free & !sighting.hit);
     let unknown = !(low | middle | high);
+    if hit == 0 {
+        // The same in fewer steps, as in most words; so below.
+        let down = free & (middle | high);
+        let carry = down & !low;
+        let new = unknown & free;
+        *row = [low ^ down | new, middle ^ carry | new, high ^ (carry & !middle)];
+        return;
+    }
+    if !unknown & (hit | free) == 0 {
+        *row = [low | hit | free, middle | free, high | hit];
+        return;
+    }
     let up = hit & !unknown & !(low & middle & high);
     let down = free & !unknown & !(low & !middle & !high);
     let carry = low & up | !low & down;

@@ -36,7 +36,7 @@ pub struct MappingConfig {
     pub mounting: Pose,
 }
 
-/// The cells in which a hit is near: the square of a quarter of the range around the sensor, where
+/// The cells in which a hit is near: the square within a quarter of the range of the sensor, where
 /// the beams are closer than cells.
 struct Near {
     low: (i32, i32),
@@ -45,7 +45,7 @@ struct Near {
 
 impl Near {
     fn new(projection: &Projection, max_range: u16, resolution: Millimetres) -> Self {
-        let radius = i32::from(max_range) / 4 / resolution.0.max(1);
+        let radius = i32::from(max_range) * 45 / 256 / resolution.0.max(1);
         let (x, y) = projection.cell();
         Self {
             low: (x.wrapping_sub(radius), y.wrapping_sub(radius)),
@@ -144,7 +144,7 @@ impl<'b> LocalMap<'b> {
             let readings = readings.get(start..end)?;
             let projection = projection.from_corner(window.corner());
 
-            trace(
+            let nearest = trace(
                 &mut window,
                 &projection,
                 self.grain,
@@ -153,6 +153,7 @@ impl<'b> LocalMap<'b> {
                 start > 0,
                 &mut mapped.pixels,
             );
+            let any_near = nearest <= u32::from(max_range) / 4;
             let Self { pool, scans, .. } = self;
             window.for_each_piece(|piece| match pool.find_or_begin(piece.id, *scans) {
                 Some(tile) => {
@@ -161,7 +162,7 @@ impl<'b> LocalMap<'b> {
                     let first = piece.first_row;
                     let rows = near.rows.start.max(first)..near.rows.end.min(first + piece.len());
                     let known = merged(piece.id);
-                    if rows.start < rows.end {
+                    if any_near && rows.start < rows.end {
                         let hits = piece.hits(rows.start - first..rows.end - first);
                         tile.evidence.add_near(
                             rows.start,

@@ -127,9 +127,9 @@ impl<'b> Pool<'b> {
         // Scans touch the same few tiles in the same order.
         let kept = self.places.get(..self.kept)?;
         let next = self.next.min(kept.len());
-        let is_it = |tile: &OwnTile| tile.id == Some(id);
-        let found = kept.iter().skip(next).position(is_it).map(|index| index + next);
-        let index = match found.or_else(|| kept.iter().take(next).position(is_it)) {
+        let (before, after) = kept.split_at_checked(next)?;
+        let place = |tiles: &[OwnTile]| tiles.iter().position(|tile| tile.id == Some(id));
+        let index = match place(after).map(|index| index + next).or_else(|| place(before)) {
             Some(index) => index,
             None => {
                 let index = self.place_for_new(scan)?;

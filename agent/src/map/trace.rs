@@ -4,9 +4,9 @@
 //! minus the hits, is free. Invalid beams break the polygon, and where the range jumps between two
 //! beams only the nearer range is claimed between them: nothing is free that no beam crossed.
 //!
-//! Most beams end on a surface that others have shown already. From each beam that is drawn on,
-//! those are passed over that end where the surface goes on, within a cell, up to some cells
-//! further; in between the surface is drawn as a line.
+//! Where there are several beams to a cell, most of them end on a surface that others have shown
+//! already. From each beam that is drawn on, those are passed over that end where the surface goes
+//! on, within a cell, up to some cells further; in between the surface is drawn as a line.
 
 use core::ops::AddAssign;
 
@@ -54,9 +54,9 @@ pub(super) struct Grain {
 }
 
 /// Cells that are passed over at most, across the beams.
-const SPAN: u32 = 4;
-/// Beams that are looked at among those that are passed over: one in half a cell.
-const CHECKS: usize = 2 * SPAN as usize;
+const SPAN: u32 = 8;
+/// Beams that are looked at among those that are passed over: three in two cells.
+const CHECKS: usize = SPAN as usize * 3 / 2;
 
 impl Grain {
     /// For the table of a sensor, and cells of `side` millimetres.
@@ -89,6 +89,7 @@ struct End {
 }
 
 /// Draws a part of a scan. `continued`: the first beam was the last one of the part before.
+/// Returns the nearest hit, in millimetres of reading.
 #[inline(never)]
 pub(super) fn trace(
     window: &mut Window<'_>,
@@ -98,9 +99,9 @@ pub(super) fn trace(
     readings: &[u16],
     continued: bool,
     counts: &mut PixelCounts,
-) {
+) -> u32 {
     let sensor = projection.origin();
-    let (mut kept, mut invalid) = (0, 0);
+    let (mut kept, mut invalid, mut nearest) = (0, 0, u32::MAX);
     let mut last: Option<End> = None;
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
@@ -146,30 +147,34 @@ pub(super) fn trace(
         window.edge(from, at);
         if let (Some(hit), Some(surface)) = (hit, surface) {
             window.surface(surface, hit, passed);
+            nearest = nearest.min(reading);
         }
         last = Some(End { index, reach, at, hit });
 
         // Where the surface goes on, or nothing is in range, up to some cells further.
-        let ahead = (grain.spread / reach) as usize;
-        let stride = ahead / CHECKS + 1;
-        let (mut expected, span) = match is_hit {
-            true => (reading.saturating_sub(grain.tolerance) << 8, 2 * grain.tolerance),
-            false => (limit << 8, u32::from(u16::MAX)),
-        };
-        let change = if is_hit { slope.wrapping_mul(stride as i32) } else { 0 };
-        let goes_on = |index: usize, expected: u32| {
-            let reading = readings.get(index).copied().unwrap_or(0);
-            u32::from(reading).wrapping_sub(expected >> 8) <= span
-        };
         let here = index;
-        let mut next = expected.wrapping_add_signed(change);
-        while index + stride <= here + ahead && goes_on(index + stride, next) {
-            index += stride;
-            expected = next;
-            next = expected.wrapping_add_signed(change);
-        }
-        if index + stride <= here + ahead {
-            while goes_on(index + 1, expected) {
+        let ahead = (grain.spread / reach) as usize;
+        if ahead >= 2 * SPAN as usize {
+            let stride = ahead / CHECKS + 1;
+            let end = here + ahead - stride;
+            let (mut expected, span, change) = match is_hit {
+                true => {
+                    let low = reading.saturating_sub(grain.tolerance) << 8;
+                    (low, 2 * grain.tolerance, slope.wrapping_mul(stride as i32))
+                }
+                false => (limit << 8, u32::from(u16::MAX), 0),
+            };
+            let goes_on = |index: usize, expected: u32| {
+                let next = readings.get(index);
+                next.is_some_and(|&next| u32::from(next).wrapping_sub(expected >> 8) <= span)
+            };
+            let mut next = expected.wrapping_add_signed(change);
+            while index <= end && goes_on(index + stride, next) {
+                index += stride;
+                expected = next;
+                next = expected.wrapping_add_signed(change);
+            }
+            while index <= end && goes_on(index + 1, expected) {
                 index += 1;
             }
         }
@@ -180,4 +185,5 @@ pub(super) fn trace(
     }
     let seen = (readings.len() as u32).saturating_sub(u32::from(continued));
     *counts += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
+    nearest
 }
