@@ -16,7 +16,10 @@ use crate::{
     config::{Config, ConfigError, Memory},
     inbox::{Inbox, Knock},
     locate::{Located, Locator},
-    map::{LocalMap, MAX_RADIUS, MIN_RESOLUTION, MappingConfig, Pool, scratch_words},
+    map::{
+        LocalMap, MAX_RADIUS, MIN_RESOLUTION, MappingConfig, Pool, Selected, Selection,
+        scratch_words,
+    },
     parameters::{carry_out, push_report},
     sense::{Beam, ScanError, WaitingScans, fill_beams},
     share::{Commands, FusedMap, Publisher},
@@ -43,7 +46,7 @@ pub struct Agent<'b> {
     beams: &'b mut [Beam],
     waiting: WaitingScans<'b>,
     locator: Locator,
-    mapped_pose: Option<Pose>,
+    selection: Selection,
     latest_pose: Option<(Instant, Pose)>,
     map: LocalMap<'b>,
     publisher: Publisher,
@@ -90,7 +93,9 @@ impl<'b> Agent<'b> {
             resolution: config.resolution,
             max_range: config.max_range,
             mounting: config.mounting,
+            omission: config.omission,
         };
+        let selection = Selection::new(config.gate, config.omission, memory.beams);
         let map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
         let width = memory.beams.len();
         Ok(Self {
@@ -98,7 +103,7 @@ impl<'b> Agent<'b> {
             beams: memory.beams,
             waiting: WaitingScans::new(memory.waiting, width),
             locator: Locator::new(config.pose_source),
-            mapped_pose: None,
+            selection,
             latest_pose: None,
             map,
             publisher: Publisher::new(config.hold),
@@ -386,10 +391,11 @@ impl<'b> Agent<'b> {
         let mounting = self.config.mounting;
         self.report = Some(carry_out(command, &mut self.config));
         self.publisher.set_hold(self.config.hold);
+        self.selection.set_gate(self.config.gate);
         if self.config.mounting != mounting {
             let Config { sensor, mounting, max_range, .. } = self.config;
             fill_beams(self.beams, sensor, mounting, max_range);
-            self.map.remount(mounting);
+            self.map.remount(mounting, self.beams);
         }
     }
 
@@ -421,17 +427,23 @@ impl<'b> Agent<'b> {
                 self.latest_pose = Some((moment, pose));
             }
             self.fused.follow(pose, self.config.resolution);
-            if !self.config.gate.opens(self.mapped_pose, pose) {
-                self.statistics.gated = self.statistics.gated.wrapping_add(1);
-                continue;
-            }
+            let selected = self.selection.select(pose, readings);
+            let part = match &selected {
+                Selected::Nothing => {
+                    self.statistics.gated = self.statistics.gated.wrapping_add(1);
+                    continue;
+                }
+                Selected::Moved(part) | Selected::Changed(part) => part.clone(),
+            };
             let fused = &self.fused;
             let merged = |id| fused.tile(id);
-            let Some(mapped) = self.map.add(self.beams, readings, pose, merged) else {
+            let beams = self.beams.get(part.clone()).unwrap_or_default();
+            let seen = readings.get(part).unwrap_or_default();
+            let Some(mapped) = self.map.add(beams, seen, pose, merged) else {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
                 continue;
             };
-            self.mapped_pose = Some(pose);
+            self.selection.mapped(pose, readings, &selected);
             let count = &mut self.statistics;
             count.mapped = count.mapped.wrapping_add(1);
             count.pixels += mapped.pixels;

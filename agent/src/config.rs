@@ -7,7 +7,7 @@ use ubimap_protocol::{
 
 use crate::{
     locate::PoseSource,
-    map::{Gate, OwnTile, RowSighting},
+    map::{Gate, Omission, OwnTile, RowSighting},
     sense::{Beam, SensorModel},
     share::FusedTile,
 };
@@ -31,6 +31,8 @@ pub struct Config {
     pub pose_source: PoseSource,
     /// How far the robot must have moved to map again.
     pub gate: Gate,
+    /// What is left out of a scan.
+    pub omission: Omission,
     /// How long a scan waits for its pose.
     pub scan_deadline: Duration,
     /// How long changes of the map are gathered before they are sent.
@@ -49,6 +51,7 @@ impl Config {
             mounting: Pose::default(),
             pose_source: PoseSource::Fixes,
             gate: Gate::default(),
+            omission: Omission::default(),
             scan_deadline: Duration::from_millis(1_500),
             hold: Duration::from_secs(1),
         }

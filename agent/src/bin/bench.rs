@@ -18,7 +18,7 @@ use cortex_m_semihosting::{debug, hprintln};
 use stm32f4xx_hal as _;
 use ubimap_agent::{
     Agent, Config, Memory,
-    map::{LocalMap, MappingConfig, OwnTile, Pool, RowSighting, scratch_words},
+    map::{LocalMap, MappingConfig, Omission, OwnTile, Pool, RowSighting, scratch_words},
     sense::{Beam, SensorModel, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
 };
@@ -110,7 +110,8 @@ fn local_map<'m>(
     own: &'m mut [OwnTile],
 ) -> LocalMap<'m> {
     let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
-    let config = MappingConfig { resolution, max_range, mounting };
+    let omission = Omission::default();
+    let config = MappingConfig { resolution, max_range, mounting, omission };
     LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 

@@ -39,28 +39,32 @@ impl Evidence {
     pub const NONE: Self = Self { rows: [[0; 3]; TILE_SIDE] };
 
     /// Adds what a scan says of some rows from `first` on. `known`: the server's map of the tile.
+    /// Returns whether a hit said something new: was in a cell that was not known, to the server
+    /// or for as certain as can be, to be occupied.
     pub fn add(
         &mut self,
         first: usize,
         sightings: impl Iterator<Item = RowSighting>,
         known: Option<&Tile>,
-    ) {
+    ) -> bool {
         let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
+        let mut news = 0;
         match known {
             None => {
                 for (row, sighting) in rows.iter_mut().zip(sightings) {
                     if sighting.known() != 0 {
-                        count(row, sighting);
+                        news |= count(row, sighting);
                     }
                 }
             }
             Some(known) => {
                 for ((y, row), mut sighting) in (first..).zip(rows).zip(sightings) {
                     leave_known(row, &mut sighting, known.row(y));
-                    count(row, sighting);
+                    news |= count(row, sighting);
                 }
             }
         }
+        news != 0
     }
 
     /// Adds hits in some rows from `first` on that are near, and count twice: once here, and once
@@ -106,9 +110,10 @@ impl Evidence {
 }
 
 /// Counts what a scan says of a row: a hit up, from unknown to 5, and no further than 7; a
-/// crossing down, from unknown to 3, and no further than 1.
+/// crossing down, from unknown to 3, and no further than 1. Returns the hits that were not
+/// for certain yet.
 #[inline(always)]
-fn count(row: &mut [u32; 3], sighting: RowSighting) {
+fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     let [low, middle, high] = *row;
     let (hit, free) = (sighting.hit, sighting.free & !sighting.hit);
     let unknown = !(low | middle | high);
@@ -118,11 +123,11 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) {
         let carry = down & !low;
         let new = unknown & free;
         *row = [low ^ down | new, middle ^ carry | new, high ^ (carry & !middle)];
-        return;
+        return 0;
     }
     if !unknown & (hit | free) == 0 {
         *row = [low | hit | free, middle | free, high | hit];
-        return;
+        return hit;
     }
     let up = hit & !unknown & !(low & middle & high);
     let down = free & !unknown & !(low & !middle & !high);
@@ -133,6 +138,7 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) {
         (middle ^ carry) | unknown & free,
         (high ^ carry_high) | unknown & hit,
     ];
+    hit & !(low & middle & high)
 }
 
 /// Leaves to the server's map what it says already of a row, and takes over what it says otherwise.

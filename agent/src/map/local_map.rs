@@ -9,6 +9,7 @@ use ubimap_protocol::{
 
 use super::{
     evidence::RowSighting,
+    omission::Omission,
     own_tile::Pool,
     projection::Projection,
     trace::{Grain, PixelCounts, trace},
@@ -34,6 +35,8 @@ pub struct MappingConfig {
     pub max_range: u16,
     /// The sensor in `base_link`.
     pub mounting: Pose,
+    /// What is left out.
+    pub omission: Omission,
 }
 
 /// The cells in which a hit is near: the square within a quarter of the range of the sensor, where
@@ -102,13 +105,14 @@ impl<'b> LocalMap<'b> {
         pool: Pool<'b>,
     ) -> Self {
         scratch.fill(RowSighting::default());
-        let grain = Grain::new(beams, config.resolution.0);
+        let grain = Grain::new(beams, config.resolution, config.omission);
         Self { config, grain, scratch, pool, scans: 0 }
     }
 
-    /// The sensor is mounted otherwise from now on.
-    pub(crate) fn remount(&mut self, mounting: Pose) {
+    /// The sensor is mounted otherwise from now on, and this is its new table.
+    pub(crate) fn remount(&mut self, mounting: Pose, beams: &[Beam]) {
         self.config.mounting = mounting;
+        self.grain = Grain::new(beams, self.config.resolution, self.config.omission);
     }
 
     /// Adds a scan that was taken at `pose` (`base_link` in `map`). `merged` gives a tile of the
@@ -120,11 +124,13 @@ impl<'b> LocalMap<'b> {
         pose: Pose,
         merged: impl Fn(TileId) -> Option<&'m Tile>,
     ) -> Option<Mapped> {
-        let MappingConfig { resolution, max_range, mounting } = self.config;
+        let MappingConfig { resolution, max_range, mounting, omission } = self.config;
         self.scans = self.scans.wrapping_add(1);
         let projection = Projection::new(pose, mounting, resolution);
         let near = Near::new(&projection, max_range, resolution);
         let mut mapped = Mapped::default();
+        // Whether there were hits that were not known.
+        let mut news = false;
         let mut start = 0;
         let count = beams.len().min(readings.len());
         // The whole scan, or as much of it at a time as the scratch memory has room for.
@@ -158,19 +164,17 @@ impl<'b> LocalMap<'b> {
             window.for_each_piece(|piece| match pool.find_or_begin(piece.id, *scans) {
                 Some(tile) => {
                     tile.dirty = true;
-                    let near = near.within(piece.id);
-                    let first = piece.first_row;
-                    let rows = near.rows.start.max(first)..near.rows.end.min(first + piece.len());
-                    let known = merged(piece.id);
-                    if any_near && rows.start < rows.end {
-                        let hits = piece.hits(rows.start - first..rows.end - first);
-                        tile.evidence.add_near(
-                            rows.start,
-                            hits.map(|hit| hit & near.columns),
-                            known,
-                        );
+                    let (first, known) = (piece.first_row, merged(piece.id));
+                    if any_near {
+                        let near = near.within(piece.id);
+                        let end = near.rows.end.min(first + piece.len());
+                        let rows = near.rows.start.max(first)..end;
+                        let hits =
+                            piece.hits(rows.start.wrapping_sub(first)..end.wrapping_sub(first));
+                        let hits = hits.map(|hit| hit & near.columns);
+                        tile.evidence.add_near(rows.start, hits, known);
                     }
-                    tile.evidence.add(first, piece.fill(), known);
+                    news |= tile.evidence.add(first, piece.fill(), known);
                 }
                 None => {
                     mapped.cells_refused +=
@@ -182,6 +186,9 @@ impl<'b> LocalMap<'b> {
             }
             // What lies between the last beam and the next one belongs to the next part.
             (start, end) = (end - 1, count);
+        }
+        if omission == Omission::Known && !news {
+            mapped.pixels.omitted += core::mem::take(&mut mapped.pixels.kept);
         }
         Some(mapped)
     }
@@ -203,6 +210,7 @@ mod tests {
         resolution: Millimetres(50),
         max_range: 4_000,
         mounting: Pose { x: Millimetres(0), y: Millimetres(0), heading: Angle(0) },
+        omission: Omission::Known,
     };
 
     struct Seen {

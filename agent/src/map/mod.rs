@@ -1,16 +1,21 @@
 //! From a range scan and its pose to the robot's own layer of the map.
 
+mod change;
 mod evidence;
 mod gate;
 mod local_map;
+mod omission;
 mod own_tile;
 mod projection;
+mod selection;
 mod trace;
 mod window;
 
 pub use evidence::{Evidence, RowSighting};
 pub use gate::Gate;
 pub use local_map::{LocalMap, MAX_RADIUS, Mapped, MappingConfig, scratch_words};
+pub use omission::Omission;
 pub use own_tile::{OwnTile, Pool};
 pub use projection::MIN_RESOLUTION;
+pub use selection::{Selected, Selection};
 pub use trace::PixelCounts;

@@ -10,7 +10,10 @@
 
 use core::ops::AddAssign;
 
+use ubimap_protocol::units::Millimetres;
+
 use super::{
+    omission::Omission,
     projection::{Point, Projection},
     window::Window,
 };
@@ -59,8 +62,8 @@ const SPAN: u32 = 8;
 const CHECKS: usize = SPAN as usize * 3 / 2;
 
 impl Grain {
-    /// For the table of a sensor, and cells of `side` millimetres.
-    pub(super) fn new(beams: &[Beam], side: i32) -> Self {
+    /// For the table of a sensor, and cells of a side.
+    pub(super) fn new(beams: &[Beam], side: Millimetres, omission: Omission) -> Self {
         let apart = beams.windows(2).map(|pair| match pair {
             [a, b] if a.limit != 0 && b.limit != 0 => {
                 let across = |a: i16, b: i16| u32::from(a.abs_diff(b));
@@ -69,11 +72,12 @@ impl Grain {
             _ => 0,
         });
         let widest = apart.max().unwrap_or(0).max(1);
-        let side = side.clamp(0, 10_000) as u32;
+        let side = side.0.clamp(0, 10_000) as u32;
+        let span = if omission == Omission::Known { SPAN } else { 0 };
         Self {
             margin: side / 2,
             tolerance: side * 3 / 4,
-            spread: ((SPAN * side) << DIRECTION_BITS) / widest,
+            spread: ((span * side) << DIRECTION_BITS) / widest,
         }
     }
 }

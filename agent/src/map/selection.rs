@@ -1,0 +1,78 @@
+//! Which readings of a scan are to be mapped (Aluckal II.C, "thresholding" and "selective
+//! omission").
+
+use core::ops::Range;
+
+use ubimap_protocol::units::Pose;
+
+use super::{
+    change::LastScan,
+    gate::Gate,
+    omission::{Omission, Sweep},
+};
+use crate::sense::Beam;
+
+/// Why readings are mapped.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Selected {
+    /// None is: the robot stands still and sees what it saw.
+    Nothing,
+    /// The robot has moved.
+    Moved(Range<usize>),
+    /// It stands still, and something has changed in view.
+    Changed(Range<usize>),
+}
+
+/// Chooses from scan to scan.
+#[derive(Debug)]
+pub struct Selection {
+    gate: Gate,
+    omission: Omission,
+    sweep: Sweep,
+    mapped_at: Option<Pose>,
+    last: LastScan,
+}
+
+impl Selection {
+    /// For a sensor; nothing has been mapped.
+    pub fn new(gate: Gate, omission: Omission, beams: &[Beam]) -> Self {
+        Self { gate, omission, sweep: Sweep::of(beams), mapped_at: None, last: LastScan::NONE }
+    }
+
+    /// The robot must have moved so far from now on.
+    pub fn set_gate(&mut self, gate: Gate) {
+        self.gate = gate;
+    }
+
+    /// Which readings of a scan that was taken at `pose` (`base_link` in `map`) say something new.
+    pub fn select(&self, pose: Pose, readings: &[u16]) -> Selected {
+        if self.gate.opens(self.mapped_at, pose) {
+            let all = 0..readings.len();
+            return Selected::Moved(match (self.omission, self.mapped_at) {
+                (Omission::Rotation, Some(before)) => {
+                    self.sweep.new_in_view(before.heading, pose.heading, readings.len())
+                }
+                _ => all,
+            });
+        }
+        match self.omission {
+            Omission::Known => {
+                self.last.changed(readings).map_or(Selected::Nothing, Selected::Changed)
+            }
+            // As printed: who stands still maps nothing.
+            _ => Selected::Nothing,
+        }
+    }
+
+    /// Takes note that a part of a scan has been mapped.
+    pub fn mapped(&mut self, pose: Pose, readings: &[u16], part: &Selected) {
+        match part {
+            Selected::Nothing => {}
+            Selected::Moved(_) => {
+                self.mapped_at = Some(pose);
+                self.last.remember(readings, 0..readings.len());
+            }
+            Selected::Changed(part) => self.last.remember(readings, part.clone()),
+        }
+    }
+}
