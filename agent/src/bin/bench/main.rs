@@ -6,14 +6,15 @@
 #![no_std]
 #![no_main]
 
+mod coder;
+mod counter;
+
 use core::{hint::black_box, panic::PanicInfo};
 
-use cortex_m::{
-    Peripherals, asm,
-    peripheral::{SYST, syst::SystClkSource},
-};
+use cortex_m::{Peripherals, asm};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
+use counter::Bench;
 // For its table of interrupt vectors.
 use stm32f4xx_hal as _;
 use ubimap_agent::{
@@ -25,10 +26,7 @@ use ubimap_agent::{
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, SessionId, payload_capacity},
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
-    message::{
-        Certainty, FixSource, Hello, Messages, PoseFix, TileUpdateHead, ToRobotKind, Writer, decode,
-    },
-    tile::{Epoch, Replica, Stamp, Tile, TileDecoder, TileEncoder, TileId, Version},
+    message::{Certainty, FixSource, Hello, PoseFix, ToRobotKind, Writer, decode},
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
 };
@@ -49,15 +47,6 @@ const BOXES: [(usize, usize, u16); 2] = [(150, 270, 1_200), (400, 500, 1_900)];
 /// Places for tiles: more than a row touches.
 const OWN_TILES: usize = 24;
 const FUSED_TILES: usize = 16;
-
-/// SysTick's clock in the emulator.
-const CORE_HZ: u64 = 168_000_000;
-
-/// One instruction is one nanosecond.
-const INSTRUCTIONS_PER_SECOND: u64 = 1_000_000_000;
-
-/// SysTick's period, the longest it has: 99.8 million instructions.
-const PERIOD: u32 = 1 << 24;
 
 #[entry]
 fn main() -> ! {
@@ -94,8 +83,7 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
 
     let mut frame = [0; DEFAULT_FRAME];
     let len = publish(bench, &mut memory, &readings, &mut frame)?;
-    let tile = fullest_tile(frame.get(..len)?)?;
-    code(bench, &tile)?;
+    coder::run(bench, frame.get(..len)?)?;
     receive(bench, memory)
 }
 
@@ -152,47 +140,6 @@ fn publish(
     Some(writer.len())
 }
 
-/// The whole tile of a message of which most is known.
-fn fullest_tile(message: &[u8]) -> Option<Tile> {
-    let message = Messages::new(message).next()?.ok()?;
-    let (_, coded) = decode::<TileUpdateHead>(message.body).ok()?;
-    let mut decoder = TileDecoder::new(coded);
-    let mut fullest = Tile::UNKNOWN;
-    while let Some(header) = decoder.header().ok()? {
-        let mut replica = Replica::NOTHING;
-        replica.apply(&header, &mut decoder).ok()?;
-        if replica.tile().counts().0 > fullest.counts().0 {
-            fullest = *replica.tile();
-        }
-    }
-    (fullest != Tile::UNKNOWN).then_some(fullest)
-}
-
-/// An update of one tile, coded and read.
-fn code(bench: &mut Bench, tile: &Tile) -> Option<()> {
-    let (known, free, occupied) = tile.counts();
-    let id = TileId { x: 1, y: -1 };
-    let stamp = Stamp { epoch: Epoch(1), version: Version(1) };
-    let mut out = [0; DEFAULT_FRAME];
-    let len = bench.measure(
-        format_args!("a new tile ({known} cells: {free} free, {occupied} occupied) to bytes"),
-        || {
-            let mut encoder = TileEncoder::new(&mut out);
-            encoder.push(id, stamp, None, 0, &Tile::UNKNOWN, black_box(tile))?;
-            encoder.finish()
-        },
-    )?;
-    let coded = black_box(out.get(..len)?);
-    let read = bench.measure(format_args!("its {len} bytes to a tile"), || {
-        let mut decoder = TileDecoder::new(coded);
-        let header = decoder.header().ok()??;
-        let mut read = Tile::UNKNOWN;
-        decoder.cells(&header, &mut read);
-        Some(read)
-    })?;
-    (read == *tile).then_some(())
-}
-
 /// A frame with a pose fix, and the three before it, from bytes to the agent's pose.
 fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
     let mut agent = Agent::new(Config::new(RobotId(1), sensor()), memory).ok()?;
@@ -237,56 +184,6 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
         }
     }
     (agent.statistics().fixes == 5 && agent.pose() == Some((now, POSE))).then_some(())
-}
-
-/// Measures by SysTick.
-struct Bench {
-    systick: SYST,
-    /// What measuring nothing takes.
-    overhead: u32,
-}
-
-impl Bench {
-    fn new(mut systick: SYST) -> Self {
-        systick.set_clock_source(SystClkSource::Core);
-        systick.set_reload(PERIOD - 1);
-        systick.clear_current();
-        systick.enable_counter();
-        // From zero it steps to the top.
-        while SYST::get_current() == 0 {}
-        let mut bench = Self { systick, overhead: 0 };
-        bench.overhead = bench.ticks(|| ()).1.unwrap_or(0);
-        bench
-    }
-
-    /// Runs a stage once and prints a line of the table, exact to a tick: six instructions.
-    fn measure<T>(&mut self, name: impl core::fmt::Display, stage: impl FnOnce() -> T) -> T {
-        let (result, ticks) = self.ticks(stage);
-        match ticks {
-            Some(ticks) => {
-                let net = u64::from(ticks.saturating_sub(self.overhead));
-                hprintln!("{:>12}  {}", net * INSTRUCTIONS_PER_SECOND / CORE_HZ, name);
-            }
-            None => hprintln!("{:>12}  {}", "too many", name),
-        }
-        result
-    }
-
-    /// What a stage gives, and the ticks that it takes; `None` if they may be more than a period.
-    fn ticks<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
-        // It counts down, and wraps at most once within a period.
-        self.systick.has_wrapped();
-        let start = SYST::get_current();
-        let result = black_box(stage());
-        let end = SYST::get_current();
-        let wrapped = self.systick.has_wrapped();
-        let ticks = match (wrapped, start.checked_sub(end)) {
-            (false, ticks) => ticks,
-            (true, None) => Some(start + PERIOD - end),
-            (true, Some(_)) => None,
-        };
-        (result, ticks)
-    }
 }
 
 #[panic_handler]
