@@ -174,8 +174,16 @@ impl<'a> Writer<'a> {
 
     fn try_push(&mut self, kind: u8, fill: impl FnOnce(&mut [u8]) -> Option<usize>) -> Option<()> {
         // The body is written where the longest head would end, then moved down to the real one.
+        let space = self.buffer.get_mut(self.len..)?.get_mut(HEAD_LEN..)?;
+        let body_len = fill(space)?;
+        self.close(kind, body_len)
+    }
+
+    /// Puts the head before a body that has been written. Apart, so that it is in the firmware
+    /// once and not for each kind of message.
+    #[inline(never)]
+    fn close(&mut self, kind: u8, body_len: usize) -> Option<()> {
         let space = self.buffer.get_mut(self.len..)?;
-        let body_len = fill(space.get_mut(HEAD_LEN..)?)?;
         let (head, body) = space.split_at_mut_checked(HEAD_LEN)?;
         *head.first_mut()? = kind;
         let len_len =
