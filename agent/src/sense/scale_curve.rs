@@ -1,0 +1,325 @@
+//! From pixels of free floor to a distance (Ahmed 2.3): equations 1 and 2, and curves of one's own.
+
+/// Coefficients of the curve: it is of fourth degree, as equation 1.
+const TERMS: usize = 5;
+
+/// Table 1 of Ahmed: pixels of free floor (d_r), and the distance to the object in pixels of the
+/// ceiling camera (d_c). The scale factor of its third column is their quotient.
+pub const TABLE_1: [(u8, f32); 10] = [
+    (62, 74.0),
+    (69, 83.0),
+    (75, 91.0),
+    (81, 100.0),
+    (85, 106.0),
+    (93, 119.0),
+    (101, 138.0),
+    (108, 170.0),
+    (114, 199.0),
+    (121, 254.0),
+];
+
+/// The scale factor alpha by the pixels of free floor in a column, within the pixels that were
+/// measured. Outside it says nothing: a polynomial leaves its data there.
+///
+/// The polynomial stands in a basis `p_0 = 1`, `p_(k+1) = (x - shift_k) p_k - damping_k p_(k-1)`.
+/// With shifts and dampings of zero these are the powers of x; [`ScaleCurve::fit`] chooses those
+/// for which the p_k are orthogonal over the table, which is what lets it work in `f32`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScaleCurve {
+    /// Pixels at which x is zero, and for which it grows by one.
+    centre: f32,
+    spread: f32,
+    terms: [Term; TERMS],
+    /// The pixels that were measured, both included.
+    first: u8,
+    last: u8,
+}
+
+/// One p_k of the basis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Term {
+    coefficient: f32,
+    shift: f32,
+    damping: f32,
+}
+
+impl Term {
+    const fn of(coefficient: f32) -> Self {
+        Self { coefficient, shift: 0.0, damping: 0.0 }
+    }
+}
+
+/// Why no curve was fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScaleError {
+    /// A curve has five coefficients: the table must have as many rows.
+    TooShort,
+    /// A row does not lie beyond the one before it, or is no distance: its index.
+    Row(usize),
+    /// The curve that lies nearest to the table comes back at this many pixels, where more free
+    /// floor would be a shorter distance.
+    Turns(u8),
+}
+
+impl ScaleCurve {
+    /// Equation 1 as printed, for distances in pixels of the ceiling camera. Its coefficients are
+    /// rounded: it stays 0.04 to 0.09 below table 1, to which a [`ScaleCurve::fit`] is within
+    /// 0.03.
+    pub const EQUATION_1: Self = Self {
+        centre: 0.0,
+        spread: 1.0,
+        terms: [
+            Term::of(0.0051),
+            Term::of(0.028),
+            Term::of(0.000_11),
+            Term::of(-7e-6),
+            Term::of(4.4e-8),
+        ],
+        first: 62,
+        last: 121,
+    };
+
+    /// The curve of fourth degree that lies nearest to a table (least squares of the scale
+    /// factor). Each row holds the pixels of free floor in the middle column and the distance to
+    /// the object there, in any unit: the curve's distances are in the same. Both grow from row
+    /// to row. One pass over the table for each of the five coefficients.
+    ///
+    /// # Errors
+    /// Every [`ScaleError`].
+    pub fn fit(table: &[(u8, f32)]) -> Result<Self, ScaleError> {
+        let (Some(&(first, _)), Some(&(last, _))) = (table.first(), table.last()) else {
+            return Err(ScaleError::TooShort);
+        };
+        if table.len() < TERMS {
+            return Err(ScaleError::TooShort);
+        }
+        let mut before = (0, 0.0);
+        for (index, &(pixels, distance)) in table.iter().enumerate() {
+            if pixels <= before.0 || !(distance > before.1 && distance.is_finite()) {
+                return Err(ScaleError::Row(index));
+            }
+            before = (pixels, distance);
+        }
+        let (low, high) = (f32::from(first), f32::from(last));
+        let mut curve = Self {
+            centre: (low + high) / 2.0,
+            spread: (high - low) / 2.0,
+            terms: [Term::of(0.0); TERMS],
+            first,
+            last,
+        };
+        let mut norm_before = 1.0;
+        for degree in 0..TERMS {
+            // Of p_k with itself, with x p_k, and with what the terms before it leave.
+            let (mut norm, mut moment, mut rest) = (0.0, 0.0, 0.0);
+            for &(pixels, distance) in table {
+                let (Some(x), Some(alpha)) = (curve.x(pixels), curve.alpha(pixels)) else {
+                    continue;
+                };
+                let p = curve.basis(x).nth(degree).map_or(0.0, |(_, p, _)| p);
+                norm += p * p;
+                moment += x * p * p;
+                rest += (distance / f32::from(pixels) - alpha) * p;
+            }
+            if let Some(term) = curve.terms.get_mut(degree) {
+                let damping = if degree == 0 { 0.0 } else { norm / norm_before };
+                *term = Term { coefficient: rest / norm, shift: moment / norm, damping };
+            }
+            norm_before = norm;
+        }
+        let grows = |&pixels: &u8| {
+            let distance = curve.distance(pixels).is_some_and(f32::is_finite);
+            distance && curve.reach(pixels).is_some_and(|reach| reach > 0.0)
+        };
+        match (first..=last).find(|pixels| !grows(pixels)) {
+            Some(pixels) => Err(ScaleError::Turns(pixels)),
+            None => Ok(curve),
+        }
+    }
+
+    /// The same curve for distances in another unit, of which one of its own are `factor`: of
+    /// [`ScaleCurve::EQUATION_1`], millimetres of floor for each pixel of the ceiling camera.
+    pub fn scaled(mut self, factor: f32) -> Self {
+        for term in &mut self.terms {
+            term.coefficient *= factor;
+        }
+        self
+    }
+
+    /// The scale factor (equation 1); `None` outside the pixels that were measured.
+    pub fn alpha(&self, pixels: u8) -> Option<f32> {
+        let x = self.x(pixels)?;
+        Some(self.basis(x).map(|(term, p, _)| term.coefficient * p).sum())
+    }
+
+    /// The distance (equation 2) in the unit of the table; `None` outside the pixels that were
+    /// measured.
+    pub fn distance(&self, pixels: u8) -> Option<f32> {
+        Some(self.alpha(pixels)? * f32::from(pixels))
+    }
+
+    /// What one pixel more or less changes about the distance: alpha + d_r d(alpha)/d(r).
+    pub fn reach(&self, pixels: u8) -> Option<f32> {
+        let x = self.x(pixels)?;
+        let slope: f32 = self.basis(x).map(|(term, _, slope)| term.coefficient * slope).sum();
+        Some(self.alpha(pixels)? + f32::from(pixels) * slope / self.spread)
+    }
+
+    /// How much a boundary at so many pixels is worth, 0 to 1: an error of a pixel moves it by
+    /// [`ScaleCurve::reach`], and the weight is the inverse of that, 1 at the near end of the
+    /// curve. `None` outside the pixels that were measured.
+    pub fn weight(&self, pixels: u8) -> Option<f32> {
+        Some((self.reach(self.first)? / self.reach(pixels)?).min(1.0))
+    }
+
+    fn x(&self, pixels: u8) -> Option<f32> {
+        let measured = (self.first..=self.last).contains(&pixels);
+        measured.then(|| (f32::from(pixels) - self.centre) / self.spread)
+    }
+
+    /// Each term with its p_k and the slope of that, at x.
+    fn basis(&self, x: f32) -> impl Iterator<Item = (Term, f32, f32)> {
+        let (mut p, mut slope) = (1.0, 0.0);
+        let (mut p_before, mut slope_before) = (0.0, 0.0);
+        self.terms.into_iter().map(move |term| {
+            let now = (term, p, slope);
+            let along = x - term.shift;
+            let next = along * p - term.damping * p_before;
+            let next_slope = p + along * slope - term.damping * slope_before;
+            (p_before, slope_before) = (p, slope);
+            (p, slope) = (next, next_slope);
+            now
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::vec::Vec;
+
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The third column of table 1, as printed.
+    const PRINTED: [f32; 10] = [1.19, 1.20, 1.21, 1.23, 1.25, 1.28, 1.37, 1.57, 1.75, 2.10];
+
+    fn errors(curve: &ScaleCurve) -> Vec<f32> {
+        let rows = TABLE_1.iter().zip(PRINTED);
+        rows.map(|(&(pixels, _), alpha)| curve.alpha(pixels).unwrap() - alpha).collect()
+    }
+
+    #[test]
+    fn table_1_is_the_quotient_that_is_printed() {
+        for ((pixels, distance), alpha) in TABLE_1.into_iter().zip(PRINTED) {
+            assert!((distance / f32::from(pixels) - alpha).abs() < 0.006, "{pixels}");
+        }
+    }
+
+    #[test]
+    fn equation_1_stays_below_table_1_by_four_to_nine_hundredths() {
+        for error in errors(&ScaleCurve::EQUATION_1) {
+            assert!((-0.0897..=-0.0413).contains(&error), "{error}");
+        }
+        // Equation 1 by another way, in the order of its terms.
+        for d in 62..=121u8 {
+            let r = f64::from(d);
+            let printed =
+                4.4e-8 * r.powi(4) - 7e-6 * r.powi(3) + 0.00011 * r.powi(2) + 0.028 * r + 0.0051;
+            let alpha = f64::from(ScaleCurve::EQUATION_1.alpha(d).unwrap());
+            assert!((alpha - printed).abs() < 1e-5, "{d}: {alpha} {printed}");
+        }
+    }
+
+    #[test]
+    fn a_fit_of_table_1_is_three_times_as_good() {
+        let curve = ScaleCurve::fit(&TABLE_1).unwrap();
+        let worst = errors(&curve).into_iter().map(f32::abs).fold(0.0, f32::max);
+        assert!(worst < 0.0897 / 3.0, "{worst}");
+        for pixels in 0..=255 {
+            assert_eq!(curve.alpha(pixels).is_some(), (62..=121).contains(&pixels));
+        }
+    }
+
+    #[test]
+    fn the_weight_falls_as_a_pixel_spans_more() {
+        for curve in [ScaleCurve::EQUATION_1, ScaleCurve::fit(&TABLE_1).unwrap()] {
+            assert_eq!(curve.weight(62), Some(1.0));
+            assert!(curve.weight(121).unwrap() < 0.25);
+            for pixels in 63..=120 {
+                // The slope by differences, in f64 to keep their digits.
+                let at = |pixels| f64::from(curve.distance(pixels).unwrap());
+                let slope = (at(pixels + 1) - at(pixels - 1)) / 2.0;
+                let reach = f64::from(curve.reach(pixels).unwrap());
+                assert!((reach - slope).abs() < 0.02, "{pixels}: {reach} {slope}");
+            }
+            let far: Vec<_> = (95..=121).map(|pixels| curve.weight(pixels).unwrap()).collect();
+            assert!(far.is_sorted_by(|near, far| near > far), "{far:?}");
+        }
+    }
+
+    #[test]
+    fn tables_that_make_no_curve_are_refused() {
+        assert_eq!(ScaleCurve::fit(&[]), Err(ScaleError::TooShort));
+        assert_eq!(ScaleCurve::fit(&TABLE_1[..4]), Err(ScaleError::TooShort));
+        let with = |index: usize, row| {
+            let mut table = TABLE_1;
+            table[index] = row;
+            ScaleCurve::fit(&table)
+        };
+        for (index, row) in [
+            (0, (0, 74.0)),
+            (3, (75, 100.0)),
+            (3, (81, 91.0)),
+            (4, (85, f32::NAN)),
+            (9, (121, f32::INFINITY)),
+        ] {
+            assert_eq!(with(index, row), Err(ScaleError::Row(index)));
+        }
+        let jump = [(10, 10.0), (20, 20.0), (30, 21.0), (40, 900.0), (50, 901.0), (60, 902.0)];
+        assert!(matches!(ScaleCurve::fit(&jump), Err(ScaleError::Turns(_))));
+    }
+
+    proptest! {
+        /// A camera at some height that looks down on a floor, whose horizon is so many lines up.
+        #[test]
+        fn the_fit_is_no_worse_than_any_curve_nearby(
+            pixels in proptest::collection::btree_set(20u8..120, 6..30),
+            horizon in 125.0f64..200.0,
+            height in 3_000.0f64..30_000.0,
+            nudge in proptest::collection::vec(-1.0f64..1.0, 5),
+        ) {
+            let table: Vec<_> = pixels
+                .iter()
+                .map(|&pixels| (pixels, (height / (horizon - f64::from(pixels))) as f32))
+                .collect();
+            let Ok(curve) = ScaleCurve::fit(&table) else { return Ok(()) };
+            let (low, high) = (f64::from(table[0].0), f64::from(table[table.len() - 1].0));
+            let cost = |size: f64| -> f64 {
+                table
+                    .iter()
+                    .map(|&(pixels, distance)| {
+                        let alpha = f64::from(distance) / f64::from(pixels);
+                        let x = 2.0 * (f64::from(pixels) - low) / (high - low) - 1.0;
+                        let powers = nudge.iter().enumerate();
+                        let nudged: f64 = powers.map(|(k, by)| by * x.powi(k as i32)).sum();
+                        let fitted = f64::from(curve.alpha(pixels).unwrap());
+                        (fitted + size * nudged - alpha).powi(2)
+                    })
+                    .sum()
+            };
+            let scale = f64::from(curve.alpha(table[0].0).unwrap());
+            for size in [1e-2, -1e-2] {
+                prop_assert!(cost(0.0) <= cost(size * scale));
+            }
+        }
+
+        #[test]
+        fn any_table_ends(table in proptest::collection::vec((any::<u8>(), any::<f32>()), 0..40)) {
+            if let Ok(curve) = ScaleCurve::fit(&table) {
+                for pixels in 0..=255 {
+                    prop_assert!(curve.distance(pixels).is_none_or(|it| it.is_finite()));
+                }
+            }
+        }
+    }
+}
