@@ -2,12 +2,14 @@
 
 mod beams;
 mod clearance;
+mod distance_vector;
 mod floor;
 mod scale_curve;
 mod waiting;
 
 pub use beams::{Beam, DIRECTION_BITS, SensorModel, fill_beams};
 pub use clearance::GroundClearance;
+pub use distance_vector::{boundary_point, floor_readings};
 pub use floor::{COLUMNS, Floor, FloorConfig, ImageSizeError, LINES, floor_distances};
 pub use scale_curve::{ScaleCurve, ScaleError, TABLE_1};
 pub use waiting::{ScanError, WaitingScans};

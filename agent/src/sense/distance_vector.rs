@@ -1,0 +1,94 @@
+//! From a distance vector in pixels onto the map (Ahmed 2.3, equations 2 to 5).
+
+use nalgebra::Point2;
+
+use super::{floor::COLUMNS, scale_curve::ScaleCurve};
+
+/// A distance vector as a scan: for each column the distance to the boundary in millimetres
+/// (equation 2), if the curve is one of millimetres; 0, no reading, where it says nothing.
+///
+/// The sensor model tells what they are. A line of the image is one depth, not one range: with
+/// [`Pinhole`](super::SensorModel::Pinhole) the boundary lies where the camera saw it. The paper
+/// takes the distances to be ranges along bearings that are spread evenly over its 90 degrees
+/// ([`Radial`](super::SensorModel::Radial)), which is true in the middle of the image only: at its
+/// sides a boundary is mapped at 0.71 of its distance. Each column costs an evaluation of the
+/// curve, about 100 instructions.
+pub fn floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; COLUMNS] {
+    distances.map(|pixels| curve.distance(pixels).map_or(0, |it| libm::roundf(it) as u16))
+}
+
+/// Where a boundary lies (equations 3 to 5): so far from the robot towards any other point on the
+/// ray of its column. `None` if there is no direction towards that point.
+///
+/// Equation 5 as printed goes by the slope of the ray (equation 4), which is the same for the
+/// opposite ray: all that lies to the left of the robot (smaller x) is mirrored to its right, and
+/// a ray along the y axis has none. Here the direction is a unit vector and keeps its quadrant.
+pub fn boundary_point(
+    robot: Point2<f32>,
+    towards: Point2<f32>,
+    distance: f32,
+) -> Option<Point2<f32>> {
+    let way = towards - robot;
+    let length = way.norm();
+    (length > 0.0 && length.is_finite()).then(|| robot + way * (distance / length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Equations 4 and 5 as printed.
+    fn printed(robot: Point2<f32>, towards: Point2<f32>, distance: f32) -> Point2<f32> {
+        let slope = (towards.y - robot.y) / (towards.x - robot.x);
+        let root = (1.0 + slope * slope).sqrt();
+        Point2::new(distance / root + robot.x, slope * distance / root + robot.y)
+    }
+
+    fn towards(robot: Point2<f32>, bearing: f32) -> Point2<f32> {
+        Point2::new(robot.x + 300.0 * bearing.cos(), robot.y + 300.0 * bearing.sin())
+    }
+
+    #[test]
+    fn what_the_curve_does_not_reach_is_no_reading() {
+        let mut distances = [0; COLUMNS];
+        for (column, distance) in distances.iter_mut().enumerate() {
+            *distance = column.min(255) as u8;
+        }
+        let curve = ScaleCurve::fit(&super::super::TABLE_1).unwrap().scaled(10.0);
+        for (pixels, reading) in floor_readings(&distances, &curve).into_iter().enumerate() {
+            assert_eq!(reading != 0, (62..=121).contains(&pixels), "{pixels}: {reading}");
+        }
+        let reading = floor_readings(&[93; COLUMNS], &curve)[0];
+        assert!(reading.abs_diff(1_190) < 20, "{reading} is not 119 of 10 mm");
+    }
+
+    #[test]
+    fn a_robot_has_no_boundary_towards_itself() {
+        let robot = Point2::new(3.0, 4.0);
+        assert_eq!(boundary_point(robot, robot, 10.0), None);
+        assert_eq!(boundary_point(robot, Point2::new(f32::NAN, 0.0), 10.0), None);
+    }
+
+    proptest! {
+        #[test]
+        fn a_boundary_lies_on_its_ray_in_every_direction(
+            x in -500.0f32..500.0, y in -500.0f32..500.0,
+            bearing in -3.2f32..3.2, distance in 70.0f32..260.0,
+        ) {
+            let robot = Point2::new(x, y);
+            let towards = towards(robot, bearing);
+            let found = boundary_point(robot, towards, distance).unwrap();
+            // By bearing and distance, and not by slopes or unit vectors.
+            let seen = (found.y - y).atan2(found.x - x);
+            let off = (f64::from(seen) - f64::from(bearing)).sin();
+            prop_assert!(off.abs() < 1e-3 && (seen - bearing).cos() > 0.9, "{seen} {bearing}");
+            prop_assert!(((found - robot).norm() - distance).abs() < 0.01);
+            // As printed it holds to the right of the robot; to the left it is the opposite point.
+            prop_assume!(bearing.cos().abs() > 0.01);
+            let printed = printed(robot, towards, distance);
+            let expected = if bearing.cos() > 0.0 { found } else { robot - (found - robot) };
+            prop_assert!((printed - expected).norm() < 0.1, "{printed} {expected}");
+        }
+    }
+}
