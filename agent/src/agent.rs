@@ -4,8 +4,8 @@ use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MIN_VERSION, SessionId, VERSION},
     link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
     message::{
-        Hello, ParameterCommand, ParameterReport, Refusal, RefusalReason, State, ToServerKind,
-        Welcome, Writer,
+        DistanceVector, Hello, ParameterCommand, ParameterReport, Refusal, RefusalReason, State,
+        ToServerKind, Welcome, Writer,
     },
     tile::Epoch,
     time::{Duration, Instant},
@@ -21,8 +21,8 @@ use crate::{
         scratch_words,
     },
     parameters::{carry_out, push_report},
-    sense::{Beam, ScanError, WaitingScans, fill_beams},
-    share::{Commands, FusedMap, Publisher},
+    sense::{Beam, Columns, ScanError, WaitingScans, fill_beams},
+    share::{Commands, DistanceVectors, FusedMap, Publisher},
     statistics::Statistics,
 };
 
@@ -52,6 +52,7 @@ pub struct Agent<'b> {
     publisher: Publisher,
     fused: FusedMap<'b>,
     commands: Commands,
+    vectors: DistanceVectors,
     /// The answer to the newest command about parameters, until it is sent.
     report: Option<ParameterReport>,
     link: Endpoint<Token, WINDOW, DEFAULT_FRAME>,
@@ -109,6 +110,7 @@ impl<'b> Agent<'b> {
             publisher: Publisher::new(config.hold),
             fused: FusedMap::new(memory.fused),
             commands: Commands::default(),
+            vectors: DistanceVectors::new(config.vector_interval),
             report: None,
             link: Endpoint::new(Direction::ToServer),
             knocking: Knocking::new(config.boot_nonce),
@@ -201,7 +203,7 @@ impl<'b> Agent<'b> {
         let pose = self.latest_pose.map(|(_, pose)| pose);
         let odometry = self.locator.newest_odometry();
         let cells_refused = self.statistics.cells_refused;
-        let Self { link, clock, fused, map, publisher, next_state, report, .. } = self;
+        let Self { link, clock, fused, map, publisher, next_state, report, vectors, .. } = self;
         let sent = link.poll_transmit(now, out, false, |writer, reliable| {
             // What must not be sent again, for it would be stale then, goes apart.
             let before = writer.len();
@@ -217,6 +219,7 @@ impl<'b> Agent<'b> {
                 let kind = ToServerKind::State as u8;
                 let _ = [state, short, shortest].iter().any(|state| writer.push(kind, state));
             }
+            vectors.push(writer);
             if let Some(digests) = publisher.poll_digests(&map.pool, now) {
                 // What does not fit is told again in a later round.
                 let _ = writer.push(ToServerKind::Digests as u8, &digests);
@@ -367,6 +370,7 @@ impl<'b> Agent<'b> {
         self.map.pool.start_epochs_at(Epoch(welcome.first_epoch));
         self.publisher.begin_session(&mut self.map.pool, same_server, now);
         self.fused.begin_session(same_server);
+        self.vectors.begin_session();
         self.next_state = now;
     }
 
@@ -428,6 +432,19 @@ impl<'b> Agent<'b> {
             }
             self.fused.follow(pose, self.config.resolution);
             let selected = self.selection.select(pose, readings);
+            let moves = matches!(selected, Selected::Moved(_));
+            if self.link.session() != SessionId::NONE
+                && let Some(time) = server_moment
+                && self.vectors.is_due(taken, moves)
+            {
+                let most = self.link.room().saturating_sub(DistanceVector::OVERHEAD);
+                let mounting = self.config.mounting;
+                if let Some(columns) = Columns::of_scan(self.beams, readings, mounting, most) {
+                    let Columns { first, step, distances } = columns;
+                    let vector = DistanceVector { time, pose, first, step, distances };
+                    self.vectors.take(taken, vector);
+                }
+            }
             let part = match &selected {
                 Selected::Nothing => {
                     self.statistics.gated = self.statistics.gated.wrapping_add(1);

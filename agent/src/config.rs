@@ -37,10 +37,14 @@ pub struct Config {
     pub scan_deadline: Duration,
     /// How long changes of the map are gathered before they are sent.
     pub hold: Duration,
+    /// Between two distance vectors at least, while the robot moves; one that stands still sends
+    /// one in a minute at most.
+    pub vector_interval: Duration,
 }
 
 impl Config {
-    /// The usual robot: 5 cm cells, 4 m of range, a scan waits 1.5 s, changes wait 1 s.
+    /// The usual robot: 5 cm cells, 4 m of range, a scan waits 1.5 s, changes wait 1 s,
+    /// a distance vector every 5 s.
     pub fn new(robot: RobotId, sensor: SensorModel) -> Self {
         Self {
             robot,
@@ -54,6 +58,7 @@ impl Config {
             omission: Omission::default(),
             scan_deadline: Duration::from_millis(1_500),
             hold: Duration::from_secs(1),
+            vector_interval: Duration::from_secs(5),
         }
     }
 }

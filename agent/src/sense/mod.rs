@@ -2,6 +2,7 @@
 
 mod beams;
 mod clearance;
+mod columns;
 mod distance_vector;
 mod floor;
 mod scale_curve;
@@ -9,6 +10,7 @@ mod waiting;
 
 pub use beams::{Beam, DIRECTION_BITS, SensorModel, fill_beams};
 pub use clearance::GroundClearance;
+pub use columns::Columns;
 pub use distance_vector::{boundary_point, floor_readings};
 pub use floor::{COLUMNS, Floor, FloorConfig, ImageSizeError, LINES, floor_distances};
 pub use scale_curve::{ScaleCurve, ScaleError, TABLE_1};

@@ -130,13 +130,18 @@ pub struct DistanceVector {
     pub time: Instant,
     /// Where the robot believed to be (`base_link` in `map`).
     pub pose: Pose,
-    /// The bearing of the first column in `base_link`.
+    /// The bearing of the first column's middle in `base_link`.
     pub first: Angle,
     /// From one column to the next, in binary angle units; negative for clockwise.
     pub step: i16,
-    /// For each column the free distance in units of 2 cm; 0 where nothing is known, 255 for 5.1 m
-    /// and more.
+    /// For each column the free distance from the origin of `base_link` in units of 2 cm; 0 where
+    /// nothing is known, 255 for 5.1 m and more.
     pub distances: Vec<u8, MAX_COLUMNS>,
+}
+
+impl DistanceVector {
+    /// The most bytes of its message that are not columns.
+    pub const OVERHEAD: usize = 33;
 }
 
 /// How much an event matters.

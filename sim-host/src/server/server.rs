@@ -269,6 +269,16 @@ impl Server {
         self.session(robot)?.state
     }
 
+    /// The newest distance vector of a robot in its session.
+    pub fn distance_vector(&self, robot: RobotId) -> Option<&DistanceVector> {
+        self.session(robot)?.distance_vector.as_ref()
+    }
+
+    /// How many distance vectors of a robot have come in its session.
+    pub fn distance_vectors(&self, robot: RobotId) -> u32 {
+        self.session(robot).map_or(0, |session| session.distance_vectors)
+    }
+
     /// How often a robot has asked for the time in its session.
     pub fn time_requests(&self, robot: RobotId) -> u32 {
         self.session(robot).map_or(0, |session| session.time_requests)
@@ -467,10 +477,7 @@ impl Inbox<'_> {
                 let robot = self.session.robot.0;
                 log::warn!("robot {robot}: {:?} {}: {}", event.severity, event.code, event.detail);
             }
-            // Read, so that what is malformed is counted; matched with the map in time to come.
-            ToServerKind::DistanceVector => {
-                decode::<DistanceVector>(body).ok()?;
-            }
+            ToServerKind::DistanceVector => self.session.looked(decode(body).ok()?.0),
             // It belongs into a handshake frame.
             ToServerKind::Hello => return None,
         }

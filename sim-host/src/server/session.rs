@@ -6,9 +6,9 @@ use ubimap_protocol::{
     frame::MAX_FRAME,
     link::{Endpoint, Fill},
     message::{
-        Certainty, Digests, FixSource, Interest, MAX_DIGESTS, MAX_REQUESTS, MAX_STORED,
-        ParameterReport, PoseFix, Request, State, Stored, TileDigest, TileUpdateHead, TimeReply,
-        ToRobotKind, Writer,
+        Certainty, Digests, DistanceVector, FixSource, Interest, MAX_DIGESTS, MAX_REQUESTS,
+        MAX_STORED, ParameterReport, PoseFix, Request, State, Stored, TileDigest, TileUpdateHead,
+        TimeReply, ToRobotKind, Writer,
     },
     tile::{Epoch, Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
     time::{Duration, Instant},
@@ -57,6 +57,9 @@ pub(super) struct Session {
     standing: Vec<Command>,
     /// What the robot last reported of its parameters.
     pub(super) parameters: Option<ParameterReport>,
+    /// The newest distance vector, and how many have come.
+    pub(super) distance_vector: Option<DistanceVector>,
+    pub(super) distance_vectors: u32,
     /// The tile whose digest was sent last, and when the next ones are due.
     digested: Option<TileId>,
     next_digests: Instant,
@@ -85,6 +88,8 @@ impl Session {
             commands: VecDeque::new(),
             standing: Vec::new(),
             parameters: None,
+            distance_vector: None,
+            distance_vectors: 0,
             digested: None,
             next_digests: now + DIGEST_INTERVAL,
             stored: Vec::new(),
@@ -135,6 +140,14 @@ impl Session {
     pub(super) fn time_requested(&mut self, nonce: u16, now: Instant) {
         self.times.push((nonce, now));
         self.time_requests = self.time_requests.saturating_add(1);
+    }
+
+    /// A distance vector of the robot; they may overtake one another.
+    pub(super) fn looked(&mut self, vector: DistanceVector) {
+        self.distance_vectors = self.distance_vectors.saturating_add(1);
+        if self.distance_vector.as_ref().is_none_or(|last| last.time < vector.time) {
+            self.distance_vector = Some(vector);
+        }
     }
 
     /// The robot's window has moved: it has dropped what lies outside.
