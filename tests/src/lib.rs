@@ -4,6 +4,7 @@ pub mod boxes;
 pub mod data;
 pub mod elf;
 pub mod emulator;
+pub mod floor_view;
 pub mod fuzz;
 pub mod per_ray;
 pub mod schedule;

@@ -1,0 +1,261 @@
+//! A robot whose only sensor is a grey camera: from images of a floor to tiles (Ahmed 2.1, 2.3).
+
+use nalgebra::Point2;
+use ubimap_agent::{
+    Config,
+    locate::PoseSource,
+    sense::{
+        COLUMNS, FloorConfig, GroundClearance, ScaleCurve, SensorModel, boundary_point,
+        floor_distances, floor_readings,
+    },
+};
+use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE},
+    time::{Duration, Instant},
+    units::{Millimetres, Pose, RobotId},
+};
+use ubimap_sim_host::{
+    channel::fault::Faults,
+    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+};
+use ubimap_tests::floor_view::{FloorView, Spoils};
+
+const VIEW: FloorView = FloorView::USUAL;
+/// The grey of the objects, unless a test says otherwise: the floor is 140.
+const OBJECT: u8 = 70;
+const CLEAN: Spoils = Spoils { noise: 0, gradient: 0.0, tiles: 0.0, seed: 1 };
+
+fn distances(image: &[u8]) -> [u8; COLUMNS] {
+    floor_distances(image, FloorConfig::default()).unwrap()
+}
+
+/// By how many lines the distances are off, column by column; those next to an edge, where the
+/// median takes the next object's, are left out.
+fn errors(found: &[u8; COLUMNS], depth: impl Fn(usize) -> f64) -> Vec<f64> {
+    let limit = f64::from(FloorConfig::default().lines);
+    let lines: Vec<_> = (0..COLUMNS).map(|column| VIEW.lines(depth(column)).min(limit)).collect();
+    let inside = (2..COLUMNS - 2).filter(|&column| {
+        let around = &lines[column - 2..=column + 2];
+        around.iter().all(|other| (other - lines[column]).abs() < 3.0)
+    });
+    inside.map(|column| (f64::from(found[column]) - lines[column]).abs()).collect()
+}
+
+/// A slanted wall, a box before it, and a post.
+fn scene(column: usize) -> f64 {
+    match column {
+        60..100 => 420.0,
+        230..238 => 600.0,
+        _ => 900.0 / (1.0 + 0.3 * VIEW.left(column)),
+    }
+}
+
+#[test]
+fn clean_images_are_measured_to_a_line() {
+    for object in [20, 90, 190, 250] {
+        let found = distances(&VIEW.render(object, scene, CLEAN));
+        let errors = errors(&found, scene);
+        assert!(errors.len() > 290);
+        let worst = errors.into_iter().fold(0.0, f64::max);
+        assert!(worst <= 1.0, "grey {object}: {worst}");
+    }
+}
+
+#[test]
+fn noise_tiles_and_light_from_one_side_move_no_boundary() {
+    for (noise, gradient, tiles) in
+        [(8, 0.0, 0.0), (0, 60.0, 0.0), (0, -60.0, 0.0), (0, 0.0, 12.0), (6, 40.0, 8.0)]
+    {
+        for seed in 0..5 {
+            let spoils = Spoils { noise, gradient, tiles, seed };
+            let found = distances(&VIEW.render(OBJECT, scene, spoils));
+            let errors = errors(&found, scene);
+            let off = errors.iter().filter(|&&error| error > 1.0).count();
+            println!("{spoils:?}: {off} off, worst {}", errors.iter().copied().fold(0.0, f64::max));
+            assert!(off * 100 <= errors.len(), "{spoils:?}: {off} of {}", errors.len());
+        }
+    }
+}
+
+/// What the user of a robot does: an object at some distances before it, and a table of them.
+fn calibrated() -> ScaleCurve {
+    let mut table: Vec<(u8, f32)> = Vec::new();
+    for depth in (290..1_060).step_by(15) {
+        let pixels = distances(&VIEW.render(OBJECT, |_| f64::from(depth), CLEAN))[COLUMNS / 2];
+        // The first distance of each number of pixels, from the near end of table 1 to its far end.
+        let new = table.last().is_none_or(|&(last, _)| last < pixels);
+        if new && (62..=121).contains(&pixels) {
+            table.push((pixels, depth as f32));
+        }
+    }
+    ScaleCurve::fit(&table).unwrap()
+}
+
+#[test]
+fn a_curve_from_a_table_of_ones_own_is_good_to_a_pixel() {
+    let curve = calibrated();
+    for pixels in 65..=118u8 {
+        let depth = VIEW.focal * VIEW.height / (VIEW.horizon - f64::from(pixels));
+        let off = f64::from(curve.distance(pixels).unwrap()) - depth;
+        let reach = f64::from(curve.reach(pixels).unwrap());
+        assert!(off.abs() <= reach, "{pixels} pixels: {depth} mm, off by {off}, reach {reach}");
+    }
+}
+
+#[test]
+fn the_ground_is_clear_before_a_wall_and_not_before_a_near_box() {
+    let clear = |near: f64| {
+        let depth = |column| if (150..170).contains(&column) { near } else { 700.0 };
+        let spoils = Spoils { noise: 6, ..CLEAN };
+        GroundClearance::default().is_clear(&distances(&VIEW.render(OBJECT, depth, spoils)))
+    };
+    assert!(clear(700.0));
+    assert!(!clear(250.0));
+}
+
+/// Half the width of the room, along x and along y, in millimetres.
+const ROOM: (f64, f64) = (700.0, 600.0);
+
+/// Where the ray of a column meets the wall: its depth, and the place.
+fn wall(pose: Pose, left: f64) -> (f64, (f64, f64)) {
+    let (sin, cos) = pose.heading.radians().sin_cos();
+    let (dx, dy) = (cos - left * sin, sin + left * cos);
+    let (x, y) = (pose.x.metres() * 1e3, pose.y.metres() * 1e3);
+    let to = |from: f64, step: f64, half: f64| ((half * step.signum() - from) / step).abs();
+    let depth = to(x, dx, ROOM.0).min(to(y, dy, ROOM.1));
+    (depth, (x + depth * dx, y + depth * dy))
+}
+
+/// How far a place is from the nearest wall.
+fn from_wall(x: f64, y: f64) -> f64 {
+    let outside = (x.abs() - ROOM.0, y.abs() - ROOM.1);
+    match outside.0.max(outside.1) <= 0.0 {
+        true => outside.0.max(outside.1).abs(),
+        false => outside.0.max(0.0).hypot(outside.1.max(0.0)),
+    }
+}
+
+/// The robot looks in twelve directions from four places each.
+fn poses() -> impl Iterator<Item = Pose> {
+    let at = |index: i32| {
+        let heading = f64::from(index / 4).mul_add(30.0, 7.0).to_radians();
+        let along = f64::from(index % 4) * 0.05 - 0.1;
+        Pose::from_metres(along * heading.cos() + 0.03, along * heading.sin() - 0.02, heading)
+    };
+    (0..48).map(at)
+}
+
+fn look(pose: Pose, seed: u64) -> [u8; COLUMNS] {
+    let spoils = Spoils { noise: 6, gradient: 20.0, tiles: 6.0, seed };
+    distances(&VIEW.render(OBJECT, |column| wall(pose, VIEW.left(column)).0, spoils))
+}
+
+#[test]
+fn boundaries_lie_on_the_walls_whichever_way_the_robot_looks() {
+    let curve = calibrated();
+    let (mut found, mut off, mut off_as_ranges) = (0, 0, 0);
+    for (seed, pose) in poses().enumerate() {
+        let readings = floor_readings(&look(pose, seed as u64), &curve);
+        let robot = Point2::new(pose.x.0 as f32, pose.y.0 as f32);
+        for (column, &reading) in readings.iter().enumerate().filter(|(_, reading)| **reading > 0) {
+            let left = VIEW.left(column);
+            let (depth, (x, y)) = wall(pose, left);
+            let bearing = (pose.heading.radians() + left.atan()) as f32;
+            let towards = Point2::new(robot.x + bearing.cos(), robot.y + bearing.sin());
+            let distance = f64::from(reading) * left.hypot(1.0);
+            let error = |distance: f64| {
+                let point = boundary_point(robot, towards, distance as f32).unwrap();
+                (f64::from(point.x) - x).hypot(f64::from(point.y) - y)
+            };
+            // A pixel and a half, which at this depth is so much.
+            let bound = 1.5 * depth * depth / (VIEW.focal * VIEW.height) * left.hypot(1.0);
+            found += 1;
+            off += u32::from(error(distance) > bound);
+            // As the paper has it.
+            off_as_ranges += u32::from(error(reading.into()) > bound);
+        }
+    }
+    println!("{found} boundaries, {off} off; {off_as_ranges} off if depths are taken for ranges");
+    assert!(found > 10_000, "{found}");
+    assert!(off * 100 <= found, "{off} of {found}");
+    assert!(off_as_ranges * 2 > found, "{off_as_ranges} of {found}");
+}
+
+/// The robot's odometry and scans, one after the other.
+struct Script {
+    events: Vec<(Instant, Event)>,
+}
+
+impl Stage for Script {
+    fn next_event(&self) -> Option<Instant> {
+        self.events.first().map(|(moment, _)| *moment)
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Event> {
+        self.next_event().filter(|next| *next <= now)?;
+        Some(self.events.remove(0).1)
+    }
+}
+
+#[test]
+fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
+    let curve = calibrated();
+    let mut events = Vec::new();
+    for (index, pose) in poses().enumerate() {
+        let moment = Instant(0) + Duration::from_secs(5 + index as u64);
+        events.push((moment, Event::Odometry { robot: 0, pose }));
+        let readings = floor_readings(&look(pose, index as u64), &curve).to_vec();
+        events.push((moment, Event::Scan { robot: 0, readings }));
+    }
+    // Time for the last tiles to arrive.
+    let end = Instant(0) + Duration::from_secs(60);
+    events.push((end, Event::Odometry { robot: 0, pose: Pose::default() }));
+
+    let model = SensorModel::Pinhole { focal: VIEW.focal as f32, centre: 159.5 };
+    let pose_source = PoseSource::Odometry(Pose::default());
+    let config = Config { pose_source, max_range: 2_000, ..Config::new(RobotId(1), model) };
+    let mut memory = [AgentMemory::new(&config, COLUMNS, OWN_TILES, FUSED_TILES)];
+    let mut fleet =
+        Fleet::new(&[config], &mut memory, Faults::default(), Millimetres(50), 1).unwrap();
+    fleet.run(&mut Script { events }, |_| {});
+
+    let mut walls = [0; 4];
+    let (mut occupied, mut off) = (0, 0);
+    for (id, _, tile) in fleet.server().fused().tiles() {
+        let (x0, y0) = id.first_cell();
+        for (x, y) in (0..TILE_SIDE * TILE_SIDE).map(|cell| (cell % TILE_SIDE, cell / TILE_SIDE)) {
+            if matches!(tile.cell(x, y), Cell::Occupied | Cell::Movable) {
+                let middle = |first: i32, cell: usize| f64::from(first + cell as i32) * 50.0 + 25.0;
+                let (x, y) = (middle(x0, x), middle(y0, y));
+                occupied += 1;
+                // Within a cell and a half.
+                off += u32::from(from_wall(x, y) > 75.0);
+                let sides = [ROOM.0 - x, ROOM.0 + x, ROOM.1 - y, ROOM.1 + y];
+                for (count, side) in walls.iter_mut().zip(sides) {
+                    *count += u32::from(side.abs() <= 75.0);
+                }
+            }
+        }
+    }
+    println!("{occupied} cells occupied, {off} off, by wall {walls:?}");
+    assert!(off * 20 <= occupied, "{off} of {occupied}");
+    // Walls of 28 and 24 cells.
+    assert!(walls.iter().all(|&cells| cells >= 20), "{walls:?}");
+
+    // The same scans went to the server as distance vectors, one in five seconds.
+    let vector = fleet.server().distance_vector(RobotId(1)).unwrap();
+    let count = fleet.server().distance_vectors(RobotId(1));
+    assert!((7..=10).contains(&count), "{count}");
+    let (mut seen, mut wrong) = (0, 0);
+    for (column, &units) in vector.distances.iter().enumerate().filter(|(_, units)| **units > 0) {
+        let bearing = vector.first.radians() + column as f64 * f64::from(vector.step) * TURN;
+        let (depth, _) = wall(vector.pose, bearing.tan());
+        let off = f64::from(units) * 20.0 - depth / bearing.cos();
+        seen += 1;
+        wrong += u32::from(off.abs() > 90.0);
+    }
+    assert!(seen > 30 && wrong * 10 <= seen, "{wrong} of {seen}");
+}
+
+/// A binary angle unit in radians.
+const TURN: f64 = std::f64::consts::TAU / 65_536.0;
