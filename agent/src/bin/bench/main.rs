@@ -8,6 +8,7 @@
 
 mod coder;
 mod counter;
+mod vector;
 
 use core::{hint::black_box, panic::PanicInfo};
 
@@ -84,6 +85,8 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     let mut frame = [0; DEFAULT_FRAME];
     let len = publish(bench, &mut memory, &readings, &mut frame)?;
     coder::run(bench, frame.get(..len)?)?;
+    vector::of_row(bench, memory.beams, &readings)?;
+    vector::of_image(bench)?;
     receive(bench, memory)
 }
 
