@@ -2,6 +2,7 @@
 
 use ubimap_agent::{Config, locate::PoseSource, sense::SensorModel};
 use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -12,6 +13,56 @@ use ubimap_sim_host::{
 
 /// Readings of a scan.
 const BEAMS: usize = 30;
+/// What a robot publishes after one scan is all that the server then holds of it: the other
+/// formats are charged for exactly that.
+#[test]
+fn other_formats_are_compared_by_what_is_published() {
+    let model = SensorModel::Radial { first: -1.5, step: 0.02 };
+    let pose_source = PoseSource::Odometry(Pose::from_metres(0.4, -0.3, 0.7));
+    let config = Config { pose_source, ..Config::new(RobotId(1), model) };
+    let mut memory = [AgentMemory::new(&config, 150, OWN_TILES, FUSED_TILES)];
+    let faults = Faults::default();
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1).unwrap();
+    assert!(fleet.run(&mut OneScan::default(), |_| {}));
+
+    let mut columns = Vec::new();
+    let mut rows = Vec::new();
+    let layer = fleet.server().layer(RobotId(1)).unwrap();
+    for (id, seen) in layer.tiles() {
+        let cells = (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y)));
+        for (x, y) in cells.filter(|&(x, y)| seen.tile.cell(x, y) != Cell::Unknown) {
+            columns.push(id.first_cell().0 + x as i32);
+            rows.push(id.first_cell().1 + y as i32);
+        }
+    }
+    let span =
+        |cells: &[i32]| (cells.iter().max().unwrap() - cells.iter().min().unwrap() + 1) as u64;
+    let tiles = layer.tiles().count() as u64;
+    let compared = fleet.robots()[0].comparison();
+    assert_eq!(compared.updates, 1);
+    assert_eq!(compared.occupancy_grid_update_bytes, 40 + span(&columns) * span(&rows));
+    assert_eq!(compared.obstacle_distance_bytes, 3 * 179, "of 150 beams");
+    assert!((20..260 * tiles).contains(&compared.zlib_tiles_bytes), "{compared:?}, {tiles} tiles");
+}
+
+/// A robot looks around once.
+#[derive(Default)]
+struct OneScan(u32);
+
+impl Stage for OneScan {
+    fn next_event(&self) -> Option<Instant> {
+        (self.0 < 2).then_some(Instant(5_000_000))
+    }
+
+    fn poll(&mut self, _: Instant) -> Option<Event> {
+        self.0 += 1;
+        match self.0 {
+            1 => Some(Event::Odometry { robot: 0, pose: Pose::default() }),
+            2 => Some(Event::Scan { robot: 0, readings: vec![2_500; 150] }),
+            _ => None,
+        }
+    }
+}
 
 /// A robot that does nothing until some moment.
 struct Idle(Option<Instant>);

@@ -66,6 +66,12 @@ fn over_a_bad_link_all_end_with_the_map_of_a_perfect_one() {
         assert!(paid.1 <= 1.6 * clean.1, "{name}: {} bytes for {}", paid.1, clean.1);
         if name.contains("intel") {
             assert!(clean.0 <= 100.0 && perfect.report.map.bits_per_known <= 3.5);
+            let others = perfect.report.comparison;
+            println!("{name}: {} updates, {}", others.updates, perfect.report);
+            let scans: u64 = perfect.report.robots.iter().map(|robot| robot.mapped).sum();
+            assert_eq!(others.obstacle_distance_bytes, scans * 3 * 179, "of 180 beams");
+            let bytes = [others.zlib_tiles_bytes, others.occupancy_grid_update_bytes];
+            assert!(bytes.iter().all(|&bytes| bytes as f64 > clean.1), "{others:?}");
         }
     }
 }

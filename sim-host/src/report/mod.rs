@@ -3,11 +3,13 @@
 //! [`Report`] is `report.json`, [`ServeReport`] its like for serial ports, [`render`] draws `map.png`, and [`OutputFolder`] writes files all
 //! or none.
 
+mod comparison;
 mod output;
 mod picture;
 mod serving;
 mod summary;
 
+pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
 pub use picture::{Marker, MarkerKind, png, render};
 pub use serving::{PortSummary, ServeReport, StateSummary};

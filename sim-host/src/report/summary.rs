@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
+use super::comparison::Comparison;
+
 /// The figures of one run.
 ///
 /// As JSON, `schema` and `version` tell a reader what to expect: within a version names keep their
@@ -21,6 +23,9 @@ pub struct Report {
     pub robots: Vec<RobotSummary>,
     /// The fused map at the end.
     pub map: MapSummary,
+    /// What telling the server of the same would have cost in other formats, beside the sum of the
+    /// robots' `bytes_up_map`.
+    pub comparison: Comparison,
     /// How long the run took, in seconds of the wall clock.
     pub elapsed_s: f64,
     /// How long it lasted in the robots' world, in seconds.
@@ -143,8 +148,12 @@ impl Report {
 
     /// A report of robots and a map; the ratios in them are worked out here. Times are zero, and
     /// there are no scores yet.
-    pub fn new(seed: u64, mut robots: Vec<RobotSummary>, mut map: MapSummary) -> Self {
-        let ratio = |part: f64, whole: u64| if whole > 0 { part / whole as f64 } else { 0.0 };
+    pub fn new(
+        seed: u64,
+        mut robots: Vec<RobotSummary>,
+        mut map: MapSummary,
+        comparison: Comparison,
+    ) -> Self {
         for robot in &mut robots {
             robot.bytes_per_mapped = ratio(robot.bytes_up_map as f64, robot.mapped);
         }
@@ -156,6 +165,7 @@ impl Report {
             seed,
             robots,
             map,
+            comparison,
             elapsed_s: 0.0,
             simulated_s: 0.0,
             truth: None,
@@ -168,6 +178,11 @@ impl Report {
         // Plain structs with string keys: there is nothing that could fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
+}
+
+/// 0 of nothing.
+fn ratio(part: f64, whole: u64) -> f64 {
+    if whole > 0 { part / whole as f64 } else { 0.0 }
 }
 
 /// A table of the robots, and a line for each of the other figures.
@@ -198,6 +213,18 @@ impl fmt::Display for Report {
             f,
             "map: {} cells of {} m known ({} free, {} occupied), {:.2} bits each",
             map.known, map.resolution_m, map.free, map.occupied, map.bits_per_known
+        )?;
+        let mapped: u64 = self.robots.iter().map(|robot| robot.mapped).sum();
+        let bytes_up_map: u64 = self.robots.iter().map(|robot| robot.bytes_up_map).sum();
+        let each = |bytes: u64| ratio(bytes as f64, mapped);
+        writeln!(
+            f,
+            "map traffic up: {:.1} bytes a mapped scan; {:.1} as zlib tiles, {:.1} as MAVLink \
+             OBSTACLE_DISTANCE, {:.1} as ROS OccupancyGridUpdate",
+            each(bytes_up_map),
+            each(self.comparison.zlib_tiles_bytes),
+            each(self.comparison.obstacle_distance_bytes),
+            each(self.comparison.occupancy_grid_update_bytes),
         )?;
         if let Some(truth) = self.truth {
             writeln!(
@@ -234,7 +261,8 @@ mod tests {
             ..RobotSummary::default()
         };
         let map = MapSummary { known: 1_000, ..MapSummary::default() };
-        Report::new(7, vec![robot, RobotSummary::default()], map)
+        let comparison = Comparison { zlib_tiles_bytes: 900, ..Comparison::default() };
+        Report::new(7, vec![robot, RobotSummary::default()], map, comparison)
     }
 
     #[test]
@@ -246,7 +274,7 @@ mod tests {
             names.sort();
             names.join(" ")
         };
-        assert_eq!(names(&json), "elapsed_s map robots schema seed simulated_s version");
+        assert_eq!(names(&json), "comparison elapsed_s map robots schema seed simulated_s version");
         assert_eq!(
             names(&json["robots"][0]),
             "bytes_down bytes_per_mapped bytes_up bytes_up_map cells_refused digest frames_lost id \
@@ -256,6 +284,10 @@ mod tests {
         assert_eq!(
             names(&json["map"]),
             "bits_per_known converged digest free known occupied resolution_m"
+        );
+        assert_eq!(
+            names(&json["comparison"]),
+            "obstacle_distance_bytes occupancy_grid_update_bytes updates zlib_tiles_bytes"
         );
         assert_eq!(json["schema"], "ubimap-report");
         assert_eq!(json["version"], 1);
@@ -275,6 +307,8 @@ mod tests {
         assert_eq!(report.robots[0].bytes_per_mapped, 75.0);
         assert_eq!(report.robots[1].bytes_per_mapped, 0.0);
         assert_eq!(report.map.bits_per_known, 2.4);
-        assert!(report.to_string().contains("NOT converged"));
+        let text = report.to_string();
+        assert!(text.contains("75.0 bytes a mapped scan; 225.0 as zlib tiles"), "{text}");
+        assert!(text.contains("NOT converged"));
     }
 }

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 use super::fleet::{Fleet, Robot};
 use crate::{
     grid::OccupancyGrid,
-    report::{HexDigest, MapSummary, Marker, MarkerKind, Pixels, Report, RobotSummary},
+    report::{Comparison, HexDigest, MapSummary, Marker, MarkerKind, Pixels, Report, RobotSummary},
     server::Server,
 };
 
@@ -40,7 +40,9 @@ pub(super) fn report(
         converged,
         ..MapSummary::default()
     };
-    Report::new(seed, robots, map)
+    let mut comparison = Comparison::default();
+    fleet.robots().iter().for_each(|robot| comparison.add(&robot.comparison()));
+    Report::new(seed, robots, map, comparison)
 }
 
 fn summary(server: &Server, port: usize, robot: &Robot<'_>, tiles: usize) -> RobotSummary {

@@ -22,6 +22,7 @@ use ubimap_protocol::{
 use crate::{
     camera::Observation,
     channel::fault::{FaultWire, Faults},
+    report::{Comparison, Published},
     server::Server,
 };
 
@@ -144,9 +145,25 @@ pub struct Robot<'b> {
     up: FaultWire,
     down: FaultWire,
     path: Vec<(Instant, Pose)>,
+    /// Readings of a scan.
+    beams: usize,
+    published: Published,
+    /// Its map traffic when what it had published was last taken note of.
+    bytes_noted: u64,
 }
 
 impl Robot<'_> {
+    /// Takes note of what it has published by now.
+    fn take_note(&mut self) {
+        let bytes_sent_map = self.agent.statistics().bytes_sent_map;
+        if bytes_sent_map > self.bytes_noted {
+            self.bytes_noted = bytes_sent_map;
+            let tiles = self.agent.own_tiles().tiles();
+            self.published
+                .update(tiles.filter_map(|tile| Some((tile.id()?, tile.publication().sent()))));
+        }
+    }
+
     /// Its number.
     pub fn id(&self) -> RobotId {
         self.id
@@ -160,6 +177,13 @@ impl Robot<'_> {
     /// Frames that the channel lost, both ways.
     pub fn frames_lost(&self) -> u64 {
         self.up.counters().lost + self.down.counters().lost
+    }
+
+    /// What telling the server of the same would have cost in other formats.
+    pub fn comparison(&self) -> Comparison {
+        let mut comparison = self.published.cost();
+        comparison.add_scans(self.agent.statistics().mapped.into(), self.beams as u64);
+        comparison
     }
 
     /// Where it believes that it has been, and when by the server's clock.
@@ -199,11 +223,14 @@ impl<'b> Fleet<'b> {
             };
             Ok(Robot {
                 id,
+                beams: memory.beams.len(),
                 clock: RobotClock::of(id, seed),
                 agent: Agent::new(*config, memory.lend())?,
                 up: wire(1),
                 down: wire(2),
                 path: Vec::new(),
+                published: Published::default(),
+                bytes_noted: 0,
             })
         });
         let robots = robots.collect::<Result<Vec<_>, _>>()?;
@@ -312,6 +339,7 @@ impl<'b> Fleet<'b> {
                 robot.agent.poll_transmit(local, up).map(|len| up[..len].to_vec())
             });
             frames.for_each(|frame| robot.up.send(now, &frame));
+            robot.take_note();
             while let Some(len) = self.server.poll_transmit(port, now, &mut self.frame) {
                 robot.down.send(now, &self.frame[..len]);
             }
