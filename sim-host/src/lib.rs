@@ -7,7 +7,7 @@
 //! 3. [`mapping`]: camera evidence, robot layers, the fused layer.
 //! 4. [`server`]: a session for each robot.
 //!
-//! Beside them [`channel`] (fault channel, serial ports), [`log`] (readers of recorded logs) and
+//! Beside them [`channel`] (fault channel, serial ports), [`store`] (the layers on disk), [`log`] (readers of recorded logs) and
 //! [`report`] (figures and pictures). Apart from all, [`world`] is the simulated room; only
 //! [`run`], which joins a source, agents, channels and the server, may import it.
 
@@ -19,6 +19,7 @@ pub mod mapping;
 pub mod report;
 pub mod run;
 pub mod server;
+pub mod store;
 pub mod world;
 
 #[cfg(test)]

@@ -37,6 +37,7 @@ fn bad_use_is_told_in_one_line() {
     refused(&["serve", "x", "--baud", "0"], "--baud");
     refused(&["serve", "x", "--pose", "-1,2"], "--pose");
     refused(&["serve", "x", "--pose", "1,2,3", "--pose", "1,2,3"], "--pose");
+    refused(&["simulate", "--store", "/dev/null/map.db"], "/dev/null/map.db: can't be opened");
     refused(&["compare", "a.yaml"], "REFERENCE.yaml");
     refused(&["compare", "a.yaml", "b.yaml", "--tolerance", "-1"], "--tolerance");
     refused(&["compare", "a.yaml", "b.yaml"], "a.yaml");
@@ -49,6 +50,36 @@ fn help_is_no_error() {
         assert_eq!(output.status.code(), Some(0));
         assert!(!output.stdout.is_empty() && output.stderr.is_empty());
     }
+}
+
+#[test]
+fn a_run_goes_on_from_the_file_of_the_one_before() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("store");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("map.db");
+    let store = path.to_str().unwrap();
+    let log = |name: &str, x: f64| {
+        let scan = |time: u32| {
+            format!("FLASER 180{} {x} 0 0 {x} 0 0 {time} host {time}\n", " 2.0".repeat(180))
+        };
+        let path = folder.join(name);
+        std::fs::write(&path, (1..4).map(scan).collect::<String>()).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let [here, there] = [log("here.log", 0.0), log("there.log", 20.0)];
+    let known = |arguments: &[&str]| {
+        let output = ubimap(&[&["replay", "--json"], arguments].concat());
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        report["map"]["known"].as_u64().unwrap()
+    };
+    let [first, second] = [known(&[&here, "--store", store]), known(&[&there])];
+    assert!(first > 1_000 && second > 1_000);
+    assert_eq!(known(&[&there, "--store", store]), first + second);
+
+    std::fs::write(&path, "no map. ".repeat(100)).unwrap();
+    refused(&["simulate", "--store", store], "map.db: no file of ubimap's");
 }
 
 #[test]

@@ -22,8 +22,8 @@ fn other_formats_are_compared_by_what_is_published() {
     let config = Config { pose_source, ..Config::new(RobotId(1), model) };
     let mut memory = [AgentMemory::new(&config, 150, OWN_TILES, FUSED_TILES)];
     let faults = Faults::default();
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1).unwrap();
-    assert!(fleet.run(&mut OneScan::default(), |_| {}));
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1, None).unwrap();
+    assert!(fleet.run(&mut OneScan::default(), |_| {}).unwrap());
 
     let mut columns = Vec::new();
     let mut rows = Vec::new();
@@ -107,8 +107,8 @@ fn sent(mut stage: impl Stage, faults: Faults) -> (u64, u32) {
     let pose_source = PoseSource::Odometry(Pose::default());
     let config = Config { pose_source, ..Config::new(RobotId(1), model) };
     let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1).unwrap();
-    fleet.run(&mut stage, |_| {});
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1, None).unwrap();
+    fleet.run(&mut stage, |_| {}).unwrap();
     let vectors = fleet.server().distance_vectors(RobotId(1));
     (fleet.robots()[0].agent().statistics().bytes_sent, vectors)
 }

@@ -2,7 +2,10 @@
 
 use std::time::Duration;
 
-use ubimap_protocol::units::{Millimetres, Pose, RobotId};
+use ubimap_protocol::{
+    tile::Epoch,
+    units::{Millimetres, Pose, RobotId},
+};
 use ubimap_sim_host::{
     channel::serial::{SerialError, SerialPort},
     run::serve::{Attached, CAPTURE_INTERVAL, Station, Wire},
@@ -76,7 +79,7 @@ fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> St
     port.write(&noise.bytes(700)).unwrap();
     let wire = NoisyWire { port, noise: Noise(noise.next()), reads: 0, writes: 0 };
     let attached = Attached::new("the firmware".into(), Box::new(wire), Some(pose));
-    Station::new(RESOLUTION, epoch, vec![attached])
+    Station::new(RESOLUTION, Epoch(epoch), vec![attached], None).unwrap()
 }
 
 /// Waits until the robot says that it stands where the camera saw it, at a moment that is that of
@@ -107,7 +110,7 @@ fn turn_until(
         let waited = Duration::from_micros(station.now().since(start).micros());
         assert!(waited < patience, "waited in vain until {what}: {:?}", station.report());
         assert!(station.is_attached(), "hung up");
-        station.turn();
+        station.turn().unwrap();
     }
 }
 

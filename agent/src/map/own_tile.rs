@@ -50,6 +50,11 @@ impl OwnTile {
         &self.publication
     }
 
+    /// The version that the server is known to have on disk.
+    pub fn stored(&self) -> Version {
+        self.stored
+    }
+
     /// Whether the evidence may say something that has not been published.
     pub fn is_dirty(&self) -> bool {
         self.dirty

@@ -157,7 +157,8 @@ impl Publication {
         self.version
     }
 
-    /// The cells as sent.
+    /// The cells as sent; of a whole tile that is sent again in parts, those that were sent before
+    /// where the new ones have not been yet.
     pub fn sent(&self) -> &Tile {
         &self.sent
     }
@@ -198,14 +199,15 @@ impl Publication {
         frame: u16,
     ) -> bool {
         let start = self.next;
-        if start == 0 && self.base.is_none() {
+        let mut old = self.sent;
+        if self.base.is_none() {
             // A whole tile: the receiver starts from nothing as well.
-            self.sent = Tile::UNKNOWN;
+            copy_cells(&Tile::UNKNOWN, &mut old, start, TILE_CELLS);
         }
-        copy_cells(&self.sent, new, 0, start);
+        copy_cells(&old, new, 0, start);
         let version = if start == 0 { version } else { self.version };
         let stamp = Stamp { epoch, version };
-        let Some(end) = encoder.push(id, stamp, self.base, start, &self.sent, new) else {
+        let Some(end) = encoder.push(id, stamp, self.base, start, &old, new) else {
             return false;
         };
         copy_cells(new, &mut self.sent, start, end);
@@ -352,6 +354,27 @@ mod tests {
             assert_eq!((replica.tile(), replica.stamp().version), (&noise(5), Version(5)));
             assert!(!replica.is_partial());
         }
+    }
+
+    /// The sender leaves out what others say as well, unless it has told it: it must not forget
+    /// that it has.
+    #[test]
+    fn what_was_sent_is_known_while_the_tile_is_sent_whole_again() {
+        let mut publication = Publication::NOTHING;
+        let mut send = |room: usize, frame: u16| {
+            let mut out = std::vec![0u8; room];
+            let mut encoder = TileEncoder::new(&mut out);
+            let pushed =
+                publication.push(&mut encoder, ID, EPOCH, Version(5), &mut noise(1), frame);
+            assert_eq!(publication.acknowledge(frame), pushed);
+            let left = publication.has_parts_left();
+            assert_eq!(*publication.sent(), noise(1));
+            publication.forget();
+            (pushed, left)
+        };
+        assert_eq!(send(600, 1), (true, false));
+        assert_eq!(send(4, 2), (false, false));
+        assert_eq!(send(60, 3), (true, true));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::tile::{
     Applied, BaseMissing, Epoch, Replica, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
-    TileError, TileId,
+    TileError, TileId, Version,
 };
 
 /// One epoch of one tile.
@@ -14,6 +14,8 @@ struct Held {
     /// What the replica held before it was begun anew within its epoch: what an epoch knows it
     /// knows for good.
     before: Option<Tile>,
+    /// The version on disk.
+    kept: Version,
 }
 
 /// What a robot has seen of one tile, and when it last said something new of each cell: seconds of
@@ -42,8 +44,9 @@ pub struct TileRecord {
     pub cells: Tile,
     /// All that the epoch has ever known.
     pub known: Tile,
-    /// When the newest scan in it was taken, in seconds of the server's clock.
-    pub seconds: u32,
+    /// When the robot last said something new of each cell of the tile, in whichever epoch: seconds
+    /// of the server's clock, as in [`SeenTile`].
+    pub seconds: [u32; TILE_CELLS as usize],
 }
 
 /// The layer of one robot. For each cell the code is that of the newest epoch that knows it, so
@@ -60,7 +63,7 @@ pub struct RobotLayer {
 pub struct Updated {
     /// The tiles that have changed.
     pub tiles: BTreeSet<TileId>,
-    /// The tiles and epochs of which a new state is complete.
+    /// The tiles and epochs of which all of a state has come, be it a new one or one that was held.
     pub complete: BTreeSet<(TileId, Epoch)>,
     /// The tile that could not be read because its base is not held. What followed it in the
     /// update was lost as well; asking for this tile brings all of that back.
@@ -86,7 +89,7 @@ impl RobotLayer {
             let held = epochs.entry(epoch).or_default();
             let mut before = *held.replica.tile();
             match held.replica.apply(&header, &mut decoder) {
-                Ok(Applied::Old) => continue,
+                Ok(Applied::Old) => {}
                 Ok(Applied::Complete | Applied::Partial) => {
                     if header.base.is_none() && header.start == 0 {
                         if let Some(earlier) = &held.before {
@@ -104,20 +107,21 @@ impl RobotLayer {
                 }
             }
             updated.complete.extend((header.end == TILE_CELLS).then_some((header.id, epoch)));
-            if self.join(header.id, seconds) {
+            if self.join(header.id, |_| seconds) {
                 updated.tiles.insert(header.id);
             }
         }
     }
 
-    /// Joins the epochs of a tile anew. Whether anything has changed.
-    fn join(&mut self, id: TileId, seconds: u32) -> bool {
+    /// Joins the epochs of a tile anew; a cell that has changed was seen at `seconds`. Whether any
+    /// has.
+    fn join(&mut self, id: TileId, seconds: impl Fn(usize) -> u32) -> bool {
         let joined = self.joined(id);
         let seen = self.seen.entry(id).or_insert(SeenTile::NOTHING);
         for (cell, time) in seen.seconds.iter_mut().enumerate() {
             let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
             if seen.tile.cell(x, y) != joined.cell(x, y) {
-                *time = seconds;
+                *time = seconds(cell);
             }
         }
         core::mem::replace(&mut seen.tile, joined) != joined
@@ -158,12 +162,27 @@ impl RobotLayer {
             known.fill_unknown_from(before);
         }
         let (stamp, cells) = self.held(id, epoch)?;
-        let seconds = self.seen.get(&id)?.seconds.iter().copied().max().unwrap_or(0);
-        Some(TileRecord { id, stamp, cells: *cells, known, seconds })
+        Some(TileRecord { id, stamp, cells: *cells, known, seconds: self.seen.get(&id)?.seconds })
     }
 
-    /// Takes back what was kept. A state that is not newer than what is held is passed over.
-    /// Whether anything has changed.
+    /// A record is on disk.
+    pub fn kept(&mut self, record: &TileRecord) {
+        let Stamp { epoch, version } = record.stamp;
+        let held = self.tiles.get_mut(&record.id).and_then(|epochs| epochs.get_mut(&epoch));
+        if let Some(held) = held {
+            held.kept = held.kept.max(version);
+        }
+    }
+
+    /// The newest complete state of an epoch of a tile, if it is on disk.
+    pub fn on_disk(&self, id: TileId, epoch: Epoch) -> Option<Stamp> {
+        let kept = self.tiles.get(&id)?.get(&epoch)?.kept;
+        self.held(id, epoch).map(|(stamp, _)| stamp).filter(|stamp| stamp.version <= kept)
+    }
+
+    /// Takes back what was kept, all epochs of a tile with the seconds of the record that was kept
+    /// last. A state that is not newer than what is held is passed over. Whether anything has
+    /// changed.
     pub fn restore(&mut self, record: &TileRecord) -> bool {
         let held = self.tiles.entry(record.id).or_default().entry(record.stamp.epoch).or_default();
         if held.replica.stamp() >= record.stamp {
@@ -171,7 +190,8 @@ impl RobotLayer {
         }
         held.replica = Replica::restored(record.cells, record.stamp);
         held.before = Some(record.known);
-        self.join(record.id, record.seconds)
+        held.kept = record.stamp.version;
+        self.join(record.id, |cell| record.seconds[cell])
     }
 
     /// The first epoch that the robot has not used.
@@ -223,18 +243,28 @@ mod tests {
     #[test]
     fn what_was_kept_comes_back_and_is_built_upon() {
         let mut layer = RobotLayer::default();
+        let early = tile(&[(2, Cell::Occupied)]);
+        assert_eq!(layer.update(&update(2, 7, None, &early), 4).1, Ok(()));
         let first = tile(&[(0, Cell::Occupied), (1, Cell::Free)]);
         assert_eq!(layer.update(&update(3, 1, None, &first), 5).1, Ok(()));
+        assert_eq!(layer.on_disk(ID, Epoch(3)), None);
         let record = layer.record(ID, Epoch(3)).unwrap();
+        layer.kept(&record);
+        assert_eq!(layer.on_disk(ID, Epoch(3)), Some(record.stamp));
         let mut restarted = RobotLayer::default();
+        assert!(restarted.restore(&layer.record(ID, Epoch(2)).unwrap()));
         assert!(restarted.restore(&record));
         assert!(!restarted.restore(&record));
+        assert_eq!(restarted.on_disk(ID, Epoch(3)), Some(record.stamp));
+        // Every cell with the time at which it was seen.
         assert_eq!(restarted.seen(ID), layer.seen(ID));
         assert_eq!(restarted.next_epoch(), Epoch(4));
         let second = tile(&[(0, Cell::Occupied), (1, Cell::Occupied)]);
         let coded = update(3, 2, Some((1, &first)), &second);
         assert_eq!(restarted.update(&coded, 6).0.missing, None);
-        assert_eq!(restarted.seen(ID).unwrap().tile, second);
+        let mut joined = second;
+        joined.fill_unknown_from(&early);
+        assert_eq!(restarted.seen(ID).unwrap().tile, joined);
     }
 
     #[test]

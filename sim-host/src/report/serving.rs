@@ -47,7 +47,8 @@ pub struct PortSummary {
     pub bytes_down: u64,
 }
 
-/// What a robot said of itself. Times are in seconds of the server's clock, which starts with it.
+/// What a robot said of itself. Times are in seconds of the server's clock, which starts with it,
+/// or goes on from its file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct StateSummary {
     /// When it arrived.

@@ -13,17 +13,21 @@ use ubimap_agent::{
 };
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, MAX_FRAME},
-    link::Terms,
-    tile::{Stamp, tile_hash},
+    tile::{Epoch, Stamp, tile_hash},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
 
+use super::{
+    RunError,
+    keeper::{self, Keeper},
+};
 use crate::{
     camera::Observation,
     channel::fault::{FaultWire, Faults},
     report::{Comparison, Published},
     server::Server,
+    store::StoreError,
 };
 
 /// Tiles of its own that a robot keeps, unless more are asked for.
@@ -196,6 +200,9 @@ impl Robot<'_> {
 pub struct Fleet<'b> {
     server: Server,
     robots: Vec<Robot<'b>>,
+    keeper: Option<Keeper>,
+    /// When the run began.
+    began: Instant,
     now: Instant,
     frame: Vec<u8>,
 }
@@ -204,18 +211,19 @@ pub struct Fleet<'b> {
 const PATIENCE: Duration = Duration::from_secs(120);
 
 impl<'b> Fleet<'b> {
-    /// A robot for each configuration; `memory` has one entry for each as well.
+    /// A robot for each configuration; `memory` has one entry for each as well. With a keeper the
+    /// server and its clock go on from what is in the file.
     ///
     /// # Errors
-    /// Every [`ConfigError`] of an agent.
+    /// [`RunError::Agent`] and [`RunError::Store`].
     pub fn new(
         configs: &[Config],
         memory: &'b mut [AgentMemory],
         faults: Faults,
         resolution: Millimetres,
         seed: u64,
-    ) -> Result<Self, ConfigError> {
-        let terms = Terms { resolution, frame: MAX_FRAME as u16, server_epoch: 1, stores: false };
+        keeper: Option<Keeper>,
+    ) -> Result<Self, RunError> {
         let robots = configs.iter().zip(memory).map(|(config, memory)| {
             let id = config.robot;
             let wire = |way: u64| {
@@ -233,9 +241,10 @@ impl<'b> Fleet<'b> {
                 bytes_noted: 0,
             })
         });
-        let robots = robots.collect::<Result<Vec<_>, _>>()?;
-        let server = Server::new(terms, robots.len());
-        Ok(Self { server, robots, now: Instant(0), frame: vec![0; MAX_FRAME] })
+        let robots = robots.collect::<Result<Vec<_>, ConfigError>>()?;
+        let server = keeper::server(keeper.as_ref(), resolution, Epoch(1), robots.len())?;
+        let began = keeper.as_ref().map_or(Instant(0), Keeper::begins);
+        Ok(Self { server, robots, keeper, began, now: began, frame: vec![0; MAX_FRAME] })
     }
 
     /// The server.
@@ -248,37 +257,55 @@ impl<'b> Fleet<'b> {
         &self.robots
     }
 
+    /// When the run began by the server's clock: zero, unless the server goes on from a file.
+    pub fn began(&self) -> Instant {
+        self.began
+    }
+
     /// The server's time.
     pub fn now(&self) -> Instant {
         self.now
     }
 
     /// Runs until the stage has ended and all hold the same map, or until patience ends. Returns
-    /// whether they do. `progress` is told the time now and then.
-    pub fn run(&mut self, stage: &mut dyn Stage, mut progress: impl FnMut(Instant)) -> bool {
+    /// whether they do. `progress` is told the time now and then. The stage's clock, and that of
+    /// `progress`, shows zero when the run begins.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn run(
+        &mut self,
+        stage: &mut dyn Stage,
+        mut progress: impl FnMut(Instant),
+    ) -> Result<bool, StoreError> {
         while let Some(next) = stage.next_event() {
-            self.run_until(next);
-            while let Some(event) = stage.poll(self.now) {
+            self.run_until(self.began + next.since(Instant(0)))?;
+            let now = Instant(self.now.since(self.began).micros());
+            while let Some(event) = stage.poll(now) {
                 self.happen(event);
             }
             self.drain();
-            progress(self.now);
+            progress(now);
         }
         let end = self.now + PATIENCE;
         while !self.has_converged() && self.now < end {
-            self.run_until(self.now + Duration::from_millis(100));
+            self.run_until(self.now + Duration::from_millis(100))?;
         }
-        self.has_converged()
+        Ok(self.has_converged())
     }
 
     /// Lets all that is due before `until` happen; then it is `until`.
-    fn run_until(&mut self, until: Instant) {
+    fn run_until(&mut self, until: Instant) -> Result<(), StoreError> {
         while let Some(next) = self.next_due().filter(|&next| next < until) {
             self.now = self.now.max(next);
             self.deliver();
+            if let Some(keeper) = &mut self.keeper {
+                keeper.keep(&mut self.server, self.now)?;
+            }
             self.drain();
         }
         self.now = self.now.max(until);
+        Ok(())
     }
 
     /// When a frame arrives, or an agent or the server wants to come back.
@@ -291,7 +318,8 @@ impl<'b> Fleet<'b> {
                 self.server.poll_timeout(port, self.now),
             ]
         });
-        robots.flatten().min()
+        let commit = self.keeper.as_ref().map(|keeper| keeper.poll_timeout(&self.server));
+        robots.chain(commit).flatten().min()
     }
 
     fn deliver(&mut self) {
@@ -325,7 +353,10 @@ impl<'b> Fleet<'b> {
                 let local = robot.clock.local(self.now);
                 robot.agent.odometry(local, pose, local);
             }
-            Event::Observation(observation) => self.server.observe(&observation),
+            Event::Observation(mut observation) => {
+                observation.captured = self.began + observation.captured.since(Instant(0));
+                self.server.observe(&observation);
+            }
         }
     }
 
@@ -347,14 +378,16 @@ impl<'b> Fleet<'b> {
     }
 
     /// Whether the server holds the newest version of every tile that each robot has published,
-    /// and every fused tile that a robot holds is the server's newest, hash for hash.
+    /// and every fused tile that a robot holds is the server's newest, hash for hash; and all of it
+    /// is on disk, if the server keeps anything.
     pub fn has_converged(&self) -> bool {
-        self.robots.iter().all(|robot| {
-            robot.agent.is_idle()
-                && self.server.is_level(robot.id)
-                && self.server_holds_all_of(robot)
-                && self.all_held_is_newest(robot)
-        })
+        !self.server.has_unsaved()
+            && self.robots.iter().all(|robot| {
+                robot.agent.is_idle()
+                    && self.server.is_level(robot.id)
+                    && self.server_holds_all_of(robot)
+                    && self.all_held_is_newest(robot)
+            })
     }
 
     fn server_holds_all_of(&self, robot: &Robot<'_>) -> bool {

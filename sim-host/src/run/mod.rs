@@ -4,6 +4,7 @@
 pub mod compare;
 mod figures;
 pub mod fleet;
+pub mod keeper;
 pub mod options;
 mod progress;
 pub mod replay;
@@ -19,6 +20,7 @@ use crate::{
     grid::{self, GridError, MapError, OccupancyGrid},
     log::LogError,
     report::{self, Marker, OutputError, OutputFolder, Report},
+    store::StoreError,
     world::ScenarioError,
 };
 
@@ -65,6 +67,9 @@ pub enum RunError {
     /// The results can't be written.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// The map can't be kept.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// The picture can't be encoded.
     #[error("map.png: {0}")]
     Picture(#[from] image::ImageError),
@@ -110,6 +115,7 @@ impl RunError {
             Self::Log(_)
             | Self::Map(_)
             | Self::Output(_)
+            | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
             | Self::Poses { .. }

@@ -77,6 +77,11 @@ pub struct ServeOptions {
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
 
+    /// Keep the map in this file, and go on from what it holds; without it, the map
+    /// is lost with the server
+    #[arg(long, value_name = "FILE")]
+    pub store: Option<PathBuf>,
+
     /// How long to serve, in seconds; without it, until stopped
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<Duration>,
@@ -100,6 +105,10 @@ pub struct RunOptions {
     /// Tiles in each robot's pool, in place of the robots' real bound
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..=65_536))]
     pub tiles: Option<u32>,
+
+    /// Keep the map in this file, and go on from what it holds
+    #[arg(long, value_name = "FILE")]
+    pub store: Option<PathBuf>,
 
     /// Write map.pgm, map.yaml, map.png and report.json to this folder
     #[arg(long, value_name = "DIR")]

@@ -45,18 +45,19 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
         .map(|config| AgentMemory::new(config, readings, own_tiles, FUSED_TILES))
         .collect();
     let faults = options.run.channel.faults();
+    let keeper = options.run.keeper(options.resolution)?;
     let mut fleet =
-        Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed)?;
+        Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed, keeper)?;
 
     let progress = Progress::new(recording.end(), options.run.json);
-    let converged = fleet.run(&mut recording, |now| progress.at(now));
+    let converged = fleet.run(&mut recording, |now| progress.at(now))?;
     progress.finish();
 
     let fused = fleet.server().fused();
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
-    report.simulated_s = fleet.now().micros() as f64 / 1e6;
+    report.simulated_s = fleet.now().since(fleet.began()).micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     Ok(Outcome { report, map, markers: figures::markers(&fleet) })
 }

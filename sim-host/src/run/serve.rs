@@ -7,18 +7,23 @@ use std::time::{self, SystemTime};
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
-    link::Terms,
     message::State,
+    tile::Epoch,
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
 
-use super::{RunError, options::ServeOptions};
+use super::{
+    RunError,
+    keeper::{self, Keeper},
+    options::ServeOptions,
+};
 use crate::{
     camera::Observation,
     channel::serial::{SerialError, SerialPort},
     report::{PortSummary, ServeReport, StateSummary},
     server::Server,
+    store::StoreError,
 };
 
 /// Between two frames of the camera that there will be: 15 Hz.
@@ -33,10 +38,12 @@ const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 /// Serves until the time is over or every port has hung up.
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
     let ports = open(options)?;
-    let mut station = Station::new(options.resolution, epoch(), ports);
-    let end = options.duration.map(|duration| Instant(0) + duration);
+    let keeper = options.store.as_deref();
+    let keeper = keeper.map(|path| Keeper::open(path, options.resolution, epoch())).transpose()?;
+    let mut station = Station::new(options.resolution, epoch(), ports, keeper)?;
+    let end = options.duration.map(|duration| station.now() + duration);
     while station.is_attached() && end.is_none_or(|end| station.now() < end) {
-        station.turn();
+        station.turn()?;
     }
     Ok(station.report())
 }
@@ -60,9 +67,10 @@ fn open(options: &ServeOptions) -> Result<Vec<Attached>, RunError> {
 }
 
 /// A number that grows from life to life of the server.
-fn epoch() -> u32 {
+fn epoch() -> Epoch {
     let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    since_1970.map_or(1, |since| since.as_secs().clamp(1, u64::from(u32::MAX)) as u32)
+    let seconds = since_1970.map_or(1, |since| since.as_secs());
+    Epoch(seconds.clamp(1, u64::from(u32::MAX)) as u32)
 }
 
 /// What carries bytes to a robot and back without a wait for the robot: a serial port.
@@ -141,23 +149,35 @@ impl Attached {
 pub struct Station {
     server: Server,
     ports: Vec<Attached>,
+    keeper: Option<Keeper>,
     started: time::Instant,
+    /// What the server's clock showed then.
+    began: Instant,
     next_capture: Instant,
     buffer: Vec<u8>,
 }
 
 impl Station {
-    /// A server that starts now. `epoch` should be greater than in its lives before.
-    pub fn new(resolution: Millimetres, epoch: u32, ports: Vec<Attached>) -> Self {
-        let frame = MAX_FRAME as u16;
-        let terms = Terms { resolution, frame, server_epoch: epoch, stores: false };
-        Self {
-            server: Server::new(terms, ports.len()),
+    /// A server that starts now; with a keeper it goes on from what is in the file. Without one
+    /// its epoch is `epoch`, which should be greater than in its lives before.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn new(
+        resolution: Millimetres,
+        epoch: Epoch,
+        ports: Vec<Attached>,
+        keeper: Option<Keeper>,
+    ) -> Result<Self, StoreError> {
+        Ok(Self {
+            server: keeper::server(keeper.as_ref(), resolution, epoch, ports.len())?,
             ports,
+            began: keeper.as_ref().map_or(Instant(0), Keeper::begins),
+            keeper,
             started: time::Instant::now(),
             next_capture: Instant(0),
             buffer: vec![0; 4 * MAX_FRAME],
-        }
+        })
     }
 
     /// The server.
@@ -167,7 +187,7 @@ impl Station {
 
     /// The server's time.
     pub fn now(&self) -> Instant {
-        Instant(self.started.elapsed().as_micros() as u64)
+        self.began + Duration::from_micros(self.started.elapsed().as_micros() as u64)
     }
 
     /// Whether any wire is left.
@@ -176,7 +196,10 @@ impl Station {
     }
 
     /// Does what is due and takes what comes, or comes within a few milliseconds.
-    pub fn turn(&mut self) {
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn turn(&mut self) -> Result<(), StoreError> {
         self.capture();
         let now = self.now();
         (0..self.ports.len()).for_each(|port| self.transmit(port, now));
@@ -186,6 +209,11 @@ impl Station {
         for port in 0..self.ports.len() {
             self.receive(port, time::Duration::from_micros(wait.micros()));
         }
+        let now = self.now();
+        match &mut self.keeper {
+            Some(keeper) => keeper.keep(&mut self.server, now),
+            None => Ok(()),
+        }
     }
 
     /// What became of the robots so far.
@@ -194,7 +222,7 @@ impl Station {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
             ports: (0..).zip(&self.ports).map(|(index, port)| self.summary(index, port)).collect(),
-            elapsed_s: seconds(self.now()),
+            elapsed_s: self.started.elapsed().as_secs_f64(),
         }
     }
 
@@ -247,7 +275,7 @@ impl Station {
             return;
         }
         port.bytes_up += count as u64;
-        let now = Instant(self.started.elapsed().as_micros() as u64);
+        let now = self.began + Duration::from_micros(self.started.elapsed().as_micros() as u64);
         // There is a port of the server for each wire.
         let _ = self.server.receive(index, &self.buffer[..count], now);
         port.robot = self.server.robot_at(index).or(port.robot);

@@ -63,14 +63,16 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         })
         .collect();
     let faults = options.run.channel.faults();
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, options.run.seed)?;
+    let keeper = options.run.keeper(RESOLUTION)?;
+    let mut fleet =
+        Fleet::new(&configs, &mut memory, faults, RESOLUTION, options.run.seed, keeper)?;
 
     let duration = options
         .duration
         .unwrap_or(Duration::from_micros((scenario.duration_s * 1e6).round() as u64));
     let mut stage = Room::new(world, Instant(0) + duration);
     let progress = Progress::new(stage.end, options.run.json);
-    let converged = fleet.run(&mut stage, |now| progress.at(now));
+    let converged = fleet.run(&mut stage, |now| progress.at(now))?;
     progress.finish();
 
     let fused = fleet.server().fused();
@@ -79,7 +81,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
     report.truth = Some(score(&map, stage.world.truth())?);
     report.pose = Some(pose_errors(&fleet, &stage.tracks));
-    report.simulated_s = fleet.now().micros() as f64 / 1e6;
+    report.simulated_s = fleet.now().since(fleet.began()).micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let mut markers = figures::markers(&fleet);
     markers.extend(stage.world.people().iter().map(|person| {
@@ -179,7 +181,10 @@ fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let mut squares = (0.0, 0.0);
     let mut count = 0.0;
     for (robot, track) in fleet.robots().iter().zip(tracks) {
-        for &(moment, pose) in robot.path().iter().filter(|(moment, _)| moment.0 >= SETTLED.0) {
+        let path = robot.path().iter();
+        let path =
+            path.map(|&(moment, pose)| (Instant(moment.since(fleet.began()).micros()), pose));
+        for (moment, pose) in path.filter(|(moment, _)| moment.0 >= SETTLED.0) {
             let Some(truth) = true_pose(track, moment) else { continue };
             let (dx, dy) = (pose.x - truth.x, pose.y - truth.y);
             squares.0 += dx.metres().powi(2) + dy.metres().powi(2);

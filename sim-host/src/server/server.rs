@@ -136,10 +136,11 @@ impl Server {
                         let (unknown, malformed) = inbox.take(messages, now);
                         port.unknown += unknown;
                         port.malformed += malformed;
-                        if self.terms.stores {
-                            let robot = session.robot;
-                            let complete = updated.complete.iter();
-                            self.unsaved.extend(complete.map(|&(id, epoch)| (robot, id, epoch)));
+                        for &(id, epoch) in updated.complete.iter().filter(|_| self.terms.stores) {
+                            match layer.on_disk(id, epoch) {
+                                Some(stamp) => session.stored(id, stamp),
+                                None => drop(self.unsaved.insert((session.robot, id, epoch))),
+                            }
                         }
                     }
                 }
@@ -178,15 +179,24 @@ impl Server {
         None
     }
 
-    /// A record is on disk: the robot may give the tile up.
+    /// Whether [`Server::poll_store`] has something.
+    pub fn has_unsaved(&self) -> bool {
+        !self.unsaved.is_empty()
+    }
+
+    /// A record is on disk, for good: the robot may give the tile up.
     pub fn stored(&mut self, robot: RobotId, record: &TileRecord) {
+        if let Some(layer) = self.layers.get_mut(&robot) {
+            layer.kept(record);
+        }
         let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
         if let Some(session) = sessions.find(|session| session.robot == robot) {
             session.stored(record.id, record.stamp);
         }
     }
 
-    /// Takes back a record that an earlier life of the server kept.
+    /// Takes back a record that an earlier life of the server kept. The clock of this life must go
+    /// on from that one's: the seconds in the record are of it.
     pub fn restore(&mut self, robot: RobotId, record: &TileRecord) {
         if self.layers.entry(robot).or_default().restore(record) {
             self.fuse_anew(&BTreeSet::from([record.id]));
@@ -466,6 +476,9 @@ impl Inbox<'_> {
                 for digest in digests.tiles.iter().filter(|_| digests.layer == Layer::Robot) {
                     if !self.holds(digest) {
                         self.session.ask_for(digest.id);
+                    } else if let Some(stamp) = self.layer.on_disk(digest.id, digest.stamp.epoch) {
+                        // The robot may have been told in an earlier session that it has lost.
+                        self.session.stored(digest.id, stamp);
                     }
                 }
             }

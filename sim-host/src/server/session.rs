@@ -65,6 +65,8 @@ pub(super) struct Session {
     next_digests: Instant,
     /// States of the robot's tiles that are on disk, and of which it has not been told.
     stored: Vec<(TileId, Stamp)>,
+    /// The last state of each tile that was put there.
+    stored_last: BTreeMap<TileId, Stamp>,
     pub(super) time_requests: u32,
     /// Tiles of the robot's layer to ask for; no tile means all of them.
     requests: Vec<TileId>,
@@ -93,6 +95,7 @@ impl Session {
             digested: None,
             next_digests: now + DIGEST_INTERVAL,
             stored: Vec::new(),
+            stored_last: BTreeMap::new(),
             time_requests: 0,
             requests: Vec::new(),
             budget: Budget { paid_until: now },
@@ -184,8 +187,11 @@ impl Session {
         }
     }
 
+    /// A state of a tile is on disk. The robot is told once in a session.
     pub(super) fn stored(&mut self, id: TileId, stamp: Stamp) {
-        self.stored.push((id, stamp));
+        if self.stored_last.insert(id, stamp) != Some(stamp) {
+            self.stored.push((id, stamp));
+        }
     }
 
     pub(super) fn acknowledged(&mut self, frame: u16) {

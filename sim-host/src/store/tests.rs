@@ -1,0 +1,150 @@
+use super::*;
+use crate::testing::Folder;
+
+const CELLS: Millimetres = Millimetres(50);
+
+fn record(x: i16, epoch: u32, version: u32) -> TileRecord {
+    let word = |row: usize| (row as u32 + version).wrapping_mul(0x9E37_79B9) ^ epoch;
+    let cells =
+        Tile { low: core::array::from_fn(word), high: core::array::from_fn(|row| !word(row)) };
+    TileRecord {
+        id: TileId { x, y: -7 },
+        stamp: Stamp { epoch: Epoch(epoch), version: Version(version) },
+        cells,
+        known: Tile { low: cells.high, high: cells.low },
+        seconds: core::array::from_fn(|cell| cell as u32 * version),
+    }
+}
+
+/// What was wrong, in words.
+fn refused(path: &Path, resolution: Millimetres) -> String {
+    let error = Store::open(path, resolution).unwrap_err();
+    assert_eq!(error.path, path);
+    error.to_string()
+}
+
+#[test]
+fn what_was_kept_is_there_in_the_next_life() {
+    let folder = Folder::new("store");
+    let path = folder.path().join("map.db");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    assert_eq!(store.begin_life(Epoch(0)).unwrap(), Epoch(1));
+    assert_eq!((store.clock(), store.records().unwrap()), (Instant(0), Vec::new()));
+    let [west, east] = [RobotId(1), RobotId(u16::MAX)];
+    let edge = i16::MIN;
+    store.keep(&[(east, record(edge, u32::MAX, 1)), (west, record(4, 2, 8))], Instant(5)).unwrap();
+    // The newer version of an epoch replaces the older one; another epoch stands beside it, and the
+    // newest seconds hold for the tile.
+    store.keep(&[(west, record(4, 2, 9)), (west, record(4, 1, 3))], Instant(3)).unwrap();
+    drop(store);
+
+    let mut store = Store::open(&path, CELLS).unwrap();
+    assert_eq!(store.clock(), Instant(5), "it does not step back");
+    let seconds = record(4, 1, 3).seconds;
+    let newer = TileRecord { seconds, ..record(4, 2, 9) };
+    let all = [(west, record(4, 1, 3)), (west, newer), (east, record(edge, u32::MAX, 1))];
+    assert_eq!(store.records().unwrap(), all);
+    assert_eq!(store.begin_life(Epoch(0)).unwrap(), Epoch(2));
+    assert_eq!(store.begin_life(Epoch(70)).unwrap(), Epoch(70));
+}
+
+#[test]
+fn a_file_has_one_owner() {
+    let folder = Folder::new("store-owner");
+    let path = folder.path().join("map.db");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    store.begin_life(Epoch(0)).unwrap();
+    assert!(refused(&path, CELLS).contains("in use by another process"));
+}
+
+#[test]
+fn what_is_no_map_of_ours_is_refused_and_left_as_it_is() {
+    let folder = Folder::new("store-foreign");
+    let text =
+        folder.file("notes.txt", "no database, but long enough for one. ".repeat(40).as_bytes());
+    assert!(refused(&text, CELLS).contains("no file of ubimap's"));
+
+    let foreign = folder.path().join("foreign.db");
+    let connection = Connection::open(&foreign).unwrap();
+    connection.execute_batch("CREATE TABLE t (a)").unwrap();
+    drop(connection);
+    let before = std::fs::read(&foreign).unwrap();
+    assert!(refused(&foreign, CELLS).contains("no file of ubimap's"));
+    assert_eq!(std::fs::read(&foreign).unwrap(), before);
+
+    let path = folder.path().join("map.db");
+    drop(Store::open(&path, CELLS).unwrap());
+    let cells = refused(&path, Millimetres(100));
+    assert!(cells.contains("cells of 0.05 m, and this run has 0.1 m"), "{cells}");
+    Connection::open(&path).unwrap().pragma_update(None, "user_version", 2).unwrap();
+    assert!(refused(&path, CELLS).contains("schema 2, this one has 1"));
+
+    assert!(refused(folder.path(), CELLS).contains("can't be opened"));
+    assert!(refused(&folder.path().join("no/map.db"), CELLS).contains("folder"));
+}
+
+#[test]
+fn damage_is_told() {
+    let folder = Folder::new("store-damage");
+    let path = folder.path().join("map.db");
+    let spoilt = |statement: &str| {
+        let _ = std::fs::remove_file(&path);
+        let mut store = Store::open(&path, CELLS).unwrap();
+        store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(0)).unwrap();
+        store.connection.execute_batch(statement).unwrap();
+        drop(store);
+        match Store::open(&path, CELLS) {
+            Ok(store) => store.records().unwrap_err().to_string(),
+            Err(error) => error.to_string(),
+        }
+    };
+    for statement in [
+        "UPDATE tile SET cells = x'00'",
+        "UPDATE seen SET seconds = zeroblob(4095)",
+        "UPDATE tile SET robot = 65536",
+        "UPDATE tile SET epoch = -1",
+        "UPDATE server SET clock_us = -1",
+        "UPDATE server SET epoch = 4294967296",
+        "DELETE FROM server",
+    ] {
+        let told = spoilt(statement);
+        assert!(told.contains("damaged") && told.contains("map.db"), "{statement}: {told}");
+    }
+    let told = spoilt("DROP TABLE server");
+    assert!(told.contains("no such table"), "{told}");
+
+    // The middle of the file is overwritten.
+    let mut store = Store::open(&folder.path().join("torn.db"), CELLS).unwrap();
+    let many: Vec<_> = (0..40).map(|x| (RobotId(1), record(x, 1, 1))).collect();
+    store.keep(&many, Instant(0)).unwrap();
+    drop(store);
+    let torn = folder.path().join("torn.db");
+    let mut bytes = std::fs::read(&torn).unwrap();
+    let end = bytes.len();
+    bytes[4096..end].fill(0xA5);
+    std::fs::write(&torn, bytes).unwrap();
+    assert!(refused(&torn, CELLS).contains("damaged"));
+}
+
+/// A bound on the file's pages is to SQLite what a full disk is.
+#[test]
+fn a_full_disk_costs_nothing_that_was_kept() {
+    let folder = Folder::new("store-full");
+    let path = folder.path().join("map.db");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(0)).unwrap();
+    let kept = store.records().unwrap();
+    let pages: u32 =
+        store.connection.pragma_query_value(None, "page_count", |row| row.get(0)).unwrap();
+    store
+        .connection
+        .pragma_update_and_check(None, "max_page_count", pages + 2, |_| Ok(()))
+        .unwrap();
+    let many: Vec<_> = (0..40).map(|x| (RobotId(2), record(x, 1, 1))).collect();
+    let told = store.keep(&many, Instant(9)).unwrap_err().to_string();
+    assert!(told.contains("the disk is full") && told.contains("map.db"), "{told}");
+    assert_eq!(store.records().unwrap(), kept);
+    drop(store);
+    let store = Store::open(&path, CELLS).unwrap();
+    assert_eq!((store.clock(), store.records().unwrap()), (Instant(0), kept));
+}

@@ -1,0 +1,206 @@
+//! `ubimap serve --store` is killed again and again, with robots at work: what it said it had stored
+//! is in the file.
+
+use std::{
+    collections::BTreeMap,
+    io::{Read, Write},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time,
+};
+
+use serialport::{SerialPort, TTYPort};
+use ubimap_agent::{Agent, Config, locate::PoseSource, sense::SensorModel};
+use ubimap_protocol::{
+    tile::{Epoch, Tile, TileId, Version},
+    time::{Duration, Instant},
+    units::{Millimetres, Pose, RobotId},
+};
+use ubimap_sim_host::{
+    mapping::{RobotLayer, fuse},
+    run::fleet::AgentMemory,
+    store::Store,
+};
+
+const RESOLUTION: Millimetres = Millimetres(50);
+const BEAMS: usize = 60;
+const ROBOTS: u16 = 2;
+/// Tiles in a robot's pool: about as many as one scan touches.
+const OWN_TILES: usize = 9;
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A server process, which is killed at its end.
+struct Serving(Child);
+
+impl Serving {
+    /// A server with its robots behind new ports.
+    fn start(store: &Path, robots: &mut [Robot<'_>]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+        command.arg("serve").arg("--store").arg(store);
+        for robot in robots {
+            let (mut master, slave) = TTYPort::pair().unwrap();
+            master.set_timeout(time::Duration::from_millis(1)).unwrap();
+            command.arg(slave.name().unwrap());
+            robot.port = Some(master);
+        }
+        Self(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        // SIGKILL: it has no time to put anything in order.
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+/// What a robot was promised: the version that is stored of an epoch of a tile, and its cells.
+type Promises = BTreeMap<(TileId, Epoch), (Version, Tile)>;
+
+struct Robot<'b> {
+    id: RobotId,
+    agent: Agent<'b>,
+    port: Option<TTYPort>,
+    next_scan: Instant,
+    promises: Promises,
+}
+
+impl Robot<'_> {
+    /// Takes a scan if it drives and one is due, and talks to the server.
+    fn turn(&mut self, now: Instant, drives: bool) {
+        if drives && self.next_scan <= now {
+            self.next_scan = now + Duration::from_millis(50);
+            // To and fro, 6 m/s, over ground of a dozen metres.
+            let way = now.micros() as f64 / 1e6 * 6.0 % 24.0;
+            let pose = Pose::from_metres(way.min(24.0 - way), f64::from(self.id.0) * 2.0, 0.3);
+            let readings: Vec<u16> = (0..BEAMS)
+                .map(|beam| 700 + ((beam as u64 * 97 + now.micros()) % 500) as u16)
+                .collect();
+            self.agent.odometry(now, pose, now);
+            let _ = self.agent.scan(now, &readings, now);
+        }
+        let mut buffer = [0; 1_024];
+        // A port without a server behind it is a link that loses everything.
+        if let Some(count) = self.port.as_mut().and_then(|port| port.read(&mut buffer).ok()) {
+            self.agent.receive(&buffer[..count], now);
+        }
+        self.agent.timeout(now);
+        while let Some(len) = self.agent.poll_transmit(now, &mut buffer) {
+            if let Some(port) = &mut self.port {
+                let _ = port.write_all(&buffer[..len]);
+            }
+        }
+        for tile in self.agent.own_tiles().tiles().filter(|tile| is_stored(tile)) {
+            let key = (tile.id().unwrap(), tile.epoch());
+            self.promises.insert(key, (tile.stored(), *tile.publication().sent()));
+        }
+    }
+
+    /// Whether all that it knows is stored, and it holds the server's map of its surroundings.
+    fn is_done(&self) -> bool {
+        self.agent.is_idle() && self.agent.own_tiles().tiles().all(is_stored)
+    }
+}
+
+fn is_stored(tile: &ubimap_agent::map::OwnTile) -> bool {
+    tile.publication().is_acknowledged() && tile.stored() == tile.publication().version()
+}
+
+/// The layers in the file, once its server is dead. What was promised must be among it.
+fn layers(store: &Path, robots: &[Robot<'_>]) -> BTreeMap<RobotId, RobotLayer> {
+    let mut layers = BTreeMap::<RobotId, RobotLayer>::new();
+    for (robot, record) in Store::open(store, RESOLUTION).unwrap().records().unwrap() {
+        layers.entry(robot).or_default().restore(&record);
+    }
+    for robot in robots {
+        for (&(id, epoch), (version, cells)) in &robot.promises {
+            let held = layers.get(&robot.id).and_then(|layer| layer.held(id, epoch));
+            let Some((stamp, kept)) = held else { panic!("{id:?} {epoch:?} is not in the file") };
+            assert!(stamp.version >= *version, "{id:?} {epoch:?}: {stamp:?}, not {version:?}");
+            assert!(stamp.version > *version || kept == cells, "{id:?} {stamp:?} is another");
+        }
+    }
+    layers
+}
+
+fn file() -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("killed");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder.join("map.db")
+}
+
+#[test]
+fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
+    let store = file();
+    let model = SensorModel::Radial { first: -3.0, step: 0.1 };
+    let configs = (1..=ROBOTS).map(|id| Config {
+        max_range: 1_400,
+        hold: Duration::from_millis(100),
+        pose_source: PoseSource::Odometry(Pose::default()),
+        boot_nonce: id.into(),
+        ..Config::new(RobotId(id), model)
+    });
+    let configs: Vec<Config> = configs.collect();
+    let memory = |config: &Config| AgentMemory::new(config, BEAMS, OWN_TILES, 16);
+    let mut memories: Vec<AgentMemory> = configs.iter().map(memory).collect();
+    let robots = configs.iter().zip(&mut memories).map(|(config, memory)| Robot {
+        id: config.robot,
+        agent: Agent::new(*config, memory.lend()).unwrap(),
+        port: None,
+        next_scan: Instant(0),
+        promises: Promises::new(),
+    });
+    let mut robots: Vec<Robot<'_>> = robots.collect();
+    let start = time::Instant::now();
+    let now = || Instant(start.elapsed().as_micros() as u64);
+
+    for life in 1..=3 {
+        let serving = Serving::start(&store, &mut robots);
+        let evicted = |robots: &[Robot<'_>]| -> u32 {
+            robots.iter().map(|robot| robot.agent.own_tiles().evicted()).sum()
+        };
+        // Work goes on: room is made for new tiles by giving up what is stored.
+        let (began, before) = (now(), evicted(&robots));
+        while evicted(&robots) < before + 25 {
+            robots.iter_mut().for_each(|robot| robot.turn(now(), true));
+            let states = || robots.iter().map(|robot| robot.agent.statistics()).collect::<Vec<_>>();
+            assert!(now().since(began) < PATIENCE, "life {life}: {:?}", states());
+        }
+        drop(serving);
+        layers(&store, &robots);
+    }
+
+    let serving = Serving::start(&store, &mut robots);
+    let began = now();
+    let mut done_since = None;
+    while done_since.is_none_or(|since| now().since(since) < Duration::from_secs(3)) {
+        robots.iter_mut().for_each(|robot| robot.turn(now(), false));
+        let done = robots.iter().all(|robot| robot.agent.is_connected() && robot.is_done());
+        done_since = done_since.filter(|_| done).or(done.then(now));
+        assert!(now().since(began) < PATIENCE, "they never agree");
+    }
+    drop(serving);
+
+    let layers = layers(&store, &robots);
+    for robot in &robots {
+        // For each cell, what the newest epoch said that knew it.
+        let mut told = BTreeMap::<TileId, Tile>::new();
+        for (&(id, _), (_, cells)) in robot.promises.iter().rev() {
+            told.entry(id).or_default().fill_unknown_from(cells);
+        }
+        let kept: BTreeMap<TileId, Tile> =
+            layers[&robot.id].tiles().map(|(id, seen)| (id, seen.tile)).collect();
+        assert!(kept == told, "robot {}", robot.id.0);
+        assert!(robot.promises.len() > kept.len() + 10, "evictions begin tiles anew");
+        // What it holds of the server's map is what the layers in the file make.
+        let held: Vec<_> = robot.agent.fused_tiles().tiles().collect();
+        assert!(!held.is_empty());
+        for tile in held {
+            let id = tile.id().unwrap();
+            let seen: Vec<_> = layers.values().filter_map(|layer| layer.seen(id)).collect();
+            assert_eq!(*tile.replica().tile(), fuse(&Tile::UNKNOWN, &seen), "{id:?}");
+        }
+    }
+}
