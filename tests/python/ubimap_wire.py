@@ -333,7 +333,7 @@ MESSAGES = {
         7: Struct(),
         8: Struct(
             time=MOMENT,
-            peers=List(Struct(robot=U16, pose=POSE, half_length=U16, half_width=U16), 8),
+            peers=List(Struct(robot=U16, pose=POSE, age=U8, half_length=U16, half_width=U16), 8),
         ),
         9: Struct(
             time=MOMENT,
@@ -355,6 +355,7 @@ MESSAGES = {
         12: Struct(number=U16, action=Enum("List", ("Get", U16), ("Set", PARAMETER_VALUE))),
         13: Struct(tiles=List(Tuple(TILE_ID, STAMP), 8)),
         14: DIGESTS,
+        15: Struct(time=MOMENT, interest=U32, first=U16, tiles=List(U8, 32)),
     },
 }
 
@@ -707,33 +708,27 @@ def write_update(tiles):
 
 class Replica:
     def __init__(self):
-        self.cells, self.epoch, self.version, self.partial = list(UNKNOWN), 0, 0, None
+        self.cells, self.epoch, self.version, self.next = list(UNKNOWN), 0, 0, 0
 
     def apply(self, update):
         header = update.header()
-        epoch, version = header["epoch"], header["version"]
-        whole, held = header["base"] is None, (self.epoch, self.version)
-        begun = (self.epoch, self.partial[0]) if self.partial else held
-        if whole and header["start"] == 0:
-            if (epoch, version) <= held or (epoch, version) < begun:
+        stamp, held = (header["epoch"], header["version"]), (self.epoch, self.version)
+        whole, start, end = header["base"] is None, header["start"], header["end"]
+        if whole and start == 0:
+            if stamp < held or (stamp == held and not self.next):
                 update.cells(header, UNKNOWN)
                 return "old"
             self.cells = list(UNKNOWN)
-        elif whole and not self.partial and (epoch, version) == held:
-            start, end = header["start"], header["end"]
+        elif whole and not self.next and stamp == held:
             part = update.cells(header, self.cells[:start] + list(UNKNOWN)[start:])
             self.cells[start:end] = part[start:end]
             return "complete"
-        elif header["start"] == 0:
-            if (self.epoch, self.version) != (epoch, header["base"]) or self.partial:
+        elif start == 0:
+            if held != (header["epoch"], header["base"]) or self.next:
                 return "base missing"
-        elif self.partial != (version, header["start"]) or not (self.epoch == epoch or self.version == 0):
+        elif held != stamp or self.next != start:
             return "base missing"
-        if self.epoch != epoch:
-            self.epoch, self.version = epoch, 0
         self.cells = update.cells(header, self.cells)
-        if header["end"] < 1024:
-            self.partial = (version, header["end"])
-            return "partial"
-        self.partial, self.version = None, version
-        return "complete"
+        self.epoch, self.version = stamp
+        self.next = end % 1024
+        return "partial" if self.next else "complete"

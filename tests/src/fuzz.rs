@@ -9,7 +9,7 @@ use ubimap_protocol::{
     frame::{Direction, FrameKind, HEADER_LEN, Header, MAX_FRAME, SessionId, cobs, open, seal},
     link::{Endpoint, Fill, Received},
     message::{
-        Ack, Digests, DistanceVector, Event, Hello, Interest, Messages, Obstacles,
+        Ack, Digests, DistanceVector, Event, Freshness, Hello, Interest, Messages, Obstacles,
         ParameterCommand, ParameterReport, Path, Peers, PoseFix, Refusal, Request, State, Stop,
         Stored, TileUpdateHead, TimeReply, TimeRequest, Welcome, Writer, decode,
     },
@@ -52,6 +52,7 @@ pub fn visit_body<V: BodyVisitor>(direction: Direction, kind: u8, visitor: V) ->
         (Direction::ToRobot, 11) => visitor.visit::<Stop>(),
         (Direction::ToRobot, 12) => visitor.visit::<ParameterCommand>(),
         (Direction::ToRobot, 13) => visitor.visit::<Stored>(),
+        (Direction::ToRobot, 15) => visitor.visit::<Freshness>(),
         _ => return None,
     })
 }

@@ -6,13 +6,13 @@ mod to_server;
 mod wire;
 
 pub use to_robot::{
-    Certainty, EarlierFix, FixSource, MAX_EARLIER_FIXES, MAX_OBSTACLES, MAX_PEERS, MAX_STORED,
-    MAX_WAYPOINTS, Obstacle, ObstacleClass, Obstacles, ParameterAction, ParameterCommand, Path,
-    Peer, Peers, PoseFix, Refusal, RefusalReason, Stop, Stored, TimeReply, ToRobotKind, Waypoint,
-    Welcome,
+    Certainty, EarlierFix, FixSource, Freshness, MAX_EARLIER_FIXES, MAX_FRESH_BYTES, MAX_OBSTACLES,
+    MAX_PEERS, MAX_STORED, MAX_WAYPOINTS, Obstacle, ObstacleClass, Obstacles, ParameterAction,
+    ParameterCommand, Path, Peer, Peers, PoseFix, Refusal, RefusalReason, Stop, Stored, TimeReply,
+    ToRobotKind, Waypoint, Welcome,
 };
 pub use to_server::{
-    DistanceVector, Event, Hello, Interest, MAX_COLUMNS, MAX_DETAIL, MAX_REQUESTS,
+    DistanceVector, Event, EventCode, Hello, Interest, MAX_COLUMNS, MAX_DETAIL, MAX_REQUESTS,
     ParameterOutcome, ParameterReport, Request, Severity, State, TimeRequest, ToServerKind,
 };
 pub use wire::{

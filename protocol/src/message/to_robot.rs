@@ -41,8 +41,10 @@ pub enum ToRobotKind {
     Parameter = 12,
     /// [`Stored`].
     Stored = 13,
-    /// [`Digests`](super::Digests) of the fused layer.
+    /// [`Digests`](super::Digests) of the server's layers.
     Digests = 14,
+    /// [`Freshness`].
+    Freshness = 15,
 }
 
 impl ToRobotKind {
@@ -63,6 +65,7 @@ impl ToRobotKind {
             12 => Self::Parameter,
             13 => Self::Stored,
             14 => Self::Digests,
+            15 => Self::Freshness,
             _ => return None,
         })
     }
@@ -226,12 +229,12 @@ impl PoseFix {
 /// The most robots in one [`Peers`].
 pub const MAX_PEERS: usize = 8;
 
-/// The other robots near this one, all that the server tells of: they are not to be mapped.
+/// The other robots near this one, as many as there is room for: they are not to be mapped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Peers {
-    /// The moment of the poses, in the server's clock.
+    /// The moment of the newest pose, in the server's clock.
     pub time: Instant,
-    /// The robots.
+    /// The robots, nearest first.
     pub peers: Vec<Peer, MAX_PEERS>,
 }
 
@@ -242,6 +245,8 @@ pub struct Peer {
     pub robot: RobotId,
     /// `base_link` in `map`.
     pub pose: Pose,
+    /// How much older than the newest pose this one is, in units of 10 ms; 255 for 2.55 s and more.
+    pub age: u8,
     /// Half its length, in millimetres.
     pub half_length: u16,
     /// Half its width, in millimetres.
@@ -251,12 +256,12 @@ pub struct Peer {
 /// The most things in one [`Obstacles`].
 pub const MAX_OBSTACLES: usize = 12;
 
-/// What the cameras see near the robot that is no wall: all of it, newest state.
+/// What the cameras see near the robot that is no wall, newest state, as much as there is room for.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Obstacles {
     /// The moment of the positions, in the server's clock.
     pub time: Instant,
-    /// The things.
+    /// The things, nearest first.
     pub obstacles: Vec<Obstacle, MAX_OBSTACLES>,
 }
 
@@ -288,6 +293,23 @@ pub enum ObstacleClass {
     Movable,
     /// Part of the room.
     Fixed,
+}
+
+/// The most bytes of tiles in one [`Freshness`].
+pub const MAX_FRESH_BYTES: usize = 32;
+
+/// Which of the coverage tiles that the robot has acknowledged still said at `time` what the
+/// cameras see.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Freshness {
+    /// The moment, in the server's clock.
+    pub time: Instant,
+    /// The number of the [`Interest`](super::Interest) whose rectangle is meant.
+    pub interest: u32,
+    /// The first tile: they are counted row by row from the south-west of the rectangle.
+    pub first: u16,
+    /// Bit `i` of byte `n` is set if tile `first + 8 n + i` is confirmed.
+    pub tiles: Vec<u8, MAX_FRESH_BYTES>,
 }
 
 /// The most points of one [`Path`].

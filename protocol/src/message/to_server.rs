@@ -112,6 +112,12 @@ impl Interest {
         (self.from.x..=self.to.x).contains(&tile.x) && (self.from.y..=self.to.y).contains(&tile.y)
     }
 
+    /// The tiles of the rectangle, row by row from the south-west.
+    pub fn ids(&self) -> impl Iterator<Item = TileId> + use<> {
+        let (from, to) = (self.from, self.to);
+        (from.y..=to.y).flat_map(move |y| (from.x..=to.x).map(move |x| TileId { x, y }))
+    }
+
     /// How many tiles the rectangle holds.
     pub fn tiles(&self) -> u32 {
         let side = |from: i16, to: i16| (i32::from(to) - i32::from(from) + 1).max(0) as u32;
@@ -155,6 +161,80 @@ pub enum Severity {
     Error,
 }
 
+/// What can happen on a robot. Codes from 0x8000 on are a deployment's own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u16)]
+pub enum EventCode {
+    /// The robot has started.
+    Started = 1,
+    /// No pose for a second.
+    PoseLost = 2,
+    /// There is a pose again.
+    PoseFound = 3,
+    /// No scan, or one that can't be of this sensor.
+    SensorFault = 4,
+    /// A wheel or a motor does not do what it should.
+    DriveFault = 5,
+    /// The pool of tiles is full: cells were refused.
+    PoolFull = 6,
+    /// The battery is low.
+    LowBattery = 7,
+    /// The robot has run into something.
+    Collision = 8,
+    /// A person has stopped it.
+    StoppedByPerson = 9,
+    /// It can't go on along its path.
+    PathBlocked = 10,
+    /// It is at the end of its path.
+    PathDone = 11,
+    /// The watchdog has restarted it.
+    Watchdog = 12,
+    /// A scan found no room to wait for its pose.
+    ScanOverflow = 13,
+    /// The clock of a scan went backwards.
+    ClockBackwards = 14,
+    /// A fix was rejected as absurd.
+    FixRejected = 15,
+}
+
+impl EventCode {
+    const ALL: [Self; 15] = [
+        Self::Started,
+        Self::PoseLost,
+        Self::PoseFound,
+        Self::SensorFault,
+        Self::DriveFault,
+        Self::PoolFull,
+        Self::LowBattery,
+        Self::Collision,
+        Self::StoppedByPerson,
+        Self::PathBlocked,
+        Self::PathDone,
+        Self::Watchdog,
+        Self::ScanOverflow,
+        Self::ClockBackwards,
+        Self::FixRejected,
+    ];
+
+    /// The code of this number, or `None` for one that this version does not know.
+    pub fn from_number(number: u16) -> Option<Self> {
+        Self::ALL.into_iter().find(|code| *code as u16 == number)
+    }
+
+    /// How much such an event usually matters.
+    pub fn usual_severity(self) -> Severity {
+        match self {
+            Self::Started | Self::PoseFound | Self::PathDone => Severity::Info,
+            Self::SensorFault
+            | Self::DriveFault
+            | Self::Collision
+            | Self::Watchdog
+            | Self::ClockBackwards => Severity::Error,
+            _ => Severity::Warning,
+        }
+    }
+}
+
 /// The most bytes of an event's detail.
 pub const MAX_DETAIL: usize = 32;
 
@@ -165,7 +245,7 @@ pub struct Event {
     pub time: Option<Instant>,
     /// How much it matters.
     pub severity: Severity,
-    /// What happened; SPEC.md lists the codes.
+    /// What happened: an [`EventCode`], or a code that this version does not know.
     pub code: u16,
     /// More about it, for people: UTF-8.
     pub detail: String<MAX_DETAIL>,

@@ -13,8 +13,7 @@ use super::{
 pub struct Replica {
     tile: Tile,
     stamp: Stamp,
-    /// The version of which parts have arrived, and the next cell of it.
-    partial: Option<(Version, u16)>,
+    next: u16,
 }
 
 /// What an update did to a replica.
@@ -35,15 +34,11 @@ pub struct BaseMissing;
 
 impl Replica {
     /// Nothing has arrived yet.
-    pub const NOTHING: Self = Self {
-        tile: Tile::UNKNOWN,
-        stamp: Stamp { epoch: Epoch(0), version: Version(0) },
-        partial: None,
-    };
+    pub const NOTHING: Self = Self { tile: Tile::UNKNOWN, stamp: Stamp::NOTHING, next: 0 };
 
-    /// A replica in a complete state that was kept elsewhere.
-    pub fn restored(tile: Tile, stamp: Stamp) -> Self {
-        Self { tile, stamp, partial: None }
+    /// A replica that was kept elsewhere: its cells, its stamp and its next cell.
+    pub fn restored(tile: Tile, stamp: Stamp, next: u16) -> Self {
+        Self { tile, stamp, next }
     }
 
     /// The cells. While parts are missing, some of them are newer than the others.
@@ -51,14 +46,19 @@ impl Replica {
         &self.tile
     }
 
-    /// The newest state that is complete; version zero if there is none.
+    /// The newest state of which something has arrived; version zero if there is none.
     pub fn stamp(&self) -> Stamp {
         self.stamp
     }
 
-    /// Whether an update has arrived in part only.
+    /// The next cell of that state, 0 to 1,023; 0 if all of it has arrived.
+    pub fn next(&self) -> u16 {
+        self.next
+    }
+
+    /// Whether that state has arrived in part only.
     pub fn is_partial(&self) -> bool {
-        self.partial.is_some()
+        self.next != 0
     }
 
     /// Reads the cells that `header` has announced from `decoder`.
@@ -70,14 +70,17 @@ impl Replica {
         header: &TileHeader,
         decoder: &mut TileDecoder<'_>,
     ) -> Result<Applied, BaseMissing> {
-        let Stamp { epoch, version } = header.stamp;
-        let continues = self.stamp.epoch == epoch || self.stamp.version == Version(0);
         match (header.start, header.base) {
-            (0, None) if self.is_newer_than(header.stamp) => {
+            // One that was given up by its sender may still come, after the one that was sent in
+            // its stead.
+            (0, None)
+                if header.stamp < self.stamp
+                    || header.stamp == self.stamp && !self.is_partial() =>
+            {
                 decoder.cells(header, &mut Tile::default());
                 return Ok(Applied::Old);
             }
-            (start, None) if start != 0 && self.partial.is_none() && self.stamp == header.stamp => {
+            (start, None) if start != 0 && !self.is_partial() && self.stamp == header.stamp => {
                 // The sender does not know that the tile is held, and its parts before this one
                 // were read past. What it adds may be newer than the first of them.
                 let mut part = self.tile;
@@ -88,34 +91,21 @@ impl Replica {
             }
             (0, None) => self.tile = Tile::UNKNOWN,
             (0, Some(base)) => {
-                if self.stamp != (Stamp { epoch, version: base }) || self.partial.is_some() {
+                let base = Stamp { version: base, ..header.stamp };
+                if self.stamp != base || self.is_partial() {
                     return Err(BaseMissing);
                 }
             }
             (start, _) => {
-                if !continues || self.partial != Some((version, start)) {
+                if self.stamp != header.stamp || self.next != start {
                     return Err(BaseMissing);
                 }
             }
         }
-        if self.stamp.epoch != epoch {
-            self.stamp = Stamp { epoch, version: Version(0) };
-        }
         decoder.cells(header, &mut self.tile);
-        if header.end < TILE_CELLS {
-            self.partial = Some((version, header.end));
-            return Ok(Applied::Partial);
-        }
-        self.partial = None;
         self.stamp = header.stamp;
-        Ok(Applied::Complete)
-    }
-
-    /// Whether a whole tile of this state would be a step back. One that was given up by its
-    /// sender may still come, after the one that was sent in its stead.
-    fn is_newer_than(&self, stamp: Stamp) -> bool {
-        let begun = self.partial.map(|(version, _)| Stamp { version, ..self.stamp });
-        stamp <= self.stamp || begun.is_some_and(|begun| stamp < begun)
+        self.next = if header.end < TILE_CELLS { header.end } else { 0 };
+        Ok(if self.is_partial() { Applied::Partial } else { Applied::Complete })
     }
 }
 

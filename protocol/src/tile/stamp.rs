@@ -25,3 +25,8 @@ pub struct Stamp {
     /// Compared within an epoch.
     pub version: Version,
 }
+
+impl Stamp {
+    /// That of a tile of which nothing is held.
+    pub const NOTHING: Self = Self { epoch: Epoch(0), version: Version(0) };
+}

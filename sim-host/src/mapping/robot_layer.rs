@@ -188,7 +188,7 @@ impl RobotLayer {
         if held.replica.stamp() >= record.stamp {
             return false;
         }
-        held.replica = Replica::restored(record.cells, record.stamp);
+        held.replica = Replica::restored(record.cells, record.stamp, 0);
         held.before = Some(record.known);
         held.kept = record.stamp.version;
         self.join(record.id, |cell| record.seconds[cell])

@@ -8,11 +8,11 @@ use ubimap_protocol::{
     frame::{Direction, FrameKind, Header, SessionId, cobs, seal},
     link::{Answer, Terms, answer},
     message::{
-        Ack, Certainty, Digests, DistanceVector, EarlierFix, Event, FixSource, Hello, Interest,
-        Obstacle, ObstacleClass, Obstacles, ParameterAction, ParameterCommand, ParameterOutcome,
-        ParameterReport, ParameterValue, Path, Peer, Peers, PoseFix, Refusal, RefusalReason,
-        Request, Severity, State, Stop, Stored, TileDigest, TileUpdateHead, TimeReply, TimeRequest,
-        Waypoint, Welcome, Writer,
+        Ack, Certainty, Digests, DistanceVector, EarlierFix, Event, FixSource, Freshness, Hello,
+        Interest, Obstacle, ObstacleClass, Obstacles, ParameterAction, ParameterCommand,
+        ParameterOutcome, ParameterReport, ParameterValue, Path, Peer, Peers, PoseFix, Refusal,
+        RefusalReason, Request, Severity, State, Stop, Stored, TileDigest, TileUpdateHead,
+        TimeReply, TimeRequest, Waypoint, Welcome, Writer,
     },
     tile::{
         Cell, Digest, Epoch, Layer, Replica, Row, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
@@ -483,16 +483,26 @@ fn to_robot(cases: &mut Cases) {
     );
     cases.add(to, 7, "reset", &());
     cases.add_with(to, 7, "reset with a field that was added later", &(), &[9]);
-    let peer =
-        Peer { robot: RobotId(2), pose: pose(1000, 2000, 3000), half_length: 150, half_width: 120 };
+    let peer = Peer {
+        robot: RobotId(2),
+        pose: pose(1000, 2000, 3000),
+        age: 7,
+        half_length: 150,
+        half_width: 120,
+    };
     cases.add(
         to,
         8,
         "peers small",
         &Peers { time: Instant(61_500_000), peers: [peer].into_iter().collect() },
     );
-    let peer =
-        Peer { robot: RobotId(u16::MAX), pose: FAR, half_length: u16::MAX, half_width: u16::MAX };
+    let peer = Peer {
+        robot: RobotId(u16::MAX),
+        pose: FAR,
+        age: u8::MAX,
+        half_length: u16::MAX,
+        half_width: u16::MAX,
+    };
     cases.add(to, 8, "peers extreme", &Peers { time: END, peers: [peer; 8].into_iter().collect() });
     let thing = |class| Obstacle {
         number: 1,
@@ -569,6 +579,11 @@ fn to_robot(cases: &mut Cases) {
         "stored extreme",
         &Stored { tiles: [(CORNER, LAST); 8].into_iter().collect() },
     );
+    let (time, tiles) = (Instant(61_500_000), [0b0000_0110, 0, 0b1000_0000].into_iter().collect());
+    cases.add(to, 15, "freshness small", &Freshness { time, interest: 1, first: 0, tiles });
+    let (interest, first) = (u32::MAX, u16::MAX);
+    let tiles = [0xFF; 32].into_iter().collect();
+    cases.add(to, 15, "freshness extreme", &Freshness { time: END, interest, first, tiles });
 }
 
 fn payloads() -> Value {
@@ -1071,7 +1086,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 22] = [
+    let cases: [(&str, Direction, u8, &[u8]); 23] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1134,6 +1149,11 @@ fn refused_messages() -> Value {
         ("obstacles, a class that there is not", TO_ROBOT, 9, &[0, 1, 1, 3, 0, 0, 0, 0, 0]),
         ("stop, neither true nor false", TO_ROBOT, 11, &[1, 2]),
         ("parameter, an action that there is not", TO_ROBOT, 12, &[1, 3, 0]),
+        ("freshness, too many tiles", TO_ROBOT, 15, &{
+            let mut body = [0; 4 + 33];
+            body[3] = 33;
+            body
+        }),
     ];
     let case = |(name, direction, kind, body): &(&str, Direction, u8, &[u8])| json!({ "name": name, "direction": direction_name(*direction), "kind": kind, "body": hex(body), "error": "malformed" });
     cases.iter().map(case).collect()
