@@ -4,8 +4,8 @@ use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MIN_VERSION, SessionId, VERSION},
     link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
     message::{
-        DistanceVector, Hello, ParameterCommand, ParameterReport, Refusal, RefusalReason, State,
-        ToServerKind, Welcome, Writer,
+        DistanceVector, EventCode, Hello, ParameterCommand, ParameterReport, Refusal,
+        RefusalReason, State, ToServerKind, Welcome, Writer,
     },
     tile::Epoch,
     time::{Duration, Instant},
@@ -22,7 +22,7 @@ use crate::{
     },
     parameters::{carry_out, push_report},
     sense::{Beam, Columns, ScanError, WaitingScans, fill_beams},
-    share::{Commands, DistanceVectors, FusedMap, Publisher},
+    share::{Commands, DistanceVectors, Events, FusedMap, Publisher},
     statistics::Statistics,
 };
 
@@ -35,6 +35,7 @@ const STATE_INTERVAL: Duration = Duration::from_secs(2);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Token {
     Tiles(u16),
+    Event(EventCode),
     Other,
 }
 
@@ -53,6 +54,9 @@ pub struct Agent<'b> {
     fused: FusedMap<'b>,
     commands: Commands,
     vectors: DistanceVectors,
+    events: Events,
+    /// The poses of the newest scans are not known.
+    lost: bool,
     /// The answer to the newest command about parameters, until it is sent.
     report: Option<ParameterReport>,
     link: Endpoint<Token, WINDOW, DEFAULT_FRAME>,
@@ -111,6 +115,8 @@ impl<'b> Agent<'b> {
             fused: FusedMap::new(memory.fused),
             commands: Commands::default(),
             vectors: DistanceVectors::new(config.vector_interval),
+            events: Events::default(),
+            lost: false,
             report: None,
             link: Endpoint::new(Direction::ToServer),
             knocking: Knocking::new(config.boot_nonce),
@@ -134,11 +140,17 @@ impl<'b> Agent<'b> {
         readings: &[u16],
         now: Instant,
     ) -> Result<(), ScanError> {
-        let pushed = self.waiting.push(taken, readings);
-        if pushed == Err(ScanError::Full) {
-            self.statistics.overflowed = self.statistics.overflowed.wrapping_add(1);
-        }
-        pushed?;
+        self.waiting.push(taken, readings).inspect_err(|error| {
+            let code = match error {
+                ScanError::Width { .. } => EventCode::SensorFault,
+                ScanError::Backwards => EventCode::ClockBackwards,
+                ScanError::Full => {
+                    self.statistics.overflowed = self.statistics.overflowed.wrapping_add(1);
+                    EventCode::ScanOverflow
+                }
+            };
+            self.events.raise(code, now);
+        })?;
         self.statistics.scans = self.statistics.scans.wrapping_add(1);
         self.map_waiting(now);
         Ok(())
@@ -203,7 +215,9 @@ impl<'b> Agent<'b> {
         let pose = self.latest_pose.map(|(_, pose)| pose);
         let odometry = self.locator.newest_odometry();
         let cells_refused = self.statistics.cells_refused;
-        let Self { link, clock, fused, map, publisher, next_state, report, vectors, .. } = self;
+        let Self {
+            link, clock, fused, map, publisher, next_state, events, report, vectors, ..
+        } = self;
         let sent = link.poll_transmit(now, out, false, |writer, reliable| {
             // What must not be sent again, for it would be stale then, goes apart.
             let before = writer.len();
@@ -226,6 +240,11 @@ impl<'b> Agent<'b> {
             }
             if writer.len() > before || !reliable {
                 return Fill::Datagram;
+            }
+            let to_server = |moment| clock.to_server(moment);
+            let push_event = |event: &_| writer.push(ToServerKind::Event as u8, event);
+            if let Some(code) = events.send(to_server, push_event) {
+                return Fill::Reliable(Token::Event(code));
             }
             if push_report(report, writer) {
                 return Fill::Reliable(Token::Other);
@@ -369,7 +388,11 @@ impl<'b> Agent<'b> {
         self.map.pool.begin_session(welcome.stores, same_server);
         self.map.pool.start_epochs_at(Epoch(welcome.first_epoch));
         self.publisher.begin_session(&mut self.map.pool, same_server, now);
-        self.fused.begin_session(same_server);
+        self.events.begin_session();
+        if self.statistics.sessions == 1 {
+            self.events.raise(EventCode::Started, now);
+        }
+        self.fused.begin_session(Epoch(welcome.server_epoch));
         self.vectors.begin_session();
         self.next_state = now;
     }
@@ -406,8 +429,12 @@ impl<'b> Agent<'b> {
     /// Takes note of acknowledged frames.
     fn settle(&mut self, now: Instant) {
         while let Some(token) = self.link.poll_acknowledged() {
-            if let Token::Tiles(frame) = token {
-                self.publisher.acknowledged(&mut self.map.pool, frame, now);
+            match token {
+                Token::Tiles(frame) => {
+                    self.publisher.acknowledged(&mut self.map.pool, frame, now);
+                }
+                Token::Event(code) => self.events.acknowledged(code),
+                Token::Other => {}
             }
         }
     }
@@ -424,8 +451,13 @@ impl<'b> Agent<'b> {
             let Some(readings) = self.waiting.pop() else { return };
             let Located::At(pose) = located else {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
+                self.events.raise(EventCode::PoseLost, now);
+                self.lost = true;
                 continue;
             };
+            if core::mem::take(&mut self.lost) {
+                self.events.raise(EventCode::PoseFound, now);
+            }
             let moment = server_moment.unwrap_or(taken);
             if self.latest_pose.is_none_or(|(newest, _)| newest < moment) {
                 self.latest_pose = Some((moment, pose));
@@ -453,10 +485,10 @@ impl<'b> Agent<'b> {
                 Selected::Moved(part) | Selected::Changed(part) => part.clone(),
             };
             let fused = &self.fused;
-            let merged = |id| fused.tile(id);
+            let around = |id| fused.around(id, now);
             let beams = self.beams.get(part.clone()).unwrap_or_default();
             let seen = readings.get(part).unwrap_or_default();
-            let Some(mapped) = self.map.add(beams, seen, pose, merged) else {
+            let Some(mapped) = self.map.add(beams, seen, pose, around) else {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
                 continue;
             };
@@ -465,6 +497,9 @@ impl<'b> Agent<'b> {
             count.mapped = count.mapped.wrapping_add(1);
             count.pixels += mapped.pixels;
             count.cells_refused = count.cells_refused.wrapping_add(mapped.cells_refused);
+            if mapped.cells_refused > 0 {
+                self.events.raise(EventCode::PoolFull, now);
+            }
             let seconds = server_moment.map(|moment| (moment.micros() / 1_000_000) as u32);
             self.publisher.changed(now, seconds);
         }

@@ -3,8 +3,8 @@
 use ubimap_protocol::{
     link::ClockSync,
     message::{
-        Ack, Digests, Message, Messages, ParameterCommand, PoseFix, Refusal, Request, Stored,
-        TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
+        Ack, Digests, Freshness, Message, Messages, ParameterCommand, PoseFix, Refusal, Request,
+        Stored, TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
     },
     tile::Layer,
     time::Instant,
@@ -74,9 +74,10 @@ impl Inbox<'_, '_> {
             ToRobotKind::PoseFix => self.fix(&decode::<PoseFix>(body).ok()?.0),
             ToRobotKind::TileUpdate => {
                 let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
-                if head.layer == Layer::Fused {
-                    self.fused.update(coded).ok()?;
+                if head.layer == Layer::Robot {
+                    return None;
                 }
+                self.fused.update(head.layer, coded).ok()?;
             }
             ToRobotKind::Request => {
                 let (request, _) = decode::<Request>(body).ok()?;
@@ -100,8 +101,16 @@ impl Inbox<'_, '_> {
             }
             ToRobotKind::Digests => {
                 let (digests, _) = decode::<Digests>(body).ok()?;
-                if digests.layer == Layer::Fused {
-                    self.fused.compare(&digests);
+                if digests.layer == Layer::Robot {
+                    return None;
+                }
+                self.fused.compare(&digests);
+            }
+            ToRobotKind::Freshness => {
+                let (freshness, _) = decode::<Freshness>(body).ok()?;
+                // Before the clocks agree its age is not known.
+                if let Some(moment) = self.clock.to_local(freshness.time) {
+                    self.fused.confirm(&freshness, moment);
                 }
             }
             // They belong into handshake frames.

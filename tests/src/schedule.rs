@@ -9,6 +9,7 @@ use ubimap_agent::{Config, locate::PoseSource};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction},
     link::Terms,
+    tile::Layer,
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -264,7 +265,8 @@ impl Schedule {
             assert!(star.now() < booted + PATIENCE, "it never holds what it wants");
             star.run_until(star.now() + TICK);
         }
-        let fused = star.robots[1].agent().map(|agent| agent.fused_tiles().tiles().count());
+        let fused =
+            star.robots[1].agent().map(|agent| agent.fused_tiles().tiles(Layer::Fused).count());
         Level {
             took: star.now().since(booted),
             round_trip: Duration(2 * self.calm_faults.latency.0),

@@ -12,7 +12,7 @@ use ubimap_agent::{Agent, Config, Statistics};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MAX_FRAME, SessionId, cobs, open},
     link::{Counters, Terms},
-    tile::{Stamp, TILE_SIDE, Tile, TileId, tile_hash},
+    tile::{Layer, Stamp, TILE_SIDE, Tile, TileId, tile_hash},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
@@ -461,9 +461,8 @@ impl<'b> Star<'b> {
             }
         }
         let epoch = self.server.epoch();
-        for tile in agent.fused_tiles().tiles() {
-            let newest = tile.id().and_then(|id| self.server.fused().get(id));
-            let replica = tile.replica();
+        for (id, replica) in agent.fused_tiles().tiles(Layer::Fused) {
+            let newest = self.server.fused().get(id);
             let same = newest.is_some_and(|(version, cells)| {
                 replica.stamp() == Stamp { epoch, version }
                     && tile_hash(replica.tile()) == tile_hash(cells)
@@ -471,8 +470,7 @@ impl<'b> Star<'b> {
             if !same || replica.is_partial() {
                 let newest = newest.map(|(version, _)| version);
                 return Some(format!(
-                    "of the fused {:?} at {newest:?} it holds {:?}, partial {}",
-                    tile.id(),
+                    "of the fused {id:?} at {newest:?} it holds {:?}, partial {}",
                     replica.stamp(),
                     replica.is_partial()
                 ));
@@ -486,7 +484,7 @@ impl<'b> Star<'b> {
         let window = agent.fused_tiles().interest()?;
         let mut wanted = self.server.fused().within(&window);
         wanted.find_map(|(id, ..)| {
-            (!agent.fused_tiles().tiles().any(|tile| tile.id() == Some(id))).then_some(id)
+            (!agent.fused_tiles().tiles(Layer::Fused).any(|(held, _)| held == id)).then_some(id)
         })
     }
 
@@ -497,9 +495,8 @@ impl<'b> Star<'b> {
         let window = agent.fused_tiles().interest()?;
         let epoch = self.server.epoch();
         let level = self.server.fused().within(&window).all(|(id, version, cells)| {
-            let mut held = agent.fused_tiles().tiles().filter(|tile| tile.id() == Some(id));
-            held.any(|tile| {
-                let replica = tile.replica();
+            let mut held = agent.fused_tiles().tiles(Layer::Fused).filter(|(held, _)| *held == id);
+            held.any(|(_, replica)| {
                 let newest = replica.stamp() == Stamp { epoch, version };
                 newest && !replica.is_partial() && replica.tile() == cells
             })

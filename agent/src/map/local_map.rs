@@ -84,6 +84,15 @@ pub struct Mapped {
     pub cells_refused: u32,
 }
 
+/// What the server says of a tile.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Surround<'m> {
+    /// The merged map, if it is held.
+    pub merged: Option<&'m Tile>,
+    /// The cells that are left to the cameras, a word for each row; `None` if there are none.
+    pub covered: Option<&'m [u32; TILE_SIDE]>,
+}
+
 /// The map of one robot.
 #[derive(Debug)]
 pub struct LocalMap<'b> {
@@ -115,14 +124,14 @@ impl<'b> LocalMap<'b> {
         self.grain = Grain::new(beams, self.config.resolution, self.config.omission);
     }
 
-    /// Adds a scan that was taken at `pose` (`base_link` in `map`). `merged` gives a tile of the
-    /// server's map, if it is held. `None` if the map does not reach there.
+    /// Adds a scan that was taken at `pose` (`base_link` in `map`). `around` gives what the server
+    /// says of a tile. `None` if the map does not reach there.
     pub fn add<'m>(
         &mut self,
         beams: &[Beam],
         readings: &[u16],
         pose: Pose,
-        merged: impl Fn(TileId) -> Option<&'m Tile>,
+        around: impl Fn(TileId) -> Surround<'m>,
     ) -> Option<Mapped> {
         let MappingConfig { resolution, max_range, mounting, omission } = self.config;
         self.scans = self.scans.wrapping_add(1);
@@ -161,25 +170,35 @@ impl<'b> LocalMap<'b> {
             );
             let any_near = nearest <= u32::from(max_range) / 4;
             let Self { pool, scans, .. } = self;
-            window.for_each_piece(|piece| match pool.find_or_begin(piece.id, *scans) {
-                Some(tile) => {
-                    tile.dirty = true;
-                    let (first, known) = (piece.first_row, merged(piece.id));
-                    if any_near {
-                        let near = near.within(piece.id);
-                        let end = near.rows.end.min(first + piece.len());
-                        let rows = near.rows.start.max(first)..end;
-                        let hits =
-                            piece.hits(rows.start.wrapping_sub(first)..end.wrapping_sub(first));
-                        let hits = hits.map(|hit| hit & near.columns);
-                        tile.evidence.add_near(rows.start, hits, known);
+            window.for_each_piece(|piece| {
+                let Surround { merged, covered } = around(piece.id);
+                let mut memory;
+                let piece = match covered {
+                    None => piece,
+                    Some(covered) => {
+                        memory = [RowSighting::default(); 2 * TILE_SIDE];
+                        piece.without(covered, &mut memory)
                     }
-                    news |= tile.evidence.add(first, piece.fill(), known);
+                };
+                if piece.says_nothing() {
+                    return;
                 }
-                None => {
-                    mapped.cells_refused +=
-                        piece.fill().map(|row| row.known().count_ones()).sum::<u32>();
+                let Some(tile) = pool.find_or_begin(piece.id, *scans) else {
+                    let cells = piece.fill().map(|row| row.known().count_ones());
+                    mapped.cells_refused += cells.sum::<u32>();
+                    return;
+                };
+                tile.dirty = true;
+                let first = piece.first_row;
+                if any_near {
+                    let near = near.within(piece.id);
+                    let end = near.rows.end.min(first + piece.len());
+                    let rows = near.rows.start.max(first)..end;
+                    let hits = piece.hits(rows.start.wrapping_sub(first)..end.wrapping_sub(first));
+                    let hits = hits.map(|hit| hit & near.columns);
+                    tile.evidence.add_near(rows.start, hits, merged);
                 }
+                news |= tile.evidence.add(first, piece.fill(), merged);
             });
             if end == count {
                 break;
@@ -225,7 +244,7 @@ mod tests {
         let mut scratch = vec![RowSighting::default(); words];
         let mut places = vec![OwnTile::FREE; 40];
         let mut map = LocalMap::new(CONFIG, beams, &mut scratch, Pool::new(&mut places));
-        let mapped = map.add(beams, readings, pose, |_| None).unwrap();
+        let mapped = map.add(beams, readings, pose, |_| Surround::default()).unwrap();
         assert_eq!(mapped.cells_refused, 0);
         let mut seen = Seen { free: BTreeSet::new(), hit: BTreeSet::new(), counts: mapped.pixels };
         for tile in map.pool.tiles() {
@@ -347,7 +366,7 @@ mod tests {
             let mut scratch = vec![RowSighting::default(); words];
             let mut places = vec![OwnTile::FREE; 40];
             let mut map = LocalMap::new(CONFIG, &beams, &mut scratch, Pool::new(&mut places));
-            map.add(&beams, &[900; 5], pose, |_| None)
+            map.add(&beams, &[900; 5], pose, |_| Surround::default())
         };
         let words = scratch_words(4_000, CONFIG.resolution);
         for x in [i32::MAX, i32::MIN, 52_428_000] {

@@ -13,7 +13,7 @@ mod window;
 
 pub use evidence::{Evidence, RowSighting};
 pub use gate::Gate;
-pub use local_map::{LocalMap, MAX_RADIUS, Mapped, MappingConfig, scratch_words};
+pub use local_map::{LocalMap, MAX_RADIUS, Mapped, MappingConfig, Surround, scratch_words};
 pub use omission::Omission;
 pub use own_tile::{OwnTile, Pool};
 pub use projection::MIN_RESOLUTION;

@@ -161,9 +161,7 @@ impl<'s> Window<'s> {
                 let first_row = y as usize % TILE_SIDE;
                 let end = rows.min(start + TILE_SIDE - first_row);
                 let east = east.get_mut(start..end).unwrap_or(&mut beyond);
-                if let Some(rows) = column.get_mut(start..end)
-                    && rows.iter().any(|row| row.known() != 0)
-                {
+                if let Some(rows) = column.get_mut(start..end) {
                     let id = TileId { x: x as i16, y: (y >> TILE_SIDE.ilog2()) as i16 };
                     take(Piece { id, first_row, rows, east });
                 }
@@ -197,6 +195,30 @@ impl<'w> Piece<'w> {
     /// How many rows there are.
     pub(super) fn len(&self) -> usize {
         self.rows.len()
+    }
+
+    /// Whether nothing is said of any row.
+    pub(super) fn says_nothing(&self) -> bool {
+        self.rows.iter().all(|row| row.known() == 0)
+    }
+
+    /// What is left of the piece without some cells of its tile, in memory for it.
+    pub(super) fn without<'r>(
+        self,
+        cells: &[u32; TILE_SIDE],
+        memory: &'r mut [RowSighting; 2 * TILE_SIDE],
+    ) -> Piece<'r> {
+        let (id, first_row) = (self.id, self.first_row);
+        let (rows, east) = memory.split_at_mut(TILE_SIDE);
+        let mut len = 0;
+        let left = self.fill().zip(cells.iter().skip(first_row));
+        for (row, (sighting, cells)) in rows.iter_mut().zip(left) {
+            let free = sighting.free & !cells;
+            // Flipped where it changes, to be filled as before.
+            *row = RowSighting { free: free ^ free << 1, hit: sighting.hit & !cells };
+            len += 1;
+        }
+        Piece { id, first_row, rows: rows.get_mut(..len).unwrap_or_default(), east }
     }
 
     /// The hits in some of the rows.

@@ -1,53 +1,151 @@
-//! The server's tiles on the robot: a window of the merged map around it.
+//! The server's tiles on the robot: a window of the merged map around it, and of what the cameras
+//! see of that ground.
 
 use heapless::Vec;
 use ubimap_protocol::{
-    message::{Digests, Interest, MAX_REQUESTS, Request, ToServerKind, Writer},
+    message::{Digests, Freshness, Interest, MAX_REQUESTS, Request, ToServerKind, Writer},
     tile::{
-        BaseMissing, Layer, Replica, TILE_SIDE, Tile, TileDecoder, TileError, TileId, tile_hash,
+        BaseMissing, Epoch, Layer, Replica, Stamp, TILE_SIDE, Tile, TileDecoder, TileError, TileId,
+        Version, tile_hash,
     },
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
-/// One place in the pool of fused tiles.
-#[derive(Clone, Debug, Default)]
+use crate::map::Surround;
+
+/// One place in the pool: a tile of the fused layer, and the same of the coverage layer. Both are
+/// of the server's epoch.
+#[derive(Clone, Debug)]
 pub struct FusedTile {
-    id: Option<TileId>,
-    replica: Replica,
+    cells: Tile,
+    /// The cells that the cameras see, a word for each row.
+    covered: [u32; TILE_SIDE],
+    fused_version: Version,
+    coverage_version: Version,
+    fused_next: u16,
+    coverage_next: u16,
+    /// When the coverage was last known to be the newest, in [`ticks`]; 0 if it never was.
+    confirmed: u32,
 }
+
+const _: () = assert!(size_of::<FusedTile>() <= 400);
 
 impl FusedTile {
     /// A free place.
-    pub const FREE: Self = Self { id: None, replica: Replica::NOTHING };
+    pub const FREE: Self = Self {
+        cells: Tile::UNKNOWN,
+        covered: [0; TILE_SIDE],
+        fused_version: Version(0),
+        coverage_version: Version(0),
+        fused_next: 0,
+        coverage_next: 0,
+        confirmed: 0,
+    };
 
-    /// Which tile, or `None` if the place is free.
-    pub fn id(&self) -> Option<TileId> {
-        self.id
+    /// The tile of one layer.
+    fn replica(&self, layer: Layer, epoch: Epoch) -> Replica {
+        let (tile, version, next) = match layer {
+            Layer::Coverage => {
+                let tile = Tile { low: self.covered, ..Tile::UNKNOWN };
+                (tile, self.coverage_version, self.coverage_next)
+            }
+            _ => (self.cells, self.fused_version, self.fused_next),
+        };
+        Replica::restored(tile, Stamp { epoch, version }, next)
     }
 
-    /// Its cells and stamp.
-    pub fn replica(&self) -> &Replica {
-        &self.replica
+    fn keep(&mut self, layer: Layer, replica: &Replica) {
+        let (tile, version, next) = (replica.tile(), replica.stamp().version, replica.next());
+        if layer == Layer::Coverage {
+            (self.covered, self.coverage_version, self.coverage_next) = (tile.low, version, next);
+        } else {
+            (self.cells, self.fused_version, self.fused_next) = (*tile, version, next);
+        }
     }
 }
 
-/// The fused tiles that the robot holds, in the caller's memory.
+/// Units of 1.024 ms, never 0. They wrap after 51 days: a tile that has not been confirmed for just
+/// so long is taken to be fresh for a second.
+fn ticks(moment: Instant) -> u32 {
+    ((moment.micros() >> 10) as u32).max(1)
+}
+
+/// Coverage is fresh for a second, in [`ticks`].
+const FRESH: u32 = 976;
+
+/// The server's tiles that the robot holds, in the caller's memory.
 #[derive(Debug)]
 pub struct FusedMap<'b> {
+    /// Tile (x, y) of the window is at x and y modulo `side`, row by row.
     places: &'b mut [FusedTile],
+    /// Tiles along a side of the window.
+    side: u8,
+    epoch: Epoch,
     interest: Option<Interest>,
     /// The number of the interest that the server is known to have.
     told: u32,
-    requests: Vec<TileId, MAX_REQUESTS>,
-    /// There were more tiles to ask for than can be listed: all are.
-    request_all: bool,
+    missing: [Missing; 2],
+}
+
+/// The tiles of a layer to ask for.
+#[derive(Debug)]
+struct Missing {
+    layer: Layer,
+    tiles: Vec<TileId, MAX_REQUESTS>,
+    /// There were more of them than can be listed: all are.
+    all: bool,
+}
+
+impl Missing {
+    const fn of(layer: Layer) -> Self {
+        Self { layer, tiles: Vec::new(), all: false }
+    }
+
+    fn add(&mut self, id: TileId) {
+        if !self.tiles.contains(&id) && self.tiles.push(id).is_err() {
+            // No other update may come to ask for this one again.
+            self.tiles.clear();
+            self.all = true;
+        }
+    }
+
+    /// Asks for them, as many as there is room for, once. `false` if there are none.
+    fn push(&mut self, writer: &mut Writer<'_>) -> bool {
+        if self.all {
+            let request = Request { layer: self.layer, tiles: Vec::new() };
+            self.all = !writer.push(ToServerKind::Request as u8, &request);
+            return !self.all;
+        }
+        for count in (1..=self.tiles.len()).rev() {
+            let mut request = Request { layer: self.layer, tiles: self.tiles.clone() };
+            request.tiles.truncate(count);
+            if writer.push(ToServerKind::Request as u8, &request) {
+                let mut rest = Vec::new();
+                for &id in self.tiles.iter().skip(count) {
+                    let _ = rest.push(id);
+                }
+                self.tiles = rest;
+                return true;
+            }
+        }
+        false
+    }
 }
 
 impl<'b> FusedMap<'b> {
     /// A window of as many tiles as there are places.
     pub fn new(places: &'b mut [FusedTile]) -> Self {
-        places.fill(FusedTile::default());
-        Self { places, interest: None, told: 0, requests: Vec::new(), request_all: false }
+        places.fill(FusedTile::FREE);
+        let side = (1..=u8::MAX).take_while(|&it| usize::from(it).pow(2) <= places.len()).last();
+        Self {
+            places,
+            side: side.unwrap_or(0),
+            epoch: Epoch(0),
+            interest: None,
+            told: 0,
+            missing: [Missing::of(Layer::Fused), Missing::of(Layer::Coverage)],
+        }
     }
 
     /// How many tiles can be held.
@@ -55,22 +153,39 @@ impl<'b> FusedMap<'b> {
         self.places.len()
     }
 
-    /// The tiles that are held.
-    pub fn tiles(&self) -> impl Iterator<Item = &FusedTile> {
-        self.places.iter().filter(|tile| tile.id.is_some())
+    /// The tiles of one of the server's layers that are held, whole or in part.
+    pub fn tiles(&self, layer: Layer) -> impl Iterator<Item = (TileId, Replica)> {
+        self.interest.into_iter().flat_map(|interest| interest.ids()).filter_map(move |id| {
+            let replica = self.place(id)?.replica(layer, self.epoch);
+            (replica.stamp().version.0 != 0).then_some((id, replica))
+        })
     }
 
-    /// The cells of a tile, if it is held whole.
+    /// The cells of a fused tile, if it is held whole.
     pub fn tile(&self, id: TileId) -> Option<&Tile> {
-        let place = self.places.iter().find(|place| place.id == Some(id))?;
-        (!place.replica.is_partial()).then(|| place.replica.tile())
+        let place = self.place(id)?;
+        (place.fused_version.0 != 0 && place.fused_next == 0).then_some(&place.cells)
+    }
+
+    /// What the server says of a tile: the merged map, and the cells that the cameras see, a word
+    /// for each row, as long as that is fresh.
+    pub fn around(&self, id: TileId, now: Instant) -> Surround<'_> {
+        let fresh = |place: &&FusedTile| {
+            let confirmed = place.confirmed != 0 && place.coverage_next == 0;
+            confirmed && ticks(now).wrapping_sub(place.confirmed) < FRESH
+        };
+        Surround {
+            merged: self.tile(id),
+            covered: self.place(id).filter(fresh).map(|place| &place.covered),
+        }
     }
 
     /// Moves the window when the robot has left its middle third. Tiles outside are dropped.
     pub fn follow(&mut self, pose: Pose, resolution: Millimetres) {
-        let side =
-            (1..=255u16).take_while(|side| usize::from(side * side) <= self.capacity()).last();
-        let Some(side) = side.map(i32::from) else { return };
+        let side = i32::from(self.side);
+        if side == 0 {
+            return;
+        }
         let tile_size = resolution.0.saturating_mul(TILE_SIDE as i32).max(1);
         // The south-western tile of a window in whose middle the robot is.
         let first = |coordinate: Millimetres| {
@@ -95,12 +210,14 @@ impl<'b> FusedMap<'b> {
         }
         let number = self.interest.map_or(0, |now| now.number) + 1;
         let interest = Interest { number, from, to };
-        self.interest = Some(interest);
-        for place in self.places.iter_mut() {
-            if place.id.is_some_and(|id| !interest.contains(id)) {
-                *place = FusedTile::default();
+        for id in self.interest.into_iter().flat_map(|before| before.ids()) {
+            if !interest.contains(id)
+                && let Some(place) = self.place_mut(id)
+            {
+                *place = FusedTile::FREE;
             }
         }
+        self.interest = Some(interest);
     }
 
     /// The window that the robot wants, once it knows where it is.
@@ -121,68 +238,45 @@ impl<'b> FusedMap<'b> {
     /// Asks for the tiles that are to be asked for, as many as there is room for, once. `false`
     /// if there are none.
     pub fn push_request(&mut self, writer: &mut Writer<'_>) -> bool {
-        if self.request_all {
-            let request = Request { layer: Layer::Fused, tiles: Vec::new() };
-            self.request_all = !writer.push(ToServerKind::Request as u8, &request);
-            return !self.request_all;
-        }
-        for count in (1..=self.requests.len()).rev() {
-            let mut request = Request { layer: Layer::Fused, tiles: self.requests.clone() };
-            request.tiles.truncate(count);
-            if writer.push(ToServerKind::Request as u8, &request) {
-                let mut rest = Vec::new();
-                for &id in self.requests.iter().skip(count) {
-                    let _ = rest.push(id);
-                }
-                self.requests = rest;
-                return true;
-            }
-        }
-        false
+        self.missing.iter_mut().any(|missing| missing.push(writer))
     }
 
-    /// A session has begun: the server knows no window. Tiles of another epoch of the server
-    /// are void.
-    pub fn begin_session(&mut self, same_server: bool) {
+    /// A session has begun: the server, which is in this epoch, knows no window. Tiles of another
+    /// epoch are void.
+    pub fn begin_session(&mut self, epoch: Epoch) {
         self.told = 0;
-        self.requests.clear();
-        self.request_all = false;
-        if !same_server {
-            self.places.fill(FusedTile::default());
+        self.missing = [Missing::of(Layer::Fused), Missing::of(Layer::Coverage)];
+        if self.epoch != epoch {
+            self.epoch = epoch;
+            self.places.fill(FusedTile::FREE);
         }
     }
 
-    /// Takes the coded tiles of an update.
+    /// Takes the coded tiles of an update of one of the server's layers.
     ///
     /// # Errors
     /// What follows a [`TileError`] is not read; what came before it holds.
-    pub fn update(&mut self, coded: &[u8]) -> Result<(), TileError> {
+    pub fn update(&mut self, layer: Layer, coded: &[u8]) -> Result<(), TileError> {
         let mut decoder = TileDecoder::new(coded);
+        let epoch = self.epoch;
         while let Some(header) = decoder.header()? {
-            let wanted = self.interest.is_some_and(|interest| interest.contains(header.id));
-            let held = self.places.iter().position(|place| place.id == Some(header.id));
-            let place = held.or_else(|| self.places.iter().position(|place| place.id.is_none()));
-            let (true, Some(place)) = (wanted, place.and_then(|index| self.places.get_mut(index)))
+            let Some(place) = self.place_mut(header.id).filter(|_| header.stamp.epoch == epoch)
             else {
                 // It was sent before the window moved. A whole tile is read past; else the rest
                 // of the message is lost, and asking for the tile brings back what it held.
                 if header.base.is_some() || header.start != 0 {
-                    self.request(header.id);
+                    self.request(layer, header.id);
                     return Ok(());
                 }
                 decoder.cells(&header, &mut Tile::default());
                 continue;
             };
-            if place.id.is_none() {
-                *place = FusedTile { id: Some(header.id), replica: Replica::default() };
-            }
-            if place.replica.apply(&header, &mut decoder) == Err(BaseMissing) {
-                if place.replica.stamp().version.0 == 0 && !place.replica.is_partial() {
-                    place.id = None;
-                }
-                self.request(header.id);
+            let mut replica = place.replica(layer, epoch);
+            if replica.apply(&header, &mut decoder) == Err(BaseMissing) {
+                self.request(layer, header.id);
                 return Ok(());
             }
+            place.keep(layer, &replica);
         }
         Ok(())
     }
@@ -190,29 +284,58 @@ impl<'b> FusedMap<'b> {
     /// Takes the states of some tiles of the server's: those of which an older state or other
     /// cells are held are asked for.
     pub fn compare(&mut self, digests: &Digests) {
+        let (layer, epoch) = (digests.layer, self.epoch);
         for digest in &digests.tiles {
-            let place = self.places.iter_mut().find(|place| place.id == Some(digest.id));
-            let level = place.is_some_and(|place| {
-                let (held, told) = (place.replica.stamp(), digest.stamp);
-                let other = held == told && tile_hash(place.replica.tile()) != digest.hash;
-                if other {
-                    // It must be dropped: the same state would be taken for an old one.
-                    *place = FusedTile::FREE;
-                }
-                held >= told && !other
-            });
-            let wanted = self.interest.is_some_and(|interest| interest.contains(digest.id));
-            if wanted && !level {
-                self.request(digest.id);
+            let Some(place) = self.place_mut(digest.id) else { continue };
+            let replica = place.replica(layer, epoch);
+            let (held, told) = (replica.stamp(), digest.stamp);
+            let other = held == told && tile_hash(replica.tile()) != digest.hash;
+            if other {
+                // It must be dropped: the same state would be taken for an old one.
+                place.keep(layer, &Replica::NOTHING);
+            }
+            if held < told || other {
+                self.request(layer, digest.id);
             }
         }
     }
 
-    fn request(&mut self, id: TileId) {
-        if !self.requests.contains(&id) && self.requests.push(id).is_err() {
-            // No other update may come to ask for this one again.
-            self.requests.clear();
-            self.request_all = true;
+    /// Takes the confirmation that coverage tiles were the newest at `moment` (robot's clock).
+    pub fn confirm(&mut self, freshness: &Freshness, moment: Instant) {
+        let Some(interest) = self.interest.filter(|it| it.number == freshness.interest) else {
+            return;
+        };
+        let now = ticks(moment);
+        let bits = freshness.tiles.iter().flat_map(|byte| (0..8).map(move |bit| byte >> bit & 1));
+        let tiles = interest.ids().skip(usize::from(freshness.first));
+        for (id, _) in tiles.zip(bits).filter(|&(_, bit)| bit != 0) {
+            let Some(place) = self.place_mut(id) else { continue };
+            let later = now.wrapping_sub(place.confirmed) < u32::MAX / 2;
+            if place.coverage_version.0 != 0 && (place.confirmed == 0 || later) {
+                place.confirmed = now;
+            }
+        }
+    }
+
+    fn place(&self, id: TileId) -> Option<&FusedTile> {
+        self.places.get(self.index(id)?)
+    }
+
+    fn place_mut(&mut self, id: TileId) -> Option<&mut FusedTile> {
+        self.places.get_mut(self.index(id)?)
+    }
+
+    /// The place of a tile of the window.
+    fn index(&self, id: TileId) -> Option<usize> {
+        let side = i32::from(self.side);
+        let along = |tile: i16| i32::from(tile).checked_rem_euclid(side);
+        self.interest.filter(|interest| interest.contains(id))?;
+        usize::try_from(along(id.y)? * side + along(id.x)?).ok()
+    }
+
+    fn request(&mut self, layer: Layer, id: TileId) {
+        if let Some(missing) = self.missing.iter_mut().find(|missing| missing.layer == layer) {
+            missing.add(id);
         }
     }
 }
@@ -227,7 +350,7 @@ mod tests {
 
     #[test]
     fn more_tiles_than_a_request_names_are_asked_for_all_at_once() {
-        let mut places: [FusedTile; 16] = core::array::from_fn(|_| FusedTile::default());
+        let mut places: [FusedTile; 16] = core::array::from_fn(|_| FusedTile::FREE);
         let mut map = FusedMap::new(&mut places);
         map.follow(Pose::default(), Millimetres(50));
         let mut asked = |missing: i16| {
@@ -238,7 +361,7 @@ mod tests {
                 let stamp = Stamp { epoch: Epoch(1), version: Version(2) };
                 encoder.push(id, stamp, Some(Version(1)), 0, &Tile::UNKNOWN, &Tile::UNKNOWN);
                 let len = encoder.finish().unwrap();
-                assert_eq!(map.update(&out[..len]), Ok(()));
+                assert_eq!(map.update(Layer::Fused, &out[..len]), Ok(()));
             }
             let mut buffer = [0u8; 60];
             let mut writer = Writer::new(&mut buffer);

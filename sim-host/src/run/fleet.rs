@@ -13,7 +13,7 @@ use ubimap_agent::{
 };
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, MAX_FRAME},
-    tile::{Epoch, Stamp, tile_hash},
+    tile::{Epoch, Layer, Stamp, tile_hash},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -404,11 +404,10 @@ impl<'b> Fleet<'b> {
     }
 
     fn all_held_is_newest(&self, robot: &Robot<'_>) -> bool {
-        robot.agent.fused_tiles().tiles().all(|tile| {
-            let newest = tile.id().and_then(|id| self.server.fused().get(id));
+        robot.agent.fused_tiles().tiles(Layer::Fused).all(|(id, replica)| {
+            let newest = self.server.fused().get(id);
             newest.is_some_and(|(version, cells)| {
                 let stamp = Stamp { epoch: self.server.epoch(), version };
-                let replica = tile.replica();
                 !replica.is_partial()
                     && replica.stamp() == stamp
                     && tile_hash(replica.tile()) == tile_hash(cells)

@@ -20,7 +20,7 @@ use counter::Bench;
 use stm32f4xx_hal as _;
 use ubimap_agent::{
     Agent, Config, Memory,
-    map::{LocalMap, MappingConfig, Omission, OwnTile, Pool, RowSighting, scratch_words},
+    map::{LocalMap, MappingConfig, Omission, OwnTile, Pool, RowSighting, Surround, scratch_words},
     sense::{Beam, SensorModel, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
 };
@@ -117,7 +117,7 @@ fn rows(
     for time in ["new", "known"] {
         let mapped = bench
             .measure(format_args!("a row of {PIXELS} to planes: {scene}, {time}"), || {
-                map.add(memory.beams, black_box(readings), black_box(POSE), |_| None)
+                map.add(memory.beams, black_box(readings), black_box(POSE), |_| Surround::default())
             });
         (mapped?.cells_refused == 0).then_some(())?;
     }
@@ -133,7 +133,7 @@ fn publish(
 ) -> Option<usize> {
     let mut map = local_map(memory.beams, memory.scratch, memory.own);
     let merged = FusedMap::new(memory.fused);
-    map.add(memory.beams, readings, POSE, |_| None)?;
+    map.add(memory.beams, readings, POSE, |_| Surround::default())?;
     let mut publisher = Publisher::new(Duration(0));
     publisher.changed(Instant(0), None);
     let mut writer = Writer::new(payload.get_mut(..payload_capacity(DEFAULT_FRAME))?);
