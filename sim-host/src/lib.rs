@@ -4,8 +4,9 @@
 //!
 //! 1. [`grid`]: occupancy grids, ROS map files, scores.
 //! 2. [`camera`]: what a camera reports, and the door (a trait) through which it comes.
-//! 3. [`mapping`]: camera evidence, robot layers, the fused layer.
-//! 4. [`server`]: a session for each robot.
+//! 3. [`perception`]: from what cameras see to what it is.
+//! 4. [`mapping`]: camera evidence, robot layers, the fused and the coverage layer.
+//! 5. [`server`]: a session for each robot.
 //!
 //! Beside them [`channel`] (fault channel, serial ports), [`store`] (the layers on disk), [`log`] (readers of recorded logs) and
 //! [`report`] (figures and pictures). Apart from all, [`world`] is the simulated room; only
@@ -16,6 +17,7 @@ pub mod channel;
 pub mod grid;
 pub mod log;
 pub mod mapping;
+pub mod perception;
 pub mod report;
 pub mod run;
 pub mod server;

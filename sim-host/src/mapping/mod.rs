@@ -1,9 +1,13 @@
-//! Camera evidence, robot layers and the fused layer.
+//! Camera evidence, robot layers, and the fused and coverage layers that robots get.
 
 mod camera_layer;
+mod coverage_layer;
 mod fused_layer;
 mod robot_layer;
+mod served_layer;
 
 pub use camera_layer::CameraLayer;
-pub use fused_layer::{FusedLayer, fuse};
+pub use coverage_layer::CoverageLayer;
+pub use fused_layer::fuse;
 pub use robot_layer::{RobotLayer, SeenTile, TileRecord, Updated};
+pub use served_layer::ServedLayer;

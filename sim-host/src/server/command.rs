@@ -1,33 +1,22 @@
-//! What the server says to a robot of its own accord.
+//! What a robot is told to do.
 
-use ubimap_protocol::message::{
-    Obstacles, ParameterCommand, Path, Peers, Stop, ToRobotKind, Writer,
-};
+use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobotKind, Writer};
 
-/// A command, or news of the robot's surroundings.
+/// A command. It arrives for certain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Stop, or drive again. Goes before everything else, and arrives for certain.
+    /// Stop, or drive again. Goes before everything else.
     Stop(Stop),
-    /// Where to drive. Arrives for certain.
+    /// Where to drive.
     Path(Path),
-    /// Asks for parameters, or sets one. Arrives for certain, and is answered.
+    /// Asks for parameters, or sets one. It is answered.
     Parameter(ParameterCommand),
-    /// The other robots near it. Sent once: the next one makes it obsolete.
-    Peers(Peers),
-    /// What else stands or moves about. Sent once: the next one makes it obsolete.
-    Obstacles(Obstacles),
 }
 
 impl Command {
     /// Whether it goes before frames that must be sent again.
     pub(super) fn is_urgent(&self) -> bool {
         matches!(self, Self::Stop(_))
-    }
-
-    /// Whether it is sent until it has arrived.
-    pub(super) fn is_reliable(&self) -> bool {
-        matches!(self, Self::Stop(_) | Self::Path(_) | Self::Parameter(_))
     }
 
     /// Whether it holds until another one of its kind comes.
@@ -47,8 +36,6 @@ impl Command {
             Self::Stop(stop) => writer.push(ToRobotKind::Stop as u8, stop),
             Self::Path(path) => writer.push(ToRobotKind::Path as u8, path),
             Self::Parameter(command) => writer.push(ToRobotKind::Parameter as u8, command),
-            Self::Peers(peers) => writer.push(ToRobotKind::Peers as u8, peers),
-            Self::Obstacles(obstacles) => writer.push(ToRobotKind::Obstacles as u8, obstacles),
         }
     }
 }

@@ -1,9 +1,16 @@
 //! The camera server: a session for each robot.
 
+mod budget;
 mod command;
+mod events;
+mod news;
+mod publishing;
 #[expect(clippy::module_inception, reason = "the server itself, beside its sessions")]
 mod server;
 mod session;
+mod surroundings;
 
 pub use command::Command;
+pub use events::EventLog;
 pub use server::{CommandError, NoSuchPort, Server};
+pub use surroundings::Footprint;

@@ -6,9 +6,9 @@ use ubimap_protocol::{
     frame::{Direction, SessionId},
     link::{Answer, Counters, Received, Terms, answer},
     message::{
-        Ack, Digests, DistanceVector, Event, Hello, Interest, Message, Messages, ParameterReport,
-        Request, State, TileDigest, TileUpdateHead, TimeRequest, ToRobotKind, ToServerKind, Writer,
-        decode,
+        Ack, Digests, DistanceVector, Event, EventCode, Hello, Interest, Message, Messages,
+        ParameterReport, Request, State, TileDigest, TileUpdateHead, TimeRequest, ToRobotKind,
+        ToServerKind, Writer, decode,
     },
     tile::{Epoch, Layer, TileId, tile_hash},
     time::{Duration, Instant},
@@ -17,11 +17,13 @@ use ubimap_protocol::{
 
 use super::{
     command::Command,
-    session::{Link, Session},
+    events::EventLog,
+    session::{Link, Scene, Session},
+    surroundings::{Footprint, Surroundings},
 };
 use crate::{
     camera::Observation,
-    mapping::{CameraLayer, FusedLayer, RobotLayer, TileRecord, Updated, fuse},
+    mapping::{CameraLayer, CoverageLayer, RobotLayer, ServedLayer, TileRecord, Updated, fuse},
 };
 
 /// At most this often a robot is told that it has no session here.
@@ -30,6 +32,8 @@ const RESET_INTERVAL: Duration = Duration::from_millis(200);
 /// long (not even seven states on a bad link), where frames of something else come in, is not the one that the robot has: an old hello
 /// may have opened it.
 const SILENCE: Duration = Duration::from_secs(15);
+/// What moved in the newest frame of a camera is taken to be there for so long.
+const MOVING: Duration = Duration::from_secs(1);
 
 /// One way in: a serial port, a simulated channel. At most one robot is behind it.
 #[derive(Debug)]
@@ -61,7 +65,9 @@ pub struct Server {
     next_session: u32,
     layers: BTreeMap<RobotId, RobotLayer>,
     cameras: CameraLayer,
-    fused: FusedLayer,
+    fused: ServedLayer,
+    coverage: CoverageLayer,
+    surroundings: Surroundings,
     /// Tiles of robots that have changed since they were kept on disk.
     unsaved: BTreeSet<(RobotId, TileId, Epoch)>,
 }
@@ -101,7 +107,9 @@ impl Server {
             next_session: terms.server_epoch.wrapping_mul(0x9E37_79B9) | 1,
             layers: BTreeMap::new(),
             cameras: CameraLayer::default(),
-            fused: FusedLayer::default(),
+            fused: ServedLayer::default(),
+            coverage: CoverageLayer::default(),
+            surroundings: Surroundings::default(),
             unsaved: BTreeSet::new(),
         }
     }
@@ -132,7 +140,8 @@ impl Server {
                     if let Some(session) = &mut port.session {
                         session.heard = now;
                         let layer = self.layers.entry(session.robot).or_default();
-                        let mut inbox = Inbox { session, layer, updated: &mut updated };
+                        let (updated, surroundings) = (&mut updated, &mut self.surroundings);
+                        let mut inbox = Inbox { session, layer, surroundings, updated };
                         let (unknown, malformed) = inbox.take(messages, now);
                         port.unknown += unknown;
                         port.malformed += malformed;
@@ -159,10 +168,18 @@ impl Server {
 
     /// Takes what a frame of a camera says.
     pub fn observe(&mut self, observation: &Observation) {
+        let captured = observation.captured;
         for &(robot, pose) in &observation.robots {
-            self.fix(robot, observation.captured, pose);
+            self.fix(robot, captured, pose);
+            self.surroundings.robot(robot, captured, pose);
         }
+        if observation.cells.is_empty() {
+            return;
+        }
+        self.coverage.observe(observation);
         let changed = self.cameras.observe(observation);
+        let moving = self.cameras.moving(captured - MOVING);
+        self.surroundings.moving(captured, &moving, self.terms.resolution);
         self.fuse_anew(&changed);
     }
 
@@ -230,17 +247,20 @@ impl Server {
     /// [`MAX_FRAME`](ubimap_protocol::frame::MAX_FRAME) bytes. Returns its length.
     #[must_use]
     pub fn poll_transmit(&mut self, port: usize, now: Instant, out: &mut [u8]) -> Option<usize> {
-        let epoch = Epoch(self.terms.server_epoch);
-        let port = self.ports.get_mut(port)?;
+        self.coverage.refresh(now);
+        let Self { terms, ports, fused, coverage, surroundings, .. } = self;
+        let epoch = Epoch(terms.server_epoch);
+        let scene = Scene { epoch, fused, coverage: coverage.served(), surroundings };
+        let port = ports.get_mut(port)?;
         let len = port.poll_handshake(now, out).or_else(|| {
             let Port { link, session, .. } = port;
             let session = session.as_mut()?;
-            let fused = &self.fused;
-            let urgent = session.is_urgent();
+            let urgent = session.is_urgent(now);
             let sent = link.poll_transmit(now, out, urgent, |writer, reliable| {
-                session.fill(fused, epoch, now, writer, reliable)
-            });
-            Some(sent?.len)
+                session.fill(&scene, now, writer, reliable)
+            })?;
+            session.budget.spend(sent.len as u64, now);
+            Some(sent.len)
         })?;
         port.bytes_sent += len as u64;
         Some(len)
@@ -255,13 +275,25 @@ impl Server {
         let reset = port.reset.due.then(|| port.reset.ready_at());
         let reliable = port.link.can_send_reliable();
         let session = port.session.as_ref();
-        let messages = session.and_then(|session| session.poll_timeout(&self.fused, reliable, now));
-        [reset, port.link.poll_timeout(), messages].into_iter().flatten().min()
+        let scene = Scene {
+            epoch: self.epoch(),
+            fused: &self.fused,
+            coverage: self.coverage.served(),
+            surroundings: &self.surroundings,
+        };
+        let messages = session.and_then(|session| session.poll_timeout(&scene, reliable, now));
+        let coverage = self.coverage.poll_timeout();
+        [reset, port.link.poll_timeout(), messages, coverage].into_iter().flatten().min()
     }
 
     /// The map that everybody gets.
-    pub fn fused(&self) -> &FusedLayer {
+    pub fn fused(&self) -> &ServedLayer {
         &self.fused
+    }
+
+    /// The cells that the cameras see now.
+    pub fn coverage(&self) -> &ServedLayer {
+        self.coverage.served()
     }
 
     /// What a robot has seen.
@@ -297,6 +329,28 @@ impl Server {
     /// Whether a robot has acknowledged the newest state of every fused tile that it wants.
     pub fn is_level(&self, robot: RobotId) -> bool {
         self.session(robot).is_some_and(|session| session.is_level(&self.fused))
+    }
+
+    /// The events that a robot has told of.
+    pub fn events(&self, robot: RobotId) -> Option<&EventLog> {
+        self.session(robot).map(|session| &session.events)
+    }
+
+    /// Messages that wait to be sent to a robot. Tiles, peers and obstacles do not wait: of them
+    /// the newest state is sent when its time has come.
+    pub fn waiting(&self, robot: RobotId) -> usize {
+        self.session(robot).map_or(0, Session::waiting)
+    }
+
+    /// How many peers and obstacles a robot was not told of because the messages about those that
+    /// are nearer left no room, counted each time.
+    pub fn left_out(&self, robot: RobotId) -> u64 {
+        self.session(robot).map_or(0, |session| session.news.left_out())
+    }
+
+    /// What a robot takes up; the others are told.
+    pub fn set_footprint(&mut self, robot: RobotId, footprint: Footprint) {
+        self.surroundings.set_footprint(robot, footprint);
     }
 
     /// The epoch of the server's own layers.
@@ -419,6 +473,7 @@ fn parse_hello(message: Message<'_>) -> Option<Hello> {
 struct Inbox<'a> {
     session: &'a mut Session,
     layer: &'a mut RobotLayer,
+    surroundings: &'a mut Surroundings,
     updated: &'a mut Updated,
 }
 
@@ -448,15 +503,19 @@ impl Inbox<'_> {
             ToServerKind::TimeRequest => {
                 self.session.time_requested(decode::<TimeRequest>(body).ok()?.0.nonce, now);
             }
-            ToServerKind::State => self.session.state = Some(decode(body).ok()?.0),
+            ToServerKind::State => {
+                let (state, _) = decode::<State>(body).ok()?;
+                self.session.state = Some(state);
+                if let State { time: Some(moment), pose: Some(pose), .. } = state {
+                    // Nobody can tell where it will be.
+                    self.surroundings.robot(self.session.robot, moment.min(now), pose);
+                }
+            }
             ToServerKind::Interest => {
                 self.session.interested(decode::<Interest>(body).ok()?.0);
             }
             ToServerKind::Request => {
-                let (request, _) = decode::<Request>(body).ok()?;
-                if request.layer == Layer::Fused {
-                    self.session.requested(&request);
-                }
+                self.session.requested(&decode::<Request>(body).ok()?.0);
             }
             ToServerKind::TileUpdate => {
                 let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
@@ -487,8 +546,11 @@ impl Inbox<'_> {
             }
             ToServerKind::Event => {
                 let (event, _) = decode::<Event>(body).ok()?;
+                let Event { severity, code, detail, .. } = &event;
+                let name = EventCode::from_number(*code);
                 let robot = self.session.robot.0;
-                log::warn!("robot {robot}: {:?} {}: {}", event.severity, event.code, event.detail);
+                log::info!("robot {robot}: {severity:?} {code} {name:?} {detail}");
+                self.session.events.add(now, event);
             }
             ToServerKind::DistanceVector => self.session.looked(decode(body).ok()?.0),
             // It belongs into a handshake frame.

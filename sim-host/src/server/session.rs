@@ -1,22 +1,24 @@
 //! The server's end of a conversation with one robot.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
     link::{Endpoint, Fill},
     message::{
-        Certainty, Digests, DistanceVector, FixSource, Interest, MAX_DIGESTS, MAX_REQUESTS,
-        MAX_STORED, ParameterReport, PoseFix, Request, State, Stored, TileDigest, TileUpdateHead,
-        TimeReply, ToRobotKind, Writer,
+        Certainty, DistanceVector, FixSource, Interest, MAX_REQUESTS, MAX_STORED, ParameterReport,
+        PoseFix, Request, State, Stored, TimeReply, ToRobotKind, Writer,
     },
-    tile::{Epoch, Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
+    tile::{Epoch, Layer, Stamp, TileId},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 
-use super::command::Command;
-use crate::mapping::FusedLayer;
+use super::{
+    budget::Budget, command::Command, events::EventLog, news::News, publishing::Publishing,
+    surroundings::Surroundings,
+};
+use crate::mapping::ServedLayer;
 
 /// Reliable frames under way to one robot.
 const WINDOW: usize = 16;
@@ -24,12 +26,29 @@ const WINDOW: usize = 16;
 const CAMERA_CERTAINTY: Certainty = Certainty { x: 20, y: 20, heading: 182 };
 /// The token of frames in which no tile travels.
 const NO_TILES: u16 = 0;
-/// How often the states of a few tiles are told.
-const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
-/// Changes of a fused tile are gathered this long.
-const HOLD: Duration = Duration::from_secs(1);
-/// The downlink's budget for tiles.
-const BYTES_PER_SECOND: u64 = 2_000;
+/// Changes of a fused tile are gathered this long, and those of a coverage tile.
+const FUSED_HOLD: Duration = Duration::from_secs(1);
+const COVERAGE_HOLD: Duration = Duration::from_millis(500);
+/// Tiles are sent together, and then not for a while: the robot must acknowledge each frame.
+const TILES_INTERVAL: Duration = Duration::from_millis(400);
+/// However many cameras see the robot, fixes are sent no sooner after each other; each message has
+/// those before it as well.
+const FIX_INTERVAL: Duration = Duration::from_millis(60);
+
+/// What the server has for all robots.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'s> {
+    pub(super) epoch: Epoch,
+    pub(super) fused: &'s ServedLayer,
+    pub(super) coverage: &'s ServedLayer,
+    pub(super) surroundings: &'s Surroundings,
+}
+
+impl<'s> Scene<'s> {
+    fn layer(&self, layer: Layer) -> &'s ServedLayer {
+        if layer == Layer::Coverage { self.coverage } else { self.fused }
+    }
+}
 
 pub(super) type Link = Endpoint<u16, WINDOW, MAX_FRAME>;
 
@@ -44,12 +63,15 @@ pub(super) struct Session {
     pub(super) heard: Instant,
     interest: Option<Interest>,
     fused_tiles: u16,
-    /// What the robot holds of the fused layer, and when each tile was last sent.
-    published: BTreeMap<TileId, (Publication, Option<Instant>)>,
+    /// What the robot holds of the fused and the coverage layer.
+    fused: Publishing,
+    coverage: Publishing,
     frame: u16,
+    next_tiles: Instant,
     /// Newest first.
     fixes: Vec<(Instant, Pose)>,
     fix_due: bool,
+    next_fix: Instant,
     times: Vec<(u16, Instant)>,
     /// Commands that have not been sent yet, in order.
     commands: VecDeque<Command>,
@@ -60,9 +82,6 @@ pub(super) struct Session {
     /// The newest distance vector, and how many have come.
     pub(super) distance_vector: Option<DistanceVector>,
     pub(super) distance_vectors: u32,
-    /// The tile whose digest was sent last, and when the next ones are due.
-    digested: Option<TileId>,
-    next_digests: Instant,
     /// States of the robot's tiles that are on disk, and of which it has not been told.
     stored: Vec<(TileId, Stamp)>,
     /// The last state of each tile that was put there.
@@ -70,7 +89,9 @@ pub(super) struct Session {
     pub(super) time_requests: u32,
     /// Tiles of the robot's layer to ask for; no tile means all of them.
     requests: Vec<TileId>,
-    budget: Budget,
+    pub(super) news: News,
+    pub(super) events: EventLog,
+    pub(super) budget: Budget,
 }
 
 impl Session {
@@ -82,23 +103,26 @@ impl Session {
             heard: now,
             interest: None,
             fused_tiles,
-            published: BTreeMap::new(),
+            fused: Publishing::new(Layer::Fused, FUSED_HOLD, now),
+            coverage: Publishing::new(Layer::Coverage, COVERAGE_HOLD, now),
             frame: 0,
+            next_tiles: now,
             fixes: Vec::new(),
             fix_due: false,
+            next_fix: now,
             times: Vec::new(),
             commands: VecDeque::new(),
             standing: Vec::new(),
             parameters: None,
             distance_vector: None,
             distance_vectors: 0,
-            digested: None,
-            next_digests: now + DIGEST_INTERVAL,
             stored: Vec::new(),
             stored_last: BTreeMap::new(),
             time_requests: 0,
             requests: Vec::new(),
-            budget: Budget { paid_until: now },
+            news: News::default(),
+            events: EventLog::default(),
+            budget: Budget::default(),
         }
     }
 
@@ -130,14 +154,19 @@ impl Session {
     /// those that stand, and what was reported.
     pub(super) fn continue_from(&mut self, earlier: Self) {
         self.parameters = earlier.parameters;
+        self.events = earlier.events;
         for command in earlier.standing.into_iter().chain(earlier.commands) {
             self.command(command);
         }
     }
 
     /// Whether something waits that must go before frames that are sent again: a pose, a stop.
-    pub(super) fn is_urgent(&self) -> bool {
-        self.fix_due || self.commands.front().is_some_and(Command::is_urgent)
+    pub(super) fn is_urgent(&self, now: Instant) -> bool {
+        self.fix_due(now) || self.commands.front().is_some_and(Command::is_urgent)
+    }
+
+    fn fix_due(&self, now: Instant) -> bool {
+        self.fix_due && self.next_fix <= now
     }
 
     pub(super) fn time_requested(&mut self, nonce: u16, now: Instant) {
@@ -161,23 +190,17 @@ impl Session {
         }
         // Of a window in between, of which nothing was heard, the robot has dropped tiles as well.
         let next = self.interest.is_none_or(|now| now.number.wrapping_add(1) == interest.number);
-        self.published.retain(|&id, _| next && interest.contains(id));
+        self.fused.retain(|id| next && interest.contains(id));
+        self.coverage.retain(|id| next && interest.contains(id));
         self.interest = Some(interest);
     }
 
-    /// The robot could not read an update: that tile, and all that travelled with it, is sent
-    /// whole.
+    /// The robot lacks tiles of the server's.
     pub(super) fn requested(&mut self, request: &Request) {
-        for id in &request.tiles {
-            let Some((one, _)) = self.published.get(id).cloned() else { continue };
-            for (publication, _) in self.published.values_mut() {
-                if publication.travelled_with(&one) {
-                    publication.forget();
-                }
-            }
-        }
-        if request.tiles.is_empty() {
-            self.published.values_mut().for_each(|(publication, _)| publication.forget());
+        match request.layer {
+            Layer::Robot => {}
+            Layer::Fused => self.fused.requested(request),
+            Layer::Coverage => self.coverage.requested(request),
         }
     }
 
@@ -195,16 +218,14 @@ impl Session {
     }
 
     pub(super) fn acknowledged(&mut self, frame: u16) {
-        self.published.values_mut().for_each(|(publication, _)| {
-            publication.acknowledge(frame);
-        });
+        self.fused.acknowledged(frame);
+        self.coverage.acknowledged(frame);
     }
 
     /// Puts what is due into a frame: what is urgent and stale soon first.
     pub(super) fn fill(
         &mut self,
-        fused: &FusedLayer,
-        epoch: Epoch,
+        scene: &Scene<'_>,
         now: Instant,
         writer: &mut Writer<'_>,
         reliable: bool,
@@ -217,7 +238,8 @@ impl Session {
             return Fill::Reliable(NO_TILES);
         }
         let before = writer.len();
-        if self.fix_due {
+        if self.fix_due(now) {
+            self.next_fix = now + FIX_INTERVAL;
             // As many of the earlier ones as there is room for.
             self.fix_due = !(1..=self.fixes.len()).rev().any(|count| {
                 let fix = PoseFix::from_fixes(
@@ -236,11 +258,13 @@ impl Session {
             }
             self.times.remove(0);
         }
-        let news = self.commands.iter().position(|command| !command.is_reliable());
-        if let Some(index) = news
-            && self.commands[index].write(writer)
-        {
-            self.commands.remove(index);
+        let affordable = self.budget.ready_at() <= now;
+        if affordable {
+            if let Some(interest) = &self.interest {
+                self.coverage.fill_confirmation(scene.coverage, interest, now, writer);
+            }
+            let alone = writer.len() == before;
+            self.news.fill(scene.surroundings, self.robot, now, writer, alone);
         }
         if writer.len() > before || !reliable {
             return Fill::Datagram;
@@ -263,179 +287,81 @@ impl Session {
                 return Fill::Reliable(NO_TILES);
             }
         }
-        match self.fill_tile(fused, epoch, now, writer) {
-            Some(frame) => Fill::Reliable(frame),
-            None => {
-                self.fill_digests(fused, epoch, now, writer);
-                Fill::Datagram
-            }
-        }
-    }
-
-    /// Adds the states of the next few tiles that the robot should hold, now and then.
-    fn fill_digests(
-        &mut self,
-        fused: &FusedLayer,
-        epoch: Epoch,
-        now: Instant,
-        writer: &mut Writer<'_>,
-    ) {
-        let Some(interest) = self.interest.filter(|_| self.next_digests <= now) else { return };
-        self.next_digests = now + DIGEST_INTERVAL;
-        let level =
-            fused.within(&interest).filter(|&(id, version, tile)| self.has(id, version, tile));
-        let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
-        let tiles: heapless::Vec<TileDigest, MAX_DIGESTS> = next
-            .map(|(id, version, tile)| TileDigest {
-                id,
-                stamp: Stamp { epoch, version },
-                hash: tile_hash(tile),
-            })
-            .collect();
-        self.digested = tiles.last().map(|digest| digest.id);
-        if !tiles.is_empty() {
-            let digests = Digests { layer: Layer::Fused, tiles };
-            // What does not fit is told again in a later round.
-            let _ = writer.push(ToRobotKind::Digests as u8, &digests);
-        }
-    }
-
-    /// Adds tile updates, one tile in each message: the robot may have dropped one of them, and
-    /// could then not read what follows it.
-    fn fill_tile(
-        &mut self,
-        fused: &FusedLayer,
-        epoch: Epoch,
-        now: Instant,
-        writer: &mut Writer<'_>,
-    ) -> Option<u16> {
-        if self.next_tile_time(fused)?.max(self.budget.ready_at()) > now {
-            return None;
-        }
+        let Some(interest) = self.interest.filter(|_| affordable) else { return Fill::Nothing };
+        let empty = writer.len();
         let frame = if self.frame == u16::MAX { NO_TILES + 1 } else { self.frame + 1 };
-        let before = writer.len();
-        let seconds = (now.micros() / 1_000_000) as u32;
-        let interest = self.interest?;
-        for (id, version, tile) in fused.within(&interest) {
-            let (publication, last) = self.published.entry(id).or_default();
-            let due = last.is_none_or(|last| last + HOLD <= now) || publication.has_parts_left();
-            if !due || !has_more(publication, version, tile) {
-                continue;
-            }
-            let first = writer.len() == before;
-            let written = writer.push_with(ToRobotKind::TileUpdate as u8, |body| {
-                let mut head = [0u8; 8];
-                let head = TileUpdateHead { layer: Layer::Fused, seconds }.encode(&mut head)?;
-                let (start, rest) = body.split_at_mut_checked(head.len())?;
-                start.copy_from_slice(head);
-                let mut encoder = TileEncoder::new(rest);
-                let mut new = *tile;
-                let mut trial = publication.clone();
-                trial.push(&mut encoder, id, epoch, version, &mut new, frame).then_some(())?;
-                if trial.has_parts_left() && !first {
-                    // A tile is cut up only where it has a frame to itself.
-                    return None;
-                }
-                *publication = trial;
-                Some(head.len() + encoder.finish()?)
-            });
-            if !written {
-                break;
-            }
-            *last = Some(now);
+        let mut all = true;
+        let gathered = self.next_tiles <= now;
+        for layer in self.in_turns().into_iter().filter(|_| gathered) {
+            let served = scene.layer(layer.layer());
+            all &= layer.fill(served, &interest, scene.epoch, now, frame, writer, empty);
         }
-        if writer.len() == before {
-            return None;
+        if writer.len() > empty {
+            self.next_tiles = if all { now + TILES_INTERVAL } else { now };
+            self.frame = frame;
+            return Fill::Reliable(frame);
         }
-        self.budget.spend((writer.len() - before) as u64, now);
-        self.frame = frame;
-        Some(frame)
+        for layer in self.in_turns() {
+            let served = scene.layer(layer.layer());
+            layer.fill_digests(served, &interest, scene.epoch, now, writer);
+        }
+        Fill::Datagram
     }
 
-    /// When the next tile is due, the budget aside.
-    fn next_tile_time(&self, fused: &FusedLayer) -> Option<Instant> {
-        let interest = self.interest?;
-        fused
-            .within(&interest)
-            .filter_map(|(id, version, tile)| match self.published.get(&id) {
-                None => Some(Instant(0)),
-                Some((publication, last)) => {
-                    let more = has_more(publication, version, tile);
-                    let parts = publication.has_parts_left();
-                    let due = last.filter(|_| !parts).map_or(Instant(0), |last| last + HOLD);
-                    more.then_some(due)
-                }
-            })
-            .min()
+    /// The layers; now the one comes first, now the other.
+    fn in_turns(&mut self) -> [&mut Publishing; 2] {
+        if self.frame.is_multiple_of(2) {
+            [&mut self.fused, &mut self.coverage]
+        } else {
+            [&mut self.coverage, &mut self.fused]
+        }
     }
 
     /// When there is something to send.
     pub(super) fn poll_timeout(
         &self,
-        fused: &FusedLayer,
+        scene: &Scene<'_>,
         reliable: bool,
         now: Instant,
     ) -> Option<Instant> {
-        let news = self.commands.iter().any(|command| !command.is_reliable());
-        if self.fix_due || !self.times.is_empty() || news {
+        if !self.times.is_empty() {
             return Some(now);
         }
-        if !reliable {
-            return None;
-        }
-        if !(self.requests.is_empty() && self.commands.is_empty() && self.stored.is_empty()) {
+        let told = self.commands.is_empty() && self.stored.is_empty() && self.requests.is_empty();
+        if reliable && !told {
             return Some(now);
         }
-        let digests = self.interest.map(|_| self.next_digests);
-        let tiles = self.next_tile_time(fused).map(|due| due.max(self.budget.ready_at()));
-        digests.into_iter().chain(tiles).min()
+        let fix = self.fix_due.then_some(self.next_fix);
+        let news = self.news.poll_timeout(scene.surroundings, self.robot);
+        let tiles = self.interest.as_ref().and_then(|interest| {
+            let confirmation = self.coverage.next_confirmation(scene.coverage, interest);
+            let layers = [&self.fused, &self.coverage].into_iter().filter(|_| reliable);
+            let due = layers.flat_map(|layer| {
+                let tile = layer.next_tile(scene.layer(layer.layer()), interest);
+                tile.map(|due| due.max(self.next_tiles)).into_iter().chain([layer.next_digests()])
+            });
+            due.chain(confirmation).min()
+        });
+        let waiting = news.into_iter().chain(tiles).min();
+        waiting.map(|due| due.max(self.budget.ready_at())).into_iter().chain(fix).min()
     }
 
-    /// Whether the robot has acknowledged the newest state of every tile that it wants.
-    pub(super) fn is_level(&self, fused: &FusedLayer) -> bool {
-        let Some(interest) = self.interest else { return true };
-        fused.within(&interest).all(|(id, version, tile)| self.has(id, version, tile))
+    /// Messages that wait to be sent, tiles aside: of these the newest state alone is sent.
+    pub(super) fn waiting(&self) -> usize {
+        let fix = usize::from(self.fix_due);
+        fix + self.times.len() + self.commands.len() + self.stored.len() + self.requests.len()
     }
 
-    /// Whether the robot has acknowledged this state of a tile.
-    fn has(&self, id: TileId, version: Version, tile: &Tile) -> bool {
-        self.published.get(&id).is_some_and(|(publication, _)| {
-            publication.is_acknowledged()
-                && publication.version() == version
-                && publication.sent() == tile
-        })
-    }
-}
-
-/// Whether there is something to send of a tile now. One that has changed and changed back is
-/// newer all the same.
-fn has_more(publication: &Publication, version: Version, tile: &Tile) -> bool {
-    let newer = publication.version() != version;
-    publication.is_ready() && (newer || publication.differs(tile))
-}
-
-/// A rate of bytes, of which a second's worth may be saved up.
-#[derive(Debug)]
-struct Budget {
-    /// Until when what has been sent is paid for.
-    paid_until: Instant,
-}
-
-impl Budget {
-    fn ready_at(&self) -> Instant {
-        self.paid_until - Duration::from_secs(1)
-    }
-
-    fn spend(&mut self, bytes: u64, now: Instant) {
-        let cost = Duration(bytes * 1_000_000 / BYTES_PER_SECOND);
-        self.paid_until = self.paid_until.max(now) + cost;
+    /// Whether the robot has acknowledged the newest state of every fused tile that it wants.
+    pub(super) fn is_level(&self, fused: &ServedLayer) -> bool {
+        self.interest.as_ref().is_none_or(|interest| self.fused.is_level(fused, interest))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::tile::Cell;
+    use ubimap_protocol::tile::{Cell, Tile};
 
     const ID: TileId = TileId { x: 1, y: 0 };
 
@@ -444,18 +370,24 @@ mod tests {
         Interest { number, from, to: TileId { x: west + 1, y: 1 } }
     }
 
+    /// Nothing but a fused layer.
+    fn scene(fused: &ServedLayer) -> Scene<'_> {
+        let (coverage, surroundings) = Box::leak(Box::default());
+        Scene { epoch: Epoch(1), fused, coverage, surroundings }
+    }
+
     /// Sends what is due, and has it acknowledged.
-    fn tell(session: &mut Session, fused: &FusedLayer, now: Instant) {
+    fn tell(session: &mut Session, fused: &ServedLayer, now: Instant) {
         let mut buffer = [0u8; 200];
         let mut writer = Writer::new(&mut buffer);
-        let filled = session.fill(fused, Epoch(1), now, &mut writer, true);
+        let filled = session.fill(&scene(fused), now, &mut writer, true);
         let Fill::Reliable(frame) = filled else { panic!("{filled:?}") };
         session.acknowledged(frame);
         assert!(session.is_level(fused));
     }
 
     /// A session whose robot has the only fused tile.
-    fn level(fused: &FusedLayer) -> Session {
+    fn level(fused: &ServedLayer) -> Session {
         let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
         session.interested(window(1, 0));
         tell(&mut session, fused, Instant(0));
@@ -468,12 +400,13 @@ mod tests {
         let far = Pose::from_metres(-900.0, 900.0, 3.0);
         (0..4).for_each(|hour| session.fix(Instant((hour + 1) * 3_600_000_000), far));
         (0..8).for_each(|x| session.ask_for(TileId { x: 30_000 + x, y: -30_000 }));
-        let fused = FusedLayer::default();
+        let fused = ServedLayer::default();
         let mut frames = 0;
-        while session.poll_timeout(&fused, true, Instant(0)).is_some() {
+        let now = Instant(0);
+        while session.poll_timeout(&scene(&fused), true, now).is_some_and(|due| due <= now) {
             let mut buffer = [0u8; 24];
             let mut writer = Writer::new(&mut buffer);
-            let filled = session.fill(&fused, Epoch(1), Instant(0), &mut writer, true);
+            let filled = session.fill(&scene(&fused), now, &mut writer, true);
             assert!(!writer.is_empty(), "{filled:?} stands still");
             frames += 1;
         }
@@ -482,7 +415,7 @@ mod tests {
 
     #[test]
     fn a_tile_that_has_changed_back_is_sent_for_its_version() {
-        let mut fused = FusedLayer::default();
+        let mut fused = ServedLayer::default();
         let (mut tile, mut other) = (Tile::UNKNOWN, Tile::UNKNOWN);
         tile.set(3, 3, Cell::Free);
         other.set(3, 3, Cell::Occupied);
@@ -490,14 +423,14 @@ mod tests {
         let mut session = level(&fused);
         fused.set(ID, other);
         fused.set(ID, tile);
-        tell(&mut session, &fused, Instant(0) + HOLD);
+        tell(&mut session, &fused, Instant(0) + FUSED_HOLD);
     }
 
     #[test]
     fn what_a_window_that_was_never_heard_of_left_out_is_sent_again() {
         let mut tile = Tile::UNKNOWN;
         tile.set(3, 3, Cell::Free);
-        let mut fused = FusedLayer::default();
+        let mut fused = ServedLayer::default();
         fused.set(ID, tile);
         let mut session = level(&fused);
         session.interested(window(2, 1));
@@ -505,6 +438,6 @@ mod tests {
         // The third window may have been elsewhere.
         session.interested(window(4, 0));
         assert!(!session.is_level(&fused));
-        assert!(session.poll_timeout(&fused, true, Instant(0)).is_some());
+        assert!(session.poll_timeout(&scene(&fused), true, Instant(0)).is_some());
     }
 }

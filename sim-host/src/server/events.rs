@@ -1,0 +1,35 @@
+//! What has happened on a robot.
+
+use std::collections::VecDeque;
+
+use ubimap_protocol::{message::Event, time::Instant};
+
+/// The newest events that are kept.
+const MOST: usize = 8;
+
+/// The events of one robot.
+#[derive(Clone, Debug, Default)]
+pub struct EventLog {
+    count: u64,
+    newest: VecDeque<(Instant, Event)>,
+}
+
+impl EventLog {
+    pub(super) fn add(&mut self, received: Instant, event: Event) {
+        self.count += 1;
+        self.newest.push_back((received, event));
+        if self.newest.len() > MOST {
+            self.newest.pop_front();
+        }
+    }
+
+    /// All that were received.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// The newest few and when they were received, oldest first.
+    pub fn newest(&self) -> impl Iterator<Item = (Instant, &Event)> {
+        self.newest.iter().map(|(received, event)| (*received, event))
+    }
+}

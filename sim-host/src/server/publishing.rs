@@ -1,0 +1,271 @@
+//! One of the server's layers at one robot: what it holds of it, and what is due.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    message::{
+        Digests, Freshness, Interest, MAX_DIGESTS, MAX_FRESH_BYTES, Request, TileDigest,
+        TileUpdateHead, ToRobotKind, Writer,
+    },
+    tile::{Epoch, Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
+    time::{Duration, Instant},
+};
+
+use crate::mapping::ServedLayer;
+
+/// How often the states of a few tiles are told.
+const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
+/// How often all coverage tiles are confirmed.
+const CONFIRM_INTERVAL: Duration = Duration::from_millis(250);
+/// What was the newest so long ago is confirmed: an update is on its way.
+const CONFIRM_DELAY: Duration = Duration::from_millis(500);
+
+/// What a robot holds of one layer.
+#[derive(Debug)]
+pub(super) struct Publishing {
+    layer: Layer,
+    /// Changes of a tile are gathered this long.
+    hold: Duration,
+    tiles: BTreeMap<TileId, Published>,
+    /// The tile whose digest was sent last, and when the next ones are due.
+    digested: Option<TileId>,
+    next_digests: Instant,
+    /// The tile of the window that is confirmed next, and when.
+    confirmed: u16,
+    next_confirmation: Instant,
+}
+
+/// What a robot holds of one tile.
+#[derive(Debug, Default)]
+struct Published {
+    publication: Publication,
+    /// When it was last sent.
+    sent: Option<Instant>,
+    /// When what the robot is known to hold was last known to be the newest.
+    newest: Option<Instant>,
+}
+
+impl Publishing {
+    /// A robot that holds nothing.
+    pub(super) fn new(layer: Layer, hold: Duration, now: Instant) -> Self {
+        Self {
+            layer,
+            hold,
+            tiles: BTreeMap::new(),
+            digested: None,
+            next_digests: now + DIGEST_INTERVAL,
+            confirmed: 0,
+            next_confirmation: now,
+        }
+    }
+
+    pub(super) fn layer(&self) -> Layer {
+        self.layer
+    }
+
+    /// The robot has dropped the tiles for which `kept` is false.
+    pub(super) fn retain(&mut self, kept: impl Fn(TileId) -> bool) {
+        self.tiles.retain(|&id, _| kept(id));
+    }
+
+    /// The robot could not read an update: that tile, and all that travelled with it, is sent
+    /// whole.
+    pub(super) fn requested(&mut self, request: &Request) {
+        for id in &request.tiles {
+            let Some(one) = self.tiles.get(id).map(|tile| tile.publication.clone()) else {
+                continue;
+            };
+            let tiles = self.tiles.values_mut();
+            tiles.filter(|it| it.publication.travelled_with(&one)).for_each(Published::forget);
+        }
+        if request.tiles.is_empty() {
+            self.tiles.values_mut().for_each(Published::forget);
+        }
+    }
+
+    pub(super) fn acknowledged(&mut self, frame: u16) {
+        for tile in self.tiles.values_mut() {
+            if tile.publication.acknowledge(frame) && tile.publication.is_acknowledged() {
+                tile.newest = tile.newest.max(tile.sent);
+            }
+        }
+    }
+
+    /// Adds tile updates, one tile in each message: the robot may have dropped one of them, and
+    /// could then not read what follows it. Those that were sent longest ago go first. `empty` is
+    /// how much was in the frame before the first tile. Whether all that is due has found room.
+    pub(super) fn fill(
+        &mut self,
+        served: &ServedLayer,
+        interest: &Interest,
+        epoch: Epoch,
+        now: Instant,
+        frame: u16,
+        writer: &mut Writer<'_>,
+        empty: usize,
+    ) -> bool {
+        let due = served.within(interest).filter(|&(id, version, tile)| {
+            self.due(id, version, tile).is_some_and(|due| due <= now)
+        });
+        let mut due: Vec<_> = due.collect();
+        due.sort_by_key(|(id, ..)| self.tiles.get(id).and_then(|tile| tile.sent));
+        let layer = self.layer;
+        let seconds = (now.micros() / 1_000_000) as u32;
+        for (id, version, tile) in due {
+            let published = self.tiles.entry(id).or_default();
+            let first = writer.len() == empty;
+            let written = writer.push_with(ToRobotKind::TileUpdate as u8, |body| {
+                let mut head = [0u8; 8];
+                let head = TileUpdateHead { layer, seconds }.encode(&mut head)?;
+                let (start, rest) = body.split_at_mut_checked(head.len())?;
+                start.copy_from_slice(head);
+                let mut encoder = TileEncoder::new(rest);
+                let mut new = *tile;
+                let mut trial = published.publication.clone();
+                trial.push(&mut encoder, id, epoch, version, &mut new, frame).then_some(())?;
+                if trial.has_parts_left() && !first {
+                    // A tile is cut up only where it has a frame to itself.
+                    return None;
+                }
+                published.publication = trial;
+                Some(head.len() + encoder.finish()?)
+            });
+            if !written {
+                return false;
+            }
+            published.sent = Some(now);
+            if published.publication.has_parts_left() {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// When the next tile is due.
+    pub(super) fn next_tile(&self, served: &ServedLayer, interest: &Interest) -> Option<Instant> {
+        served.within(interest).filter_map(|(id, version, tile)| self.due(id, version, tile)).min()
+    }
+
+    /// When there is something to send of a tile. One that has changed and changed back is newer
+    /// all the same.
+    fn due(&self, id: TileId, version: Version, tile: &Tile) -> Option<Instant> {
+        let Some(Published { publication, sent, .. }) = self.tiles.get(&id) else {
+            return Some(Instant(0));
+        };
+        let newer = publication.version() != version;
+        let more = publication.is_ready() && (newer || publication.differs(tile));
+        let waits = sent.filter(|_| !publication.has_parts_left());
+        more.then(|| waits.map_or(Instant(0), |sent| sent + self.hold))
+    }
+
+    /// Whether the robot has acknowledged the newest state of every tile that it wants.
+    pub(super) fn is_level(&self, served: &ServedLayer, interest: &Interest) -> bool {
+        served.within(interest).all(|(id, version, tile)| self.has(id, version, tile))
+    }
+
+    /// Whether the robot has acknowledged this state of a tile.
+    fn has(&self, id: TileId, version: Version, tile: &Tile) -> bool {
+        self.tiles.get(&id).is_some_and(|published| published.has(version, tile))
+    }
+
+    pub(super) fn next_digests(&self) -> Instant {
+        self.next_digests
+    }
+
+    /// Adds the states of the next few tiles that the robot should hold, now and then.
+    pub(super) fn fill_digests(
+        &mut self,
+        served: &ServedLayer,
+        interest: &Interest,
+        epoch: Epoch,
+        now: Instant,
+        writer: &mut Writer<'_>,
+    ) {
+        if self.next_digests > now {
+            return;
+        }
+        self.next_digests = now + DIGEST_INTERVAL;
+        let level =
+            served.within(interest).filter(|&(id, version, tile)| self.has(id, version, tile));
+        let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
+        let tiles: heapless::Vec<TileDigest, MAX_DIGESTS> = next
+            .map(|(id, version, tile)| TileDigest {
+                id,
+                stamp: Stamp { epoch, version },
+                hash: tile_hash(tile),
+            })
+            .collect();
+        self.digested = tiles.last().map(|digest| digest.id);
+        if !tiles.is_empty() {
+            let digests = Digests { layer: self.layer, tiles };
+            // What does not fit is told again in a later round.
+            let _ = writer.push(ToRobotKind::Digests as u8, &digests);
+        }
+    }
+
+    /// When tiles are to be confirmed, if there are any.
+    pub(super) fn next_confirmation(
+        &self,
+        served: &ServedLayer,
+        interest: &Interest,
+    ) -> Option<Instant> {
+        served.within(interest).next().map(|_| self.next_confirmation)
+    }
+
+    /// Adds the confirmation of the tiles of which the robot holds what was the newest a moment
+    /// ago. A window that is too large for one message is confirmed in turns.
+    pub(super) fn fill_confirmation(
+        &mut self,
+        served: &ServedLayer,
+        interest: &Interest,
+        now: Instant,
+        writer: &mut Writer<'_>,
+    ) {
+        if self.next_confirmation(served, interest).is_none_or(|next| next > now) {
+            return;
+        }
+        for (id, version, tile) in served.within(interest) {
+            let published = self.tiles.get_mut(&id);
+            if let Some(published) = published.filter(|it| it.has(version, tile)) {
+                published.newest = Some(now);
+            }
+        }
+        let time = now - CONFIRM_DELAY;
+        let first = self.confirmed;
+        let mut tiles = heapless::Vec::<u8, MAX_FRESH_BYTES>::new();
+        let most = (8 * MAX_FRESH_BYTES).min(8 * writer.room().saturating_sub(12).max(1));
+        for (index, id) in interest.ids().skip(first.into()).take(most).enumerate() {
+            if self.tiles.get(&id).is_some_and(|tile| tile.newest >= Some(time)) {
+                // There is room for `most` of them.
+                let _ = tiles.resize(index / 8 + 1, 0);
+                tiles[index / 8] |= 1 << (index % 8);
+            }
+        }
+        let freshness = Freshness { time, interest: interest.number, first, tiles };
+        let all = interest.tiles();
+        self.confirmed = u16::try_from(u32::from(first) + most as u32)
+            .ok()
+            .filter(|next| u32::from(*next) < all)
+            .unwrap_or(0);
+        let rounds = u64::from(all).div_ceil(most as u64).max(1);
+        self.next_confirmation = now + Duration(CONFIRM_INTERVAL.micros() / rounds);
+        if !freshness.tiles.is_empty() {
+            // What does not fit is confirmed by the next one.
+            let _ = writer.push(ToRobotKind::Freshness as u8, &freshness);
+        }
+    }
+}
+
+impl Published {
+    fn has(&self, version: Version, tile: &Tile) -> bool {
+        let publication = &self.publication;
+        publication.is_acknowledged()
+            && publication.version() == version
+            && publication.sent() == tile
+    }
+
+    fn forget(&mut self) {
+        self.publication.forget();
+        self.newest = None;
+    }
+}

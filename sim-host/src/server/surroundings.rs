@@ -1,0 +1,134 @@
+//! Who and what is about: the robots, and what the cameras see moving.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    f64,
+};
+
+use ubimap_protocol::{
+    message::{Obstacle, ObstacleClass, Peer},
+    time::{Duration, Instant},
+    units::{Millimetres, Pose, RobotId},
+};
+
+use crate::perception::{Track, Tracks};
+
+/// Whoever is farther away is not near: metres.
+const NEAR_M: f64 = 8.0;
+/// A robot that nothing has been heard of for longer may be anywhere. One out of view says itself
+/// where it is, every two seconds.
+const LOST: Duration = Duration::from_millis(2_500);
+
+/// The rectangle that a robot takes up, along and across its heading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Footprint {
+    /// Half its length, in millimetres.
+    pub half_length: u16,
+    /// Half its width, in millimetres.
+    pub half_width: u16,
+}
+
+impl Default for Footprint {
+    /// A robot of which nothing is known: 40 by 40 cm.
+    fn default() -> Self {
+        Self { half_length: 200, half_width: 200 }
+    }
+}
+
+/// All that is about.
+#[derive(Debug, Default)]
+pub(super) struct Surroundings {
+    robots: BTreeMap<RobotId, (Instant, Pose)>,
+    footprints: BTreeMap<RobotId, Footprint>,
+    tracks: Tracks,
+}
+
+impl Surroundings {
+    pub(super) fn set_footprint(&mut self, robot: RobotId, footprint: Footprint) {
+        self.footprints.insert(robot, footprint);
+    }
+
+    /// A robot was at this pose.
+    pub(super) fn robot(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
+        let known = self.robots.entry(robot).or_insert((moment, pose));
+        if known.0 < moment {
+            *known = (moment, pose);
+        }
+    }
+
+    /// Something moved in these cells.
+    pub(super) fn moving(
+        &mut self,
+        moment: Instant,
+        cells: &BTreeSet<(i32, i32)>,
+        side: Millimetres,
+    ) {
+        self.tracks.observe(moment, cells, side);
+    }
+
+    /// The newest moment of another robot's pose.
+    pub(super) fn peers_moment(&self, robot: RobotId) -> Option<Instant> {
+        self.others(robot).map(|(_, moment, _)| moment).max()
+    }
+
+    /// The other robots near one, nearest first.
+    pub(super) fn peers(&self, robot: RobotId) -> Vec<Peer> {
+        let newest = self.peers_moment(robot).unwrap_or_default();
+        let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
+        let recent = self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= LOST);
+        let peers = recent.map(|(id, moment, pose)| {
+            let Footprint { half_length, half_width } =
+                self.footprints.get(&id).copied().unwrap_or_default();
+            let age = (newest.since(moment).micros() / 10_000).min(255) as u8;
+            let peer = Peer { robot: id, pose, age, half_length, half_width };
+            (distance_m(me, pose.x, pose.y), peer)
+        });
+        nearest_first(peers)
+    }
+
+    /// The newest moment of what moves.
+    pub(super) fn obstacles_moment(&self) -> Instant {
+        self.tracks.moment()
+    }
+
+    /// What moves near a robot, nearest first.
+    pub(super) fn obstacles(&self, robot: RobotId) -> Vec<Obstacle> {
+        let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
+        let obstacles = self.tracks.now().map(|track| {
+            let obstacle = obstacle(&track);
+            (distance_m(me, obstacle.x, obstacle.y), obstacle)
+        });
+        nearest_first(obstacles)
+    }
+
+    fn others(&self, robot: RobotId) -> impl Iterator<Item = (RobotId, Instant, Pose)> {
+        let others = self.robots.iter().filter(move |(id, _)| **id != robot);
+        others.map(|(&id, &(moment, pose))| (id, moment, pose))
+    }
+}
+
+fn obstacle(track: &Track) -> Obstacle {
+    let [x, y] = track.position_m.map(Millimetres::from_metres);
+    let millimetres = |metres: f64| (metres * 1000.0).round();
+    // The casts saturate.
+    let [velocity_x, velocity_y] = track.velocity_m_s.map(|it| millimetres(it) as i16);
+    Obstacle {
+        number: track.number,
+        class: if track.has_walked { ObstacleClass::Person } else { ObstacleClass::Movable },
+        x,
+        y,
+        velocity_x,
+        velocity_y,
+        radius: millimetres(track.radius_m) as u16,
+    }
+}
+
+fn distance_m(from: Pose, x: Millimetres, y: Millimetres) -> f64 {
+    (x.metres() - from.x.metres()).hypot(y.metres() - from.y.metres())
+}
+
+fn nearest_first<T>(things: impl Iterator<Item = (f64, T)>) -> Vec<T> {
+    let mut near: Vec<(f64, T)> = things.filter(|(distance, _)| *distance <= NEAR_M).collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0));
+    near.into_iter().map(|(_, thing)| thing).collect()
+}
