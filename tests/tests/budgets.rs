@@ -1,14 +1,21 @@
 //! What a conversation costs on the wire.
 
+use std::{collections::VecDeque, path::Path};
+
 use ubimap_agent::{Config, locate::PoseSource, sense::SensorModel};
 use ubimap_protocol::{
-    tile::{Cell, TILE_SIDE},
+    message::ObstacleClass,
+    tile::{Cell, Layer, TILE_SIDE, Tile},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
 use ubimap_sim_host::{
     channel::fault::Faults,
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+    run::{
+        fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+        simulate::{RESOLUTION, Room, config},
+    },
+    world::{Scenario, World},
 };
 
 /// Readings of a scan.
@@ -134,5 +141,114 @@ fn an_idle_robot_sends_twenty_bytes_a_second_at_most() {
             let expected = if name == "idle" { 0..=0 } else { 5..=12 };
             assert!(expected.contains(&vectors), "{name}: {vectors}");
         }
+    }
+}
+
+const ROBOT: RobotId = RobotId(1);
+/// By then every robot is level.
+const JOINED: Instant = Instant(5_000_000);
+const END: Instant = Instant(90_000_000);
+
+/// What was seen of one run.
+#[derive(Debug, Default)]
+struct Seen {
+    /// Bytes to the robot by the end of each event within the last second, and the most so far.
+    second: VecDeque<(Instant, u64)>,
+    busiest: u64,
+    joined: u64,
+    bytes: u64,
+    /// Messages that waited, at the most.
+    waiting: usize,
+    /// Samples, and those in which the robot left what lies before it to the cameras.
+    samples: u32,
+    fresh: u32,
+    /// The most of each that the robot knew.
+    peers: usize,
+    people: usize,
+}
+
+impl Seen {
+    fn look(&mut self, fleet: &Fleet<'_>) {
+        let (now, server) = (fleet.now(), fleet.server());
+        self.bytes = server.bytes_sent(0);
+        self.waiting = self.waiting.max(server.waiting(ROBOT));
+        self.second.push_back((now, self.bytes));
+        while self.second.front().is_some_and(|&(at, _)| at + Duration::from_secs(1) < now) {
+            self.second.pop_front();
+        }
+        if now < JOINED {
+            (self.joined, self.second) = (self.bytes, VecDeque::new());
+            return;
+        }
+        let before = self.second.front().map_or(self.bytes, |&(_, bytes)| bytes);
+        self.busiest = self.busiest.max(self.bytes - before);
+        let agent = fleet.robots()[0].agent();
+        let Some((_, pose)) = agent.pose() else { return };
+        // Half a metre before it, which stands nowhere near a wall.
+        let ahead = |metres: f64, unit: f64| ((metres + unit / 2.0) / RESOLUTION.metres()) as i32;
+        let (sine, cosine) = pose.heading.radians().sin_cos();
+        let cell = (ahead(pose.x.metres(), cosine), ahead(pose.y.metres(), sine));
+        self.samples += 1;
+        self.fresh += u32::from(fleet.robots()[0].is_left_to_cameras(fleet.now(), cell));
+        let commands = agent.commands();
+        self.peers = self.peers.max(commands.peers().map_or(0, |it| it.peers.len()));
+        let people = commands.obstacles().map_or(0, |it| {
+            it.obstacles.iter().filter(|it| it.class == ObstacleClass::Person).count()
+        });
+        self.people = self.people.max(people);
+    }
+}
+
+fn cross(faults: Faults) -> Seen {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../sim-host/scenarios/crossing.toml");
+    let scenario = Scenario::read(&path).unwrap();
+    assert!(scenario.cameras.len() == 4 && scenario.people.len() >= 4);
+    let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
+    let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, 1)).collect();
+    let beams = world.robots()[0].sensor().beams();
+    let memory = configs.iter().map(|it| AgentMemory::new(it, beams, OWN_TILES, FUSED_TILES));
+    let mut memory: Vec<AgentMemory> = memory.collect();
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, 1, None).unwrap();
+    let mut seen = Seen::default();
+    let level = fleet.run(&mut Room::new(world, END), |fleet| seen.look(fleet)).unwrap();
+    assert!(level, "the robots do not hold one map in the end");
+
+    // The cameras fall silent: nothing is covered any more, and the robot knows.
+    fleet.run(&mut Idle(Some(fleet.now() + Duration::from_secs(10))), |_| {}).unwrap();
+    let held: Vec<_> = fleet.robots()[0].agent().fused_tiles().tiles(Layer::Coverage).collect();
+    assert!(held.len() > 30);
+    for (id, replica) in held {
+        let (version, tile) = fleet.server().coverage().get(id).unwrap();
+        assert_eq!((replica.stamp().version, replica.tile()), (version, tile), "{id:?}");
+        assert_eq!(tile, &Tile::UNKNOWN, "{id:?}");
+    }
+    seen
+}
+
+#[test]
+fn a_robot_that_crosses_covered_ground_is_sent_two_kilobytes_a_second_at_most() {
+    let bad =
+        Faults { loss: 0.3, duplicate: 0.05, reorder: 0.1, corrupt: 0.02, ..Faults::default() };
+    for faults in [Faults::default(), bad] {
+        let seen = cross(faults);
+        let seconds = END.since(JOINED).micros() as f64 / 1e6;
+        let mean = (seen.bytes - seen.joined) as f64 / seconds;
+        let fresh = f64::from(seen.fresh) / f64::from(seen.samples);
+        println!(
+            "crossing covered ground, loss {}: {mean:.0} bytes/s down, {} in the busiest second, \
+             at most {} messages waiting, {:.0} % of the time the ground ahead is the cameras', \
+             {} peers, {} people",
+            faults.loss,
+            seen.busiest,
+            seen.waiting,
+            100.0 * fresh,
+            seen.peers,
+            seen.people,
+        );
+        // Frames that were lost together are sent again together.
+        assert!(mean <= 2_000.0 && (seen.busiest <= 2_000 || faults.loss > 0.0), "{seen:?}");
+        // A fix, a time reply, and nothing that piles up.
+        assert!(seen.waiting <= 4, "{seen:?}");
+        assert!(seen.peers == 2 && seen.people >= 3, "{seen:?}");
     }
 }

@@ -59,20 +59,6 @@ impl CameraLayer {
         changed
     }
 
-    /// The cells where something moves, by the cameras whose newest frame is not older than
-    /// `since`.
-    pub fn moving(&self, since: Instant) -> BTreeSet<(i32, i32)> {
-        let frames = self.moving.values().filter(|(captured, _)| *captured >= since);
-        let tiles = frames.flat_map(|(_, tiles)| tiles);
-        let cells = tiles.flat_map(|(id, tile)| {
-            let (first_x, first_y) = id.first_cell();
-            let cells = (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y)));
-            let moving = cells.filter(|&(x, y)| tile.cell(x, y) == Cell::Movable);
-            moving.map(move |(x, y)| (first_x + x as i32, first_y + y as i32))
-        });
-        cells.collect()
-    }
-
     /// What the cameras know of a tile.
     pub fn tile(&self, id: TileId) -> Tile {
         let mut tile = Tile::UNKNOWN;
@@ -114,8 +100,6 @@ mod tests {
     fn what_walks_out_of_view_leaves_nothing_behind() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(0, 10, &[(-1, Cell::Free), (-2, Cell::Movable)]));
-        assert_eq!(layer.moving(Instant(10)), BTreeSet::from([(-2, 5)]));
-        assert!(layer.moving(Instant(11)).is_empty());
         layer.observe(&frame(0, 20, &[(-1, Cell::Movable), (-2, Cell::Free)]));
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Movable);
         // Its shadow hides where it was.

@@ -13,7 +13,7 @@ use ubimap_agent::{
 };
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, MAX_FRAME},
-    tile::{Epoch, Layer, Stamp, tile_hash},
+    tile::{Epoch, Layer, Stamp, TILE_SIDE, TileId, tile_hash},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -26,7 +26,7 @@ use crate::{
     camera::Observation,
     channel::fault::{FaultWire, Faults},
     report::{Comparison, Published},
-    server::Server,
+    server::{Footprint, Server},
     store::StoreError,
 };
 
@@ -178,6 +178,14 @@ impl Robot<'_> {
         &self.agent
     }
 
+    /// Whether it leaves a cell to the cameras at a moment of the server's clock.
+    pub fn is_left_to_cameras(&self, now: Instant, (x, y): (i32, i32)) -> bool {
+        let Some(id) = TileId::of_cell(x, y) else { return false };
+        let around = self.agent.fused_tiles().around(id, self.clock.local(now));
+        let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
+        around.covered.is_some_and(|rows| rows[within(y)] >> within(x) & 1 != 0)
+    }
+
     /// Frames that the channel lost, both ways.
     pub fn frames_lost(&self) -> u64 {
         self.up.counters().lost + self.down.counters().lost
@@ -252,14 +260,19 @@ impl<'b> Fleet<'b> {
         &self.server
     }
 
+    /// What a robot takes up, for the others to know.
+    pub fn set_footprint(&mut self, robot: RobotId, footprint: Footprint) {
+        self.server.set_footprint(robot, footprint);
+    }
+
     /// The robots.
     pub fn robots(&self) -> &[Robot<'b>] {
         &self.robots
     }
 
-    /// When the run began by the server's clock: zero, unless the server goes on from a file.
-    pub fn began(&self) -> Instant {
-        self.began
+    /// How long the run has lasted.
+    pub fn elapsed(&self) -> Duration {
+        self.now.since(self.began)
     }
 
     /// The server's time.
@@ -268,15 +281,14 @@ impl<'b> Fleet<'b> {
     }
 
     /// Runs until the stage has ended and all hold the same map, or until patience ends. Returns
-    /// whether they do. `progress` is told the time now and then. The stage's clock, and that of
-    /// `progress`, shows zero when the run begins.
+    /// whether they do. `watch` sees it after every event.
     ///
     /// # Errors
     /// [`StoreError`].
     pub fn run(
         &mut self,
         stage: &mut dyn Stage,
-        mut progress: impl FnMut(Instant),
+        mut watch: impl FnMut(&Self),
     ) -> Result<bool, StoreError> {
         while let Some(next) = stage.next_event() {
             self.run_until(self.began + next.since(Instant(0)))?;
@@ -285,7 +297,7 @@ impl<'b> Fleet<'b> {
                 self.happen(event);
             }
             self.drain();
-            progress(now);
+            watch(self);
         }
         let end = self.now + PATIENCE;
         while !self.has_converged() && self.now < end {

@@ -50,14 +50,14 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
         Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed, keeper)?;
 
     let progress = Progress::new(recording.end(), options.run.json);
-    let converged = fleet.run(&mut recording, |now| progress.at(now))?;
+    let converged = fleet.run(&mut recording, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
     progress.finish();
 
     let fused = fleet.server().fused();
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
-    report.simulated_s = fleet.now().since(fleet.began()).micros() as f64 / 1e6;
+    report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     Ok(Outcome { report, map, markers: figures::markers(&fleet) })
 }

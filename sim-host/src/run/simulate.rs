@@ -23,11 +23,12 @@ use crate::{
     camera::Source,
     grid::{self, OccupancyGrid},
     report::{Marker, MarkerKind, PoseErrors, TruthScores},
+    server::Footprint,
     world::{Scenario, SimRobot, Truth, WallGrid, World},
 };
 
 /// The side of the map's cells.
-const RESOLUTION: Millimetres = Millimetres(50);
+pub const RESOLUTION: Millimetres = Millimetres(50);
 /// Between two readings of the wheels.
 const ODOMETRY_INTERVAL: Duration = Duration::from_millis(50);
 /// The robots boot at the first moment, and drive from it on. The errors of their poses are
@@ -67,12 +68,18 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut fleet =
         Fleet::new(&configs, &mut memory, faults, RESOLUTION, options.run.seed, keeper)?;
 
+    for robot in world.robots() {
+        let half = (robot.radius_m() * 1000.0).round() as u16;
+        let footprint = Footprint { half_length: half, half_width: half };
+        fleet.set_footprint(robot.id(), footprint);
+    }
+
     let duration = options
         .duration
         .unwrap_or(Duration::from_micros((scenario.duration_s * 1e6).round() as u64));
     let mut stage = Room::new(world, Instant(0) + duration);
     let progress = Progress::new(stage.end, options.run.json);
-    let converged = fleet.run(&mut stage, |now| progress.at(now))?;
+    let converged = fleet.run(&mut stage, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
     progress.finish();
 
     let fused = fleet.server().fused();
@@ -81,7 +88,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
     report.truth = Some(score(&map, stage.world.truth())?);
     report.pose = Some(pose_errors(&fleet, &stage.tracks));
-    report.simulated_s = fleet.now().since(fleet.began()).micros() as f64 / 1e6;
+    report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let mut markers = figures::markers(&fleet);
     markers.extend(stage.world.people().iter().map(|person| {
@@ -91,7 +98,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     Ok(Outcome { report, map, markers })
 }
 
-fn config(robot: &SimRobot, seed: u64) -> Config {
+/// The configuration of a simulated robot's agent.
+pub fn config(robot: &SimRobot, seed: u64) -> Config {
     let sensor = robot.sensor();
     let model = SensorModel::Radial {
         first: sensor.first_angle_rad() as f32,
@@ -122,7 +130,7 @@ fn wall_grid(yaml: &Path) -> Result<WallGrid, RunError> {
 }
 
 /// The simulated room as a source of events.
-struct Room {
+pub struct Room {
     world: World,
     end: Instant,
     next_odometry: Instant,
@@ -132,7 +140,8 @@ struct Room {
 }
 
 impl Room {
-    fn new(world: World, end: Instant) -> Self {
+    /// The events of a world until some moment.
+    pub fn new(world: World, end: Instant) -> Self {
         let tracks = vec![Vec::new(); world.robots().len()];
         Self { world, end, next_odometry: Instant(0), waiting: VecDeque::new(), tracks }
     }

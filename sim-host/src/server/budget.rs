@@ -5,16 +5,24 @@ use std::collections::VecDeque;
 use ubimap_protocol::time::{Duration, Instant};
 
 /// Bytes in any second.
-pub(super) const BYTES_PER_SECOND: u64 = 2_000;
-/// A usual frame: what can wait does so until one has room.
-const FRAME: u64 = 250;
+const BYTES_PER_SECOND: u64 = 2_000;
+/// A usual frame, and a few fixes: what can wait does so until they have room.
+const FRAME: u64 = 400;
 const SECOND: Duration = Duration::from_secs(1);
 
 /// What has been sent within the last second. What is urgent is sent whatever the budget says, and
 /// is paid for all the same.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Budget {
+    /// Bytes that a robot which joins may get besides, once.
+    credit: u64,
     sent: VecDeque<(Instant, u64)>,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { credit: BYTES_PER_SECOND, sent: VecDeque::new() }
+    }
 }
 
 impl Budget {
@@ -34,7 +42,9 @@ impl Budget {
         while self.sent.front().is_some_and(|&(moment, _)| moment + SECOND <= now) {
             self.sent.pop_front();
         }
-        self.sent.push_back((now, bytes));
+        let given = bytes.min(self.credit);
+        self.credit -= given;
+        self.sent.push_back((now, bytes - given));
     }
 }
 
@@ -43,8 +53,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_second_has_more_than_the_budget() {
+    fn no_second_after_joining_has_more_than_the_budget() {
         let mut budget = Budget::default();
+        budget.spend(BYTES_PER_SECOND, Instant(0));
         let mut frames: Vec<(u64, u64)> = Vec::new();
         for step in 0..2_000 {
             let now = Instant(step * 5_000);

@@ -32,8 +32,6 @@ const RESET_INTERVAL: Duration = Duration::from_millis(200);
 /// long (not even seven states on a bad link), where frames of something else come in, is not the one that the robot has: an old hello
 /// may have opened it.
 const SILENCE: Duration = Duration::from_secs(15);
-/// What moved in the newest frame of a camera is taken to be there for so long.
-const MOVING: Duration = Duration::from_secs(1);
 
 /// One way in: a serial port, a simulated channel. At most one robot is behind it.
 #[derive(Debug)]
@@ -171,15 +169,10 @@ impl Server {
         let captured = observation.captured;
         for &(robot, pose) in &observation.robots {
             self.fix(robot, captured, pose);
-            self.surroundings.robot(robot, captured, pose);
-        }
-        if observation.cells.is_empty() {
-            return;
         }
         self.coverage.observe(observation);
         let changed = self.cameras.observe(observation);
-        let moving = self.cameras.moving(captured - MOVING);
-        self.surroundings.moving(captured, &moving, self.terms.resolution);
+        self.surroundings.observe(observation, self.terms.resolution);
         self.fuse_anew(&changed);
     }
 

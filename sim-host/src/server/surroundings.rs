@@ -1,17 +1,18 @@
 //! Who and what is about: the robots, and what the cameras see moving.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    f64,
-};
+use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     message::{Obstacle, ObstacleClass, Peer},
+    tile::Cell,
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
 
-use crate::perception::{Track, Tracks};
+use crate::{
+    camera::Observation,
+    perception::{Track, Tracks},
+};
 
 /// Whoever is farther away is not near: metres.
 const NEAR_M: f64 = 8.0;
@@ -56,14 +57,17 @@ impl Surroundings {
         }
     }
 
-    /// Something moved in these cells.
-    pub(super) fn moving(
-        &mut self,
-        moment: Instant,
-        cells: &BTreeSet<(i32, i32)>,
-        side: Millimetres,
-    ) {
-        self.tracks.observe(moment, cells, side);
+    /// Takes what a frame of a camera says, cells of this side.
+    pub(super) fn observe(&mut self, observation: &Observation, side: Millimetres) {
+        let captured = observation.captured;
+        for &(robot, pose) in &observation.robots {
+            self.robot(robot, captured, pose);
+        }
+        // A frame without cells says nothing of them.
+        if !observation.cells.is_empty() {
+            let moving = observation.cells.iter().filter(|(_, code)| *code == Cell::Movable);
+            self.tracks.observe(captured, moving.map(|&(cell, _)| cell).collect(), side);
+        }
     }
 
     /// The newest moment of another robot's pose.
