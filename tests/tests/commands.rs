@@ -4,7 +4,8 @@ use ubimap_agent::{Config, Parameter, sense::SensorModel};
 use ubimap_protocol::{
     link::Terms,
     message::{
-        ParameterAction, ParameterCommand, ParameterOutcome, ParameterValue, Path, Stop, Waypoint,
+        EventCode, ParameterAction, ParameterCommand, ParameterOutcome, ParameterValue, Path, Stop,
+        Waypoint,
     },
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
@@ -64,5 +65,33 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
         star.command(0, Command::Stop(Stop { number: 2, stop: false })).unwrap();
         star.run_until(seconds(100));
         assert!(!star.robots[0].agent().unwrap().commands().must_stop(), "seed {seed}");
+    }
+}
+
+#[test]
+fn an_event_arrives_once_over_a_bad_link_and_no_more_of_its_kind_for_a_while() {
+    let config = Config::new(RobotId(7), SensorModel::Radial { first: -1.5, step: 0.1 });
+    for seed in 1..4 {
+        let mut memory = AgentMemory::new(&config, 30, 4, 4);
+        let terms =
+            Terms { resolution: config.resolution, frame: 32, server_epoch: 1, stores: false };
+        let mut star = Star::new(terms, 1, seed);
+        star.robots.push(Robot::new(config.robot, 0));
+        let bad =
+            Faults { loss: 0.4, duplicate: 0.1, reorder: 0.2, corrupt: 0.05, ..Faults::default() };
+        star.robots[0].up.weather(bad, seed);
+        star.robots[0].down.weather(bad, seed + 100);
+        star.boot(0, config, &mut memory);
+        for second in 20..60 {
+            star.run_until(seconds(second));
+            // Not what its sensor gives: every ten seconds that is said once.
+            star.scan(0, None, &[1_000; 31]);
+        }
+        star.run_until(seconds(70));
+        let events = star.server().events(config.robot).unwrap();
+        let codes: Vec<u16> = events.newest().map(|(_, event)| event.code).collect();
+        let count = |code: EventCode| codes.iter().filter(|it| **it == code as u16).count();
+        assert_eq!(events.count(), codes.len() as u64, "seed {seed}");
+        assert_eq!((count(EventCode::Started), count(EventCode::SensorFault)), (1, 4));
     }
 }

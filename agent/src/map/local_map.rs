@@ -394,3 +394,45 @@ mod tests {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        map::scratch_words,
+        sense::{SensorModel, fill_beams},
+    };
+    use ubimap_protocol::units::Millimetres;
+
+    #[test]
+    fn what_the_cameras_see_is_left_to_them() {
+        const RANGE: u16 = 2_000;
+        let mut beams = [Beam::default(); 90];
+        let sensor = SensorModel::Radial { first: -1.5, step: 0.03 };
+        fill_beams(&mut beams, sensor, Pose::default(), RANGE);
+        let resolution = Millimetres(50);
+        let config = SightingConfig { resolution, max_range: RANGE, mounting: Pose::default() };
+        // Cells with an even x are covered.
+        let even = [0x5555_5555; TILE_SIDE];
+        let add = |covered: Option<&[u32; TILE_SIDE]>| {
+            let mut scratch = std::vec![0; scratch_words(RANGE, resolution)];
+            let mut places = [OwnTile::FREE; 9];
+            let mut map = LocalMap::new(config, &mut scratch, Pool::new(&mut places));
+            let known = |_| Surround { covered, ..Surround::NOTHING };
+            let mapped = map.add(&beams, &[1_500; 90], Pose::default(), known).unwrap();
+            let tiles = map.pool.tiles().map(|tile| (tile.id(), tile.evidence.cells()));
+            (mapped.pixels, tiles.collect::<std::vec::Vec<_>>())
+        };
+        let (everything, all) = add(None);
+        assert_eq!((everything.kept, everything.omitted), (90, 0));
+        let (half, odd) = add(Some(&even));
+        assert!(half.omitted > 20 && half.kept + half.omitted == 90);
+        assert_eq!(odd.len(), all.len());
+        for ((id, odd), (_, all)) in odd.iter().zip(&all) {
+            let masked = |plane: &[u32; TILE_SIDE]| plane.map(|row| row & !even[0]);
+            assert_eq!((odd.low, odd.high), (masked(&all.low), masked(&all.high)), "{id:?}");
+        }
+        let (nothing, none) = add(Some(&[u32::MAX; TILE_SIDE]));
+        assert_eq!((nothing.omitted, none.len()), (90, 0), "no tile is begun");
+    }
+}

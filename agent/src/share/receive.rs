@@ -55,6 +55,21 @@ impl FusedTile {
         Replica::restored(tile, Stamp { epoch, version }, next)
     }
 
+    /// Nothing is held of one layer any more: its cells mean nothing.
+    fn give_up(&mut self, layer: Layer) {
+        if layer == Layer::Coverage {
+            (self.coverage_version, self.coverage_next) = (Version(0), 0);
+            self.confirmed = 0;
+        } else {
+            (self.fused_version, self.fused_next) = (Version(0), 0);
+        }
+    }
+
+    fn clear(&mut self) {
+        self.give_up(Layer::Fused);
+        self.give_up(Layer::Coverage);
+    }
+
     fn keep(&mut self, layer: Layer, replica: &Replica) {
         let (tile, version, next) = (replica.tile(), replica.stamp().version, replica.next());
         if layer == Layer::Coverage {
@@ -136,7 +151,7 @@ impl Missing {
 impl<'b> FusedMap<'b> {
     /// A window of as many tiles as there are places.
     pub fn new(places: &'b mut [FusedTile]) -> Self {
-        places.fill(FusedTile::FREE);
+        places.iter_mut().for_each(FusedTile::clear);
         let side = (1..=u8::MAX).take_while(|&it| usize::from(it).pow(2) <= places.len()).last();
         Self {
             places,
@@ -214,7 +229,7 @@ impl<'b> FusedMap<'b> {
             if !interest.contains(id)
                 && let Some(place) = self.place_mut(id)
             {
-                *place = FusedTile::FREE;
+                place.clear();
             }
         }
         self.interest = Some(interest);
@@ -248,7 +263,7 @@ impl<'b> FusedMap<'b> {
         self.missing = [Missing::of(Layer::Fused), Missing::of(Layer::Coverage)];
         if self.epoch != epoch {
             self.epoch = epoch;
-            self.places.fill(FusedTile::FREE);
+            self.places.iter_mut().for_each(FusedTile::clear);
         }
     }
 
@@ -292,7 +307,7 @@ impl<'b> FusedMap<'b> {
             let other = held == told && tile_hash(replica.tile()) != digest.hash;
             if other {
                 // It must be dropped: the same state would be taken for an old one.
-                place.keep(layer, &Replica::NOTHING);
+                place.give_up(layer);
             }
             if held < told || other {
                 self.request(layer, digest.id);
@@ -371,5 +386,88 @@ mod tests {
             decode::<Request>(message.body).unwrap().0.tiles.len()
         };
         assert_eq!((asked(8), asked(9), asked(3)), (8, 0, 3));
+    }
+
+    const SECOND: u64 = 1_000_000;
+
+    fn whole(layer: Layer, id: TileId, cells: &Tile, map: &mut FusedMap<'_>) {
+        let mut out = [0u8; 300];
+        let mut encoder = TileEncoder::new(&mut out);
+        let stamp = Stamp { epoch: Epoch(7), version: Version(1) };
+        encoder.push(id, stamp, None, 0, &Tile::UNKNOWN, cells).unwrap();
+        let len = encoder.finish().unwrap();
+        assert_eq!(map.update(layer, &out[..len]), Ok(()));
+    }
+
+    #[test]
+    fn coverage_holds_for_a_second_after_the_moment_of_its_confirmation() {
+        let mut places = [FusedTile::FREE; 4];
+        let mut map = FusedMap::new(&mut places);
+        map.begin_session(Epoch(7));
+        map.follow(Pose::default(), Millimetres(50));
+        let id = TileId { x: 0, y: -1 };
+        let mut cells = Tile::UNKNOWN;
+        cells.set(5, 6, ubimap_protocol::tile::Cell::Free);
+        whole(Layer::Coverage, id, &cells, &mut map);
+        let covered = |map: &FusedMap<'_>, millis: u64| {
+            map.around(id, Instant(millis * 1_000)).covered.map(|rows| rows[6])
+        };
+        assert_eq!(covered(&map, 3_000), None, "nothing has confirmed it");
+        // The window is (-1, -1) to (0, 0).
+        let confirm = |map: &mut FusedMap<'_>, interest: u32, tiles: u8, at: u64| {
+            let tiles = core::iter::once(tiles).collect();
+            let freshness = Freshness { time: Instant(0), interest, first: 0, tiles };
+            map.confirm(&freshness, Instant(at));
+        };
+        confirm(&mut map, 1, 0b1101, 3 * SECOND);
+        confirm(&mut map, 2, 0b1111, 3 * SECOND);
+        assert_eq!(covered(&map, 3_000), None, "another tile, another window");
+        confirm(&mut map, 1, 0b0010, 3 * SECOND);
+        confirm(&mut map, 1, 0b0010, 2 * SECOND);
+        confirm(&mut map, 1, 0b0000, 4 * SECOND);
+        for (millis, expected) in [(3_000, Some(1 << 5)), (3_990, Some(1 << 5)), (4_010, None)] {
+            assert_eq!(covered(&map, millis), expected, "at {millis}");
+        }
+        assert_eq!(map.tile(id), None, "the fused tile is not held");
+        confirm(&mut map, 1, 0b0010, 5 * SECOND);
+        map.begin_session(Epoch(8));
+        assert_eq!(covered(&map, 5_000), None, "another life of the server");
+    }
+
+    proptest::proptest! {
+        /// Wherever the robot goes, the tiles of its window are held, and no others.
+        #[test]
+        fn a_window_holds_what_lies_within(
+            places in 0usize..40,
+            steps in proptest::collection::vec((-20_000i32..20_000, -20_000i32..20_000), 1..12),
+        ) {
+            let mut places = std::vec![FusedTile::FREE; places];
+            let mut map = FusedMap::new(&mut places);
+            map.begin_session(Epoch(7));
+            let mut held = std::collections::BTreeSet::new();
+            for (x, y) in steps {
+                map.follow(Pose { x: Millimetres(x), y: Millimetres(y), ..Pose::default() }, Millimetres(50));
+                let Some(interest) = map.interest() else { continue };
+                held.retain(|&(_, x, y)| interest.contains(TileId { x, y }));
+                let corners = [interest.from, interest.to, TileId { x: 0, y: 0 }];
+                for (layer, id) in corners.into_iter().flat_map(|id| [(Layer::Fused, id), (Layer::Coverage, id)]) {
+                    let mut cells = Tile::UNKNOWN;
+                    cells.low[3] = id.x as u32;
+                    cells.low[4] = id.y as u32;
+                    whole(layer, id, &cells, &mut map);
+                    if interest.contains(id) {
+                        held.insert((layer == Layer::Fused, id.x, id.y));
+                    }
+                }
+                let found = [Layer::Fused, Layer::Coverage].into_iter().flat_map(|layer| {
+                    map.tiles(layer).map(move |(id, replica)| {
+                        let tile = replica.tile();
+                        assert_eq!((tile.low[3], tile.low[4]), (id.x as u32, id.y as u32));
+                        (layer == Layer::Fused, id.x, id.y)
+                    })
+                });
+                proptest::prop_assert_eq!(&found.collect::<std::collections::BTreeSet<_>>(), &held);
+            }
+        }
     }
 }

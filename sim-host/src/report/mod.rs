@@ -12,5 +12,5 @@ mod summary;
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
 pub use picture::{Marker, MarkerKind, png, render};
-pub use serving::{PortSummary, ServeReport, StateSummary};
+pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
 pub use summary::{HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores};

@@ -33,6 +33,10 @@ pub struct PortSummary {
     pub hung_up: bool,
     /// What the robot last said of itself.
     pub state: Option<StateSummary>,
+    /// How many events the robot has told of.
+    pub events: u64,
+    /// The newest of them, oldest first.
+    pub newest_events: Vec<EventSummary>,
     /// How often the robot asked for the time in its session.
     pub time_requests: u32,
     /// Good frames received, those that arrived twice included.
@@ -61,6 +65,15 @@ pub struct StateSummary {
     pub cells_refused: u32,
 }
 
+/// Something that happened on a robot.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct EventSummary {
+    /// When it was heard of, in seconds of the server's clock.
+    pub received_s: f64,
+    /// How much it matters, what happened, and more about it.
+    pub what: String,
+}
+
 impl ServeReport {
     /// What [`ServeReport::schema`] says.
     pub const SCHEMA: &'static str = "ubimap-serve";
@@ -79,7 +92,7 @@ impl ServeReport {
     }
 }
 
-/// Two lines for each port.
+/// Two lines for each port, and its newest events.
 impl fmt::Display for ServeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for port in &self.ports {
@@ -101,6 +114,12 @@ impl fmt::Display for ServeReport {
                 port.bytes_down,
                 if port.hung_up { "; hung up" } else { "" }
             )?;
+            if port.events > 0 {
+                writeln!(f, "    {} events, of which the newest:", port.events)?;
+            }
+            for event in &port.newest_events {
+                writeln!(f, "        {:.1} s: {}", event.received_s, event.what)?;
+            }
         }
         writeln!(f, "{:.1} s served", self.elapsed_s)
     }

@@ -67,6 +67,10 @@ pub struct RobotSummary {
     pub tiles_evicted: u64,
     /// Cells that it could not draw because no tile could leave.
     pub cells_refused: u64,
+    /// Events that it told of.
+    pub events: u64,
+    /// Peers and obstacles that it was not told of for want of room in its frames.
+    pub news_left_out: u64,
     /// Of the tiles that it published, as the server holds them.
     pub digest: HexDigest,
 }
@@ -277,8 +281,8 @@ mod tests {
         assert_eq!(names(&json), "comparison elapsed_s map robots schema seed simulated_s version");
         assert_eq!(
             names(&json["robots"][0]),
-            "bytes_down bytes_per_mapped bytes_up bytes_up_map cells_refused digest frames_lost id \
-             mapped pixels retransmissions scans tiles tiles_evicted"
+            "bytes_down bytes_per_mapped bytes_up bytes_up_map cells_refused digest events \
+             frames_lost id mapped news_left_out pixels retransmissions scans tiles tiles_evicted"
         );
         assert_eq!(names(&json["robots"][0]["pixels"]), "invalid kept omitted seen");
         assert_eq!(

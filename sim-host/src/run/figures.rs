@@ -9,7 +9,7 @@ use super::fleet::{Fleet, Robot};
 use crate::{
     grid::OccupancyGrid,
     report::{Comparison, HexDigest, MapSummary, Marker, MarkerKind, Pixels, Report, RobotSummary},
-    server::Server,
+    server::{EventLog, Server},
 };
 
 /// The report of a run, but for what only the command knows.
@@ -71,6 +71,8 @@ fn summary(server: &Server, port: usize, robot: &Robot<'_>, tiles: usize) -> Rob
         tiles: tiles as u64,
         tiles_evicted: robot.agent().own_tiles().evicted().into(),
         cells_refused: counted.cells_refused.into(),
+        events: server.events(robot.id()).map_or(0, EventLog::count),
+        news_left_out: server.left_out(robot.id()),
         digest: HexDigest(digest.0),
         ..RobotSummary::default()
     }

@@ -7,7 +7,7 @@ use std::time::{self, SystemTime};
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
-    message::State,
+    message::{Event, State},
     tile::Epoch,
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
@@ -21,8 +21,8 @@ use super::{
 use crate::{
     camera::Observation,
     channel::serial::{SerialError, SerialPort},
-    report::{PortSummary, ServeReport, StateSummary},
-    server::Server,
+    report::{EventSummary, PortSummary, ServeReport, StateSummary},
+    server::{self, EventLog, Server},
     store::StoreError,
 };
 
@@ -291,12 +291,15 @@ impl Station {
 
     fn summary(&self, index: usize, port: &Attached) -> PortSummary {
         let counted = self.server.link_counters(index);
+        let events = port.robot.and_then(|robot| self.server.events(robot));
         PortSummary {
             port: port.name.clone(),
             robot: port.robot.map(|robot| robot.0),
             session: self.server.robot_at(index).is_some(),
             hung_up: port.wire.is_none(),
             state: port.said.map(|(received, state)| described(received, &state)),
+            events: events.map_or(0, EventLog::count),
+            newest_events: events.map(summaries).unwrap_or_default(),
             time_requests: port.robot.map_or(0, |robot| self.server.time_requests(robot)),
             frames_received: counted.received,
             frames_bad: counted.bad,
@@ -305,6 +308,14 @@ impl Station {
             bytes_down: port.bytes_down,
         }
     }
+}
+
+fn summaries(events: &EventLog) -> Vec<EventSummary> {
+    let summary = |(received, event): (Instant, &Event)| EventSummary {
+        received_s: seconds(received),
+        what: server::described(event),
+    };
+    events.newest().map(summary).collect()
 }
 
 fn described(received: Instant, state: &State) -> StateSummary {

@@ -2,7 +2,10 @@
 
 use std::collections::VecDeque;
 
-use ubimap_protocol::{message::Event, time::Instant};
+use ubimap_protocol::{
+    message::{Event, EventCode},
+    time::Instant,
+};
 
 /// The newest events that are kept.
 const MOST: usize = 8;
@@ -32,4 +35,14 @@ impl EventLog {
     pub fn newest(&self) -> impl Iterator<Item = (Instant, &Event)> {
         self.newest.iter().map(|(received, event)| (*received, event))
     }
+}
+
+/// An event in a few words, such as "Warning: PoolFull".
+pub fn described(event: &Event) -> String {
+    let Event { severity, code, detail, .. } = event;
+    let what = match EventCode::from_number(*code) {
+        Some(known) => format!("{known:?}"),
+        None => format!("code {code}"),
+    };
+    format!("{severity:?}: {what} {detail}").trim_end().to_owned()
 }

@@ -5,12 +5,13 @@ mod command;
 mod events;
 mod news;
 mod publishing;
+mod scene;
 #[expect(clippy::module_inception, reason = "the server itself, beside its sessions")]
 mod server;
 mod session;
 mod surroundings;
 
 pub use command::Command;
-pub use events::EventLog;
+pub use events::{EventLog, described};
 pub use server::{CommandError, NoSuchPort, Server};
 pub use surroundings::Footprint;

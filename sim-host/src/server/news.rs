@@ -117,3 +117,101 @@ impl Told {
         list.len() - count
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Observation;
+    use ubimap_protocol::{
+        message::{Messages, decode},
+        units::Pose,
+    };
+
+    const ME: RobotId = RobotId(1);
+
+    fn second(second: u64) -> Instant {
+        Instant(second * 1_000_000)
+    }
+
+    /// Robots 1 to `robots`, as many metres to the east of a place far away.
+    fn saw(about: &mut Surroundings, robots: u16, at: Instant) {
+        let pose = |robot: u16| Pose::from_metres(200_000.0 + f64::from(robot), 0.0, 0.0);
+        let robots = (1..=robots).map(|robot| (RobotId(robot), pose(robot))).collect();
+        let observation = Observation { captured: at, robots, ..Observation::default() };
+        about.observe(&observation, ubimap_protocol::units::Millimetres(50));
+    }
+
+    /// The robots that the next frame with so much room tells of, if it tells anything.
+    fn told(
+        news: &mut News,
+        about: &Surroundings,
+        now: Instant,
+        room: usize,
+        alone: bool,
+    ) -> Option<Vec<u16>> {
+        let mut frame = vec![0; room];
+        let mut writer = Writer::new(&mut frame);
+        news.fill(about, ME, now, &mut writer, alone);
+        let len = writer.len();
+        let message = Messages::new(&frame[..len]).next()?.unwrap();
+        assert_eq!(message.kind, ToRobotKind::Peers as u8);
+        let peers = decode::<Peers>(message.body).unwrap().0.peers;
+        Some(peers.iter().map(|peer| peer.robot.0).collect())
+    }
+
+    #[test]
+    fn the_nearest_are_told_and_the_others_counted() {
+        let (mut news, mut about) = (News::default(), Surroundings::default());
+        saw(&mut about, 30, second(1));
+        assert_eq!(told(&mut news, &about, second(1), 60, false), None, "beside other messages");
+        // Of those within 8 m, in the order of their distance.
+        let near = vec![2, 3, 4, 5, 6, 7, 8, 9];
+        assert_eq!(told(&mut news, &about, second(1), 242, true), Some(near));
+        assert_eq!(news.left_out(), 0);
+        saw(&mut about, 30, second(2));
+        assert_eq!(told(&mut news, &about, second(2), 24, true), Some(vec![2]));
+        assert_eq!(news.left_out(), 7);
+        saw(&mut about, 30, second(3));
+        assert_eq!(told(&mut news, &about, second(3), 10, true), None);
+        assert_eq!(news.left_out(), 15, "nothing had room, and that is counted");
+    }
+
+    #[test]
+    fn the_newest_state_alone_is_told_and_an_empty_one_once() {
+        let (mut news, mut about) = (News::default(), Surroundings::default());
+        let tell = |news: &mut News, about: &Surroundings, millis: u64| {
+            told(news, about, Instant(millis * 1_000), 242, true)
+        };
+        saw(&mut about, 2, second(1));
+        assert_eq!(tell(&mut news, &about, 1_000), Some(vec![2]));
+        saw(&mut about, 3, Instant(1_050_000));
+        assert_eq!(tell(&mut news, &about, 1_100), None, "too soon");
+        saw(&mut about, 2, Instant(1_100_000));
+        let due = news.poll_timeout(&about, ME).unwrap();
+        assert_eq!(due, Instant(1_200_000));
+        assert_eq!(tell(&mut news, &about, 1_200), Some(vec![2, 3]));
+        assert_eq!(news.poll_timeout(&about, ME), None);
+        // Robot 9 is far off, and of the others nothing is heard any more.
+        let far = Pose::from_metres(0.0, 0.0, 0.0);
+        about.robot(RobotId(9), second(5), far);
+        assert_eq!(tell(&mut news, &about, 5_000), Some(vec![]));
+        about.robot(RobotId(9), second(6), far);
+        assert_eq!(tell(&mut news, &about, 6_000), None);
+        assert_eq!(news.poll_timeout(&about, ME), None);
+    }
+
+    #[test]
+    fn long_lists_come_less_often() {
+        let (mut news, mut about) = (News::default(), Surroundings::default());
+        let mut bytes = 0;
+        for step in 0..1_000 {
+            let now = Instant(step * 10_000);
+            saw(&mut about, 9, now);
+            let mut frame = [0; 242];
+            let mut writer = Writer::new(&mut frame);
+            news.fill(&about, ME, now, &mut writer, true);
+            bytes += writer.len();
+        }
+        assert!((5_000..=6_200).contains(&bytes), "{bytes} bytes in ten seconds");
+    }
+}

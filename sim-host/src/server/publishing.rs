@@ -7,11 +7,11 @@ use ubimap_protocol::{
         Digests, Freshness, Interest, MAX_DIGESTS, MAX_FRESH_BYTES, Request, TileDigest,
         TileUpdateHead, ToRobotKind, Writer,
     },
-    tile::{Epoch, Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
+    tile::{Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
     time::{Duration, Instant},
 };
 
-use crate::mapping::ServedLayer;
+use super::scene::Scene;
 
 /// How often the states of a few tiles are told.
 const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
@@ -59,10 +59,6 @@ impl Publishing {
         }
     }
 
-    pub(super) fn layer(&self) -> Layer {
-        self.layer
-    }
-
     /// The robot has dropped the tiles for which `kept` is false.
     pub(super) fn retain(&mut self, kept: impl Fn(TileId) -> bool) {
         self.tiles.retain(|&id, _| kept(id));
@@ -96,15 +92,14 @@ impl Publishing {
     /// how much was in the frame before the first tile. Whether all that is due has found room.
     pub(super) fn fill(
         &mut self,
-        served: &ServedLayer,
+        scene: &Scene<'_>,
         interest: &Interest,
-        epoch: Epoch,
         now: Instant,
         frame: u16,
         writer: &mut Writer<'_>,
         empty: usize,
     ) -> bool {
-        let due = served.within(interest).filter(|&(id, version, tile)| {
+        let due = scene.layer(self.layer).within(interest).filter(|&(id, version, tile)| {
             self.due(id, version, tile).is_some_and(|due| due <= now)
         });
         let mut due: Vec<_> = due.collect();
@@ -122,7 +117,7 @@ impl Publishing {
                 let mut encoder = TileEncoder::new(rest);
                 let mut new = *tile;
                 let mut trial = published.publication.clone();
-                trial.push(&mut encoder, id, epoch, version, &mut new, frame).then_some(())?;
+                trial.push(&mut encoder, id, scene.epoch, version, &mut new, frame).then_some(())?;
                 if trial.has_parts_left() && !first {
                     // A tile is cut up only where it has a frame to itself.
                     return None;
@@ -142,8 +137,12 @@ impl Publishing {
     }
 
     /// When the next tile is due.
-    pub(super) fn next_tile(&self, served: &ServedLayer, interest: &Interest) -> Option<Instant> {
-        served.within(interest).filter_map(|(id, version, tile)| self.due(id, version, tile)).min()
+    pub(super) fn next_tile(&self, scene: &Scene<'_>, interest: &Interest) -> Option<Instant> {
+        scene
+            .layer(self.layer)
+            .within(interest)
+            .filter_map(|(id, version, tile)| self.due(id, version, tile))
+            .min()
     }
 
     /// When there is something to send of a tile. One that has changed and changed back is newer
@@ -159,8 +158,11 @@ impl Publishing {
     }
 
     /// Whether the robot has acknowledged the newest state of every tile that it wants.
-    pub(super) fn is_level(&self, served: &ServedLayer, interest: &Interest) -> bool {
-        served.within(interest).all(|(id, version, tile)| self.has(id, version, tile))
+    pub(super) fn is_level(&self, scene: &Scene<'_>, interest: &Interest) -> bool {
+        scene
+            .layer(self.layer)
+            .within(interest)
+            .all(|(id, version, tile)| self.has(id, version, tile))
     }
 
     /// Whether the robot has acknowledged this state of a tile.
@@ -175,9 +177,8 @@ impl Publishing {
     /// Adds the states of the next few tiles that the robot should hold, now and then.
     pub(super) fn fill_digests(
         &mut self,
-        served: &ServedLayer,
+        scene: &Scene<'_>,
         interest: &Interest,
-        epoch: Epoch,
         now: Instant,
         writer: &mut Writer<'_>,
     ) {
@@ -185,13 +186,15 @@ impl Publishing {
             return;
         }
         self.next_digests = now + DIGEST_INTERVAL;
-        let level =
-            served.within(interest).filter(|&(id, version, tile)| self.has(id, version, tile));
+        let level = scene
+            .layer(self.layer)
+            .within(interest)
+            .filter(|&(id, version, tile)| self.has(id, version, tile));
         let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
         let tiles: heapless::Vec<TileDigest, MAX_DIGESTS> = next
             .map(|(id, version, tile)| TileDigest {
                 id,
-                stamp: Stamp { epoch, version },
+                stamp: Stamp { epoch: scene.epoch, version },
                 hash: tile_hash(tile),
             })
             .collect();
@@ -206,25 +209,25 @@ impl Publishing {
     /// When tiles are to be confirmed, if there are any.
     pub(super) fn next_confirmation(
         &self,
-        served: &ServedLayer,
+        scene: &Scene<'_>,
         interest: &Interest,
     ) -> Option<Instant> {
-        served.within(interest).next().map(|_| self.next_confirmation)
+        scene.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
     }
 
     /// Adds the confirmation of the tiles of which the robot holds what was the newest a moment
     /// ago. A window that is too large for one message is confirmed in turns.
     pub(super) fn fill_confirmation(
         &mut self,
-        served: &ServedLayer,
+        scene: &Scene<'_>,
         interest: &Interest,
         now: Instant,
         writer: &mut Writer<'_>,
     ) {
-        if self.next_confirmation(served, interest).is_none_or(|next| next > now) {
+        if self.next_confirmation(scene, interest).is_none_or(|next| next > now) {
             return;
         }
-        for (id, version, tile) in served.within(interest) {
+        for (id, version, tile) in scene.layer(self.layer).within(interest) {
             let published = self.tiles.get_mut(&id);
             if let Some(published) = published.filter(|it| it.has(version, tile)) {
                 published.newest = Some(now);

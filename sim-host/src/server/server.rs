@@ -6,8 +6,8 @@ use ubimap_protocol::{
     frame::{Direction, SessionId},
     link::{Answer, Counters, Received, Terms, answer},
     message::{
-        Ack, Digests, DistanceVector, Event, EventCode, Hello, Interest, Message, Messages,
-        ParameterReport, Request, State, TileDigest, TileUpdateHead, TimeRequest, ToRobotKind,
+        Ack, Digests, DistanceVector, Event, Hello, Interest, Message, Messages, ParameterReport,
+        Request, Severity, State, TileDigest, TileUpdateHead, TimeRequest, ToRobotKind,
         ToServerKind, Writer, decode,
     },
     tile::{Epoch, Layer, TileId, tile_hash},
@@ -17,8 +17,9 @@ use ubimap_protocol::{
 
 use super::{
     command::Command,
-    events::EventLog,
-    session::{Link, Scene, Session},
+    events::{EventLog, described},
+    scene::Scene,
+    session::{Link, Session},
     surroundings::{Footprint, Surroundings},
 };
 use crate::{
@@ -268,12 +269,7 @@ impl Server {
         let reset = port.reset.due.then(|| port.reset.ready_at());
         let reliable = port.link.can_send_reliable();
         let session = port.session.as_ref();
-        let scene = Scene {
-            epoch: self.epoch(),
-            fused: &self.fused,
-            coverage: self.coverage.served(),
-            surroundings: &self.surroundings,
-        };
+        let scene = self.scene();
         let messages = session.and_then(|session| session.poll_timeout(&scene, reliable, now));
         let coverage = self.coverage.poll_timeout();
         [reset, port.link.poll_timeout(), messages, coverage].into_iter().flatten().min()
@@ -321,7 +317,7 @@ impl Server {
 
     /// Whether a robot has acknowledged the newest state of every fused tile that it wants.
     pub fn is_level(&self, robot: RobotId) -> bool {
-        self.session(robot).is_some_and(|session| session.is_level(&self.fused))
+        self.session(robot).is_some_and(|session| session.is_level(&self.scene()))
     }
 
     /// The events that a robot has told of.
@@ -364,6 +360,15 @@ impl Server {
     /// Messages at a port that were of an unknown kind, and such that could not be read.
     pub fn unread_messages(&self, port: usize) -> (u32, u32) {
         self.ports.get(port).map_or((0, 0), |port| (port.unknown, port.malformed))
+    }
+
+    fn scene(&self) -> Scene<'_> {
+        Scene {
+            epoch: self.epoch(),
+            fused: &self.fused,
+            coverage: self.coverage.served(),
+            surroundings: &self.surroundings,
+        }
     }
 
     fn session(&self, robot: RobotId) -> Option<&Session> {
@@ -539,10 +544,12 @@ impl Inbox<'_> {
             }
             ToServerKind::Event => {
                 let (event, _) = decode::<Event>(body).ok()?;
-                let Event { severity, code, detail, .. } = &event;
-                let name = EventCode::from_number(*code);
                 let robot = self.session.robot.0;
-                log::info!("robot {robot}: {severity:?} {code} {name:?} {detail}");
+                let level = match event.severity {
+                    Severity::Info => log::Level::Info,
+                    Severity::Warning | Severity::Error => log::Level::Warn,
+                };
+                log::log!(level, "robot {robot}: {}", described(&event));
                 self.session.events.add(now, event);
             }
             ToServerKind::DistanceVector => self.session.looked(decode(body).ok()?.0),

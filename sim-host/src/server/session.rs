@@ -9,16 +9,15 @@ use ubimap_protocol::{
         Certainty, DistanceVector, FixSource, Interest, MAX_REQUESTS, MAX_STORED, ParameterReport,
         PoseFix, Request, State, Stored, TimeReply, ToRobotKind, Writer,
     },
-    tile::{Epoch, Layer, Stamp, TileId},
+    tile::{Layer, Stamp, TileId},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 
 use super::{
     budget::Budget, command::Command, events::EventLog, news::News, publishing::Publishing,
-    surroundings::Surroundings,
+    scene::Scene,
 };
-use crate::mapping::ServedLayer;
 
 /// Reliable frames under way to one robot.
 const WINDOW: usize = 16;
@@ -34,21 +33,6 @@ const TILES_INTERVAL: Duration = Duration::from_millis(400);
 /// However many cameras see the robot, fixes are sent no sooner after each other; each message has
 /// those before it as well.
 const FIX_INTERVAL: Duration = Duration::from_millis(60);
-
-/// What the server has for all robots.
-#[derive(Clone, Copy)]
-pub(super) struct Scene<'s> {
-    pub(super) epoch: Epoch,
-    pub(super) fused: &'s ServedLayer,
-    pub(super) coverage: &'s ServedLayer,
-    pub(super) surroundings: &'s Surroundings,
-}
-
-impl<'s> Scene<'s> {
-    fn layer(&self, layer: Layer) -> &'s ServedLayer {
-        if layer == Layer::Coverage { self.coverage } else { self.fused }
-    }
-}
 
 pub(super) type Link = Endpoint<u16, WINDOW, MAX_FRAME>;
 
@@ -261,7 +245,7 @@ impl Session {
         let affordable = self.budget.ready_at() <= now;
         if affordable {
             if let Some(interest) = &self.interest {
-                self.coverage.fill_confirmation(scene.coverage, interest, now, writer);
+                self.coverage.fill_confirmation(scene, interest, now, writer);
             }
             let alone = writer.len() == before;
             self.news.fill(scene.surroundings, self.robot, now, writer, alone);
@@ -293,8 +277,7 @@ impl Session {
         let mut all = true;
         let gathered = self.next_tiles <= now;
         for layer in self.in_turns().into_iter().filter(|_| gathered) {
-            let served = scene.layer(layer.layer());
-            all &= layer.fill(served, &interest, scene.epoch, now, frame, writer, empty);
+            all &= layer.fill(scene, &interest, now, frame, writer, empty);
         }
         if writer.len() > empty {
             self.next_tiles = if all { now + TILES_INTERVAL } else { now };
@@ -302,8 +285,7 @@ impl Session {
             return Fill::Reliable(frame);
         }
         for layer in self.in_turns() {
-            let served = scene.layer(layer.layer());
-            layer.fill_digests(served, &interest, scene.epoch, now, writer);
+            layer.fill_digests(scene, &interest, now, writer);
         }
         Fill::Datagram
     }
@@ -334,10 +316,10 @@ impl Session {
         let fix = self.fix_due.then_some(self.next_fix);
         let news = self.news.poll_timeout(scene.surroundings, self.robot);
         let tiles = self.interest.as_ref().and_then(|interest| {
-            let confirmation = self.coverage.next_confirmation(scene.coverage, interest);
+            let confirmation = self.coverage.next_confirmation(scene, interest);
             let layers = [&self.fused, &self.coverage].into_iter().filter(|_| reliable);
             let due = layers.flat_map(|layer| {
-                let tile = layer.next_tile(scene.layer(layer.layer()), interest);
+                let tile = layer.next_tile(scene, interest);
                 tile.map(|due| due.max(self.next_tiles)).into_iter().chain([layer.next_digests()])
             });
             due.chain(confirmation).min()
@@ -353,15 +335,21 @@ impl Session {
     }
 
     /// Whether the robot has acknowledged the newest state of every fused tile that it wants.
-    pub(super) fn is_level(&self, fused: &ServedLayer) -> bool {
-        self.interest.as_ref().is_none_or(|interest| self.fused.is_level(fused, interest))
+    pub(super) fn is_level(&self, scene: &Scene<'_>) -> bool {
+        self.interest.as_ref().is_none_or(|interest| self.fused.is_level(scene, interest))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::tile::{Cell, Tile};
+    use std::collections::BTreeSet;
+
+    use crate::{mapping::ServedLayer, server::surroundings::Surroundings};
+    use ubimap_protocol::{
+        message::{Freshness, Messages, decode},
+        tile::{Cell, Epoch, Tile},
+    };
 
     const ID: TileId = TileId { x: 1, y: 0 };
 
@@ -383,7 +371,7 @@ mod tests {
         let filled = session.fill(&scene(fused), now, &mut writer, true);
         let Fill::Reliable(frame) = filled else { panic!("{filled:?}") };
         session.acknowledged(frame);
-        assert!(session.is_level(fused));
+        assert!(session.is_level(&scene(fused)));
     }
 
     /// A session whose robot has the only fused tile.
@@ -434,10 +422,78 @@ mod tests {
         fused.set(ID, tile);
         let mut session = level(&fused);
         session.interested(window(2, 1));
-        assert!(session.is_level(&fused), "it has kept the tile");
+        assert!(session.is_level(&scene(&fused)), "it has kept the tile");
         // The third window may have been elsewhere.
         session.interested(window(4, 0));
-        assert!(!session.is_level(&fused));
+        assert!(!session.is_level(&scene(&fused)));
         assert!(session.poll_timeout(&scene(&fused), true, Instant(0)).is_some());
+    }
+
+    #[test]
+    fn many_cameras_make_no_more_messages() {
+        let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
+        let fused = ServedLayer::default();
+        let mut sent = Vec::new();
+        for step in 0..200u64 {
+            let now = Instant(step * 5_000);
+            // Four cameras, each at 12.5 Hz.
+            if step % 4 == 0 {
+                session.fix(now, Pose::default());
+            }
+            let mut buffer = [0u8; 200];
+            let mut writer = Writer::new(&mut buffer);
+            session.fill(&scene(&fused), now, &mut writer, true);
+            let len = writer.len();
+            for message in Messages::new(&buffer[..len]) {
+                let fix = decode::<PoseFix>(message.unwrap().body).unwrap().0;
+                sent.push(fix.fixes().map(|(moment, _)| moment).collect::<Vec<_>>());
+            }
+        }
+        assert!(sent.len() <= 17, "{}", sent.len());
+        let told: BTreeSet<Instant> = sent.into_iter().flatten().collect();
+        assert_eq!(told.len(), 49, "all of fifty but the newest");
+    }
+
+    #[test]
+    fn coverage_is_confirmed_while_the_robot_holds_it() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(3, 3, Cell::Free);
+        let (fused, mut coverage) = (ServedLayer::default(), ServedLayer::default());
+        coverage.set(ID, tile);
+        let surroundings = Surroundings::default();
+        let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
+        session.interested(window(1, 0));
+        // The tiles that are confirmed until then, and by when; frames with tiles get lost if so.
+        let mut confirmed = |coverage: &ServedLayer, until: u64, lost: bool| {
+            let scene =
+                Scene { epoch: Epoch(1), fused: &fused, coverage, surroundings: &surroundings };
+            let until = Instant(until * 1_000);
+            let mut newest = None;
+            while let Some(due) =
+                session.poll_timeout(&scene, true, until).filter(|it| *it <= until)
+            {
+                let mut buffer = [0u8; 200];
+                let mut writer = Writer::new(&mut buffer);
+                let filled = session.fill(&scene, due, &mut writer, true);
+                let len = writer.len();
+                if let (Fill::Reliable(frame), false) = (filled, lost) {
+                    session.acknowledged(frame);
+                }
+                for message in Messages::new(&buffer[..len]).map(Result::unwrap) {
+                    if message.kind == ToRobotKind::Freshness as u8 {
+                        let (freshness, _) = decode::<Freshness>(message.body).unwrap();
+                        assert_eq!((freshness.interest, freshness.first), (1, 0));
+                        assert_eq!(&freshness.tiles[..], [0b10], "the second tile of the window");
+                        newest = Some(freshness.time.0 / 1_000);
+                    }
+                }
+            }
+            newest
+        };
+        assert_eq!(confirmed(&coverage, 3_000, false), Some(2_500));
+        tile.set(4, 3, Cell::Free);
+        coverage.set(ID, tile);
+        // What it holds was the newest until now.
+        assert_eq!(confirmed(&coverage, 6_000, true), Some(3_000));
     }
 }
