@@ -471,11 +471,15 @@ impl<'b> Agent<'b> {
             {
                 let most = self.link.room().saturating_sub(DistanceVector::OVERHEAD);
                 let mounting = self.config.mounting;
-                if let Some(columns) = Columns::of_scan(self.beams, readings, mounting, most) {
-                    let Columns { first, step, distances } = columns;
-                    let vector = DistanceVector { time, pose, first, step, distances };
-                    self.vectors.take(taken, vector);
-                }
+                let columns = Columns::of_scan(self.beams, readings, mounting, most);
+                let vector = columns.map(|Columns { first, step, distances }| DistanceVector {
+                    time,
+                    pose,
+                    first,
+                    step,
+                    distances,
+                });
+                self.vectors.take(taken, vector);
             }
             let part = match &selected {
                 Selected::Nothing => {
