@@ -216,8 +216,8 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
     let config = Config { pose_source, max_range: 2_000, ..Config::new(RobotId(1), model) };
     let mut memory = [AgentMemory::new(&config, COLUMNS, OWN_TILES, FUSED_TILES)];
     let mut fleet =
-        Fleet::new(&[config], &mut memory, Faults::default(), Millimetres(50), 1).unwrap();
-    fleet.run(&mut Script { events }, |_| {});
+        Fleet::new(&[config], &mut memory, Faults::default(), Millimetres(50), 1, None).unwrap();
+    fleet.run(&mut Script { events }, |_| {}).unwrap();
 
     let mut walls = [0; 4];
     let (mut occupied, mut off) = (0, 0);
