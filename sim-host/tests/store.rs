@@ -12,7 +12,7 @@ use std::{
 use serialport::{SerialPort, TTYPort};
 use ubimap_agent::{Agent, Config, locate::PoseSource, sense::SensorModel};
 use ubimap_protocol::{
-    tile::{Epoch, Tile, TileId, Version},
+    tile::{Epoch, Layer, Tile, TileId, Version},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -195,12 +195,11 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
         assert!(kept == told, "robot {}", robot.id.0);
         assert!(robot.promises.len() > kept.len() + 10, "evictions begin tiles anew");
         // What it holds of the server's map is what the layers in the file make.
-        let held: Vec<_> = robot.agent.fused_tiles().tiles().collect();
+        let held: Vec<_> = robot.agent.fused_tiles().tiles(Layer::Fused).collect();
         assert!(!held.is_empty());
-        for tile in held {
-            let id = tile.id().unwrap();
+        for (id, replica) in held {
             let seen: Vec<_> = layers.values().filter_map(|layer| layer.seen(id)).collect();
-            assert_eq!(*tile.replica().tile(), fuse(&Tile::UNKNOWN, &seen), "{id:?}");
+            assert_eq!(*replica.tile(), fuse(&Tile::UNKNOWN, &seen), "{id:?}");
         }
     }
 }

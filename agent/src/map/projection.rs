@@ -48,11 +48,11 @@ impl Projection {
         };
         let x = along(pose.x, forward * cos_64 - left * sin_64);
         let y = along(pose.y, forward * sin_64 + left * cos_64);
-        let within = |position: i32| (position.rem_euclid(side) << FRACTION) / side;
+        let fraction = |position: i32| (position.rem_euclid(side) << FRACTION) / side;
         let scale = |turn: i32| (turn << (FRACTION + EXTRA - DIRECTION_BITS)) / side;
         Self {
             cell: (x.div_euclid(side), y.div_euclid(side)),
-            origin: (within(x), within(y)),
+            origin: (fraction(x), fraction(y)),
             turn: (scale(cos), scale(sin)),
         }
     }
@@ -63,7 +63,7 @@ impl Projection {
     }
 
     /// The same with positions counted from a cell at most 1,000 cells away.
-    pub(super) fn from_corner(self, (x, y): (i32, i32)) -> Self {
+    pub(super) fn within(self, (x, y): (i32, i32)) -> Self {
         let shifted = |origin: i32, cell: i32, corner: i32| {
             origin.wrapping_add(cell.wrapping_sub(corner) << FRACTION)
         };
@@ -111,7 +111,7 @@ fn cos_sin(angle: Angle) -> (i32, i32) {
         let sum = 21_165 - ((square * sum) >> 15);
         let sum = 51_472 - ((square * sum) >> 15);
         // 51,472 x 32,768 is below 2^31.
-        let sine = ((z * sum >> 15) + 1) >> 1;
+        let sine = (((z * sum) >> 15) + 1) >> 1;
         if angle & 0x8000 == 0 { sine } else { -sine }
     };
     (quarter(angle.0.wrapping_add(0x4000)), quarter(angle.0))

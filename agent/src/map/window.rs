@@ -135,10 +135,11 @@ impl<'s> Window<'s> {
         let up = (first << FRACTION) + CELL / 2 - low.1;
         let (run, rise) = (high.0 - low.0, high.1 - low.1);
         // Up to the first crossing, and from one to the next.
-        let mut x = low.0.wrapping_add(((run >> 6) * (up >> 6) / ((rise >> 6) + 1)) << 6);
+        let part = (run >> 6).wrapping_mul(up >> 6) / ((rise >> 6) + 1).max(1);
+        let mut x = low.0.wrapping_add(part << 6);
         let mut step = 0;
         if last - first > 1 {
-            step = ((run >> 8) << 12) / (rise >> 8) << 4;
+            step = (((run >> 8) << 12) / (rise >> 8).max(1)) << 4;
         }
         for row in first..last {
             self.flip(row as usize, middle_from(x) as u32);

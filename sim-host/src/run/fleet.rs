@@ -270,6 +270,11 @@ impl<'b> Fleet<'b> {
         &self.robots
     }
 
+    /// When the run began by the server's clock: zero, unless the server goes on from a file.
+    pub fn began(&self) -> Instant {
+        self.began
+    }
+
     /// How long the run has lasted.
     pub fn elapsed(&self) -> Duration {
         self.now.since(self.began)

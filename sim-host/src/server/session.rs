@@ -1,6 +1,6 @@
 //! The server's end of a conversation with one robot.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
