@@ -30,17 +30,31 @@ pub(super) const SECOND: usize = USUAL + 3;
 /// How many contexts there are.
 pub(super) const CONTEXTS: usize = SECOND + 3;
 
-/// What stands around a cell, as far as both sides know it when the cell is coded.
+/// The models of all contexts; there are more places than contexts, so that any byte is an index.
+pub(super) type Models = [Model; 256];
+
+/// A fresh set of models.
+pub(super) fn models() -> Models {
+    let mut models = [Model(0x8080); 256];
+    for (model, prior) in models.iter_mut().zip(PRIORS) {
+        *model = Model(u16::from(prior) << 8 | 0x80);
+    }
+    models
+}
+
+/// What stands around a cell, as far as both sides know it when the cell is coded. A cell is 0 if
+/// it is unknown or beyond the edge, 1 if it is free, 2 if it is occupied or movable: they look
+/// alike here.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Surroundings {
-    /// The new code of the cell to the west (0 at the edge).
-    pub(super) west: u8,
-    /// The new code of the cell to the south (0 at the edge).
-    pub(super) south: u8,
-    /// The new code of the cell to the south-east (0 at the edge).
-    pub(super) south_east: u8,
-    /// The old code of the cell to the east (0 at the edge).
-    pub(super) east: u8,
+    /// The new cell to the west.
+    pub(super) west: usize,
+    /// The new cell to the south.
+    pub(super) south: usize,
+    /// The new cell to the south-east.
+    pub(super) south_east: usize,
+    /// The old cell to the east.
+    pub(super) east: usize,
     /// Whether the cell to the west has changed.
     pub(super) west_changed: bool,
     /// Whether the cell to the south has changed, as far as this part tells.
@@ -48,26 +62,68 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// 0 to 53: for a cell that was unknown.
-    pub(super) fn of_unknown(self) -> usize {
-        // Fixed and movable things look alike here.
-        let kind = |code: u8| usize::from(code.min(2));
-        let known_east = usize::from(self.east != 0);
-        ((kind(self.west) * 3 + kind(self.south)) * 3 + kind(self.south_east)) * 2 + known_east
+    /// The context of "a cell that was unknown is now known".
+    pub(super) const fn of_unknown(self) -> usize {
+        let known_east = (self.east != 0) as usize;
+        KNOWN + ((self.west * 3 + self.south) * 3 + self.south_east) * 2 + known_east
     }
 
-    /// 0 to 35: for a cell that was known, by its old code (1 to 3).
-    pub(super) fn of_known(self, old: u8) -> usize {
-        let kinds = [self.west, self.south, self.east];
-        let occupied = kinds.iter().filter(|&&code| code >= 2).count().min(2);
-        let changed = usize::from(self.west_changed) + 2 * usize::from(self.south_changed);
-        (usize::from(old.saturating_sub(1)).min(2) * 3 + occupied) * 4 + changed
+    /// The context of "a cell that was known has changed", by its old code (1 to 3).
+    pub(super) const fn of_known(self, old: usize) -> usize {
+        let occupied =
+            (self.west == 2) as usize + (self.south == 2) as usize + (self.east == 2) as usize;
+        let occupied = if occupied > 2 { 2 } else { occupied };
+        let changed = self.west_changed as usize + 2 * self.south_changed as usize;
+        CHANGED + ((old - 1) * 3 + occupied) * 4 + changed
     }
 }
 
-/// A fresh set of models.
-pub(super) fn models() -> [Model; CONTEXTS] {
-    PRIORS.map(|prior| Model(u16::from(prior) << 8 | 0x80))
+/// [`Surroundings::of_unknown`] by index. From the lowest bit: the cell to the west (2 bits), to
+/// the south (2), to the south-east (2), whether that to the east was known.
+pub(super) static OF_UNKNOWN: [u8; 128] = {
+    let mut contexts = [KNOWN as u8; 128];
+    let mut index = 0;
+    while index < 128 {
+        let (west, south, south_east) = (index & 3, index >> 2 & 3, index >> 4 & 3);
+        let (west_changed, south_changed) = (false, false);
+        if west < 3 && south < 3 && south_east < 3 {
+            let east = index >> 6;
+            let around =
+                Surroundings { west, south, south_east, east, west_changed, south_changed };
+            contexts[index] = around.of_unknown() as u8;
+        }
+        index += 1;
+    }
+    contexts
+};
+
+/// [`Surroundings::of_known`] by index. From the lowest bit: whether the cell to the west is
+/// occupied, whether it has changed, the old code (2 bits), whether the cell to the south is
+/// occupied, whether that to the east was, whether the cell to the south has changed.
+pub(super) static OF_KNOWN: [u8; 128] = {
+    let mut contexts = [CHANGED as u8; 128];
+    let mut index = 0;
+    while index < 128 {
+        let old = index >> 2 & 3;
+        if old > 0 {
+            let around = Surroundings {
+                west: (index & 1) * 2,
+                south: (index >> 4 & 1) * 2,
+                south_east: 0,
+                east: (index >> 5 & 1) * 2,
+                west_changed: index & 2 != 0,
+                south_changed: index >> 6 != 0,
+            };
+            contexts[index] = around.of_known(old) as u8;
+        }
+        index += 1;
+    }
+    contexts
+};
+
+/// The context of "a newly known cell is occupied", by that of "it is known".
+pub(super) const fn occupied(known: u8) -> u8 {
+    known.wrapping_add((OCCUPIED - KNOWN) as u8)
 }
 
 /// The probability of 0 in each context at the start, in 1/256: the averages over updates of

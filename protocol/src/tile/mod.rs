@@ -1,8 +1,11 @@
 //! Tiles of the map: bit planes, their stamps and hashes, and the codec of their updates.
 
+mod cells;
 mod codec;
 mod context;
 mod digest;
+#[cfg(test)]
+mod plain;
 mod planes;
 mod range_coder;
 mod replica;

@@ -1,8 +1,13 @@
 //! An adaptive binary range coder: 32 bits of range, probabilities of 12 bits, integers only.
 //!
-//! The encoder leaves out the first byte (always zero) and the zero bytes at the end; the decoder
-//! reads zeros past the end of its input, so any input decodes to something and reading ends when
-//! the caller has what it asked for. Only a number of more than 32 bits is refused.
+//! The encoder leaves out the zero bytes at the end; the decoder reads zeros past the end of its
+//! input, so any input decodes to something and reading ends when the caller has what it asked
+//! for. Only a number of more than 32 bits is refused.
+//!
+//! One decision takes about twenty instructions where it is inlined into a loop over cells, and
+//! the coder is held by value there: its state then stays in registers.
+
+use core::slice;
 
 const TOP: u32 = 1 << 24;
 /// How fast a probability follows what is coded: each decision moves it by 1/32 of the way.
@@ -13,15 +18,17 @@ const RATE: u32 = 5;
 pub(super) struct Model(pub(super) u16);
 
 impl Model {
+    #[inline(always)]
     fn split(self, range: u32) -> u32 {
-        // Never 0 and never `range`: `update` keeps the probability in 31..=65505.
-        (range >> 12) * u32::from((self.0 >> 4).max(1))
+        // Never `range`, and never 0: `update` keeps the probability in 31..=65505.
+        (range >> 12) * u32::from(self.0 >> 4)
     }
 
+    #[inline(always)]
     fn update(&mut self, bit: bool) {
-        let p = u32::from(self.0);
-        let moved = if bit { p - (p >> RATE) } else { p + ((65_536 - p) >> RATE) };
-        self.0 = moved as u16;
+        // Rounded towards where it comes from: down to 31, up to 65505.
+        let (p, goal) = (i32::from(self.0), if bit { 31 } else { 65_536 });
+        self.0 = (p + ((goal - p) >> RATE)) as u16;
     }
 }
 
@@ -47,44 +54,88 @@ pub(super) struct Encoder<'a> {
     state: State,
 }
 
-/// All of an encoder but its buffer: with it an encoder goes back to an earlier point.
+/// All of an encoder but its buffer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct State {
-    low: u64,
+    /// The lower end of the interval, behind the bytes that have been written.
+    low: u32,
     range: u32,
-    /// The last byte that a carry could still change, and how many 0xFF follow it.
-    cache: u8,
-    pending: u32,
-    /// Bytes so far, the first (left out) one included.
+    /// Bytes so far.
     len: usize,
 }
 
+/// A point that an encoder can go back to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Checkpoint {
+    state: State,
+    last: Option<u8>,
+}
+
 impl<'a> Encoder<'a> {
-    /// Bytes that [`Encoder::finish`] may still write.
+    /// Bytes that one more decision and [`Encoder::finish`] may still write.
     const TAIL: usize = 4;
 
     /// Writes into this buffer from its start.
     pub(super) fn new(out: &'a mut [u8]) -> Self {
-        Self { out, state: State { low: 0, range: u32::MAX, cache: 0, pending: 1, len: 0 } }
+        Self { out, state: State { low: 0, range: u32::MAX, len: 0 } }
     }
 
-    /// Where the encoder stands, for [`Encoder::rewind`].
+    /// The same encoder, to be held by value; when it is done, [`Encoder::resume`] in its state.
+    pub(super) fn by_value(&mut self) -> Encoder<'_> {
+        Encoder { out: self.out, state: self.state }
+    }
+
+    /// The state that an encoder held by value is in.
     pub(super) fn state(&self) -> State {
         self.state
     }
 
-    /// Goes back to where it stood.
-    pub(super) fn rewind(&mut self, state: State) {
+    /// Goes on where an encoder held by value ended.
+    pub(super) fn resume(&mut self, state: State) {
         self.state = state;
     }
 
-    /// Whether everything so far fits the buffer, whatever comes out at the end.
-    pub(super) fn fits(&self) -> bool {
-        self.state.len + self.state.pending as usize + Self::TAIL <= self.out.len() + 1
+    /// Where the encoder stands, for [`Encoder::rewind`].
+    pub(super) fn checkpoint(&mut self) -> Checkpoint {
+        Checkpoint { state: self.state, last: self.written().last().copied() }
+    }
+
+    /// Goes back to where it stood.
+    pub(super) fn rewind(&mut self, to: Checkpoint) {
+        self.state = to.state;
+        let written = self.written();
+        // At most one carry has come this far back since, and it changed the last byte.
+        if written.last().copied() != to.last {
+            for byte in written.iter_mut().rev() {
+                *byte = byte.wrapping_sub(1);
+                if *byte != 0xFF {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// What has been written, nothing if it no longer fits.
+    fn written(&mut self) -> &mut [u8] {
+        self.out.get_mut(..self.state.len).unwrap_or_default()
+    }
+
+    /// Whether everything so far fits the buffer, whatever comes out at the end, with so many
+    /// bytes to spare.
+    #[inline(always)]
+    pub(super) fn fits(&self, spare: usize) -> bool {
+        self.state.len + (Self::TAIL + spare) <= self.out.len()
     }
 
     /// Codes one decision with a model, and teaches it.
+    #[inline(never)]
     pub(super) fn bit(&mut self, model: &mut Model, bit: bool) {
+        self.bit_inlined(model, bit);
+    }
+
+    /// The same, for the loop over cells.
+    #[inline(always)]
+    pub(super) fn bit_inlined(&mut self, model: &mut Model, bit: bool) {
         let split = model.split(self.state.range);
         self.narrow(split, bit);
         model.update(bit);
@@ -113,29 +164,21 @@ impl<'a> Encoder<'a> {
 
     /// Ends the stream. Returns its length, or `None` if it did not fit.
     pub(super) fn finish(mut self) -> Option<usize> {
-        // Of all numbers in the final interval, the one with the most zero bytes at its end.
-        let low = self.state.low;
-        let high = low + u64::from(self.state.range) - 1;
-        let zeros = [24, 16, 8].into_iter().find(|zeros| high >> zeros << zeros >= low);
-        self.state.low = high >> zeros.unwrap_or(0) << zeros.unwrap_or(0);
-        for _ in 0..5 {
-            self.shift();
-        }
-        let len = self.state.len.checked_sub(1)?;
-        let written = self.out.get(..len);
-        // Zeros that did not fit do not matter either: they are left out.
-        let written = written.unwrap_or(self.out);
-        let used = written.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
-        Some(used)
+        // The interval is wider than 2^24: there is a number in it of which one byte is not zero.
+        self.raise(self.state.range - 1);
+        self.state.low &= !(TOP - 1);
+        self.shift();
+        let written = self.out.get(..self.state.len)?;
+        Some(written.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1))
     }
 
+    #[inline(always)]
     fn narrow(&mut self, split: u32, bit: bool) {
-        let state = &mut self.state;
         if bit {
-            state.low += u64::from(split);
-            state.range -= split;
+            self.raise(split);
+            self.state.range -= split;
         } else {
-            state.range = split;
+            self.state.range = split;
         }
         while self.state.range < TOP {
             self.state.range <<= 8;
@@ -143,34 +186,41 @@ impl<'a> Encoder<'a> {
         }
     }
 
-    fn shift(&mut self) {
-        let carry = (self.state.low >> 32) as u8;
-        if self.state.low < 0xFF00_0000 || carry != 0 {
-            let mut byte = self.state.cache.wrapping_add(carry);
-            for _ in 0..self.state.pending {
-                // The very first byte is zero and left out.
-                if let Some(index) = self.state.len.checked_sub(1)
-                    && let Some(slot) = self.out.get_mut(index)
-                {
-                    *slot = byte;
-                }
-                self.state.len += 1;
-                byte = 0xFFu8.wrapping_add(carry);
-            }
-            self.state.pending = 0;
-            self.state.cache = (self.state.low >> 24) as u8;
+    #[inline(always)]
+    fn raise(&mut self, by: u32) {
+        let (low, carry) = self.state.low.overflowing_add(by);
+        self.state.low = low;
+        if carry {
+            carry_into(self.written());
         }
-        self.state.pending += 1;
-        self.state.low = (self.state.low & 0x00FF_FFFF) << 8;
+    }
+
+    #[inline(always)]
+    fn shift(&mut self) {
+        if let Some(slot) = self.out.get_mut(self.state.len) {
+            *slot = (self.state.low >> 24) as u8;
+        }
+        self.state.len += 1;
+        self.state.low <<= 8;
+    }
+}
+
+/// Adds one to a number of many bytes, the highest first.
+#[cold]
+#[inline(never)]
+fn carry_into(number: &mut [u8]) {
+    for byte in number.iter_mut().rev() {
+        *byte = byte.wrapping_add(1);
+        if *byte != 0 {
+            break;
+        }
     }
 }
 
 /// Reads decisions. Any input gives some: it never runs on by itself.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Decoder<'a> {
-    input: &'a [u8],
-    /// Bytes read, those past the end included.
-    read: usize,
+    rest: slice::Iter<'a, u8>,
     code: u32,
     range: u32,
 }
@@ -178,21 +228,28 @@ pub(super) struct Decoder<'a> {
 impl<'a> Decoder<'a> {
     /// Reads what an [`Encoder`] wrote.
     pub(super) fn new(input: &'a [u8]) -> Self {
-        let mut decoder = Self { input, read: 0, code: 0, range: u32::MAX };
+        let mut decoder = Self { rest: input.iter(), code: 0, range: u32::MAX };
         for _ in 0..4 {
             decoder.pull();
         }
         decoder
     }
 
-    /// Whether the whole input has been read and hardly more: an input of another length was
-    /// not written by an encoder.
+    /// Whether the whole input has been read: an input of another length was not written by an
+    /// encoder.
     pub(super) fn is_exhausted(&self) -> bool {
-        self.read >= self.input.len()
+        self.rest.as_slice().is_empty()
     }
 
     /// Reads one decision with a model, and teaches it.
+    #[inline(never)]
     pub(super) fn bit(&mut self, model: &mut Model) -> bool {
+        self.bit_inlined(model)
+    }
+
+    /// The same, for the loop over cells.
+    #[inline(always)]
+    pub(super) fn bit_inlined(&mut self, model: &mut Model) -> bool {
         let split = model.split(self.range);
         let bit = self.widen(split);
         model.update(bit);
@@ -227,24 +284,31 @@ impl<'a> Decoder<'a> {
         Some(unzigzag(self.golomb(order)?))
     }
 
+    #[inline(always)]
     fn widen(&mut self, split: u32) -> bool {
         let bit = self.code >= split;
         if bit {
             self.code -= split;
             self.range -= split;
+            self.normalise();
         } else {
             self.range = split;
-        }
-        while self.range < TOP {
-            self.range <<= 8;
-            self.pull();
+            self.normalise();
         }
         bit
     }
 
+    #[inline(always)]
+    fn normalise(&mut self) {
+        while self.range < TOP {
+            self.range <<= 8;
+            self.pull();
+        }
+    }
+
+    #[inline(always)]
     fn pull(&mut self) {
-        let byte = self.input.get(self.read).copied().unwrap_or(0);
-        self.read = self.read.saturating_add(1);
+        let byte = self.rest.next().copied().unwrap_or(0);
         self.code = self.code << 8 | u32::from(byte);
     }
 }
@@ -260,6 +324,17 @@ mod tests {
         Plain(u32, u32),
         Golomb(u32, u32),
         Signed(i32, u32),
+    }
+
+    impl Step {
+        fn encode(&self, encoder: &mut Encoder<'_>, models: &mut [Model; 4]) {
+            match *self {
+                Step::Bit(model, bit) => encoder.bit(&mut models[model], bit),
+                Step::Plain(value, count) => encoder.plain(value, count),
+                Step::Golomb(value, order) => encoder.golomb(value, order),
+                Step::Signed(value, order) => encoder.signed(value, order),
+            }
+        }
     }
 
     fn steps() -> impl Strategy<Value = std::vec::Vec<Step>> {
@@ -284,14 +359,9 @@ mod tests {
             let mut encoder = Encoder::new(&mut out);
             let mut models = [Model(32_768); 4];
             for step in &steps {
-                match *step {
-                    Step::Bit(model, bit) => encoder.bit(&mut models[model], bit),
-                    Step::Plain(value, count) => encoder.plain(value, count),
-                    Step::Golomb(value, order) => encoder.golomb(value, order),
-                    Step::Signed(value, order) => encoder.signed(value, order),
-                }
+                step.encode(&mut encoder, &mut models);
             }
-            prop_assert!(encoder.fits());
+            prop_assert!(encoder.fits(0));
             let len = encoder.finish().unwrap();
             let mut decoder = Decoder::new(&out[..len]);
             let mut models = [Model(32_768); 4];
@@ -314,6 +384,24 @@ mod tests {
         }
 
         #[test]
+        fn what_was_rewound_leaves_no_trace(steps in steps(), other in steps(), at in 0usize..400) {
+            let (mut out, mut same) = ([0u8; 4096], [0u8; 4096]);
+            let (mut plain, mut rewinding) = (Encoder::new(&mut out), Encoder::new(&mut same));
+            for (index, step) in steps.iter().enumerate() {
+                if index == at {
+                    let checkpoint = rewinding.checkpoint();
+                    other.iter().for_each(|step| step.encode(&mut rewinding, &mut [Model(32_768); 4]));
+                    rewinding.rewind(checkpoint);
+                }
+                // Untaught models: many a carry.
+                step.encode(&mut plain, &mut [Model(32_768); 4]);
+                step.encode(&mut rewinding, &mut [Model(32_768); 4]);
+            }
+            let (len, same_len) = (plain.finish().unwrap(), rewinding.finish().unwrap());
+            prop_assert_eq!(&out[..len], &same[..same_len]);
+        }
+
+        #[test]
         fn what_fits_is_whole(steps in steps(), room in 0usize..200) {
             let mut out = [0u8; 4096];
             let mut small = [0u8; 200];
@@ -327,9 +415,10 @@ mod tests {
                     tight.bit(&mut models[model], bit);
                 }
             }
-            let fits = tight.fits();
-            let (wide_len, tight_len) = (wide.finish().unwrap(), tight.finish().unwrap());
-            if fits {
+            let fits = tight.fits(0);
+            let (wide_len, tight_len) = (wide.finish().unwrap(), tight.finish());
+            prop_assert!(!fits || tight_len.is_some());
+            if let Some(tight_len) = tight_len {
                 prop_assert_eq!(&out[..wide_len], &small[..tight_len]);
             }
         }

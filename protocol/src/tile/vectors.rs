@@ -39,7 +39,7 @@ fn encode(steps: &[Value], models: &[Model]) -> Vec<u8> {
             other => panic!("{other}"),
         }
     }
-    assert!(encoder.fits());
+    assert!(encoder.fits(0));
     let len = encoder.finish().unwrap();
     out.truncate(len);
     out
