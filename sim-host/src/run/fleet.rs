@@ -3,8 +3,6 @@
 //! Nothing here waits: the clock jumps from event to event, each agent and the server come back
 //! when they asked to, and the same seed gives the same bytes.
 
-use std::iter;
-
 use ubimap_agent::{
     Agent, Config, ConfigError, Memory,
     map::{OwnTile, RowSighting, scratch_words},
@@ -12,7 +10,7 @@ use ubimap_agent::{
     share::FusedTile,
 };
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, MAX_FRAME},
+    frame::{DEFAULT_FRAME, Direction, MAX_FRAME},
     tile::{Epoch, Layer, Stamp, TILE_SIDE, TileId, tile_hash},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
@@ -204,6 +202,10 @@ impl Robot<'_> {
     }
 }
 
+/// Hears every frame that a robot or the server sends, before its channel does anything to it:
+/// which robot's channel, which way, and the bytes.
+pub type Tap<'t> = Box<dyn FnMut(RobotId, Direction, &[u8]) + 't>;
+
 /// All robots and the server.
 pub struct Fleet<'b> {
     server: Server,
@@ -213,6 +215,7 @@ pub struct Fleet<'b> {
     began: Instant,
     now: Instant,
     frame: Vec<u8>,
+    tap: Option<Tap<'b>>,
 }
 
 /// A run goes on for so long after the last event, if not all hold the same map before.
@@ -252,7 +255,13 @@ impl<'b> Fleet<'b> {
         let robots = robots.collect::<Result<Vec<_>, ConfigError>>()?;
         let server = keeper::server(keeper.as_ref(), resolution, Epoch(1), robots.len())?;
         let began = keeper.as_ref().map_or(Instant(0), Keeper::begins);
-        Ok(Self { server, robots, keeper, began, now: began, frame: vec![0; MAX_FRAME] })
+        let frame = vec![0; MAX_FRAME];
+        Ok(Self { server, robots, keeper, began, now: began, frame, tap: None })
+    }
+
+    /// Has every frame heard from now on.
+    pub fn tap(&mut self, tap: Tap<'b>) {
+        self.tap = Some(tap);
     }
 
     /// The server.
@@ -382,13 +391,20 @@ impl<'b> Fleet<'b> {
         let now = self.now;
         for (port, robot) in self.robots.iter_mut().enumerate() {
             let local = robot.clock.local(now);
-            let up = &mut self.frame[..DEFAULT_FRAME];
-            let frames = iter::from_fn(|| {
-                robot.agent.poll_transmit(local, up).map(|len| up[..len].to_vec())
-            });
-            frames.for_each(|frame| robot.up.send(now, &frame));
+            let id = robot.id;
+            let mut hear = |direction, frame: &[u8]| {
+                if let Some(tap) = &mut self.tap {
+                    tap(id, direction, frame);
+                }
+            };
+            while let Some(len) = robot.agent.poll_transmit(local, &mut self.frame[..DEFAULT_FRAME])
+            {
+                hear(Direction::ToServer, &self.frame[..len]);
+                robot.up.send(now, &self.frame[..len]);
+            }
             robot.take_note();
             while let Some(len) = self.server.poll_transmit(port, now, &mut self.frame) {
+                hear(Direction::ToRobot, &self.frame[..len]);
                 robot.down.send(now, &self.frame[..len]);
             }
         }

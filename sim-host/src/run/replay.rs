@@ -14,7 +14,7 @@ use ubimap_protocol::{
 
 use super::{
     Outcome, RunError, figures,
-    fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+    fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage, Tap},
     options::ReplayOptions,
     progress::Progress,
 };
@@ -31,6 +31,11 @@ const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
 
 /// Runs the logs through robots, channels and the server.
 pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
+    run_tapped(options, Box::new(|_, _, _| {}))
+}
+
+/// The same, with every frame heard.
+pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let log = log::read_all(&options.logs, options.format.format())?;
     log.notes.iter().for_each(|note| ::log::info!("{note}"));
@@ -48,6 +53,7 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
     let keeper = options.run.keeper(options.resolution)?;
     let mut fleet =
         Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed, keeper)?;
+    fleet.tap(tap);
 
     let progress = Progress::new(recording.end(), options.run.json);
     let converged = fleet.run(&mut recording, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
