@@ -39,6 +39,15 @@ enum Token {
     Other,
 }
 
+/// Bytes of an [`Agent`] that are its end of the link: the frames under way, the one that comes in
+/// and the one that goes out, the handshake and the server's time. On the robot at most 4 KiB.
+pub const LINK_STATE: usize = size_of::<Endpoint<Token, WINDOW, DEFAULT_FRAME>>()
+    + size_of::<Knocking>()
+    + size_of::<ClockSync>();
+
+#[cfg(target_pointer_width = "32")]
+const _: () = assert!(LINK_STATE <= 4 * 1024);
+
 /// The agent: the sans-IO core of a robot. See the crate's documentation for the law by which it
 /// is driven.
 #[derive(Debug)]

@@ -27,7 +27,7 @@ pub mod sense;
 pub mod share;
 mod statistics;
 
-pub use agent::Agent;
+pub use agent::{Agent, LINK_STATE};
 pub use config::{Config, ConfigError, Memory};
 pub use parameters::Parameter;
 pub use statistics::Statistics;

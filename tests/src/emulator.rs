@@ -1,7 +1,7 @@
 //! The firmware, built for the reference board and run in QEMU.
 //!
-//! [`firmware`] builds the image, [`Emulator::start`] runs it with its serial port on a
-//! pseudo-terminal. A machine that can do neither gets one line from [`leave_out`], unless it was
+//! [`image`] builds an image, [`Emulator::start`] runs it with its serial port on a pseudo-terminal,
+//! [`count`] runs one that counts instructions to its end. A machine that can do neither gets one line from [`leave_out`], unless it was
 //! told (`CI` or `UBIMAP_REQUIRE_EMULATOR`) that the emulator is a must.
 
 use std::{
@@ -58,7 +58,31 @@ pub fn leave_out(test: &str, error: &EmulatorError) {
 /// The firmware image, built when first asked for.
 pub fn firmware() -> Result<PathBuf, EmulatorError> {
     static IMAGE: OnceLock<Result<PathBuf, EmulatorError>> = OnceLock::new();
-    IMAGE.get_or_init(build_firmware).clone()
+    IMAGE.get_or_init(|| image("firmware")).clone()
+}
+
+/// Runs an image that counts instructions, one in a nanosecond of its clock, to its end. From its
+/// first line on, this input is at its serial port. What it printed.
+pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
+    let mut qemu = qemu(image)
+        .args(["-chardev", "stdio,id=input,signal=off", "-serial", "chardev:input"])
+        .args(["-icount", "shift=0", "-semihosting-config", "enable=on,target=native"])
+        .stdin(Stdio::piped())
+        .spawn()
+        .map_err(missing_or_failed)?;
+    let mut port = qemu.stdin.take();
+    let mut said = String::new();
+    for line in qemu.stdout.take().into_iter().flat_map(|out| BufReader::new(out).lines()) {
+        said.extend([&line.map_err(missing_or_failed)?, "\n"]);
+        if let Some(mut port) = port.take() {
+            let input = input.clone();
+            // It may end before it has read all.
+            thread::spawn(move || port.write_all(&input));
+        }
+    }
+    let output = qemu.wait_with_output().map_err(missing_or_failed)?;
+    said.push_str(&String::from_utf8_lossy(&output.stderr));
+    if output.status.success() { Ok(said) } else { Err(EmulatorError::Failed(said)) }
 }
 
 /// A running firmware; it ends with this value.
@@ -71,18 +95,11 @@ pub struct Emulator {
 impl Emulator {
     /// Runs an image.
     pub fn start(image: &Path) -> Result<Self, EmulatorError> {
-        let mut qemu = Command::new(QEMU)
-            .args(["-M", "netduinoplus2", "-display", "none", "-monitor", "none"])
-            .args(["-serial", "pty", "-kernel"])
-            .arg(image)
+        let mut qemu = qemu(image)
+            .args(["-serial", "pty"])
             .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
             .spawn()
-            .map_err(|error| match error.kind() {
-                io::ErrorKind::NotFound => EmulatorError::Missing(QEMU),
-                _ => EmulatorError::Failed(format!("{QEMU}: {error}")),
-            })?;
+            .map_err(missing_or_failed)?;
         let said = qemu.stdout.take();
         // From here on the emulator ends with this value, whatever happens.
         let mut emulator = Self { qemu, port: PathBuf::new() };
@@ -126,15 +143,31 @@ impl Drop for Emulator {
     }
 }
 
+/// The emulator with this image; what it says is piped.
+fn qemu(image: &Path) -> Command {
+    let mut qemu = Command::new(QEMU);
+    qemu.args(["-M", "netduinoplus2", "-display", "none", "-monitor", "none", "-kernel"]);
+    qemu.arg(image).stdout(Stdio::piped()).stderr(Stdio::piped());
+    qemu
+}
+
+fn missing_or_failed(error: io::Error) -> EmulatorError {
+    match error.kind() {
+        io::ErrorKind::NotFound => EmulatorError::Missing(QEMU),
+        _ => EmulatorError::Failed(format!("{QEMU}: {error}")),
+    }
+}
+
 /// The path in `char device redirected to /dev/pts/3 (label serial0)`.
 fn pseudo_terminal(line: &str) -> Option<&str> {
     line.strip_prefix("char device redirected to ")?.split_whitespace().next()
 }
 
-fn build_firmware() -> Result<PathBuf, EmulatorError> {
+/// Builds one of the agent's images.
+pub fn image(name: &str) -> Result<PathBuf, EmulatorError> {
     let mut cargo = compiler()?;
     let output = cargo
-        .args(["--locked", "--package", "ubimap-agent", "--bin", "firmware"])
+        .args(["--locked", "--package", "ubimap-agent", "--bin", name])
         .args(["--features", "firmware", "--target", TARGET, "--profile", "firmware"])
         .arg("--message-format=json-render-diagnostics")
         .current_dir(workspace())

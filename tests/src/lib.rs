@@ -9,4 +9,5 @@ pub mod fuzz;
 pub mod per_ray;
 pub mod schedule;
 pub mod star;
+pub mod updates;
 pub mod vectors;

@@ -3,7 +3,6 @@
 use core::hint::black_box;
 
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
-use cortex_m_semihosting::hprintln;
 
 /// SysTick's clock in the emulator.
 const CORE_HZ: u64 = 168_000_000;
@@ -13,6 +12,11 @@ const INSTRUCTIONS_PER_SECOND: u64 = 1_000_000_000;
 
 /// SysTick's period, the longest it has: 99.8 million instructions.
 const PERIOD: u32 = 1 << 24;
+
+/// Instructions in so many ticks.
+pub(crate) fn instructions(ticks: u64) -> u64 {
+    ticks * INSTRUCTIONS_PER_SECOND / CORE_HZ
+}
 
 /// Measures by SysTick.
 pub(crate) struct Bench {
@@ -35,24 +39,14 @@ impl Bench {
         bench
     }
 
-    /// Runs a stage once and prints a line of the table, exact to a tick: six instructions.
-    pub(crate) fn measure<T>(
-        &mut self,
-        name: impl core::fmt::Display,
-        stage: impl FnOnce() -> T,
-    ) -> T {
+    /// Runs a stage once: what it gives, and the ticks that it takes, of six instructions each;
+    /// `None` if they may be more than a period.
+    pub(crate) fn count<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
         let (result, ticks) = self.ticks(stage);
-        match ticks {
-            Some(ticks) => {
-                let net = u64::from(ticks.saturating_sub(self.overhead));
-                hprintln!("{:>12}  {}", net * INSTRUCTIONS_PER_SECOND / CORE_HZ, name);
-            }
-            None => hprintln!("{:>12}  {}", "too many", name),
-        }
-        result
+        (result, ticks.map(|ticks| ticks.saturating_sub(self.overhead)))
     }
 
-    /// What a stage gives, and the ticks that it takes; `None` if they may be more than a period.
+    /// The same, what measuring takes included.
     fn ticks<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
         // It counts down, and wraps at most once within a period.
         self.systick.has_wrapped();

@@ -8,18 +8,21 @@
 
 mod coder;
 mod counter;
+mod ending;
+mod table;
 mod vector;
 
-use core::{hint::black_box, panic::PanicInfo};
+use core::hint::black_box;
 
-use cortex_m::{Peripherals, asm};
+use cortex_m::Peripherals;
 use cortex_m_rt::entry;
-use cortex_m_semihosting::{debug, hprintln};
+use cortex_m_semihosting::hprintln;
 use counter::Bench;
+use ending::end;
 // For its table of interrupt vectors.
 use stm32f4xx_hal as _;
 use ubimap_agent::{
-    Agent, Config, Memory,
+    Agent, Config, LINK_STATE, Memory,
     map::{LocalMap, MappingConfig, Omission, OwnTile, Pool, RowSighting, Surround, scratch_words},
     sense::{Beam, SensorModel, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
@@ -61,13 +64,7 @@ fn main() -> ! {
     let memory =
         Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: FUSED };
     let core = Peripherals::take();
-    match core.and_then(|core| run(&mut Bench::new(core.SYST), memory)) {
-        Some(()) => debug::exit(debug::EXIT_SUCCESS),
-        None => debug::exit(debug::EXIT_FAILURE),
-    }
-    loop {
-        asm::wfi();
-    }
+    end(core.and_then(|core| run(&mut Bench::new(core.SYST), memory)))
 }
 
 /// The table. `None` if a stage did not do what it is there for.
@@ -87,7 +84,9 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     coder::run(bench, frame.get(..len)?)?;
     vector::of_row(bench, memory.beams, &readings)?;
     vector::of_image(bench)?;
-    receive(bench, memory)
+    receive(bench, memory)?;
+    hprintln!("{:>12}  bytes of link state", LINK_STATE);
+    Some(())
 }
 
 fn sensor() -> SensorModel {
@@ -187,12 +186,4 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
         }
     }
     (agent.statistics().fixes == 5 && agent.pose() == Some((now, POSE))).then_some(())
-}
-
-#[panic_handler]
-fn panic(_: &PanicInfo<'_>) -> ! {
-    debug::exit(debug::EXIT_FAILURE);
-    loop {
-        asm::wfi();
-    }
 }

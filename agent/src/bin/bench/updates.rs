@@ -1,0 +1,163 @@
+//! Instruction counts of the coder over the tile updates of a recorded log, which come in at
+//! USART1 once it is open: `cargo test --release --package ubimap-tests --test instructions -- --nocapture`.
+//!
+//! What comes in, all numbers little-endian:
+//!
+//! | what | bytes |
+//! |---|---|
+//! | for each update: which way it went, 0 to the server, 1 to a robot | 1 |
+//! | bytes that there were for it | 2 |
+//! | its length | 2 |
+//! | itself | any |
+//! | for each tile: the rows that its receiver holds anything of (a bit for each) | 4 |
+//! | for each of these: the words of its low and its high plane | 8 |
+//! | the rows in which the whole new tile is another than after this part | 4 |
+//! | for each of these: its words | 8 |
+//! | at the end: 255 | 1 |
+#![no_std]
+#![no_main]
+
+mod counter;
+mod ending;
+
+use cortex_m::Peripherals;
+use cortex_m_rt::entry;
+use cortex_m_semihosting::hprintln;
+use counter::{Bench, instructions};
+use ending::end;
+use stm32f4xx_hal::{
+    pac::{self, USART1},
+    prelude::*,
+    rcc::Enable,
+};
+use ubimap_protocol::{
+    frame::MAX_FRAME,
+    tile::{Row, TILE_SIDE, Tile, TileDecoder, TileEncoder},
+};
+
+/// Ways that an update may go.
+const WAYS: [&str; 2] = ["to the server", "to a robot"];
+
+#[entry]
+fn main() -> ! {
+    let core = Peripherals::take();
+    end(core.and_then(|core| {
+        let chip = pac::Peripherals::take()?;
+        let mut rcc = chip.RCC.constrain();
+        USART1::enable(&mut rcc);
+        chip.USART1.cr1().write(|w| w.ue().set_bit().re().set_bit());
+        run(&mut Bench::new(core.SYST), &mut Port(chip.USART1))
+    }))
+}
+
+/// The table. `None` if an update was not coded as it was the first time.
+fn run(bench: &mut Bench, port: &mut Port) -> Option<()> {
+    // Bytes that come before the port is open are lost: who sends them waits for this line.
+    hprintln!("{:>12}  stage", "instructions");
+    let mut counts = [Counts::default(); WAYS.len()];
+    while let Some(counts) = counts.get_mut(usize::from(port.byte())) {
+        let room = port.half_word();
+        let len = port.half_word();
+        let mut coded = [0; MAX_FRAME];
+        let coded = coded.get_mut(..len)?;
+        coded.iter_mut().for_each(|byte| *byte = port.byte());
+        update(bench, port, coded, room, counts)?;
+    }
+    for (way, counts) in WAYS.into_iter().zip(counts) {
+        counts.encoded.print(way, "to bytes");
+        counts.decoded.print(way, "from bytes");
+    }
+    Some(())
+}
+
+/// Reads an update and writes it again.
+fn update(
+    bench: &mut Bench,
+    port: &mut Port,
+    coded: &[u8],
+    room: usize,
+    counts: &mut Counts,
+) -> Option<()> {
+    let mut again = [0; MAX_FRAME];
+    let (mut decoder, begin_decoding) = bench.count(|| TileDecoder::new(coded));
+    let (mut encoder, begin_encoding) =
+        bench.count(|| Some(TileEncoder::new(again.get_mut(..room)?)));
+    let encoder_mut = encoder.as_mut()?;
+    let (mut decoding, mut encoding) = (begin_decoding?, begin_encoding?);
+    loop {
+        let (header, ticks) = bench.count(|| decoder.header());
+        decoding += ticks?;
+        let Some(header) = header.ok()? else { break };
+        let mut old = Tile::UNKNOWN;
+        port.rows(&mut old);
+        let mut new = old;
+        let ((), ticks) = bench.count(|| decoder.cells(&header, &mut new));
+        decoding += ticks?;
+        counts.decoded.add(core::mem::take(&mut decoding));
+        port.rows(&mut new);
+        let (pushed, ticks) = bench.count(|| {
+            encoder_mut.push(header.id, header.stamp, header.base, header.start, &old, &new)
+        });
+        (pushed == Some(header.end)).then_some(())?;
+        counts.encoded.add(core::mem::take(&mut encoding) + ticks?);
+    }
+    let (len, ticks) = bench.count(|| encoder?.finish());
+    counts.encoded.total += u64::from(encoding + ticks?);
+    counts.decoded.total += u64::from(decoding);
+    (again.get(..len?) == Some(coded)).then_some(())
+}
+
+/// What the updates of one way took.
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    encoded: Count,
+    decoded: Count,
+}
+
+/// Ticks of many tiles.
+#[derive(Clone, Copy, Default)]
+struct Count {
+    tiles: u64,
+    total: u64,
+    most: u64,
+}
+
+impl Count {
+    fn add(&mut self, ticks: u32) {
+        self.tiles += 1;
+        self.total += u64::from(ticks);
+        self.most = self.most.max(ticks.into());
+    }
+
+    fn print(&self, way: &str, what: &str) {
+        let Some(mean) = instructions(self.total).checked_div(self.tiles) else { return };
+        let tiles = self.tiles;
+        hprintln!("{:>12}  a tile update {} {}: the mean of {}", mean, way, what, tiles);
+        hprintln!("{:>12}  a tile update {} {}: the most", instructions(self.most), way, what);
+    }
+}
+
+/// The port that the updates come from. The emulator waits until a byte has been taken.
+struct Port(USART1);
+
+impl Port {
+    fn byte(&mut self) -> u8 {
+        while self.0.sr().read().rxne().bit_is_clear() {}
+        self.0.dr().read().dr().bits() as u8
+    }
+
+    fn half_word(&mut self) -> usize {
+        usize::from(u16::from_le_bytes([self.byte(), self.byte()]))
+    }
+
+    fn word(&mut self) -> u32 {
+        u32::from_le_bytes([self.byte(), self.byte(), self.byte(), self.byte()])
+    }
+
+    fn rows(&mut self, tile: &mut Tile) {
+        let rows = self.word();
+        for y in (0..TILE_SIDE).filter(|y| rows >> y & 1 != 0) {
+            tile.set_row(y, Row { low: self.word(), high: self.word() });
+        }
+    }
+}

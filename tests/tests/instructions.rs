@@ -1,0 +1,85 @@
+//! The table of instruction counts, from images in the emulator: those of `cargo instructions`, and
+//! the coder's over the tile updates of a real log.
+
+use std::{cell::RefCell, rc::Rc};
+
+use clap::Parser;
+use ubimap_sim_host::run::{options::ReplayOptions, replay};
+use ubimap_tests::{
+    data,
+    emulator::{EmulatorError, count, image, leave_out},
+    updates::{Gathering, Update},
+};
+
+/// What a line of the tables may say at the most, by the ends of its name.
+const BOUNDS: [(&str, &str, u64); 5] = [
+    ("a new tile", "to bytes", 150_000),
+    ("its ", "bytes to a tile", 150_000),
+    ("a tile update", "the most", 150_000),
+    ("a tile update", "", 40_000),
+    ("", "bytes of link state", 4_096),
+];
+
+/// Every so manieth update is taken: its bytes take the emulator longer than its coding.
+const SAMPLE: usize = 4;
+
+/// What ends the updates.
+const END: u8 = 255;
+
+#[derive(Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    options: ReplayOptions,
+}
+
+#[test]
+fn no_stage_takes_more_than_its_bound() {
+    match image("bench").and_then(|image| count(&image, Vec::new())) {
+        Ok(table) => assert_eq!(bounded(&table), 3, "{table}"),
+        Err(error) => leave_out("the stages' instruction counts", &error),
+    }
+}
+
+#[test]
+fn no_tile_update_of_a_real_log_takes_more_than_its_bound() {
+    let Some(log) = data::file("carmen_corrected/intel-corrected.log.gz") else { return };
+    match updates_table(&log) {
+        Ok(table) => assert_eq!(bounded(&table), 8, "{table}"),
+        Err(error) => leave_out("the coder's instruction counts over a log", &error),
+    }
+}
+
+fn updates_table(log: &std::path::Path) -> Result<String, EmulatorError> {
+    let image = image("updates")?;
+    let mut input = Vec::new();
+    updates(log).iter().step_by(SAMPLE).for_each(|update| update.write(&mut input));
+    input.push(END);
+    count(&image, input)
+}
+
+/// The tile updates of three robots on clean links, and of their server.
+fn updates(log: &std::path::Path) -> Vec<Update> {
+    let words = ["replay".into(), log.as_os_str().to_owned(), "--robots".into(), "3".into()];
+    let options = CommandLine::parse_from(words).options;
+    let gathering = Rc::new(RefCell::new(Gathering::default()));
+    let heard = Rc::clone(&gathering);
+    let tap = move |robot, direction, frame: &[u8]| {
+        heard.borrow_mut().hear(robot, direction, frame);
+    };
+    replay::run_tapped(&options, Box::new(tap)).unwrap();
+    gathering.take().updates()
+}
+
+/// Prints a table and compares its lines with their bounds: how many have one.
+fn bounded(table: &str) -> usize {
+    print!("{table}");
+    let lines = table.lines().filter_map(|line| {
+        let (number, name) = line.trim().split_once("  ")?;
+        Some((number.parse::<u64>().ok()?, name))
+    });
+    let bound = |name: &str| {
+        BOUNDS.into_iter().find(|(start, end, _)| name.starts_with(start) && name.ends_with(end))
+    };
+    let bounded = lines.filter_map(|(number, name)| Some((number, name, bound(name)?.2)));
+    bounded.inspect(|(number, name, bound)| assert!(number <= bound, "{name}: {number}")).count()
+}
