@@ -1,7 +1,9 @@
 //! The beams of a range sensor: where each one points, computed once.
 
-use libm::{cosf, sinf, sqrtf};
-use ubimap_protocol::units::Pose;
+use libm::{atan2f, cosf, sinf, sqrtf};
+use ubimap_protocol::units::{Angle, Pose};
+
+use super::camera::{Camera, Rays};
 
 /// What a sensor's readings mean. Beam 0 is the first reading of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +24,36 @@ pub enum SensorModel {
         /// The column of the optical axis.
         centre: f32,
     },
+    /// Readings are depths of one row of a camera's image, one for each column: with the paper's
+    /// pixel model, lens distortion or a tilt. The points of a row that does not look level lie
+    /// at different heights; what the table gives is where they stand on the floor.
+    Row {
+        /// The camera.
+        camera: Camera,
+        /// The row; between two rows is allowed.
+        row: f32,
+    },
+}
+
+/// Readings that are never mapped, whatever they are: the paper's selective removal of pixels
+/// (Aluckal III.D). Distances are removed by [`Validity`](super::Validity).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Removal {
+    /// By their place in a scan, from the first to the last, both included.
+    Pixels {
+        /// The first.
+        first: u16,
+        /// The last.
+        last: u16,
+    },
+    /// By where they point in `base_link`, counter-clockwise from one bearing to another: the
+    /// robot's own mast, say.
+    Bearings {
+        /// The clockwise end.
+        from: Angle,
+        /// The counter-clockwise end.
+        to: Angle,
+    },
 }
 
 /// Fractional bits of a beam's direction.
@@ -41,40 +73,70 @@ pub struct Beam {
 /// Fills the table of a sensor that is mounted at `mounting` in `base_link` (only its heading
 /// counts here). `max_range` is radial, in millimetres.
 ///
-/// A pinhole's columns beyond 63 degrees from the axis do not fit the table; their limit is 0,
-/// which makes their readings invalid.
+/// Columns that look more than 63 degrees aside do not fit the table, nor do those beyond what the
+/// lens shows; their limit is 0, which makes their readings invalid.
 pub fn fill_beams(beams: &mut [Beam], model: SensorModel, mounting: Pose, max_range: u16) {
+    let row_of = |camera, row| Some((Rays::new(camera, beams.len()), row));
+    let rays = match model {
+        SensorModel::Radial { .. } => None,
+        SensorModel::Pinhole { focal, centre } => {
+            row_of(Camera::new((focal, focal), (centre, 0.0)), 0.0)
+        }
+        SensorModel::Row { camera, row } => row_of(camera, row),
+    };
     let turn = mounting.heading.radians() as f32;
     let (turn_sin, turn_cos) = (sinf(turn), cosf(turn));
     for (index, beam) in beams.iter_mut().enumerate() {
+        *beam = Beam::default();
         let (x, y) = match model {
             SensorModel::Radial { first, step } => {
                 let bearing = first + index as f32 * step;
                 (cosf(bearing), sinf(bearing))
             }
-            SensorModel::Pinhole { focal, centre } => (1.0, (centre - index as f32) / focal),
+            SensorModel::Pinhole { .. } | SensorModel::Row { .. } => {
+                let ray = rays.as_ref().and_then(|(rays, row)| rays.at(index as f32, *row));
+                let Some(ray) = ray else { continue };
+                (ray.forward, ray.left)
+            }
         };
         let length = sqrtf(x * x + y * y);
         let scale = (1 << DIRECTION_BITS) as f32;
         let forward = (x * turn_cos - y * turn_sin) * scale;
         let left = (x * turn_sin + y * turn_cos) * scale;
         let fits = |value: f32| value.abs() <= f32::from(i16::MAX);
-        *beam = if fits(forward) && fits(left) {
-            Beam {
+        if fits(forward) && fits(left) {
+            *beam = Beam {
                 forward: libm::roundf(forward) as i16,
                 left: libm::roundf(left) as i16,
                 limit: (f32::from(max_range) / length) as u16,
+            };
+        }
+    }
+}
+
+/// Takes readings out of the table for good: their limit becomes 0, which costs nothing for each
+/// frame.
+pub fn remove_beams(beams: &mut [Beam], removal: Removal) {
+    for (index, beam) in beams.iter_mut().enumerate() {
+        let is_removed = match removal {
+            Removal::Pixels { first, last } => {
+                (usize::from(first)..=usize::from(last)).contains(&index)
             }
-        } else {
-            Beam::default()
+            Removal::Bearings { from, to } => {
+                let bearing = atan2f(f32::from(beam.left), f32::from(beam.forward));
+                let bearing = Angle::from_radians(f64::from(bearing));
+                (bearing - from).0 <= (to - from).0
+            }
         };
+        if is_removed {
+            beam.limit = 0;
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::units::Angle;
 
     const AT_CENTRE: Pose = Pose {
         x: ubimap_protocol::units::Millimetres(0),
@@ -103,5 +165,42 @@ mod tests {
         assert!(beams[1].forward.abs() <= 1);
         assert_eq!(beams[1].left, 1 << DIRECTION_BITS);
         assert!(beams[0].forward > 0 && beams[2].forward < 0);
+    }
+
+    #[test]
+    fn a_row_that_looks_down_is_shorter_on_the_floor() {
+        let mut beams = [Beam::default(); 640];
+        let camera = Camera { pitch: 0.3, ..Camera::new((343.1, 343.1), (319.5, 239.5)) };
+        let forward = |beam: Beam| f64::from(beam.forward) / f64::from(1 << DIRECTION_BITS);
+        // The row on the axis: Z cos(pitch). The row that looks level: Z / cos(pitch).
+        for (row, expected) in
+            [(239.5, 0.3f64.cos()), (239.5 - 343.1 * 0.3f32.tan(), 1.0 / 0.3f64.cos())]
+        {
+            fill_beams(&mut beams, SensorModel::Row { camera, row }, AT_CENTRE, 4_000);
+            assert!(beams.iter().all(|&beam| (forward(beam) - expected).abs() < 1e-4));
+        }
+        assert!((camera.level_row().unwrap() - (239.5 - 343.1 * 0.3f32.tan())).abs() < 1e-3);
+    }
+
+    #[test]
+    fn removed_pixels_and_bearings_are_invalid_and_no_others() {
+        let model = SensorModel::Radial { first: -3.0, step: 0.1 };
+        let bearing = |index: usize| 0.5 - 3.0 + 0.1 * index as f64;
+        let mounting = Pose { heading: Angle::from_radians(0.5), ..AT_CENTRE };
+        let left_out = |removal| {
+            let mut beams = [Beam::default(); 61];
+            fill_beams(&mut beams, model, mounting, 4_000);
+            remove_beams(&mut beams, removal);
+            move |index: usize| beams[index].limit == 0
+        };
+        let is_out = left_out(Removal::Pixels { first: 3, last: 7 });
+        assert!((0..61).all(|index| is_out(index) == (3..=7).contains(&index)));
+        // Over the back, where bearings jump from pi to -pi.
+        let (from, to) = (Angle::from_radians(2.95), Angle::from_radians(-2.35));
+        let is_out = left_out(Removal::Bearings { from, to });
+        for index in 0..61 {
+            let bearing = bearing(index);
+            assert_eq!(is_out(index), bearing > 2.95 || bearing < -2.35, "{bearing}");
+        }
     }
 }

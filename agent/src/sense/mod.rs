@@ -1,6 +1,7 @@
 //! From a sensor's readings to a range scan that waits for its pose.
 
 mod beams;
+mod camera;
 mod clearance;
 mod columns;
 mod distance_vector;
@@ -8,7 +9,8 @@ mod floor;
 mod scale_curve;
 mod waiting;
 
-pub use beams::{Beam, DIRECTION_BITS, SensorModel, fill_beams};
+pub use beams::{Beam, DIRECTION_BITS, Removal, SensorModel, fill_beams, remove_beams};
+pub use camera::{Camera, Distortion, PixelModel, Ray, Rays};
 pub use clearance::GroundClearance;
 pub use columns::Columns;
 pub use distance_vector::{boundary_point, floor_readings};
