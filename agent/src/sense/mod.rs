@@ -1,12 +1,18 @@
-//! From a sensor's readings to a range scan that waits for its pose.
+//! From a depth frame, or a sensor's readings, to a range scan that waits for its pose.
+//!
+//! A frame is cut by a [`Slicer`] to one reading for each column; where each reading points is a
+//! table of [`Beam`]s, filled once; [`Validity`] says which readings count.
 
 mod beams;
 mod camera;
 mod clearance;
 mod columns;
 mod distance_vector;
+mod exposure;
 mod floor;
 mod scale_curve;
+mod slice;
+mod validity;
 mod waiting;
 
 pub use beams::{Beam, DIRECTION_BITS, Removal, SensorModel, fill_beams, remove_beams};
@@ -14,6 +20,9 @@ pub use camera::{Camera, Distortion, PixelModel, Ray, Rays};
 pub use clearance::GroundClearance;
 pub use columns::Columns;
 pub use distance_vector::{boundary_point, floor_readings};
+pub use exposure::Exposure;
 pub use floor::{COLUMNS, Floor, FloorConfig, ImageSizeError, LINES, floor_distances};
 pub use scale_curve::{ScaleCurve, ScaleError, TABLE_1};
+pub use slice::{Pick, Slice, SliceError, Slicer};
+pub use validity::Validity;
 pub use waiting::{ScanError, WaitingScans};

@@ -1,0 +1,52 @@
+//! Over- and under-exposed pixels.
+
+use super::slice::SliceError;
+
+/// Limits of the light in which a pixel's depth can be trusted: the paper's exposure correction
+/// (Aluckal III.D), which leaves out what is too bright or too dark.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Exposure {
+    /// Darker pixels do not count.
+    pub darkest: u16,
+    /// Brighter pixels do not count.
+    pub brightest: u16,
+}
+
+impl Exposure {
+    /// Sets to 0 the readings of a line whose light, in the line of the intensity image (`u8` or
+    /// `u16`) beside it, is out of the limits.
+    ///
+    /// # Errors
+    /// [`SliceError::Width`] if the lines are not equally wide; nothing has changed then.
+    pub fn mask<T: Copy + Into<u16>>(
+        &self,
+        readings: &mut [u16],
+        light: &[T],
+    ) -> Result<(), SliceError> {
+        if light.len() != readings.len() {
+            return Err(SliceError::Width { expected: readings.len(), found: light.len() });
+        }
+        for (reading, &light) in readings.iter_mut().zip(light) {
+            if !(self.darkest..=self.brightest).contains(&light.into()) {
+                *reading = 0;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_too_bright_or_too_dark_does_not_count() {
+        let exposure = Exposure { darkest: 10, brightest: 250 };
+        let mut readings = [900; 5];
+        assert_eq!(exposure.mask(&mut readings, &[9u8, 10, 100, 250, 255]), Ok(()));
+        assert_eq!(readings, [0, 900, 900, 900, 0]);
+        let refused = Err(SliceError::Width { expected: 5, found: 1 });
+        assert_eq!(exposure.mask(&mut readings, &[0u16]), refused);
+        assert_eq!(readings, [0, 900, 900, 900, 0]);
+    }
+}

@@ -1,0 +1,543 @@
+//! Plane slicing: a depth frame becomes one row of readings (Aluckal II.A).
+
+use libm::roundf;
+use ubimap_protocol::units::Millimetres;
+
+use super::{
+    beams::SensorModel,
+    camera::{Camera, Ray, Rays},
+    validity::Validity,
+};
+
+/// The rows of which a median can be taken.
+const MEDIAN_ROWS: usize = 5;
+
+/// Which part of a frame is mapped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Slice {
+    /// One row: the paper's. On a tilted camera only [`Camera::level_row`] is a level slice.
+    Row(u16),
+    /// Several rows, of which each column gives one reading. Their points are taken to lie where
+    /// the middle row looks.
+    Band {
+        /// The uppermost row.
+        first: u16,
+        /// How many.
+        rows: u16,
+        /// Which reading.
+        pick: Pick,
+    },
+    /// The pixels that meet a height, of a camera however tilted. Which row that is depends on
+    /// the depth: a point at a depth of `Z` lies `Z * (sin pitch + cos pitch * (row - cy) / fy)`
+    /// below the camera. So every pixel is held against the height, and each column keeps the one
+    /// that comes closest. As the columns of a tilted image do not stand upright, pixels are put
+    /// into the columns of a level camera in the same place. It sees at that height what a lidar
+    /// would see there, but for what hides behind something else.
+    Height {
+        /// How far the height lies below the camera, negative above it.
+        below: Millimetres,
+        /// How far from it a point may lie. At least half of what a row is wide at the farthest
+        /// depth (`Z / fy / 2`), lest surfaces fall between two rows.
+        tolerance: Millimetres,
+    },
+}
+
+/// Which reading of several in a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pick {
+    /// The nearest: what a robot as high as the band would touch first.
+    Nearest,
+    /// The one in the middle (of two, the nearer), of at most five rows: less noise.
+    Median,
+}
+
+/// Why a frame can't be sliced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SliceError {
+    /// A line has another number of readings than there are columns.
+    Width {
+        /// Readings that it must have.
+        expected: usize,
+        /// Readings that it has.
+        found: usize,
+    },
+    /// The buffer is too short; it must have this many readings.
+    Buffer(usize),
+    /// A band of no rows, or a median of more than five.
+    Rows(u16),
+    /// A line that does not come after the one before it.
+    Order(u16),
+    /// The frame ended before the slice did; so many of its rows are missing.
+    Incomplete(u16),
+}
+
+impl Slice {
+    /// What its readings mean: for [`Config::sensor`](crate::Config::sensor).
+    pub fn sensor(self, camera: Camera) -> SensorModel {
+        match self {
+            Self::Row(row) => SensorModel::Row { camera, row: f32::from(row) },
+            Self::Band { first, rows, .. } => {
+                let middle = f32::from(first) + (f32::from(rows) - 1.0) / 2.0;
+                SensorModel::Row { camera, row: middle }
+            }
+            Self::Height { .. } => {
+                SensorModel::Pinhole { focal: camera.focal.0, centre: camera.centre.0 }
+            }
+        }
+    }
+
+    /// Readings that a slicer's buffer must have for frames of this width.
+    pub const fn buffer_len(self, width: usize) -> usize {
+        match self {
+            Self::Row(_) | Self::Band { pick: Pick::Nearest, .. } => width,
+            Self::Band { rows, pick: Pick::Median, .. } => width * rows as usize,
+            Self::Height { .. } => 2 * width,
+        }
+    }
+
+    /// The rows that it needs; those of a height may be any.
+    fn rows(self) -> (u16, u16) {
+        match self {
+            Self::Row(row) => (row, 1),
+            Self::Band { first, rows, .. } => (first, rows),
+            Self::Height { .. } => (0, 0),
+        }
+    }
+}
+
+/// Slices frames that come line by line, so that none is ever held whole:
+///
+/// ```
+/// # use ubimap_agent::sense::{Camera, Pick, Slice, Slicer, Validity};
+/// # let frame = [1_000u16; 8 * 8];
+/// let camera = Camera::new((9.7, 9.7), (3.5, 3.5));
+/// let slice = Slice::Band { first: 3, rows: 2, pick: Pick::Nearest };
+/// let mut buffer = [0; slice.buffer_len(8)];
+/// let mut slicer = Slicer::new(slice, camera, 8, Validity::default(), &mut buffer)?;
+/// for (row, line) in frame.chunks(8).enumerate() {
+///     slicer.line(row as u16, line)?;
+/// }
+/// let readings = slicer.finish()?; // for `Agent::scan`
+/// # assert_eq!(readings, [1_000; 8]);
+/// # Ok::<(), ubimap_agent::sense::SliceError>(())
+/// ```
+///
+/// A row of a frame that lies in memory needs no slicer: `Agent::scan` borrows it.
+#[derive(Debug)]
+pub struct Slicer<'b> {
+    slice: Slice,
+    rays: Rays,
+    width: usize,
+    validity: Validity,
+    buffer: &'b mut [u16],
+    /// The row that may come next; `None` before the first one of a frame.
+    next: Option<u16>,
+    /// Rows of the slice that have come.
+    taken: u16,
+}
+
+impl<'b> Slicer<'b> {
+    /// A slicer of frames that are `width` pixels wide. What is out of `validity`'s range
+    /// or removed by it is never picked.
+    ///
+    /// # Errors
+    /// [`SliceError::Buffer`], [`SliceError::Rows`].
+    pub fn new(
+        slice: Slice,
+        camera: Camera,
+        width: usize,
+        validity: Validity,
+        buffer: &'b mut [u16],
+    ) -> Result<Self, SliceError> {
+        if let Slice::Band { rows, pick, .. } = slice
+            && (rows == 0 || pick == Pick::Median && usize::from(rows) > MEDIAN_ROWS)
+        {
+            return Err(SliceError::Rows(rows));
+        }
+        let needed = slice.buffer_len(width);
+        let buffer = buffer.get_mut(..needed).ok_or(SliceError::Buffer(needed))?;
+        let rays = Rays::new(camera, width);
+        Ok(Self { slice, rays, width, validity, buffer, next: None, taken: 0 })
+    }
+
+    /// Takes a line of the frame: depths in millimetres, 0 where there is none. Lines come from
+    /// the top; those that the slice does not need may be left out.
+    ///
+    /// # Errors
+    /// [`SliceError::Width`], [`SliceError::Order`]; the line is then as good as lost.
+    pub fn line(&mut self, row: u16, readings: &[u16]) -> Result<(), SliceError> {
+        if readings.len() != self.width {
+            return Err(SliceError::Width { expected: self.width, found: readings.len() });
+        }
+        match self.next {
+            Some(next) if row < next => return Err(SliceError::Order(row)),
+            Some(_) => {}
+            None => self.begin(),
+        }
+        self.next = Some(row.saturating_add(1));
+        let (first, rows) = self.slice.rows();
+        let place = row.checked_sub(first).filter(|&place| place < rows);
+        match (self.slice, place) {
+            (Slice::Height { below, tolerance }, _) => self.height(row, readings, below, tolerance),
+            (_, None) => return Ok(()),
+            (Slice::Row(_), Some(_)) => copy(self.buffer, readings),
+            (Slice::Band { pick: Pick::Nearest, .. }, Some(_)) => {
+                for (nearest, &reading) in self.buffer.iter_mut().zip(readings) {
+                    // 0, which is no reading, is the farthest here.
+                    if self.validity.counts(reading) && reading <= nearest.wrapping_sub(1) {
+                        *nearest = reading;
+                    }
+                }
+            }
+            (Slice::Band { pick: Pick::Median, .. }, Some(place)) => {
+                let from = usize::from(place) * self.width;
+                copy(self.buffer.get_mut(from..).unwrap_or_default(), readings);
+            }
+        }
+        self.taken = self.taken.saturating_add(1);
+        Ok(())
+    }
+
+    /// Takes a whole frame, row after row.
+    ///
+    /// # Errors
+    /// [`SliceError::Width`] if its last line is shorter than the others.
+    pub fn frame(&mut self, depths: &[u16]) -> Result<&[u16], SliceError> {
+        self.next = None;
+        for (row, line) in (0..=u16::MAX).zip(depths.chunks(self.width.max(1))) {
+            self.line(row, line)?;
+        }
+        self.finish()
+    }
+
+    /// The readings of the frame that ends here, one for each column; the next line begins
+    /// another frame. They still are to be held against [`Validity`], which the agent does.
+    ///
+    /// # Errors
+    /// [`SliceError::Incomplete`]
+    pub fn finish(&mut self) -> Result<&[u16], SliceError> {
+        let began = self.next.take().is_some();
+        let (_, rows) = self.slice.rows();
+        let missing = rows.saturating_sub(if began { self.taken } else { 0 });
+        if missing > 0 || !began {
+            return Err(SliceError::Incomplete(missing));
+        }
+        if let Slice::Band { pick: Pick::Median, .. } = self.slice {
+            self.median();
+        }
+        Ok(self.buffer.get(..self.width).unwrap_or_default())
+    }
+
+    /// Begins a frame.
+    fn begin(&mut self) {
+        self.taken = 0;
+        self.buffer.fill(0);
+        if let Slice::Height { tolerance, .. } = self.slice {
+            let worst = tolerance.0.clamp(0, 65_534) as u16 + 1;
+            self.buffer.get_mut(self.width..).unwrap_or_default().fill(worst);
+        }
+    }
+
+    /// Leaves the median of each column in the first row.
+    fn median(&mut self) {
+        for column in 0..self.width {
+            let mut sorted = [u16::MAX; MEDIAN_ROWS];
+            let mut count = 0_usize;
+            for &reading in self.buffer.iter().skip(column).step_by(self.width.max(1)) {
+                if self.validity.counts(reading) {
+                    count += 1;
+                    let mut sinking = reading;
+                    for place in &mut sorted {
+                        if sinking < *place {
+                            core::mem::swap(place, &mut sinking);
+                        }
+                    }
+                }
+            }
+            let middle = sorted.get(count.saturating_sub(1) / 2).copied();
+            if let (Some(median), Some(place)) = (middle, self.buffer.get_mut(column)) {
+                *place = if count == 0 { 0 } else { median };
+            }
+        }
+    }
+
+    /// Holds the pixels of a line against a height. Where they look is worked out for every
+    /// sixteenth, and taken to change evenly in between, which it does to within a tenth of a
+    /// pixel: about 30 instructions for each pixel that may meet the height.
+    fn height(&mut self, row: u16, line: &[u16], below: Millimetres, tolerance: Millimetres) {
+        const STRIDE: usize = 16;
+        let validity = self.validity;
+        let band = (below.0.saturating_sub(tolerance.0), below.0.saturating_add(tolerance.0));
+        let (readings, misses) = self.buffer.split_at_mut(self.width);
+        let last = self.width.saturating_sub(1);
+        let knot = |pixel| Knot::new(&self.rays, pixel, row);
+        let mut start = knot(0);
+        for pixel in (0..last).step_by(STRIDE).map(|pixel| (pixel + STRIDE).min(last)) {
+            let end = knot(pixel);
+            if let (Some(start), Some(end)) = (&start, &end)
+                && start.may_meet(end, band, &validity)
+                && let Some(mut walk) = Walk::between(start, end, pixel == last)
+            {
+                let places = readings.iter_mut().zip(misses.iter_mut());
+                for (reading, miss) in places.skip(walk.first).take(walk.count) {
+                    let (pixel, forward, down) = walk.step();
+                    let depth = line.get(pixel).copied().unwrap_or(0);
+                    let off = ((i32::from(depth) * down) >> RAY_BITS).abs_diff(below.0);
+                    if off < u32::from(*miss) && validity.counts(depth) {
+                        *miss = off as u16;
+                        let ahead = (i32::from(depth) * forward + RAY_ONE / 2) >> RAY_BITS;
+                        *reading = ahead.clamp(0, i32::from(u16::MAX)) as u16;
+                    }
+                }
+            }
+            start = end;
+        }
+    }
+}
+
+fn copy(to: &mut [u16], from: &[u16]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to = *from);
+}
+
+/// Fractional bits of rays and places on their way through a line.
+const RAY_BITS: u32 = 14;
+const RAY_ONE: i32 = 1 << RAY_BITS;
+
+/// A pixel of a line whose ray has been worked out.
+struct Knot {
+    pixel: f32,
+    /// The column of the level camera that it falls into.
+    column: f32,
+    ray: Ray,
+}
+
+impl Knot {
+    fn new(rays: &Rays, pixel: usize, row: u16) -> Option<Self> {
+        let pixel = pixel as f32;
+        let ray = rays.at(pixel, f32::from(row))?;
+        // What looks more steeply meets heights only underneath, and its products would not fit.
+        let is_flat = ray.forward > 0.1 && ray.forward < 1.9 && ray.down.abs() < 1.9;
+        is_flat.then(|| Self { pixel, column: rays.level_column(&ray), ray })
+    }
+
+    /// Whether a pixel between two knots that counts can lie in a band below the camera.
+    fn may_meet(&self, other: &Self, band: (i32, i32), validity: &Validity) -> bool {
+        let (upper, lower) = (self.ray.down.min(other.ray.down), self.ray.down.max(other.ray.down));
+        let (near, far) = (f32::from(validity.nearest), f32::from(validity.farthest));
+        let (highest, lowest) = ((upper * near).min(upper * far), (lower * near).max(lower * far));
+        lowest >= band.0 as f32 - 1.0 && highest <= band.1 as f32 + 1.0
+    }
+}
+
+/// The way through the level camera's columns from knot to knot.
+struct Walk {
+    first: usize,
+    count: usize,
+    /// What the next column is given by, and how that changes from column to column.
+    pixel: (i32, i32),
+    forward: (i32, i32),
+    down: (i32, i32),
+}
+
+impl Walk {
+    /// From a knot up to the next one, without it if there is another after it. `None` where the
+    /// columns do not go from left to right.
+    fn between(start: &Knot, end: &Knot, is_last: bool) -> Option<Self> {
+        let span = end.column - start.column;
+        let first = roundf(start.column).max(0.0);
+        let beyond = roundf(end.column) + if is_last { 1.0 } else { 0.0 };
+        let evenly = |from: f32, to: f32| {
+            let step = (to - from) / span;
+            let one = RAY_ONE as f32;
+            (roundf((from + step * (first - start.column)) * one) as i32, roundf(step * one) as i32)
+        };
+        (span > 0.1 && beyond > first).then(|| Self {
+            first: first as usize,
+            count: (beyond - first) as usize,
+            pixel: evenly(start.pixel + 0.5, end.pixel + 0.5),
+            forward: evenly(start.ray.forward, end.ray.forward),
+            down: evenly(start.ray.down, end.ray.down),
+        })
+    }
+
+    /// The pixel that falls into the next column, and its ray's forward and down.
+    fn step(&mut self) -> (usize, i32, i32) {
+        let [pixel, forward, down] =
+            [&mut self.pixel, &mut self.forward, &mut self.down].map(|(value, step)| {
+                let here = *value;
+                *value = here.wrapping_add(*step);
+                here
+            });
+        (usize::try_from(pixel >> RAY_BITS).unwrap_or(usize::MAX), forward, down)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{vec, vec::Vec};
+
+    use super::*;
+    use crate::sense::Distortion;
+    use proptest::prelude::*;
+
+    const CAMERA: Camera = Camera::new((343.1, 343.1), (319.5, 239.5));
+    /// How high a camera of these tests is mounted, in millimetres.
+    const MOUNTED: f64 = 300.0;
+
+    /// The depths of a frame of a room: a floor, and a vertical wall whose nearest point is
+    /// `distance` mm away at `bearing`; without the wall where it is `None`.
+    fn frame(
+        camera: Camera,
+        (width, height): (usize, usize),
+        wall: Option<(f64, f64)>,
+    ) -> Vec<u16> {
+        let rays = Rays::new(camera, width);
+        let pixels = (0..height).flat_map(|row| (0..width).map(move |column| (column, row)));
+        let depth = |(column, row): (usize, usize)| {
+            let ray = rays.at(column as f32, row as f32)?;
+            let floor = MOUNTED / f64::from(ray.down);
+            let wall = wall.map_or(f64::INFINITY, |(distance, bearing)| {
+                let (forward, left) = (f64::from(ray.forward), f64::from(ray.left));
+                distance / (forward * bearing.cos() + left * bearing.sin())
+            });
+            let first = [floor, wall].into_iter().filter(|&depth| depth > 0.0);
+            let first = first.fold(f64::INFINITY, f64::min);
+            (first < 60_000.0).then_some(first.round() as u16)
+        };
+        pixels.map(|pixel| depth(pixel).unwrap_or(0)).collect()
+    }
+
+    fn slice(slice: Slice, camera: Camera, width: usize, frame: &[u16]) -> Vec<u16> {
+        let mut buffer = vec![9; slice.buffer_len(width)];
+        let mut slicer =
+            Slicer::new(slice, camera, width, Validity::default(), &mut buffer).unwrap();
+        slicer.frame(frame).unwrap().to_vec()
+    }
+
+    #[test]
+    fn a_row_is_that_row() {
+        let frame: Vec<u16> = (0..12).collect();
+        assert_eq!(slice(Slice::Row(1), CAMERA, 4, &frame), [4, 5, 6, 7]);
+    }
+
+    #[test]
+    fn a_band_gives_the_nearest_or_the_median_of_what_came_back() {
+        let frame = [
+            [7, 0, 9, 30_000, 0, 1],
+            [500, 0, 700, 900, 300, 1_200],
+            [400, 0, 0, 65_535, 0, 1_000],
+            [300, 0, 600, 800, 0, 1_100],
+            [1, 1, 1, 1, 1, 1],
+        ];
+        let of = |pick| Slice::Band { first: 1, rows: 3, pick };
+        let frame = frame.as_flattened();
+        assert_eq!(slice(of(Pick::Nearest), CAMERA, 6, frame), [300, 0, 600, 800, 300, 1_000]);
+        assert_eq!(slice(of(Pick::Median), CAMERA, 6, frame), [400, 0, 600, 800, 300, 1_100]);
+    }
+
+    #[test]
+    fn frames_of_the_wrong_form_are_refused_and_the_next_one_is_read() {
+        let camera = CAMERA;
+        let band = |rows, pick| Slice::Band { first: 1, rows, pick };
+        let mut buffer = [0; 9];
+        let mut new = |slice| Slicer::new(slice, camera, 3, Validity::default(), &mut buffer).err();
+        assert_eq!(new(band(0, Pick::Nearest)), Some(SliceError::Rows(0)));
+        assert_eq!(new(band(6, Pick::Median)), Some(SliceError::Rows(6)));
+        assert_eq!(new(band(4, Pick::Median)), Some(SliceError::Buffer(12)));
+        let slice = band(3, Pick::Median);
+        let mut slicer = Slicer::new(slice, camera, 3, Validity::default(), &mut buffer).unwrap();
+        assert_eq!(slicer.finish(), Err(SliceError::Incomplete(3)));
+        assert_eq!(slicer.line(1, &[1, 2, 3]), Ok(()));
+        assert_eq!(slicer.line(2, &[1, 2]), Err(SliceError::Width { expected: 3, found: 2 }));
+        assert_eq!(slicer.line(1, &[1, 2, 3]), Err(SliceError::Order(1)));
+        assert_eq!(slicer.line(3, &[1, 2, 3]), Ok(()));
+        assert_eq!(slicer.finish(), Err(SliceError::Incomplete(1)));
+        assert_eq!(slicer.frame(&[1; 13]), Err(SliceError::Width { expected: 3, found: 1 }));
+        let frame: Vec<u16> = (1..16).collect();
+        assert_eq!(slicer.frame(&frame), Ok(&[7, 8, 9][..]));
+        assert_eq!(slicer.frame(&[]), Err(SliceError::Incomplete(3)));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(30))]
+
+        /// However the camera is tilted and whatever its lens: at every height the wall stands
+        /// where a level camera in its place would see it.
+        #[test]
+        fn a_height_meets_the_wall_where_it_stands(
+            pitch in -0.1f32..0.5, roll in -0.2f32..0.2,
+            k1 in -0.15f32..0.15, p1 in -0.002f32..0.002,
+            distance in 900.0f64..2_500.0, bearing in -0.3f64..0.3, below in -50i32..250,
+        ) {
+            let distortion = Distortion { k1, p1, ..Distortion::default() };
+            let camera = Camera { pitch, roll, distortion, ..CAMERA };
+            let frame = frame(camera, (640, 480), Some((distance, bearing)));
+            let height = Slice::Height { below: Millimetres(below), tolerance: Millimetres(10) };
+            let readings = slice(height, camera, 640, &frame);
+            for (column, &reading) in readings.iter().enumerate().filter(|(_, r)| **r != 0) {
+                let aside = (319.5 - column as f64) / 343.1;
+                let facing = bearing.cos() + aside * bearing.sin();
+                let truth = distance / facing;
+                // What is rounded, and one pixel of a wall that is seen at a slant.
+                let pixel = truth * (bearing.sin() / facing).abs() / 343.1;
+                prop_assert!(
+                    (f64::from(reading) - truth).abs() < 3.0 + 1.2 * pixel,
+                    "column {column}: {reading} where {truth} is"
+                );
+            }
+            // No column is left out of which a pixel meets the height.
+            let rays = Rays::new(camera, 640);
+            for (index, &depth) in frame.iter().enumerate().filter(|(_, depth)| **depth != 0) {
+                let (column, row) = (index % 640, index / 640);
+                let ray = rays.at(column as f32, row as f32).unwrap();
+                let off = f64::from(ray.down) * f64::from(depth) - f64::from(below);
+                let column = rays.level_column(&ray);
+                if off.abs() < 5.0 && (1.0..638.0).contains(&column) {
+                    prop_assert_ne!(readings[column.round() as usize], 0, "column {}", column);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_floor_is_no_wall() {
+        let camera = Camera { pitch: 0.3, ..CAMERA };
+        let frame = frame(camera, (640, 480), None);
+        let at = |below| {
+            let slice_at = Slice::Height { below: Millimetres(below), tolerance: Millimetres(30) };
+            let readings = slice(slice_at, camera, 640, &frame);
+            readings.iter().filter(|&&reading| reading != 0).count()
+        };
+        assert_eq!((at(200), at(0), at(300)), (0, 0, 640));
+    }
+
+    #[test]
+    fn small_sensors_are_sliced_by_the_same_code() {
+        // 8 x 8 zones over 45 degrees, level, 300 mm above the floor, a wall at 1.5 m.
+        let small = Camera::new((9.66, 9.66), (3.5, 3.5));
+        let depths = frame(small, (8, 8), Some((1_500.0, 0.0)));
+        let band = Slice::Band { first: 3, rows: 2, pick: Pick::Median };
+        assert_eq!(slice(band, small, 8, &depths), [1_500; 8]);
+        let height = Slice::Height { below: Millimetres(100), tolerance: Millimetres(80) };
+        assert_eq!(slice(height, small, 8, &depths), [1_500; 8]);
+        // 100 x 100 pixels over 78 degrees, looking 20 degrees down.
+        let tilted = Camera { pitch: 0.35, ..Camera::new((61.7, 61.7), (49.5, 49.5)) };
+        let depths = frame(tilted, (100, 100), Some((1_500.0, 0.0)));
+        let height = Slice::Height { below: Millimetres(200), tolerance: Millimetres(20) };
+        let readings = slice(height, tilted, 100, &depths);
+        // The outermost columns of the level camera lie beside the image at this height.
+        assert!(readings[1..99].iter().all(|&it| it.abs_diff(1_500) <= 2), "{readings:?}");
+        // The row on the axis meets the floor instead.
+        let axis = slice(Slice::Row(50), tilted, 100, &depths);
+        assert!(axis.iter().all(|&reading| reading < 900));
+    }
+
+    #[test]
+    fn readings_come_with_their_sensor_model() {
+        let band = Slice::Band { first: 3, rows: 2, pick: Pick::Nearest };
+        assert_eq!(band.sensor(CAMERA), SensorModel::Row { camera: CAMERA, row: 3.5 });
+        let height = Slice::Height { below: Millimetres(0), tolerance: Millimetres(20) };
+        let level = SensorModel::Pinhole { focal: 343.1, centre: 319.5 };
+        assert_eq!(height.sensor(CAMERA), level);
+    }
+}

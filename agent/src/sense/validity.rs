@@ -1,0 +1,244 @@
+//! Which readings of a row count.
+
+/// Which readings of a row count, in the sensor's own measure: depth for a camera, distance for a
+/// lidar. Any other is treated as if nothing had come back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Validity {
+    /// Nearer readings do not count, in millimetres.
+    pub nearest: u16,
+    /// Farther readings do not count, in millimetres: the sensor can't measure them any more.
+    /// (What it can measure beyond the range of the map says that the way there is free.)
+    pub farthest: u16,
+    /// Readings from the first to the second, both included, are never mapped: the paper's
+    /// selective removal (Aluckal III.D) by distance. `(0, 0)` removes none.
+    pub removed: (u16, u16),
+    /// Flying pixels: at the edge of a near surface a camera reports depths between it and the
+    /// one behind. A reading that lies between its two neighbours, by more than so many
+    /// millimetres from either, is one. 0 lets all pass: for lidars, and for sensors with few
+    /// pixels, whose walls seen at a slant take as wide steps.
+    pub flying: u16,
+}
+
+impl Default for Validity {
+    /// All but 0 (no return) and 65,535 (a saturated measurement) count.
+    fn default() -> Self {
+        Self { nearest: 1, farthest: u16::MAX - 1, removed: (0, 0), flying: 0 }
+    }
+}
+
+impl Validity {
+    /// For a camera of this focal length in pixels, without flying pixels: more than 150 mm from
+    /// both neighbours, or than a wall at 4 m that is seen at 7 degrees steps from column to
+    /// column.
+    pub fn of_camera(focal: f32) -> Self {
+        Self { flying: (4_000.0 * 8.0 / focal).max(150.0) as u16, ..Self::default() }
+    }
+
+    /// Sets to 0 what does not count, in one pass.
+    ///
+    /// Readings close to the last one that was looked at closely need no look of their own: they
+    /// cost about three instructions each on a Cortex-M4, those that lie elsewhere about a
+    /// hundred.
+    pub fn clean(&self, readings: &mut [u16]) {
+        let mut window = Window::NO_RETURN;
+        // The place after the last flying pixel, and what was there.
+        let mut flown = (0, 0);
+        let mut at = 0;
+        while let Some(skipped) = readings.get(at..).and_then(|rest| window.first_outside(rest)) {
+            at += skipped;
+            let Some((done, rest)) = readings.split_at_mut_checked(at) else { return };
+            let Some((reading, rest)) = rest.split_first_mut() else { return };
+            let beside = done.last().map_or(0, |&before| before);
+            let before = if flown.0 == at { flown.1 } else { beside };
+            at += 1;
+            if *reading == 0 {
+                // Where nothing comes back, often much does not.
+                at += rest.iter().take_while(|&&reading| reading == 0).count();
+                continue;
+            }
+            let Some(interval) = self.counted(*reading) else {
+                *reading = 0;
+                continue;
+            };
+            window = Window::around(*reading, interval, self.flying);
+            let after = rest.first().copied().filter(|&after| self.counts(after));
+            if self.is_flying(before, *reading, after.unwrap_or(0)) {
+                flown = (at, *reading);
+                *reading = 0;
+            }
+        }
+    }
+
+    /// Whether a reading is in range and not removed.
+    pub fn counts(&self, reading: u16) -> bool {
+        self.counted(reading).is_some()
+    }
+
+    /// The widest interval around a reading in which all count; `None` if it does not itself.
+    fn counted(&self, reading: u16) -> Option<(u16, u16)> {
+        let Self { nearest, farthest, removed: (from, to), .. } = *self;
+        let nearest = nearest.max(1);
+        if !(nearest..=farthest).contains(&reading) {
+            None
+        } else if reading < from || to < from {
+            let below = if to < from { farthest } else { from.saturating_sub(1) };
+            Some((nearest, farthest.min(below)))
+        } else if reading > to {
+            Some((nearest.max(to.saturating_add(1)), farthest))
+        } else {
+            None
+        }
+    }
+
+    fn is_flying(&self, before: u16, reading: u16, after: u16) -> bool {
+        let (low, high) = (before.min(after), before.max(after));
+        let steps = reading.saturating_sub(low).min(high.saturating_sub(reading));
+        self.flying != 0 && low != 0 && steps > self.flying
+    }
+}
+
+/// An interval of readings, all of which count and any two of which touch. Its length is a power
+/// of two, so that several readings can be held against it at once.
+#[derive(Clone, Copy)]
+struct Window {
+    low: u16,
+    /// The bits that a reading less `low` has only if it lies outside.
+    outside: u16,
+}
+
+impl Window {
+    /// Nothing but 0.
+    const NO_RETURN: Self = Self { low: 0, outside: u16::MAX };
+
+    /// Readings that one look takes.
+    const LOOK: usize = 8;
+
+    /// About a reading, inside the interval of those that count; no longer than `touch`, if that
+    /// is not 0.
+    fn around(reading: u16, (nearest, farthest): (u16, u16), touch: u16) -> Self {
+        let touch = if touch == 0 { u16::MAX } else { touch };
+        let longest = farthest.saturating_sub(nearest).saturating_add(1).min(touch).max(1);
+        let length = 1 << longest.ilog2();
+        let last = length - 1;
+        let low =
+            reading.saturating_sub(length / 2).max(nearest).min(farthest.saturating_sub(last));
+        Self { low, outside: !last }
+    }
+
+    fn first_outside(self, readings: &[u16]) -> Option<usize> {
+        let (looks, _) = readings.as_chunks::<{ Self::LOOK }>();
+        let inside = looks.iter().position(|look| self.is_left_by(look)).unwrap_or(looks.len());
+        let rest = readings.get(inside * Self::LOOK..)?;
+        let is_outside = |reading: &u16| reading.wrapping_sub(self.low) & self.outside != 0;
+        Some(inside * Self::LOOK + rest.iter().position(is_outside)?)
+    }
+
+    /// Whether any of them lies outside, two at a time: what the lower half borrows from the upper
+    /// one changes nothing, for it then lies outside itself.
+    fn is_left_by(self, look: &[u16; Self::LOOK]) -> bool {
+        let twice = |value: u16| u32::from(value) | u32::from(value) << 16;
+        let low = twice(self.low);
+        let (pairs, _) = look.as_chunks::<2>();
+        let bits = pairs.iter().fold(0, |bits, &[first, second]| {
+            bits | (u32::from(first) | u32::from(second) << 16).wrapping_sub(low)
+        });
+        bits & twice(self.outside) != 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::vec::Vec;
+
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The same by its definition, reading by reading.
+    fn plain(validity: Validity, readings: &[u16]) -> Vec<u16> {
+        let Validity { nearest, farthest, removed: (from, to), flying } = validity;
+        let valid = |reading: u16| {
+            let is_removed = (from..=to).contains(&reading);
+            reading != 0 && reading >= nearest && reading <= farthest && !is_removed
+        };
+        let of = |index: Option<usize>| {
+            index.and_then(|index| readings.get(index)).copied().filter(|&it| valid(it))
+        };
+        let keep = |index: usize| {
+            let reading = of(Some(index))?;
+            let between = of(index.checked_sub(1)).zip(of(Some(index + 1))).filter(|&(a, b)| {
+                let far = |other: u16| reading.abs_diff(other) > flying;
+                (a < reading) == (reading < b) && far(a) && far(b)
+            });
+            (flying == 0 || between.is_none()).then_some(reading)
+        };
+        (0..readings.len()).map(|index| keep(index).unwrap_or(0)).collect()
+    }
+
+    fn clean(validity: Validity, readings: &[u16]) -> Vec<u16> {
+        let mut cleaned = readings.to_vec();
+        validity.clean(&mut cleaned);
+        cleaned
+    }
+
+    #[test]
+    fn a_pixel_between_two_surfaces_flies_and_a_leg_does_not() {
+        let validity = Validity { flying: 150, ..Validity::default() };
+        let row = [1_200, 1_205, 1_700, 2_400, 3_000, 3_000, 1_500, 3_010, 0, 2_000, 2_500, 2_990];
+        let expected = [1_200, 1_205, 0, 0, 3_000, 3_000, 1_500, 3_010, 0, 2_000, 0, 2_990];
+        assert_eq!(clean(validity, &row), expected);
+        // A lidar keeps them.
+        assert_eq!(clean(Validity::default(), &row), row);
+    }
+
+    #[test]
+    fn a_slanted_wall_does_not_fly() {
+        // Columns 9 to 26 degrees from the axis, a wall that the outermost sees at 8 degrees.
+        let validity = Validity::of_camera(343.1);
+        let wall: Vec<u16> = (60..170)
+            .map(|column| {
+                let tan = f64::from(column) / 343.1;
+                (600.0 / (tan.atan() - 0.6).sin().abs() * (tan.atan()).cos()) as u16
+            })
+            .collect();
+        assert_eq!(clean(validity, &wall), wall);
+    }
+
+    #[test]
+    fn what_is_out_of_range_or_removed_says_nothing() {
+        let validity = Validity { nearest: 200, farthest: 5_000, removed: (900, 1_000), flying: 0 };
+        let row = [0, 1, 199, 200, 899, 900, 950, 1_000, 1_001, 5_000, 5_001, u16::MAX];
+        let expected = [0, 0, 0, 200, 899, 0, 0, 0, 1_001, 5_000, 0, 0];
+        assert_eq!(clean(validity, &row), expected);
+        assert_eq!(clean(Validity { nearest: 9, farthest: 8, ..validity }, &row), [0; 12]);
+        assert_eq!(clean(Validity { removed: (0, u16::MAX), ..validity }, &row), [0; 12]);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+        /// Quick or plain, the same readings are left.
+        #[test]
+        fn the_quick_pass_does_what_its_definition_says(
+            steps in proptest::collection::vec(
+                (prop_oneof![-40i32..40, -400i32..400, Just(0), -70_000i32..70_000], 1usize..14),
+                0..30,
+            ),
+            start: u16,
+            nearest in prop_oneof![Just(0u16), 0u16..4_000, any::<u16>()],
+            farthest in prop_oneof![Just(u16::MAX), any::<u16>()],
+            removed in prop_oneof![Just((0, 0)), any::<(u16, u16)>(), (900u16..1_200, 1_000u16..3_000)],
+            flying in prop_oneof![Just(0u16), 1u16..300, any::<u16>()],
+        ) {
+            let validity = Validity { nearest, farthest, removed, flying };
+            let mut reading = i32::from(start);
+            let mut row = Vec::new();
+            for (step, times) in steps {
+                for _ in 0..times {
+                    reading = (reading + step).clamp(0, i32::from(u16::MAX));
+                    row.push(reading as u16);
+                }
+            }
+            prop_assert_eq!(clean(validity, &row), plain(validity, &row), "{:?}", row);
+        }
+    }
+}
