@@ -9,7 +9,7 @@ use ubimap_protocol::{
     },
     tile::Epoch,
     time::{Duration, Instant},
-    units::Pose,
+    units::{Angle, Pose},
 };
 
 use crate::{
@@ -21,7 +21,7 @@ use crate::{
         scratch_words,
     },
     parameters::{carry_out, push_report},
-    sense::{Beam, Columns, ScanError, WaitingScans, fill_beams},
+    sense::{Beam, Columns, ScanError, Steadiness, WaitingScans, fill_beams, remove_beams},
     share::{Commands, DistanceVectors, Events, FusedMap, Publisher},
     statistics::Statistics,
 };
@@ -55,6 +55,7 @@ pub struct Agent<'b> {
     config: Config,
     beams: &'b mut [Beam],
     waiting: WaitingScans<'b>,
+    steadiness: Steadiness,
     locator: Locator,
     selection: Selection,
     latest_pose: Option<(Instant, Pose)>,
@@ -102,7 +103,7 @@ impl<'b> Agent<'b> {
         {
             return Err(ConfigError::Memory);
         }
-        fill_beams(memory.beams, config.sensor, config.mounting, config.max_range);
+        point_beams(memory.beams, &config);
         let mapping = MappingConfig {
             resolution: config.resolution,
             max_range: config.max_range,
@@ -116,6 +117,7 @@ impl<'b> Agent<'b> {
             config,
             beams: memory.beams,
             waiting: WaitingScans::new(memory.waiting, width),
+            steadiness: Steadiness::new(config.steady),
             locator: Locator::new(config.pose_source),
             selection,
             latest_pose: None,
@@ -168,7 +170,20 @@ impl<'b> Agent<'b> {
     /// Takes a reading of the odometry: `base_link` in `odom` at a moment of the robot's clock.
     pub fn odometry(&mut self, moment: Instant, pose: Pose, now: Instant) {
         self.locator.odometry(moment, pose);
+        self.steadiness.odometry(moment, pose);
         self.map_waiting(now);
+    }
+
+    /// Takes a reading of a gyroscope about the vertical, if the robot has one: how far it would
+    /// turn in a second, either way.
+    pub fn gyro(&mut self, moment: Instant, turn: Angle) {
+        self.steadiness.gyro(moment, turn);
+    }
+
+    /// The robot was jolted at a moment of its clock: an accelerometer or a bumper says so. Scans
+    /// of that moment are not mapped.
+    pub fn jolt(&mut self, moment: Instant) {
+        self.steadiness.jolt(moment);
     }
 
     /// Takes bytes from the server, in pieces of any size.
@@ -429,9 +444,8 @@ impl<'b> Agent<'b> {
         self.publisher.set_hold(self.config.hold);
         self.selection.set_gate(self.config.gate);
         if self.config.mounting != mounting {
-            let Config { sensor, mounting, max_range, .. } = self.config;
-            fill_beams(self.beams, sensor, mounting, max_range);
-            self.map.remount(mounting, self.beams);
+            point_beams(self.beams, &self.config);
+            self.map.remount(self.config.mounting, self.beams);
         }
     }
 
@@ -472,12 +486,21 @@ impl<'b> Agent<'b> {
                 self.latest_pose = Some((moment, pose));
             }
             self.fused.follow(pose, self.config.resolution);
+            if self.steadiness.is_shaken(taken) {
+                self.statistics.shaken = self.statistics.shaken.wrapping_add(1);
+                continue;
+            }
             let selected = self.selection.select(pose, readings);
             let moves = matches!(selected, Selected::Moved(_));
-            if self.link.session() != SessionId::NONE
-                && let Some(time) = server_moment
-                && self.vectors.is_due(taken, moves)
-            {
+            let vector_time = server_moment.filter(|_| {
+                self.link.session() != SessionId::NONE && self.vectors.is_due(taken, moves)
+            });
+            // What is compared with the next scan is what the sensor said.
+            self.selection.mapped(pose, readings, &selected);
+            if selected != Selected::Nothing || vector_time.is_some() {
+                self.config.validity.clean(readings);
+            }
+            if let Some(time) = vector_time {
                 let most = self.link.room().saturating_sub(DistanceVector::OVERHEAD);
                 let mounting = self.config.mounting;
                 let columns = Columns::of_scan(self.beams, readings, mounting, most);
@@ -490,12 +513,12 @@ impl<'b> Agent<'b> {
                 });
                 self.vectors.take(taken, vector);
             }
-            let part = match &selected {
+            let part = match selected {
                 Selected::Nothing => {
                     self.statistics.gated = self.statistics.gated.wrapping_add(1);
                     continue;
                 }
-                Selected::Moved(part) | Selected::Changed(part) => part.clone(),
+                Selected::Moved(part) | Selected::Changed(part) => part,
             };
             let fused = &self.fused;
             let around = |id| fused.around(id, now);
@@ -505,7 +528,6 @@ impl<'b> Agent<'b> {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
                 continue;
             };
-            self.selection.mapped(pose, readings, &selected);
             let count = &mut self.statistics;
             count.mapped = count.mapped.wrapping_add(1);
             count.pixels += mapped.pixels;
@@ -517,6 +539,12 @@ impl<'b> Agent<'b> {
             self.publisher.changed(now, seconds);
         }
     }
+}
+
+/// Fills the table of the sensor's beams, without those that are never mapped.
+fn point_beams(beams: &mut [Beam], config: &Config) {
+    fill_beams(beams, config.sensor, config.mounting, config.max_range);
+    config.removed.iter().flatten().for_each(|&removal| remove_beams(beams, removal));
 }
 
 /// Adds a message to a frame that has room for it: those of the robot that are not tiles are

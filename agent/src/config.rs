@@ -8,7 +8,7 @@ use ubimap_protocol::{
 use crate::{
     locate::PoseSource,
     map::{Gate, Omission, OwnTile, RowSighting},
-    sense::{Beam, SensorModel},
+    sense::{Beam, Removal, SensorModel, SteadyLimits, Validity},
     share::FusedTile,
 };
 
@@ -27,6 +27,12 @@ pub struct Config {
     pub sensor: SensorModel,
     /// The sensor in `base_link`.
     pub mounting: Pose,
+    /// Which readings count.
+    pub validity: Validity,
+    /// Readings that are never mapped.
+    pub removed: [Option<Removal>; 4],
+    /// How fast the robot may turn and gain speed for a scan to be mapped.
+    pub steady: SteadyLimits,
     /// Where the poses come from.
     pub pose_source: PoseSource,
     /// How far the robot must have moved to map again.
@@ -53,6 +59,9 @@ impl Config {
             max_range: 4_000,
             sensor,
             mounting: Pose::default(),
+            validity: Validity::of(sensor),
+            removed: [None; 4],
+            steady: SteadyLimits::default(),
             pose_source: PoseSource::Fixes,
             gate: Gate::default(),
             omission: Omission::default(),

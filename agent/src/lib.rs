@@ -2,11 +2,15 @@
 //!
 //! Folders in the order in which data walks through them; each imports only those before it:
 //!
-//! 1. [`sense`]: a sensor's readings become a scan, which waits for its pose;
+//! 1. [`sense`]: a depth frame or a lidar's readings become a scan, which waits for its pose;
 //! 2. [`locate`]: the pose of the moment it was taken, from the server's fixes and odometry;
 //! 3. [`map`]: the gate, what is known already, the transform to `map`, the tiles;
 //! 4. [`share`]: tile updates to the server, the merged map back;
 //! 5. [`Agent`] ties them together; [`Parameter`] lists what the server may change of it.
+//!
+//! A scan is one borrowed row of readings: [`Agent::scan`] takes a lidar's, or a row of a depth
+//! frame as it lies in memory. A [`sense::Slicer`] makes the row of a frame that comes line by
+//! line, of several rows, or of a camera that is tilted.
 //!
 //! It owns no clock, no port, no thread and no heap: time is an argument, memory is the caller's.
 //! **After every input (`scan`, `odometry`, `receive`, `timeout`) call `poll_transmit` until it

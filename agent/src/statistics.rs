@@ -11,6 +11,8 @@ pub struct Statistics {
     pub mapped: u32,
     /// Scans that the gate held back.
     pub gated: u32,
+    /// Scans that were not mapped because the robot shook.
+    pub shaken: u32,
     /// Scans whose pose never came.
     pub expired: u32,
     /// Scans that found as many waiting as there is room for.

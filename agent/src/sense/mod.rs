@@ -1,7 +1,8 @@
 //! From a depth frame, or a sensor's readings, to a range scan that waits for its pose.
 //!
 //! A frame is cut by a [`Slicer`] to one reading for each column; where each reading points is a
-//! table of [`Beam`]s, filled once; [`Validity`] says which readings count.
+//! table of [`Beam`]s, filled once; [`Validity`] says which readings count, [`Steadiness`] which
+//! scans.
 
 mod beams;
 mod camera;
@@ -12,6 +13,7 @@ mod exposure;
 mod floor;
 mod scale_curve;
 mod slice;
+mod steadiness;
 mod validity;
 mod waiting;
 
@@ -24,5 +26,6 @@ pub use exposure::Exposure;
 pub use floor::{COLUMNS, Floor, FloorConfig, ImageSizeError, LINES, floor_distances};
 pub use scale_curve::{ScaleCurve, ScaleError, TABLE_1};
 pub use slice::{Pick, Slice, SliceError, Slicer};
+pub use steadiness::{Steadiness, SteadyLimits};
 pub use validity::Validity;
 pub use waiting::{ScanError, WaitingScans};

@@ -111,9 +111,9 @@ impl Slice {
 /// # use ubimap_agent::sense::{Camera, Pick, Slice, Slicer, Validity};
 /// # let frame = [1_000u16; 8 * 8];
 /// let camera = Camera::new((9.7, 9.7), (3.5, 3.5));
-/// let slice = Slice::Band { first: 3, rows: 2, pick: Pick::Nearest };
-/// let mut buffer = [0; slice.buffer_len(8)];
-/// let mut slicer = Slicer::new(slice, camera, 8, Validity::default(), &mut buffer)?;
+/// const SLICE: Slice = Slice::Band { first: 3, rows: 2, pick: Pick::Nearest };
+/// let mut buffer = [0; SLICE.buffer_len(8)];
+/// let mut slicer = Slicer::new(SLICE, camera, 8, Validity::default(), &mut buffer)?;
 /// for (row, line) in frame.chunks(8).enumerate() {
 ///     slicer.line(row as u16, line)?;
 /// }

@@ -1,5 +1,7 @@
 //! Which readings of a row count.
 
+use super::beams::SensorModel;
+
 /// Which readings of a row count, in the sensor's own measure: depth for a camera, distance for a
 /// lidar. Any other is treated as if nothing had come back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,10 +29,15 @@ impl Default for Validity {
 }
 
 impl Validity {
-    /// For a camera of this focal length in pixels, without flying pixels: more than 150 mm from
-    /// both neighbours, or than a wall at 4 m that is seen at 7 degrees steps from column to
+    /// The usual one of a sensor. A camera's flying pixels do not count: those more than 150 mm
+    /// from both neighbours, or than a wall at 4 m that is seen at 7 degrees steps from column to
     /// column.
-    pub fn of_camera(focal: f32) -> Self {
+    pub fn of(sensor: SensorModel) -> Self {
+        let focal = match sensor {
+            SensorModel::Radial { .. } => return Self::default(),
+            SensorModel::Pinhole { focal, .. } => focal,
+            SensorModel::Row { camera, .. } => camera.focal.0,
+        };
         Self { flying: (4_000.0 * 8.0 / focal).max(150.0) as u16, ..Self::default() }
     }
 
@@ -192,8 +199,8 @@ mod tests {
 
     #[test]
     fn a_slanted_wall_does_not_fly() {
-        // Columns 9 to 26 degrees from the axis, a wall that the outermost sees at 8 degrees.
-        let validity = Validity::of_camera(343.1);
+        // From 10 to 26 degrees aside, a wall that the outermost pixel sees at 8 degrees.
+        let validity = Validity::of(SensorModel::Pinhole { focal: 343.1, centre: 319.5 });
         let wall: Vec<u16> = (60..170)
             .map(|column| {
                 let tan = f64::from(column) / 343.1;

@@ -73,10 +73,10 @@ impl<'b> WaitingScans<'b> {
     }
 
     /// Takes the oldest scan out. Its readings stand until the next one is pushed.
-    pub fn pop(&mut self) -> Option<&[u16]> {
+    pub fn pop(&mut self) -> Option<&mut [u16]> {
         let entry = self.entries.pop_front()?;
         let start = usize::from(entry.slot) * self.width;
-        self.readings.get(start..start + self.width)
+        self.readings.get_mut(start..start + self.width)
     }
 }
 
@@ -96,10 +96,10 @@ mod tests {
         assert_eq!(waiting.push(Instant(4), &[4, 5, 6]), Err(ScanError::Backwards));
         assert_eq!(waiting.push(Instant(6), &[4, 5, 6]), Ok(()));
         assert_eq!(waiting.push(Instant(7), &[7, 8, 9]), Err(ScanError::Full));
-        assert_eq!((waiting.oldest(), waiting.pop()), (Some(Instant(5)), Some(&[1, 2, 3][..])));
+        assert_eq!((waiting.oldest(), waiting.pop()), (Some(Instant(5)), Some(&mut [1, 2, 3][..])));
         assert_eq!(waiting.push(Instant(7), &[7, 8, 9]), Ok(()));
-        assert_eq!(waiting.pop(), Some(&[4, 5, 6][..]));
-        assert_eq!(waiting.pop(), Some(&[7, 8, 9][..]));
+        assert_eq!(waiting.pop(), Some(&mut [4, 5, 6][..]));
+        assert_eq!(waiting.pop(), Some(&mut [7, 8, 9][..]));
         assert_eq!(waiting.pop(), None);
     }
 }

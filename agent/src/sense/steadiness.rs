@@ -1,0 +1,215 @@
+//! Whether the robot was steady when a scan was taken.
+
+use heapless::Deque;
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose},
+};
+
+/// Odometry closer together than this says too little of turning.
+const BRIEFEST: Duration = Duration::from_millis(20);
+/// Odometry closer together than this says too little of speeds: its millimetres are whole.
+const SHORTEST: Duration = Duration::from_millis(100);
+/// Odometry further apart says nothing of what happened in between.
+const LONGEST: Duration = Duration::from_secs(1);
+/// A jolt goes on shaking for so long, and the frame that it spoils may have been begun before.
+const RINGING: Duration = Duration::from_millis(50);
+/// Times of shaking that are remembered: scans wait for their poses for a second or two.
+const REMEMBERED: usize = 8;
+
+/// Faster than this, and a frame is not mapped: it is smeared, and the moment it was taken is not
+/// known well enough to say where it looked (a limit that the paper states, Aluckal III.C).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SteadyLimits {
+    /// Turning further than this in a second, either way; less than a whole turn.
+    pub turn: Angle,
+    /// Gaining or losing more than this in a second: mm/s^2.
+    pub acceleration: Millimetres,
+}
+
+impl Default for SteadyLimits {
+    /// 90 degrees a second, in which a frame of 10 ms smears by a degree; and 3 m/s^2, more than
+    /// wheels do unless they bump into something.
+    fn default() -> Self {
+        Self { turn: Angle(16_384), acceleration: Millimetres(3_000) }
+    }
+}
+
+/// When the robot shook lately: from its odometry, and from a gyroscope if it has one.
+///
+/// Odometry of whole millimetres tells a jolt a tenth of a second late. A scan whose pose is known
+/// at once, from odometry alone, may then be mapped already; a gyroscope or an accelerometer tells
+/// in time.
+#[derive(Debug)]
+pub struct Steadiness {
+    limits: SteadyLimits,
+    /// Where the odometry was last looked at, and the speed then: mm/s along x and y of `odom`.
+    last: Option<(Instant, Pose)>,
+    speed: Option<(i64, i64)>,
+    /// From when to when it shook, oldest first.
+    shaken: Deque<(Instant, Instant), REMEMBERED>,
+}
+
+impl Steadiness {
+    /// A robot that stands still.
+    pub fn new(limits: SteadyLimits) -> Self {
+        Self { limits, last: None, speed: None, shaken: Deque::new() }
+    }
+
+    /// Takes a reading of the odometry.
+    pub fn odometry(&mut self, moment: Instant, pose: Pose) {
+        let Some((since, from)) = self.last else {
+            self.last = Some((moment, pose));
+            return;
+        };
+        let span = moment.since(since);
+        if span < BRIEFEST {
+            return;
+        }
+        if span > LONGEST {
+            (self.last, self.speed) = (Some((moment, pose)), None);
+            return;
+        }
+        let micros = span.micros() as i64;
+        let rate = |difference: i64| difference * 1_000_000 / micros.max(1);
+        if rate(i64::from(pose.heading.distance(from.heading))) > i64::from(self.limits.turn.0) {
+            self.shook(since, moment);
+        }
+        if span < SHORTEST {
+            return;
+        }
+        self.last = Some((moment, pose));
+        let along = |to: Millimetres, from: Millimetres| rate(i64::from(to.0) - i64::from(from.0));
+        let speed = (along(pose.x, from.x), along(pose.y, from.y));
+        let before = self.speed.replace(speed).unwrap_or(speed);
+        let gained = length_squared((rate(speed.0 - before.0), rate(speed.1 - before.1)));
+        let most = i64::from(self.limits.acceleration.0);
+        if gained > length_squared((most, 0)) {
+            self.shook(since, moment);
+        }
+    }
+
+    /// Takes a reading of a gyroscope about the vertical: how far the robot would turn in a
+    /// second, either way.
+    pub fn gyro(&mut self, moment: Instant, turn: Angle) {
+        if turn.0 > self.limits.turn.0 {
+            self.jolt(moment);
+        }
+    }
+
+    /// The robot was jolted: an accelerometer's interrupt, say, or a bumper's.
+    pub fn jolt(&mut self, moment: Instant) {
+        self.shook(moment - RINGING, moment + RINGING);
+    }
+
+    /// Whether the robot shook at a moment.
+    pub fn is_shaken(&self, moment: Instant) -> bool {
+        self.shaken.iter().any(|&(from, to)| (from..=to).contains(&moment))
+    }
+
+    fn shook(&mut self, from: Instant, to: Instant) {
+        if let Some(last) = self.shaken.back_mut()
+            && last.1 >= from
+        {
+            *last = (last.0.min(from), last.1.max(to));
+            return;
+        }
+        if self.shaken.is_full() {
+            self.shaken.pop_front();
+        }
+        // There is room now.
+        let _ = self.shaken.push_back((from, to));
+    }
+}
+
+fn length_squared((x, y): (i64, i64)) -> i64 {
+    x.saturating_mul(x).saturating_add(y.saturating_mul(y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: u64) -> Instant {
+        Instant(millis * 1_000)
+    }
+
+    /// Odometry at 50 Hz: from (ms, mm, degrees) to the next, evenly.
+    fn drive(path: &[(u64, f64, f64)]) -> Steadiness {
+        let mut steadiness = Steadiness::new(SteadyLimits::default());
+        for leg in path.windows(2) {
+            let ((start, x0, turn0), (end, x1, turn1)) = (leg[0], leg[1]);
+            for moment in (start..end).step_by(20) {
+                let part = (moment - start) as f64 / (end - start) as f64;
+                let heading = Angle::from_degrees(turn0 + (turn1 - turn0) * part);
+                let x = Millimetres((x0 + (x1 - x0) * part) as i32);
+                steadiness.odometry(at(moment), Pose { x, heading, ..Pose::default() });
+            }
+        }
+        steadiness
+    }
+
+    fn shaken(steadiness: &Steadiness) -> std::vec::Vec<u64> {
+        (0..4_000).step_by(100).filter(|&moment| steadiness.is_shaken(at(moment))).collect()
+    }
+
+    #[test]
+    fn driving_and_turning_are_steady() {
+        let path = [(0, 0.0, 0.0), (1_000, 250.0, 0.0), (2_000, 250.0, 85.0), (3_000, 500.0, 85.0)];
+        assert_eq!(shaken(&drive(&path)), [0; 0]);
+    }
+
+    #[test]
+    fn a_fast_turn_shakes_while_it_lasts() {
+        let path = [(0, 0.0, 0.0), (1_000, 0.0, 0.0), (2_000, 0.0, -120.0), (3_000, 0.0, -120.0)];
+        let shaken = shaken(&drive(&path));
+        assert_eq!(shaken, (10..=20).map(|tenth| tenth * 100).collect::<std::vec::Vec<_>>());
+    }
+
+    #[test]
+    fn a_bump_shakes_for_a_moment() {
+        // From 600 mm/s to a stand.
+        let path = [(0, 0.0, 0.0), (1_000, 600.0, 0.0), (2_000, 600.0, 0.0)];
+        let shaken = shaken(&drive(&path));
+        assert!(!shaken.is_empty() && shaken.iter().all(|moment| (900..=1_200).contains(moment)));
+    }
+
+    #[test]
+    fn rare_odometry_says_nothing() {
+        let path: [(u64, f64, f64); 2] = [(0, 0.0, 0.0), (1_500, 9_000.0, 170.0)];
+        let mut steadiness = Steadiness::new(SteadyLimits::default());
+        for (millis, x, degrees) in path {
+            let (x, heading) = (Millimetres(x as i32), Angle::from_degrees(degrees));
+            steadiness.odometry(at(millis), Pose { x, heading, ..Pose::default() });
+        }
+        assert_eq!(shaken(&steadiness), [0; 0]);
+    }
+
+    #[test]
+    fn the_gyroscope_and_jolts_count_and_the_oldest_are_forgotten() {
+        let mut steadiness = Steadiness::new(SteadyLimits::default());
+        steadiness.gyro(at(1_000), Angle(16_384));
+        assert_eq!(shaken(&steadiness), [0; 0]);
+        steadiness.gyro(at(1_000), Angle(16_385));
+        steadiness.jolt(at(1_080));
+        steadiness.jolt(at(1_500));
+        assert_eq!(shaken(&steadiness), [1_000, 1_100, 1_500]);
+        for second in 3..20 {
+            steadiness.jolt(at(1_000 * second));
+        }
+        assert_eq!(shaken(&steadiness), [0; 0]);
+        assert!(steadiness.is_shaken(at(19_000)));
+    }
+
+    #[test]
+    fn odometry_that_leaps_or_goes_back_in_time_is_survived() {
+        let mut steadiness = Steadiness::new(SteadyLimits::default());
+        for (millis, x) in
+            [(0, i32::MIN), (100, i32::MAX), (50, 0), (200, i32::MIN), (u64::MAX / 1_000, 0)]
+        {
+            let pose = Pose { x: Millimetres(x), y: Millimetres(x), ..Pose::default() };
+            steadiness.odometry(at(millis), pose);
+        }
+        assert!(steadiness.is_shaken(at(150)));
+    }
+}
