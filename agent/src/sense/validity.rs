@@ -48,6 +48,8 @@ impl Validity {
     /// hundred.
     pub fn clean(&self, readings: &mut [u16]) {
         let mut window = Window::NO_RETURN;
+        // What the last reading that counted stood in the middle of.
+        let mut interval = (1, 0);
         // The place after the last flying pixel, and what was there.
         let mut flown = (0, 0);
         let mut at = 0;
@@ -55,21 +57,23 @@ impl Validity {
             at += skipped;
             let Some((done, rest)) = readings.split_at_mut_checked(at) else { return };
             let Some((reading, rest)) = rest.split_first_mut() else { return };
-            let beside = done.last().map_or(0, |&before| before);
-            let before = if flown.0 == at { flown.1 } else { beside };
             at += 1;
             if *reading == 0 {
                 // Where nothing comes back, often much does not.
                 at += rest.iter().take_while(|&&reading| reading == 0).count();
                 continue;
             }
-            let Some(interval) = self.counted(*reading) else {
-                *reading = 0;
-                continue;
-            };
-            window = Window::around(*reading, interval, self.flying);
-            let after = rest.first().copied().filter(|&after| self.counts(after));
-            if self.is_flying(before, *reading, after.unwrap_or(0)) {
+            if *reading < interval.0 || *reading > interval.1 {
+                let Some(counted) = self.counted(*reading) else {
+                    *reading = 0;
+                    continue;
+                };
+                interval = counted;
+            }
+            window = window.follow(*reading, interval, self.flying);
+            let before = if flown.0 + 1 == at { flown.1 } else { done.last().map_or(0, |&it| it) };
+            let is_apart = before != 0 && before.abs_diff(*reading) > self.flying;
+            if self.flying != 0 && is_apart && self.is_flying(before, *reading, rest.first()) {
                 flown = (at, *reading);
                 *reading = 0;
             }
@@ -97,10 +101,12 @@ impl Validity {
         }
     }
 
-    fn is_flying(&self, before: u16, reading: u16, after: u16) -> bool {
-        let (low, high) = (before.min(after), before.max(after));
-        let steps = reading.saturating_sub(low).min(high.saturating_sub(reading));
-        self.flying != 0 && low != 0 && steps > self.flying
+    /// Whether a reading that lies apart from the one before flies, given the one after.
+    fn is_flying(&self, before: u16, reading: u16, after: Option<&u16>) -> bool {
+        after.is_some_and(|&after| {
+            let is_between = (before < reading) == (reading < after);
+            is_between && reading.abs_diff(after) > self.flying && self.counts(after)
+        })
     }
 }
 
@@ -120,15 +126,16 @@ impl Window {
     /// Readings that one look takes.
     const LOOK: usize = 8;
 
-    /// About a reading, inside the interval of those that count; no longer than `touch`, if that
-    /// is not 0.
-    fn around(reading: u16, (nearest, farthest): (u16, u16), touch: u16) -> Self {
+    /// The next window, with `reading` in it: inside the interval of those that count, and no
+    /// longer than `touch`, if that is not 0. On a wall that is seen at a slant readings go on as
+    /// they left this one: three quarters of it lie that way.
+    fn follow(self, reading: u16, (nearest, farthest): (u16, u16), touch: u16) -> Self {
         let touch = if touch == 0 { u16::MAX } else { touch };
         let longest = farthest.saturating_sub(nearest).saturating_add(1).min(touch).max(1);
         let length = 1 << longest.ilog2();
         let last = length - 1;
-        let low =
-            reading.saturating_sub(length / 2).max(nearest).min(farthest.saturating_sub(last));
+        let behind = if reading < self.low { length / 4 * 3 } else { length / 4 };
+        let low = reading.saturating_sub(behind).max(nearest).min(farthest.saturating_sub(last));
         Self { low, outside: !last }
     }
 
@@ -145,10 +152,10 @@ impl Window {
     fn is_left_by(self, look: &[u16; Self::LOOK]) -> bool {
         let twice = |value: u16| u32::from(value) | u32::from(value) << 16;
         let low = twice(self.low);
-        let (pairs, _) = look.as_chunks::<2>();
-        let bits = pairs.iter().fold(0, |bits, &[first, second]| {
-            bits | (u32::from(first) | u32::from(second) << 16).wrapping_sub(low)
-        });
+        let pair = |first, second| (u32::from(first) | u32::from(second) << 16).wrapping_sub(low);
+        // Written out: the compiler, told to be brief, would make it a loop.
+        let &[a, b, c, d, e, f, g, h] = look;
+        let bits = pair(a, b) | pair(c, d) | pair(e, f) | pair(g, h);
         bits & twice(self.outside) != 0
     }
 }

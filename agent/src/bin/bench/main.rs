@@ -9,6 +9,7 @@
 mod coder;
 mod counter;
 mod ending;
+mod sense;
 mod table;
 mod vector;
 
@@ -72,12 +73,15 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     hprintln!("{:>12}  stage", "instructions");
     fill_beams(memory.beams, sensor(), Pose::default(), MAX_RANGE);
 
-    let mut readings = [WALL; PIXELS];
+    let wall = [WALL; PIXELS];
+    let mut readings = wall;
     rows(bench, &mut memory, "a wall", &readings)?;
     for (from, to, depth) in BOXES {
         readings.get_mut(from..to)?.fill(depth);
     }
     rows(bench, &mut memory, "two boxes before it", &readings)?;
+
+    sense::run(bench, &wall, &readings)?;
 
     let mut frame = [0; DEFAULT_FRAME];
     let len = publish(bench, &mut memory, &readings, &mut frame)?;
