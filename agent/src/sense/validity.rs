@@ -1,5 +1,7 @@
 //! Which readings of a row count.
 
+use core::mem;
+
 use super::beams::SensorModel;
 
 /// Which readings of a row count, in the sensor's own measure: depth for a camera, distance for a
@@ -44,39 +46,42 @@ impl Validity {
     /// Sets to 0 what does not count, in one pass.
     ///
     /// Readings close to the last one that was looked at closely need no look of their own: they
-    /// cost about three instructions each on a Cortex-M4, those that lie elsewhere about a
-    /// hundred.
+    /// cost two and a half instructions each on a Cortex-M4, those that lie elsewhere a hundred.
     pub fn clean(&self, readings: &mut [u16]) {
         let mut window = Window::NO_RETURN;
-        // What the last reading that counted stood in the middle of.
+        // Around the last reading that counted: readings that do.
         let mut interval = (1, 0);
-        // The place after the last flying pixel, and what was there.
-        let mut flown = (0, 0);
-        let mut at = 0;
-        while let Some(skipped) = readings.get(at..).and_then(|rest| window.first_outside(rest)) {
-            at += skipped;
-            let Some((done, rest)) = readings.split_at_mut_checked(at) else { return };
-            let Some((reading, rest)) = rest.split_first_mut() else { return };
-            at += 1;
-            if *reading == 0 {
+        // The reading before, as it came; 0 if it does not count.
+        let mut before = 0;
+        let mut rest = readings;
+        while let Some(skipped) = window.first_outside(rest) {
+            let Some((inside, later)) = mem::take(&mut rest).split_at_mut_checked(skipped) else {
+                return;
+            };
+            let Some((reading, later)) = later.split_first_mut() else { return };
+            before = inside.last().map_or(before, |&last| last);
+            let (here, after) = (*reading, later.first());
+            if here == 0 {
                 // Where nothing comes back, often much does not.
-                at += rest.iter().take_while(|&&reading| reading == 0).count();
+                let gap = later.iter().take_while(|&&reading| reading == 0).count();
+                (before, rest) = (0, later.get_mut(gap..).unwrap_or_default());
                 continue;
             }
-            if *reading < interval.0 || *reading > interval.1 {
-                let Some(counted) = self.counted(*reading) else {
+            if here < interval.0 || here > interval.1 {
+                let Some(counted) = self.counted(here) else {
                     *reading = 0;
+                    (before, rest) = (0, later);
                     continue;
                 };
                 interval = counted;
+                window = Window::within(interval, self.flying);
             }
-            window = window.follow(*reading, interval, self.flying);
-            let before = if flown.0 + 1 == at { flown.1 } else { done.last().map_or(0, |&it| it) };
-            let is_apart = before != 0 && before.abs_diff(*reading) > self.flying;
-            if self.flying != 0 && is_apart && self.is_flying(before, *reading, rest.first()) {
-                flown = (at, *reading);
+            window.follow(here, interval);
+            let is_apart = before != 0 && before.abs_diff(here) > self.flying;
+            if self.flying != 0 && is_apart && self.is_flying(before, here, after) {
                 *reading = 0;
             }
+            (before, rest) = (here, later);
         }
     }
 
@@ -111,52 +116,64 @@ impl Validity {
 }
 
 /// An interval of readings, all of which count and any two of which touch. Its length is a power
-/// of two, so that several readings can be held against it at once.
+/// of two, so that two readings can be held against it in one word: what the lower one borrows
+/// from the upper one changes nothing, for it then lies outside itself.
 #[derive(Clone, Copy)]
 struct Window {
-    low: u16,
-    /// The bits that a reading less `low` has only if it lies outside.
-    outside: u16,
+    /// Its least reading, in both halves of the word.
+    low: u32,
+    /// The bits that a reading less that one has only if it lies outside, in both halves.
+    outside: u32,
+    last: u16,
+}
+
+/// A word of two readings.
+fn pair(first: u16, second: u16) -> u32 {
+    u32::from(first) | u32::from(second) << 16
 }
 
 impl Window {
-    /// Nothing but 0.
-    const NO_RETURN: Self = Self { low: 0, outside: u16::MAX };
-
-    /// Readings that one look takes.
+    /// Readings that are looked at together.
     const LOOK: usize = 8;
 
-    /// The next window, with `reading` in it: inside the interval of those that count, and no
-    /// longer than `touch`, if that is not 0. On a wall that is seen at a slant readings go on as
-    /// they left this one: three quarters of it lie that way.
-    fn follow(self, reading: u16, (nearest, farthest): (u16, u16), touch: u16) -> Self {
+    /// Nothing but 0.
+    const NO_RETURN: Self = Self { low: 0, outside: u32::MAX, last: 0 };
+
+    /// As long as an interval has room for, and no longer than `touch` if that is not 0.
+    fn within((nearest, farthest): (u16, u16), touch: u16) -> Self {
         let touch = if touch == 0 { u16::MAX } else { touch };
-        let longest = farthest.saturating_sub(nearest).saturating_add(1).min(touch).max(1);
-        let length = 1 << longest.ilog2();
-        let last = length - 1;
-        let behind = if reading < self.low { length / 4 * 3 } else { length / 4 };
-        let low = reading.saturating_sub(behind).max(nearest).min(farthest.saturating_sub(last));
-        Self { low, outside: !last }
+        let room = farthest.saturating_sub(nearest).saturating_add(1);
+        let last = (1 << room.min(touch).max(1).ilog2()) - 1;
+        Self { low: 0, outside: pair(!last, !last), last }
     }
 
-    fn first_outside(self, readings: &[u16]) -> Option<usize> {
-        let (looks, _) = readings.as_chunks::<{ Self::LOOK }>();
-        let inside = looks.iter().position(|look| self.is_left_by(look)).unwrap_or(looks.len());
-        let rest = readings.get(inside * Self::LOOK..)?;
-        let is_outside = |reading: &u16| reading.wrapping_sub(self.low) & self.outside != 0;
-        Some(inside * Self::LOOK + rest.iter().position(is_outside)?)
+    /// Moves it to a reading of the interval that it was made for. On a wall that is seen at a
+    /// slant readings go on as they left it: three quarters of it come to lie that way.
+    fn follow(&mut self, reading: u16, (nearest, farthest): (u16, u16)) {
+        let quarter = self.last / 4;
+        let behind = if reading < self.low as u16 { self.last - quarter } else { quarter };
+        let low = reading.saturating_sub(behind).max(nearest);
+        let low = low.min(farthest.saturating_sub(self.last));
+        self.low = pair(low, low);
     }
 
-    /// Whether any of them lies outside, two at a time: what the lower half borrows from the upper
-    /// one changes nothing, for it then lies outside itself.
-    fn is_left_by(self, look: &[u16; Self::LOOK]) -> bool {
-        let twice = |value: u16| u32::from(value) | u32::from(value) << 16;
-        let low = twice(self.low);
-        let pair = |first, second| (u32::from(first) | u32::from(second) << 16).wrapping_sub(low);
-        // Written out: the compiler, told to be brief, would make it a loop.
-        let &[a, b, c, d, e, f, g, h] = look;
-        let bits = pair(a, b) | pair(c, d) | pair(e, f) | pair(g, h);
-        bits & twice(self.outside) != 0
+    fn first_outside(&self, readings: &[u16]) -> Option<usize> {
+        let (looks, tail) = readings.as_chunks::<{ Self::LOOK }>();
+        for (index, &[a, b, c, d, e, f, g, h]) in looks.iter().enumerate() {
+            // Written out: the compiler, told to be brief, would make it a loop.
+            let off = |first, second| pair(first, second).wrapping_sub(self.low);
+            let words = [off(a, b), off(c, d), off(e, f), off(g, h)];
+            let [first, second, third, fourth] = words;
+            if (first | second | third | fourth) & self.outside != 0 {
+                let place = words.iter().position(|word| word & self.outside != 0)?;
+                let lower = words.get(place)? & self.outside & 0xFFFF;
+                return Some(index * Self::LOOK + place * 2 + usize::from(lower == 0));
+            }
+        }
+        let is_outside =
+            |&reading: &u16| pair(reading, 0).wrapping_sub(self.low) & self.outside & 0xFFFF != 0;
+        let inside = looks.len() * Self::LOOK;
+        Some(inside + tail.iter().position(is_outside)?)
     }
 }
 
