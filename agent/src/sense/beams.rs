@@ -200,7 +200,7 @@ mod tests {
         let is_out = left_out(Removal::Bearings { from, to });
         for index in 0..61 {
             let bearing = bearing(index);
-            assert_eq!(is_out(index), bearing > 2.95 || bearing < -2.35, "{bearing}");
+            assert_ne!(is_out(index), (-2.35..=2.95).contains(&bearing), "{bearing}");
         }
     }
 }

@@ -11,6 +11,7 @@ mod columns;
 mod distance_vector;
 mod exposure;
 mod floor;
+mod level;
 mod scale_curve;
 mod slice;
 mod steadiness;

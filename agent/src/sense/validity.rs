@@ -86,24 +86,24 @@ impl Validity {
     }
 
     /// Whether a reading is in range and not removed.
+    #[inline]
     pub fn counts(&self, reading: u16) -> bool {
-        self.counted(reading).is_some()
+        let Self { nearest, farthest, removed: (from, to), .. } = *self;
+        let is_in_range = reading >= nearest && reading <= farthest && reading != 0;
+        is_in_range && (reading < from || reading > to)
     }
 
     /// The widest interval around a reading in which all count; `None` if it does not itself.
     fn counted(&self, reading: u16) -> Option<(u16, u16)> {
         let Self { nearest, farthest, removed: (from, to), .. } = *self;
         let nearest = nearest.max(1);
-        if !(nearest..=farthest).contains(&reading) {
-            None
-        } else if reading < from || to < from {
-            let below = if to < from { farthest } else { from.saturating_sub(1) };
-            Some((nearest, farthest.min(below)))
-        } else if reading > to {
-            Some((nearest.max(to.saturating_add(1)), farthest))
+        self.counts(reading).then_some(if to < from {
+            (nearest, farthest)
+        } else if reading < from {
+            (nearest, farthest.min(from.saturating_sub(1)))
         } else {
-            None
-        }
+            (nearest.max(to.saturating_add(1)), farthest)
+        })
     }
 
     /// Whether a reading that lies apart from the one before flies, given the one after.
