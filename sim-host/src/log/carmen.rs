@@ -284,7 +284,7 @@ impl Limits {
 mod tests {
     use super::*;
     use crate::{
-        log::read_all,
+        log::{Slicing, read_all},
         testing::{Folder, shared_data},
     };
 
@@ -296,7 +296,8 @@ mod tests {
     fn read_text(text: &str) -> Result<Log, LogError> {
         let name = format!("carmen-{:?}", std::thread::current().id());
         let folder = Folder::new(&name.replace(['(', ')'], ""));
-        super::super::read(&folder.file("test.log", text.as_bytes()), Some(Format::Carmen))
+        let file = folder.file("test.log", text.as_bytes());
+        super::super::read(&file, Some(Format::Carmen), Slicing::default())
     }
 
     #[test]
@@ -305,7 +306,7 @@ mod tests {
             Sensor::Radial { first_rad, step_rad, beams } => {
                 (first_rad + step_rad * (beams - 1) as f64).to_degrees()
             }
-            Sensor::Pinhole { .. } => f64::NAN,
+            Sensor::Pinhole { .. } | Sensor::LinearAngle { .. } => f64::NAN,
         };
         for (beams, expected) in [(180, 89.0), (181, 90.0), (360, 89.5), (361, 90.0)] {
             assert!((last_deg(beams) - expected).abs() < 1e-9, "{beams}");
@@ -399,7 +400,7 @@ mod tests {
             ("orebro-corrected.log.gz", 237, 181, 968, [0.255856, 0.0163473, 0.618883]),
             ("fhw-corrected.log.gz", 488, 180, 647, [1.00539, 0.140117, 0.129187]),
         ] {
-            let log = super::super::read(&folder.join(file), None).unwrap();
+            let log = super::super::read(&folder.join(file), None, Slicing::default()).unwrap();
             assert_eq!(log.format, Format::Carmen);
             assert_eq!((log.scans.len(), log.sensor.readings()), (scans, beams), "{file}");
             assert_eq!(log.scans[0].pose, Some(first), "{file}");
@@ -414,7 +415,7 @@ mod tests {
     #[test]
     fn raw_odometry_is_no_pose() {
         let Some(file) = shared_data("intel_raw/intel_raw_2726.flaser.log.gz") else { return };
-        let log = read_all(&[file], None).unwrap();
+        let log = read_all(&[file], None, Slicing::default()).unwrap();
         assert_eq!(log.scans.len(), 2_726);
         assert!(log.scans.iter().all(|scan| scan.pose.is_none()));
         assert_eq!(log.scans[499].odometry, Some([13.525752, -7.609793, -2.279991]));

@@ -148,7 +148,10 @@ fn wheel_step_m(before: f64, after: f64, elapsed_s: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Folder, shared_data};
+    use crate::{
+        log::Slicing,
+        testing::{Folder, shared_data},
+    };
 
     fn line(time: &str, left: i64, right: i64, ranges: &str) -> String {
         let mut fields = vec!["0"; FIELDS];
@@ -200,7 +203,7 @@ mod tests {
     fn recorded_logs_are_read() {
         let Some(folder) = shared_data("mines_coreslam") else { return };
         for (file, scans) in [("exp1.dat.gz", 756), ("exp2.dat.gz", 641)] {
-            let log = super::super::read(&folder.join(file), None).unwrap();
+            let log = super::super::read(&folder.join(file), None, Slicing::default()).unwrap();
             assert_eq!((log.format, log.scans.len()), (Format::Mines, scans));
             assert_eq!(log.notes, Vec::<String>::new());
         }

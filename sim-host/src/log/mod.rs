@@ -15,11 +15,16 @@ mod carmen;
 mod lines;
 mod mines;
 mod rgbd;
+mod sensor;
+mod slicing;
 mod times;
 
 use std::path::{Path, PathBuf};
 
 use ubimap_protocol::time::Duration;
+
+pub use sensor::Sensor;
+pub use slicing::{DepthSlice, PixelModel, Slicing};
 
 use crate::grid::RasterError;
 
@@ -41,40 +46,6 @@ impl std::fmt::Display for Format {
             Self::Mines => "mines",
             Self::Rgbd => "rgbd",
         })
-    }
-}
-
-/// Where the readings of one scan point, in the frame of the sensor: x forward, y left.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Sensor {
-    /// Readings are distances along beams. Angles in radians, counter-clockwise from x.
-    Radial {
-        /// Angle of beam 0, the clockwise-most one.
-        first_rad: f64,
-        /// From one beam to the next.
-        step_rad: f64,
-        /// Readings in a scan.
-        beams: usize,
-    },
-    /// Readings are depths along x, one for each image column `u` from the left: the point is
-    /// x = depth, y = (cx - u) * depth / fx.
-    Pinhole {
-        /// Focal length in pixels.
-        fx: f64,
-        /// Column of the optical axis.
-        cx: f64,
-        /// Readings in a scan.
-        width: usize,
-    },
-}
-
-impl Sensor {
-    /// Readings in a scan.
-    pub fn readings(&self) -> usize {
-        match self {
-            Self::Radial { beams, .. } => *beams,
-            Self::Pinhole { width, .. } => *width,
-        }
     }
 }
 
@@ -311,8 +282,9 @@ impl std::fmt::Display for Field {
 }
 
 /// Reads a log; `None` tells the format by the content: a folder holds depth images, a file that
-/// begins with a word is CARMEN text, one that begins with a number comes from the mines.
-pub fn read(path: &Path, format: Option<Format>) -> Result<Log, LogError> {
+/// begins with a word is CARMEN text, one that begins with a number comes from the mines. Depth
+/// images are sliced as `slicing` says.
+pub fn read(path: &Path, format: Option<Format>, slicing: Slicing) -> Result<Log, LogError> {
     let is_folder = std::fs::metadata(path)
         .map_err(|error| LogError::Io { path: path.to_owned(), error })?
         .is_dir();
@@ -328,14 +300,18 @@ pub fn read(path: &Path, format: Option<Format>) -> Result<Log, LogError> {
     match format {
         Format::Carmen => carmen::read(path),
         Format::Mines => mines::read(path),
-        Format::Rgbd => rgbd::read(path),
+        Format::Rgbd => rgbd::read(path, slicing),
     }
 }
 
 /// Reads several logs of one sensor and joins them; see [`concatenate`].
-pub fn read_all(paths: &[PathBuf], format: Option<Format>) -> Result<Log, LogError> {
+pub fn read_all(
+    paths: &[PathBuf],
+    format: Option<Format>,
+    slicing: Slicing,
+) -> Result<Log, LogError> {
     let logs: Result<Vec<_>, _> =
-        paths.iter().map(|path| Ok((path.clone(), read(path, format)?))).collect();
+        paths.iter().map(|path| Ok((path.clone(), read(path, format, slicing)?))).collect();
     concatenate(logs?)
 }
 
@@ -478,12 +454,19 @@ mod tests {
             let path = folder.file("some.log", bytes);
             match format {
                 Some(format) => assert_eq!(detect(&path).unwrap(), format),
-                None => assert!(matches!(read(&path, None), Err(LogError::UnknownFormat { .. }))),
+                None => assert!(matches!(
+                    read(&path, None, Slicing::default()),
+                    Err(LogError::UnknownFormat { .. })
+                )),
             }
         }
-        let carmen_as_folder = read(folder.path(), Some(Format::Carmen)).unwrap_err();
+        let carmen_as_folder =
+            read(folder.path(), Some(Format::Carmen), Slicing::default()).unwrap_err();
         assert!(carmen_as_folder.to_string().ends_with("a log of the format carmen is a file"));
-        assert!(matches!(read(&folder.path().join("none"), None), Err(LogError::Io { .. })));
+        assert!(matches!(
+            read(&folder.path().join("none"), None, Slicing::default()),
+            Err(LogError::Io { .. })
+        ));
     }
 
     #[test]
@@ -494,13 +477,17 @@ mod tests {
         encoder.write_all(line.repeat(100).as_bytes()).unwrap();
         let bytes = encoder.finish().unwrap();
         let folder = Folder::new("log-gzip");
-        assert_eq!(read(&folder.file("whole.gz", &bytes), None).unwrap().scans.len(), 100);
-        let cut = read(&folder.file("cut.gz", &bytes[..bytes.len() - 9]), None).unwrap_err();
+        assert_eq!(
+            read(&folder.file("whole.gz", &bytes), None, Slicing::default()).unwrap().scans.len(),
+            100
+        );
+        let cut = read(&folder.file("cut.gz", &bytes[..bytes.len() - 9]), None, Slicing::default())
+            .unwrap_err();
         assert!(matches!(cut, LogError::Gzip { line: 99.., .. }), "{cut}");
         assert!(cut.to_string().contains("cut.gz:"));
         let mut damaged = bytes.clone();
         damaged[500] ^= 0x01;
-        assert!(read(&folder.file("damaged.gz", &damaged), None).is_err());
+        assert!(read(&folder.file("damaged.gz", &damaged), None, Slicing::default()).is_err());
     }
 
     proptest! {
@@ -529,7 +516,7 @@ mod tests {
             bytes[at] = byte;
             bytes.truncate(length.index(bytes.len() + 1));
             for format in [Some(format), None] {
-                match read(&folder.file("garbled.log", &bytes), format) {
+                match read(&folder.file("garbled.log", &bytes), format, Slicing::default()) {
                     Ok(log) => prop_assert!(!log.scans.is_empty()),
                     Err(error) => prop_assert_eq!(error.to_string().lines().count(), 1),
                 }

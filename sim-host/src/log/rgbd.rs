@@ -1,4 +1,4 @@
-//! Folders of depth images with the camera's poses; one row of each image becomes a scan.
+//! Folders of depth images with the camera's poses; a slice of each image becomes a scan.
 //!
 //! ```text
 //! depth/*.png, *.pgm    16-bit grey; or the images lie in the folder itself
@@ -20,16 +20,15 @@
 
 use std::path::{Path, PathBuf};
 
-use image::DynamicImage;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::{
-    Field, Format, FrameFault, LineFault, Log, LogError, LoggedScan, Sensor,
+    DepthSlice, Field, Format, LineFault, Log, LogError, LoggedScan, Slicing,
     lines::{Lines, coordinate, number},
+    slicing::Stance,
     times,
 };
-use crate::grid::raster::{self, Raster};
 
 /// A camera that looks more steeply up or down than this draws no map.
 const STEEPEST_DEG: f64 = 75.0;
@@ -38,7 +37,7 @@ const STEEPEST_DEG: f64 = 75.0;
 const TILTED_DEG: f64 = 10.0;
 
 /// Reads a folder of depth images.
-pub(super) fn read(folder: &Path) -> Result<Log, LogError> {
+pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
     let images = depth_images(folder)?;
     let (pose_file, poses) = read_poses(folder)?;
     if images.len() != poses.len() {
@@ -48,7 +47,6 @@ pub(super) fn read(folder: &Path) -> Result<Log, LogError> {
     let (intrinsics, note) = find_intrinsics(folder, &images)?;
     let mut notes: Vec<String> = note.into_iter().collect();
 
-    let slices: Result<Vec<_>, _> = images.iter().map(|image| slice(image, &intrinsics)).collect();
     let planar = Plane::under(&poses, intrinsics.fy.signum())
         .ok_or_else(|| LogError::NoPlane { path: pose_file.clone() })?;
     let mut steepest_deg = 0.0_f64;
@@ -62,11 +60,17 @@ pub(super) fn read(folder: &Path) -> Result<Log, LogError> {
         steepest_deg = steepest_deg.max(tilt_deg);
         planar_poses.push(planar.pose(pose));
     }
-    if steepest_deg > TILTED_DEG {
+    if steepest_deg > TILTED_DEG && slicing.slice != DepthSlice::Height {
         notes.push(format!(
-            "the camera is tilted by up to {steepest_deg:.0} degrees; its rows are no level slices"
+            "the camera is tilted by up to {steepest_deg:.0} degrees; its rows are no level \
+             slices, as --slice height gives"
         ));
     }
+    let slices: Result<Vec<_>, _> = images
+        .iter()
+        .zip(planar.stances(&poses))
+        .map(|(image, stance)| slicing.slice(image, &intrinsics, &stance))
+        .collect();
 
     let stamps: Option<Vec<f64>> = poses.iter().map(|pose| pose.stamp_s).collect();
     let (times, note) = times::repair(stamps.as_deref(), poses.len());
@@ -80,8 +84,7 @@ pub(super) fn read(folder: &Path) -> Result<Log, LogError> {
             line: index + 1,
         },
     );
-    let Intrinsics { fx, cx, width, .. } = intrinsics;
-    let sensor = Sensor::Pinhole { fx, cx, width: width as usize };
+    let sensor = slicing.sensor(&intrinsics);
     Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), notes })
 }
 
@@ -214,6 +217,7 @@ struct Plane {
     up: Vector3<f64>,
     x: Vector3<f64>,
     y: Vector3<f64>,
+    down_sign: f64,
 }
 
 impl Plane {
@@ -229,12 +233,25 @@ impl Plane {
         let seed = if up.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
         let x = (seed - up * up.dot(&seed)).normalize();
         let y = up.cross(&x) * down_sign;
-        Some(Self { up, x, y })
+        Some(Self { up, x, y, down_sign })
     }
 
     /// How far the camera looks above or below the horizon.
     fn tilt_deg(&self, pose: &CameraPose) -> f64 {
         self.up.dot(&pose.forward()).clamp(-1.0, 1.0).asin().to_degrees().abs()
+    }
+
+    /// How the cameras stood, above their mean height.
+    fn stances(&self, poses: &[CameraPose]) -> Vec<Stance> {
+        let height = |pose: &CameraPose| self.up.dot(&pose.position);
+        let mean = poses.iter().map(height).sum::<f64>() / poses.len().max(1) as f64;
+        let sinks = |pose: &CameraPose, axis: usize| -self.up.dot(&pose.rotation.column(axis));
+        let stance = |pose| Stance {
+            pitch: sinks(pose, 2).clamp(-1.0, 1.0).asin(),
+            roll: sinks(pose, 0).atan2(sinks(pose, 1) * self.down_sign),
+            above_m: height(pose) - mean,
+        };
+        poses.iter().map(stance).collect()
     }
 
     fn pose(&self, pose: &CameraPose) -> [f64; 3] {
@@ -248,15 +265,15 @@ impl Plane {
 /// What turns a depth image into points.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
-struct Intrinsics {
-    width: u32,
-    height: u32,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
+pub(super) struct Intrinsics {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) fx: f64,
+    pub(super) fy: f64,
+    pub(super) cx: f64,
+    pub(super) cy: f64,
     #[serde(default = "millimetres")]
-    depth_per_metre: f64,
+    pub(super) depth_per_metre: f64,
     row: Option<u32>,
 }
 
@@ -297,8 +314,9 @@ impl Intrinsics {
     /// Refuses what no camera has.
     fn checked(self) -> Result<Self, String> {
         let focal = |value: f64| value.is_finite() && value.abs() > 1.0;
-        if self.width == 0 || self.height == 0 {
-            Err("width and height must be positive".to_owned())
+        let sides = 1..=u32::from(u16::MAX);
+        if !sides.contains(&self.width) || !sides.contains(&self.height) {
+            Err("width and height must be from 1 to 65535".to_owned())
         } else if !(focal(self.fx) && self.fx > 0.0 && focal(self.fy)) {
             Err("fx must be more than one pixel, fy too (or less than minus one)".to_owned())
         } else if !(0.0..f64::from(self.width)).contains(&self.cx)
@@ -315,7 +333,7 @@ impl Intrinsics {
     }
 
     /// The row to slice: the one asked for, or the one on the optical axis.
-    fn row(&self) -> u32 {
+    pub(super) fn row(&self) -> u32 {
         self.row.unwrap_or_else(|| (self.cy.round() as u32).min(self.height - 1))
     }
 }
@@ -375,36 +393,15 @@ fn find_intrinsics(
     Ok((intrinsics, Some(note)))
 }
 
-/// One row of a depth image in millimetres.
-fn slice(path: &Path, intrinsics: &Intrinsics) -> Result<Vec<u16>, LogError> {
-    let refuse = |fault| LogError::Frame { path: path.to_owned(), fault };
-    let Raster { image, file_white } =
-        raster::read(path).map_err(|error| refuse(FrameFault::Image(error)))?;
-    let DynamicImage::ImageLuma16(image) = image else { return Err(refuse(FrameFault::NotDepth)) };
-    if image.dimensions() != (intrinsics.width, intrinsics.height) {
-        let (width, height) = image.dimensions();
-        let (expected_width, expected_height) = (intrinsics.width, intrinsics.height);
-        return Err(refuse(FrameFault::Size { width, height, expected_width, expected_height }));
-    }
-    // The decoder spread a smaller range over all 16 bits: back to the file's numbers.
-    let spread = f64::from(u16::MAX) / f64::from(file_white.unwrap_or(u32::from(u16::MAX)));
-    let row = intrinsics.row();
-    let readings = (0..intrinsics.width).map(|column| {
-        let sample = image.get_pixel(column, row).0[0];
-        let depth_mm = (f64::from(sample) / spread).round() * 1000.0 / intrinsics.depth_per_metre;
-        // A saturated sample measured nothing.
-        let is_measured = sample < u16::MAX && depth_mm.round() <= f64::from(u16::MAX);
-        if is_measured { depth_mm.round() as u16 } else { 0 }
-    });
-    Ok(readings.collect())
-}
-
 #[cfg(test)]
 mod tests {
     use image::{ImageBuffer, Luma};
 
     use super::*;
-    use crate::testing::{Folder, shared_data};
+    use crate::{
+        log::Sensor,
+        testing::{Folder, shared_data},
+    };
 
     const INTRINSICS: &str = "width = 4\nheight = 3\nfx = 2.0\nfy = 2.0\ncx = 1.5\ncy = 1.0\n";
 
@@ -428,7 +425,7 @@ mod tests {
 
     #[test]
     fn rows_and_poses_come_from_the_frames_in_their_order() {
-        let log = super::super::read(two_frames("rgbd").path(), None).unwrap();
+        let log = super::super::read(two_frames("rgbd").path(), None, Slicing::default()).unwrap();
         assert_eq!(log.sensor, Sensor::Pinhole { fx: 2.0, cx: 1.5, width: 4 });
         assert_eq!(log.scans[0].readings_mm, [0, 1_000, 2_000, 0]);
         assert_eq!(log.scans[1].readings_mm, [5; 4]);
@@ -445,18 +442,18 @@ mod tests {
         let folder = two_frames("rgbd-row");
         let asked = format!("{INTRINSICS}row = 2\ndepth_per_metre = 5000\n");
         folder.file("intrinsics.toml", asked.replace("5000", "100").as_bytes());
-        let log = read(folder.path()).unwrap();
+        let log = read(folder.path(), Slicing::default()).unwrap();
         assert_eq!(log.scans[0].readings_mm, [30; 4]);
         folder.file("depth/9.pgm", b"P2 4 3 10000 0 0 0 0 0 0 0 0 1 2 9999 10000");
         std::fs::remove_file(folder.path().join("depth/9.png")).unwrap();
-        let log = read(folder.path()).unwrap();
+        let log = read(folder.path(), Slicing::default()).unwrap();
         assert_eq!(log.scans[0].readings_mm[..2], [10, 20]);
     }
 
     #[test]
     fn faults_name_the_file() {
         let folder = two_frames("rgbd-faults");
-        let error = || read(folder.path()).unwrap_err().to_string();
+        let error = || read(folder.path(), Slicing::default()).unwrap_err().to_string();
         let pose = std::fs::read(folder.path().join("pose.txt")).unwrap();
         for (text, expected) in [
             (&b"1 2 3 0 0 0 1\n"[..], "2 depth images but 1 pose"),
@@ -509,7 +506,7 @@ mod tests {
             [("rgbd_redwood", 0.9), ("rgbd_frames/icl_nuim", 0.15), ("rgbd_frames/handheld", 0.4)]
         {
             let Some(folder) = shared_data(name) else { continue };
-            let log = super::super::read(&folder, None).unwrap();
+            let log = super::super::read(&folder, None, Slicing::default()).unwrap();
             assert_eq!((log.scans.len(), log.sensor.readings()), (5, 640), "{name}");
             let mut matched = 0;
             let mut measured = 0;

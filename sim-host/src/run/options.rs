@@ -8,7 +8,10 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
-use crate::{channel::fault::Faults, log::Format};
+use crate::{
+    channel::fault::Faults,
+    log::{DepthSlice, Format, PixelModel, Slicing},
+};
 
 /// Options of `ubimap replay`.
 #[derive(Args, Clone, Debug)]
@@ -33,9 +36,32 @@ pub struct ReplayOptions {
     #[arg(long, value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
     pub max_range: Millimetres,
 
+    /// How depth images become scans.
+    #[command(flatten)]
+    pub slicing: SlicingOptions,
+
     /// What every run has.
     #[command(flatten)]
     pub run: RunOptions,
+}
+
+/// How depth images become scans.
+#[derive(Args, Clone, Copy, Debug)]
+pub struct SlicingOptions {
+    /// Which part of a depth image is mapped
+    #[arg(long, value_enum, default_value_t)]
+    pub slice: DepthSlice,
+
+    /// What a column of a depth image means
+    #[arg(long, value_enum, default_value_t)]
+    pub pixel_model: PixelModel,
+}
+
+impl SlicingOptions {
+    /// The same, as the reader of logs takes it.
+    pub fn slicing(&self) -> Slicing {
+        Slicing { slice: self.slice, pixels: self.pixel_model }
+    }
 }
 
 /// Options of `ubimap simulate`.

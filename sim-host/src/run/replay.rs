@@ -6,7 +6,7 @@
 
 use std::{collections::VecDeque, time};
 
-use ubimap_agent::{Config, locate::PoseSource, sense::SensorModel};
+use ubimap_agent::{Config, locate::PoseSource};
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Pose, RobotId},
@@ -21,7 +21,7 @@ use super::{
 use crate::{
     camera::Observation,
     grid::OccupancyGrid,
-    log::{self, Log, LoggedScan, Sensor},
+    log::{self, Log, LoggedScan},
 };
 
 /// The robots boot so long before the first scan: time to meet the server.
@@ -37,7 +37,7 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
 /// The same, with every frame heard.
 pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
-    let log = log::read_all(&options.logs, options.format.format())?;
+    let log = log::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
     log.notes.iter().for_each(|note| ::log::info!("{note}"));
     let mut recording = Recording::of(&log, usize::from(options.robots));
 
@@ -69,14 +69,6 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
 }
 
 fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
-    let sensor = match log.sensor {
-        Sensor::Radial { first_rad, step_rad, .. } => {
-            SensorModel::Radial { first: first_rad as f32, step: step_rad as f32 }
-        }
-        Sensor::Pinhole { fx, cx, .. } => {
-            SensorModel::Pinhole { focal: fx as f32, centre: cx as f32 }
-        }
-    };
     let located = log.scans.iter().all(|scan| scan.pose.is_some());
     Config {
         resolution: options.resolution,
@@ -88,7 +80,7 @@ fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
         } else {
             PoseSource::Odometry(Pose::default())
         },
-        ..Config::new(robot, sensor)
+        ..Config::new(robot, log.sensor.model())
     }
 }
 
@@ -194,7 +186,7 @@ fn between(from: [f64; 3], to: [f64; 3], part: f64) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::Format;
+    use crate::log::{Format, Sensor};
 
     fn log(scans: usize) -> Log {
         let scan = |index: usize| LoggedScan {
