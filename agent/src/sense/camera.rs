@@ -184,6 +184,10 @@ mod tests {
         for k in 0..=640 {
             let printed = 43.0 * f64::from(320 - k) / 320.0;
             assert!((degrees(k as f32) - printed).abs() < 1e-4, "{k}");
+            // Equation 1: a depth of one is a radial distance of 1 / cos(theta).
+            let ray = rays.at(k as f32, 239.5).unwrap();
+            let radial = f64::from(ray.forward).hypot(f64::from(ray.left));
+            assert!((radial - 1.0 / printed.to_radians().cos()).abs() < 1e-5, "{k}");
         }
         assert!((degrees(0.0) - degrees(1.0) - 0.134).abs() < 5e-4);
         // The pinhole that sees as wide is elsewhere in between.
