@@ -6,7 +6,7 @@ use std::{fs, path::Path};
 use ubimap_agent::{
     Agent, Config, Memory,
     locate::PoseSource,
-    map::{OwnTile, scratch_words},
+    map::{OwnTile, RowSighting, scratch_words},
     sense::{Beam, Camera, DIRECTION_BITS, Pick, Removal, Slice, Slicer, Validity, fill_beams},
     share::FusedTile,
 };
@@ -255,7 +255,7 @@ fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
 struct Robot {
     beams: Vec<Beam>,
     waiting: Vec<u16>,
-    scratch: Vec<u32>,
+    scratch: Vec<RowSighting>,
     own: Vec<OwnTile>,
     fused: Vec<FusedTile>,
 }
@@ -265,7 +265,7 @@ impl Robot {
         Self {
             beams: vec![Beam::default(); readings],
             waiting: vec![0; 4 * readings],
-            scratch: vec![0; scratch_words(4_000, Millimetres(50))],
+            scratch: vec![RowSighting::default(); scratch_words(4_000, Millimetres(50))],
             own: vec![OwnTile::FREE; 24],
             fused: vec![FusedTile::FREE; 4],
         }
