@@ -57,7 +57,7 @@ pub(super) struct Grain {
 }
 
 /// Cells that are passed over at most, across the beams.
-const SPAN: u32 = 8;
+const SPAN: u32 = 16;
 /// Beams that are looked at among those that are passed over: three in two cells.
 const CHECKS: usize = SPAN as usize * 3 / 2;
 
