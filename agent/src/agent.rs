@@ -108,9 +108,9 @@ impl<'b> Agent<'b> {
             resolution: config.resolution,
             max_range: config.max_range,
             mounting: config.mounting,
-            omission: config.omission,
+            policy: config.policy,
         };
-        let selection = Selection::new(config.gate, config.omission, memory.beams);
+        let selection = Selection::new(config.gate, config.policy, memory.beams);
         let map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
         let width = memory.beams.len();
         Ok(Self {

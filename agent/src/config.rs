@@ -7,7 +7,7 @@ use ubimap_protocol::{
 
 use crate::{
     locate::PoseSource,
-    map::{Gate, Omission, OwnTile, RowSighting},
+    map::{Gate, OwnTile, Policy, RowSighting},
     sense::{Beam, Removal, SensorModel, SteadyLimits, Validity},
     share::FusedTile,
 };
@@ -37,8 +37,8 @@ pub struct Config {
     pub pose_source: PoseSource,
     /// How far the robot must have moved to map again.
     pub gate: Gate,
-    /// What is left out of a scan.
-    pub omission: Omission,
+    /// How much of what the sensor says is mapped.
+    pub policy: Policy,
     /// How long a scan waits for its pose.
     pub scan_deadline: Duration,
     /// How long changes of the map are gathered before they are sent.
@@ -64,7 +64,7 @@ impl Config {
             steady: SteadyLimits::default(),
             pose_source: PoseSource::Fixes,
             gate: Gate::default(),
-            omission: Omission::default(),
+            policy: Policy::default(),
             scan_deadline: Duration::from_millis(1_500),
             hold: Duration::from_secs(1),
             vector_interval: Duration::from_secs(5),

@@ -9,8 +9,8 @@ use ubimap_protocol::{
 
 use super::{
     evidence::RowSighting,
-    omission::Omission,
     own_tile::Pool,
+    policy::Policy,
     projection::Projection,
     trace::{Grain, PixelCounts, trace},
     window::{Window, words_of},
@@ -36,7 +36,7 @@ pub struct MappingConfig {
     /// The sensor in `base_link`.
     pub mounting: Pose,
     /// What is left out.
-    pub omission: Omission,
+    pub policy: Policy,
 }
 
 /// The cells in which a hit is near: the square within a quarter of the range of the sensor, where
@@ -114,14 +114,14 @@ impl<'b> LocalMap<'b> {
         pool: Pool<'b>,
     ) -> Self {
         scratch.fill(RowSighting::default());
-        let grain = Grain::new(beams, config.resolution, config.omission);
+        let grain = Grain::new(beams, config.resolution, config.policy);
         Self { config, grain, scratch, pool, scans: 0 }
     }
 
     /// The sensor is mounted otherwise from now on, and this is its new table.
     pub(crate) fn remount(&mut self, mounting: Pose, beams: &[Beam]) {
         self.config.mounting = mounting;
-        self.grain = Grain::new(beams, self.config.resolution, self.config.omission);
+        self.grain = Grain::new(beams, self.config.resolution, self.config.policy);
     }
 
     /// Adds a scan that was taken at `pose` (`base_link` in `map`). `around` gives what the server
@@ -133,7 +133,7 @@ impl<'b> LocalMap<'b> {
         pose: Pose,
         around: impl Fn(TileId) -> Surround<'m>,
     ) -> Option<Mapped> {
-        let MappingConfig { resolution, max_range, mounting, omission } = self.config;
+        let MappingConfig { resolution, max_range, mounting, policy } = self.config;
         self.scans = self.scans.wrapping_add(1);
         let projection = Projection::new(pose, mounting, resolution);
         let near = Near::new(&projection, max_range, resolution);
@@ -206,7 +206,7 @@ impl<'b> LocalMap<'b> {
             // What lies between the last beam and the next one belongs to the next part.
             (start, end) = (end - 1, count);
         }
-        if omission == Omission::Known && !news {
+        if policy == Policy::Full && !news {
             mapped.pixels.omitted += core::mem::take(&mut mapped.pixels.kept);
         }
         Some(mapped)
@@ -229,7 +229,7 @@ mod tests {
         resolution: Millimetres(50),
         max_range: 4_000,
         mounting: Pose { x: Millimetres(0), y: Millimetres(0), heading: Angle(0) },
-        omission: Omission::Known,
+        policy: Policy::Full,
     };
 
     struct Seen {

@@ -1,4 +1,4 @@
-//! Which readings of a scan need not be looked at (Aluckal II.C-D, "selective omission").
+//! Which readings have come into view by a turn (Aluckal II.C-D, "selective omission").
 
 use core::ops::Range;
 
@@ -6,20 +6,6 @@ use libm::atan2f;
 use ubimap_protocol::units::Angle;
 
 use crate::sense::Beam;
-
-/// What is left out of a scan that is mapped.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Omission {
-    /// Nothing (the paper's "pilot" and "thresholding").
-    None,
-    /// What was in view before the robot turned (the paper's "selective omission", for rotation).
-    Rotation,
-    /// Every reading that could only say what is known already: by the readings beside it, by what
-    /// was mapped before, by the server's map. That holds after any motion, as the paper's future
-    /// work asks for.
-    #[default]
-    Known,
-}
 
 /// How the beams of a sensor follow each other.
 #[derive(Clone, Copy, Debug, PartialEq)]

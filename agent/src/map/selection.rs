@@ -5,11 +5,7 @@ use core::ops::Range;
 
 use ubimap_protocol::units::Pose;
 
-use super::{
-    change::LastScan,
-    gate::Gate,
-    omission::{Omission, Sweep},
-};
+use super::{change::LastScan, gate::Gate, omission::Sweep, policy::Policy};
 use crate::sense::Beam;
 
 /// Why readings are mapped.
@@ -27,7 +23,7 @@ pub enum Selected {
 #[derive(Debug)]
 pub struct Selection {
     gate: Gate,
-    omission: Omission,
+    policy: Policy,
     sweep: Sweep,
     mapped_at: Option<Pose>,
     last: LastScan,
@@ -35,8 +31,8 @@ pub struct Selection {
 
 impl Selection {
     /// For a sensor; nothing has been mapped.
-    pub fn new(gate: Gate, omission: Omission, beams: &[Beam]) -> Self {
-        Self { gate, omission, sweep: Sweep::of(beams), mapped_at: None, last: LastScan::NONE }
+    pub fn new(gate: Gate, policy: Policy, beams: &[Beam]) -> Self {
+        Self { gate, policy, sweep: Sweep::of(beams), mapped_at: None, last: LastScan::NONE }
     }
 
     /// The robot must have moved so far from now on.
@@ -46,17 +42,17 @@ impl Selection {
 
     /// Which readings of a scan that was taken at `pose` (`base_link` in `map`) say something new.
     pub fn select(&self, pose: Pose, readings: &[u16]) -> Selected {
-        if self.gate.opens(self.mapped_at, pose) {
+        if self.policy == Policy::Pilot || self.gate.opens(self.mapped_at, pose) {
             let all = 0..readings.len();
-            return Selected::Moved(match (self.omission, self.mapped_at) {
-                (Omission::Rotation, Some(before)) => {
+            return Selected::Moved(match (self.policy, self.mapped_at) {
+                (Policy::Omission, Some(before)) => {
                     self.sweep.new_in_view(before.heading, pose.heading, readings.len())
                 }
                 _ => all,
             });
         }
-        match self.omission {
-            Omission::Known => {
+        match self.policy {
+            Policy::Full => {
                 self.last.changed(readings).map_or(Selected::Nothing, Selected::Changed)
             }
             // As printed: who stands still maps nothing.

@@ -13,7 +13,7 @@ use core::ops::AddAssign;
 use ubimap_protocol::units::Millimetres;
 
 use super::{
-    omission::Omission,
+    policy::Policy,
     projection::{Point, Projection},
     window::Window,
 };
@@ -63,7 +63,7 @@ const CHECKS: usize = SPAN as usize * 3 / 2;
 
 impl Grain {
     /// For the table of a sensor, and cells of a side.
-    pub(super) fn new(beams: &[Beam], side: Millimetres, omission: Omission) -> Self {
+    pub(super) fn new(beams: &[Beam], side: Millimetres, policy: Policy) -> Self {
         let apart = beams.windows(2).map(|pair| match pair {
             [a, b] if a.limit != 0 && b.limit != 0 => {
                 let across = |a: i16, b: i16| u32::from(a.abs_diff(b));
@@ -73,7 +73,7 @@ impl Grain {
         });
         let widest = apart.max().unwrap_or(0).max(1);
         let side = side.0.clamp(0, 10_000) as u32;
-        let span = if omission == Omission::Known { SPAN } else { 0 };
+        let span = if policy == Policy::Full { SPAN } else { 0 };
         Self {
             margin: side / 2,
             tolerance: side * 3 / 4,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum, value_parser};
+use ubimap_agent::map::Policy;
 use ubimap_protocol::{
     time::Duration,
     units::{Millimetres, Pose},
@@ -35,6 +36,11 @@ pub struct ReplayOptions {
     /// Map nothing beyond this range, in metres
     #[arg(long, value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
     pub max_range: Millimetres,
+
+    /// How much of what the sensors say is mapped, as Aluckal et al. compare it: every scan; those
+    /// after a motion; less what was in view before a turn; less all that is known
+    #[arg(long, value_name = "P", value_enum, default_value_t = PolicyName::Full)]
+    pub policy: PolicyName,
 
     /// How depth images become scans.
     #[command(flatten)]
@@ -261,8 +267,32 @@ fn probability(text: &str) -> Result<f64, OptionError> {
     number(text, 0.0, 1.0, "(a probability)")
 }
 
+/// The names of the policies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PolicyName {
+    /// Every scan, and all of it.
+    Pilot,
+    /// A scan when the robot has moved.
+    Threshold,
+    /// The same, less what was in view before the robot turned.
+    Omission,
+    /// The same, less all that is known already.
+    Full,
+}
+
+impl From<PolicyName> for Policy {
+    fn from(name: PolicyName) -> Self {
+        match name {
+            PolicyName::Pilot => Self::Pilot,
+            PolicyName::Threshold => Self::Threshold,
+            PolicyName::Omission => Self::Omission,
+            PolicyName::Full => Self::Full,
+        }
+    }
+}
+
 fn resolution(text: &str) -> Result<Millimetres, OptionError> {
-    let metres = number(text, 0.01, 1.0, "m")?;
+    let metres = number(text, 0.02, 1.0, "m")?;
     if ((metres * 1000.0).round() - metres * 1000.0).abs() > 1e-6 {
         return Err(OptionError::FractionOfMillimetre);
     }

@@ -80,6 +80,7 @@ fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
         } else {
             PoseSource::Odometry(Pose::default())
         },
+        policy: options.policy.into(),
         ..Config::new(robot, log.sensor.model())
     }
 }

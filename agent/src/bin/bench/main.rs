@@ -24,7 +24,7 @@ use ending::end;
 use stm32f4xx_hal as _;
 use ubimap_agent::{
     Agent, Config, LINK_STATE, Memory,
-    map::{LocalMap, MappingConfig, Omission, OwnTile, Pool, RowSighting, Surround, scratch_words},
+    map::{LocalMap, MappingConfig, OwnTile, Policy, Pool, RowSighting, Surround, scratch_words},
     sense::{Beam, SensorModel, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
 };
@@ -104,8 +104,8 @@ fn local_map<'m>(
     own: &'m mut [OwnTile],
 ) -> LocalMap<'m> {
     let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
-    let omission = Omission::default();
-    let config = MappingConfig { resolution, max_range, mounting, omission };
+    let policy = Policy::default();
+    let config = MappingConfig { resolution, max_range, mounting, policy };
     LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 
