@@ -118,7 +118,11 @@ impl<'b> Agent<'b> {
             beams: memory.beams,
             waiting: WaitingScans::new(memory.waiting, width),
             steadiness: Steadiness::new(config.steady),
-            locator: Locator::new(config.pose_source),
+            locator: Locator::new(
+                config.pose_source,
+                &config.odometry_noise,
+                config.uncertainty_limit,
+            ),
             selection,
             latest_pose: None,
             map,
@@ -169,8 +173,11 @@ impl<'b> Agent<'b> {
 
     /// Takes a reading of the odometry: `base_link` in `odom` at a moment of the robot's clock.
     pub fn odometry(&mut self, moment: Instant, pose: Pose, now: Instant) {
-        self.locator.odometry(moment, pose);
         self.steadiness.odometry(moment, pose);
+        if self.locator.odometry(moment, pose).is_err() {
+            let backwards = &mut self.statistics.odometry_backwards;
+            *backwards = backwards.wrapping_add(1);
+        }
         self.map_waiting(now);
     }
 
@@ -405,7 +412,6 @@ impl<'b> Agent<'b> {
         if !same_server {
             // Another life of the server has another clock: moments of the last one mean nothing.
             self.clock = ClockSync::default();
-            self.locator.forget_fixes();
             self.commands.forget();
             self.latest_pose = None;
         }
@@ -467,12 +473,12 @@ impl<'b> Agent<'b> {
         while let Some(taken) = self.waiting.oldest() {
             let last_chance = now >= taken + self.config.scan_deadline;
             let server_moment = self.clock.to_server(taken);
-            let located = self.locator.at(taken, server_moment, now.since(taken), last_chance);
+            let located = self.locator.at(taken, now, last_chance);
             if located == Located::NotYet {
                 return;
             }
             let Some(readings) = self.waiting.pop() else { return };
-            let Located::At(pose) = located else {
+            let (Located::At(pose) | Located::Unsure(pose)) = located else {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
                 self.events.raise(EventCode::PoseLost, now);
                 self.lost = true;
@@ -486,6 +492,10 @@ impl<'b> Agent<'b> {
                 self.latest_pose = Some((moment, pose));
             }
             self.fused.follow(pose, self.config.resolution);
+            if located == Located::Unsure(pose) {
+                self.statistics.unsure = self.statistics.unsure.wrapping_add(1);
+                continue;
+            }
             if self.steadiness.is_shaken(taken) {
                 self.statistics.shaken = self.statistics.shaken.wrapping_add(1);
                 continue;

@@ -6,7 +6,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    locate::PoseSource,
+    locate::{OdometryNoise, PoseSource, UncertaintyLimit},
     map::{Gate, OwnTile, Policy, RowSighting},
     sense::{Beam, Removal, SensorModel, SteadyLimits, Validity},
     share::FusedTile,
@@ -35,6 +35,10 @@ pub struct Config {
     pub steady: SteadyLimits,
     /// Where the poses come from.
     pub pose_source: PoseSource,
+    /// How far the odometry is to be trusted.
+    pub odometry_noise: OdometryNoise,
+    /// Scans from poses that are less sure than this are not mapped.
+    pub uncertainty_limit: UncertaintyLimit,
     /// How far the robot must have moved to map again.
     pub gate: Gate,
     /// How much of what the sensor says is mapped.
@@ -63,6 +67,8 @@ impl Config {
             removed: [None; 4],
             steady: SteadyLimits::default(),
             pose_source: PoseSource::Fixes,
+            odometry_noise: OdometryNoise::default(),
+            uncertainty_limit: UncertaintyLimit::default(),
             gate: Gate::default(),
             policy: Policy::default(),
             scan_deadline: Duration::from_millis(1_500),

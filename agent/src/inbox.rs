@@ -12,7 +12,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    locate::Locator,
+    locate::{FixError, FixOutcome, Locator},
     map::LocalMap,
     share::{Commands, FusedMap, Publisher},
     statistics::Statistics,
@@ -71,7 +71,7 @@ impl Inbox<'_, '_> {
     fn one(&mut self, kind: ToRobotKind, body: &[u8], now: Instant) -> Option<()> {
         match kind {
             ToRobotKind::TimeReply => self.clock.reply(&decode::<TimeReply>(body).ok()?.0, now),
-            ToRobotKind::PoseFix => self.fix(&decode::<PoseFix>(body).ok()?.0),
+            ToRobotKind::PoseFix => self.fix(&decode::<PoseFix>(body).ok()?.0, now),
             ToRobotKind::TileUpdate => {
                 let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
                 if head.layer == Layer::Robot {
@@ -119,14 +119,29 @@ impl Inbox<'_, '_> {
         Some(())
     }
 
-    fn fix(&mut self, message: &PoseFix) {
+    fn fix(&mut self, message: &PoseFix, now: Instant) {
+        let count = &mut *self.statistics;
         for (moment, pose) in message.fixes() {
-            if self.locator.fix(moment, self.clock.to_local(moment), pose) {
-                self.statistics.fixes = self.statistics.fixes.wrapping_add(1);
+            let local = self.clock.to_local(moment);
+            match self.locator.fix(moment, local, pose, message.certainty, now) {
+                Ok((outcome, pose)) => {
+                    count.fixes = count.fixes.wrapping_add(1);
+                    match outcome {
+                        FixOutcome::Rejected => {
+                            count.fixes_rejected = count.fixes_rejected.wrapping_add(1);
+                        }
+                        FixOutcome::Moved => count.moves = count.moves.wrapping_add(1),
+                        FixOutcome::Began | FixOutcome::Taken => {}
+                    }
+                    if self.latest_pose.is_none_or(|(latest, _)| latest < moment) {
+                        *self.latest_pose = Some((moment, pose));
+                    }
+                }
+                Err(FixError::Repeated | FixError::Unused) => {}
+                Err(FixError::TooOld | FixError::Future | FixError::Untimed) => {
+                    count.fixes_untimely = count.fixes_untimely.wrapping_add(1);
+                }
             }
-        }
-        if self.latest_pose.is_none_or(|(moment, _)| moment < message.time) {
-            *self.latest_pose = Some((message.time, message.pose));
         }
     }
 }

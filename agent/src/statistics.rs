@@ -15,6 +15,8 @@ pub struct Statistics {
     pub shaken: u32,
     /// Scans whose pose never came.
     pub expired: u32,
+    /// Scans whose pose was less sure than is allowed.
+    pub unsure: u32,
     /// Scans that found as many waiting as there is room for.
     pub overflowed: u32,
     /// The readings of the scans that were mapped.
@@ -23,6 +25,15 @@ pub struct Statistics {
     pub cells_refused: u32,
     /// Pose fixes received, each once.
     pub fixes: u32,
+    /// Those of them that were too far off, and were left out.
+    pub fixes_rejected: u32,
+    /// Those that were believed in the end, after others that agreed had been rejected: the robot
+    /// was carried off.
+    pub moves: u32,
+    /// Pose fixes older than what is remembered, of a moment to come, or of an unknown one.
+    pub fixes_untimely: u32,
+    /// Readings of the odometry older than the one before.
+    pub odometry_backwards: u32,
     /// Bytes sent, framing and retransmissions included.
     pub bytes_sent: u64,
     /// Bytes of frames with tile updates among them.

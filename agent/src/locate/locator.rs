@@ -1,20 +1,43 @@
-//! The pose of the moment a scan was taken, from fixes of the server and odometry.
+//! The pose of the moment a scan was taken: when it is known as well as it will be, and whether
+//! that is well enough to map.
 
-use nalgebra::{Isometry2, Vector2};
 use ubimap_protocol::{
-    time::{Duration, Instant},
+    message::Certainty,
+    time::Instant,
     units::{Angle, Millimetres, Pose},
 };
 
-use super::track::Track;
+use super::{
+    estimate::{RADIANS, Variances},
+    filter::{Backwards, Filter, FixError, FixOutcome, WIDEST_GAP, seconds},
+    odometry::{MotionNoise, OdometryNoise, between},
+};
 
 /// Where the poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseSource {
     /// The server's fixes; odometry, if there is any, bridges what they miss.
     Fixes,
-    /// Odometry alone, from this pose of `odom` in `map`.
+    /// Odometry alone, from this pose of `odom` in `map`. It is taken at its word: nothing is
+    /// there that its map could be at odds with.
     Odometry(Pose),
+}
+
+/// How unsure a pose may be for a scan to be mapped from it: standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UncertaintyLimit {
+    /// Of the distance from the true position.
+    pub position: Millimetres,
+    /// Of the heading.
+    pub heading: Angle,
+}
+
+impl Default for UncertaintyLimit {
+    /// 15 cm and 3 degrees: a wall that is drawn three cells off becomes a second wall, and
+    /// 3 degrees put what is 3 m away as far off.
+    fn default() -> Self {
+        Self { position: Millimetres(150), heading: Angle(546) }
+    }
 }
 
 /// How the pose of a moment stands.
@@ -22,196 +45,272 @@ pub enum PoseSource {
 pub enum Located {
     /// `base_link` in `map`.
     At(Pose),
+    /// The same, less sure than is allowed.
+    Unsure(Pose),
     /// What would tell may still come.
     NotYet,
     /// Nothing that may still come would tell.
     Never,
 }
 
-/// Two fixes further apart than this say too little of what lies between. A robot without a fix
-/// for as long is taken to be out of the cameras' sight.
-const WIDEST_GAP: Duration = Duration::from_millis(350);
-/// How long odometry is trusted to carry a fix on.
-const LONGEST_BRIDGE: Duration = Duration::from_secs(30);
-
-/// The last fixes and the last odometry.
+/// The filter, and what is asked of it.
 #[derive(Debug)]
 pub struct Locator {
-    source: PoseSource,
-    /// By the server's clock.
-    fixes: Track<16>,
-    /// By the robot's clock.
-    odometry: Track<64>,
-    /// The newest fix for which there was odometry: its moment (robot's clock), and `odom` in
-    /// `map` as it tells.
-    anchor: Option<(Instant, Isometry2<f32>)>,
+    filter: Filter,
+    takes_fixes: bool,
+    limit: UncertaintyLimit,
 }
 
 impl Locator {
-    /// A locator that knows nothing yet.
-    pub fn new(source: PoseSource) -> Self {
-        let (fixes, odometry) = (Track::default(), Track::default());
-        Self { source, fixes, odometry, anchor: None }
+    /// A locator that knows nothing yet. The noise is of no account if odometry is the source.
+    pub fn new(source: PoseSource, noise: &OdometryNoise, limit: UncertaintyLimit) -> Self {
+        let filter = match source {
+            PoseSource::Fixes => Filter::new(MotionNoise::of(noise), None),
+            PoseSource::Odometry(start) => Filter::new(MotionNoise::default(), Some(start)),
+        };
+        Self { filter, takes_fixes: source == PoseSource::Fixes, limit }
     }
 
-    /// Takes a fix: `base_link` in `map` at a moment of the server's clock, which is `local` of
-    /// the robot's (if that is known). `false` if there was one of that moment.
-    pub fn fix(&mut self, server_moment: Instant, local: Option<Instant>, pose: Pose) -> bool {
-        let new = self.fixes.insert(server_moment, pose);
-        if let Some(local) = local.filter(|_| new)
-            && self.anchor.is_none_or(|(moment, _)| moment < local)
-            && let Some(odometry) = self.odometry_at(local)
-        {
-            self.anchor = Some((local, isometry(pose) * isometry(odometry).inverse()));
+    /// Takes a fix that arrived at `now`: `base_link` in `map` at the moment `server` of the
+    /// server's clock, which is `local` of the robot's (if that is known). With the outcome comes
+    /// the pose that is believed for that moment.
+    ///
+    /// # Errors
+    /// Every [`FixError`]; nothing has changed then.
+    pub fn fix(
+        &mut self,
+        server: Instant,
+        local: Option<Instant>,
+        pose: Pose,
+        certainty: Certainty,
+        now: Instant,
+    ) -> Result<(FixOutcome, Pose), FixError> {
+        if !self.takes_fixes {
+            return Err(FixError::Unused);
         }
-        new
+        let local = local.ok_or(FixError::Untimed)?;
+        // Clocks agree but so far.
+        if local > now + WIDEST_GAP {
+            return Err(FixError::Future);
+        }
+        self.filter.fix(server, local, pose, certainty)
     }
 
     /// Takes a reading of the odometry: `base_link` in `odom` at a moment of the robot's clock.
-    pub fn odometry(&mut self, moment: Instant, pose: Pose) -> bool {
-        self.odometry.insert(moment, pose)
+    /// Two of one moment are one, the first.
+    ///
+    /// # Errors
+    /// [`Backwards`]; nothing has changed then.
+    pub fn odometry(&mut self, moment: Instant, pose: Pose) -> Result<(), Backwards> {
+        self.filter.odometry(moment, pose)
     }
 
     /// The newest reading of the odometry: `base_link` in `odom`.
     pub fn newest_odometry(&self) -> Option<Pose> {
-        self.odometry.newest().map(|(_, pose)| pose)
+        self.filter.newest_odometry().map(|(_, pose)| pose)
     }
 
-    /// The server's clock has begun anew: its earlier fixes mean nothing.
-    pub fn forget_fixes(&mut self) {
-        self.fixes.clear();
-    }
-
-    /// The pose at `moment` of the robot's clock, which is `server_moment` of the server's (if
-    /// that is known), `age` ago. With `last_chance` it is not waited for anything better.
-    pub fn at(
-        &self,
-        moment: Instant,
-        server_moment: Option<Instant>,
-        age: Duration,
-        last_chance: bool,
-    ) -> Located {
-        let pending = if last_chance { Located::Never } else { Located::NotYet };
-        if let PoseSource::Odometry(start) = self.source {
-            let pose = self.odometry_at(moment);
-            return pose
-                .map_or(pending, |pose| Located::At(to_pose(isometry(start) * isometry(pose))));
-        }
-        let Some(server_moment) = server_moment else { return pending };
-        let around = self.fixes.around(server_moment);
-        let narrow = around.gap().is_some_and(|gap| gap <= WIDEST_GAP);
-        if let Some(pose) = around.at(server_moment)
-            && (narrow || around.before.is_some_and(|(time, _)| time == server_moment))
-        {
-            return Located::At(pose);
-        }
-        // A fix that comes late may still close the gap, if the cameras see the robot at all.
-        let newest = self.fixes.newest().map(|(fix, _)| (server_moment + age).since(fix));
-        let seen = newest.is_some_and(|since| since <= WIDEST_GAP);
-        if !last_chance && (seen || self.anchor.is_none()) {
+    /// The pose at `moment`, asked for at `now` (robot's clock). With `last_chance` it is not
+    /// waited for anything better.
+    pub fn at(&self, moment: Instant, now: Instant, last_chance: bool) -> Located {
+        if !last_chance && self.may_know_better(moment, now) {
             return Located::NotYet;
         }
-        if let Some(pose) = self.bridge(moment) {
-            return Located::At(pose);
+        let Some((pose, variances)) = self.best(moment) else {
+            return if last_chance { Located::Never } else { Located::NotYet };
+        };
+        if self.is_within_limit(variances) { Located::At(pose) } else { Located::Unsure(pose) }
+    }
+
+    /// Whether a measurement may come, late or after the moment, that tells more of it.
+    fn may_know_better(&self, moment: Instant, now: Instant) -> bool {
+        let fresh = |newest: Instant| now.since(newest) <= WIDEST_GAP;
+        let odometry = self.filter.newest_odometry().map(|(newest, _)| newest);
+        if !self.takes_fixes {
+            return odometry.is_none_or(|newest| newest < moment);
         }
-        let at_hand = [around.before, around.after].into_iter().flatten().find(|(fix, _)| {
-            fix.since(server_moment).max(server_moment.since(*fix)) <= Duration::from_millis(10)
-        });
-        // Lost for longer than odometry is trusted: no fix to come would tell where it was here.
-        at_hand.map_or(Located::Never, |(_, pose)| Located::At(pose))
+        let driven = odometry.is_some_and(fresh);
+        let fix = self.filter.newest_fix();
+        // Without odometry nothing but a fix can tell; with it, one that is likely to come.
+        let seen = fix.is_some_and(fresh) || !driven;
+        fix.is_none_or(|newest| newest < moment) && seen
+            || driven && odometry.is_some_and(|newest| newest < moment)
     }
 
-    /// The newest fix, carried to `moment` by odometry.
-    fn bridge(&self, moment: Instant) -> Option<Pose> {
-        let (anchored, odom_in_map) = self.anchor?;
-        if moment.since(anchored) > LONGEST_BRIDGE {
-            return None;
+    /// The pose at a moment, and how unsure it is.
+    fn best(&self, moment: Instant) -> Option<(Pose, Variances)> {
+        let before = self.filter.at(moment);
+        if let Some(told) = before.filter(|told| !told.guessed) {
+            return Some((told.pose, told.variances));
         }
-        Some(to_pose(odom_in_map * isometry(self.odometry_at(moment)?)))
+        // The motion is not known: it goes by the fixes on both sides, if they are near.
+        let (last, next) = self.filter.fixes_around(moment);
+        let after = next.and_then(|next| Some((next, self.filter.at(next)?)));
+        if let Some((last, (next, to))) = last.zip(after)
+            && next.since(last) <= WIDEST_GAP
+            && let Some(from) = self.filter.at(last)
+        {
+            let part = seconds(moment.since(last)) / seconds(next.since(last));
+            let variances = from.variances.between(to.variances, part);
+            return Some((between(from.pose, to.pose, part), variances));
+        }
+        let after = after
+            .map(|(next, told)| (told.pose, told.variances.after(seconds(next.since(moment)))));
+        let before = before.map(|told| (told.pose, told.variances));
+        match (before, after) {
+            (Some(before), Some(after)) if after.1.position < before.1.position => Some(after),
+            (before, after) => before.or(after),
+        }
     }
 
-    fn odometry_at(&self, moment: Instant) -> Option<Pose> {
-        self.odometry.around(moment).at(moment)
-    }
-}
-
-fn isometry(pose: Pose) -> Isometry2<f32> {
-    let heading = pose.heading.radians() as f32;
-    Isometry2::new(Vector2::new(pose.x.0 as f32, pose.y.0 as f32), heading)
-}
-
-fn to_pose(isometry: Isometry2<f32>) -> Pose {
-    let millimetres = |value: f32| Millimetres(libm::roundf(value) as i32);
-    Pose {
-        x: millimetres(isometry.translation.x),
-        y: millimetres(isometry.translation.y),
-        heading: Angle::from_radians(f64::from(isometry.rotation.angle())),
+    fn is_within_limit(&self, variances: Variances) -> bool {
+        let square = |value: f32| value * value;
+        variances.position <= square(self.limit.position.0 as f32)
+            && variances.heading <= square(f32::from(self.limit.heading.0) * RADIANS)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use ubimap_protocol::time::Duration;
+
     use super::*;
 
     fn pose(x: i32, y: i32, degrees: f64) -> Pose {
         Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle::from_degrees(degrees) }
     }
 
+    #[track_caller]
     fn near(found: Located, expected: Pose) {
         let Located::At(found) = found else { panic!("{found:?}") };
         assert!((found.x.0 - expected.x.0).abs() <= 1, "{found:?}");
         assert!((found.y.0 - expected.y.0).abs() <= 1, "{found:?}");
-        assert!(found.heading.distance(expected.heading) <= 2, "{found:?}");
+        assert!(found.heading.distance(expected.heading) <= 20, "{found:?}");
     }
 
-    const AHEAD: Duration = Duration::from_secs(7);
+    fn locator(source: PoseSource) -> Locator {
+        Locator::new(source, &OdometryNoise::default(), UncertaintyLimit::default())
+    }
+
+    fn moment(millis: u64) -> Instant {
+        Instant(millis * 1_000)
+    }
 
     /// The server's clock is 7 s ahead.
-    fn at(locator: &Locator, moment: u64, last_chance: bool) -> Located {
-        let moment = Instant(moment * 1000);
-        locator.at(moment, Some(moment + AHEAD), Duration(0), last_chance)
-    }
-
-    fn fix(locator: &mut Locator, moment: u64, pose: Pose) {
-        let moment = Instant(moment * 1000);
-        assert!(locator.fix(moment + AHEAD, Some(moment), pose));
+    fn fix_at(locator: &mut Locator, millis: u64, pose: Pose) -> FixOutcome {
+        let local = moment(millis);
+        let certainty = Certainty { x: 20, y: 20, heading: 182 };
+        let server = local + Duration::from_secs(7);
+        locator.fix(server, Some(local), pose, certainty, local).unwrap().0
     }
 
     #[test]
     fn a_scan_waits_until_fixes_enclose_it() {
-        let mut locator = Locator::new(PoseSource::Fixes);
-        fix(&mut locator, 1_000, pose(0, 0, 0.0));
+        let mut locator = locator(PoseSource::Fixes);
+        let at = |locator: &Locator, scan, last| locator.at(moment(scan), moment(scan), last);
+        fix_at(&mut locator, 1_000, pose(0, 0, 0.0));
         assert_eq!(at(&locator, 1_050, false), Located::NotYet);
-        assert_eq!(at(&locator, 1_050, true), Located::Never);
-        fix(&mut locator, 1_100, pose(100, 0, 10.0));
+        assert_eq!(at(&locator, 1_050, true), Located::Unsure(pose(0, 0, 0.0)));
+        fix_at(&mut locator, 1_100, pose(100, 0, 10.0));
         near(at(&locator, 1_050, false), pose(50, 0, 5.0));
         // A gap that is too wide is not believed.
-        fix(&mut locator, 2_100, pose(1100, 0, 10.0));
-        assert_eq!(at(&locator, 1_600, true), Located::Never);
+        fix_at(&mut locator, 2_100, pose(1100, 0, 10.0));
+        assert!(matches!(at(&locator, 1_600, true), Located::Unsure(_)));
+        assert_eq!(at(&locator, 2_200, false), Located::NotYet);
+        // One that was taken just before the first fix is where that says.
+        let first = at(&locator, 1_000, true);
+        assert_eq!(locator.at(Instant(999_990), moment(1_000), true), first);
     }
 
     #[test]
-    fn odometry_carries_a_fix_on_where_no_camera_looks() {
-        let mut locator = Locator::new(PoseSource::Fixes);
-        locator.odometry(Instant(900_000), pose(0, 0, 0.0));
-        locator.odometry(Instant(2_100_000), pose(1200, 0, 0.0));
-        fix(&mut locator, 1_000, pose(1000, 2000, 90.0));
-        assert_eq!(at(&locator, 1_200, false), Located::NotYet);
-        let later = Instant(1_200_000);
-        let found = locator.at(later, Some(later + AHEAD), Duration::from_millis(200), false);
-        near(found, pose(1000, 2200, 90.0));
-        // In a second of the 1.2 s it drove 1 m forward, which is north.
-        near(at(&locator, 2_000, false), pose(1000, 3000, 90.0));
-        locator.odometry(Instant(40_000_000), pose(1200, 0, 0.0));
-        assert_eq!(at(&locator, 39_000, true), Located::Never);
+    fn odometry_carries_a_fix_on_until_it_is_too_unsure() {
+        let mut locator = locator(PoseSource::Fixes);
+        // At 0.5 m/s, read at 20 Hz; in `map` it goes north from (1, 2) m.
+        let drive = |locator: &mut Locator, from: u64, to: u64| {
+            for millis in (from..to).step_by(50) {
+                let x = (millis / 2) as i32;
+                locator.odometry(moment(millis), pose(x, 0, 0.0)).unwrap();
+            }
+        };
+        drive(&mut locator, 0, 1_050);
+        fix_at(&mut locator, 1_000, pose(1000, 2000, 90.0));
+        let at = |locator: &Locator, scan, now| locator.at(moment(scan), moment(now), false);
+        // A fix may come yet, and so may odometry.
+        assert_eq!(at(&locator, 1_020, 1_030), Located::NotYet);
+        drive(&mut locator, 1_050, 2_050);
+        near(at(&locator, 1_910, 2_020), pose(1000, 2455, 90.0));
+        assert_eq!(at(&locator, 2_040, 2_041), Located::NotYet);
+        drive(&mut locator, 2_050, 9_050);
+        near(at(&locator, 9_000, 9_000), pose(1000, 6000, 90.0));
+        // After 9.5 m a heading that was unsure by a degree makes 17 cm, and there is more.
+        drive(&mut locator, 9_050, 20_050);
+        let Located::Unsure(lost) = at(&locator, 20_000, 20_000) else { panic!() };
+        assert_eq!(lost, pose(1000, 11_500, 90.0));
+        // The next fix mends it.
+        fix_at(&mut locator, 20_000, pose(1000, 11_400, 90.0));
+        assert!(matches!(at(&locator, 20_000, 20_000), Located::At(_)));
     }
 
     #[test]
     fn odometry_alone_starts_from_a_given_pose() {
-        let mut locator = Locator::new(PoseSource::Odometry(pose(500, 0, 180.0)));
-        locator.odometry(Instant(0), pose(0, 0, 0.0));
-        assert_eq!(at(&locator, 1, false), Located::NotYet);
-        locator.odometry(Instant(2_000), pose(200, 0, 90.0));
-        near(at(&locator, 2, false), pose(300, 0, -90.0));
+        let mut locator = locator(PoseSource::Odometry(pose(500, 0, 180.0)));
+        locator.odometry(moment(0), pose(0, 0, 0.0)).unwrap();
+        assert_eq!(locator.at(moment(1), moment(1), false), Located::NotYet);
+        locator.odometry(moment(2), pose(200, 0, 90.0)).unwrap();
+        near(locator.at(moment(2), moment(2), false), pose(300, 0, -90.0));
+        near(locator.at(moment(1), moment(2), false), pose(400, 0, -135.0));
+        let certainty = Certainty::default();
+        let fixed = locator.fix(moment(2), Some(moment(2)), pose(0, 0, 0.0), certainty, moment(2));
+        assert_eq!(fixed, Err(FixError::Unused));
+    }
+
+    #[test]
+    fn a_robot_that_is_carried_off_is_believed_after_five_fixes() {
+        let mut locator = locator(PoseSource::Fixes);
+        for millis in (0..4_000).step_by(50) {
+            locator.odometry(moment(millis), pose(0, 0, 0.0)).unwrap();
+        }
+        let (here, there) = (pose(0, 0, 0.0), pose(3_000, 0, 0.0));
+        assert_eq!(fix_at(&mut locator, 3_000, here), FixOutcome::Began);
+        assert_eq!(fix_at(&mut locator, 3_066, here), FixOutcome::Taken);
+        // A fix elsewhere now and then, or one that agrees with no other, is left out.
+        for (millis, x) in [(3_133, 3_000), (3_200, -3_000), (3_266, 3_000), (3_333, 5_000)] {
+            assert_eq!(fix_at(&mut locator, millis, pose(x, 0, 0.0)), FixOutcome::Rejected);
+        }
+        near(locator.at(moment(3_333), moment(3_333), true), here);
+        for millis in [3_400, 3_466, 3_533, 3_600] {
+            assert_eq!(fix_at(&mut locator, millis, there), FixOutcome::Rejected);
+        }
+        assert_eq!(fix_at(&mut locator, 3_666, there), FixOutcome::Moved);
+        near(locator.at(moment(3_700), moment(3_700), true), there);
+        assert_eq!(fix_at(&mut locator, 3_733, there), FixOutcome::Taken);
+    }
+
+    #[test]
+    fn what_cannot_be_placed_in_time_is_refused() {
+        let mut locator = locator(PoseSource::Fixes);
+        let origin = pose(0, 0, 0.0);
+        for fix in 10..20 {
+            fix_at(&mut locator, fix * 100, origin);
+        }
+        let mut fix = |server: u64, local: Option<u64>, now: u64| {
+            let certainty = Certainty::default();
+            let refused =
+                locator.fix(moment(server), local.map(moment), origin, certainty, moment(now));
+            refused.map(|(outcome, _)| outcome)
+        };
+        assert_eq!(fix(8_900, Some(1_900), 2_000), Err(FixError::Repeated));
+        assert_eq!(fix(1, None, 2_000), Err(FixError::Untimed));
+        assert_eq!(fix(2, Some(1_100), 2_000), Err(FixError::TooOld));
+        // Another one that came to be of the same moment is one more.
+        assert_eq!(fix(8_801, Some(1_800), 2_000), Ok(FixOutcome::Taken));
+        assert_eq!(fix(8_802, Some(1_800), 2_000), Ok(FixOutcome::Taken));
+        assert_eq!(fix(3, Some(2_351), 2_000), Err(FixError::Future));
+        // After 450 ms without odometry nothing is known any more.
+        assert_eq!(fix(3, Some(2_350), 2_000), Ok(FixOutcome::Began));
+        locator.odometry(moment(3_000), origin).unwrap();
+        assert!(locator.odometry(moment(2_999), origin).is_err());
+        assert_eq!(locator.odometry(moment(3_000), pose(9, 9, 9.0)), Ok(()));
+        assert_eq!(locator.newest_odometry(), Some(origin));
     }
 }

@@ -1,7 +1,14 @@
 //! Where the robot is, and where it was when a scan was taken.
 
+mod covariance;
+mod estimate;
+mod filter;
+mod history;
 mod locator;
-mod track;
+mod odometry;
+#[cfg(test)]
+mod tests;
 
-pub use locator::{Located, Locator, PoseSource};
-pub use track::{Around, Track};
+pub use filter::{Backwards, FixError, FixOutcome};
+pub use locator::{Located, Locator, PoseSource, UncertaintyLimit};
+pub use odometry::OdometryNoise;

@@ -9,6 +9,7 @@
 mod coder;
 mod counter;
 mod ending;
+mod locate;
 mod sense;
 mod table;
 mod vector;
@@ -31,7 +32,7 @@ use ubimap_agent::{
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, SessionId, payload_capacity},
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
-    message::{Certainty, FixSource, Hello, PoseFix, ToRobotKind, Writer, decode},
+    message::{Certainty, FixSource, Hello, PoseFix, TimeReply, ToRobotKind, Writer, decode},
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
 };
@@ -88,6 +89,7 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     coder::run(bench, frame.get(..len)?)?;
     vector::of_row(bench, memory.beams, &readings)?;
     vector::of_image(bench)?;
+    locate::run(bench)?;
     receive(bench, memory)?;
     hprintln!("{:>12}  bytes of link state", LINK_STATE);
     Some(())
@@ -169,19 +171,19 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
     agent.receive(frame.get(..len)?, now);
     server.begin(welcome.session, DEFAULT_FRAME);
 
+    // The clocks agree: the first request has the nonce 0.
+    agent.poll_transmit(now, &mut frame)?;
+    let reply = TimeReply { nonce: 0, received: now, held_micros: 0 };
+    let len = datagram(&mut server, ToRobotKind::TimeReply, &reply, &mut frame, now)?;
+    agent.receive(frame.get(..len)?, now);
+
     // Each time three of four are known, as at 15 Hz without a loss.
     for count in 1..=5u64 {
         now = Instant(count * 66_667);
         let fixes = (0..count).rev().map(|fix| (Instant((fix + 1) * 66_667), POSE));
         let fix = PoseFix::from_fixes(fixes, Certainty::default(), FixSource::Camera)?;
-        let sent = server.poll_transmit(now, &mut frame, false, |writer, _| {
-            if writer.push(ToRobotKind::PoseFix as u8, &fix) {
-                Fill::Datagram
-            } else {
-                Fill::Nothing
-            }
-        })?;
-        let bytes = frame.get(..sent.len)?;
+        let len = datagram(&mut server, ToRobotKind::PoseFix, &fix, &mut frame, now)?;
+        let bytes = frame.get(..len)?;
         if count == 5 {
             let name = format_args!("a frame of {} bytes with a pose fix, received", bytes.len());
             bench.measure(name, || agent.receive(black_box(bytes), now));
@@ -190,4 +192,18 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
         }
     }
     (agent.statistics().fixes == 5 && agent.pose() == Some((now, POSE))).then_some(())
+}
+
+/// A frame with one message. Its length.
+fn datagram(
+    server: &mut Endpoint<(), 1, DEFAULT_FRAME>,
+    kind: ToRobotKind,
+    message: &impl serde::Serialize,
+    frame: &mut [u8],
+    now: Instant,
+) -> Option<usize> {
+    let sent = server.poll_transmit(now, frame, false, |writer, _| {
+        if writer.push(kind as u8, message) { Fill::Datagram } else { Fill::Nothing }
+    })?;
+    Some(sent.len)
 }
