@@ -265,10 +265,8 @@ impl<'b> Agent<'b> {
                 let _ = [state, short, shortest].iter().any(|state| writer.push(kind, state));
             }
             vectors.push(writer);
-            if let Some(digests) = publisher.poll_digests(&map.pool, now) {
-                // What does not fit is told again in a later round.
-                let _ = writer.push(ToServerKind::Digests as u8, &digests);
-            }
+            let alone = writer.len() == before;
+            publisher.push_digests(&map.pool, writer, alone, now);
             if writer.len() > before || !reliable {
                 return Fill::Datagram;
             }
@@ -366,6 +364,11 @@ impl<'b> Agent<'b> {
     /// Why the server refuses a session, if it does.
     pub fn refusal(&self) -> Option<RefusalReason> {
         self.refusal
+    }
+
+    /// The epoch of the server with which the last session was begun.
+    pub fn server_epoch(&self) -> Option<Epoch> {
+        self.server_epoch.map(Epoch)
     }
 
     /// Whether there is a session.

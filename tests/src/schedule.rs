@@ -28,6 +28,10 @@ const STEP: Duration = Duration::from_millis(100);
 pub const PATIENCE: Duration = Duration::from_secs(30);
 /// How finely a newcomer's time is taken.
 const TICK: Duration = Duration::from_millis(1);
+/// How long it may take until a robot knows of the last of its tiles that it is stored: a server tells
+/// it once in a session, and again when the robot tells its digest, that of two tiles in ten
+/// seconds.
+const UNTIL_STORED: Duration = Duration::from_secs(200);
 /// How long nothing may be said once all hold the same.
 const QUIET: Duration = Duration::from_secs(3);
 
@@ -42,7 +46,8 @@ enum Happening {
     Weather { robot: usize, up: Faults, down: Faults },
     /// It is plugged in elsewhere.
     Move { robot: usize, port: usize },
-    /// The server loses everything; the robots keep theirs.
+    /// The server is killed and starts anew: from its disk if it has one, else it has lost
+    /// everything. The robots keep theirs.
     Restart,
     /// Bytes that nobody sent.
     Garbage { robot: usize, direction: Direction },
@@ -70,6 +75,8 @@ pub struct Schedule {
     plans: Vec<Plan>,
     ports: usize,
     frame: u16,
+    /// Whether the server has a disk.
+    stores: bool,
     /// By time.
     happenings: Vec<(Instant, Happening)>,
     /// When the last scan is taken and the links are up again.
@@ -138,6 +145,7 @@ impl Schedule {
         let robots = rng.random_range(1..=5);
         let calm = Instant(rng.random_range(5_000_000..25_000_000));
         let mut schedule = Self::quiet(seed, rng, robots, calm);
+        schedule.stores = rng.random_bool(0.6);
         for robot in 0..robots {
             let joins = if rng.random_bool(0.7) { 0 } else { rng.random_range(0..calm.0) };
             schedule.happenings.push((Instant(joins), Happening::Boot { robot }));
@@ -276,7 +284,8 @@ impl Schedule {
     }
 
     fn terms(&self) -> Terms {
-        Terms { resolution: Millimetres(50), frame: self.frame, server_epoch: 1, stores: false }
+        let Self { frame, stores, .. } = *self;
+        Terms { resolution: Millimetres(50), frame, server_epoch: 1, stores }
     }
 
     /// The same without the frames that robots send again: the wire swallows them.
@@ -303,6 +312,7 @@ impl Schedule {
             plans,
             ports: robots + 2,
             frame: if rng.random() { 250 } else { rng.random_range(32..300) },
+            stores: false,
             happenings: Vec::new(),
             calm,
             calm_faults,
@@ -406,7 +416,7 @@ impl Schedule {
             behind = star.behind();
         }
         let took = star.now().since(self.calm);
-        star.check_all_fused();
+        star.check_all();
         let mut level = behind.map_or(Ok(took), Err);
         if level.is_ok() {
             let effort = star.effort();
@@ -415,6 +425,15 @@ impl Schedule {
                 level = Err("tiles were sent after all held the same".into());
             } else if let Some(why) = star.behind() {
                 level = Err(format!("no longer level: {why}"));
+            }
+            let end = star.now() + UNTIL_STORED;
+            while level.is_ok()
+                && let Some(why) = star.unstored()
+            {
+                if star.now() >= end {
+                    level = Err(format!("never told: {why}"));
+                }
+                star.run_until(star.now() + STEP);
             }
         }
         let agents = || star.robots.iter().filter_map(|robot| robot.agent());

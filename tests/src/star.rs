@@ -24,6 +24,8 @@ use ubimap_sim_host::{
     server::{Command, CommandError, Server},
 };
 
+use crate::disk::{Disk, Held};
+
 /// Rounds of input and output at one moment, after which time is taken to stand still for good.
 const MOST_ROUNDS: u32 = 2_000;
 /// Frames that a way remembers, so that they can be replayed: the first, and the last.
@@ -134,8 +136,8 @@ pub struct Robot<'b> {
     booted: (Instant, u64),
     bytes_at_boot: u64,
     last: (Statistics, Counters),
-    /// Sessions that it had begun when the server was started.
-    sessions_before_server: u32,
+    /// The tiles of its own that it held, if the server keeps any on disk.
+    own: Held,
 }
 
 impl<'b> Robot<'b> {
@@ -150,7 +152,7 @@ impl<'b> Robot<'b> {
             booted: (Instant(0), 0),
             bytes_at_boot: 0,
             last: Default::default(),
-            sessions_before_server: 0,
+            own: Held::new(),
         }
     }
 
@@ -172,6 +174,8 @@ impl<'b> Robot<'b> {
 #[derive(Debug)]
 pub struct Star<'b> {
     server: Server,
+    /// Where it keeps what robots tell, if it does.
+    disk: Option<Disk>,
     terms: Terms,
     ports: usize,
     /// When the server started, and what its clock showed.
@@ -193,10 +197,12 @@ struct Checked {
 }
 
 impl<'b> Star<'b> {
-    /// A server without robots. The seed is for garbage and clocks.
+    /// A server without robots, with a disk if the terms say that it stores. The seed is for garbage,
+    /// clocks and the disk.
     pub fn new(terms: Terms, ports: usize, seed: u64) -> Self {
         Self {
             server: Server::new(terms, ports),
+            disk: terms.stores.then(Disk::default),
             terms,
             ports,
             started: (Instant(0), 0),
@@ -237,20 +243,27 @@ impl<'b> Star<'b> {
         robot.agent = Some(agent.expect("the configuration is good"));
         robot.booted = (self.now, start);
         robot.last = Default::default();
+        robot.own.clear();
         robot.bytes_at_boot = robot.up.bytes;
-        robot.sessions_before_server = 0;
     }
 
-    /// The server starts anew, with an empty map, a new epoch and another clock.
+    /// The server is killed and starts anew, with a new epoch: from its disk, and then with the
+    /// clock of its life before, or with an empty map and another clock.
     pub fn restart_server(&mut self) {
         self.terms.server_epoch += 1;
         self.server = Server::new(self.terms, self.ports);
-        self.started = (self.now, self.rng.random_range(0..600_000_000));
+        let clock = match &mut self.disk {
+            Some(disk) => {
+                disk.survive(&mut self.rng);
+                disk.restore(&mut self.server);
+                disk.check_server(&self.server);
+                self.server_now().0 + self.rng.random_range(0..5_000_000)
+            }
+            None => self.rng.random_range(0..600_000_000),
+        };
+        self.started = (self.now, clock);
         self.checked = Checked::default();
-        for robot in &mut self.robots {
-            let sessions = robot.agent.as_ref().map_or(0, |agent| agent.statistics().sessions);
-            robot.sessions_before_server = sessions;
-        }
+        self.server_changed = true;
     }
 
     /// A robot is plugged in elsewhere; what is under way is lost.
@@ -331,6 +344,10 @@ impl<'b> Star<'b> {
             assert!(rounds < MOST_ROUNDS, "time stands still: {}", self.who_is_due());
             self.now = self.now.max(next);
             self.deliver();
+            let server_now = self.server_now();
+            if let Some(disk) = &mut self.disk {
+                disk.work(&mut self.server, server_now, &mut self.rng);
+            }
             self.drain();
             self.check();
         }
@@ -355,7 +372,9 @@ impl<'b> Star<'b> {
             let due = self.server.poll_timeout(port, server_now)?;
             Some(self.now + due.since(server_now))
         });
-        robots.chain(ports).flatten().min()
+        let write = self.disk.as_ref().and_then(Disk::next_due);
+        let write = write.map(|due| self.now + due.since(server_now));
+        robots.chain(ports).flatten().chain(write).min()
     }
 
     /// For messages: who wants to come back, and when.
@@ -488,6 +507,18 @@ impl<'b> Star<'b> {
         })
     }
 
+    /// A tile of a robot's own that it holds acknowledged and does not know to be stored.
+    pub fn unstored(&self) -> Option<String> {
+        self.disk.as_ref()?;
+        self.robots.iter().find_map(|robot| {
+            let mut tiles = robot.agent.as_ref()?.own_tiles().tiles();
+            let tile = tiles.find(|tile| tile.stored() != tile.publication().version())?;
+            let (stored, version) = (tile.stored(), tile.publication().version());
+            let robot = robot.id.0;
+            Some(format!("{:?} of robot {robot}: {stored:?} of {version:?} is stored", tile.id()))
+        })
+    }
+
     /// When a robot holds every fused tile that it wants, as new as the server's. `None` before
     /// it wants any.
     pub fn holds_its_window(&self, robot: usize) -> Option<bool> {
@@ -517,7 +548,7 @@ impl<'b> Star<'b> {
         self.check_agents();
         if mem::take(&mut self.server_changed) {
             self.check_layers();
-            self.check_stored();
+            self.check_acknowledged();
             self.check_ports();
         }
     }
@@ -561,17 +592,18 @@ impl<'b> Star<'b> {
         assert!(found == Some(&expected), "{id:?} is not what the layers make");
     }
 
-    /// Every fused tile is what the layers make.
-    pub fn check_all_fused(&self) {
+    /// Every fused tile is what the layers make, and the layers know what is on disk.
+    pub fn check_all(&self) {
+        self.disk.iter().for_each(|disk| disk.check_server(&self.server));
         self.server.fused().tiles().for_each(|(id, ..)| self.check_fused(id));
     }
 
-    /// What the robot believes to be stored is.
-    fn check_stored(&self) {
+    /// What the robot believes to be acknowledged is.
+    fn check_acknowledged(&self) {
         for robot in &self.robots {
             let Some(agent) = &robot.agent else { continue };
-            if agent.statistics().sessions <= robot.sessions_before_server || !agent.is_connected()
-            {
+            // A welcome of the server's life before may come late.
+            if agent.server_epoch() != Some(self.server.epoch()) || !agent.is_connected() {
                 continue;
             }
             let Some(layer) = self.server.layer(robot.id) else { continue };
@@ -601,13 +633,16 @@ impl<'b> Star<'b> {
     fn check_agents(&mut self) {
         for robot in &mut self.robots {
             let Some(agent) = &robot.agent else { continue };
+            if let Some(disk) = &self.disk {
+                disk.check_robot(robot.id, agent.own_tiles(), &mut robot.own);
+            }
             let (now, link) = (agent.statistics(), agent.link_counters());
             let (before, link_before) = mem::replace(&mut robot.last, (now, link));
             check_counters(link_before, link);
             assert_eq!((now.unknown_messages, now.malformed_messages), (0, 0));
             assert_eq!(now.bytes_sent, robot.up.bytes - robot.bytes_at_boot);
             assert!(now.bytes_sent_map <= now.bytes_sent && now.bytes_sent >= before.bytes_sent);
-            let settled = now.mapped + now.gated + now.expired;
+            let settled = now.mapped + now.gated + now.shaken + now.expired;
             assert!((settled..=settled + 4).contains(&now.scans), "{now:?}");
             assert_eq!(now.pixels.seen, now.pixels.kept + now.pixels.omitted + now.pixels.invalid);
         }

@@ -29,8 +29,15 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
         let terms = Terms { resolution: config.resolution, frame, server_epoch: 1, stores: false };
         let mut star = Star::new(terms, 1, seed);
         star.robots.push(Robot::new(config.robot, 0));
-        let bad =
-            Faults { loss: 0.4, duplicate: 0.1, reorder: 0.2, corrupt: 0.05, ..Faults::default() };
+        let latency = Duration::from_millis(5);
+        let bad = Faults {
+            loss: 0.4,
+            duplicate: 0.1,
+            reorder: 0.2,
+            corrupt: 0.05,
+            latency,
+            ..Faults::default()
+        };
         star.robots[0].up.weather(bad, seed);
         star.robots[0].down.weather(bad, seed + 100);
         let stop = Command::Stop(Stop { number: 1, stop: true });
@@ -50,7 +57,19 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
         let value = ParameterValue { parameter: Parameter::GateDistance as u16, value: 50 };
         let set = ParameterCommand { number: 9, action: ParameterAction::Set(value) };
         star.command(0, Command::Parameter(set)).unwrap();
-        star.run_until(seconds(60));
+        // Two more at once: none is lost.
+        let value = |parameter, value| ParameterValue { parameter: parameter as u16, value };
+        let values = [value(Parameter::GateTurn, 70), value(Parameter::Hold, 300)];
+        for (number, value) in (10..).zip(values) {
+            let set = ParameterCommand { number, action: ParameterAction::Set(value) };
+            star.command(0, Command::Parameter(set)).unwrap();
+        }
+        let mut answered = Vec::new();
+        while star.now() < seconds(60) {
+            star.run_until(star.now() + Duration::from_millis(1));
+            answered.extend(star.server().parameters(config.robot).map(|report| report.number));
+            answered.dedup();
+        }
 
         let commands = star.robots[0].agent().unwrap().commands();
         assert!(commands.must_stop(), "seed {seed}");
@@ -59,8 +78,9 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
             .server()
             .parameters(config.robot)
             .unwrap_or_else(|| panic!("seed {seed}: no report"));
-        assert_eq!((report.number, report.outcome), (9, ParameterOutcome::Done));
-        assert_eq!(&report.values[..], [value]);
+        assert_eq!((report.number, report.outcome), (11, ParameterOutcome::Done));
+        assert_eq!(&report.values[..], &values[1..]);
+        assert_eq!(answered, [9, 10, 11], "seed {seed}");
 
         star.command(0, Command::Stop(Stop { number: 2, stop: false })).unwrap();
         star.run_until(seconds(100));

@@ -51,24 +51,41 @@ impl Publisher {
         self.hold = hold;
     }
 
-    /// The states of the next few tiles that the server should hold, now and then.
-    pub fn poll_digests(&mut self, pool: &Pool<'_>, now: Instant) -> Option<Digests> {
+    /// Adds the states of the next few tiles that the server should hold, if it is time. What finds
+    /// no room is left for the next frame, unless there is nothing else in this one.
+    pub fn push_digests(
+        &mut self,
+        pool: &Pool<'_>,
+        writer: &mut Writer<'_>,
+        alone: bool,
+        now: Instant,
+    ) {
         if now < self.next_digest {
-            return None;
+            return;
         }
-        self.next_digest = now + DIGEST_INTERVAL;
         let mut digests = Digests { layer: Layer::Robot, tiles: Vec::new() };
+        let mut last = self.digested;
         for _ in 0..DIGESTS {
             let level = |tile: &&OwnTile| !tile.dirty && tile.publication.is_acknowledged();
-            let next = pool.tiles().filter(level).filter(|tile| tile.id > self.digested);
+            let next = pool.tiles().filter(level).filter(|tile| tile.id > last);
             let tile = next.min_by_key(|tile| tile.id);
-            self.digested = tile.and_then(|tile| tile.id);
+            last = tile.and_then(|tile| tile.id);
             let Some((tile, id)) = tile.and_then(|tile| Some((tile, tile.id?))) else { break };
             let stamp = Stamp { epoch: tile.epoch, version: tile.publication.version() };
             let hash = tile_hash(tile.publication.sent());
             let _ = digests.tiles.push(TileDigest { id, stamp, hash });
         }
-        (!digests.tiles.is_empty()).then_some(digests)
+        let mut told = digests.tiles.is_empty();
+        while !told && !digests.tiles.is_empty() {
+            told = writer.push(ToServerKind::Digests as u8, &digests);
+            if !told {
+                last = digests.tiles.pop().and(digests.tiles.last()).map(|digest| digest.id);
+            }
+        }
+        if told || alone {
+            self.digested = last;
+            self.next_digest = now + DIGEST_INTERVAL;
+        }
     }
 
     /// When the next digests are due.
@@ -215,6 +232,46 @@ mod tests {
     use super::*;
     use crate::map::RowSighting;
     use ubimap_protocol::message::{Messages, decode};
+
+    /// A pool of tiles that the server has.
+    fn acknowledged(places: &mut [OwnTile]) -> Pool<'_> {
+        let mut pool = Pool::new(places);
+        for x in [1, 2, 3] {
+            let id = TileId { x, y: 0 };
+            let tile = pool.find_or_begin(id, 1).unwrap();
+            let mut buffer = [0; 64];
+            let mut encoder = TileEncoder::new(&mut buffer);
+            let mut cells = Tile::UNKNOWN;
+            let version = Version(1);
+            assert!(tile.publication.push(&mut encoder, id, Epoch(1), version, &mut cells, 7));
+            assert!(tile.publication.acknowledge(7));
+        }
+        pool
+    }
+
+    #[test]
+    fn in_small_frames_the_digests_of_all_tiles_take_turns() {
+        let mut places = [OwnTile::FREE; 3];
+        let pool = acknowledged(&mut places);
+        let mut publisher = Publisher::new(Duration(0));
+        let mut tell = |room: usize, alone: bool, now: Instant| {
+            let mut buffer = [0u8; 60];
+            let mut writer = Writer::new(&mut buffer[..room]);
+            publisher.push_digests(&pool, &mut writer, alone, now);
+            let len = writer.len();
+            let message = Messages::new(&buffer[..len]).next()?.unwrap();
+            let digests = decode::<Digests>(message.body).unwrap().0;
+            Some(digests.tiles.iter().map(|it| it.id.x).collect::<std::vec::Vec<_>>())
+        };
+        let mut now = Instant(0);
+        assert_eq!(tell(60, true, now), Some(std::vec![1, 2]));
+        assert_eq!(tell(60, true, now), None);
+        for x in [3, 1, 2, 3] {
+            now = now + DIGEST_INTERVAL;
+            assert_eq!(tell(8, false, now), None, "there is no room beside others");
+            assert_eq!(tell(16, true, now), Some(std::vec![x]));
+        }
+    }
 
     #[test]
     fn another_server_is_not_told_the_time_of_the_last_ones_clock() {

@@ -43,7 +43,7 @@ pub enum Received<'a> {
     /// The messages of a frame of this session, each frame once. Acknowledgements are among them
     /// and have been seen to.
     Session(Messages<'a>),
-    /// Something that is no frame of this session.
+    /// Something that is no frame of this session, or breaks a rule of the protocol.
     Bad,
 }
 
@@ -315,7 +315,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
 
 fn refuse<'a>(counters: &mut Counters) -> Option<Received<'a>> {
     counters.refused = counters.refused.wrapping_add(1);
-    Some(Received::Session(Messages::new(&[])))
+    Some(Received::Bad)
 }
 
 #[cfg(test)]
@@ -412,6 +412,32 @@ mod tests {
         assert_eq!(fill(&mut server, Instant(5)), (31, None));
         assert_eq!(fill(&mut server, due).1, Some(1));
         assert_eq!(fill(&mut server, due), (31, None));
+    }
+
+    #[test]
+    fn what_breaks_a_rule_does_not_pass_for_a_sign_of_life() {
+        let (_, mut server) = pair();
+        let sealed = |header: Header, session| {
+            let contents = [&header.encode()[..], &[9, 1, 0]].concat();
+            let mut out = [0u8; 64];
+            let tail = seal(session, Direction::ToServer, &contents);
+            let len = cobs::encode([&contents, &tail], &mut out).unwrap();
+            out[..len].to_vec()
+        };
+        let good = Header { version: VERSION, kind: FrameKind::Datagram, sequence: 0 };
+        let cases = [
+            (Header { version: VERSION + 1, ..good }, SessionId(77)),
+            (Header { kind: FrameKind::Handshake, ..good }, SessionId(77)),
+            (Header { kind: FrameKind::Reliable, sequence: 400, ..good }, SessionId(77)),
+            (good, SessionId::NONE),
+        ];
+        for (count, (header, session)) in (1..).zip(cases) {
+            let received = server.receive(&mut &sealed(header, session)[..], Instant(0));
+            assert!(matches!(received, Some(Received::Bad)), "{header:?} {session:?}");
+            assert_eq!((server.counters().refused, server.counters().bad), (count, 0));
+        }
+        let received = server.receive(&mut &sealed(good, SessionId(77))[..], Instant(0));
+        assert!(matches!(received, Some(Received::Session(_))));
     }
 
     #[test]

@@ -85,6 +85,10 @@ impl RobotLayer {
                 Err(error) => return (updated, Err(error)),
             };
             let epoch = header.stamp.epoch;
+            if epoch == Epoch(u32::MAX) {
+                // There would be none left for the robot's next life.
+                return (updated, Err(TileError::Malformed));
+            }
             let epochs = self.tiles.entry(header.id).or_default();
             let held = epochs.entry(epoch).or_default();
             let mut before = *held.replica.tile();
@@ -197,7 +201,7 @@ impl RobotLayer {
     /// The first epoch that the robot has not used.
     pub fn next_epoch(&self) -> Epoch {
         let used = self.tiles.values().filter_map(|epochs| epochs.keys().next_back()).max();
-        used.map_or(Epoch(1), |epoch| Epoch(epoch.0.wrapping_add(1)))
+        used.map_or(Epoch(1), |epoch| Epoch(epoch.0.saturating_add(1)))
     }
 }
 
@@ -265,6 +269,16 @@ mod tests {
         let mut joined = second;
         joined.fill_unknown_from(&early);
         assert_eq!(restarted.seen(ID).unwrap().tile, joined);
+    }
+
+    #[test]
+    fn the_last_epoch_is_left_free() {
+        let mut layer = RobotLayer::default();
+        let cells = tile(&[(0, Cell::Free)]);
+        let last = update(u32::MAX, 1, None, &cells);
+        assert_eq!(layer.update(&last, 5), (Updated::default(), Err(TileError::Malformed)));
+        assert_eq!(layer.update(&update(u32::MAX - 1, 1, None, &cells), 5).1, Ok(()));
+        assert_eq!(layer.next_epoch(), Epoch(u32::MAX));
     }
 
     #[test]

@@ -191,19 +191,19 @@ impl Publishing {
             .within(interest)
             .filter(|&(id, version, tile)| self.has(id, version, tile));
         let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
-        let tiles: heapless::Vec<TileDigest, MAX_DIGESTS> = next
+        let tiles: Vec<TileDigest> = next
             .map(|(id, version, tile)| TileDigest {
                 id,
                 stamp: Stamp { epoch: scene.epoch, version },
                 hash: tile_hash(tile),
             })
             .collect();
-        self.digested = tiles.last().map(|digest| digest.id);
-        if !tiles.is_empty() {
-            let digests = Digests { layer: self.layer, tiles };
-            // What does not fit is told again in a later round.
-            let _ = writer.push(ToRobotKind::Digests as u8, &digests);
-        }
+        // As many as there is room for.
+        let told = (1..=tiles.len()).rev().find(|&count| {
+            let tiles = tiles[..count].iter().copied().collect();
+            writer.push(ToRobotKind::Digests as u8, &Digests { layer: self.layer, tiles })
+        });
+        self.digested = told.map(|count| tiles[count - 1].id);
     }
 
     /// When tiles are to be confirmed, if there are any.

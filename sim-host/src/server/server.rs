@@ -540,7 +540,7 @@ impl Inbox<'_> {
                 }
             }
             ToServerKind::ParameterReport => {
-                self.session.parameters = Some(decode(body).ok()?.0);
+                self.session.reported(decode(body).ok()?.0);
             }
             ToServerKind::Event => {
                 let (event, _) = decode::<Event>(body).ok()?;

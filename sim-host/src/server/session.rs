@@ -6,8 +6,8 @@ use ubimap_protocol::{
     frame::MAX_FRAME,
     link::{Endpoint, Fill},
     message::{
-        Certainty, DistanceVector, FixSource, Interest, MAX_REQUESTS, MAX_STORED, ParameterReport,
-        PoseFix, Request, State, Stored, TimeReply, ToRobotKind, Writer,
+        Certainty, DistanceVector, FixSource, Interest, MAX_REQUESTS, MAX_STORED, ParameterCommand,
+        ParameterReport, PoseFix, Request, State, Stored, TimeReply, ToRobotKind, Writer,
     },
     tile::{Layer, Stamp, TileId},
     time::{Duration, Instant},
@@ -61,6 +61,9 @@ pub(super) struct Session {
     commands: VecDeque<Command>,
     /// The newest of each command that holds until it is replaced: a new session repeats them.
     standing: Vec<Command>,
+    /// The command about parameters that has been sent and is not answered yet. The robot answers the
+    /// newest alone: the next one waits.
+    asked: Option<ParameterCommand>,
     /// What the robot last reported of its parameters.
     pub(super) parameters: Option<ParameterReport>,
     /// The newest distance vector, and how many have come.
@@ -97,6 +100,7 @@ impl Session {
             times: Vec::new(),
             commands: VecDeque::new(),
             standing: Vec::new(),
+            asked: None,
             parameters: None,
             distance_vector: None,
             distance_vectors: 0,
@@ -139,7 +143,8 @@ impl Session {
     pub(super) fn continue_from(&mut self, earlier: Self) {
         self.parameters = earlier.parameters;
         self.events = earlier.events;
-        for command in earlier.standing.into_iter().chain(earlier.commands) {
+        let asked = earlier.asked.map(Command::Parameter);
+        for command in earlier.standing.into_iter().chain(asked).chain(earlier.commands) {
             self.command(command);
         }
     }
@@ -206,6 +211,19 @@ impl Session {
         self.coverage.acknowledged(frame);
     }
 
+    /// The robot's answer to a command about parameters.
+    pub(super) fn reported(&mut self, report: ParameterReport) {
+        self.asked.take_if(|asked| asked.number == report.number);
+        self.parameters = Some(report);
+    }
+
+    /// The next command that may be sent.
+    fn next_command(&self) -> Option<usize> {
+        let waits =
+            |command: &Command| self.asked.is_some() && matches!(command, Command::Parameter(_));
+        self.commands.iter().position(|command| !waits(command))
+    }
+
     /// Puts what is due into a frame: what is urgent and stale soon first.
     pub(super) fn fill(
         &mut self,
@@ -253,8 +271,12 @@ impl Session {
         if writer.len() > before || !reliable {
             return Fill::Datagram;
         }
-        if self.commands.front().is_some_and(|command| command.write(writer)) {
-            self.commands.pop_front();
+        if let Some(index) = self.next_command()
+            && self.commands[index].write(writer)
+        {
+            if let Some(Command::Parameter(command)) = self.commands.remove(index) {
+                self.asked = Some(command);
+            }
             return Fill::Reliable(NO_TILES);
         }
         for count in (1..=self.stored.len().min(MAX_STORED)).rev() {
@@ -309,7 +331,8 @@ impl Session {
         if !self.times.is_empty() {
             return Some(now);
         }
-        let told = self.commands.is_empty() && self.stored.is_empty() && self.requests.is_empty();
+        let told =
+            self.next_command().is_none() && self.stored.is_empty() && self.requests.is_empty();
         if reliable && !told {
             return Some(now);
         }
@@ -347,7 +370,7 @@ mod tests {
 
     use crate::{mapping::ServedLayer, server::surroundings::Surroundings};
     use ubimap_protocol::{
-        message::{Freshness, Messages, decode},
+        message::{Digests, Freshness, Messages, decode},
         tile::{Cell, Epoch, Tile},
     };
 
@@ -399,6 +422,30 @@ mod tests {
             frames += 1;
         }
         assert_eq!(frames, 1 + 3, "one with a fix, and three tiles in each of the others");
+    }
+
+    #[test]
+    fn in_small_frames_the_digests_of_all_tiles_take_turns() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(3, 3, Cell::Free);
+        let mut fused = ServedLayer::default();
+        let ids = window(1, 0).ids().inspect(|&id| assert!(fused.set(id, tile)));
+        let ids: BTreeSet<TileId> = ids.collect();
+        let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
+        session.interested(window(1, 0));
+        tell(&mut session, &fused, Instant(0));
+        let mut told = Vec::new();
+        for second in 1..60 {
+            let mut buffer = [0u8; 24];
+            let mut writer = Writer::new(&mut buffer);
+            session.fill(&scene(&fused), Instant(second * 1_000_000), &mut writer, true);
+            let len = writer.len();
+            for message in Messages::new(&buffer[..len]).map(Result::unwrap) {
+                let digests = decode::<Digests>(message.body).unwrap().0;
+                told.extend(digests.tiles.iter().map(|told| told.id));
+            }
+        }
+        assert!(told.iter().take(4).eq(&ids), "{told:?}");
     }
 
     #[test]

@@ -1,0 +1,113 @@
+//! The server's store as it is to a server that may be killed at any moment: what has been
+//! confirmed is there in the next life; of what has not, some is.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use ubimap_agent::map::{OwnTile, Pool};
+use ubimap_protocol::{
+    tile::{Epoch, TILE_CELLS, TILE_SIDE, Tile, TileId, Version},
+    time::{Duration, Instant},
+    units::RobotId,
+};
+use ubimap_sim_host::{mapping::TileRecord, server::Server};
+
+/// A write takes at most this long: also that of a disk that is busy.
+const SLOWEST: u64 = 1_500_000;
+
+/// Tiles of a robot's own, and the version of each that it published last.
+pub type Held = BTreeMap<(TileId, Epoch), Version>;
+
+/// The disk.
+#[derive(Debug, Default)]
+pub struct Disk {
+    tiles: BTreeMap<(RobotId, TileId, Epoch), TileRecord>,
+    seconds: BTreeMap<(RobotId, TileId), [u32; TILE_CELLS as usize]>,
+    /// What is being written, and when each will be confirmed.
+    writes: VecDeque<(Instant, RobotId, TileRecord)>,
+}
+
+impl Disk {
+    /// Takes what the server has for it, and confirms what is written by `now`.
+    pub fn work(&mut self, server: &mut Server, now: Instant, rng: &mut ChaCha8Rng) {
+        while let Some((robot, record)) = server.poll_store() {
+            let at = now + Duration(rng.random_range(0..SLOWEST));
+            // One after the other.
+            let at = self.writes.back().map_or(at, |&(before, ..)| at.max(before));
+            self.writes.push_back((at, robot, record));
+        }
+        while let Some((_, robot, record)) = self.writes.pop_front_if(|(at, ..)| *at <= now) {
+            server.stored(robot, &record);
+            self.write(robot, record);
+        }
+    }
+
+    /// When the next write will be confirmed.
+    pub fn next_due(&self) -> Option<Instant> {
+        self.writes.front().map(|&(at, ..)| at)
+    }
+
+    /// The server dies. Some of what was being written is on the disk all the same.
+    pub fn survive(&mut self, rng: &mut ChaCha8Rng) {
+        let written = rng.random_range(0..=self.writes.len());
+        let writes: Vec<_> = self.writes.drain(..).take(written).collect();
+        writes.into_iter().for_each(|(_, robot, record)| self.write(robot, record));
+    }
+
+    /// Gives a new life of the server what there is.
+    pub fn restore(&self, server: &mut Server) {
+        for (&(robot, id, _), record) in &self.tiles {
+            let seconds = self.seconds[&(robot, id)];
+            server.restore(robot, &TileRecord { seconds, ..record.clone() });
+        }
+    }
+
+    /// The server knows every cell that there is.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn check_server(&self, server: &Server) {
+        for (&(robot, id, _), record) in &self.tiles {
+            let seen = server.layer(robot).and_then(|layer| layer.seen(id));
+            let known = |tile: &Tile, y: usize| tile.row(y).known();
+            let kept = seen.is_some_and(|seen| {
+                (0..TILE_SIDE).all(|y| known(&record.known, y) & !known(&seen.tile, y) == 0)
+            });
+            assert!(kept, "{id:?} of robot {} was stored and is lost", robot.0);
+        }
+    }
+
+    /// What a robot takes for stored is there, and what it has given up of what it held before.
+    ///
+    /// # Panics
+    /// If it is not.
+    pub fn check_robot(&self, robot: RobotId, pool: &Pool<'_>, before: &mut Held) {
+        let mut held = Held::new();
+        for tile in pool.tiles() {
+            let Some(id) = tile.id() else { continue };
+            held.insert((id, tile.epoch()), tile.publication().version());
+            let stored = tile.stored() == Version(0) || self.has(robot, id, tile);
+            assert!(stored, "robot {} takes {id:?} {:?} for stored", robot.0, tile.stored());
+        }
+        for (&(id, epoch), &version) in before.iter().filter(|(key, _)| !held.contains_key(key)) {
+            let there = self.tiles.get(&(robot, id, epoch));
+            let stored = there.is_some_and(|record| record.stamp.version >= version);
+            assert!(stored || version == Version(0), "robot {} gave up {id:?} {epoch:?}", robot.0);
+        }
+        *before = held;
+    }
+
+    /// The version that a robot takes for stored, and, if it is the last, its cells.
+    fn has(&self, robot: RobotId, id: TileId, tile: &OwnTile) -> bool {
+        let Some(record) = self.tiles.get(&(robot, id, tile.epoch())) else { return false };
+        let sent = tile.publication();
+        let same = sent.is_acknowledged() && sent.version() == record.stamp.version;
+        record.stamp.version >= tile.stored() && (!same || record.cells == *sent.sent())
+    }
+
+    fn write(&mut self, robot: RobotId, record: TileRecord) {
+        self.seconds.insert((robot, record.id), record.seconds);
+        self.tiles.insert((robot, record.id, record.stamp.epoch), record);
+    }
+}
