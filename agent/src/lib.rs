@@ -30,6 +30,7 @@ mod parameters;
 pub mod sense;
 pub mod share;
 mod statistics;
+mod trigonometry;
 
 pub use agent::{Agent, LINK_STATE};
 pub use config::{Config, ConfigError, Memory};

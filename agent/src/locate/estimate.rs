@@ -1,6 +1,6 @@
 //! The two steps of a Kalman filter of three states (x, y, heading): a motion, and a fix.
 
-use libm::{cosf, roundf, sinf, sqrtf};
+use libm::{roundf, sqrtf};
 use nalgebra::{UnitComplex, Vector2, Vector3};
 use ubimap_protocol::{
     message::Certainty,
@@ -11,6 +11,7 @@ use super::{
     covariance::{Axis, Covariance},
     odometry::MotionNoise,
 };
+use crate::trigonometry::{radians, sin_cos};
 
 /// Radians in a binary angle unit.
 pub(super) const RADIANS: f32 = core::f32::consts::TAU / 65_536.0;
@@ -78,8 +79,7 @@ impl Variances {
 /// Where the robot is taken to be, and how sure that is.
 ///
 /// In single precision, the same bits on a Cortex-M4F and on a PC: nothing but the four
-/// operations, and square root and arc tangent of `libm`. No sine for each step: `libm`'s
-/// computes in double precision, which takes 2,400 instructions there.
+/// operations, and square root and arc tangent of `libm`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Estimate {
     /// Whole millimetres, so that precision does not fall with the distance from the origin,
@@ -224,13 +224,9 @@ impl Estimate {
     }
 }
 
-/// An angle in radians, between half a turn either way.
-fn radians(angle: Angle) -> f32 {
-    f32::from(angle.0 as i16) * RADIANS
-}
-
 fn rotation(radians: f32) -> UnitComplex<f32> {
-    UnitComplex::from_cos_sin_unchecked(cosf(radians), sinf(radians))
+    let (sin, cos) = sin_cos(radians);
+    UnitComplex::from_cos_sin_unchecked(cos, sin)
 }
 
 /// An angle of less than three half turns, the short way round.

@@ -1,8 +1,12 @@
 //! From a beam and a reading to a position in the grid of the map (Aluckal, "offsetting").
 
-use ubimap_protocol::units::{Angle, Millimetres, Pose};
+use libm::roundf;
+use ubimap_protocol::units::{Millimetres, Pose};
 
-use crate::sense::{Beam, DIRECTION_BITS};
+use crate::{
+    sense::{Beam, DIRECTION_BITS},
+    trigonometry::{radians, sin_cos},
+};
 
 /// Fractional bits of a position in cells.
 pub(super) const FRACTION: u32 = 16;
@@ -38,7 +42,9 @@ impl Projection {
     /// (whose heading is in the table of beams) and cells of [`MIN_RESOLUTION`] or more.
     /// Positions are counted from the corner of the sensor's cell.
     pub(super) fn new(pose: Pose, mounting: Pose, resolution: Millimetres) -> Self {
-        let (cos, sin) = cos_sin(pose.heading);
+        let one = (1 << DIRECTION_BITS) as f32;
+        let (sin, cos) = sin_cos(radians(pose.heading));
+        let (sin, cos) = (roundf(sin * one) as i32, roundf(cos * one) as i32);
         let side = resolution.max(MIN_RESOLUTION).0;
         let (forward, left) = (i64::from(mounting.x.0), i64::from(mounting.y.0));
         let (cos_64, sin_64) = (i64::from(cos), i64::from(sin));
@@ -96,38 +102,5 @@ impl Projection {
             self.origin.0.wrapping_add(direction.0.wrapping_mul(reading) >> EXTRA),
             self.origin.1.wrapping_add(direction.1.wrapping_mul(reading) >> EXTRA),
         )
-    }
-}
-
-/// Cosine and sine in 1/16,384, to 1.5 of them: a polynomial in a quarter of a turn, for no
-/// microcontroller of ours has doubles.
-fn cos_sin(angle: Angle) -> (i32, i32) {
-    let quarter = |angle: u16| {
-        // sin(pi/2 z) for z in 0 to 1, in 1/32,768.
-        let z = i32::from(angle & 0x3FFF) << 1;
-        let z = if angle & 0x4000 == 0 { z } else { 0x8000 - z };
-        let square = (z * z) >> 15;
-        let sum = 2_603 - ((square * 142) >> 15);
-        let sum = 21_165 - ((square * sum) >> 15);
-        let sum = 51_472 - ((square * sum) >> 15);
-        // 51,472 x 32,768 is below 2^31.
-        let sine = (((z * sum) >> 15) + 1) >> 1;
-        if angle & 0x8000 == 0 { sine } else { -sine }
-    };
-    (quarter(angle.0.wrapping_add(0x4000)), quarter(angle.0))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn cosine_and_sine_are_right() {
-        for angle in 0..=u16::MAX {
-            let radians = f64::from(angle) / 65_536.0 * core::f64::consts::TAU;
-            let (cos, sin) = cos_sin(Angle(angle));
-            assert!((f64::from(cos) - radians.cos() * 16_384.0).abs() <= 1.5, "{angle}: {cos}");
-            assert!((f64::from(sin) - radians.sin() * 16_384.0).abs() <= 1.5, "{angle}: {sin}");
-        }
     }
 }

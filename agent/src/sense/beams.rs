@@ -1,7 +1,9 @@
 //! The beams of a range sensor: where each one points, computed once.
 
-use libm::{atan2f, cosf, sinf, sqrtf};
+use libm::{atan2f, sqrtf};
 use ubimap_protocol::units::{Angle, Pose};
+
+use crate::trigonometry::{angle, radians, sin_cos};
 
 use super::camera::{Camera, Rays};
 
@@ -84,14 +86,14 @@ pub fn fill_beams(beams: &mut [Beam], model: SensorModel, mounting: Pose, max_ra
         }
         SensorModel::Row { camera, row } => row_of(camera, row),
     };
-    let turn = mounting.heading.radians() as f32;
-    let (turn_sin, turn_cos) = (sinf(turn), cosf(turn));
+    let (turn_sin, turn_cos) = sin_cos(radians(mounting.heading));
     for (index, beam) in beams.iter_mut().enumerate() {
         *beam = Beam::default();
         let (x, y) = match model {
             SensorModel::Radial { first, step } => {
                 let bearing = first + index as f32 * step;
-                (cosf(bearing), sinf(bearing))
+                let (sin, cos) = sin_cos(bearing);
+                (cos, sin)
             }
             SensorModel::Pinhole { .. } | SensorModel::Row { .. } => {
                 let ray = rays.as_ref().and_then(|(rays, row)| rays.at(index as f32, *row));
@@ -124,8 +126,7 @@ pub fn remove_beams(beams: &mut [Beam], removal: Removal) {
             }
             Removal::Bearings { from, to } => {
                 let bearing = atan2f(f32::from(beam.left), f32::from(beam.forward));
-                let bearing = Angle::from_radians(f64::from(bearing));
-                (bearing - from).0 <= (to - from).0
+                (angle(bearing) - from).0 <= (to - from).0
             }
         };
         if is_removed {

@@ -1,6 +1,6 @@
 //! A depth camera: where each of its pixels looks, and what stands at the depth that it reports.
 
-use libm::{cosf, sinf};
+use crate::trigonometry::sin_cos;
 
 /// How the column of a pixel becomes a bearing. Either way a reading is the depth `d` along the
 /// optical axis, and the point lies at a radial distance of `D = d / cos(theta)` (Aluckal,
@@ -65,8 +65,9 @@ impl Camera {
     /// The row that looks level in the middle column: what it sees lies as high as the camera,
     /// however far away. `None` if the camera has no such row.
     pub fn level_row(&self) -> Option<f32> {
-        let (sin, cos) = (sinf(self.roll), cosf(self.roll));
-        let down = -sinf(self.pitch) / cosf(self.pitch);
+        let (sin, cos) = sin_cos(self.roll);
+        let (pitch_sin, pitch_cos) = sin_cos(self.pitch);
+        let down = -pitch_sin / pitch_cos;
         let (_, y) = self.distortion.apply(down * sin, down * cos);
         let row = self.centre.1 + y * self.focal.1;
         (row.is_finite() && row >= 0.0).then_some(row)
@@ -97,8 +98,7 @@ pub struct Rays {
 impl Rays {
     /// Those of a camera whose images are `width` pixels wide.
     pub fn new(camera: Camera, width: usize) -> Self {
-        let both = |angle: f32| (sinf(angle), cosf(angle));
-        let (pitch, roll) = (both(camera.pitch), both(camera.roll));
+        let (pitch, roll) = (sin_cos(camera.pitch), sin_cos(camera.roll));
         Self { camera, width: width as f32, pitch, roll }
     }
 
@@ -113,7 +113,8 @@ impl Rays {
             PixelModel::LinearAngle { field } => {
                 let half = self.width / 2.0;
                 let angle = field / 2.0 * (half - (centre.0 + right * focal.0)) / half;
-                -sinf(angle) / cosf(angle)
+                let (sin, cos) = sin_cos(angle);
+                -sin / cos
             }
         };
         let (sin, cos) = self.roll;
