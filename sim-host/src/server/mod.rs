@@ -3,6 +3,7 @@
 mod budget;
 mod command;
 mod events;
+mod inbox;
 mod news;
 mod publishing;
 mod scene;
