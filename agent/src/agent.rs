@@ -463,7 +463,7 @@ impl<'b> Agent<'b> {
         while let Some(token) = self.link.poll_acknowledged() {
             match token {
                 Token::Tiles(frame) => {
-                    self.publisher.acknowledged(&mut self.map.pool, frame, now);
+                    self.publisher.acknowledged(&mut self.map.pool, &self.fused, frame, now);
                 }
                 Token::Event(code) => self.events.acknowledged(code),
                 Token::Other => {}

@@ -155,10 +155,22 @@ impl Publisher {
     }
 
     /// A frame with tiles has been acknowledged.
-    pub fn acknowledged(&mut self, pool: &mut Pool<'_>, frame: u16, now: Instant) {
+    pub fn acknowledged(
+        &mut self,
+        pool: &mut Pool<'_>,
+        merged: &FusedMap<'_>,
+        frame: u16,
+        now: Instant,
+    ) {
         for tile in pool.tiles_mut() {
-            if tile.publication.acknowledge(frame) && tile.dirty {
-                // There may be more of it by now. Further parts need not wait.
+            if !tile.publication.acknowledge(frame) {
+                continue;
+            }
+            // If it has nothing more to tell, it may be given up at once.
+            let merged = tile.id.and_then(|id| merged.tile(id));
+            tile.dirty = tile.dirty && tile.publication.differs(&news(tile, merged));
+            if tile.dirty {
+                // Further parts need not wait.
                 let since = if tile.publication.has_parts_left() { now - self.hold } else { now };
                 self.waiting_since = self.waiting_since.map(|old| old.min(since)).or(Some(since));
             }
