@@ -28,10 +28,11 @@ const STEP: Duration = Duration::from_millis(100);
 pub const PATIENCE: Duration = Duration::from_secs(30);
 /// How finely a newcomer's time is taken.
 const TICK: Duration = Duration::from_millis(1);
-/// How long it may take until a robot knows of the last of its tiles that it is stored: a server tells
-/// it once in a session, and again when the robot tells its digest, that of two tiles in ten
-/// seconds.
-const UNTIL_STORED: Duration = Duration::from_secs(200);
+/// How long it may take until a robot knows of the last of its tiles that it is stored. What it was
+/// told in a session that it has lost it is told again when the server hears the tile's digest: of
+/// at most 36 tiles one in ten seconds, in the smallest frames. One digest in ten is lost, so five
+/// rounds of them are given.
+const UNTIL_STORED: Duration = Duration::from_secs(5 * 36 * 10);
 /// How long nothing may be said once all hold the same.
 const QUIET: Duration = Duration::from_secs(3);
 
