@@ -222,6 +222,7 @@ impl<'b> Agent<'b> {
                         command: &mut command,
                         map: &mut self.map,
                         publisher: &mut self.publisher,
+                        events: &mut self.events,
                         statistics: &mut self.statistics,
                     }
                     .take(messages, now);

@@ -3,8 +3,8 @@
 use ubimap_protocol::{
     link::ClockSync,
     message::{
-        Ack, Digests, Freshness, Message, Messages, ParameterCommand, PoseFix, Refusal, Request,
-        Stored, TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
+        Ack, Digests, EventCode, Freshness, Message, Messages, ParameterCommand, PoseFix, Refusal,
+        Request, Stored, TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
     },
     tile::Layer,
     time::Instant,
@@ -14,7 +14,7 @@ use ubimap_protocol::{
 use crate::{
     locate::{FixError, FixOutcome, Locator},
     map::LocalMap,
-    share::{Commands, FusedMap, Publisher},
+    share::{Commands, Events, FusedMap, Publisher},
     statistics::Statistics,
 };
 
@@ -47,6 +47,7 @@ pub(crate) struct Inbox<'a, 'b> {
     pub(crate) command: &'a mut Option<ParameterCommand>,
     pub(crate) map: &'a mut LocalMap<'b>,
     pub(crate) publisher: &'a mut Publisher,
+    pub(crate) events: &'a mut Events,
     pub(crate) statistics: &'a mut Statistics,
 }
 
@@ -129,6 +130,7 @@ impl Inbox<'_, '_> {
                     match outcome {
                         FixOutcome::Rejected => {
                             count.fixes_rejected = count.fixes_rejected.wrapping_add(1);
+                            self.events.raise(EventCode::FixRejected, now);
                         }
                         FixOutcome::Moved => count.moves = count.moves.wrapping_add(1),
                         FixOutcome::Began | FixOutcome::Taken => {}
