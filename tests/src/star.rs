@@ -642,7 +642,7 @@ impl<'b> Star<'b> {
             assert_eq!((now.unknown_messages, now.malformed_messages), (0, 0));
             assert_eq!(now.bytes_sent, robot.up.bytes - robot.bytes_at_boot);
             assert!(now.bytes_sent_map <= now.bytes_sent && now.bytes_sent >= before.bytes_sent);
-            let settled = now.mapped + now.gated + now.shaken + now.expired;
+            let settled = now.mapped + now.gated + now.shaken + now.unsure + now.expired;
             assert!((settled..=settled + 4).contains(&now.scans), "{now:?}");
             assert_eq!(now.pixels.seen, now.pixels.kept + now.pixels.omitted + now.pixels.invalid);
         }
