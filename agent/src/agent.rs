@@ -108,6 +108,7 @@ impl<'b> Agent<'b> {
             resolution: config.resolution,
             max_range: config.max_range,
             mounting: config.mounting,
+            validity: config.validity,
             policy: config.policy,
         };
         let selection = Selection::new(config.gate, config.policy, memory.beams);
@@ -155,6 +156,16 @@ impl<'b> Agent<'b> {
         readings: &[u16],
         now: Instant,
     ) -> Result<(), ScanError> {
+        let speaks = self.link.session() != SessionId::NONE && self.vectors.is_due(taken, false);
+        if !speaks
+            && self.waiting.check(taken, readings).is_ok()
+            && self.selection.stands(self.locator.newest_odometry(), readings)
+        {
+            // There is nothing for which its pose would have to be known.
+            self.statistics.scans = self.statistics.scans.wrapping_add(1);
+            self.statistics.gated = self.statistics.gated.wrapping_add(1);
+            return Ok(());
+        }
         self.waiting.push(taken, readings).inspect_err(|error| {
             let code = match error {
                 ScanError::Width { .. } => EventCode::SensorFault,
@@ -510,8 +521,11 @@ impl<'b> Agent<'b> {
                 self.link.session() != SessionId::NONE && self.vectors.is_due(taken, moves)
             });
             // What is compared with the next scan is what the sensor said.
-            self.selection.mapped(pose, readings, &selected);
-            if selected != Selected::Nothing || vector_time.is_some() {
+            let odometry = self.locator.newest_odometry();
+            self.selection.mapped(pose, odometry, readings, &selected);
+            // Mapping looks for what does not count where it must; what is never to be mapped is
+            // taken out for certain.
+            if vector_time.is_some() || self.config.validity.removes() {
                 self.config.validity.clean(readings);
             }
             if let Some(time) = vector_time {

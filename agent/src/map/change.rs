@@ -43,14 +43,20 @@ impl LastScan {
         let alone_counts = self.step == 1;
         let mut range: Option<(usize, usize)> = None;
         let mut before = alone_counts;
-        let samples = self.samples.iter().zip(readings.iter().step_by(self.step)).enumerate();
-        for (index, (&sample, &reading)) in samples {
+        let mut at = 0;
+        for (index, &sample) in self.samples.iter().enumerate() {
+            let Some(&reading) = readings.get(at) else { break };
+            at += self.step;
             let differs = sample.abs_diff(reading) > LEAST_CHANGE.max(sample >> 4);
-            if differs && before {
+            if !differs {
+                before = alone_counts;
+                continue;
+            }
+            if before {
                 let first = range.map_or(index - usize::from(!alone_counts), |(first, _)| first);
                 range = Some((first, index));
             }
-            before = differs || alone_counts;
+            before = true;
         }
         let (first, last) = range?;
         let start = first.saturating_sub(1) * self.step;

@@ -15,7 +15,7 @@ use super::{
     trace::{Grain, PixelCounts, trace},
     window::{Window, words_of},
 };
-use crate::sense::Beam;
+use crate::sense::{Beam, Validity};
 
 /// The longest range that can be mapped, in cells.
 pub const MAX_RADIUS: usize = 1000;
@@ -35,7 +35,9 @@ pub struct MappingConfig {
     pub max_range: u16,
     /// The sensor in `base_link`.
     pub mounting: Pose,
-    /// What is left out.
+    /// Which readings count.
+    pub validity: Validity,
+    /// How much of them is mapped.
     pub policy: Policy,
 }
 
@@ -114,14 +116,15 @@ impl<'b> LocalMap<'b> {
         pool: Pool<'b>,
     ) -> Self {
         scratch.fill(RowSighting::default());
-        let grain = Grain::new(beams, config.resolution, config.policy);
+        let grain = Grain::new(beams, config.resolution, config.validity, config.policy);
         Self { config, grain, scratch, pool, scans: 0 }
     }
 
     /// The sensor is mounted otherwise from now on, and this is its new table.
     pub(crate) fn remount(&mut self, mounting: Pose, beams: &[Beam]) {
         self.config.mounting = mounting;
-        self.grain = Grain::new(beams, self.config.resolution, self.config.policy);
+        let MappingConfig { resolution, validity, policy, .. } = self.config;
+        self.grain = Grain::new(beams, resolution, validity, policy);
     }
 
     /// Adds a scan that was taken at `pose` (`base_link` in `map`). `around` gives what the server
@@ -133,7 +136,7 @@ impl<'b> LocalMap<'b> {
         pose: Pose,
         around: impl Fn(TileId) -> Surround<'m>,
     ) -> Option<Mapped> {
-        let MappingConfig { resolution, max_range, mounting, policy } = self.config;
+        let MappingConfig { resolution, max_range, mounting, policy, .. } = self.config;
         self.scans = self.scans.wrapping_add(1);
         let projection = Projection::new(pose, mounting, resolution);
         let near = Near::new(&projection, max_range, resolution);
@@ -229,6 +232,7 @@ mod tests {
         resolution: Millimetres(50),
         max_range: 4_000,
         mounting: Pose { x: Millimetres(0), y: Millimetres(0), heading: Angle(0) },
+        validity: Validity { nearest: 1, farthest: u16::MAX, removed: (0, 0), flying: 0 },
         policy: Policy::Full,
     };
 

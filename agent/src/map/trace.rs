@@ -17,7 +17,7 @@ use super::{
     projection::{Point, Projection},
     window::Window,
 };
-use crate::sense::{Beam, DIRECTION_BITS};
+use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
 /// Two beams whose readings differ by more than this look past an edge, in millimetres.
 const JUMP: u32 = 150;
@@ -54,6 +54,8 @@ pub(super) struct Grain {
     tolerance: u32,
     /// Millimetres of reading times beams that fit [`SPAN`] cells side by side.
     spread: u32,
+    /// Which readings count.
+    validity: Validity,
 }
 
 /// Cells that are passed over at most, across the beams.
@@ -62,8 +64,13 @@ const SPAN: u32 = 16;
 const CHECKS: usize = SPAN as usize * 3 / 2;
 
 impl Grain {
-    /// For the table of a sensor, and cells of a side.
-    pub(super) fn new(beams: &[Beam], side: Millimetres, policy: Policy) -> Self {
+    /// For the table of a sensor.
+    pub(super) fn new(
+        beams: &[Beam],
+        side: Millimetres,
+        validity: Validity,
+        policy: Policy,
+    ) -> Self {
         let apart = beams.windows(2).map(|pair| match pair {
             [a, b] if a.limit != 0 && b.limit != 0 => {
                 let across = |a: i16, b: i16| u32::from(a.abs_diff(b));
@@ -78,6 +85,7 @@ impl Grain {
             margin: side / 2,
             tolerance: side * 3 / 4,
             spread: ((span * side) << DIRECTION_BITS) / widest,
+            validity,
         }
     }
 }
@@ -102,16 +110,21 @@ pub(super) fn trace(
     beams: &[Beam],
     readings: &[u16],
     continued: bool,
-    counts: &mut PixelCounts,
+    pixels: &mut PixelCounts,
 ) -> u32 {
     let sensor = projection.origin();
     let (mut kept, mut invalid, mut nearest) = (0, 0, u32::MAX);
     let mut last: Option<End> = None;
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
+        let counts = grain.validity.counts_at(readings, index, reading);
         let (reading, limit) = (u32::from(reading), u32::from(beam.limit));
         let is_hit = reading <= limit;
-        let reach = if is_hit { reading.saturating_sub(grain.margin) } else { limit };
+        let reach = match is_hit {
+            _ if !counts => 0,
+            true => reading.saturating_sub(grain.margin),
+            false => limit,
+        };
         if reach == 0 {
             invalid += u32::from(index > 0 || !continued);
             index += 1;
@@ -188,6 +201,6 @@ pub(super) fn trace(
         window.edge(end.at, sensor);
     }
     let seen = (readings.len() as u32).saturating_sub(u32::from(continued));
-    *counts += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
+    *pixels += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
     nearest
 }

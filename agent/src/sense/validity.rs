@@ -106,6 +106,24 @@ impl Validity {
         })
     }
 
+    /// Whether readings are removed by distance.
+    pub(crate) fn removes(&self) -> bool {
+        self.removed.1 >= self.removed.0.max(1)
+    }
+
+    /// Whether the reading at `index` counts, as [`Validity::clean`] has it: for rows that are not
+    /// cleaned as a whole.
+    #[inline]
+    pub(crate) fn counts_at(&self, readings: &[u16], index: usize, reading: u16) -> bool {
+        if !self.counts(reading) {
+            return false;
+        }
+        let before = index.checked_sub(1).and_then(|before| readings.get(before)).copied();
+        let apart = before.filter(|before| before.abs_diff(reading) > self.flying);
+        let apart = apart.filter(|_| self.flying != 0).filter(|&before| self.counts(before));
+        !apart.is_some_and(|before| self.is_flying(before, reading, readings.get(index + 1)))
+    }
+
     /// Whether a reading that lies apart from the one before flies, given the one after.
     fn is_flying(&self, before: u16, reading: u16, after: Option<&u16>) -> bool {
         after.is_some_and(|&after| {

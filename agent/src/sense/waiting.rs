@@ -45,17 +45,26 @@ impl<'b> WaitingScans<'b> {
         Self { readings, width, slots, entries: Deque::new(), newest: Instant(0) }
     }
 
-    /// Takes a scan: its readings in millimetres (0: no return) and the moment it was taken.
+    /// Whether a scan could be one of this sensor's: apart from there being room.
     ///
     /// # Errors
-    /// Every [`ScanError`]; nothing has changed then.
-    pub fn push(&mut self, taken: Instant, readings: &[u16]) -> Result<(), ScanError> {
+    /// Every [`ScanError`] but [`ScanError::Full`].
+    pub fn check(&self, taken: Instant, readings: &[u16]) -> Result<(), ScanError> {
         if readings.len() != self.width {
             return Err(ScanError::Width { expected: self.width, found: readings.len() });
         }
         if taken < self.newest {
             return Err(ScanError::Backwards);
         }
+        Ok(())
+    }
+
+    /// Takes a scan: its readings in millimetres (0: no return) and the moment it was taken.
+    ///
+    /// # Errors
+    /// Every [`ScanError`]; nothing has changed then.
+    pub fn push(&mut self, taken: Instant, readings: &[u16]) -> Result<(), ScanError> {
+        self.check(taken, readings)?;
         let free = (0..self.slots as u8)
             .find(|slot| self.entries.iter().all(|entry| entry.slot != *slot))
             .ok_or(ScanError::Full)?;

@@ -15,6 +15,7 @@ use super::counter::Bench;
 
 /// A robot that drives a curve, its wheels read at 20 Hz: fixes at 15 Hz, one of which is 100 ms
 /// late or as late as can be, and the pose of a scan.
+#[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let at = |millis: i32| Pose {
         x: Millimetres(millis / 2),

@@ -11,6 +11,7 @@ mod counter;
 mod ending;
 mod locate;
 mod sense;
+mod standing;
 mod table;
 mod vector;
 
@@ -26,7 +27,7 @@ use stm32f4xx_hal as _;
 use ubimap_agent::{
     Agent, Config, LINK_STATE, Memory,
     map::{LocalMap, MappingConfig, OwnTile, Policy, Pool, RowSighting, Surround, scratch_words},
-    sense::{Beam, SensorModel, fill_beams},
+    sense::{Beam, SensorModel, Validity, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
 };
 use ubimap_protocol::{
@@ -51,8 +52,8 @@ const WALL: u16 = 3_000;
 const BOXES: [(usize, usize, u16); 2] = [(150, 270, 1_200), (400, 500, 1_900)];
 
 /// Places for tiles: more than a row touches.
-const OWN_TILES: usize = 24;
-const FUSED_TILES: usize = 16;
+const OWN_TILES: usize = 12;
+const FUSED_TILES: usize = 9;
 
 #[entry]
 fn main() -> ! {
@@ -90,9 +91,16 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     vector::of_row(bench, memory.beams, &readings)?;
     vector::of_image(bench)?;
     locate::run(bench)?;
+    standing::run(bench, reborrowed(&mut memory), sensor(), &readings)?;
     receive(bench, memory)?;
     hprintln!("{:>12}  bytes of link state", LINK_STATE);
     Some(())
+}
+
+/// The same memory for one stage.
+fn reborrowed<'m>(memory: &'m mut Memory<'_>) -> Memory<'m> {
+    let Memory { beams, waiting, scratch, own, fused } = memory;
+    Memory { beams, waiting, scratch, own, fused }
 }
 
 fn sensor() -> SensorModel {
@@ -106,12 +114,13 @@ fn local_map<'m>(
     own: &'m mut [OwnTile],
 ) -> LocalMap<'m> {
     let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
-    let policy = Policy::default();
-    let config = MappingConfig { resolution, max_range, mounting, policy };
+    let (validity, policy) = (Validity::of(sensor()), Policy::default());
+    let config = MappingConfig { resolution, max_range, mounting, validity, policy };
     LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 
-/// A row from readings to evidence planes, and the same row once more.
+/// A row of a frame to evidence planes, as the agent takes it: copied, sorted out, drawn, counted.
+/// And the same row once more.
 fn rows(
     bench: &mut Bench,
     memory: &mut Memory<'_>,
@@ -120,9 +129,11 @@ fn rows(
 ) -> Option<()> {
     let mut map = local_map(memory.beams, memory.scratch, memory.own);
     for time in ["new", "known"] {
-        let mapped = bench
-            .measure(format_args!("a row of {PIXELS} to planes: {scene}, {time}"), || {
-                map.add(memory.beams, black_box(readings), black_box(POSE), |_| Surround::default())
+        let mapped =
+            bench.measure(format_args!("a row of {PIXELS} to planes: {scene}, {time}"), || {
+                let row = memory.waiting.get_mut(..PIXELS)?;
+                row.copy_from_slice(black_box(readings));
+                map.add(memory.beams, row, black_box(POSE), |_| Surround::default())
             });
         (mapped?.cells_refused == 0).then_some(())?;
     }
@@ -149,6 +160,7 @@ fn publish(
 }
 
 /// A frame with a pose fix, and the three before it, from bytes to the agent's pose.
+#[inline(never)]
 fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
     let mut agent = Agent::new(Config::new(RobotId(1), sensor()), memory).ok()?;
     let mut server = Endpoint::<(), 1, DEFAULT_FRAME>::new(Direction::ToRobot);

@@ -1,0 +1,38 @@
+//! A robot that stands still and sees what it saw: the whole agent, from the readings on.
+
+use core::hint::black_box;
+
+use ubimap_agent::{Agent, Config, Memory, locate::PoseSource, sense::SensorModel};
+use ubimap_protocol::{
+    time::Instant,
+    units::{Pose, RobotId},
+};
+
+use super::counter::Bench;
+
+/// A first scan is mapped; the next ones, with their odometry, are not. `None` if it goes otherwise.
+///
+/// Not inlined, nor are other stages with an agent: their frames would add up.
+#[inline(never)]
+pub(super) fn run(
+    bench: &mut Bench,
+    memory: Memory<'_>,
+    sensor: SensorModel,
+    readings: &[u16],
+) -> Option<()> {
+    let pose_source = PoseSource::Odometry(Pose::default());
+    let config = Config { pose_source, ..Config::new(RobotId(1), sensor) };
+    let mut agent = Agent::new(config, memory).ok()?;
+    for frame in 1..=3u64 {
+        let now = Instant(frame * 66_667);
+        agent.odometry(now, Pose::default(), now);
+        let mut scan = || agent.scan(now, black_box(readings), now);
+        match frame {
+            3 => bench.measure("a row of 640 from a robot that stands and sees no change", scan),
+            _ => scan(),
+        }
+        .ok()?;
+    }
+    let count = agent.statistics();
+    (count.mapped == 1 && count.gated == 2).then_some(())
+}
