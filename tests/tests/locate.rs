@@ -1,0 +1,121 @@
+//! What becomes of a robot's map when the cameras lose it, mistake it, or somebody carries it off.
+
+use std::collections::VecDeque;
+
+use ubimap_agent::{Config, Statistics, sense::SensorModel};
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::{Pose, RobotId},
+};
+use ubimap_sim_host::{
+    camera::Observation,
+    channel::fault::Faults,
+    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+};
+
+const READINGS: usize = 30;
+const ROBOT: RobotId = RobotId(1);
+
+/// The events of a while, by time.
+struct While(VecDeque<(Instant, Event)>);
+
+impl Stage for While {
+    fn next_event(&self) -> Option<Instant> {
+        Some(self.0.front()?.0)
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Event> {
+        let due = self.0.front().is_some_and(|(moment, _)| *moment <= now);
+        due.then(|| self.0.pop_front()).flatten().map(|(_, event)| event)
+    }
+}
+
+/// A robot that drives up and down 2 m of a line.
+struct Drive<'b> {
+    fleet: Fleet<'b>,
+    driven: u64,
+}
+
+impl Drive<'_> {
+    /// Drives on for some seconds. `seen` tells where the cameras see a robot that is so many
+    /// metres along, in their so-manieth frame of this while. What the agent counted meanwhile.
+    fn on(&mut self, seconds: u64, seen: impl Fn(f64, u64) -> Option<f64>) -> Statistics {
+        let before = self.fleet.robots()[0].agent().statistics();
+        let start = self.fleet.now() + Duration::from_millis(10);
+        let mut events = VecDeque::new();
+        for millis in (0..seconds * 1_000).step_by(10) {
+            let now = start + Duration::from_millis(millis);
+            self.driven += 10;
+            // Half a metre a second, and back again.
+            let phase = (self.driven % 8_000) as f64 / 4_000.0;
+            let along = 2.0 * if phase < 1.0 { phase } else { 2.0 - phase };
+            if millis % 70 == 0
+                && let Some(x) = seen(along, millis / 70)
+            {
+                let robots = vec![(ROBOT, Pose::from_metres(x, 0.0, 0.0))];
+                let observation =
+                    Observation { camera: 0, captured: now, robots, cells: Vec::new() };
+                events.push_back((now, Event::Observation(observation)));
+            }
+            if millis % 50 == 0 {
+                let pose = Pose::from_metres(along, 0.0, 0.0);
+                events.push_back((now, Event::Odometry { robot: 0, pose }));
+            }
+            // The first one when the wheels have turned again after the pause.
+            if millis % 200 == 100 {
+                events.push_back((now, Event::Scan { robot: 0, readings: vec![2_000; READINGS] }));
+            }
+        }
+        self.fleet.run(&mut While(events), |_| {});
+        let after = self.fleet.robots()[0].agent().statistics();
+        println!("{after:?}");
+        Statistics {
+            mapped: after.mapped - before.mapped,
+            unsure: after.unsure - before.unsure,
+            expired: after.expired - before.expired,
+            fixes: after.fixes - before.fixes,
+            fixes_rejected: after.fixes_rejected - before.fixes_rejected,
+            moves: after.moves - before.moves,
+            ..after
+        }
+    }
+}
+
+#[test]
+fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
+    let model = SensorModel::Radial { first: -1.5, step: 0.1 };
+    let config = Config::new(ROBOT, model);
+    let mut memory = [AgentMemory::new(&config, READINGS, OWN_TILES, FUSED_TILES)];
+    let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
+    let fleet = Fleet::new(&[config], &mut memory, faults, config.resolution, 1).unwrap();
+    let mut drive = Drive { fleet, driven: 0 };
+
+    // The clocks agree, the cameras see it.
+    drive.on(5, |along, _| Some(along));
+    let seen = drive.on(10, |along, _| Some(along));
+    assert!(seen.mapped >= 45 && seen.unsure == 0, "{seen:?}");
+    assert_eq!((seen.fixes_rejected, seen.moves), (0, 0));
+
+    // One frame of ten is mistaken: it is left out, and all is mapped as before.
+    let mistaken =
+        drive.on(10, |along, frame| Some(along + if frame % 10 == 9 { 4.0 } else { 0.0 }));
+    assert_eq!((mistaken.fixes_rejected, mistaken.moves), (14, 0));
+    assert!(mistaken.mapped >= 45 && mistaken.unsure == 0, "{mistaken:?}");
+
+    // Out of sight it maps on until its heading is unsure by 3 degrees, after some 30 m; a second
+    // in sight, and it does again.
+    let hidden = drive.on(40, |_, _| None);
+    assert!(hidden.mapped >= 180 && hidden.unsure == 0, "{hidden:?}");
+    let lost = drive.on(40, |_, _| None);
+    assert!(lost.mapped >= 50 && lost.unsure >= 50, "{lost:?}");
+    assert_eq!((lost.expired, lost.fixes), (0, 0));
+    drive.on(1, |along, _| Some(along));
+    let found = drive.on(5, |along, _| Some(along));
+    assert!(found.mapped >= 20 && found.unsure == 0, "{found:?}");
+
+    // Carried off, it is believed to be there after five fixes.
+    let carried = drive.on(10, |along, frame| Some(along + if frame < 50 { 0.0 } else { 5.0 }));
+    assert_eq!((carried.fixes_rejected, carried.moves), (4, 1));
+    let pose = drive.fleet.robots()[0].agent().pose().unwrap().1;
+    assert!((5.0..=7.0).contains(&pose.x.metres()), "{pose:?}");
+}
