@@ -10,6 +10,7 @@ mod coder;
 mod counter;
 mod ending;
 mod locate;
+mod memory;
 mod sense;
 mod standing;
 mod table;
@@ -25,7 +26,7 @@ use ending::end;
 // For its table of interrupt vectors.
 use stm32f4xx_hal as _;
 use ubimap_agent::{
-    Agent, Config, LINK_STATE, Memory,
+    Agent, Config, Memory,
     map::{LocalMap, MappingConfig, OwnTile, Policy, Pool, RowSighting, Surround, scratch_words},
     sense::{Beam, SensorModel, Validity, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
@@ -93,7 +94,7 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     locate::run(bench)?;
     standing::run(bench, reborrowed(&mut memory), sensor(), &readings)?;
     receive(bench, memory)?;
-    hprintln!("{:>12}  bytes of link state", LINK_STATE);
+    memory::run();
     Some(())
 }
 
