@@ -66,7 +66,7 @@ impl Drive<'_> {
                 events.push_back((now, Event::Scan { robot: 0, readings: vec![2_000; READINGS] }));
             }
         }
-        self.fleet.run(&mut While(events), |_| {});
+        self.fleet.run(&mut While(events), |_| {}).unwrap();
         let after = self.fleet.robots()[0].agent().statistics();
         println!("{after:?}");
         Statistics {
