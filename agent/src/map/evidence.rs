@@ -85,18 +85,6 @@ impl Evidence {
         }
     }
 
-    /// The cells of row `y` modulo 32 of which nothing is known here.
-    pub fn unknown(&self, y: usize) -> u32 {
-        let [low, middle, high] = self.rows[y % TILE_SIDE];
-        !(low | middle | high)
-    }
-
-    /// The cells of row `y` modulo 32 for whose being occupied no further hit can say more.
-    pub fn certain(&self, y: usize) -> u32 {
-        let [low, middle, high] = self.rows[y % TILE_SIDE];
-        low & middle & high
-    }
-
     /// What is to be published: unknown, free or occupied.
     pub fn cells(&self) -> Tile {
         let mut tile = Tile::UNKNOWN;
@@ -211,7 +199,8 @@ mod tests {
                     _ => Cell::Occupied,
                 };
                 prop_assert_eq!(cells.cell(x, y), expected);
-                prop_assert_eq!(evidence.certain(y) >> x & 1 != 0, value == 7);
+                let [low, middle, high] = evidence.rows[y].map(|word| (word >> x & 1) as u8);
+                prop_assert_eq!(low | middle << 1 | high << 2, value);
             }
         }
     }
