@@ -18,8 +18,8 @@ const RIM: i32 = 2;
 /// Beams that are looked at to find out how far a part of a scan can reach.
 const SAMPLES: usize = 8;
 
-/// What a window must hold for any eighth of a turn of a scan of so many cells: 344 words of
-/// two planes (2.8 kB) for 80.
+/// What a window must hold for any eighth of a turn of a scan of so many cells: 340 words of
+/// two planes (2.7 kB) for 80.
 pub(super) const fn words_of(radius: usize) -> usize {
     let across = radius + 2 * RIM as usize + 1;
     across * ((across + TILE_SIDE - 2) / TILE_SIDE + 1)
