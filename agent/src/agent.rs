@@ -159,7 +159,11 @@ impl<'b> Agent<'b> {
         let speaks = self.link.session() != SessionId::NONE && self.vectors.is_due(taken, false);
         if !speaks
             && self.waiting.check(taken, readings).is_ok()
-            && self.selection.stands(self.locator.newest_odometry(), readings)
+            && self.selection.stands(
+                self.latest_pose.map(|(_, pose)| pose),
+                self.locator.newest_odometry(),
+                readings,
+            )
         {
             // There is nothing for which its pose would have to be known.
             self.statistics.scans = self.statistics.scans.wrapping_add(1);

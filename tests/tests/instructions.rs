@@ -18,8 +18,8 @@ const BOUNDS: [(&str, &str, u64); 14] = [
     // With the row to planes half a million.
     ("the tiles that fit a frame", "", 475_000),
     ("a grey image", "", 600_000),
-    ("a pose fix", "", 20_000),
-    ("the pose of a scan", "", 20_000),
+    ("a pose fix", "", 6_600),
+    ("the pose of a scan", "", 13_220),
     ("a new tile", "to bytes", 150_000),
     ("its ", "bytes to a tile", 150_000),
     ("a tile update", "the most", 150_000),

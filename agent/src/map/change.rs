@@ -34,8 +34,6 @@ impl LastScan {
     /// The readings that may have changed: the smallest range with every change in it. Two samples
     /// beside each other must have changed, or one if every reading is a sample. `None` if none
     /// has.
-    ///
-    /// 900 instructions for 640 readings, measured on a Cortex-M4.
     pub(super) fn changed(&self, readings: &[u16]) -> Option<Range<usize>> {
         if self.step == 0 {
             return Some(0..readings.len());

@@ -49,13 +49,16 @@ impl Selection {
         self.gate = gate;
     }
 
-    /// Whether a scan says nothing, wherever the robot is: by its odometry it stands where it mapped
-    /// last, and it sees what it saw. 1,100 instructions, measured on a Cortex-M4.
-    pub fn stands(&self, odometry: Option<Pose>, readings: &[u16]) -> bool {
-        let stands = odometry.zip(self.odometry_then).is_some_and(|(now, then)| {
-            self.policy == Policy::Full && !self.gate.opens(Some(then), now)
-        });
-        stands && self.last.changed(readings).is_none()
+    /// Whether a scan says nothing, without its pose: the robot stands where it mapped last, by its
+    /// odometry and by the newest pose that is known, and it sees what it saw.
+    pub fn stands(&self, pose: Option<Pose>, odometry: Option<Pose>, readings: &[u16]) -> bool {
+        let stays = |then: Option<Pose>, now: Option<Pose>| {
+            then.is_some() && now.is_some_and(|now| !self.gate.opens(then, now))
+        };
+        self.policy == Policy::Full
+            && stays(self.odometry_then, odometry)
+            && stays(self.mapped_at, pose)
+            && self.last.changed(readings).is_none()
     }
 
     /// Which readings of a scan that was taken at `pose` (`base_link` in `map`) say something new.

@@ -64,8 +64,9 @@ impl<'a> TileEncoder<'a> {
     ///
     /// Returns the cell after the last that fitted, or `None` if not even one did, if the update
     /// holds [`MAX_TILES_PER_UPDATE`], or if the versions do not run 0 < base < version. Only the
-    /// first tile of an update is cut short; it is then coded twice. A whole new tile of a scan (603 known cells) takes 58,000 instructions on a
-    /// Cortex-M4 (`cargo instructions`), the mean update of a robot in an office 14,000.
+    /// first tile of an update is cut short; it is then coded twice. A whole new tile of a scan (600
+    /// known cells) takes 58,000 instructions on a Cortex-M4 (`cargo instructions`), the mean update
+    /// of a robot in an office 15,000.
     pub fn push(
         &mut self,
         id: TileId,
