@@ -3,11 +3,17 @@
 //! Simulated cameras, recorded logs and, later, real ones behind a detector all implement
 //! [`Source`]; nothing downstream knows which it is.
 
+mod calibration;
+mod frame;
+
 use ubimap_protocol::{
     tile::Cell,
     time::Instant,
     units::{Pose, RobotId},
 };
+
+pub use calibration::{Calibration, CalibrationError, Intrinsics, Lens};
+pub use frame::{DepthImage, Frame, FrameSource, Picture};
 
 /// What one frame of one camera says, after perception.
 #[derive(Clone, Debug, Default, PartialEq)]
