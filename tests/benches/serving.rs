@@ -99,14 +99,13 @@ fn scan(robot: usize, at: Instant) -> Vec<u16> {
 }
 
 /// The server's thread: for each fix how long it took from the frame to the message.
-fn serve(
-    robots: usize,
-    began: Clock,
-    from: &Receiver<Bytes>,
-    to: &Sender<Bytes>,
-) -> Vec<Span> {
-    let terms =
-        Terms { resolution: RESOLUTION, frame: DEFAULT_FRAME as u16, server_epoch: 1, stores: false };
+fn serve(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>) -> Vec<Span> {
+    let terms = Terms {
+        resolution: RESOLUTION,
+        frame: DEFAULT_FRAME as u16,
+        server_epoch: 1,
+        stores: false,
+    };
     let mut server = Server::new(terms, robots);
     let mut frame = vec![0; MAX_FRAME];
     let mut late = Vec::new();
