@@ -18,7 +18,11 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::{camera::Observation, run::fleet::AgentMemory, server::Server};
+use ubimap_sim_host::{
+    camera::{Observation, Sighting},
+    run::fleet::AgentMemory,
+    server::Server,
+};
 
 const RESOLUTION: Millimetres = Millimetres(50);
 const CAMERAS: usize = 8;
@@ -125,7 +129,10 @@ fn serve(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>
             server.observe(&Observation {
                 camera,
                 captured,
-                robots: seen.clone().map(|it| (RobotId(it as u16), pose(it, captured))).collect(),
+                robots: seen
+                    .clone()
+                    .map(|it| Sighting::usual(RobotId(it as u16), pose(it, captured)))
+                    .collect(),
                 cells: seen.clone().filter(|_| with_cells).flat_map(covered).collect(),
             });
             seen.for_each(|robot| due[robot] = Some(captured));

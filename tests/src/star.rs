@@ -17,7 +17,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 use ubimap_sim_host::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     channel::fault::{FaultWire, Faults},
     mapping::{SeenTile, fuse},
     run::fleet::AgentMemory,
@@ -330,7 +330,7 @@ impl<'b> Star<'b> {
 
     /// The cameras see a robot.
     pub fn fix(&mut self, robot: usize, pose: Pose) {
-        let robots = vec![(self.robots[robot].id, pose)];
+        let robots = vec![Sighting::usual(self.robots[robot].id, pose)];
         let captured = self.server_now();
         self.server.observe(&Observation { camera: robot, captured, robots, cells: Vec::new() });
         self.drain();

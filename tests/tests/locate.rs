@@ -8,7 +8,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 use ubimap_sim_host::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     channel::fault::Faults,
     run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
 };
@@ -52,7 +52,7 @@ impl Drive<'_> {
             if millis % 70 == 0
                 && let Some(x) = seen(along, millis / 70)
             {
-                let robots = vec![(ROBOT, Pose::from_metres(x, 0.0, 0.0))];
+                let robots = vec![Sighting::usual(ROBOT, Pose::from_metres(x, 0.0, 0.0))];
                 let observation =
                     Observation { camera: 0, captured: now, robots, cells: Vec::new() };
                 events.push_back((now, Event::Observation(observation)));

@@ -7,6 +7,7 @@ mod calibration;
 mod frame;
 
 use ubimap_protocol::{
+    message::Certainty,
     tile::Cell,
     time::Instant,
     units::{Pose, RobotId},
@@ -22,11 +23,29 @@ pub struct Observation {
     pub camera: usize,
     /// When the frame was captured, in the server's clock.
     pub captured: Instant,
-    /// The robots that it localised: `base_link` in `map`.
-    pub robots: Vec<(RobotId, Pose)>,
+    /// The robots that it localised.
+    pub robots: Vec<Sighting>,
     /// The cells that it sees, by grid coordinates (cells from the origin of `map`): free or
     /// occupied. A cell in its field of view that is hidden from it is not listed.
     pub cells: Vec<((i32, i32), Cell)>,
+}
+
+/// Where a robot was when a frame was captured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sighting {
+    /// Which robot.
+    pub robot: RobotId,
+    /// `base_link` in `map`.
+    pub pose: Pose,
+    /// How sure it is.
+    pub certainty: Certainty,
+}
+
+impl Sighting {
+    /// One that is good for two centimetres and a degree.
+    pub fn usual(robot: RobotId, pose: Pose) -> Self {
+        Self { robot, pose, certainty: Certainty { x: 20, y: 20, heading: 182 } }
+    }
 }
 
 /// A source of observations.

@@ -19,7 +19,7 @@ use super::{
     progress::Progress,
 };
 use crate::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     grid::OccupancyGrid,
     log::{self, Log, LoggedScan},
 };
@@ -167,7 +167,7 @@ fn seen(robot: usize, captured: Instant, pose: Pose) -> Event {
     Event::Observation(Observation {
         camera: robot,
         captured,
-        robots: vec![(RobotId(robot as u16 + 1), pose)],
+        robots: vec![Sighting::usual(RobotId(robot as u16 + 1), pose)],
         cells: Vec::new(),
     })
 }
@@ -226,7 +226,7 @@ mod tests {
         let fixes: Vec<_> = events
             .iter()
             .filter_map(|(_, event)| match event {
-                Event::Observation(seen) => Some((seen.captured.0, seen.robots[0].1)),
+                Event::Observation(seen) => Some((seen.captured.0, seen.robots[0].pose)),
                 _ => None,
             })
             .collect();

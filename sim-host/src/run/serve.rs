@@ -19,7 +19,7 @@ use super::{
     options::ServeOptions,
 };
 use crate::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     channel::serial::{SerialError, SerialPort},
     report::{EventSummary, PortSummary, ServeReport, StateSummary},
     server::{self, EventLog, Server},
@@ -237,8 +237,9 @@ impl Station {
         let captured = Instant(now.micros() / interval * interval);
         self.next_capture = captured + CAPTURE_INTERVAL;
         let robots = self.ports.iter().enumerate();
-        let robots =
-            robots.filter_map(|(port, it)| Some((self.server.robot_at(port)?, it.stands?)));
+        let robots = robots.filter_map(|(port, it)| {
+            Some(Sighting::usual(self.server.robot_at(port)?, it.stands?))
+        });
         let robots = robots.collect();
         self.server.observe(&Observation { captured, robots, ..Observation::default() });
     }

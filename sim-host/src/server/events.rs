@@ -1,11 +1,13 @@
-//! What has happened on a robot.
+//! What has happened on a robot, and what the cameras saw of robots that is no pose.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
     message::{Event, EventCode},
     time::Instant,
 };
+
+use crate::perception::robots::SightingEvent;
 
 /// The newest events that are kept.
 const MOST: usize = 8;
@@ -34,6 +36,25 @@ impl EventLog {
     /// The newest few and when they were received, oldest first.
     pub fn newest(&self) -> impl Iterator<Item = (Instant, &Event)> {
         self.newest.iter().map(|(received, event)| (*received, event))
+    }
+}
+
+/// What the cameras saw of robots and cannot be a pose.
+#[derive(Clone, Debug, Default)]
+pub struct SightingLog {
+    seen: BTreeMap<SightingEvent, (u64, Instant)>,
+}
+
+impl SightingLog {
+    pub(super) fn add(&mut self, captured: Instant, event: SightingEvent) {
+        let (count, last) = self.seen.entry(event).or_insert((0, captured));
+        *count += 1;
+        *last = captured.max(*last);
+    }
+
+    /// Each event, how often it began, and when last.
+    pub fn iter(&self) -> impl Iterator<Item = (SightingEvent, u64, Instant)> {
+        self.seen.iter().map(|(&event, &(count, last))| (event, count, last))
     }
 }
 

@@ -13,6 +13,6 @@ mod session;
 mod surroundings;
 
 pub use command::Command;
-pub use events::{EventLog, described};
+pub use events::{EventLog, SightingLog, described};
 pub use server::{CommandError, NoSuchPort, Server};
 pub use surroundings::Footprint;

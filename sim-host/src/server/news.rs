@@ -121,7 +121,7 @@ impl Told {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::Observation;
+    use crate::camera::{Observation, Sighting};
     use ubimap_protocol::{
         message::{Messages, decode},
         units::Pose,
@@ -136,7 +136,8 @@ mod tests {
     /// Robots 1 to `robots`, as many metres to the east of a place far away.
     fn saw(about: &mut Surroundings, robots: u16, at: Instant) {
         let pose = |robot: u16| Pose::from_metres(200_000.0 + f64::from(robot), 0.0, 0.0);
-        let robots = (1..=robots).map(|robot| (RobotId(robot), pose(robot))).collect();
+        let robots = (1..=robots).map(|robot| Sighting::usual(RobotId(robot), pose(robot)));
+        let robots = robots.collect();
         let observation = Observation { captured: at, robots, ..Observation::default() };
         about.observe(&observation, ubimap_protocol::units::Millimetres(50));
     }

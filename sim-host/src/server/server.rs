@@ -11,20 +11,21 @@ use ubimap_protocol::{
     },
     tile::{Epoch, TileId},
     time::{Duration, Instant},
-    units::{Pose, RobotId},
+    units::RobotId,
 };
 
 use super::{
     command::Command,
-    events::EventLog,
+    events::{EventLog, SightingLog},
     inbox::Inbox,
     scene::Scene,
     session::{Link, Session},
     surroundings::{Footprint, Surroundings},
 };
 use crate::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     mapping::{CameraLayer, CoverageLayer, RobotLayer, ServedLayer, TileRecord, Updated, fuse},
+    perception::robots::SightingEvent,
 };
 
 /// At most this often a robot is told that it has no session here.
@@ -67,6 +68,7 @@ pub struct Server {
     fused: ServedLayer,
     coverage: CoverageLayer,
     surroundings: Surroundings,
+    sighting_events: SightingLog,
     /// Tiles of robots that have changed since they were kept on disk.
     unsaved: BTreeSet<(RobotId, TileId, Epoch)>,
 }
@@ -109,6 +111,7 @@ impl Server {
             fused: ServedLayer::default(),
             coverage: CoverageLayer::default(),
             surroundings: Surroundings::default(),
+            sighting_events: SightingLog::default(),
             unsaved: BTreeSet::new(),
         }
     }
@@ -168,13 +171,24 @@ impl Server {
     /// Takes what a frame of a camera says.
     pub fn observe(&mut self, observation: &Observation) {
         let captured = observation.captured;
-        for &(robot, pose) in &observation.robots {
-            self.fix(robot, captured, pose);
+        for &sighting in &observation.robots {
+            self.fix(captured, sighting);
         }
         self.coverage.observe(observation);
         let changed = self.cameras.observe(observation);
         self.surroundings.observe(observation, self.terms.resolution);
         self.fuse_anew(&changed);
+    }
+
+    /// Takes what a frame of a camera, captured then, shows of robots and cannot be a pose.
+    pub fn sighting_event(&mut self, captured: Instant, event: SightingEvent) {
+        log::warn!("{event}");
+        self.sighting_events.add(captured, event);
+    }
+
+    /// What the cameras saw of robots and could not be a pose.
+    pub fn sighting_events(&self) -> &SightingLog {
+        &self.sighting_events
     }
 
     /// A state of a robot's tile to be kept on disk, if the terms say that the server stores any.
@@ -375,10 +389,10 @@ impl Server {
         self.ports.iter().filter_map(|port| port.session.as_ref()).find(|it| it.robot == robot)
     }
 
-    fn fix(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
+    fn fix(&mut self, moment: Instant, sighting: Sighting) {
         let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
-        if let Some(session) = sessions.find(|session| session.robot == robot) {
-            session.fix(moment, pose);
+        if let Some(session) = sessions.find(|session| session.robot == sighting.robot) {
+            session.fix(moment, sighting);
         }
     }
 

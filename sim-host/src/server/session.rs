@@ -11,18 +11,17 @@ use ubimap_protocol::{
     },
     tile::{Layer, Stamp, TileId},
     time::{Duration, Instant},
-    units::{Pose, RobotId},
+    units::RobotId,
 };
 
 use super::{
     budget::Budget, command::Command, events::EventLog, news::News, publishing::Publishing,
     scene::Scene,
 };
+use crate::camera::Sighting;
 
 /// Reliable frames under way to one robot.
 const WINDOW: usize = 16;
-/// What a fix of the cameras is taken to be good for, until they say it themselves.
-const CAMERA_CERTAINTY: Certainty = Certainty { x: 20, y: 20, heading: 182 };
 /// The token of frames in which no tile travels.
 const NO_TILES: u16 = 0;
 /// Changes of a fused tile are gathered this long, and those of a coverage tile.
@@ -53,7 +52,7 @@ pub(super) struct Session {
     frame: u16,
     next_tiles: Instant,
     /// Newest first.
-    fixes: Vec<(Instant, Pose)>,
+    fixes: Vec<(Instant, Sighting)>,
     fix_due: bool,
     next_fix: Instant,
     times: Vec<(u16, Instant)>,
@@ -115,11 +114,11 @@ impl Session {
     }
 
     /// A fix of this robot, later than all before.
-    pub(super) fn fix(&mut self, moment: Instant, pose: Pose) {
+    pub(super) fn fix(&mut self, moment: Instant, sighting: Sighting) {
         if self.fixes.first().is_some_and(|&(newest, _)| newest >= moment) {
             return;
         }
-        self.fixes.insert(0, (moment, pose));
+        self.fixes.insert(0, (moment, sighting));
         self.fixes.truncate(1 + ubimap_protocol::message::MAX_EARLIER_FIXES);
         self.fix_due = true;
     }
@@ -244,9 +243,10 @@ impl Session {
             self.next_fix = now + FIX_INTERVAL;
             // As many of the earlier ones as there is room for.
             self.fix_due = !(1..=self.fixes.len()).rev().any(|count| {
+                let fixes = &self.fixes[..count];
                 let fix = PoseFix::from_fixes(
-                    self.fixes.iter().take(count).copied(),
-                    CAMERA_CERTAINTY,
+                    fixes.iter().map(|&(moment, sighting)| (moment, sighting.pose)),
+                    least_certain(fixes),
                     FixSource::Camera,
                 );
                 fix.is_some_and(|fix| writer.push(ToRobotKind::PoseFix as u8, &fix))
@@ -363,6 +363,15 @@ impl Session {
     }
 }
 
+/// What holds for each of some fixes.
+fn least_certain(fixes: &[(Instant, Sighting)]) -> Certainty {
+    fixes.iter().fold(Certainty::default(), |least, (_, Sighting { certainty, .. })| Certainty {
+        x: least.x.max(certainty.x),
+        y: least.y.max(certainty.y),
+        heading: least.heading.max(certainty.heading),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -372,6 +381,7 @@ mod tests {
     use ubimap_protocol::{
         message::{Digests, Freshness, Messages, decode},
         tile::{Cell, Epoch, Tile},
+        units::Pose,
     };
 
     const ID: TileId = TileId { x: 1, y: 0 };
@@ -408,7 +418,7 @@ mod tests {
     #[test]
     fn what_is_long_is_cut_to_a_small_frame() {
         let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
-        let far = Pose::from_metres(-900.0, 900.0, 3.0);
+        let far = Sighting::usual(RobotId(1), Pose::from_metres(-900.0, 900.0, 3.0));
         (0..4).for_each(|hour| session.fix(Instant((hour + 1) * 3_600_000_000), far));
         (0..8).for_each(|x| session.ask_for(TileId { x: 30_000 + x, y: -30_000 }));
         let fused = ServedLayer::default();
@@ -477,6 +487,18 @@ mod tests {
     }
 
     #[test]
+    fn what_is_said_of_several_fixes_holds_for_the_least_certain() {
+        let of = |x, y, heading| {
+            let certainty = Certainty { x, y, heading };
+            let robot = Sighting::usual(RobotId(1), Pose::default());
+            (Instant::default(), Sighting { certainty, ..robot })
+        };
+        let (first, second) = (of(5, 30, 7), of(9, 4, 8));
+        assert_eq!(least_certain(&[first, second]), Certainty { x: 9, y: 30, heading: 8 });
+        assert_eq!(least_certain(&[first]), first.1.certainty);
+    }
+
+    #[test]
     fn many_cameras_make_no_more_messages() {
         let mut session = Session::new(RobotId(1), 7, 4, Instant(0));
         let fused = ServedLayer::default();
@@ -485,7 +507,7 @@ mod tests {
             let now = Instant(step * 5_000);
             // Four cameras, each at 12.5 Hz.
             if step % 4 == 0 {
-                session.fix(now, Pose::default());
+                session.fix(now, Sighting::usual(RobotId(1), Pose::default()));
             }
             let mut buffer = [0u8; 200];
             let mut writer = Writer::new(&mut buffer);

@@ -10,7 +10,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     perception::{Track, Tracks},
 };
 
@@ -60,7 +60,7 @@ impl Surroundings {
     /// Takes what a frame of a camera says, cells of this side.
     pub(super) fn observe(&mut self, observation: &Observation, side: Millimetres) {
         let captured = observation.captured;
-        for &(robot, pose) in &observation.robots {
+        for &Sighting { robot, pose, .. } in &observation.robots {
             self.robot(robot, captured, pose);
         }
         // A frame without cells says nothing of them.

@@ -10,10 +10,7 @@ use parry2d_f64::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use ubimap_protocol::{
-    tile::Cell,
-    units::{Pose, RobotId},
-};
+use ubimap_protocol::{tile::Cell, units::RobotId};
 
 use super::{
     robots::{PlanePose, SimRobot},
@@ -23,6 +20,7 @@ use super::{
     sensor::cylinder,
     shapes::Prism,
 };
+use crate::camera::Sighting;
 
 /// A body whose top is not this far below a camera has an endless shadow, in metres.
 const HEADROOM: f64 = 0.05;
@@ -54,7 +52,7 @@ impl SeenRobot {
 /// What one frame says.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Frame {
-    pub(super) robots: Vec<(RobotId, Pose)>,
+    pub(super) robots: Vec<Sighting>,
     pub(super) cells: Vec<((i32, i32), Cell)>,
 }
 
@@ -135,7 +133,7 @@ impl Camera {
                     position: robot.pose.position + offset,
                     heading: robot.pose.heading + turn * self.heading_noise,
                 };
-                frame.robots.push((robot.id, measured.quantised()));
+                frame.robots.push(Sighting::usual(robot.id, measured.quantised()));
                 localised.push(robot.body);
             }
         }

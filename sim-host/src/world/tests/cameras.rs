@@ -166,10 +166,10 @@ fn a_localised_robot_is_no_obstacle_and_a_hidden_one_is_not_localised() {
     )
     .robots;
     let first = observations(&mut world(&scenario, 0), 0.2).remove(0);
-    let ids: Vec<RobotId> = first.robots.iter().map(|&(id, _)| id).collect();
+    let ids: Vec<RobotId> = first.robots.iter().map(|it| it.robot).collect();
     assert_eq!(ids, [RobotId(7)], "the other is under the board");
     assert_eq!(
-        first.robots[0].1,
+        first.robots[0].pose,
         ubimap_protocol::units::Pose::from_metres(1.5, 1.0, 30_f64.to_radians())
     );
     let listed: BTreeSet<(i32, i32)> = first.cells.iter().map(|&(cell, _)| cell).collect();

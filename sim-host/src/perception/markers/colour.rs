@@ -1,0 +1,150 @@
+//! Ahmed's marker (Ahmed et al., 2.2): a light cover, on it a head and a tail, each of one colour.
+//! It needs a colour camera and few pixels, and no code: the pair of colours says which robot.
+
+use std::collections::BTreeMap;
+
+use image::RgbImage;
+use libm::hypot;
+
+use super::{Identifier, Marker, Window};
+
+/// A channel more than another by this is a colour.
+const COLOURED: u8 = 50;
+/// Fewer pixels are a speck.
+const LEAST_PIXELS: usize = 12;
+/// Head and tail are of one size: the larger has at most so many times the pixels of the other.
+const UNLIKE: usize = 2;
+/// How far apart their middles may be, in parts of the diameter of a disc of as many pixels. They
+/// are 1.25 diameters apart, and less where the marker is seen from the side.
+const APART: core::ops::Range<f64> = 0.6..2.2;
+/// Between them the cover is as bright as this, in each channel.
+const LIGHT: u8 = 120;
+/// The standard deviation of a middle's coordinate, in pixels.
+const MIDDLE_NOISE_PX: f64 = 0.15;
+
+/// The colours that are told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[expect(missing_docs, reason = "their names say all")]
+pub enum Hue {
+    Red,
+    Yellow,
+    Green,
+    Cyan,
+    Blue,
+    Magenta,
+}
+
+/// Pixels of one colour that touch each other.
+struct Blob {
+    hue: Hue,
+    pixels: usize,
+    middle: [f64; 2],
+}
+
+/// The colour markers in a window of a picture. A pair of blobs may be one without being a marker:
+/// [`locate`](super::locate) refuses those that are not of its size.
+pub fn detect_colours(picture: &RgbImage, window: Window) -> Vec<Marker> {
+    let blobs = blobs(picture, window);
+    let mut markers = Vec::new();
+    for head in &blobs {
+        for tail in blobs.iter().filter(|tail| tail.hue != head.hue) {
+            if are_pair(head, tail, picture) {
+                markers.push(Marker {
+                    identifier: Identifier::Colours { head: head.hue, tail: tail.hue },
+                    points: vec![head.middle, tail.middle],
+                    noise_px: MIDDLE_NOISE_PX,
+                });
+            }
+        }
+    }
+    markers
+}
+
+fn are_pair(head: &Blob, tail: &Blob, picture: &RgbImage) -> bool {
+    let (less, more) = (head.pixels.min(tail.pixels), head.pixels.max(tail.pixels));
+    let ([x, y], [tail_x, tail_y]) = (head.middle, tail.middle);
+    let diameter = libm::sqrt(more as f64 * 4.0 / core::f64::consts::PI);
+    let is_light = || {
+        let between = [(x + tail_x) / 2.0, (y + tail_y) / 2.0].map(|it| it.round() as u32);
+        let pixel = picture.get_pixel_checked(between[0], between[1]);
+        pixel.is_some_and(|pixel| pixel.0.iter().all(|&channel| channel >= LIGHT))
+    };
+    more <= UNLIKE * less
+        && APART.contains(&(hypot(x - tail_x, y - tail_y) / diameter))
+        && is_light()
+}
+
+fn blobs(picture: &RgbImage, window: Window) -> Vec<Blob> {
+    let mut rest: BTreeMap<(u32, u32), Hue> = BTreeMap::new();
+    for row in window.top..window.top + window.height {
+        for column in window.left..window.left + window.width {
+            if let Some(hue) = hue(picture.get_pixel(column, row).0) {
+                rest.insert((row, column), hue);
+            }
+        }
+    }
+    let mut blobs = Vec::new();
+    while let Some((first, hue)) = rest.pop_first() {
+        let mut pixels = vec![first];
+        let mut next = 0;
+        while let Some(&(row, column)) = pixels.get(next) {
+            next += 1;
+            let beside = [
+                (row, column + 1),
+                (row + 1, column),
+                (row, column.wrapping_sub(1)),
+                (row.wrapping_sub(1), column),
+            ];
+            for pixel in beside {
+                if rest.get(&pixel) == Some(&hue) {
+                    rest.remove(&pixel);
+                    pixels.push(pixel);
+                }
+            }
+        }
+        if pixels.len() >= LEAST_PIXELS {
+            let middle = middle(picture, &pixels);
+            blobs.push(Blob { hue, pixels: pixels.len(), middle });
+        }
+    }
+    blobs
+}
+
+/// The middle of the colour, its faint rim weighed less.
+fn middle(picture: &RgbImage, pixels: &[(u32, u32)]) -> [f64; 2] {
+    let mut sums = [0.0; 3];
+    for &(row, column) in pixels {
+        let weight = f64::from(colourfulness(picture.get_pixel(column, row).0));
+        sums[0] += weight * f64::from(column);
+        sums[1] += weight * f64::from(row);
+        sums[2] += weight;
+    }
+    [sums[0] / sums[2], sums[1] / sums[2]]
+}
+
+fn colourfulness(channels: [u8; 3]) -> u8 {
+    let (least, most) = range(channels);
+    most - least
+}
+
+fn range([red, green, blue]: [u8; 3]) -> (u8, u8) {
+    (red.min(green).min(blue), red.max(green).max(blue))
+}
+
+/// The nearest of the six colours, `None` for grey.
+fn hue([red, green, blue]: [u8; 3]) -> Option<Hue> {
+    let (least, most) = range([red, green, blue]);
+    if most - least < COLOURED {
+        return None;
+    }
+    // Above the half a channel is lit.
+    let is_lit = |channel: u8| channel - least > (most - least) / 2;
+    Some(match [is_lit(red), is_lit(green), is_lit(blue)] {
+        [true, false, false] => Hue::Red,
+        [true, true, false] => Hue::Yellow,
+        [false, true, false] => Hue::Green,
+        [false, true, true] => Hue::Cyan,
+        [false, false, true] => Hue::Blue,
+        _ => Hue::Magenta,
+    })
+}

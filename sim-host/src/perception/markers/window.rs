@@ -1,0 +1,81 @@
+//! A part of a picture.
+
+use crate::camera::Picture;
+
+/// A rectangle of pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// The first column.
+    pub left: u32,
+    /// The first row.
+    pub top: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl Window {
+    /// All of a picture.
+    pub fn all(picture: &Picture) -> Self {
+        let (width, height) = size(picture);
+        Self { left: 0, top: 0, width, height }
+    }
+
+    /// The pixels of a picture no farther from a middle than `reach` columns and rows, `None` if
+    /// there are none.
+    pub fn about([column, row]: [f64; 2], reach: f64, picture: &Picture) -> Option<Self> {
+        let (width, height) = size(picture);
+        let span = |middle: f64, size: u32| {
+            let bound = |at: f64| at.clamp(0.0, f64::from(size)) as u32;
+            let (first, end) = (bound((middle - reach).floor()), bound((middle + reach).ceil()));
+            (first < end).then_some((first, end - first))
+        };
+        let (left, width) = span(column, width)?;
+        let (top, height) = span(row, height)?;
+        Some(Self { left, top, width, height })
+    }
+
+    /// The smallest window that has all pixels of both.
+    pub fn with(&self, other: &Self) -> Self {
+        let (left, top) = (self.left.min(other.left), self.top.min(other.top));
+        let right = (self.left + self.width).max(other.left + other.width);
+        let bottom = (self.top + self.height).max(other.top + other.height);
+        Self { left, top, width: right - left, height: bottom - top }
+    }
+
+    /// Whether they have pixels in common.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        self.left < other.left + other.width
+            && other.left < self.left + self.width
+            && self.top < other.top + other.height
+            && other.top < self.top + self.height
+    }
+}
+
+fn size(picture: &Picture) -> (u32, u32) {
+    match picture {
+        Picture::Grey(image) => image.dimensions(),
+        Picture::Colour(image) => image.dimensions(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_ends_where_the_picture_does() {
+        let picture = Picture::Grey(image::GrayImage::new(100, 50));
+        let about = |middle, reach| Window::about(middle, reach, &picture);
+        let corner = Window { left: 0, top: 40, width: 15, height: 10 };
+        assert_eq!(about([5.0, 50.0], 10.0), Some(corner));
+        assert_eq!(about([-50.0, 25.0], 10.0), None);
+        assert_eq!(about([f64::NAN, 25.0], 10.0), None);
+        assert_eq!(about([50.0, 25.0], 1e9), Some(Window::all(&picture)));
+        let other = Window { left: 14, top: 0, width: 2, height: 41 };
+        assert!(corner.overlaps(&other) && other.overlaps(&corner));
+        assert!(!corner.overlaps(&Window { left: 15, ..other }));
+        assert_eq!(corner.with(&other), Window { left: 0, top: 0, width: 16, height: 50 });
+    }
+}

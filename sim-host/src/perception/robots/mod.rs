@@ -1,0 +1,206 @@
+//! From the frames of all cameras to where the robots are.
+
+mod events;
+mod search;
+#[cfg(test)]
+mod tests;
+mod track;
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use ubimap_protocol::{
+    message::Certainty,
+    time::{Duration, Instant},
+    units::{Pose, RobotId},
+};
+
+pub use events::SightingEvent;
+
+use self::{
+    search::{Expected, Search},
+    track::{Track, Trouble},
+};
+use super::markers::{Identifier, Marker, Mount, Placement, locate};
+use crate::camera::{Calibration, Frame, Lens, Sighting};
+
+/// An identifier that was away for longer is told of again.
+const AWAY: Duration = Duration::from_secs(10);
+/// A number that nobody registered is told of when it is read twice within this time: chance
+/// patterns are read once.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// Why the markers of a deployment cannot be told apart.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum RegistryError {
+    /// Two robots carry the same.
+    #[error("robots {} and {} carry the same identifier", .0.0, .1.0)]
+    Twice(RobotId, RobotId),
+    /// Head and tail have one colour, so that they cannot be told apart.
+    #[error("the colour marker of robot {} has a head and a tail of one colour", .0.0)]
+    OneColour(RobotId),
+    /// Where it is on the robot is not finite, or it has no size.
+    #[error("the marker of robot {} has no size, or no place on the robot", .0.0)]
+    Mount(RobotId),
+}
+
+/// Localises the robots: finds their markers, tells where the robots are, and follows them over all
+/// cameras. The paper's zone 2, which two cameras see, is the general case here.
+#[derive(Debug)]
+pub struct Localiser {
+    lenses: Vec<Option<Lens>>,
+    mounts: BTreeMap<Identifier, Mount>,
+    search: Search,
+    tracks: BTreeMap<Identifier, Track>,
+    /// Markers that were where no robot carries them when they were last seen.
+    not_there: BTreeSet<Identifier>,
+    /// When a number that nobody registered was last read, and whether that has been told.
+    strangers: BTreeMap<Identifier, (Instant, bool)>,
+    /// Cameras whose last frame was of a time to come.
+    ahead: BTreeSet<usize>,
+    events: VecDeque<(Instant, SightingEvent)>,
+}
+
+impl Localiser {
+    /// For these cameras and the markers of all robots.
+    ///
+    /// # Errors
+    /// Every [`RegistryError`].
+    pub fn new(
+        cameras: &[Calibration],
+        markers: impl IntoIterator<Item = (Identifier, Mount)>,
+    ) -> Result<Self, RegistryError> {
+        let mut mounts: BTreeMap<Identifier, Mount> = BTreeMap::new();
+        for (identifier, mount) in markers {
+            let Mount { robot, side_m, height_m, offset_m: [x, y], turn_rad } = mount;
+            if !(side_m > 0.0 && [side_m, height_m, x, y, turn_rad].iter().all(|it| it.is_finite()))
+            {
+                return Err(RegistryError::Mount(robot));
+            }
+            let mut same = vec![identifier];
+            if let Identifier::Colours { head, tail } = identifier {
+                if head == tail {
+                    return Err(RegistryError::OneColour(robot));
+                }
+                // From a pair of colours nobody can say which is the head.
+                same.push(Identifier::Colours { head: tail, tail: head });
+            }
+            if let Some(other) = same.iter().find_map(|it| mounts.get(it)) {
+                return Err(RegistryError::Twice(other.robot, robot));
+            }
+            mounts.insert(identifier, mount);
+        }
+        let is_colours = |it: &Identifier| matches!(it, Identifier::Colours { .. });
+        let search = Search::new(cameras.len(), mounts.keys().any(is_colours));
+        Ok(Self {
+            lenses: cameras.iter().map(|camera| camera.picture).collect(),
+            mounts,
+            search,
+            tracks: BTreeMap::new(),
+            not_there: BTreeSet::new(),
+            strangers: BTreeMap::new(),
+            ahead: BTreeSet::new(),
+            events: VecDeque::new(),
+        })
+    }
+
+    /// Takes a frame of a camera: where the robots were when it was captured, each joined with what
+    /// other cameras saw of it at about that time. A frame that arrives after newer ones of other
+    /// cameras joins the next one; one that is too old, or of a time after `now`, says nothing.
+    pub fn observe(&mut self, frame: &Frame, now: Instant) -> Vec<Sighting> {
+        let Some(&Some(lens)) = self.lenses.get(frame.camera) else { return Vec::new() };
+        let Some(picture) = &frame.picture else { return Vec::new() };
+        let (camera, captured) = (frame.camera, frame.captured);
+        if captured > now {
+            if self.ahead.insert(camera) {
+                self.events.push_back((now, SightingEvent::ClockAhead { camera }));
+            }
+            return Vec::new();
+        }
+        self.ahead.remove(&camera);
+        let expected: Vec<Expected> = self.expected(captured).collect();
+        let markers = self.search.markers(camera, captured, picture, &lens, &expected);
+        let mut located: BTreeMap<Identifier, Vec<Placement>> = BTreeMap::new();
+        for marker in &markers {
+            if let Some(placement) = self.place(&lens, marker, captured) {
+                located.entry(marker.identifier).or_default().push(placement);
+            }
+        }
+        let mut sightings = Vec::new();
+        for (identifier, placements) in located {
+            let Some(mount) = self.mounts.get(&identifier) else { continue };
+            let track = self.tracks.entry(identifier).or_default();
+            let placement = track.observe(camera, captured, &placements);
+            if let Some(trouble) = track.poll_trouble() {
+                let event = match trouble {
+                    Trouble::Jump => SightingEvent::Jumped(mount.robot),
+                    Trouble::Twice => SightingEvent::SeenTwice(mount.robot),
+                };
+                self.events.push_back((captured, event));
+            }
+            sightings.extend(placement.map(|it| sighting(mount.robot, &it)));
+        }
+        sightings
+    }
+
+    /// What has gone wrong, and when the frame was captured that shows it. Each is told once until
+    /// it has passed.
+    pub fn poll_event(&mut self) -> Option<(Instant, SightingEvent)> {
+        self.events.pop_front()
+    }
+
+    /// Where a marker's robot is.
+    fn place(&mut self, lens: &Lens, marker: &Marker, captured: Instant) -> Option<Placement> {
+        let identifier = marker.identifier;
+        let is_tag = matches!(identifier, Identifier::Tag(_));
+        let Some(mount) = self.mounts.get(&identifier) else {
+            // Any two colours beside each other might be a marker.
+            if is_tag {
+                self.meet_stranger(identifier, captured);
+            }
+            return None;
+        };
+        let located = locate(lens, marker, &mount.points(identifier), mount.height_m);
+        if located.is_ok() {
+            self.not_there.remove(&identifier);
+        } else if is_tag && self.not_there.insert(identifier) {
+            self.events.push_back((captured, SightingEvent::NotLevel(mount.robot)));
+        }
+        located.ok()
+    }
+
+    fn meet_stranger(&mut self, identifier: Identifier, captured: Instant) {
+        let known = self.strangers.get(&identifier).copied();
+        let known = known.filter(|(last, _)| captured.since(*last) <= AWAY);
+        let mut told = known.is_some_and(|(_, told)| told);
+        if !told && known.is_some_and(|(last, _)| last < captured && captured.since(last) <= AGAIN)
+        {
+            self.events.push_back((captured, SightingEvent::Unregistered(identifier)));
+            told = true;
+        }
+        self.strangers.insert(identifier, (captured, told));
+    }
+
+    /// Where markers should be at a moment.
+    fn expected(&self, moment: Instant) -> impl Iterator<Item = Expected> {
+        self.tracks.iter().flat_map(move |(identifier, track)| {
+            let mount = self.mounts.get(identifier);
+            mount.into_iter().flat_map(move |&mount| {
+                let places = track.expected(moment);
+                places.map(move |(placement, unseen)| Expected { mount, placement, unseen })
+            })
+        })
+    }
+}
+
+fn sighting(robot: RobotId, placement: &Placement) -> Sighting {
+    let [x, y] = placement.position_m;
+    let deviation = |axis: usize| libm::sqrt(placement.covariance[(axis, axis)]);
+    // The casts saturate.
+    let millimetres = |axis: usize| (deviation(axis) * 1000.0).ceil() as u16;
+    let turn = deviation(2) * f64::from(u16::MAX) / core::f64::consts::TAU;
+    Sighting {
+        robot,
+        pose: Pose::from_metres(x, y, placement.heading_rad),
+        certainty: Certainty { x: millimetres(0), y: millimetres(1), heading: turn.ceil() as u16 },
+    }
+}
