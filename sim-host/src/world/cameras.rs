@@ -3,7 +3,7 @@
 //! What the room hides from a camera never changes and is found once. In each frame only people
 //! and robots are looked at again: where they stand and what their shadows hide.
 
-use libm::{atan2, cos, sin, tan};
+use libm::tan;
 use parry2d_f64::{
     bounding_volume::Aabb,
     glamx::{DVec2, DVec3},
@@ -13,6 +13,7 @@ use rand_distr::{Distribution, StandardNormal};
 use ubimap_protocol::{tile::Cell, units::RobotId};
 
 use super::{
+    mounting::Mounting,
     robots::{PlanePose, SimRobot},
     room::{Cells, Room},
     route::Body,
@@ -45,7 +46,7 @@ pub(super) struct SeenRobot {
 
 impl SeenRobot {
     pub(super) fn of(robot: &SimRobot) -> Self {
-        Self { id: robot.id(), pose: robot.pose(), body: robot.body() }
+        Self { id: robot.id(), pose: robot.identified(), body: robot.body() }
     }
 }
 
@@ -63,6 +64,7 @@ pub(super) struct Camera {
     heading_noise: f64,
     dice: ChaCha8Rng,
     cells: Cells,
+    robot_height: f64,
     /// What it sees of the room without people and robots.
     views: Vec<View>,
     /// For each cell the index of its view plus one; zero for none.
@@ -77,22 +79,28 @@ impl Camera {
         robot_height: f64,
         dice: ChaCha8Rng,
     ) -> Self {
-        let lens = Lens::new(config);
-        let views = views(&lens, room, cells, robot_height);
-        let mut view_of = vec![0; cells.count()];
-        for (number, view) in (1..).zip(&views) {
-            if let Some(index) = cells.index(view.cell) {
-                view_of[index] = number;
-            }
-        }
-        Self {
-            lens,
+        let mut camera = Self {
+            lens: Lens::new(config),
             position_noise: config.position_noise_m,
             heading_noise: config.heading_noise_deg.to_radians(),
             dice,
             cells,
-            views,
-            view_of,
+            robot_height,
+            views: Vec::new(),
+            view_of: Vec::new(),
+        };
+        camera.look_again(room);
+        camera
+    }
+
+    /// The room has changed.
+    pub(super) fn look_again(&mut self, room: &Room) {
+        self.views = views(&self.lens, room, self.cells, self.robot_height);
+        self.view_of = vec![0; self.cells.count()];
+        for (number, view) in (1..).zip(&self.views) {
+            if let Some(index) = self.cells.index(view.cell) {
+                self.view_of[index] = number;
+            }
         }
     }
 
@@ -224,26 +232,13 @@ struct Lens {
 
 impl Lens {
     fn new(config: &CameraConfig) -> Self {
-        let position = DVec3::from(config.position_m);
-        let (heading, tilt) = match config.look_at_m {
-            Some(look_at) => {
-                let way = DVec3::from(look_at) - position;
-                (atan2(way.y, way.x), atan2(-way.z, way.truncate().length()))
-            }
-            None => (
-                config.heading_deg.unwrap_or_default().to_radians(),
-                config.tilt_deg.unwrap_or_default().to_radians(),
-            ),
-        };
-        let level = DVec3::new(cos(heading), sin(heading), 0.0);
-        let right = DVec3::new(level.y, -level.x, 0.0);
-        let forward = level * cos(tilt) - DVec3::Z * sin(tilt);
+        let Mounting { position, forward, right, up } = Mounting::new(config);
         let half_tangent = |degrees: f64| tan(degrees.to_radians() / 2.0);
         Self {
             position,
             forward,
             right,
-            up: right.cross(forward),
+            up,
             half: (half_tangent(config.horizontal_fov_deg), half_tangent(config.vertical_fov_deg)),
             range: config.range_m,
         }

@@ -1,28 +1,41 @@
-//! The simulated room: walls, furniture, people, robots and ideal cameras.
+//! The simulated room: walls, furniture, doors, people, robots and cameras.
 //!
-//! Read in this order: `scenario` (what a TOML file says), `shapes` and `room` (what never moves,
-//! and rays through it), `truth` (what a perfect map would say), `route`, `people` and `robots`
-//! (what moves), `places` (who can't be or go where), `sensor` and `cameras` (what is measured). [`World`] ties them together.
+//! Read in this order: `scenario` (what a TOML file says), `shapes` and `room` (what stands still,
+//! and rays through it), `changes` (what is moved all the same), `truth` (what a perfect map would
+//! say), `route`, `people` and `robots` (what moves; `marker` and `tag`: what robots wear),
+//! `places` (who can't be or go where), `sensor` (what robots measure), `mounting`, `render` and
+//! `filming` (the frames of cameras), and `cameras` (ideal ones, which say at once what they see).
+//! [`World`] ties them together.
 //!
 //! The world moves in steps of [`STEP`], whoever asks it and how often: everything that it reports
 //! depends on the scenario, the resolution and the seed alone. Each robot, person and camera throws
 //! dice of its own, so that one robot fewer leaves the noise of the others as it was.
 
+mod cadence;
 mod cameras;
+mod changes;
+mod filming;
+mod marker;
+mod mounting;
 mod people;
 mod places;
+mod render;
 mod robots;
 mod room;
 mod route;
 mod scenario;
 mod sensor;
 mod shapes;
+mod tag;
 mod truth;
 
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+};
 
 use parry2d_f64::glamx::DVec2;
 use rand::SeedableRng;
@@ -32,22 +45,29 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
-use crate::camera::{Observation, Source};
+use crate::camera::{Calibration, Frame, FrameSource, Observation, Source};
 
 pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;
 pub use scenario::{
-    BUILT_IN, CameraConfig, FootprintConfig, FurnitureConfig, OdometryConfig, PersonConfig,
+    BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig,
+    MarkerConfig, MoveConfig, OdometryConfig, PersonConfig, PictureConfig, PostureConfig,
     RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError, SensorConfig, StartConfig,
     WallConfig,
 };
 pub use sensor::RangeSensor;
+pub use tag::TAGS;
 pub use truth::Truth;
 
+use cadence::{Cadence, FrameTimes};
 use cameras::{Camera, SeenRobot};
+use changes::Changes;
+use filming::Filming;
+use render::{Part, Scene};
 use room::{Cells, Room};
 use route::Body;
+use shapes::Prism;
 
 /// The step in which everything moves; frames and scans are taken at its multiples.
 pub const STEP: Duration = Duration::from_millis(10);
@@ -70,16 +90,21 @@ pub struct ScanEvent {
 
 /// The simulated room, and the time in it.
 pub struct World {
-    room: Room,
+    room: Arc<Room>,
+    changes: Changes,
+    cells: Cells,
+    slice_height: f64,
+    starts: Vec<DVec2>,
     truth: Truth,
     people: Vec<Person>,
     robots: Vec<SimRobot>,
-    cameras: Vec<(Camera, FrameTimes)>,
+    cameras: Vec<IdealCamera>,
+    filming: Filming,
     scanners: Vec<(Cadence, ChaCha8Rng)>,
     now: Instant,
     scans: VecDeque<ScanEvent>,
-    /// Frames under way, by arrival, then capture, then camera.
-    frames: BTreeMap<(Instant, Instant, usize), Observation>,
+    /// Observations under way, by arrival, then capture, then camera.
+    observations: BTreeMap<(Instant, Instant, usize), Observation>,
 }
 
 impl World {
@@ -96,9 +121,12 @@ impl World {
             let problem = format!("needs cells of a positive side, not {} mm", resolution.0);
             return Err(scenario.invalid("room", problem));
         }
-        let room = Room::new(scenario, walls)?;
+        let changes = Changes::new(scenario, walls);
+        let room = changes.room()?;
         let cells = Cells::of(&room, resolution.metres(), scenario)?;
-        places::check(scenario, &room)?;
+        for room in changes.rooms() {
+            places::check(scenario, &room?)?;
+        }
         let starts: Vec<DVec2> = scenario.robots.iter().map(places::start).collect();
         let truth = truth::truth(&room, cells, scenario.slice_height_m, &starts);
         let dice = |who: Dice, number: usize| {
@@ -108,15 +136,23 @@ impl World {
         };
         let cameras = scenario.cameras.iter().enumerate().map(|(index, config)| {
             let dice = dice(Dice::Camera, index);
-            let camera = Camera::new(config, &room, cells, scenario.robot_height_m(), dice);
-            (camera, FrameTimes::new(config))
+            IdealCamera {
+                camera: Camera::new(config, &room, cells, scenario.robot_height_m(), dice),
+                times: FrameTimes::new(config),
+                cells: Cadence::new(config.cells_rate_hz),
+            }
         });
+        let in_colour = scenario.robots.iter().any(|robot| robot.marker == MarkerConfig::Colour);
+        let filming = Filming::new(&scenario.cameras, in_colour, |index| dice(Dice::Frame, index));
+        let filming = filming.map_err(|(index, error)| {
+            scenario.invalid(format!("cameras[{index}]"), format!("has {error}"))
+        })?;
         let people = scenario.people.iter().enumerate();
         let robots = || scenario.robots.iter().enumerate();
         let mut world = Self {
             cameras: cameras.collect(),
             people: people
-                .map(|(index, config)| Person::new(config, dice(Dice::Person, index)))
+                .map(|(index, config)| Person::new(config, index, dice(Dice::Person, index)))
                 .collect(),
             robots: robots()
                 .map(|(index, config)| {
@@ -128,11 +164,16 @@ impl World {
                     (Cadence::new(config.sensor.rate_hz), dice(Dice::Scan, config.id.into()))
                 })
                 .collect(),
-            room,
+            room: Arc::new(room),
+            changes,
+            cells,
+            slice_height: scenario.slice_height_m,
+            starts,
             truth,
+            filming,
             now: Instant::default(),
             scans: VecDeque::new(),
-            frames: BTreeMap::new(),
+            observations: BTreeMap::new(),
         };
         world.measure();
         Ok(world)
@@ -162,7 +203,7 @@ impl World {
         &self.people
     }
 
-    /// What a perfect map would say.
+    /// What a perfect map would say of the room as it is now.
     pub fn truth(&self) -> &Truth {
         &self.truth
     }
@@ -183,19 +224,28 @@ impl World {
 
     /// The cells that a camera sees when nobody is there: the ground that is not blind.
     pub fn covered(&self, camera: usize) -> Vec<(i32, i32)> {
-        let views = self.cameras.get(camera).map_or(&[][..], |(camera, _)| camera.views());
+        let views = self.cameras.get(camera).map_or(&[][..], |ideal| ideal.camera.views());
         views.iter().map(|view| view.cell).collect()
     }
 
     /// Everybody takes a step, one after the other, so that each knows where the others are.
     fn step(&mut self) {
         let seconds = STEP.micros() as f64 / 1e6;
+        if let Some(room) = self.changes.make(self.now, &self.bodies(None, None)) {
+            self.room = Arc::new(room);
+            self.truth = truth::truth(&self.room, self.cells, self.slice_height, &self.starts);
+            for ideal in &mut self.cameras {
+                ideal.camera.look_again(&self.room);
+            }
+        }
         for index in 0..self.people.len() {
-            let others = self.bodies(None, Some(index));
+            let mut others = self.bodies(None, Some(index));
+            others.extend(self.changes.barriers());
             self.people[index].step(seconds, &others);
         }
         for index in 0..self.robots.len() {
-            let others = self.bodies(Some(index), None);
+            let mut others = self.bodies(Some(index), None);
+            others.extend(self.changes.barriers());
             self.robots[index].step(seconds, &others);
         }
     }
@@ -206,7 +256,7 @@ impl World {
             if !self.scanners[index].0.is_due(self.now) {
                 continue;
             }
-            let others = self.bodies(Some(index), None);
+            let others = self.others(index);
             let robot = &self.robots[index];
             let dice = &mut self.scanners[index].1;
             let readings_mm = robot.sensor().scan(robot.pose(), &self.room, &others, dice);
@@ -218,22 +268,35 @@ impl World {
                 truth: robot.truth(),
             });
         }
-        for (index, (camera, times)) in self.cameras.iter_mut().enumerate() {
-            if !times.frames.is_due(self.now) {
+        for (index, ideal) in self.cameras.iter_mut().enumerate() {
+            if !ideal.times.is_due(self.now) {
                 continue;
             }
-            let with_cells = times.cells.is_due(self.now);
+            let with_cells = ideal.cells.is_due(self.now);
             let robots: Vec<SeenRobot> = self.robots.iter().map(SeenRobot::of).collect();
             let people: Vec<Body> = self.people.iter().map(Person::body).collect();
-            let frame = camera.frame(&self.room, &robots, &people, with_cells);
+            let frame = ideal.camera.frame(&self.room, &robots, &people, with_cells);
+            if ideal.times.has_failed(self.now) {
+                continue;
+            }
             let observation = Observation {
                 camera: index,
                 captured: self.now,
                 robots: frame.robots,
                 cells: frame.cells,
             };
-            self.frames.insert((self.now + times.latency, self.now, index), observation);
+            let arrival = self.now + ideal.times.latency();
+            self.observations.insert((arrival, self.now, index), observation);
         }
+        self.filming.take(self.now, || scene(&self.room, &self.robots, &self.people));
+    }
+
+    /// What a robot may see of the others.
+    fn others(&self, but: usize) -> Vec<Prism> {
+        let robots = self.robots.iter().enumerate().filter(|&(index, _)| index != but);
+        let robots = robots.map(|(_, robot)| robot.part());
+        let people = self.people.iter().flat_map(Person::parts);
+        robots.chain(people).map(|Part { prism, .. }| prism).collect()
     }
 
     /// Everybody but one.
@@ -252,15 +315,45 @@ impl World {
 impl Source for World {
     fn poll(&mut self, now: Instant) -> Option<Observation> {
         self.advance(now);
-        let first = self.frames.first_entry()?;
+        let first = self.observations.first_entry()?;
         (first.key().0 <= now).then(|| first.remove())
     }
 
     fn next_arrival(&self) -> Option<Instant> {
-        let under_way = self.frames.keys().map(|&(arrival, ..)| arrival).next();
-        let coming = self.cameras.iter().map(|(_, times)| times.frames.due() + times.latency).min();
+        let under_way = self.observations.keys().map(|&(arrival, ..)| arrival).next();
+        let coming = self.cameras.iter().filter_map(|ideal| ideal.times.next_arrival());
         under_way.into_iter().chain(coming).min()
     }
+}
+
+/// What cameras can see.
+fn scene(room: &Arc<Room>, robots: &[SimRobot], people: &[Person]) -> Scene {
+    let robots = robots.iter().map(SimRobot::part);
+    let moving = robots.chain(people.iter().flat_map(Person::parts)).collect();
+    Scene { room: room.clone(), moving }
+}
+
+/// Polling moves the world to `now`. Only the frames that are polled are drawn.
+impl FrameSource for World {
+    fn cameras(&self) -> &[Calibration] {
+        self.filming.calibrations()
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Frame> {
+        self.advance(now);
+        self.filming.poll(now)
+    }
+
+    fn next_arrival(&self) -> Option<Instant> {
+        self.filming.next_arrival()
+    }
+}
+
+/// An ideal camera, when it looks, and which of its frames say something about cells.
+struct IdealCamera {
+    camera: Camera,
+    times: FrameTimes,
+    cells: Cadence,
 }
 
 /// Who throws dice; each of a kind has a number besides.
@@ -270,47 +363,5 @@ enum Dice {
     Person = 2,
     Odometry = 3,
     Scan = 4,
-}
-
-/// Something that happens so many times a second, at steps.
-struct Cadence {
-    rate: f64,
-    count: u64,
-}
-
-impl Cadence {
-    fn new(rate: f64) -> Self {
-        Self { rate, count: 0 }
-    }
-
-    /// The step at or after the exact moment: a rate is kept on average.
-    fn due(&self) -> Instant {
-        let steps = self.count as f64 / self.rate * 1e6 / STEP.micros() as f64;
-        // Ten hertz are exactly ten steps, whatever the division says.
-        Instant::from_micros((steps - 1e-6).ceil().max(0.0) as u64 * STEP.micros())
-    }
-
-    /// Whether it happens now; if so, it is due again later.
-    fn is_due(&mut self, now: Instant) -> bool {
-        let is_due = self.due() <= now;
-        self.count += u64::from(is_due);
-        is_due
-    }
-}
-
-/// When a camera takes frames, which of them say something about cells, and when they arrive.
-struct FrameTimes {
-    frames: Cadence,
-    cells: Cadence,
-    latency: Duration,
-}
-
-impl FrameTimes {
-    fn new(config: &CameraConfig) -> Self {
-        Self {
-            frames: Cadence::new(config.rate_hz),
-            cells: Cadence::new(config.cells_rate_hz),
-            latency: Duration::from_micros((config.latency_ms * 1000.0).round() as u64),
-        }
-    }
+    Frame = 5,
 }

@@ -5,9 +5,23 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
+    render::{Paint, Part},
     route::{Body, Route},
-    scenario::PersonConfig,
+    scenario::{PersonConfig, PostureConfig},
+    shapes::{Footprint, Prism},
 };
+
+/// How high a person sits, in metres.
+const SEAT: f64 = 0.45;
+
+/// How far the knees of who sits are ahead of the middle, in metres.
+const KNEES: f64 = 0.45;
+
+/// How high a person lies, in metres.
+const LYING: f64 = 0.24;
+
+/// The radius of a head, in metres.
+const HEAD: f64 = 0.1;
 
 /// A person stops for anybody this near ahead, in metres.
 const GAP: f64 = 0.3;
@@ -18,11 +32,10 @@ const PATIENCE: f64 = 1.5;
 /// A person.
 #[derive(Clone, Debug)]
 pub struct Person {
+    config: PersonConfig,
     position: DVec2,
-    radius: f64,
-    height: f64,
-    speed: f64,
-    mean_pause: f64,
+    heading: f64,
+    paint: u32,
     route: Route,
     pause: f64,
     waited: f64,
@@ -35,25 +48,29 @@ impl Person {
         self.position.into()
     }
 
-    /// The radius of the body, in metres.
+    /// Of a circle on the floor about the whole body, in metres.
     pub fn radius_m(&self) -> f64 {
-        self.radius
+        self.body().radius
     }
 
-    /// The height of the body, in metres.
+    /// From the floor to the highest part, in metres.
     pub fn height_m(&self) -> f64 {
-        self.height
+        self.body().height
     }
 
-    pub(super) fn new(config: &PersonConfig, dice: ChaCha8Rng) -> Self {
+    /// Standing, sitting or lying.
+    pub fn posture(&self) -> PostureConfig {
+        self.config.posture
+    }
+
+    pub(super) fn new(config: &PersonConfig, index: usize, dice: ChaCha8Rng) -> Self {
         let mut stops = config.waypoints_m.iter().map(|&point| DVec2::from(point));
         let position = stops.next().unwrap_or_default();
         Self {
+            config: config.clone(),
             position,
-            radius: config.radius_m,
-            height: config.height_m,
-            speed: config.speed_m_s,
-            mean_pause: config.pause_s,
+            heading: config.heading_deg.to_radians(),
+            paint: 1_000 + index as u32,
             route: Route::new(position, stops),
             pause: 0.0,
             waited: 0.0,
@@ -62,7 +79,56 @@ impl Person {
     }
 
     pub(super) fn body(&self) -> Body {
-        Body { centre: self.position, radius: self.radius, height: self.height }
+        body(&self.config, self.position)
+    }
+
+    /// What is seen of the person.
+    pub(super) fn parts(&self) -> Vec<Part> {
+        let facing = DVec2::new(libm::cos(self.heading), libm::sin(self.heading));
+        let clothes = Paint::numbered(self.paint);
+        let skin = Paint::Grained([0.62, 0.45, 0.36], self.paint);
+        let part = |footprint: Footprint, bottom: f64, top: f64, paint: &Paint| Part {
+            prism: Prism { footprint, bottom, top },
+            paint: paint.clone(),
+        };
+        let round =
+            |ahead: f64, radius: f64| Footprint::disc(self.position + facing * ahead, radius);
+        let long = |ahead: f64, length: f64, width: f64| {
+            let centre = self.position + facing * ahead;
+            Footprint::rectangle(centre, DVec2::new(length, width), self.heading)
+        };
+        let (top, stature) = (self.height_m(), self.config.height_m);
+        match self.config.posture {
+            PostureConfig::Standing => {
+                let neck = 0.84 * top;
+                vec![
+                    part(round(0.0, self.config.radius_m), 0.0, neck, &clothes),
+                    part(round(0.0, HEAD), neck, top, &skin),
+                ]
+            }
+            PostureConfig::Sitting => {
+                let (neck, shin) = (top - 0.16 * stature, 0.12);
+                vec![
+                    // The seat is under the body, whatever it is.
+                    part(round(0.0, self.config.radius_m), 0.0, neck, &clothes),
+                    part(round(0.0, HEAD), neck, top, &skin),
+                    part(long(KNEES / 2.0, KNEES, 0.34), SEAT - 0.05, SEAT + 0.1, &clothes),
+                    part(long(KNEES - shin / 2.0, shin, 0.3), 0.0, SEAT, &clothes),
+                ]
+            }
+            PostureConfig::Lying => {
+                let body = 0.85 * stature;
+                vec![
+                    part(
+                        long((body - stature) / 2.0, body, 2.0 * self.config.radius_m),
+                        0.0,
+                        top,
+                        &clothes,
+                    ),
+                    part(round(stature / 2.0 - HEAD, HEAD), 0.0, 0.2, &skin),
+                ]
+            }
+        }
     }
 
     /// Walks on for a moment among the others.
@@ -74,7 +140,7 @@ impl Person {
         let Some(target) = self.route.target() else { return };
         let way = target - self.position;
         let heading = way.normalize_or_zero();
-        let next = self.position + heading * (self.speed * seconds).min(way.length());
+        let next = self.position + heading * (self.config.speed_m_s * seconds).min(way.length());
         let me = self.body();
         if others.iter().any(|other| {
             me.is_blocked(heading, other, GAP.min(way.length())) || me.would_touch(next, other)
@@ -91,7 +157,18 @@ impl Person {
         if next.distance(target) < 1e-9 {
             self.position = target;
             self.route.arrive();
-            self.pause = self.mean_pause * self.dice.random_range(0.5..1.5);
+            self.pause = self.config.pause_s * self.dice.random_range(0.5..1.5);
         }
     }
+}
+
+/// What a person is to the others.
+pub(super) fn body(person: &PersonConfig, centre: DVec2) -> Body {
+    let (radius, height) = match person.posture {
+        PostureConfig::Standing => (0.0, person.height_m),
+        // From the seat to the crown it is about half of the stature.
+        PostureConfig::Sitting => (KNEES, SEAT + 0.52 * person.height_m),
+        PostureConfig::Lying => (person.height_m / 2.0, LYING),
+    };
+    Body { centre, radius: person.radius_m.max(radius), height }
 }

@@ -3,6 +3,7 @@
 use parry2d_f64::glamx::DVec2;
 
 use super::{
+    people,
     room::Room,
     route::Body,
     scenario::{RobotConfig, Scenario, ScenarioError},
@@ -37,7 +38,7 @@ pub(super) fn check(scenario: &Scenario, room: &Room) -> Result<(), ScenarioErro
         let key = format!("people[{index}].waypoints_m");
         let stops: Vec<(String, DVec2)> = stops(&key, &person.waypoints_m).collect();
         let centre = stops.first().map_or(DVec2::ZERO, |(_, stop)| *stop);
-        let body = Body { centre, radius: person.radius_m, height: person.height_m };
+        let body = people::body(person, centre);
         check_start(scenario, room, &mut standing, format!("{key}[0]"), body)?;
         check_ways(scenario, room, &stops, body)?;
     }

@@ -9,10 +9,16 @@ use rand_distr::{Distribution, StandardNormal};
 use ubimap_protocol::units::{Pose, RobotId};
 
 use super::{
+    marker::{Colour, Marker},
+    render::{Paint, Part},
     route::{Body, Route},
     scenario::{OdometryConfig, RobotConfig},
     sensor::RangeSensor,
+    shapes::{Footprint, Prism},
 };
+
+/// Robots are dark but for what they wear.
+const BODY: Colour = [0.2, 0.21, 0.24];
 
 /// A robot stops for anybody this near ahead, in metres.
 const GAP: f64 = 0.35;
@@ -44,6 +50,11 @@ pub struct SimRobot {
     id: RobotId,
     radius: f64,
     height: f64,
+    /// Length and width of a box; none of a cylinder.
+    sides: Option<DVec2>,
+    marker: Marker,
+    /// How far the identifier is turned against the robot.
+    askew: f64,
     sensor: RangeSensor,
     truth: PlanePose,
     odometry: PlanePose,
@@ -95,6 +106,9 @@ impl SimRobot {
             id: RobotId(config.id),
             radius: config.radius_m,
             height: config.height_m,
+            sides: config.box_m.map(DVec2::from),
+            marker: Marker::new(config),
+            askew: config.identifier_askew_deg.to_radians(),
             sensor: RangeSensor::new(&config.sensor),
             truth: PlanePose { position: start, heading: config.start.heading_deg.to_radians() },
             odometry: PlanePose { position: DVec2::ZERO, heading: 0.0 },
@@ -116,6 +130,28 @@ impl SimRobot {
 
     pub(super) fn body(&self) -> Body {
         Body { centre: self.truth.position, radius: self.radius, height: self.height }
+    }
+
+    /// What a camera takes its pose for: that of its identifier.
+    pub(super) fn identified(&self) -> PlanePose {
+        let PlanePose { position, heading } = self.truth;
+        PlanePose { position, heading: heading + self.askew }
+    }
+
+    /// What is seen of it.
+    pub(super) fn part(&self) -> Part {
+        let PlanePose { position, heading } = self.truth;
+        let footprint = match self.sides {
+            Some(sides) => Footprint::rectangle(position, sides, heading),
+            None => Footprint::disc(position, self.radius),
+        };
+        let paint = Paint::Robot {
+            colour: BODY,
+            marker: self.marker.clone(),
+            middle: position,
+            facing: DVec2::new(cos(heading), sin(heading)).as_vec2(),
+        };
+        Part { prism: Prism { footprint, bottom: 0.0, top: self.height }, paint }
     }
 
     /// Drives on for a moment among the others.

@@ -1,4 +1,4 @@
-//! What never moves: walls and furniture, found by a tree of bounding boxes.
+//! What stands still: walls, doors and furniture, found by a tree of bounding boxes.
 
 use parry2d_f64::{
     bounding_volume::{Aabb, BoundingVolume},
@@ -8,7 +8,7 @@ use parry2d_f64::{
 };
 
 use super::{
-    scenario::{FootprintConfig, FurnitureConfig, Scenario, ScenarioError},
+    scenario::{DoorConfig, FootprintConfig, FurnitureConfig, Scenario, ScenarioError},
     shapes::{Footprint, Prism},
 };
 
@@ -35,15 +35,18 @@ pub(super) struct Room {
     prisms: Vec<Prism>,
     /// For each prism the key of the scenario that it comes from.
     keys: Vec<String>,
+    height: f64,
     tree: Bvh,
     outline: Vec<DVec2>,
     bounds: Aabb,
 }
 
 impl Room {
+    /// The room as a scenario has it, with these doors open and the others shut.
     pub(super) fn new(
         scenario: &Scenario,
         walls: Option<&WallGrid>,
+        are_open: &[bool],
     ) -> Result<Self, ScenarioError> {
         let mut parts = Vec::new();
         match (&scenario.room.map, walls) {
@@ -57,8 +60,16 @@ impl Room {
         let outline: Vec<DVec2> =
             scenario.room.outline_m.iter().map(|&point| DVec2::from(point)).collect();
         add_walls(&mut parts, scenario);
-        for (index, furniture) in scenario.furniture.iter().enumerate() {
-            add_furniture(&mut parts, scenario, &format!("furniture[{index}]"), furniture)?;
+        for (index, config) in scenario.furniture.iter().enumerate() {
+            let key = format!("furniture[{index}]");
+            let prisms = furniture(config).ok_or_else(|| {
+                scenario.invalid(format!("{key}.footprint.polygon.points_m"), "has no area")
+            })?;
+            parts.extend(prisms.into_iter().map(|prism| (prism, key.clone())));
+        }
+        for (index, door) in scenario.doors.iter().enumerate() {
+            let leaf = leaf(door, are_open.get(index).copied().unwrap_or_default());
+            parts.push((leaf, format!("doors[{index}]")));
         }
         let (prisms, keys): (Vec<Prism>, Vec<String>) = parts.into_iter().unzip();
         let boxes: Vec<Aabb> = prisms.iter().map(|prism| prism.footprint.bounds()).collect();
@@ -67,11 +78,21 @@ impl Room {
             _ => outline_bounds(&outline, scenario.room.wall_thickness_m),
         };
         let tree = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes);
-        Ok(Self { prisms, keys, tree, outline, bounds })
+        Ok(Self { prisms, keys, height: scenario.room.height_m, tree, outline, bounds })
     }
 
     pub(super) fn prisms(&self) -> &[Prism] {
         &self.prisms
+    }
+
+    /// For each prism the key of the scenario that it comes from.
+    pub(super) fn keys(&self) -> &[String] {
+        &self.keys
+    }
+
+    /// From the floor to the ceiling, in metres.
+    pub(super) fn height(&self) -> f64 {
+        self.height
     }
 
     /// Whether a point is within the outer walls (within the map, for a room from a map).
@@ -276,6 +297,20 @@ fn add_walls(parts: &mut Vec<(Prism, String)>, scenario: &Scenario) {
     }
 }
 
+/// The leaf of a door, open or shut.
+pub(super) fn leaf(door: &DoorConfig, is_open: bool) -> Prism {
+    let turn = if is_open { door.swing_deg } else { 0.0 };
+    let heading = (door.heading_deg + turn).to_radians();
+    let along = DVec2::new(libm::cos(heading), libm::sin(heading)) * door.width_m;
+    let centre = DVec2::from(door.hinge_m) + along / 2.0;
+    let size = DVec2::new(door.width_m, door.thickness_m);
+    Prism {
+        footprint: Footprint::rectangle(centre, size, heading),
+        bottom: 0.0,
+        top: door.height_m,
+    }
+}
+
 /// A straight wall on its centre line, half a thickness longer at both ends to close corners.
 fn wall([from, to]: [[f64; 2]; 2], thickness: f64, height: f64) -> Prism {
     let (from, to) = (DVec2::from(from), DVec2::from(to));
@@ -289,24 +324,20 @@ fn wall([from, to]: [[f64; 2]; 2], thickness: f64, height: f64) -> Prism {
     }
 }
 
-fn add_furniture(
-    parts: &mut Vec<(Prism, String)>,
-    scenario: &Scenario,
-    key: &str,
-    furniture: &FurnitureConfig,
-) -> Result<(), ScenarioError> {
-    let footprint = match &furniture.footprint {
+/// The parts of a piece of furniture; `None` for a polygon without area.
+pub(super) fn furniture(config: &FurnitureConfig) -> Option<Vec<Prism>> {
+    let mut parts = Vec::new();
+    let footprint = match &config.footprint {
         FootprintConfig::Box { centre_m, size_m, heading_deg } => {
             let (centre, size) = (DVec2::from(*centre_m), DVec2::from(*size_m));
             let heading = heading_deg.to_radians();
-            if let Some(side) = furniture.legs_m {
+            if let Some(side) = config.legs_m {
                 let (sine, cosine) = (libm::sin(heading), libm::cos(heading));
                 let corner = (size - DVec2::splat(side)) / 2.0;
                 for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
                     let offset = DVec2::new(cosine, sine).rotate(corner * DVec2::new(x, y));
                     let leg = Footprint::rectangle(centre + offset, DVec2::splat(side), heading);
-                    let leg = Prism { footprint: leg, bottom: 0.0, top: furniture.bottom_m };
-                    parts.push((leg, key.to_owned()));
+                    parts.push(Prism { footprint: leg, bottom: 0.0, top: config.bottom_m });
                 }
             }
             Footprint::rectangle(centre, size, heading)
@@ -316,14 +347,11 @@ fn add_furniture(
         }
         FootprintConfig::Polygon { points_m } => {
             let corners: Vec<DVec2> = points_m.iter().map(|&point| DVec2::from(point)).collect();
-            Footprint::polygon(&corners).ok_or_else(|| {
-                scenario.invalid(format!("{key}.footprint.polygon.points_m"), "has no area")
-            })?
+            Footprint::polygon(&corners)?
         }
     };
-    let prism = Prism { footprint, bottom: furniture.bottom_m, top: furniture.top_m };
-    parts.push((prism, key.to_owned()));
-    Ok(())
+    parts.push(Prism { footprint, bottom: config.bottom_m, top: config.top_m });
+    Some(parts)
 }
 
 /// Occupied cells as few upright boxes: runs of a row, grown upward while the rows agree.

@@ -1,7 +1,10 @@
 //! A robot's range sensor: a fan of beams at one height.
 
 use libm::{cos, sin};
-use parry2d_f64::glamx::DVec2;
+use parry2d_f64::{
+    bounding_volume::{Aabb, BoundingVolume},
+    glamx::DVec2,
+};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use ubimap_protocol::units::Pose;
@@ -21,6 +24,7 @@ pub struct RangeSensor {
     x: f64,
     y: f64,
     heading: f64,
+    askew: f64,
     height: f64,
     fov: f64,
     beams: usize,
@@ -32,7 +36,7 @@ pub struct RangeSensor {
 }
 
 impl RangeSensor {
-    /// The sensor in `base_link`.
+    /// The sensor in `base_link`, as the robot believes it to be mounted.
     pub fn mount(&self) -> Pose {
         Pose::from_metres(self.x, self.y, self.heading)
     }
@@ -72,6 +76,7 @@ impl RangeSensor {
             x: config.x_m,
             y: config.y_m,
             heading: config.heading_deg.to_radians(),
+            askew: config.askew_deg.to_radians(),
             height: config.height_m,
             fov: config.fov_deg.to_radians(),
             beams: config.beams.max(2),
@@ -88,21 +93,22 @@ impl RangeSensor {
         &self,
         robot: PlanePose,
         room: &Room,
-        others: &[Body],
+        others: &[Prism],
         dice: &mut ChaCha8Rng,
     ) -> Vec<u16> {
         let facing = DVec2::new(cos(robot.heading), sin(robot.heading));
         let origin = robot.position + facing.rotate(DVec2::new(self.x, self.y));
         let reach = self.max_range;
-        let near: Vec<Prism> = others
+        let around = Aabb::from_half_extents(origin, DVec2::splat(reach));
+        let near: Vec<&Prism> = others
             .iter()
-            .filter(|body| origin.distance(body.centre) - body.radius < reach)
-            .map(cylinder)
+            .filter(|prism| prism.spans(self.height))
+            .filter(|prism| prism.footprint.bounds().intersects(&around))
             .collect();
         (0..self.beams)
             .map(|beam| {
                 let bearing = self.first_angle_rad() + beam as f64 * self.step_rad();
-                let angle = robot.heading + self.heading + bearing;
+                let angle = robot.heading + self.heading + self.askew + bearing;
                 let (from, along) =
                     (origin.extend(self.height), DVec2::new(cos(angle), sin(angle)).extend(0.0));
                 // One throw for each beam, hit or not: a person far away shifts no noise.

@@ -20,6 +20,20 @@ enum Outline {
     Polygon(ConvexPolygon),
 }
 
+/// The edge of a convex shape in its place.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Rim {
+    /// A circle.
+    Disc {
+        /// Its centre.
+        centre: DVec2,
+        /// Its radius.
+        radius: f64,
+    },
+    /// A polygon's corners, counter-clockwise.
+    Corners(Vec<DVec2>),
+}
+
 /// A convex shape from above, in its place.
 #[derive(Clone, Debug)]
 pub(super) struct Footprint {
@@ -44,6 +58,21 @@ impl Footprint {
     pub(super) fn polygon(corners: &[DVec2]) -> Option<Self> {
         let polygon = ConvexPolygon::from_convex_hull(corners)?;
         Some(Self { outline: Outline::Polygon(polygon), place: Pose2::identity() })
+    }
+
+    /// Its edge.
+    pub(super) fn rim(&self) -> Rim {
+        let corners = match &self.outline {
+            Outline::Disc(ball) => {
+                return Rim::Disc { centre: self.place.translation, radius: ball.radius };
+            }
+            Outline::Box(cuboid) => {
+                let DVec2 { x, y } = cuboid.half_extents;
+                [(-x, -y), (x, -y), (x, y), (-x, y)].map(DVec2::from).to_vec()
+            }
+            Outline::Polygon(polygon) => polygon.points().to_vec(),
+        };
+        Rim::Corners(corners.into_iter().map(|corner| self.place * corner).collect())
     }
 
     fn shape(&self) -> &dyn Shape {
@@ -94,27 +123,22 @@ impl Footprint {
 
     /// Points on the boundary no more than `spacing` apart, each with its outward normal.
     pub(super) fn boundary(&self, spacing: f64) -> Vec<(DVec2, DVec2)> {
-        let corners = match &self.outline {
-            Outline::Disc(ball) => {
-                let count = (std::f64::consts::TAU * ball.radius / spacing).ceil().max(8.0);
+        let corners = match self.rim() {
+            Rim::Disc { centre, radius } => {
+                let count = (std::f64::consts::TAU * radius / spacing).ceil().max(8.0);
                 return (0..count as usize)
                     .map(|index| {
                         let angle = index as f64 / count * std::f64::consts::TAU;
                         let normal = DVec2::new(cos(angle), sin(angle));
-                        (self.place.translation + normal * ball.radius, normal)
+                        (centre + normal * radius, normal)
                     })
                     .collect();
             }
-            Outline::Box(cuboid) => {
-                let DVec2 { x, y } = cuboid.half_extents;
-                [(-x, -y), (x, -y), (x, y), (-x, y)].map(DVec2::from).to_vec()
-            }
-            Outline::Polygon(polygon) => polygon.points().to_vec(),
+            Rim::Corners(corners) => corners,
         };
         let mut points = Vec::new();
         for (index, &from) in corners.iter().enumerate() {
-            let from = self.place * from;
-            let edge = self.place * corners[(index + 1) % corners.len()] - from;
+            let edge = corners[(index + 1) % corners.len()] - from;
             // Corners go round counter-clockwise: outward is to the right.
             let normal = DVec2::new(edge.y, -edge.x).normalize_or_zero();
             let count = (edge.length() / spacing).ceil().max(1.0);

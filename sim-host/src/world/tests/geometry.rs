@@ -82,7 +82,7 @@ proptest! {
     ) {
         let mut scenario = small_room("");
         scenario.furniture = pieces;
-        let room = Room::new(&scenario, None).unwrap();
+        let room = Room::new(&scenario, None, &[]).unwrap();
         let to = if is_level { DVec3::new(to.x, to.y, from.z) } else { to };
         let limit = from.distance(to);
         prop_assume!(limit > 0.01);
@@ -137,7 +137,7 @@ fn walls_of_a_map_are_its_occupied_cells() {
         height,
         occupied: (0..width * height).map(|i| is_wall(i % width, i / width)).collect(),
     };
-    let room = Room::new(&scenario, Some(&grid)).unwrap();
+    let room = Room::new(&scenario, Some(&grid), &[]).unwrap();
     for y in 0..height {
         for x in 0..width {
             let centre = DVec2::new(x as f64 + 0.5, y as f64 + 0.5) * resolution_m;

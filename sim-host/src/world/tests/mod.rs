@@ -1,7 +1,9 @@
 //! Tests of the simulated room, against slow independent answers where there are any.
 
 mod cameras;
+mod changes;
 mod coverage;
+mod frames;
 mod geometry;
 mod motion;
 mod scenario;

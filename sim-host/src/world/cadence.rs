@@ -1,0 +1,69 @@
+//! What happens so many times a second.
+
+use ubimap_protocol::time::{Duration, Instant};
+
+use super::{STEP, scenario::CameraConfig};
+
+/// Something that happens so many times a second, at steps.
+pub(super) struct Cadence {
+    rate: f64,
+    count: u64,
+}
+
+impl Cadence {
+    pub(super) fn new(rate: f64) -> Self {
+        Self { rate, count: 0 }
+    }
+
+    /// The step at or after the exact moment: a rate is kept on average.
+    pub(super) fn due(&self) -> Instant {
+        let steps = self.count as f64 / self.rate * 1e6 / STEP.micros() as f64;
+        // Ten hertz are exactly ten steps, whatever the division says.
+        Instant::from_micros((steps - 1e-6).ceil().max(0.0) as u64 * STEP.micros())
+    }
+
+    /// Whether it happens now; if so, it is due again later.
+    pub(super) fn is_due(&mut self, now: Instant) -> bool {
+        let is_due = self.due() <= now;
+        self.count += u64::from(is_due);
+        is_due
+    }
+}
+
+/// When a camera takes frames, and how long they are under way at least.
+pub(super) struct FrameTimes {
+    frames: Cadence,
+    latency: Duration,
+    fails: Option<Instant>,
+}
+
+impl FrameTimes {
+    pub(super) fn new(config: &CameraConfig) -> Self {
+        let micros = |micros: f64| micros.round() as u64;
+        Self {
+            frames: Cadence::new(config.rate_hz),
+            latency: Duration::from_micros(micros(config.latency_ms * 1000.0)),
+            fails: config.fails_at_s.map(|at| Instant::from_micros(micros(at * 1e6))),
+        }
+    }
+
+    /// Whether a frame is taken now; if so, the next is due later.
+    pub(super) fn is_due(&mut self, now: Instant) -> bool {
+        self.frames.is_due(now)
+    }
+
+    /// Whether nothing comes from the camera any more.
+    pub(super) fn has_failed(&self, now: Instant) -> bool {
+        self.fails.is_some_and(|moment| moment <= now)
+    }
+
+    pub(super) fn latency(&self) -> Duration {
+        self.latency
+    }
+
+    /// When the next frame that is not taken yet arrives at the earliest, if there will be one.
+    pub(super) fn next_arrival(&self) -> Option<Instant> {
+        let due = self.frames.due();
+        (!self.has_failed(due)).then_some(due + self.latency)
+    }
+}

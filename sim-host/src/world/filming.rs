@@ -1,0 +1,181 @@
+//! When cameras take frames, and when these arrive: late, out of order, or not at all.
+//!
+//! A frame is drawn only when it is asked for: what is kept before is the scene that all cameras
+//! of one moment share. Each frame has dice of its own, so that the frames of several cameras can
+//! be drawn at once, by any number of threads.
+
+use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Exp1};
+use ubimap_protocol::time::{Duration, Instant};
+
+use super::{
+    cadence::FrameTimes,
+    render::{FrameCamera, Scene},
+    scenario::CameraConfig,
+};
+use crate::camera::{Calibration, CalibrationError, Frame};
+
+/// All cameras, and their frames under way.
+pub(super) struct Filming {
+    calibrations: Vec<Calibration>,
+    shutters: Vec<Shutter>,
+    /// By arrival, then capture, then camera.
+    under_way: BTreeMap<(Instant, Instant, usize), Shot>,
+    threads: usize,
+}
+
+/// When one camera takes frames.
+struct Shutter {
+    camera: FrameCamera,
+    times: FrameTimes,
+    /// The mean of what is added to the latency, in microseconds.
+    jitter: f64,
+    lost: f64,
+    dice: ChaCha8Rng,
+}
+
+/// A frame under way.
+enum Shot {
+    /// What is to be drawn, and the seed of its noise.
+    Taken(Arc<Scene>, u64),
+    Drawn(Option<Frame>),
+}
+
+/// A frame that is being drawn.
+struct Job<'c> {
+    key: (Instant, Instant, usize),
+    camera: &'c mut FrameCamera,
+    scene: Arc<Scene>,
+    seed: u64,
+}
+
+impl Filming {
+    /// Cameras whose pictures are grey or in colour; `dice` gives each its own.
+    pub(super) fn new(
+        configs: &[CameraConfig],
+        in_colour: bool,
+        dice: impl Fn(usize) -> ChaCha8Rng,
+    ) -> Result<Self, (usize, CalibrationError)> {
+        let shutter = |(index, config): (usize, &CameraConfig)| {
+            let mut dice = dice(index);
+            let noise = ChaCha8Rng::seed_from_u64(dice.random());
+            let camera = FrameCamera::new(config, in_colour, noise);
+            Ok(Shutter {
+                camera: camera.map_err(|error| (index, error))?,
+                times: FrameTimes::new(config),
+                jitter: config.latency_jitter_ms * 1000.0,
+                lost: config.lost_frames,
+                dice,
+            })
+        };
+        let shutters: Vec<Shutter> =
+            configs.iter().enumerate().map(shutter).collect::<Result<_, _>>()?;
+        Ok(Self {
+            calibrations: shutters.iter().map(|shutter| shutter.camera.calibration()).collect(),
+            shutters,
+            under_way: BTreeMap::new(),
+            threads: thread::available_parallelism().map_or(1, NonZero::get),
+        })
+    }
+
+    /// The cameras.
+    pub(super) fn calibrations(&self) -> &[Calibration] {
+        &self.calibrations
+    }
+
+    /// Takes the frames that are due now of what there is now.
+    pub(super) fn take(&mut self, now: Instant, scene: impl FnOnce() -> Scene) {
+        let mut scene = Some(scene);
+        let mut taken: Option<Arc<Scene>> = None;
+        for (index, shutter) in self.shutters.iter_mut().enumerate() {
+            if !shutter.times.is_due(now) {
+                continue;
+            }
+            // The same throws whether the frame is lost or not.
+            let (late, fate): (f64, f64) =
+                (Exp1.sample(&mut shutter.dice), shutter.dice.random_range(0.0..1.0));
+            let seed = shutter.dice.random();
+            if fate < shutter.lost || shutter.times.has_failed(now) {
+                continue;
+            }
+            if let Some(scene) = scene.take() {
+                taken = Some(Arc::new(scene()));
+            }
+            let delay = Duration::from_micros((late * shutter.jitter).round() as u64);
+            let arrival = now + shutter.times.latency() + delay;
+            if let Some(scene) = &taken {
+                self.under_way.insert((arrival, now, index), Shot::Taken(scene.clone(), seed));
+            }
+        }
+    }
+
+    /// The next frame that has arrived by `now`, in order of arrival.
+    pub(super) fn poll(&mut self, now: Instant) -> Option<Frame> {
+        loop {
+            let (&(arrival, ..), shot) = self.under_way.first_key_value()?;
+            if arrival > now {
+                return None;
+            }
+            if matches!(shot, Shot::Taken(..)) {
+                self.draw();
+            }
+            if let (_, Shot::Drawn(Some(frame))) = self.under_way.pop_first()? {
+                return Some(frame);
+            }
+        }
+    }
+
+    /// When the next frame will arrive at the earliest.
+    pub(super) fn next_arrival(&self) -> Option<Instant> {
+        let under_way = self.under_way.keys().map(|&(arrival, ..)| arrival).next();
+        let coming = self.shutters.iter().filter_map(|shutter| shutter.times.next_arrival());
+        under_way.into_iter().chain(coming).min()
+    }
+
+    /// Draws the next frame of each camera, as far as frames are under way.
+    fn draw(&mut self) {
+        let mut jobs: Vec<Job<'_>> = Vec::new();
+        for (index, shutter) in self.shutters.iter_mut().enumerate() {
+            let mut shots = self.under_way.iter();
+            let next = shots.find_map(|(&key, shot)| match shot {
+                Shot::Taken(scene, seed) if key.2 == index => Some((key, scene.clone(), *seed)),
+                _ => None,
+            });
+            if let Some((key, scene, seed)) = next {
+                jobs.push(Job { key, camera: &mut shutter.camera, scene, seed });
+            }
+        }
+        let share = jobs.len().div_ceil(self.threads).max(1);
+        let drawn: Vec<((Instant, Instant, usize), Option<Frame>)> = if jobs.len() <= share {
+            jobs.iter_mut().map(Job::draw).collect()
+        } else {
+            thread::scope(|scope| {
+                let at_work: Vec<_> = jobs
+                    .chunks_mut(share)
+                    .map(|jobs| scope.spawn(|| jobs.iter_mut().map(Job::draw).collect::<Vec<_>>()))
+                    .collect();
+                at_work.into_iter().flat_map(|thread| thread.join().unwrap_or_default()).collect()
+            })
+        };
+        for (key, frame) in drawn {
+            self.under_way.insert(key, Shot::Drawn(frame));
+        }
+    }
+}
+
+impl Job<'_> {
+    fn draw(&mut self) -> ((Instant, Instant, usize), Option<Frame>) {
+        let (_, captured, camera) = self.key;
+        let images = self.camera.take(&self.scene, &mut ChaCha8Rng::seed_from_u64(self.seed));
+        let frame = images.map(|(depth, picture)| Frame {
+            camera,
+            captured,
+            depth: Some(depth),
+            picture: Some(picture),
+        });
+        (self.key, frame)
+    }
+}

@@ -1,0 +1,92 @@
+//! What a robot wears on its top, so that cameras know it and see where it faces.
+
+use libm::{cos, sin};
+
+use super::{
+    scenario::{MarkerConfig, RobotConfig},
+    tag,
+};
+
+/// How much of red, green and blue light a surface throws back, from 0 to 1.
+pub(super) type Colour = [f32; 3];
+
+const WHITE: Colour = [0.85; 3];
+const BLACK: Colour = [0.05; 3];
+
+/// The colours of heads and tails: red, yellow, green, cyan, blue, magenta.
+const HUES: [Colour; 6] = [
+    [0.8, 0.06, 0.06],
+    [0.8, 0.75, 0.06],
+    [0.06, 0.65, 0.1],
+    [0.06, 0.7, 0.8],
+    [0.08, 0.12, 0.8],
+    [0.75, 0.08, 0.7],
+];
+
+/// A marker in the middle of a robot's top.
+#[derive(Clone, Debug)]
+pub(super) struct Marker {
+    pattern: Pattern,
+    /// Half of its side with everything that belongs to it, in metres.
+    half: f32,
+    /// Sine and cosine of what it is turned by.
+    askew: (f32, f32),
+}
+
+#[derive(Clone, Debug)]
+enum Pattern {
+    Tag([[bool; tag::SIDE]; tag::SIDE]),
+    Colours { head: Colour, tail: Colour },
+    Blank,
+}
+
+impl Marker {
+    pub(super) fn new(config: &RobotConfig) -> Self {
+        let askew = config.identifier_askew_deg.to_radians();
+        let size = config.marker_size_m as f32;
+        let (pattern, side) = match config.marker {
+            MarkerConfig::Tag => {
+                let id = config.tag_id.unwrap_or(config.id);
+                let pattern = tag::pattern(id.into()).map_or(Pattern::Blank, Pattern::Tag);
+                (pattern, size * tag::SIDE as f32 / tag::SQUARE as f32)
+            }
+            MarkerConfig::Colour => {
+                // Thirty ordered pairs of two different hues.
+                let (head, step) = (usize::from(config.id) % 6, usize::from(config.id) / 6 % 5);
+                let tail = (head + 1 + step) % 6;
+                (Pattern::Colours { head: HUES[head], tail: HUES[tail] }, size)
+            }
+        };
+        Self { pattern, half: side / 2.0, askew: (sin(askew) as f32, cos(askew) as f32) }
+    }
+
+    /// How far from the middle it reaches, in metres.
+    pub(super) fn reach(&self) -> f32 {
+        self.half * std::f32::consts::SQRT_2
+    }
+
+    /// Its colour at a point of the robot's top, ahead and to the left of the middle in metres;
+    /// `None` beside it.
+    pub(super) fn colour(&self, ahead: f32, left: f32) -> Option<Colour> {
+        let (sin, cos) = self.askew;
+        let (ahead, left) = (ahead * cos + left * sin, left * cos - ahead * sin);
+        // From the left and from the upper edge, which is ahead: 0 to 1.
+        let across = 0.5 - left / (2.0 * self.half);
+        let down = 0.5 - ahead / (2.0 * self.half);
+        if !(0.0..1.0).contains(&across) || !(0.0..1.0).contains(&down) {
+            return None;
+        }
+        Some(match &self.pattern {
+            Pattern::Blank => WHITE,
+            Pattern::Tag(white) => {
+                let module = |part: f32| (part * tag::SIDE as f32) as usize;
+                if white[module(down)][module(across)] { WHITE } else { BLACK }
+            }
+            Pattern::Colours { head, tail } => match (across, down) {
+                (0.15..0.85, 0.1..0.45) => *head,
+                (0.15..0.85, 0.55..0.9) => *tail,
+                _ => WHITE,
+            },
+        })
+    }
+}

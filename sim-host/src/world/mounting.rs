@@ -1,0 +1,50 @@
+//! Where a camera hangs and which way it looks.
+
+use libm::{atan2, cos, sin};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+use parry2d_f64::glamx::DVec3;
+
+use super::scenario::CameraConfig;
+use crate::camera::{CalibrationError, Intrinsics, Lens};
+
+/// A camera's place in `map`, in metres, and its axes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mounting {
+    pub(super) position: DVec3,
+    pub(super) forward: DVec3,
+    /// Level.
+    pub(super) right: DVec3,
+    pub(super) up: DVec3,
+}
+
+impl Mounting {
+    pub(super) fn new(config: &CameraConfig) -> Self {
+        let position = DVec3::from(config.position_m);
+        let (heading, tilt) = match config.look_at_m {
+            Some(look_at) => {
+                let way = DVec3::from(look_at) - position;
+                (atan2(way.y, way.x), atan2(-way.z, way.truncate().length()))
+            }
+            None => (
+                config.heading_deg.unwrap_or_default().to_radians(),
+                config.tilt_deg.unwrap_or_default().to_radians(),
+            ),
+        };
+        let level = DVec3::new(cos(heading), sin(heading), 0.0);
+        let right = DVec3::new(level.y, -level.x, 0.0);
+        let forward = level * cos(tilt) - DVec3::Z * sin(tilt);
+        Self { position, forward, right, up: right.cross(forward) }
+    }
+
+    /// A sensor that sits so far to the left of the camera's own place and looks the same way.
+    pub(super) fn lens(&self, left: f64, intrinsics: Intrinsics) -> Result<Lens, CalibrationError> {
+        let at = self.position - self.right * left;
+        let columns = [self.right, -self.up, self.forward].map(|axis| axis.to_array().into());
+        let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&columns));
+        let pose = Isometry3::from_parts(
+            Translation3::new(at.x, at.y, at.z),
+            UnitQuaternion::from_rotation_matrix(&turn),
+        );
+        Lens::new(intrinsics, pose)
+    }
+}

@@ -1,0 +1,244 @@
+//! A camera that takes frames: the room is drawn once, and what moves is drawn into it.
+
+use std::sync::Arc;
+
+use image::{GrayImage, RgbImage};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    Part, Scene,
+    canvas::Canvas,
+    noise::{DepthNoise, PictureNoise},
+    paint,
+    paint::Paint,
+    view::{Rectangle, View},
+};
+use crate::{
+    camera::{Calibration, CalibrationError, DepthImage, Intrinsics, Picture},
+    world::{mounting::Mounting, room::Room, scenario::CameraConfig, shapes::Prism},
+};
+
+/// A depth sensor and one of pictures beside it.
+pub(in super::super) struct FrameCamera {
+    calibration: Calibration,
+    config: CameraConfig,
+    dice: ChaCha8Rng,
+    /// Bytes of light for each pixel of a picture.
+    channels: usize,
+    /// Made for the first frame.
+    stage: Option<Stage>,
+}
+
+/// What a camera that takes frames has drawn.
+struct Stage {
+    depth: Sensor,
+    picture: Sensor,
+    depth_noise: DepthNoise,
+    picture_noise: PictureNoise,
+    /// The room that has been drawn.
+    room: Arc<Room>,
+    /// Its picture as the lens shows it; and with what moves, while a frame is taken.
+    still: Vec<u8>,
+    soft: Vec<u8>,
+}
+
+impl FrameCamera {
+    /// A camera whose pictures are grey or in colour.
+    pub(in super::super) fn new(
+        config: &CameraConfig,
+        in_colour: bool,
+        dice: ChaCha8Rng,
+    ) -> Result<Self, CalibrationError> {
+        let mounting = Mounting::new(config);
+        let (depth, picture) = (&config.depth, &config.picture);
+        let fields = [config.horizontal_fov_deg, config.vertical_fov_deg];
+        let depth = mounting.lens(0.0, intrinsics(depth.width, depth.height, fields))?;
+        let fields = [picture.horizontal_fov_deg, picture.vertical_fov_deg];
+        let picture =
+            mounting.lens(picture.left_m, intrinsics(picture.width, picture.height, fields))?;
+        Ok(Self {
+            calibration: Calibration { depth: Some(depth), picture: Some(picture) },
+            config: config.clone(),
+            dice,
+            channels: if in_colour { 3 } else { 1 },
+            stage: None,
+        })
+    }
+
+    pub(in super::super) fn calibration(&self) -> Calibration {
+        self.calibration
+    }
+
+    /// What its sensors give of a scene, with noise by these dice.
+    pub(in super::super) fn take(
+        &mut self,
+        scene: &Scene,
+        dice: &mut ChaCha8Rng,
+    ) -> Option<(DepthImage, Picture)> {
+        Some(self.stage(&scene.room)?.take(&scene.moving, dice))
+    }
+
+    /// Depth in metres before any noise, row by row.
+    #[cfg(test)]
+    pub(in super::super) fn exact_depth(&mut self, scene: &Scene) -> Vec<f32> {
+        let stage = self.stage(&scene.room).unwrap();
+        let drawn = stage.depth.draw(&scene.moving);
+        let depth = stage.depth.canvas.depth.clone();
+        stage.depth.remove(&drawn);
+        depth
+    }
+
+    /// With this room drawn.
+    fn stage(&mut self, room: &Arc<Room>) -> Option<&mut Stage> {
+        let Calibration { depth: Some(depth), picture: Some(picture) } = &self.calibration else {
+            return None;
+        };
+        match &mut self.stage {
+            Some(stage) => stage.enter(room),
+            None => {
+                let focal = depth.intrinsics().fx;
+                let mut stage = Stage {
+                    depth: Sensor::new(View::new(depth), 0),
+                    picture: Sensor::new(View::new(picture), self.channels),
+                    depth_noise: DepthNoise::new(&self.config, focal, &mut self.dice),
+                    picture_noise: PictureNoise::new(self.config.picture.noise, &mut self.dice),
+                    room: room.clone(),
+                    still: Vec::new(),
+                    soft: Vec::new(),
+                };
+                stage.redraw(|sensor| vec![sensor.view.whole()]);
+                self.stage = Some(stage);
+            }
+        }
+        self.stage.as_mut()
+    }
+}
+
+impl Stage {
+    fn take(&mut self, moving: &[Part], dice: &mut ChaCha8Rng) -> (DepthImage, Picture) {
+        let drawn = self.depth.draw(moving);
+        let depth = self.depth_noise.image(&self.depth.canvas, self.depth.view.width, dice);
+        self.depth.remove(&drawn);
+
+        let drawn = self.picture.draw(moving);
+        let spread = drawn.iter().map(|drawn| drawn.grown().within(&self.picture.view.whole()));
+        let spread: Vec<Rectangle> = spread.collect();
+        for rectangle in &spread {
+            self.picture.canvas.blur(rectangle, &mut self.soft);
+        }
+        let View { width, height, .. } = self.picture.view;
+        let channels = self.picture.canvas.channels;
+        let bytes = self.picture_noise.add(&self.soft, width * channels, dice);
+        self.picture.remove(&drawn);
+        for rectangle in &spread {
+            for row in rectangle.top..rectangle.bottom {
+                let from = (row * width + rectangle.left) * channels;
+                let bytes = from..(row * width + rectangle.right) * channels;
+                self.soft[bytes.clone()].copy_from_slice(&self.still[bytes]);
+            }
+        }
+        let (width, height) = (width as u32, height as u32);
+        let picture = if channels == 1 {
+            Picture::Grey(GrayImage::from_raw(width, height, bytes).unwrap_or_default())
+        } else {
+            Picture::Colour(RgbImage::from_raw(width, height, bytes).unwrap_or_default())
+        };
+        (depth, picture)
+    }
+
+    /// Draws what looks different from the room before.
+    fn enter(&mut self, room: &Arc<Room>) {
+        if Arc::ptr_eq(&self.room, room) {
+            return;
+        }
+        let before = std::mem::replace(&mut self.room, room.clone());
+        self.redraw(|sensor| sensor.changed(&before, room));
+    }
+
+    /// Draws the room again within each sensor's rectangles.
+    fn redraw(&mut self, within: impl Fn(&Sensor) -> Vec<Rectangle>) {
+        for sensor in [&mut self.depth, &mut self.picture] {
+            for rectangle in within(sensor) {
+                sensor.draw_room(&self.room, &rectangle);
+            }
+            sensor.canvas = sensor.room.clone();
+        }
+        let Sensor { view, room, .. } = &self.picture;
+        self.still.resize(view.width * view.height * room.channels, 0);
+        room.blur(&view.whole(), &mut self.still);
+        self.soft.clone_from(&self.still);
+    }
+}
+
+/// A pinhole with its own angle each way.
+fn intrinsics(width: u32, height: u32, [across, down]: [f64; 2]) -> Intrinsics {
+    let level = Intrinsics::pinhole(width, height, across.to_radians());
+    Intrinsics { fy: Intrinsics::pinhole(height, width, down.to_radians()).fx, ..level }
+}
+
+/// One of a camera's sensors.
+struct Sensor {
+    view: View,
+    /// The room alone.
+    room: Canvas,
+    /// The same, but for what moves while a frame is taken.
+    canvas: Canvas,
+}
+
+impl Sensor {
+    fn new(view: View, channels: usize) -> Self {
+        let canvas = Canvas::new(&view, channels);
+        Self { view, room: canvas.clone(), canvas }
+    }
+
+    fn draw_room(&mut self, room: &Room, clip: &Rectangle) {
+        self.room.clear(&self.view, room.height(), clip);
+        for (prism, key) in room.prisms().iter().zip(room.keys()) {
+            let bounds = self.view.bounds(prism).within(clip);
+            if !bounds.is_empty() {
+                let part = Part { prism: prism.clone(), paint: paint_of(key) };
+                self.room.draw(&self.view, &part, &bounds);
+            }
+        }
+    }
+
+    /// Where two rooms look different.
+    fn changed(&self, before: &Room, after: &Room) -> Vec<Rectangle> {
+        let same = |a: &Prism, b: &Prism| {
+            (a.bottom, a.top) == (b.bottom, b.top) && a.footprint.rim() == b.footprint.rim()
+        };
+        let pairs = before.prisms().iter().zip(after.prisms());
+        pairs
+            .filter(|(a, b)| !same(a, b))
+            .flat_map(|(a, b)| [self.view.bounds(a), self.view.bounds(b)])
+            .filter(|bounds| !bounds.is_empty())
+            .collect()
+    }
+
+    /// Draws what moves; gives where.
+    fn draw(&mut self, parts: &[Part]) -> Vec<Rectangle> {
+        let bounds = parts.iter().map(|part| self.view.bounds(&part.prism));
+        let bounds: Vec<Rectangle> = bounds.collect();
+        for (part, bounds) in parts.iter().zip(&bounds).filter(|(_, bounds)| !bounds.is_empty()) {
+            self.canvas.draw(&self.view, part, bounds);
+        }
+        bounds.into_iter().filter(|bounds| !bounds.is_empty()).collect()
+    }
+
+    /// Takes out what was drawn there.
+    fn remove(&mut self, drawn: &[Rectangle]) {
+        for rectangle in drawn {
+            self.canvas.restore(&self.room, rectangle);
+        }
+    }
+}
+
+/// What the part of a room looks like that comes from this key of a scenario.
+fn paint_of(key: &str) -> Paint {
+    if key.starts_with("room.") {
+        return paint::WALL;
+    }
+    // Every piece of furniture has a number in its key.
+    let number = key.bytes().fold(1_u32, |sum, byte| sum.wrapping_mul(31) + u32::from(byte));
+    Paint::numbered(number)
+}

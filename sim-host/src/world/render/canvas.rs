@@ -1,0 +1,172 @@
+//! What one sensor sees: a depth for each pixel and, of a picture, its light.
+
+use parry2d_f64::glamx::{Vec2, Vec3};
+
+use super::{
+    super::marker::Colour,
+    Part, paint,
+    paint::Paint,
+    solid::{Face, Hit, Solid},
+    view::{Rectangle, View},
+};
+
+/// Rays to a side of a pixel where a marker is.
+const RAYS: usize = 3;
+
+/// An image in the making.
+#[derive(Clone)]
+pub(super) struct Canvas {
+    width: usize,
+    /// Depth along the optical axis in metres, infinite where there is nothing.
+    pub(super) depth: Vec<f32>,
+    /// Bytes of light for each pixel: none of a depth sensor, one of a grey one, three of colour.
+    pub(super) channels: usize,
+    pub(super) light: Vec<u8>,
+}
+
+impl Canvas {
+    pub(super) fn new(view: &View, channels: usize) -> Self {
+        let pixels = view.width * view.height;
+        Self {
+            width: view.width,
+            depth: vec![f32::INFINITY; pixels],
+            channels,
+            light: vec![0; pixels * channels],
+        }
+    }
+
+    /// Draws the empty room: its floor and its ceiling.
+    pub(super) fn clear(&mut self, view: &View, ceiling: f64, clip: &Rectangle) {
+        for row in clip.top..clip.bottom {
+            self.depth[row * self.width..][clip.left..clip.right].fill(f32::INFINITY);
+        }
+        let (floor, ceiling) = (-view.eye.z as f32, (ceiling - view.eye.z) as f32);
+        self.each(view, clip, |way, _| {
+            let (height, face) =
+                if way.z < 0.0 { (floor, Face::Top) } else { (ceiling, Face::Bottom) };
+            let colour = move |point| match face {
+                Face::Top => paint::floor(point),
+                _ => paint::CEILING,
+            };
+            (way.z != 0.0).then(|| (Hit { at: height / way.z, face }, colour))
+        });
+    }
+
+    /// Draws a part where nothing hides it, within `clip`.
+    pub(super) fn draw(&mut self, view: &View, part: &Part, clip: &Rectangle) {
+        let solid = Solid::new(&part.prism, view.eye);
+        let eye = view.eye.as_vec3();
+        let pixel = 1.0 / view.focal() as f32;
+        self.each(view, clip, |way, limit| {
+            let hit = solid.hit(way, limit)?;
+            let colour = move |point: Vec3| {
+                if part.paint.is_fine(point, hit.face, hit.at * pixel) {
+                    on_a_pixel(view, &part.paint, eye, way, point.z)
+                } else {
+                    part.paint.colour(point, hit.face)
+                }
+            };
+            Some((hit, colour))
+        });
+    }
+
+    /// Puts what rays meet into the pixels: `cast` has the direction of a ray and the depth that
+    /// it must not exceed, and says what it meets and which colour a point there has.
+    fn each<C: FnOnce(Vec3) -> Colour>(
+        &mut self,
+        view: &View,
+        clip: &Rectangle,
+        cast: impl Fn(Vec3, f32) -> Option<(Hit, C)>,
+    ) {
+        let eye = view.eye.as_vec3();
+        let half = Vec2::new(view.width as f32, view.height as f32) / 2.0;
+        for row in clip.top..clip.bottom {
+            for column in clip.left..clip.right {
+                let way = view.way(column as f32, row as f32);
+                let index = row * self.width + column;
+                let Some((hit, colour)) = cast(way, self.depth[index]) else { continue };
+                self.depth[index] = hit.at;
+                if self.channels == 0 {
+                    continue;
+                }
+                let point = eye + way * hit.at;
+                let aside = (Vec2::new(column as f32, row as f32) - half) / half.x;
+                // The lens lets less light through towards the corners.
+                let light = paint::light(point, hit.face) * (1.0 - 0.18 * aside.length_squared());
+                let colour = colour(point);
+                let bytes = &mut self.light[index * self.channels..][..self.channels];
+                match bytes {
+                    [grey] => *grey = (light * luminance(colour)) as u8,
+                    _ => bytes
+                        .iter_mut()
+                        .zip(colour)
+                        .for_each(|(byte, part)| *byte = (light * part) as u8),
+                }
+            }
+        }
+    }
+
+    /// Takes a rectangle from another canvas of the same size.
+    pub(super) fn restore(&mut self, from: &Self, rectangle: &Rectangle) {
+        for row in rectangle.top..rectangle.bottom {
+            let pixels = row * self.width + rectangle.left..row * self.width + rectangle.right;
+            self.depth[pixels.clone()].copy_from_slice(&from.depth[pixels.clone()]);
+            let bytes = pixels.start * self.channels..pixels.end * self.channels;
+            self.light[bytes.clone()].copy_from_slice(&from.light[bytes]);
+        }
+    }
+
+    /// Writes a rectangle of this picture as a lens shows it: each point spread over its
+    /// neighbours, by 1 2 1 both ways.
+    pub(super) fn blur(&self, rectangle: &Rectangle, into: &mut [u8]) {
+        let (stride, channels) = (self.width * self.channels, self.channels);
+        let last = self.depth.len() / self.width - 1;
+        let line = |row: usize| &self.light[row * stride..][..stride];
+        let mut sums = vec![0_u16; stride + 2 * channels];
+        for row in rectangle.top..rectangle.bottom {
+            let (above, here, below) =
+                (line(row.saturating_sub(1)), line(row), line((row + 1).min(last)));
+            // One pixel more on both sides; at the edges of the picture the last one again.
+            let first = rectangle.left.saturating_sub(1) * channels;
+            let end = (rectangle.right + 1).min(self.width) * channels;
+            let within = &mut sums[first + channels..end + channels];
+            let lines = above[first..end].iter().zip(&here[first..end]).zip(&below[first..end]);
+            for (sum, ((above, here), below)) in within.iter_mut().zip(lines) {
+                *sum = u16::from(*above) + 2 * u16::from(*here) + u16::from(*below);
+            }
+            sums.copy_within(channels..2 * channels, 0);
+            sums.copy_within(stride..stride + channels, stride + channels);
+            let bytes = rectangle.left * channels..rectangle.right * channels;
+            let (left, middle, right) = (
+                &sums[bytes.clone()],
+                &sums[bytes.start + channels..bytes.end + channels],
+                &sums[bytes.start + 2 * channels..bytes.end + 2 * channels],
+            );
+            let into = &mut into[row * stride..][bytes];
+            for (((byte, left), middle), right) in into.iter_mut().zip(left).zip(middle).zip(right)
+            {
+                *byte = ((left + 2 * middle + right + 8) >> 4) as u8;
+            }
+        }
+    }
+}
+
+/// The mean colour of a pixel that looks at a robot's top.
+fn on_a_pixel(view: &View, paint: &Paint, eye: Vec3, way: Vec3, top: f32) -> Colour {
+    let mut mean = [0.0; 3];
+    for index in 0..RAYS * RAYS {
+        let offset = |index: usize| (index as f32 + 0.5) / RAYS as f32 - 0.5;
+        let way = way + view.step(offset(index % RAYS), offset(index / RAYS));
+        let point = eye + way * ((top - eye.z) / way.z);
+        let colour = paint.colour(point, Face::Top);
+        for (mean, part) in mean.iter_mut().zip(colour) {
+            *mean += part / (RAYS * RAYS) as f32;
+        }
+    }
+    mean
+}
+
+/// How bright a colour is in a grey picture (ITU-R BT.601).
+fn luminance([red, green, blue]: Colour) -> f32 {
+    0.299 * red + 0.587 * green + 0.114 * blue
+}
