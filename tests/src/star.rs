@@ -332,7 +332,12 @@ impl<'b> Star<'b> {
     pub fn fix(&mut self, robot: usize, pose: Pose) {
         let robots = vec![Sighting::usual(self.robots[robot].id, pose)];
         let captured = self.server_now();
-        self.server.observe(&Observation { camera: robot, captured, robots, cells: Vec::new() });
+        self.server.observe(&Observation {
+            camera: robot,
+            captured,
+            robots,
+            ..Observation::default()
+        });
         self.drain();
     }
 

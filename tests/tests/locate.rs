@@ -54,7 +54,7 @@ impl Drive<'_> {
             {
                 let robots = vec![Sighting::usual(ROBOT, Pose::from_metres(x, 0.0, 0.0))];
                 let observation =
-                    Observation { camera: 0, captured: now, robots, cells: Vec::new() };
+                    Observation { camera: 0, captured: now, robots, ..Observation::default() };
                 events.push_back((now, Event::Observation(observation)));
             }
             if millis % 50 == 0 {

@@ -5,6 +5,7 @@
 
 mod calibration;
 mod frame;
+mod thing;
 
 use ubimap_protocol::{
     message::Certainty,
@@ -15,6 +16,7 @@ use ubimap_protocol::{
 
 pub use calibration::{Calibration, CalibrationError, Intrinsics, Lens};
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
+pub use thing::{LAYERS, Thing};
 
 /// What one frame of one camera says, after perception.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -28,6 +30,8 @@ pub struct Observation {
     /// The cells that it sees, by grid coordinates (cells from the origin of `map`): free or
     /// occupied. A cell in its field of view that is hidden from it is not listed.
     pub cells: Vec<((i32, i32), Cell)>,
+    /// What stands out of the empty room; its cells are among [`Observation::cells`], movable.
+    pub things: Vec<Thing>,
 }
 
 /// Where a robot was when a frame was captured.

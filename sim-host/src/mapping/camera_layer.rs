@@ -4,58 +4,68 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
-    tile::{Cell, TILE_SIDE, Tile, TileId},
-    time::Instant,
+    tile::{Cell, TILE_CELLS, TILE_SIDE, Tile, TileId},
+    time::{Duration, Instant},
 };
 
+use super::runs::runs;
 use crate::camera::Observation;
+
+/// What a camera has said for so long holds: another camera that sees the foot of the same wall
+/// does not make it free, and one that is dead does not keep anybody in the map.
+const HOLDS: Duration = Duration::from_secs(1);
 
 /// The camera evidence.
 #[derive(Clone, Debug, Default)]
 pub struct CameraLayer {
-    /// What does not move, and when the newest frame in each tile was captured.
-    still: BTreeMap<TileId, (Tile, Instant)>,
+    still: BTreeMap<TileId, Still>,
     /// What moves, as the newest frame of each camera has it: its next frame replaces it, so that
     /// what walks out of view leaves nothing behind.
     moving: BTreeMap<usize, (Instant, BTreeMap<TileId, Tile>)>,
+    newest: Instant,
+}
+
+/// What does not move.
+#[derive(Clone, Debug)]
+struct Still {
+    tile: Tile,
+    /// For each cell, row by row, when the frame was captured that it comes from, and by whom.
+    seen: Box<[(Instant, usize); TILE_CELLS as usize]>,
 }
 
 impl CameraLayer {
-    /// Takes the cells of a frame; a frame without cells says nothing. A frame that is older than
-    /// what is known is passed over. Returns the tiles that have changed.
+    /// Takes the cells of a frame; a frame without cells says nothing. What is known from a newer
+    /// frame stays. Returns the tiles that have changed.
     pub fn observe(&mut self, observation: &Observation) -> BTreeSet<TileId> {
-        if observation.cells.is_empty() {
-            return BTreeSet::new();
-        }
-        let captured = observation.captured;
-        let mut moving = BTreeMap::<TileId, Tile>::new();
-        let mut still = BTreeMap::<TileId, Tile>::new();
-        for &((x, y), cell) in &observation.cells {
-            let Some(id) = TileId::of_cell(x, y) else { continue };
-            let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
-            let tiles = if cell == Cell::Movable { &mut moving } else { &mut still };
-            tiles.entry(id).or_default().set(within(x), within(y), cell);
-        }
         let mut changed = BTreeSet::new();
-        for (id, mut seen) in still {
-            let (tile, newest) = self.still.entry(id).or_default();
-            if captured < *newest {
-                continue;
-            }
-            *newest = captured;
-            seen.fill_unknown_from(tile);
-            if seen != *tile {
-                *tile = seen;
-                changed.insert(id);
+        if observation.cells.is_empty() {
+            return changed;
+        }
+        let (camera, captured) = (observation.camera, observation.captured);
+        let mut moving = BTreeMap::<TileId, Tile>::new();
+        for (id, cells) in runs(observation) {
+            let still = self.still.entry(id).or_default();
+            for (x, y, cell) in cells {
+                if cell == Cell::Movable {
+                    moving.entry(id).or_default().set(x, y, cell);
+                } else if still.take(x, y, cell, camera, captured) {
+                    changed.insert(id);
+                }
             }
         }
-        let (newest, tiles) = self.moving.entry(observation.camera).or_default();
+        let (newest, tiles) = self.moving.entry(camera).or_default();
         if captured >= *newest {
             changed.extend(
                 moving.keys().chain(tiles.keys()).filter(|id| moving.get(id) != tiles.get(id)),
             );
             (*newest, *tiles) = (captured, moving);
         }
+        self.newest = self.newest.max(captured);
+        self.moving.retain(|_, (captured, tiles)| {
+            let holds = self.newest.since(*captured) <= HOLDS;
+            changed.extend(tiles.keys().filter(|_| !holds));
+            holds
+        });
         changed
     }
 
@@ -65,10 +75,35 @@ impl CameraLayer {
         for moving in self.moving.values().filter_map(|(_, tiles)| tiles.get(&id)) {
             tile.fill_unknown_from(moving);
         }
-        if let Some((still, _)) = self.still.get(&id) {
-            tile.fill_unknown_from(still);
+        if let Some(still) = self.still.get(&id) {
+            tile.fill_unknown_from(&still.tile);
         }
         tile
+    }
+}
+
+impl Default for Still {
+    fn default() -> Self {
+        Self { tile: Tile::UNKNOWN, seen: Box::new([(Instant::default(), 0); TILE_CELLS as usize]) }
+    }
+}
+
+impl Still {
+    /// Takes what a camera says of a cell, free or occupied. Whether that changes it.
+    fn take(&mut self, x: usize, y: usize, cell: Cell, camera: usize, captured: Instant) -> bool {
+        let known = self.tile.cell(x, y);
+        let seen = &mut self.seen[y * TILE_SIDE + x];
+        let (when, by) = *seen;
+        let is_held = known == Cell::Occupied
+            && cell == Cell::Free
+            && by != camera
+            && captured.since(when) <= HOLDS;
+        if captured < when || is_held {
+            return false;
+        }
+        *seen = (captured, camera);
+        self.tile.set(x, y, cell);
+        known != cell
     }
 }
 
@@ -91,8 +126,8 @@ mod tests {
     fn the_newest_frame_holds() {
         let mut layer = CameraLayer::default();
         assert!(layer.observe(&frame(0, 10, &[(-1, Cell::Occupied)])).contains(&ID));
-        assert!(layer.observe(&frame(1, 20, &[(-1, Cell::Free)])).contains(&ID));
-        assert!(layer.observe(&frame(0, 15, &[(-1, Cell::Occupied)])).is_empty());
+        assert!(layer.observe(&frame(0, 20, &[(-1, Cell::Free)])).contains(&ID));
+        assert!(layer.observe(&frame(1, 15, &[(-1, Cell::Occupied)])).is_empty());
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Free);
     }
 
@@ -108,5 +143,39 @@ mod tests {
         // A frame without cells says nothing.
         layer.observe(&frame(0, 40, &[]));
         assert_eq!(layer.tile(ID).cell(30, 5), Cell::Free);
+    }
+
+    #[test]
+    fn whom_a_dead_camera_saw_last_is_gone_after_a_second() {
+        let mut layer = CameraLayer::default();
+        layer.observe(&frame(1, 0, &[(-1, Cell::Free), (-2, Cell::Free)]));
+        layer.observe(&frame(0, 100_000, &[(-1, Cell::Movable)]));
+        assert!(layer.observe(&frame(1, 1_100_000, &[(-2, Cell::Free)])).is_empty());
+        assert_eq!(layer.tile(ID).cell(31, 5), Cell::Movable);
+        assert!(layer.observe(&frame(1, 1_100_001, &[(-2, Cell::Free)])).contains(&ID));
+        assert_eq!(layer.tile(ID).cell(31, 5), Cell::Free);
+    }
+
+    #[test]
+    fn a_camera_that_sees_the_floor_before_a_wall_does_not_make_it_flicker() {
+        let mut layer = CameraLayer::default();
+        layer.observe(&frame(0, 0, &[(-1, Cell::Occupied)]));
+        for turn in 1..10 {
+            assert!(layer.observe(&frame(1, turn * 200_000, &[(-1, Cell::Free)])).is_empty());
+            layer.observe(&frame(0, turn * 200_000 + 50_000, &[(-1, Cell::Occupied)]));
+        }
+        // The wall is taken down: at once if who saw it says so, else after a second.
+        let mut other = layer.clone();
+        assert!(layer.observe(&frame(0, 2_000_000, &[(-1, Cell::Free)])).contains(&ID));
+        assert!(other.observe(&frame(1, 2_850_000, &[(-1, Cell::Free)])).is_empty());
+        assert!(other.observe(&frame(1, 2_850_001, &[(-1, Cell::Free)])).contains(&ID));
+    }
+
+    #[test]
+    fn a_camera_whose_frames_are_always_a_little_older_is_heard() {
+        let mut layer = CameraLayer::default();
+        layer.observe(&frame(0, 100, &[(-1, Cell::Free)]));
+        layer.observe(&frame(1, 90, &[(-2, Cell::Occupied)]));
+        assert_eq!(layer.tile(ID).cell(30, 5), Cell::Occupied);
     }
 }

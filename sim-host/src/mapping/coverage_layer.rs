@@ -1,17 +1,17 @@
 //! Which cells the cameras see now.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
-    tile::{Cell, TILE_CELLS, TILE_SIDE, Tile, TileId},
+    tile::{Row, TILE_SIDE, Tile, TileId},
     time::{Duration, Instant},
 };
 
-use super::served_layer::ServedLayer;
+use super::{runs::runs, served_layer::ServedLayer};
 use crate::camera::Observation;
 
 /// A cell is covered for so long after the frame was captured in which a camera saw it. Cells are
-/// looked at twice a second.
+/// looked at twice a second at least.
 const COVERED_FOR: Duration = Duration::from_millis(700);
 /// The layer is computed anew this often: a camera that dies leaves its cells blind within a second.
 const INTERVAL: Duration = Duration::from_millis(250);
@@ -20,28 +20,31 @@ const INTERVAL: Duration = Duration::from_millis(250);
 /// by the frames themselves: shadows, and the floor beneath a robot.
 #[derive(Clone, Debug, Default)]
 pub struct CoverageLayer {
-    /// When the newest frame was captured that saw each cell, row by row from the south-west.
-    seen: BTreeMap<TileId, Box<[Option<Instant>; TILE_CELLS as usize]>>,
+    /// What the frames of the last moments saw, in the order in which they came.
+    frames: VecDeque<(Instant, BTreeMap<TileId, Mask>)>,
     served: ServedLayer,
     /// When to compute it anew, as long as anything is covered or was.
     due: Option<Instant>,
 }
 
+/// The cells of a tile, a word for each row.
+type Mask = [u32; TILE_SIDE];
+
 impl CoverageLayer {
-    /// Takes the cells of a frame, in any order of frames.
+    /// Takes the cells of a frame, in any order of frames. Costs a few nanoseconds for each cell.
     pub fn observe(&mut self, observation: &Observation) {
-        let captured = Some(observation.captured);
-        for &((x, y), _) in &observation.cells {
-            let Some(id) = TileId::of_cell(x, y) else { continue };
-            let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
-            let cells =
-                self.seen.entry(id).or_insert_with(|| Box::new([None; TILE_CELLS as usize]));
-            let seen = &mut cells[within(y) * TILE_SIDE + within(x)];
-            *seen = captured.max(*seen);
+        if observation.cells.is_empty() {
+            return;
         }
-        if !observation.cells.is_empty() {
-            self.due = self.due.or(captured);
+        let mut seen = BTreeMap::<TileId, Mask>::new();
+        for (id, cells) in runs(observation) {
+            let mask = seen.entry(id).or_default();
+            for (x, y, _) in cells {
+                mask[y] |= 1 << x;
+            }
         }
+        self.frames.push_back((observation.captured, seen));
+        self.due = self.due.or(Some(observation.captured));
     }
 
     /// Computes the layer anew if it is time.
@@ -49,17 +52,25 @@ impl CoverageLayer {
         if self.due.is_none_or(|due| due > now) {
             return;
         }
-        self.seen.retain(|&id, cells| {
+        // All that was covered is looked at again, also where nobody sees it any more.
+        let mut covered: BTreeMap<TileId, Mask> =
+            self.served.tiles().map(|(id, ..)| (id, [0; TILE_SIDE])).collect();
+        self.frames.retain(|(captured, _)| now < *captured + COVERED_FOR);
+        for (id, seen) in self.frames.iter().flat_map(|(_, tiles)| tiles) {
+            let mask = covered.entry(*id).or_default();
+            for (row, seen) in mask.iter_mut().zip(seen) {
+                *row |= seen;
+            }
+        }
+        for (id, mask) in covered {
             let mut tile = Tile::UNKNOWN;
-            for (cell, seen) in cells.iter().enumerate() {
-                if seen.is_some_and(|seen| now < seen + COVERED_FOR) {
-                    tile.set(cell % TILE_SIDE, cell / TILE_SIDE, Cell::Free);
-                }
+            for (y, low) in mask.into_iter().enumerate() {
+                // Free is code 1.
+                tile.set_row(y, Row { low, high: 0 });
             }
             self.served.set(id, tile);
-            tile != Tile::UNKNOWN
-        });
-        self.due = (!self.seen.is_empty()).then_some(now + INTERVAL);
+        }
+        self.due = (!self.frames.is_empty()).then_some(now + INTERVAL);
     }
 
     /// When to call [`CoverageLayer::refresh`].
@@ -75,6 +86,8 @@ impl CoverageLayer {
 
 #[cfg(test)]
 mod tests {
+    use ubimap_protocol::tile::Cell;
+
     use super::*;
 
     const ID: TileId = TileId { x: 0, y: -1 };
@@ -113,6 +126,27 @@ mod tests {
         // The last frame of all was captured at 4.5 s.
         assert!(covered(&mut layer, 5_500).is_empty());
         assert_eq!(layer.poll_timeout(), None);
+    }
+
+    #[test]
+    fn what_two_cameras_see_stays_covered_when_one_dies_and_frames_come_in_any_order() {
+        let mut layer = CoverageLayer::default();
+        // Camera 1 dies after 2 s. Frames of camera 0 come two by two, the later one first.
+        for millis in (0..4_000).step_by(200) {
+            let swapped = millis / 200 ^ 1;
+            layer.observe(&frame(0, swapped * 200, 0..4));
+            if millis <= 2_000 {
+                layer.observe(&frame(1, millis, 2..6));
+            }
+            let expected = if millis < 2_900 { 0..6 } else { 0..4 };
+            // Between, the layer may say either: it is computed four times a second.
+            if !(2_700..3_000).contains(&millis) && millis > 0 {
+                assert_eq!(covered(&mut layer, millis), expected.collect::<Vec<_>>(), "{millis}");
+            }
+        }
+        // A frame that was held up for a second says nothing of the present.
+        layer.observe(&frame(1, 2_900, 2..6));
+        assert_eq!(covered(&mut layer, 4_100), [0, 1, 2, 3]);
     }
 
     #[test]

@@ -4,6 +4,7 @@ mod camera_layer;
 mod coverage_layer;
 mod fused_layer;
 mod robot_layer;
+mod runs;
 mod served_layer;
 
 pub use camera_layer::CameraLayer;

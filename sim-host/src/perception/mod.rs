@@ -1,7 +1,29 @@
 //! From what cameras see to what it is.
+//!
+//! An [`Eye`] is one fixed depth camera: its [`View`] is what is computed once, its [`Background`]
+//! what is learnt of the empty room, and the [`Evidence`] of each image becomes cells and things.
+//! [`Tracks`] follow the things over all cameras.
 
+mod background;
+mod cells;
+mod detector;
+mod evidence;
+mod eye;
+mod footprint;
 pub mod markers;
+mod motion;
 pub mod robots;
+#[cfg(test)]
+mod testing;
+mod things;
 mod tracks;
+mod view;
 
-pub use tracks::{Track, Tracks};
+pub use background::Background;
+pub use detector::{Detection, Detector};
+pub use evidence::{Evidence, Figure};
+pub use eye::{Eye, FrameError};
+pub use footprint::Footprint;
+pub use things::things_of_cells;
+pub use tracks::{Lying, Posture, Track, Tracks};
+pub use view::{Survey, View};

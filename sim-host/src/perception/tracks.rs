@@ -1,88 +1,128 @@
-//! What moves about, followed from frame to frame.
+//! What stands out of the empty room, followed from frame to frame over all cameras.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 
 use ubimap_protocol::{
+    message::ObstacleClass,
     time::{Duration, Instant},
     units::Millimetres,
 };
 
+use super::motion::Motion;
+use crate::camera::{LAYERS, Thing};
+
 /// What has not been seen for so long is gone.
 const MEMORY: Duration = Duration::from_secs(1);
-/// A cluster this far from where a track should be is something else, in metres.
+/// A thing this far from where a track should be is something else, in metres.
 const GATE_M: f64 = 0.8;
-/// Between the two positions that a velocity comes from, at least.
-const BASELINE: Duration = Duration::from_millis(400);
-/// Whatever has been this fast walks: metres a second.
+/// Whatever has been this fast, and this far from where it began, has walked: metres a second, and
+/// metres. Two cameras that see two sides of a thing do not make it walk.
 const WALKING_M_S: f64 = 0.3;
+const WALKED_M: f64 = 0.4;
+/// What walks and has been as high as this is a person, in millimetres.
+const PERSON_MM: u16 = 1_000;
+/// What has never walked, for so long, belongs to the room.
+const FIXED_AFTER: Duration = Duration::from_secs(10);
+/// A person who is not as high sits, or lies, in millimetres.
+const STANDING_MM: u16 = 1_350;
+const SITTING_MM: u16 = 550;
+/// Who lies for so long has not merely stooped.
+const LYING_FOR: Duration = Duration::from_secs(1);
+/// A height is believed for so long: a camera that sees the legs alone does not make anybody small.
+const HEIGHT_FOR: Duration = Duration::from_secs(1);
+
+/// How a person is, by height.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Posture {
+    /// Upright.
+    Standing,
+    /// On a chair, or crouching.
+    Sitting,
+    /// On the floor.
+    Lying,
+}
 
 /// One thing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
     /// The same thing keeps its number.
     pub number: u16,
-    /// The middle of the cells that it takes up, in metres in `map`.
+    /// Its middle, in metres in `map`.
     pub position_m: [f64; 2],
     /// In metres a second.
     pub velocity_m_s: [f64; 2],
     /// A circle of this radius about the middle holds all of it, in metres.
     pub radius_m: f64,
+    /// How high it is, in millimetres; zero where nobody knows.
+    pub top_mm: u16,
+    /// Its pixels in each layer of 128 mm, as they were seen last.
+    pub layers: [u32; LAYERS],
+    /// What a detector called it last.
+    pub label: Option<String>,
     /// Whether it has walked since it is followed.
     pub has_walked: bool,
+    motion: Motion,
     seen: Instant,
-    /// Where it was a while ago.
-    before: (Instant, [f64; 2]),
+    /// Where and when it was first seen.
+    first: (Instant, [f64; 2]),
+    /// When it was last as high as it is said to be, and the most it ever was.
+    height: (Instant, u16),
+    /// Since when it lies, and whether that was told.
+    lies: Option<(Instant, bool)>,
 }
 
-/// All that moves about.
+/// Somebody lies on the floor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lying {
+    /// The number of the track.
+    pub number: u16,
+    /// When it was seen.
+    pub moment: Instant,
+    /// Where, in metres in `map`.
+    pub position_m: [f64; 2],
+}
+
+/// All that stands out.
 #[derive(Clone, Debug, Default)]
 pub struct Tracks {
     tracks: Vec<Track>,
     number: u16,
     moment: Instant,
+    lying: VecDeque<Lying>,
 }
 
 impl Tracks {
-    /// Takes the cells, of this side, in which a frame shows something that moves, and the moment
-    /// when it was captured. Another camera's frames may come in between.
-    pub fn observe(&mut self, moment: Instant, cells: BTreeSet<(i32, i32)>, side: Millimetres) {
-        if !(cells.is_empty() && self.tracks.is_empty()) {
+    /// Takes the things, of cells of this side, that a frame shows, and the moment when it was
+    /// captured. Another camera's frames may come in between.
+    pub fn observe(&mut self, moment: Instant, things: &[Thing], side: Millimetres) {
+        if !(things.is_empty() && self.tracks.is_empty()) {
             self.moment = self.moment.max(moment);
         }
-        let mut clusters = clusters(cells, side);
+        let extents: Vec<_> = things.iter().map(|thing| extent(thing, side)).collect();
         // The nearest pairs first.
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
         for (track, it) in self.tracks.iter().enumerate() {
-            let expected = it.position_at(moment);
-            for (cluster, (position, _)) in clusters.iter().enumerate() {
+            let expected = it.motion.position_at(moment.since(it.seen));
+            for (thing, (position, _)) in extents.iter().enumerate() {
                 let distance = distance(expected, *position);
-                pairs.extend((distance <= GATE_M).then_some((distance, track, cluster)));
+                pairs.extend((distance <= GATE_M).then_some((distance, track, thing)));
             }
         }
         pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (mut followed, mut taken) = (BTreeSet::new(), BTreeSet::new());
-        for (_, track, cluster) in pairs {
-            if !followed.contains(&track) && taken.insert(cluster) {
+        for (_, track, thing) in pairs {
+            if !followed.contains(&track) && taken.insert(thing) {
                 followed.insert(track);
-                let (position, radius) = clusters[cluster];
-                self.tracks[track].follow(moment, position, radius);
+                let track = &mut self.tracks[track];
+                track.follow(moment, &things[thing], extents[thing]);
+                self.lying.extend(track.falls());
             }
         }
         self.tracks.retain(|track| self.moment.since(track.seen) <= MEMORY);
-        for cluster in taken.into_iter().rev() {
-            clusters.remove(cluster);
-        }
-        for (position_m, radius_m) in clusters {
+        for (index, thing) in things.iter().enumerate().filter(|(index, _)| !taken.contains(index))
+        {
             self.number = self.number.wrapping_add(1);
-            self.tracks.push(Track {
-                number: self.number,
-                position_m,
-                velocity_m_s: [0.0; 2],
-                radius_m,
-                has_walked: false,
-                seen: moment,
-                before: (moment, position_m),
-            });
+            self.tracks.push(Track::new(self.number, moment, thing, extents[index]));
         }
     }
 
@@ -95,32 +135,103 @@ impl Tracks {
     pub fn now(&self) -> impl Iterator<Item = Track> {
         let moment = self.moment;
         self.tracks.iter().map(move |track| {
-            let position_m = track.position_at(moment);
+            let position_m = track.motion.position_at(moment.since(track.seen));
             Track { position_m, ..track.clone() }
         })
+    }
+
+    /// Somebody who lies on the floor: told once each time.
+    pub fn poll_lying(&mut self) -> Option<Lying> {
+        self.lying.pop_front()
     }
 }
 
 impl Track {
-    fn position_at(&self, moment: Instant) -> [f64; 2] {
-        let seconds = moment.since(self.seen).micros() as f64 / 1e6;
-        let ([x, y], [vx, vy]) = (self.position_m, self.velocity_m_s);
-        [x + vx * seconds, y + vy * seconds]
+    fn new(number: u16, moment: Instant, thing: &Thing, extent: ([f64; 2], f64)) -> Self {
+        let (position_m, radius_m) = extent;
+        Self {
+            number,
+            position_m,
+            velocity_m_s: [0.0; 2],
+            radius_m,
+            top_mm: thing.top_mm,
+            layers: thing.layers,
+            label: thing.label.clone(),
+            has_walked: false,
+            motion: Motion::at(position_m),
+            seen: moment,
+            first: (moment, position_m),
+            height: (moment, thing.top_mm),
+            lies: None,
+        }
     }
 
-    fn follow(&mut self, moment: Instant, position: [f64; 2], radius: f64) {
+    /// What it is, by height and motion, or by its label.
+    pub fn class(&self) -> ObstacleClass {
+        let is_high = self.height.1 >= PERSON_MM || self.height.1 == 0;
+        if self.label.as_deref() == Some("person") || (self.has_walked && is_high) {
+            ObstacleClass::Person
+        } else if !self.has_walked && self.seen.since(self.first.0) >= FIXED_AFTER {
+            ObstacleClass::Fixed
+        } else {
+            ObstacleClass::Movable
+        }
+    }
+
+    /// How a person is; `None` of anything else, and where the height is not known.
+    pub fn posture(&self) -> Option<Posture> {
+        let is_known = self.class() == ObstacleClass::Person && self.top_mm > 0;
+        is_known.then_some(match self.top_mm {
+            STANDING_MM.. => Posture::Standing,
+            SITTING_MM.. => Posture::Sitting,
+            _ => Posture::Lying,
+        })
+    }
+
+    /// The cells, of this side, that it may be in.
+    pub(super) fn cells(&self, side: Millimetres) -> impl Iterator<Item = (i32, i32)> {
+        let ([x, y], radius, side) = (self.position_m, self.radius_m, side.metres());
+        let range = move |middle: f64| {
+            let cell = |metres: f64| (metres / side).floor() as i32;
+            cell(middle - radius)..=cell(middle + radius)
+        };
+        range(y).flat_map(move |row| range(x).map(move |column| (column, row)))
+    }
+
+    fn follow(&mut self, moment: Instant, thing: &Thing, (position, radius): ([f64; 2], f64)) {
         if moment < self.seen {
             return;
         }
-        (self.seen, self.position_m, self.radius_m) = (moment, position, radius);
-        let (then, from) = self.before;
-        let elapsed = moment.since(then);
-        if elapsed >= BASELINE {
-            let rate = 1e6 / elapsed.micros() as f64;
-            self.velocity_m_s = [(position[0] - from[0]) * rate, (position[1] - from[1]) * rate];
-            self.has_walked |= distance([0.0; 2], self.velocity_m_s) >= WALKING_M_S;
-            self.before = (moment, position);
+        self.motion.observe(moment.since(self.seen), position);
+        self.seen = moment;
+        self.position_m = self.motion.position_at(Duration::default());
+        self.velocity_m_s = self.motion.velocity();
+        self.radius_m = radius;
+        self.layers = thing.layers;
+        if thing.label.is_some() {
+            self.label.clone_from(&thing.label);
         }
+        let speed = distance([0.0; 2], self.velocity_m_s);
+        let way = distance(self.first.1, self.position_m);
+        self.has_walked |= speed >= WALKING_M_S && way >= WALKED_M.max(radius);
+        if thing.top_mm >= self.top_mm || moment.since(self.height.0) > HEIGHT_FOR {
+            self.top_mm = thing.top_mm;
+            self.height = (moment, self.height.1.max(thing.top_mm));
+        }
+    }
+
+    /// Whether somebody has come to lie, the first time that it is certain.
+    fn falls(&mut self) -> Option<Lying> {
+        if self.posture() != Some(Posture::Lying) {
+            self.lies = None;
+            return None;
+        }
+        let (since, told) = self.lies.get_or_insert((self.seen, false));
+        if *told || self.seen.since(*since) < LYING_FOR {
+            return None;
+        }
+        *told = true;
+        Some(Lying { number: self.number, moment: self.seen, position_m: self.position_m })
     }
 }
 
@@ -128,37 +239,27 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Cells that touch each other, also by a corner: the middle and the radius of each cluster, in
-/// metres.
-fn clusters(mut rest: BTreeSet<(i32, i32)>, side: Millimetres) -> Vec<([f64; 2], f64)> {
+/// The middle and the radius of a thing, in metres.
+fn extent(thing: &Thing, side: Millimetres) -> ([f64; 2], f64) {
     let side = side.metres();
-    let mut found = Vec::new();
-    while let Some(first) = rest.pop_first() {
-        let mut cluster = vec![first];
-        let mut next = 0;
-        while let Some(&(x, y)) = cluster.get(next) {
-            next += 1;
-            let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
-            cluster.extend(around.filter(|cell| rest.remove(cell)));
-        }
-        let centres: Vec<[f64; 2]> = cluster
-            .iter()
-            .map(|&(x, y)| [(f64::from(x) + 0.5) * side, (f64::from(y) + 0.5) * side])
-            .collect();
-        let mean = |axis: usize| {
-            centres.iter().map(|centre| centre[axis]).sum::<f64>() / centres.len() as f64
-        };
-        let middle = [mean(0), mean(1)];
-        let farthest = centres.iter().map(|&centre| distance(middle, centre)).fold(0.0, f64::max);
-        // To the corner of the farthest cell.
-        found.push((middle, farthest + side * core::f64::consts::FRAC_1_SQRT_2));
-    }
-    found
+    let centres = thing
+        .cells
+        .iter()
+        .map(|&(x, y)| [(f64::from(x) + 0.5) * side, (f64::from(y) + 0.5) * side]);
+    let count = thing.cells.len().max(1) as f64;
+    let sum = centres.clone().fold([0.0, 0.0], |sum, it| [sum[0] + it[0], sum[1] + it[1]]);
+    let middle = sum.map(|sum| sum / count);
+    let farthest = centres.map(|centre| distance(middle, centre)).fold(0.0, f64::max);
+    // To the corner of the farthest cell.
+    (middle, farthest + side * core::f64::consts::FRAC_1_SQRT_2)
 }
 
 #[cfg(test)]
 mod tests {
+    use ubimap_protocol::tile::Cell;
+
     use super::*;
+    use crate::perception::things_of_cells;
 
     const SIDE: Millimetres = Millimetres(50);
 
@@ -173,6 +274,10 @@ mod tests {
         })
     }
 
+    fn things(cells: impl Iterator<Item = (i32, i32)>) -> Vec<Thing> {
+        things_of_cells(&cells.map(|cell| (cell, Cell::Movable)).collect::<Vec<_>>())
+    }
+
     fn at(millis: u64) -> Instant {
         Instant(millis * 1_000)
     }
@@ -185,7 +290,7 @@ mod tests {
             // Two cameras in turns, of which one does not see who sits.
             let sits = disc(3.0, 3.0).filter(|_| millis % 500 == 0);
             let cells = disc(way, 0.0).chain(disc(6.0 - way, 0.7)).chain(sits);
-            tracks.observe(at(millis), cells.collect(), SIDE);
+            tracks.observe(at(millis), &things(cells), SIDE);
         }
         let found: Vec<Track> = tracks.now().collect();
         assert_eq!(found.len(), 3);
@@ -204,17 +309,17 @@ mod tests {
     #[test]
     fn who_is_not_seen_for_a_second_is_gone_and_who_comes_later_is_another() {
         let mut tracks = Tracks::default();
-        let mut observe = |millis: u64, cells: BTreeSet<(i32, i32)>| {
-            tracks.observe(at(millis), cells, SIDE);
+        let mut observe = |millis: u64, things: Vec<Thing>| {
+            tracks.observe(at(millis), &things, SIDE);
             tracks.now().map(|track| track.number).collect::<Vec<_>>()
         };
-        let person = || disc(1.0, 1.0).collect::<BTreeSet<_>>();
-        assert!(observe(0, BTreeSet::new()).is_empty());
+        let person = || things(disc(1.0, 1.0));
+        assert!(observe(0, vec![]).is_empty());
         assert_eq!(observe(500, person()), [1]);
-        assert_eq!(observe(1_500, BTreeSet::new()), [1], "hidden for a while");
+        assert_eq!(observe(1_500, vec![]), [1], "hidden for a while");
         assert_eq!(observe(1_400, person()), [1], "late");
-        assert_eq!(observe(2_300, BTreeSet::new()), [1]);
-        assert!(observe(2_500, BTreeSet::new()).is_empty());
+        assert_eq!(observe(2_300, vec![]), [1]);
+        assert!(observe(2_500, vec![]).is_empty());
         assert_eq!(observe(3_000, person()), [2]);
     }
 }

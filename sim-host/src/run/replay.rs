@@ -168,7 +168,7 @@ fn seen(robot: usize, captured: Instant, pose: Pose) -> Event {
         camera: robot,
         captured,
         robots: vec![Sighting::usual(RobotId(robot as u16 + 1), pose)],
-        cells: Vec::new(),
+        ..Observation::default()
     })
 }
 

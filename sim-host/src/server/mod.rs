@@ -12,7 +12,7 @@ mod server;
 mod session;
 mod surroundings;
 
+pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{EventLog, SightingLog, described};
 pub use server::{CommandError, NoSuchPort, Server};
-pub use surroundings::Footprint;

@@ -20,12 +20,12 @@ use super::{
     inbox::Inbox,
     scene::Scene,
     session::{Link, Session},
-    surroundings::{Footprint, Surroundings},
+    surroundings::Surroundings,
 };
 use crate::{
     camera::{Observation, Sighting},
     mapping::{CameraLayer, CoverageLayer, RobotLayer, ServedLayer, TileRecord, Updated, fuse},
-    perception::robots::SightingEvent,
+    perception::{Footprint, robots::SightingEvent},
 };
 
 /// At most this often a robot is told that it has no session here.

@@ -3,15 +3,14 @@
 use std::collections::BTreeMap;
 
 use ubimap_protocol::{
-    message::{Obstacle, ObstacleClass, Peer},
-    tile::Cell,
+    message::{Obstacle, Peer},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
 
 use crate::{
     camera::{Observation, Sighting},
-    perception::{Track, Tracks},
+    perception::{Footprint, Track, Tracks, things_of_cells},
 };
 
 /// Whoever is farther away is not near: metres.
@@ -19,22 +18,6 @@ const NEAR_M: f64 = 8.0;
 /// A robot that nothing has been heard of for longer may be anywhere. One out of view says itself
 /// where it is, every two seconds.
 const LOST: Duration = Duration::from_millis(2_500);
-
-/// The rectangle that a robot takes up, along and across its heading.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Footprint {
-    /// Half its length, in millimetres.
-    pub half_length: u16,
-    /// Half its width, in millimetres.
-    pub half_width: u16,
-}
-
-impl Default for Footprint {
-    /// A robot of which nothing is known: 40 by 40 cm.
-    fn default() -> Self {
-        Self { half_length: 200, half_width: 200 }
-    }
-}
 
 /// All that is about.
 #[derive(Debug, Default)]
@@ -65,8 +48,14 @@ impl Surroundings {
         }
         // A frame without cells says nothing of them.
         if !observation.cells.is_empty() {
-            let moving = observation.cells.iter().filter(|(_, code)| *code == Cell::Movable);
-            self.tracks.observe(captured, moving.map(|&(cell, _)| cell).collect(), side);
+            let of_cells;
+            let things = if observation.things.is_empty() {
+                of_cells = things_of_cells(&observation.cells);
+                &of_cells
+            } else {
+                &observation.things
+            };
+            self.tracks.observe(captured, things, side);
         }
     }
 
@@ -118,7 +107,7 @@ fn obstacle(track: &Track) -> Obstacle {
     let [velocity_x, velocity_y] = track.velocity_m_s.map(|it| millimetres(it) as i16);
     Obstacle {
         number: track.number,
-        class: if track.has_walked { ObstacleClass::Person } else { ObstacleClass::Movable },
+        class: track.class(),
         x,
         y,
         velocity_x,

@@ -284,6 +284,7 @@ impl World {
                 captured: self.now,
                 robots: frame.robots,
                 cells: frame.cells,
+                ..Observation::default()
             };
             let arrival = self.now + ideal.times.latency();
             self.observations.insert((arrival, self.now, index), observation);

@@ -1,0 +1,60 @@
+//! Depth images into evidence: by windows, sixteen pixels at a time, and pixel by pixel.
+//!
+//! `cargo bench -p ubimap-sim-host --bench fusing` prints both, in pixels a second.
+
+#![expect(missing_docs, reason = "what criterion's macros make")]
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use ubimap_protocol::time::Instant;
+use ubimap_sim_host::{
+    camera::{DepthImage, Intrinsics, Lens},
+    perception::{Background, Evidence, Survey, View},
+};
+
+#[path = "../src/perception/testing/boxes.rs"]
+mod boxes;
+
+/// A corner of a room, a cupboard and a table; as long as `is_empty`, nobody is in it.
+fn room(is_empty: bool) -> Vec<boxes::Cuboid> {
+    let mut room = vec![
+        [[-4.0, 3.0, 0.0], [4.0, 3.1, 3.0]],
+        [[3.0, -4.0, 0.0], [3.1, 4.0, 3.0]],
+        [[2.4, 0.0, 0.0], [3.0, 1.2, 1.8]],
+        [[0.0, 2.0, 0.70], [1.4, 2.8, 0.74]],
+    ];
+    if !is_empty {
+        room.push([[0.5, 0.5, 0.0], [0.9, 1.0, 1.75]]);
+    }
+    room
+}
+
+fn fusing(criterion: &mut Criterion) {
+    let lens = boxes::lens(640, 480, [-0.5, -0.5, 2.8], [1.2, 1.2, 0.0]);
+    let view = View::new(&lens, Survey::default());
+    let mut background = Background::new(&view);
+    let empty = boxes::render(&lens, 0.0, &room(true));
+    let taken = vec![false; view.cells()];
+    for frame in 0..15 {
+        let image = boxes::noisy(&empty, frame, 980);
+        background.learn(&view, &image, Instant(frame * 300_000), &taken);
+    }
+    // Somebody has come in, and two pixels in a hundred measure nothing.
+    let visited = boxes::render(&lens, 0.0, &room(false));
+    let images: Vec<DepthImage> =
+        (100..108).map(|seed| boxes::noisy(&visited, seed, 980)).collect();
+
+    let mut group = criterion.benchmark_group("one depth image into evidence");
+    group.throughput(Throughput::Elements(640 * 480));
+    let mut evidence = Evidence::default();
+    let mut turn = images.iter().cycle();
+    group.bench_function("by windows", |bencher| {
+        bencher.iter(|| evidence.fuse(&view, &background, turn.next().map_or(&[], |it| it)));
+    });
+    group.bench_function("pixel by pixel", |bencher| {
+        bencher.iter(|| evidence.scatter(&view, &background, turn.next().map_or(&[], |it| it)));
+    });
+    group.finish();
+}
+
+criterion_group!(benches, fusing);
+criterion_main!(benches);

@@ -1,0 +1,64 @@
+//! From the evidence of an image to cells: free, occupied, movable, or not seen.
+
+use ubimap_protocol::tile::Cell;
+
+use super::{evidence::Evidence, view::View};
+
+/// Fewer pixels than this prove nothing: mixed pixels at the edges of things lie anywhere between
+/// the edge and what is behind it, yet seldom several over one cell.
+pub(super) const FEWEST: u32 = 4;
+
+/// The cells that an image shows, in the order of rows from the south-west. `movable` says which
+/// cells something takes up that stands out of the empty room, and cells `under` a robot are left
+/// out.
+///
+/// With `f` pixels on a cell's floor, `b` in the way over it and `e` that would see its floor if
+/// nothing stood in between, the cell is
+///
+/// 1. movable if something that stands out takes it up;
+/// 2. occupied if `b` >= 4, `b` >= `f`, and 3 `b` >= the same number of each of the four nearest
+///    cells on the line of sight: noise smears a wall along that line, and the wall is where most
+///    of it is;
+/// 3. free if 2 `f` >= `e` and `f` >= 2;
+/// 4. else not seen.
+pub(super) fn cells(
+    view: &View,
+    evidence: &Evidence,
+    movable: &[bool],
+    under: &[bool],
+) -> Vec<((i32, i32), Cell)> {
+    let foot = view.foot();
+    let code = |cell: usize| {
+        let (floor, band) = evidence.pixels(cell);
+        if under[cell] {
+            return None;
+        }
+        if movable[cell] {
+            Some(Cell::Movable)
+        } else if band >= FEWEST && band >= floor && is_ridge(view, evidence, foot, cell, band) {
+            Some(Cell::Occupied)
+        } else if floor >= 2 && 2 * floor >= view.expected(cell) {
+            Some(Cell::Free)
+        } else {
+            None
+        }
+    };
+    let listed = (0..view.cells()).filter_map(|cell| Some((view.in_map(cell), code(cell)?)));
+    listed.collect()
+}
+
+/// Whether none of the two cells before and the two behind has more than three times as much in
+/// the way.
+fn is_ridge(view: &View, evidence: &Evidence, foot: (i32, i32), cell: usize, band: u32) -> bool {
+    let (x, y) = view.in_map(cell);
+    let way = (x - foot.0, y - foot.1);
+    let longest = way.0.abs().max(way.1.abs()).max(1);
+    // To the nearest cell, halves away from zero.
+    let along = |way: i32, steps: i32| {
+        (2 * way * steps + way.signum() * steps.signum() * longest) / (2 * longest)
+    };
+    [-2, -1, 1, 2].into_iter().all(|steps| {
+        let beside = (x + along(way.0, steps), y + along(way.1, steps));
+        view.index(beside).is_none_or(|beside| evidence.pixels(beside).1 <= 3 * band)
+    })
+}

@@ -1,0 +1,201 @@
+//! The evidence of one depth image: for each cell the pixels that saw its floor, something in the
+//! way of the robots, or something that was not there when the background was learnt.
+//!
+//! Most pixels of a camera that stands still see what they always see. [`Evidence::fuse`] therefore
+//! begins with what the background says of all cells, compares sixteen pixels at a time with their
+//! windows, and corrects what a pixel outside of its window says. [`Evidence::scatter`] is the plain
+//! way to the same evidence, pixel by pixel: the oracle and the yardstick.
+
+use crate::camera::LAYERS;
+
+use super::{
+    background::Background,
+    view::{Allowance, Place, View},
+};
+
+/// Pixels that are compared at a time.
+const LANES: usize = 16;
+/// A layer of a height profile is 128 mm high.
+pub(super) const LAYER_SHIFT: u32 = 7;
+
+/// What was not there before, over one cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Figure {
+    /// Pixels that saw it.
+    pub pixels: u32,
+    /// The highest of them, in millimetres.
+    pub top: u16,
+    /// How many of them in each layer of 128 mm.
+    pub layers: [u16; LAYERS],
+}
+
+/// What the pixels of one image say of each cell.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Evidence {
+    /// For each cell the pixels on its floor, and those in the way of the robots; then one pair for
+    /// what is nowhere.
+    counts: Vec<u32>,
+    figures: Vec<Figure>,
+    /// The cells that have a figure, in the order in which they were found.
+    touched: Vec<u32>,
+}
+
+impl Evidence {
+    /// Takes the depths of an image, in millimetres and as many as the view has pixels.
+    pub fn fuse(&mut self, view: &View, background: &Background, depths: &[u16]) {
+        self.clear(view);
+        self.counts.clear();
+        self.counts.extend_from_slice(background.totals());
+        let (low, span) = background.windows();
+        let (depth_lanes, rest) = depths.as_chunks::<LANES>();
+        let (low_lanes, _) = low.as_chunks::<LANES>();
+        let (span_lanes, _) = span.as_chunks::<LANES>();
+        let lanes = depth_lanes.iter().zip(low_lanes).zip(span_lanes);
+        for (chunk, ((depth, low), span)) in lanes.enumerate() {
+            let mut differs = [0_u8; LANES];
+            for lane in 0..LANES {
+                differs[lane] = u8::from(depth[lane].wrapping_sub(low[lane]) > span[lane]);
+            }
+            let mut differs = u128::from_le_bytes(differs);
+            while differs != 0 {
+                let lane = differs.trailing_zeros() as usize / 8;
+                differs &= differs - 1;
+                self.correct(view, background, chunk * LANES + lane, depth[lane]);
+            }
+        }
+        let first = depths.len() - rest.len();
+        for (pixel, &depth) in (first..).zip(rest) {
+            if !background.agrees(pixel, depth) {
+                self.correct(view, background, pixel, depth);
+            }
+        }
+    }
+
+    /// The same, pixel by pixel: what agrees with the background is taken to be as deep as that,
+    /// then each point is put into its cell.
+    pub fn scatter(&mut self, view: &View, background: &Background, depths: &[u16]) {
+        self.clear(view);
+        self.counts.clear();
+        self.counts.resize(background.totals().len(), 0);
+        for (pixel, &depth) in depths.iter().enumerate() {
+            if background.agrees(pixel, depth) {
+                self.counts[background.settle(view, pixel) as usize] += 1;
+            } else {
+                self.add(view, background, pixel, depth);
+            }
+        }
+    }
+
+    /// What was not there before, over the cells that have any of it, in the order of the cells.
+    pub fn figures(&mut self) -> impl Iterator<Item = (usize, &Figure)> {
+        self.touched.sort_unstable();
+        self.touched.iter().map(|&cell| (cell as usize, &self.figures[cell as usize]))
+    }
+
+    /// The pixels on the floor of a cell, and those in the way of the robots over it.
+    pub(super) fn pixels(&self, cell: usize) -> (u32, u32) {
+        (self.counts[2 * cell], self.counts[2 * cell + 1])
+    }
+
+    fn clear(&mut self, view: &View) {
+        self.figures.resize(view.cells(), Figure::default());
+        for cell in self.touched.drain(..) {
+            self.figures[cell as usize] = Figure::default();
+        }
+    }
+
+    /// A pixel does not see what it was counted for.
+    fn correct(&mut self, view: &View, background: &Background, pixel: usize, depth: u16) {
+        self.counts[background.home(pixel)] -= 1;
+        self.add(view, background, pixel, depth);
+    }
+
+    fn add(&mut self, view: &View, background: &Background, pixel: usize, depth: u16) {
+        let is_nearer = background.is_nearer(pixel, depth);
+        // The window has the noise in it already.
+        let allowance = if is_nearer { Allowance::None } else { Allowance::Measured };
+        match view.place(pixel, depth, allowance) {
+            Place::Floor(cell) => self.counts[2 * cell as usize] += 1,
+            Place::Band(cell, height) | Place::Above(cell, height) if is_nearer => {
+                let figure = &mut self.figures[cell as usize];
+                if figure.pixels == 0 {
+                    self.touched.push(cell);
+                }
+                figure.pixels += 1;
+                figure.top = figure.top.max(height);
+                let layer = &mut figure.layers[usize::from(height >> LAYER_SHIFT).min(LAYERS - 1)];
+                *layer = layer.saturating_add(1);
+            }
+            Place::Band(cell, _) => self.counts[2 * cell as usize + 1] += 1,
+            Place::Above(..) | Place::Nowhere => {
+                let nowhere = self.counts.len() - 1;
+                self.counts[nowhere] += 1;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use ubimap_protocol::time::Instant;
+
+    use super::*;
+    use crate::perception::{
+        testing::{Cuboid, lens, noisy, render},
+        view::Survey,
+    };
+
+    /// A view of a room with a box in it, and its background after the first seconds.
+    fn learnt(
+        width: u32,
+        at: [f64; 3],
+        room: &[Cuboid],
+        seed: u64,
+    ) -> (View, Background, crate::camera::Lens) {
+        let lens = lens(width, 60, at, [1.0, 1.0, 0.0]);
+        let view = View::new(&lens, Survey::default());
+        let mut background = Background::new(&view);
+        let empty = render(&lens, 0.01, room);
+        for frame in 0..15 {
+            let image = noisy(&empty, seed + frame, 980);
+            let taken = vec![false; view.cells()];
+            background.learn(&view, &image, Instant(frame * 300_000), &taken);
+        }
+        assert!(background.is_learnt());
+        (view, background, lens)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        /// Sixteen pixels at a time or one by one, whatever is in the image and whenever.
+        #[test]
+        fn both_ways_lead_to_the_same_evidence(
+            width in 61..83_u32,
+            eye in (-0.5..1.5, -0.5..1.5, 0.3..3.0),
+            stands in (0.0..1.5, 0.0..1.5, 0.05..2.0),
+            comes in (0.0..1.5, 0.0..1.5, 0.05..2.0),
+            seed in 0..1_000_u64,
+            good in 0..1_000_u64,
+        ) {
+            let cuboid = |(x, y, z): (f64, f64, f64)| [[x, y, 0.0], [x + 0.3, y + 0.4, z]];
+            let at = [eye.0, eye.1, eye.2];
+            let (view, mut background, lens) = learnt(width, at, &[cuboid(stands)], seed);
+            let scenes = [vec![cuboid(stands), cuboid(comes)], vec![cuboid(comes)], vec![]];
+            let (mut fast, mut plain) = (Evidence::default(), Evidence::default());
+            let taken = vec![false; view.cells()];
+            let mut figures = 0;
+            for (turn, scene) in (0_u64..).zip(scenes.iter().cycle().take(60)) {
+                let image = noisy(&render(&lens, 0.0, scene), seed ^ turn, good);
+                fast.fuse(&view, &background, &image);
+                plain.scatter(&view, &background, &image);
+                prop_assert_eq!(&fast, &plain);
+                prop_assert_eq!(fast.counts.iter().sum::<u32>() + fast.figures.iter().map(|it| it.pixels).sum::<u32>(), width * 60);
+                figures += fast.figures().count();
+                background.learn(&view, &image, Instant(5_000_000 + turn * 1_000_000), &taken);
+            }
+            let _ = figures;
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! What robots take up.
+
+use ubimap_protocol::units::{Millimetres, Pose};
+
+/// The rectangle that a robot takes up, along and across its heading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Footprint {
+    /// Half its length, in millimetres.
+    pub half_length: u16,
+    /// Half its width, in millimetres.
+    pub half_width: u16,
+}
+
+impl Default for Footprint {
+    /// A robot of which nothing is known: 40 by 40 cm.
+    fn default() -> Self {
+        Self { half_length: 200, half_width: 200 }
+    }
+}
+
+impl Footprint {
+    /// The cells of this side whose centres are in the rectangle about a pose, or no farther from
+    /// it than a margin.
+    pub(super) fn cells(
+        self,
+        pose: Pose,
+        margin: Millimetres,
+        side: Millimetres,
+    ) -> impl Iterator<Item = (i32, i32)> {
+        let (sin, cos) = libm::sincos(pose.heading.radians());
+        let half =
+            [self.half_length, self.half_width].map(|it| f64::from(it) + f64::from(margin.0));
+        let middle = [pose.x, pose.y].map(|it| f64::from(it.0));
+        let side = f64::from(side.0.max(1));
+        let radius = half[0].hypot(half[1]);
+        let range = move |axis: usize| {
+            let cell = |mm: f64| (mm / side).floor() as i32;
+            cell(middle[axis] - radius)..=cell(middle[axis] + radius)
+        };
+        let cells = range(1).flat_map(move |y| range(0).map(move |x| (x, y)));
+        cells.filter(move |&(x, y)| {
+            let dx = (f64::from(x) + 0.5) * side - middle[0];
+            let dy = (f64::from(y) + 0.5) * side - middle[1];
+            (dx * cos + dy * sin).abs() <= half[0] && (dy * cos - dx * sin).abs() <= half[1]
+        })
+    }
+}

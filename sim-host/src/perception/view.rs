@@ -1,0 +1,247 @@
+//! What a camera that stands still can see: the ray of each of its pixels among the cells of the
+//! map, found once.
+
+use ubimap_protocol::units::Millimetres;
+
+use crate::camera::Lens;
+
+/// Cells along a ray are counted in 2^-24 of a cell, heights in 2^-16 mm.
+const CELL_SHIFT: u32 = 24;
+const HEIGHT_SHIFT: u32 = 16;
+/// Stands for no cell.
+pub(super) const NOWHERE: u32 = u32::MAX;
+
+/// What is asked of all cameras alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Survey {
+    /// The side of a cell.
+    pub side: Millimetres,
+    /// What is higher than the robots does not block them.
+    pub robot_height: Millimetres,
+    /// Whatever is no higher above `map`'s plane, or no deeper below it, is floor.
+    pub floor_tolerance: Millimetres,
+    /// Nothing is believed that is deeper than this in an image.
+    pub reach: Millimetres,
+}
+
+impl Default for Survey {
+    fn default() -> Self {
+        Self {
+            side: Millimetres(50),
+            robot_height: Millimetres(400),
+            floor_tolerance: Millimetres(30),
+            reach: Millimetres(8_000),
+        }
+    }
+}
+
+/// Where the point of a pixel is. Cells are numbered row by row from the south-west.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// Deep below the floor, beyond the reach: no place at all.
+    Nowhere,
+    /// On the floor of a cell: where the ray meets it, whatever the noise of the depth.
+    Floor(u32),
+    /// In the way of the robots, at a height in millimetres.
+    Band(u32, u16),
+    /// Higher than the robots.
+    Above(u32, u16),
+}
+
+/// Allowance for noise, in sigmas, when it is told whether a point is on the floor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Allowance {
+    /// It is known to be no noise.
+    None = 0,
+    /// The median of many measurements.
+    Learnt = 1,
+    /// A measurement.
+    Measured = 2,
+}
+
+/// One pixel's ray, for each millimetre of depth.
+#[derive(Clone, Copy, Debug)]
+struct Ray {
+    x: i32,
+    y: i32,
+    up: i32,
+}
+
+/// The view of one camera.
+#[derive(Clone, Debug)]
+pub struct View {
+    survey: Survey,
+    size: (u32, u32),
+    rays: Vec<Ray>,
+    /// The cell in which each pixel's ray meets the floor.
+    floor: Vec<u32>,
+    /// For each cell, the pixels whose rays meet the floor in it.
+    expected: Vec<u32>,
+    /// The south-west cell, in the cells of `map`.
+    first: (i32, i32),
+    columns: u32,
+    /// The optical centre, from the corner of the south-west cell.
+    eye: (i64, i64),
+    eye_height: i64,
+}
+
+/// The noise of a depth, one sigma in millimetres: a D435's disparity of 640 x 480 pixels is good
+/// to 0.08 of a pixel.
+pub(super) fn noise_mm(depth: i64) -> i64 {
+    1 + depth * depth / 240_000
+}
+
+impl View {
+    /// What a depth sensor sees. Costs some 50 ns for each pixel, more where the lens distorts.
+    pub fn new(lens: &Lens, survey: Survey) -> Self {
+        let intrinsics = lens.intrinsics();
+        let size = (intrinsics.width, intrinsics.height);
+        let side_mm = f64::from(survey.side.0.max(1));
+        let reach_mm = f64::from(survey.reach.0.clamp(1, i32::from(u16::MAX)));
+        let eye_mm = lens.centre().coords * 1000.0;
+        let directions: Vec<_> = (0..size.1)
+            .flat_map(|row| (0..size.0).map(move |column| [f64::from(column), f64::from(row)]))
+            .map(|pixel| lens.direction(pixel))
+            .collect();
+        // Each ray ends at the floor or at the reach; the eye is in the rectangle too.
+        let mut low = [eye_mm.x, eye_mm.y];
+        let mut high = low;
+        for direction in &directions {
+            let floor = if direction.z < 0.0 { eye_mm.z / -direction.z } else { reach_mm };
+            let depth = if floor > 0.0 { floor.min(reach_mm) } else { reach_mm };
+            for axis in 0..2 {
+                let end = eye_mm[axis] + direction[axis] * depth;
+                low[axis] = low[axis].min(end);
+                high[axis] = high[axis].max(end);
+            }
+        }
+        let cell = |mm: f64| (mm / side_mm).floor() as i32;
+        let first = (cell(low[0]) - 1, cell(low[1]) - 1);
+        let columns = (cell(high[0]) + 2 - first.0).unsigned_abs();
+        let rows = (cell(high[1]) + 2 - first.1).unsigned_abs();
+        let fixed = |value: f64, shift: u32| (value * f64::from(1_u32 << shift)).round();
+        let eye = (
+            fixed(eye_mm.x / side_mm - f64::from(first.0), CELL_SHIFT) as i64,
+            fixed(eye_mm.y / side_mm - f64::from(first.1), CELL_SHIFT) as i64,
+        );
+        let ray = |direction: &nalgebra::Vector3<f64>| Ray {
+            x: fixed(direction.x / side_mm, CELL_SHIFT) as i32,
+            y: fixed(direction.y / side_mm, CELL_SHIFT) as i32,
+            up: fixed(direction.z, HEIGHT_SHIFT) as i32,
+        };
+        let mut view = Self {
+            survey,
+            size,
+            rays: directions.iter().map(ray).collect(),
+            floor: Vec::new(),
+            expected: vec![0; (columns * rows) as usize],
+            first,
+            columns,
+            eye,
+            eye_height: fixed(eye_mm.z, HEIGHT_SHIFT) as i64,
+        };
+        view.floor = (0..directions.len()).map(|pixel| view.floor_under(pixel)).collect();
+        for &cell in view.floor.iter().filter(|cell| **cell != NOWHERE) {
+            view.expected[cell as usize] += 1;
+        }
+        view
+    }
+
+    /// The pixels of a row, and the rows.
+    pub fn size(&self) -> (u32, u32) {
+        self.size
+    }
+
+    pub(super) fn survey(&self) -> Survey {
+        self.survey
+    }
+
+    pub(super) fn pixels(&self) -> usize {
+        self.rays.len()
+    }
+
+    /// How many cells it is about.
+    pub fn cells(&self) -> usize {
+        self.expected.len()
+    }
+
+    pub(super) fn columns(&self) -> usize {
+        self.columns as usize
+    }
+
+    /// The pixels that see the floor of a cell, if nothing stands in between.
+    pub(super) fn expected(&self, cell: usize) -> u32 {
+        self.expected[cell]
+    }
+
+    /// A cell in the coordinates of `map`.
+    pub(super) fn in_map(&self, cell: usize) -> (i32, i32) {
+        let (x, y) = (cell % self.columns(), cell / self.columns());
+        (self.first.0 + x as i32, self.first.1 + y as i32)
+    }
+
+    /// A cell of `map`, if it is in the rectangle.
+    pub(super) fn index(&self, (x, y): (i32, i32)) -> Option<usize> {
+        let column = u32::try_from(x - self.first.0).ok().filter(|it| *it < self.columns)?;
+        let row = u32::try_from(y - self.first.1).ok()?;
+        let index = row as usize * self.columns() + column as usize;
+        (index < self.cells()).then_some(index)
+    }
+
+    /// The cell below the camera, in the coordinates of `map`.
+    pub(super) fn foot(&self) -> (i32, i32) {
+        let cells = |fixed: i64| (fixed >> CELL_SHIFT) as i32;
+        (self.first.0 + cells(self.eye.0), self.first.1 + cells(self.eye.1))
+    }
+
+    /// Where a pixel's point is at a depth in millimetres.
+    #[inline]
+    pub(super) fn place(&self, pixel: usize, depth: u16, allowance: Allowance) -> Place {
+        let ray = self.rays[pixel];
+        let depth = i64::from(depth);
+        if depth == 0 || depth > i64::from(self.survey.reach.0) {
+            return Place::Nowhere;
+        }
+        let up = i64::from(ray.up);
+        let height = (self.eye_height + up * depth) >> HEIGHT_SHIFT;
+        let noise = (noise_mm(depth) * up.abs() * allowance as i64) >> HEIGHT_SHIFT;
+        let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
+        if height.abs() <= tolerance {
+            return match self.floor[pixel] {
+                NOWHERE => Place::Nowhere,
+                cell => Place::Floor(cell),
+            };
+        }
+        let cell = self.cell(ray, depth);
+        if height < 0 || cell == NOWHERE {
+            return Place::Nowhere;
+        }
+        let millimetres = height.min(i64::from(u16::MAX)) as u16;
+        if height <= i64::from(self.survey.robot_height.0) {
+            Place::Band(cell, millimetres)
+        } else {
+            Place::Above(cell, millimetres)
+        }
+    }
+
+    #[inline]
+    fn cell(&self, ray: Ray, depth: i64) -> u32 {
+        let x = (self.eye.0 + i64::from(ray.x) * depth) >> CELL_SHIFT;
+        let y = (self.eye.1 + i64::from(ray.y) * depth) >> CELL_SHIFT;
+        // A negative one is a large one here.
+        if x as u64 >= u64::from(self.columns) {
+            return NOWHERE;
+        }
+        let cell = (y as u64).saturating_mul(u64::from(self.columns)).saturating_add(x as u64);
+        if cell < self.expected.len() as u64 { cell as u32 } else { NOWHERE }
+    }
+
+    fn floor_under(&self, pixel: usize) -> u32 {
+        let ray = self.rays[pixel];
+        if ray.up >= 0 || self.eye_height <= 0 {
+            return NOWHERE;
+        }
+        let depth = self.eye_height / -i64::from(ray.up);
+        if depth > i64::from(self.survey.reach.0) { NOWHERE } else { self.cell(ray, depth) }
+    }
+}

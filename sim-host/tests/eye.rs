@@ -1,0 +1,318 @@
+//! An eye in a room of boxes: what it makes of depth images with the noise of a D435.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    message::ObstacleClass,
+    tile::{Cell, TileId},
+    time::Instant,
+    units::{Millimetres, Pose},
+};
+
+use ubimap_sim_host::{
+    camera::{Calibration, DepthImage, Frame, Intrinsics, Lens, Observation, Picture},
+    mapping::CameraLayer,
+    perception::{Detection, Detector, Eye, Footprint, FrameError, Posture, Survey, Tracks},
+};
+
+#[path = "../src/perception/testing/boxes.rs"]
+mod boxes;
+
+use boxes::{Cuboid, lens, noisy, render};
+
+const WALL: Cuboid = [[2.975, -4.0, 0.0], [3.2, 5.0, 2.5]];
+const BOX: Cuboid = [[1.0, 0.5, 0.0], [1.5, 1.0, 0.3]];
+/// The top of a table, higher than the robots.
+const TABLE: Cuboid = [[1.0, 1.6, 0.70], [1.8, 2.2, 0.74]];
+
+/// A camera under the ceiling, and what is in its room.
+struct Studio {
+    eye: Eye,
+    lens: Lens,
+    room: Vec<Cuboid>,
+    floor_m: f64,
+    millis: u64,
+}
+
+impl Studio {
+    fn new(room: &[Cuboid]) -> Self {
+        let lens = lens(320, 240, [0.0, 0.0, 2.6], [1.6, 1.2, 0.0]);
+        let calibration = Calibration { depth: Some(lens), picture: None };
+        let eye = Eye::new(0, &calibration, Survey::default()).unwrap();
+        Self { eye, lens, room: room.to_vec(), floor_m: 0.0, millis: 0 }
+    }
+
+    /// One that knows its empty room.
+    fn learnt(room: &[Cuboid]) -> Self {
+        let mut studio = Self::new(room);
+        while !studio.eye.has_learnt() {
+            studio.look(&[]);
+        }
+        studio
+    }
+
+    /// The next frame, of who visits the room; five a second.
+    fn frame(&mut self, visitors: &[Cuboid]) -> Frame {
+        self.millis += 200;
+        let image = render(&self.lens, self.floor_m, &[&self.room, visitors].concat());
+        let depth = Some(noisy(&image, self.millis, 980));
+        Frame { camera: 0, captured: Instant(self.millis * 1_000), depth, picture: None }
+    }
+
+    fn look_beside(&mut self, visitors: &[Cuboid], robots: &[(Footprint, Pose)]) -> Observation {
+        let frame = self.frame(visitors);
+        self.eye.look(&frame, frame.captured, robots).unwrap()
+    }
+
+    fn look(&mut self, visitors: &[Cuboid]) -> Observation {
+        self.look_beside(visitors, &[])
+    }
+}
+
+/// Somebody, or a thing, of this height.
+fn at(x: f64, y: f64, height: f64) -> Cuboid {
+    [[x - 0.2, y - 0.2, 0.0], [x + 0.2, y + 0.2, height]]
+}
+
+fn codes(observation: &Observation) -> BTreeMap<(i32, i32), Cell> {
+    observation.cells.iter().copied().collect()
+}
+
+fn cell(x: f64, y: f64) -> (i32, i32) {
+    ((x / 0.05).floor() as i32, (y / 0.05).floor() as i32)
+}
+
+/// The cells under a box.
+fn under([low, high]: Cuboid) -> Vec<(i32, i32)> {
+    let (from, to) = (cell(low[0] + 1e-6, low[1] + 1e-6), cell(high[0] - 1e-6, high[1] - 1e-6));
+    (from.1..=to.1).flat_map(|y| (from.0..=to.0).map(move |x| (x, y))).collect()
+}
+
+#[test]
+fn walls_and_boxes_are_occupied_where_they_stand_and_tables_hide_without_blocking() {
+    let mut studio = Studio::learnt(&[WALL, BOX, TABLE]);
+    let seen = codes(&studio.look(&[]));
+    let occupied: Vec<_> =
+        seen.iter().filter(|it| *it.1 == Cell::Occupied).map(|it| *it.0).collect();
+    let solid = [under(WALL), under(BOX)].concat();
+    let near = |a: &(i32, i32), b: &(i32, i32)| (a.0 - b.0).abs() + (a.1 - b.1).abs() <= 1;
+    let right = occupied.iter().filter(|it| solid.iter().any(|solid| near(it, solid))).count();
+    assert!(right * 100 >= occupied.len() * 97, "{right} of {}", occupied.len());
+    // The face of the wall in view, and the box.
+    let face = (cell(0.0, 0.0).1..=cell(0.0, 2.0).1).map(|y| (cell(2.976, 0.0).0, y));
+    let expected: Vec<_> = face.chain(under(BOX)).collect();
+    let found = expected.iter().filter(|it| occupied.iter().any(|seen| near(seen, it))).count();
+    assert!(found * 100 >= expected.len() * 97, "{found} of {}", expected.len());
+
+    // Floor in sight is free, nothing behind the wall is anything, and the table casts a shadow.
+    assert_eq!(seen.get(&cell(0.9, 1.5)), Some(&Cell::Free));
+    assert!(seen.keys().all(|it| it.0 <= cell(3.05, 0.0).0), "behind the wall");
+    let eye = studio.lens.centre();
+    let stretch = eye.z / (eye.z - 0.74);
+    assert_eq!(seen.get(&cell(1.4 * stretch, 1.9 * stretch)), None, "the shadow of the table");
+    assert_eq!(seen.get(&cell(1.1, 1.7)), Some(&Cell::Free), "seen below its edge");
+}
+
+#[test]
+fn nothing_is_occupied_by_a_floor_a_centimetre_off_or_by_a_threshold() {
+    let threshold = [[1.0, -1.0, 0.0], [1.06, 3.0, 0.02]];
+    let mut studio = Studio::new(&[threshold]);
+    studio.floor_m = 0.01;
+    let mut wrong = 0;
+    while !studio.eye.has_learnt() {
+        let seen = studio.look(&[]);
+        wrong += seen.cells.iter().filter(|it| it.1 != Cell::Free).count();
+    }
+    assert!(wrong <= 5, "{wrong} cells in the first seconds");
+    for _ in 0..10 {
+        let seen = studio.look(&[]);
+        assert!(seen.cells.len() > 1_000);
+        assert_eq!(seen.cells.iter().find(|it| it.1 != Cell::Free), None);
+        assert_eq!(seen.things, []);
+    }
+}
+
+#[test]
+fn who_walks_is_followed_and_leaves_nothing_behind() {
+    let mut studio = Studio::learnt(&[WALL, BOX]);
+    let (mut layer, mut tracks) = (CameraLayer::default(), Tracks::default());
+    let empty = codes(&studio.look(&[]));
+    let walks = |step: u32| at(0.6 + 0.05 * f64::from(step), 1.6, 1.75);
+    for step in 0..30 {
+        let seen = studio.look(&[walks(step)]);
+        layer.observe(&seen);
+        tracks.observe(seen.captured, &seen.things, Millimetres(50));
+        assert_eq!(seen.things.len(), 1, "{step}");
+        let codes = codes(&seen);
+        // Whatever was free and is in sight again is free.
+        for cell in (0..step.saturating_sub(10)).flat_map(|step| under(walks(step))) {
+            if empty.get(&cell) == Some(&Cell::Free) && codes.contains_key(&cell) {
+                let id = TileId::of_cell(cell.0, cell.1).unwrap();
+                let (x, y) = (cell.0.rem_euclid(32) as usize, cell.1.rem_euclid(32) as usize);
+                assert_eq!(layer.tile(id).cell(x, y), Cell::Free, "{cell:?} in step {step}");
+            }
+        }
+    }
+    let [track] = &tracks.now().collect::<Vec<_>>()[..] else { panic!("one of them") };
+    assert_eq!((track.class(), track.posture()), (ObstacleClass::Person, Some(Posture::Standing)));
+    assert!((track.position_m[0] - 2.05).abs() < 0.2, "{track:?}");
+    assert!((track.position_m[1] - 1.6).abs() < 0.2, "{track:?}");
+    assert!((track.velocity_m_s[0] - 0.25).abs() < 0.1, "{track:?}");
+    assert!((1_650..=1_850).contains(&track.top_mm), "{track:?}");
+    // Gone.
+    let seen = studio.look(&[]);
+    layer.observe(&seen);
+    assert_eq!(seen.things, []);
+    assert!(!seen.cells.iter().any(|it| it.1 == Cell::Movable));
+}
+
+#[test]
+fn what_is_put_down_becomes_part_of_the_room_and_is_free_ground_when_it_is_taken_away() {
+    let mut studio = Studio::learnt(&[WALL]);
+    let crate_ = at(1.2, 1.4, 0.6);
+    let mut tracks = Tracks::default();
+    let middle = cell(1.2, 1.4);
+    let seen = studio.look(&[crate_]);
+    assert_eq!(codes(&seen).get(&middle), Some(&Cell::Movable));
+    for _ in 0..600 {
+        let seen = studio.look(&[crate_]);
+        tracks.observe(seen.captured, &seen.things, Millimetres(50));
+        assert!(tracks.now().all(|it| it.class() != ObstacleClass::Person));
+    }
+    let seen = studio.look(&[crate_]);
+    assert_eq!(codes(&seen).get(&middle), Some(&Cell::Occupied), "although higher than robots");
+    assert_eq!(seen.things, []);
+    let seen = studio.look(&[]);
+    assert_eq!(codes(&seen).get(&middle), Some(&Cell::Free));
+    let left = under(crate_).into_iter().filter(|it| codes(&seen).get(it) == Some(&Cell::Occupied));
+    assert_eq!(left.count(), 0);
+}
+
+#[test]
+fn who_has_walked_in_and_sits_down_for_minutes_does_not_become_part_of_the_room() {
+    let mut studio = Studio::learnt(&[WALL]);
+    for step in 0..20 {
+        studio.look(&[at(0.4 + 0.06 * f64::from(step), 1.4, 1.75)]);
+    }
+    for _ in 0..600 {
+        let seen = studio.look(&[at(1.6, 1.4, 1.25)]);
+        assert_eq!(codes(&seen).get(&cell(1.6, 1.4)), Some(&Cell::Movable));
+    }
+}
+
+#[test]
+fn who_falls_is_told_of_once() {
+    let mut studio = Studio::learnt(&[WALL]);
+    let mut tracks = Tracks::default();
+    let mut told = Vec::new();
+    for step in 0..60 {
+        let x = 0.4 + 0.06 * f64::from(step.min(20));
+        let (body, posture) = match step {
+            0..30 => (at(x, 1.4, 1.75), Posture::Standing),
+            30..45 => (at(x, 1.4, 1.2), Posture::Sitting),
+            _ => ([[x - 0.3, 0.6, 0.0], [x + 0.2, 2.2, 0.3]], Posture::Lying),
+        };
+        let seen = studio.look(&[body]);
+        tracks.observe(seen.captured, &seen.things, Millimetres(50));
+        told.extend(std::iter::from_fn(|| tracks.poll_lying()).map(|it| (step, it)));
+        // A height is believed for a second.
+        if matches!(step, 15..30 | 38..45 | 53..) {
+            let track = tracks.now().next().unwrap();
+            assert_eq!(track.posture(), Some(posture), "{step}: {track:?}");
+        }
+    }
+    let [(step, lying)] = told[..] else { panic!("{told:?}") };
+    assert!((50..58).contains(&step), "{step}");
+    assert!((lying.position_m[0] - 1.6).abs() < 0.3, "{lying:?}");
+}
+
+#[test]
+fn a_localised_robot_is_no_thing_and_its_cells_are_left_out() {
+    let mut studio = Studio::learnt(&[WALL]);
+    let robot = [[1.0, 1.0, 0.0], [1.4, 1.3, 0.25]];
+    let footprint = Footprint { half_length: 200, half_width: 150 };
+    let pose = Pose::from_metres(1.2, 1.15, 0.0);
+    let seen = studio.look_beside(&[robot], &[(footprint, pose)]);
+    assert_eq!(seen.things, []);
+    assert!(under(robot).iter().all(|cell| !codes(&seen).contains_key(cell)));
+    assert!(seen.cells.iter().all(|it| it.1 == Cell::Free || it.0.0 >= cell(2.8, 0.0).0));
+    let unknown = studio.look(&[robot]);
+    assert_eq!(unknown.things.len(), 1);
+    assert_eq!(codes(&unknown).get(&cell(1.2, 1.15)), Some(&Cell::Movable));
+}
+
+#[test]
+fn a_shadow_is_not_seen() {
+    let mut studio = Studio::learnt(&[WALL]);
+    let free = codes(&studio.look(&[]));
+    let seen = codes(&studio.look(&[at(1.0, 0.8, 1.6)]));
+    // From the eye over the top of the head to the floor.
+    let stretch = 2.6 / (2.6 - 1.6);
+    let hidden = [(1.0, 0.8), (1.1, 0.9)].map(|(x, y)| cell(x * 0.8 * stretch, y * 0.8 * stretch));
+    for cell in hidden {
+        assert_eq!((free.get(&cell), seen.get(&cell)), (Some(&Cell::Free), None), "{cell:?}");
+    }
+}
+
+#[test]
+fn frames_that_cannot_be_are_refused_and_nothing_else_changes() {
+    let mut studio = Studio::learnt(&[WALL]);
+    let good = studio.frame(&[]);
+    let now = good.captured;
+    let mut other = Studio::learnt(&[WALL]);
+    let refused = |change: &dyn Fn(&mut Frame), now: Instant, studio: &mut Studio| {
+        let mut frame = good.clone();
+        change(&mut frame);
+        studio.eye.look(&frame, now, &[]).unwrap_err()
+    };
+    let of = |width, height| DepthImage::new(width, height);
+    let errors = [
+        refused(&|it| it.camera = 3, now, &mut studio),
+        refused(&|it| it.depth = None, now, &mut studio),
+        refused(&|it| it.depth = Some(of(320, 24)), now, &mut studio),
+        refused(&|it| it.depth = Some(of(320, 240)), now, &mut studio),
+        refused(&|it| it.captured = Instant(now.0 + 3_600_000_000), now, &mut studio),
+        refused(&|_| (), Instant(now.0 + 6_000_000), &mut studio),
+    ];
+    let size = FrameError::Size { camera: 0, found: (320, 24), expected: (320, 240) };
+    let future = FrameError::Future { camera: 0, millis: 3_600_000 };
+    let stale = FrameError::Stale { camera: 0, millis: 6_000 };
+    let blank = FrameError::Blank(0);
+    assert_eq!(
+        errors,
+        [FrameError::Camera(3, 0), FrameError::NoDepth(0), size, blank, future, stale]
+    );
+    assert!(size.to_string().contains("320 x 24 pixels where calibration has 320 x 240"));
+    assert_eq!(studio.eye.look(&good, now, &[]), other.eye.look(&good, now, &[]));
+}
+
+#[derive(Debug)]
+struct SeesPeople;
+
+impl Detector for SeesPeople {
+    fn detect(&mut self, picture: &Picture) -> Vec<Detection> {
+        let Picture::Grey(picture) = picture else { return vec![] };
+        let detection = |label: &str, from, to| Detection { label: label.to_owned(), from, to };
+        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+        vec![
+            detection("room", [0.0, 0.0], [width, height]),
+            detection("person", [0.0, 0.0], [width / 2.0, height]),
+        ]
+    }
+}
+
+#[test]
+fn a_detector_adds_labels() {
+    let mut studio = Studio::learnt(&[WALL]);
+    studio.eye.set_detector(studio.lens, Box::new(SeesPeople));
+    // One on the left and one on the right of the picture.
+    let mut frame = studio.frame(&[at(0.8, 1.7, 0.8), at(1.6, 0.4, 0.8)]);
+    frame.picture = Some(Picture::Grey(image::GrayImage::new(320, 240)));
+    let seen = studio.eye.look(&frame, frame.captured, &[]).unwrap();
+    let labels: Vec<_> = seen.things.iter().map(|it| it.label.as_deref()).collect();
+    assert_eq!(labels, [Some("person"), Some("room")]);
+    let mut tracks = Tracks::default();
+    tracks.observe(seen.captured, &seen.things, Millimetres(50));
+    let classes: Vec<_> = tracks.now().map(|it| it.class()).collect();
+    assert_eq!(classes, [ObstacleClass::Person, ObstacleClass::Movable]);
+}
