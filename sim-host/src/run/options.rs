@@ -12,6 +12,7 @@ use ubimap_protocol::{
 use crate::{
     channel::fault::Faults,
     log::{DepthSlice, Format, PixelModel, Slicing},
+    world::NAMED,
 };
 
 /// Options of `ubimap replay`.
@@ -73,8 +74,14 @@ impl SlicingOptions {
 /// Options of `ubimap simulate`.
 #[derive(Args, Clone, Debug)]
 pub struct SimulateOptions {
-    /// A scenario file (TOML); without one, the built-in room
-    pub scenario: Option<PathBuf>,
+    /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
+    /// changing or office
+    #[arg(default_value = NAMED[0].0)]
+    pub scenario: PathBuf,
+
+    /// Take the walls from a ROS map (map.yaml) in place of the scenario's; office needs one
+    #[arg(long, value_name = "YAML")]
+    pub map: Option<PathBuf>,
 
     /// How many robots drive, in place of the scenario's number
     #[arg(long, value_name = "N", value_parser = robots(), allow_negative_numbers = true)]

@@ -38,10 +38,13 @@ const SETTLED: Duration = Duration::from_secs(5);
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
-    let mut scenario = match &options.scenario {
-        Some(path) => Scenario::read(path)?,
-        None => Scenario::built_in()?,
-    };
+    let mut scenario = Scenario::read_with(&options.scenario, options.map.as_deref())?;
+    let map = scenario.room.map.as_deref().map(straight_map).transpose()?;
+    let walls = map.as_ref().map(wall_grid);
+    if let (Some(map), Some(walls)) = (&map, &walls) {
+        let free: Vec<bool> = map.cells().iter().map(|&cell| cell == Cell::Free).collect();
+        scenario.grow_in(walls, &free)?;
+    }
     if let Some(robots) = options.robots {
         let asked = usize::from(robots);
         if asked > scenario.robots.len() {
@@ -49,7 +52,6 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         }
         scenario.robots.truncate(asked);
     }
-    let walls = scenario.room.map.as_deref().map(wall_grid).transpose()?;
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;
 
     let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
@@ -101,9 +103,14 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
 /// The configuration of a simulated robot's agent.
 pub fn config(robot: &SimRobot, seed: u64) -> Config {
     let sensor = robot.sensor();
-    let model = SensorModel::Radial {
-        first: sensor.first_angle_rad() as f32,
-        step: sensor.step_rad() as f32,
+    let model = match sensor.focal_px() {
+        Some(focal) => {
+            SensorModel::Pinhole { focal: focal as f32, centre: (sensor.beams() - 1) as f32 / 2.0 }
+        }
+        None => SensorModel::Radial {
+            first: sensor.first_angle_rad() as f32,
+            step: sensor.step_rad() as f32,
+        },
     };
     Config {
         resolution: RESOLUTION,
@@ -114,19 +121,24 @@ pub fn config(robot: &SimRobot, seed: u64) -> Config {
     }
 }
 
-/// The occupied cells of a ROS map as walls.
-fn wall_grid(yaml: &Path) -> Result<WallGrid, RunError> {
+/// A ROS map that lies straight.
+fn straight_map(yaml: &Path) -> Result<OccupancyGrid, RunError> {
     let map = grid::read_map(yaml)?;
     if map.yaw_rad() != 0.0 {
         return Err(RunError::TurnedMap { path: yaml.to_owned(), yaw_rad: map.yaw_rad() });
     }
-    Ok(WallGrid {
+    Ok(map)
+}
+
+/// The occupied cells of a map as walls.
+fn wall_grid(map: &OccupancyGrid) -> WallGrid {
+    WallGrid {
         resolution_m: map.resolution_m(),
         origin_m: map.origin_m(),
         width: map.width(),
         height: map.height(),
         occupied: map.cells().iter().map(|&cell| cell == Cell::Occupied).collect(),
-    })
+    }
 }
 
 /// The simulated room as a source of events.

@@ -1,9 +1,9 @@
 //! The simulated room: walls, furniture, doors, people, robots and cameras.
 //!
-//! Read in this order: `scenario` (what a TOML file says), `shapes` and `room` (what stands still,
+//! Read in this order: `scenario` (what a TOML file says) and `growth` (what a map adds), `shapes` and `room` (what stands still,
 //! and rays through it), `changes` (what is moved all the same), `truth` (what a perfect map would
 //! say), `route`, `people` and `robots` (what moves; `marker` and `tag`: what robots wear),
-//! `places` (who can't be or go where), `sensor` (what robots measure), `mounting`, `render` and
+//! `places` (who can't be or go where), `stereo` and `sensor` (what robots measure), `mounting`, `render` and
 //! `filming` (the frames of cameras), and `cameras` (ideal ones, which say at once what they see).
 //! [`World`] ties them together.
 //!
@@ -15,6 +15,7 @@ mod cadence;
 mod cameras;
 mod changes;
 mod filming;
+mod growth;
 mod marker;
 mod mounting;
 mod people;
@@ -26,6 +27,7 @@ mod route;
 mod scenario;
 mod sensor;
 mod shapes;
+mod stereo;
 mod tag;
 mod truth;
 
@@ -51,10 +53,10 @@ pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;
 pub use scenario::{
-    BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig,
-    MarkerConfig, MoveConfig, OdometryConfig, PersonConfig, PictureConfig, PostureConfig,
-    RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError, SensorConfig, StartConfig,
-    WallConfig,
+    BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig, GrowConfig,
+    MarkerConfig, MoveConfig, NAMED, OdometryConfig, PersonConfig, PictureConfig, PostureConfig,
+    RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError, SensorConfig, SensorPreset,
+    StartConfig, WallConfig,
 };
 pub use sensor::RangeSensor;
 pub use tag::TAGS;

@@ -1,9 +1,9 @@
-//! A robot's range sensor: a fan of beams at one height.
+//! A robot's range sensor: a fan of beams, or a row of a depth camera, at one height.
 
-use libm::{cos, sin};
+use libm::{cos, sin, tan};
 use parry2d_f64::{
     bounding_volume::{Aabb, BoundingVolume},
-    glamx::DVec2,
+    glamx::{DVec2, DVec3},
 };
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -13,12 +13,22 @@ use super::{
     robots::PlanePose,
     room::Room,
     route::Body,
-    scenario::SensorConfig,
+    scenario::{SensorConfig, SensorPreset},
     shapes::{Footprint, Prism},
+    stereo::{PARTS, Stereo},
 };
 
-/// A range sensor. Beam `i` points to `first_angle_rad() + i * step_rad()`, counter-clockwise from
-/// the sensor's own x; [`RangeSensor::mount`] has the sensor in `base_link`.
+/// What it takes for a disparity where a D435 has none of its own, in pixels; between its two
+/// imagers, in metres.
+const STEREO_NOISE: f64 = 0.08;
+const BASELINE: f64 = 0.05;
+
+/// Rays to a side of a wide zone.
+const RAYS: i32 = 3;
+
+/// A range sensor; [`RangeSensor::mount`] has it in `base_link`. Beam `i` of a fan points to
+/// `first_angle_rad() + i * step_rad()`, counter-clockwise from the sensor's own x; of a camera
+/// ([`RangeSensor::focal_px`]) column `i`, counted from the left, gives a depth along that axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RangeSensor {
     x: f64,
@@ -33,6 +43,20 @@ pub struct RangeSensor {
     rate: f64,
     noise: f64,
     noise_ratio: f64,
+    optics: Optics,
+}
+
+/// How a sensor looks out.
+#[derive(Clone, Debug, PartialEq)]
+enum Optics {
+    /// Thin beams at equal angles.
+    Fan,
+    /// Columns of a pinhole; the focal length is in columns.
+    Pinhole { focal: f64 },
+    /// The same of a stereo camera.
+    Stereo { focal: f64, stereo: Stereo },
+    /// The same, each pixel as wide and as high as the next.
+    Zones { focal: f64 },
 }
 
 impl RangeSensor {
@@ -61,6 +85,16 @@ impl RangeSensor {
         self.beams
     }
 
+    /// The focal length of a camera, in columns; `None` of a fan of beams.
+    pub fn focal_px(&self) -> Option<f64> {
+        match self.optics {
+            Optics::Fan => None,
+            Optics::Pinhole { focal } | Optics::Stereo { focal, .. } | Optics::Zones { focal } => {
+                Some(focal)
+            }
+        }
+    }
+
     /// The farthest return, in metres.
     pub fn max_range_m(&self) -> f64 {
         self.max_range
@@ -72,7 +106,18 @@ impl RangeSensor {
     }
 
     pub(super) fn new(config: &SensorConfig) -> Self {
+        let focal = config.beams as f64 / 2.0 / tan(config.fov_deg.to_radians() / 2.0);
+        let optics = match config.preset {
+            SensorPreset::Beams => Optics::Fan,
+            SensorPreset::Tof100 => Optics::Pinhole { focal },
+            SensorPreset::Tof8 => Optics::Zones { focal },
+            SensorPreset::DepthRow => {
+                let range = [config.min_range_m, config.max_range_m];
+                Optics::Stereo { focal, stereo: Stereo::new(focal, BASELINE, range) }
+            }
+        };
         Self {
+            optics,
             x: config.x_m,
             y: config.y_m,
             heading: config.heading_deg.to_radians(),
@@ -98,31 +143,67 @@ impl RangeSensor {
     ) -> Vec<u16> {
         let facing = DVec2::new(cos(robot.heading), sin(robot.heading));
         let origin = robot.position + facing.rotate(DVec2::new(self.x, self.y));
-        let reach = self.max_range;
-        let around = Aabb::from_half_extents(origin, DVec2::splat(reach));
-        let near: Vec<&Prism> = others
-            .iter()
-            .filter(|prism| prism.spans(self.height))
-            .filter(|prism| prism.footprint.bounds().intersects(&around))
-            .collect();
-        (0..self.beams)
-            .map(|beam| {
-                let bearing = self.first_angle_rad() + beam as f64 * self.step_rad();
-                let angle = robot.heading + self.heading + self.askew + bearing;
-                let (from, along) =
-                    (origin.extend(self.height), DVec2::new(cos(angle), sin(angle)).extend(0.0));
-                // One throw for each beam, hit or not: a person far away shifts no noise.
-                let throw: f64 = StandardNormal.sample(dice);
-                let fixed = room.first_hit(from, along, reach).map(|(_, range)| range);
-                let moving = near.iter().filter_map(|body| body.first_hit(from, along, reach));
-                match moving.chain(fixed).reduce(f64::min) {
-                    Some(range) => {
-                        self.reading(range + throw * (self.noise + self.noise_ratio * range))
-                    }
-                    None => 0,
-                }
-            })
+        // Diagonally a depth reaches farther than along the axis.
+        let around = Aabb::from_half_extents(origin, DVec2::splat(2.0 * self.max_range));
+        let near: Vec<&Prism> =
+            others.iter().filter(|prism| prism.footprint.bounds().intersects(&around)).collect();
+        let from = origin.extend(self.height);
+        let axis = robot.heading + self.heading + self.askew;
+        let ranges = (0..self.beams).map(|beam| {
+            let meets = |way: DVec3| {
+                let fixed = room.first_hit(from, way, self.max_range).map(|(_, range)| range);
+                let moving =
+                    near.iter().filter_map(|prism| prism.first_hit(from, way, self.max_range));
+                moving.chain(fixed).reduce(f64::min)
+            };
+            self.ways(axis, beam).filter_map(meets).reduce(f64::min)
+        });
+        let ranges: Vec<Option<f64>> = ranges.collect();
+        // One throw for each beam, hit or not: a person far away shifts no noise.
+        let mut throw = || -> f64 { StandardNormal.sample(dice) };
+        if let Optics::Stereo { stereo, .. } = &self.optics {
+            let depths: Vec<f32> =
+                ranges.iter().map(|range| range.map_or(f32::INFINITY, |it| it as f32)).collect();
+            let mut row = vec![0.0; depths.len()];
+            stereo.disparities(&depths, &mut row);
+            let noise = STEREO_NOISE as f32 * PARTS;
+            let mut added: Vec<f32> = row.iter().map(|_| throw() as f32 * noise).collect();
+            let mut readings = Vec::with_capacity(depths.len());
+            stereo.measure(&row, &row, &mut added, &mut readings);
+            return readings;
+        }
+        let noisy =
+            |range: f64, throw: f64| range + throw * (self.noise + self.noise_ratio * range);
+        ranges
+            .into_iter()
+            .map(|range| (range, throw()))
+            .map(|(range, throw)| range.map_or(0, |range| self.reading(noisy(range, throw))))
             .collect()
+    }
+
+    /// The directions in which a beam looks, so long that a reading times one is the point.
+    fn ways(&self, axis: f64, beam: usize) -> impl Iterator<Item = DVec3> + use<> {
+        let ahead = |angle: f64| DVec2::new(cos(angle), sin(angle));
+        let column = beam as f64 - (self.beams - 1) as f64 / 2.0;
+        let bearing = self.first_angle_rad() + beam as f64 * self.step_rad();
+        let (middle, side, rays) = match self.optics {
+            Optics::Fan => (ahead(axis + bearing), 0.0, 1),
+            Optics::Pinhole { focal } | Optics::Stereo { focal, .. } => {
+                let forward = ahead(axis);
+                (forward - forward.perp() * (column / focal), 0.0, 1)
+            }
+            Optics::Zones { focal } => {
+                let forward = ahead(axis);
+                (forward - forward.perp() * (column / focal), 1.0 / focal, RAYS)
+            }
+        };
+        let aside = ahead(axis).perp();
+        (0..rays * rays).map(move |ray| {
+            let part = |index: i32| (f64::from(index) + 0.5) / f64::from(rays);
+            // The zone lies above the horizon.
+            let (across, up) = (part(ray % rays) - 0.5, part(ray / rays));
+            (middle + aside * (across * side)).extend(up * side)
+        })
     }
 
     fn reading(&self, range: f64) -> u16 {

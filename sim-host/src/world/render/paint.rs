@@ -8,7 +8,7 @@ use super::{
 };
 
 /// The light that falls on what faces up, and is thrown back by white: of 255.
-const EXPOSURE: f32 = 235.0;
+const EXPOSURE: f32 = 290.0;
 
 /// Between two lamps, in metres.
 const LAMPS: f32 = 3.0;
@@ -81,9 +81,9 @@ impl Paint {
 /// The floor: tiles of 0.6 m with joints, worn in spots.
 pub(super) fn floor(point: Vec3) -> Colour {
     let tile = Vec2::new(point.x, point.y) / 0.6;
-    let (column, row) = (tile.x.floor(), tile.y.floor());
-    let joint = (tile.x - column).min(tile.y - row) < 0.012;
-    let own = unit(hash(column as i32 as u32, row as i32 as u32, 5));
+    let (column, row) = (floor_of(tile.x), floor_of(tile.y));
+    let joint = (tile.x - column as f32).min(tile.y - row as f32) < 0.012;
+    let own = unit(hash(column as u32, row as u32, 5));
     let worn = noise(point.x * 1.3, point.y * 1.3, 6);
     let speck = noise(point.x * 60.0, point.y * 60.0, 7);
     let shade = if joint { 0.22 } else { 0.34 + 0.05 * own + 0.12 * worn + 0.07 * speck };
@@ -97,7 +97,7 @@ pub(super) const CEILING: Colour = [0.75; 3];
 pub(super) fn light(point: Vec3, face: Face) -> f32 {
     // A smooth hill over each lamp, one high.
     let hill = |at: f32| {
-        let part = (at / LAMPS - (at / LAMPS).floor() - 0.5) * 2.0;
+        let part = (at / LAMPS - floor_of(at / LAMPS) as f32 - 0.5) * 2.0;
         let slope = 1.0 - part * part;
         slope * slope
     };
@@ -112,13 +112,19 @@ pub(super) fn light(point: Vec3, face: Face) -> f32 {
 
 /// Smooth noise from 0 to 1 with one hill or hollow to a unit.
 fn noise(x: f32, y: f32, salt: u32) -> f32 {
-    let (column, row) = (x.floor(), y.floor());
-    let (right, up) = (x - column, y - row);
-    let (column, row) = (column as i32 as u32, row as i32 as u32);
+    let (column, row) = (floor_of(x), floor_of(y));
+    let (right, up) = (x - column as f32, y - row as f32);
+    let (column, row) = (column as u32, row as u32);
     let at = |dx: u32, dy: u32| unit(hash(column.wrapping_add(dx), row.wrapping_add(dy), salt));
     let low = at(0, 0) + (at(1, 0) - at(0, 0)) * right;
     let high = at(0, 1) + (at(1, 1) - at(0, 1)) * right;
     low + (high - low) * up
+}
+
+/// The whole number below; quicker than the call that `floor` is without SSE 4.1.
+fn floor_of(number: f32) -> i32 {
+    let whole = number as i32;
+    whole - i32::from(whole as f32 > number)
 }
 
 /// The upper bits of a hash, from 0 to 1.

@@ -69,6 +69,7 @@ impl Solid {
     }
 
     /// Where a ray from the optical centre first meets it, before `limit`.
+    #[inline]
     pub(super) fn hit(&self, way: Vec3, limit: f32) -> Option<Hit> {
         let (low, high) = (self.low / way.z, self.high / way.z);
         let level = if way.z < 0.0 { Face::Top } else { Face::Bottom };

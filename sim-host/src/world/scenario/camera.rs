@@ -55,6 +55,31 @@ pub struct CameraConfig {
     pub picture: PictureConfig,
 }
 
+impl CameraConfig {
+    /// The usual camera, which looks straight down from there.
+    pub(in super::super) fn looking_down(position_m: [f64; 3]) -> Self {
+        Self {
+            position_m,
+            look_at_m: None,
+            heading_deg: Some(0.0),
+            tilt_deg: Some(90.0),
+            horizontal_fov_deg: defaults::horizontal_fov_deg(),
+            vertical_fov_deg: defaults::vertical_fov_deg(),
+            range_m: defaults::range_m(),
+            rate_hz: defaults::rate_hz(),
+            cells_rate_hz: defaults::cells_rate_hz(),
+            latency_ms: defaults::latency_ms(),
+            position_noise_m: 0.0,
+            heading_noise_deg: 0.0,
+            latency_jitter_ms: defaults::latency_jitter_ms(),
+            lost_frames: defaults::lost_frames(),
+            fails_at_s: None,
+            depth: DepthConfig::default(),
+            picture: PictureConfig::default(),
+        }
+    }
+}
+
 /// A stereo depth sensor; unless it says otherwise, that of an Intel RealSense D435.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]

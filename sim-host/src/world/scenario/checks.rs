@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use super::{
     CameraConfig, DoorConfig, FootprintConfig, FurnitureConfig, MarkerConfig, PersonConfig,
-    PostureConfig, RobotConfig, Scenario, ScenarioError,
+    PostureConfig, RobotConfig, Scenario, ScenarioError, SensorPreset,
 };
 use crate::world::TAGS;
 
@@ -13,6 +13,9 @@ impl Scenario {
     pub(in super::super) fn check(&self) -> Result<(), ScenarioError> {
         self.number("duration_s", self.duration_s, 0.1..=86_400.0)?;
         self.number("slice_height_m", self.slice_height_m, 0.0..=10.0)?;
+        if self.grow.is_some() && self.room.map.is_none() {
+            return Err(self.invalid("grow", "needs a map; give room.map, or --map"));
+        }
         self.check_room()?;
         for (index, furniture) in self.furniture.iter().enumerate() {
             self.check_furniture(&format!("furniture[{index}]"), furniture)?;
@@ -229,7 +232,8 @@ impl Scenario {
         self.number(&key_of("height_m"), sensor.height_m, 0.0..=self.room.height_m)?;
         self.angle(&key_of("heading_deg"), sensor.heading_deg)?;
         self.angle(&key_of("askew_deg"), sensor.askew_deg)?;
-        self.number(&key_of("fov_deg"), sensor.fov_deg, 0.1..=360.0)?;
+        let widest = if sensor.preset == SensorPreset::Beams { 360.0 } else { 170.0 };
+        self.number(&key_of("fov_deg"), sensor.fov_deg, 0.1..=widest)?;
         if !(2..=4096).contains(&sensor.beams) {
             let problem = format!("is {}; give a number from 2 to 4096", sensor.beams);
             return Err(self.invalid(key_of("beams"), problem));

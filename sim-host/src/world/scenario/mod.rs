@@ -15,11 +15,19 @@ use serde::Deserialize;
 
 pub use camera::{CameraConfig, DepthConfig, PictureConfig};
 pub use robot::{
-    MarkerConfig, OdometryConfig, RobotConfig, RouteConfig, SensorConfig, StartConfig,
+    MarkerConfig, OdometryConfig, RobotConfig, RouteConfig, SensorConfig, SensorPreset, StartConfig,
 };
 
-/// The built-in scenario: one room with blind spots, two cameras, four robots, two people.
+/// The usual scenario: one room with blind spots, two cameras, four robots, two people.
 pub const BUILT_IN: &str = include_str!("../../../scenarios/room.toml");
+
+/// All built-in scenarios by their names; the first is the usual one.
+pub const NAMED: [(&str, &str); 4] = [
+    ("room", BUILT_IN),
+    ("warehouse", include_str!("../../../scenarios/warehouse.toml")),
+    ("changing", include_str!("../../../scenarios/changing.toml")),
+    ("office", include_str!("../../../scenarios/office.toml")),
+];
 
 /// Why a scenario can't be simulated. Each is one line that names the file and the line or key.
 #[derive(Debug, thiserror::Error)]
@@ -73,6 +81,8 @@ pub struct Scenario {
     /// Doors in the walls' gaps.
     #[serde(default)]
     pub doors: Vec<DoorConfig>,
+    /// What is put into a map in addition, wherever there is room.
+    pub grow: Option<GrowConfig>,
     /// The fixed cameras.
     #[serde(default)]
     pub cameras: Vec<CameraConfig>,
@@ -101,6 +111,18 @@ pub struct RoomConfig {
     pub walls: Vec<WallConfig>,
     /// A ROS map (`map.yaml`, relative to the scenario) whose occupied cells are walls.
     pub map: Option<PathBuf>,
+}
+
+/// How many of each are put into a map.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GrowConfig {
+    /// Cameras that look straight down.
+    pub cameras: u8,
+    /// Robots.
+    pub robots: u8,
+    /// People.
+    pub people: u8,
 }
 
 /// A wall inside the room.
@@ -270,26 +292,61 @@ mod defaults {
     }
 }
 
+impl PersonConfig {
+    /// The usual person, who walks along these points.
+    pub(super) fn along(waypoints_m: Vec<[f64; 2]>) -> Self {
+        Self {
+            waypoints_m,
+            speed_m_s: defaults::person_speed_m_s(),
+            pause_s: 2.0,
+            radius_m: defaults::person_radius_m(),
+            height_m: defaults::person_height_m(),
+            posture: PostureConfig::default(),
+            heading_deg: 0.0,
+        }
+    }
+}
+
 impl Scenario {
     /// The built-in scenario.
     pub fn built_in() -> Result<Self, ScenarioError> {
         Self::from_toml(BUILT_IN, "built-in scenario")
     }
 
-    /// Reads a scenario from a file; a map that it names is looked for beside it.
+    /// Reads a scenario: one of [`NAMED`] by its name, or a file; a map that a file names is
+    /// looked for beside it.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
-        let file = path.display().to_string();
-        let text = std::fs::read_to_string(path)
-            .map_err(|cause| ScenarioError::Read { file: file.clone(), cause })?;
-        let mut scenario = Self::from_toml(&text, &file)?;
+        Self::read_with(path, None)
+    }
+
+    /// The same; `map`, if given, is the room's in place of any that it has.
+    pub fn read_with(path: &Path, map: Option<&Path>) -> Result<Self, ScenarioError> {
+        let mut scenario = match NAMED.iter().find(|(name, _)| path == Path::new(name)) {
+            Some((name, text)) => Self::parse(text, &format!("built-in scenario {name}"))?,
+            None => {
+                let file = path.display().to_string();
+                let text = std::fs::read_to_string(path)
+                    .map_err(|cause| ScenarioError::Read { file: file.clone(), cause })?;
+                Self::parse(&text, &file)?
+            }
+        };
         if let (Some(map), Some(folder)) = (&mut scenario.room.map, path.parent()) {
             *map = folder.join(&map);
         }
+        scenario.room.map = map.map(Path::to_owned).or(scenario.room.map);
+        scenario.check()?;
         Ok(scenario)
     }
 
     /// A scenario from text; `file` is what error messages call it.
     pub fn from_toml(text: &str, file: &str) -> Result<Self, ScenarioError> {
+        let scenario = Self::parse(text, file)?;
+        scenario.check()?;
+        Ok(scenario)
+    }
+
+    /// A scenario from text, whose numbers may still be wrong.
+    fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
         let mut scenario: Self = toml::from_str(text).map_err(|error| {
             let start = error.span().map_or(0, |span| span.start);
             let before = text.as_bytes().get(..start).unwrap_or(text.as_bytes());
@@ -300,7 +357,6 @@ impl Scenario {
             }
         })?;
         scenario.file = file.to_owned();
-        scenario.check()?;
         Ok(scenario)
     }
 

@@ -42,6 +42,26 @@ pub struct RobotConfig {
     pub odometry: OdometryConfig,
 }
 
+impl RobotConfig {
+    /// The usual robot, with a route through these points.
+    pub(in super::super) fn at(id: u16, start: StartConfig, waypoints_m: Vec<[f64; 2]>) -> Self {
+        Self {
+            id,
+            start,
+            radius_m: defaults::radius_m(),
+            height_m: defaults::height_m(),
+            box_m: None,
+            marker: MarkerConfig::default(),
+            marker_size_m: defaults::marker_size_m(),
+            tag_id: None,
+            identifier_askew_deg: 0.0,
+            sensor: SensorConfig::default(),
+            route: RouteConfig { waypoints_m, ..RouteConfig::default() },
+            odometry: OdometryConfig::default(),
+        }
+    }
+}
+
 /// What a robot wears on its top, over `base_link`.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
@@ -67,24 +87,27 @@ pub struct StartConfig {
     pub heading_deg: f64,
 }
 
-/// A robot's range sensor: a fan of beams at one height.
+/// A robot's range sensor, which gives one row of ranges at its own height. `preset` says which
+/// kind of sensor it is and what it need not say.
 #[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[serde(from = "SensorKeys")]
 pub struct SensorConfig {
+    /// Which kind it is.
+    pub preset: SensorPreset,
     /// Ahead of `base_link`.
     pub x_m: f64,
     /// To the left of `base_link`.
     pub y_m: f64,
     /// Above the floor.
     pub height_m: f64,
-    /// The middle of the fan, counter-clockwise from the robot's x.
+    /// The middle of the view, counter-clockwise from the robot's x.
     pub heading_deg: f64,
     /// How far it is really turned from there, counter-clockwise: mounted askew, and the robot
     /// does not know.
     pub askew_deg: f64,
-    /// From the first beam to the last.
+    /// From the first beam to the last; of a camera, from edge to edge.
     pub fov_deg: f64,
-    /// How many beams.
+    /// How many beams, or columns.
     pub beams: usize,
     /// Nearer returns are lost.
     pub min_range_m: f64,
@@ -98,9 +121,29 @@ pub struct SensorConfig {
     pub noise_ratio: f64,
 }
 
-impl Default for SensorConfig {
-    fn default() -> Self {
-        Self {
+/// Kinds of range sensors.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorPreset {
+    /// A fan of thin beams, each with its range.
+    #[default]
+    Beams,
+    /// A row of 640 pixels of a stereo camera, a D435: depths along the optical axis. Its noise is
+    /// that of a stereo camera, whatever `noise_m` and `noise_ratio` say.
+    DepthRow,
+    /// The row that looks level of a time-of-flight camera of 100 x 100 pixels and 70 degrees,
+    /// which sees 2.5 m far.
+    Tof100,
+    /// The row above the horizon of a time-of-flight sensor of 8 x 8 zones and 45 degrees. A zone
+    /// is a wide cone: it gives the nearest that stands in it.
+    Tof8,
+}
+
+impl SensorPreset {
+    /// The sensor that says nothing more.
+    fn sensor(self) -> SensorConfig {
+        let beams = SensorConfig {
+            preset: self,
             x_m: 0.1,
             y_m: 0.0,
             height_m: 0.2,
@@ -113,6 +156,78 @@ impl Default for SensorConfig {
             rate_hz: 10.0,
             noise_m: 0.004,
             noise_ratio: 0.002,
+        };
+        match self {
+            Self::Beams => beams,
+            Self::DepthRow => SensorConfig {
+                beams: 640,
+                min_range_m: 0.2,
+                noise_m: 0.0,
+                noise_ratio: 0.0,
+                ..beams
+            },
+            Self::Tof100 => SensorConfig {
+                fov_deg: 70.0,
+                beams: 100,
+                max_range_m: 2.5,
+                noise_m: 0.003,
+                noise_ratio: 0.01,
+                ..beams
+            },
+            Self::Tof8 => SensorConfig {
+                fov_deg: 45.0,
+                beams: 8,
+                min_range_m: 0.02,
+                noise_m: 0.008,
+                noise_ratio: 0.02,
+                ..beams
+            },
+        }
+    }
+}
+
+impl Default for SensorConfig {
+    fn default() -> Self {
+        SensorPreset::default().sensor()
+    }
+}
+
+/// The keys of a sensor as they are written.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SensorKeys {
+    preset: Option<SensorPreset>,
+    x_m: Option<f64>,
+    y_m: Option<f64>,
+    height_m: Option<f64>,
+    heading_deg: Option<f64>,
+    askew_deg: Option<f64>,
+    fov_deg: Option<f64>,
+    beams: Option<usize>,
+    min_range_m: Option<f64>,
+    max_range_m: Option<f64>,
+    rate_hz: Option<f64>,
+    noise_m: Option<f64>,
+    noise_ratio: Option<f64>,
+}
+
+impl From<SensorKeys> for SensorConfig {
+    fn from(keys: SensorKeys) -> Self {
+        let usual = keys.preset.unwrap_or_default().sensor();
+        Self {
+            preset: usual.preset,
+            x_m: keys.x_m.unwrap_or(usual.x_m),
+            y_m: keys.y_m.unwrap_or(usual.y_m),
+            height_m: keys.height_m.unwrap_or(usual.height_m),
+            heading_deg: keys.heading_deg.unwrap_or(usual.heading_deg),
+            askew_deg: keys.askew_deg.unwrap_or(usual.askew_deg),
+            fov_deg: keys.fov_deg.unwrap_or(usual.fov_deg),
+            beams: keys.beams.unwrap_or(usual.beams),
+            min_range_m: keys.min_range_m.unwrap_or(usual.min_range_m),
+            max_range_m: keys.max_range_m.unwrap_or(usual.max_range_m),
+            rate_hz: keys.rate_hz.unwrap_or(usual.rate_hz),
+            noise_m: keys.noise_m.unwrap_or(usual.noise_m),
+            noise_ratio: keys.noise_ratio.unwrap_or(usual.noise_ratio),
         }
     }
 }

@@ -8,7 +8,7 @@ use ubimap_protocol::{tile::Cell, units::RobotId};
 use super::{built_in, seconds, small_room, world};
 use crate::{
     camera::{Observation, Source},
-    world::{FootprintConfig, Scenario, World, cameras::SeenRobot, route::Body},
+    world::{FootprintConfig, IdealCamera, Scenario, World, cameras::SeenRobot, route::Body},
 };
 
 const ROOM: &str = "
@@ -73,7 +73,7 @@ fn the_floor_in_view_is_what_small_steps_reach() {
     let world = world(&scenario, 0);
     let eye = DVec3::from(scenario.cameras[0].position_m);
     let views: BTreeMap<(i32, i32), Cell> =
-        world.cameras[0].0.views().iter().map(|view| (view.cell, view.state)).collect();
+        world.cameras[0].camera.views().iter().map(|view| (view.cell, view.state)).collect();
     let (mut free, mut occupied, mut blind) = (0, 0, 0);
     for (x, y) in (0..80).flat_map(|x| (0..60).map(move |y| (x, y))) {
         let centre = (DVec2::new(f64::from(x), f64::from(y)) + 0.5) * 0.05;
@@ -110,7 +110,7 @@ fn what_overhangs_the_robots_hides_but_does_not_occupy() {
     assert!(world.truth().free.contains(&under_the_board));
     // No cell of it is called occupied either.
     let board = |cell: &(i32, i32)| (43..73).contains(&cell.0) && (8..24).contains(&cell.1);
-    let views = world.cameras[0].0.views();
+    let views = world.cameras[0].camera.views();
     assert!(views.iter().filter(|view| board(&view.cell)).all(|view| view.state == Cell::Free));
 }
 
@@ -229,7 +229,7 @@ fn shadows_are_what_small_steps_find() {
             let bodies = world.bodies(None, None);
             let robots: Vec<SeenRobot> = world.robots().iter().map(SeenRobot::of).collect();
             let people: Vec<Body> = bodies[robots.len()..].to_vec();
-            for (camera, _) in &mut world.cameras {
+            for IdealCamera { camera, .. } in &mut world.cameras {
                 let frame = camera.frame(&world.room, &robots, &people, true);
                 let listed: BTreeMap<(i32, i32), Cell> = frame.cells.into_iter().collect();
                 let eye = camera.position();

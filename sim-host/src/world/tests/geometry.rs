@@ -63,6 +63,7 @@ fn furniture() -> impl Strategy<Value = FurnitureConfig> {
         bottom_m,
         top_m: bottom_m + height,
         legs_m: None,
+        moved: Vec::new(),
     })
 }
 

@@ -5,8 +5,10 @@ mod changes;
 mod coverage;
 mod frames;
 mod geometry;
+mod growth;
 mod motion;
 mod scenario;
+mod sensors;
 
 use ubimap_protocol::{time::Instant, units::Millimetres};
 

@@ -1,7 +1,7 @@
 //! What is wrong with a scenario is said in one line that names the file and the key.
 
 use super::RESOLUTION;
-use crate::world::{BUILT_IN, Scenario, ScenarioError, World};
+use crate::world::{BUILT_IN, NAMED, Scenario, ScenarioError, World};
 
 /// What is said about the built-in scenario after a change, made once.
 fn complaint(from: &str, to: &str) -> String {
@@ -112,4 +112,18 @@ fn a_room_of_too_many_cells_is_refused() {
     scenario.room.outline_m = vec![[-9e3, -9e3], [9e3, -9e3], [9e3, 9e3], [-9e3, 9e3]];
     let error = World::new(&scenario, None, RESOLUTION, 1).err().unwrap();
     assert!(error.to_string().contains("make it smaller"), "{error}");
+}
+
+#[test]
+fn every_built_in_scenario_is_good_and_office_asks_for_its_map() {
+    for (name, _) in NAMED {
+        let scenario = Scenario::read(name.as_ref());
+        if name == "office" {
+            let error = scenario.unwrap_err().to_string();
+            assert!(error.ends_with("grow needs a map; give room.map, or --map"), "{error}");
+            continue;
+        }
+        let world = World::new(&scenario.unwrap(), None, RESOLUTION, 1);
+        assert!(world.is_ok(), "{name}: {}", world.err().unwrap());
+    }
 }

@@ -1,0 +1,62 @@
+//! A map becomes a scenario: everybody stands on free floor and can go where it is sent.
+
+use super::{RESOLUTION, seconds};
+use crate::world::{Scenario, WallGrid, World};
+
+/// Two rooms of 6 x 5 m with a door of 1.2 m between, and a third that nobody can get into.
+fn rooms() -> (WallGrid, Vec<bool>) {
+    let (width, height) = (200, 100);
+    let mut occupied = vec![false; width * height];
+    for row in 0..height {
+        for column in 0..width {
+            let is_wall =
+                [0, 65, 130, width - 1].contains(&column) || [0, height - 1].contains(&row);
+            let is_door = column == 65 && (40..64).contains(&row);
+            occupied[row * width + column] = is_wall && !is_door;
+        }
+    }
+    let free = occupied.iter().map(|occupied| !occupied).collect();
+    let grid = WallGrid { resolution_m: 0.05, origin_m: [-3.0, -2.0], width, height, occupied };
+    (grid, free)
+}
+
+fn office() -> Scenario {
+    Scenario::read_with("office".as_ref(), Some("office.yaml".as_ref())).unwrap()
+}
+
+#[test]
+fn cameras_robots_and_people_find_their_places_in_both_rooms() {
+    let (grid, free) = rooms();
+    let mut scenario = office();
+    scenario.grow_in(&grid, &free).unwrap();
+    assert_eq!((scenario.cameras.len(), scenario.robots.len(), scenario.people.len()), (8, 4, 2));
+    // The world refuses places and ways that are not free.
+    let mut world = World::new(&scenario, Some(&grid), RESOLUTION, 1).unwrap();
+    let column = |x: f64| (x + 3.0) / 0.05;
+    let in_west = |x: f64| column(x) < 65.0;
+    assert!(scenario.cameras.iter().all(|camera| column(camera.position_m[0]) < 130.0));
+    assert!(scenario.cameras.iter().any(|camera| in_west(camera.position_m[0])));
+    assert!(scenario.cameras.iter().any(|camera| !in_west(camera.position_m[0])));
+    // Somebody goes from one room into the other.
+    let side = |world: &World| -> Vec<bool> {
+        world.robots().iter().map(|robot| in_west(robot.truth().x.metres())).collect()
+    };
+    let before = side(&world);
+    let crosses = (0..90).any(|second| {
+        world.advance(seconds(f64::from(second)));
+        side(&world) != before
+    });
+    assert!(crosses);
+}
+
+#[test]
+fn a_map_without_room_for_all_says_for_how_many() {
+    let (mut grid, mut free) = rooms();
+    // All but a corner of two metres is wall.
+    for (index, occupied) in grid.occupied.iter_mut().enumerate() {
+        *occupied |= index % 200 > 40 || index / 200 > 40;
+        free[index] &= !*occupied;
+    }
+    let error = office().grow_in(&grid, &free).unwrap_err().to_string();
+    assert!(error.contains("grow has free floor for"), "{error}");
+}

@@ -1,0 +1,73 @@
+//! Robots' sensors measure what stands before them, each in its own way.
+
+use super::{seconds, small_room, world};
+
+/// What a robot in the middle of the small room's south reads, looking north at the wall 1.9 m
+/// before its sensor.
+fn readings(preset: &str, more: &str) -> Vec<u16> {
+    let scenario = small_room(&format!(
+        "[[robots]]
+        id = 1
+        start = {{ x_m = 2.0, y_m = 1.0, heading_deg = 90.0 }}
+        sensor = {{ preset = \"{preset}\" }}
+        {more}"
+    ));
+    world(&scenario, 1).poll_scan(seconds(0.0)).unwrap().readings_mm
+}
+
+#[test]
+fn a_row_of_a_depth_camera_gives_the_depth_of_the_wall_in_every_column_that_sees_it() {
+    let row = readings("depth_row", "");
+    assert_eq!(row.len(), 640);
+    // 337 pixels of focal length: the corners of the wall, 2 m to each side, are out of the view.
+    let (focal, baseline, depth) = (320.0 / 43.5_f64.to_radians().tan(), 0.05, 1.9);
+    let errors: Vec<f64> = row
+        .iter()
+        .filter(|&&reading| reading > 0)
+        .map(|&reading| focal * baseline / (f64::from(reading) / 1000.0) - focal * baseline / depth)
+        .collect();
+    assert!(errors.len() > 630, "{} columns", errors.len());
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    let square = errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64;
+    assert!(mean.abs() < 0.015, "off by {mean} px");
+    // 0.08 px and steps of 1/32.
+    assert!((square.sqrt() / 0.0805 - 1.0).abs() < 0.12, "{} px", square.sqrt());
+}
+
+#[test]
+fn time_of_flight_gives_depths_too_and_an_8_x_8_one_the_nearest_in_a_wide_zone() {
+    let camera = readings("tof100", "");
+    assert_eq!(camera.len(), 100);
+    // Two hundredths of the range, and a little more: five standard deviations and then some.
+    assert!(camera.iter().all(|&reading| reading.abs_diff(1900) < 120), "{camera:?}");
+    // A board from 0.3 m up, 1.2 m before the sensor, on the left half of the view.
+    let board = "
+        [[furniture]]
+        footprint.box = { centre_m = [1.0, 2.4], size_m = [1.8, 0.2] }
+        bottom_m = 0.28
+        top_m = 0.6";
+    assert!(readings("tof100", board).iter().all(|&reading| reading > 1700));
+    let zones = readings("tof8", board);
+    assert_eq!(zones.len(), 8);
+    let near = |&reading: &u16| reading.abs_diff(1200) < 200;
+    assert!(zones[..3].iter().all(near), "{zones:?}");
+    assert!(zones[5..].iter().all(|&reading| reading.abs_diff(1900) < 250), "{zones:?}");
+}
+
+#[test]
+fn a_sensor_mounted_askew_measures_where_it_really_looks() {
+    let scan = |askew: &str| {
+        let scenario = small_room(&format!(
+            "[[robots]]
+            id = 1
+            start = {{ x_m = 2.0, y_m = 1.0, heading_deg = 90.0 }}
+            sensor = {{ x_m = 0.0, noise_m = 0.0, noise_ratio = 0.0, fov_deg = 80.0, beams = 81, {askew} }}"
+        ));
+        let mut world = world(&scenario, 1);
+        (world.poll_scan(seconds(0.0)).unwrap().readings_mm, world.robots()[0].sensor().mount())
+    };
+    let ((straight, mount), (askew, believed)) = (scan("askew_deg = 0.0"), scan("askew_deg = 3.0"));
+    assert_eq!(mount, believed);
+    // One beam to a degree.
+    assert_eq!(straight[3..], askew[..78]);
+}
