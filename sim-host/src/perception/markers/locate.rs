@@ -70,8 +70,8 @@ pub fn locate(
     let fit = Fit::at(&state, lens, marker, points, height_m).ok_or(NotThere::NoPose)?;
     let freedom = (2 * points.len() - 3) as f64;
     let variance = marker.noise_px * marker.noise_px;
-    // Not so, either, if it is no number.
-    if !(fit.squares / (variance * freedom) <= TOO_LARGE) {
+    let excess = fit.squares / (variance * freedom);
+    if excess > TOO_LARGE || excess.is_nan() {
         return Err(NotThere::Residual(sqrt(fit.squares / (2 * points.len()) as f64)));
     }
     let variance = (PRIOR_WEIGHT * variance + fit.squares) / (PRIOR_WEIGHT + freedom);

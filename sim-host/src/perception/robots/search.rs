@@ -15,8 +15,10 @@ const EVERYWHERE: Duration = Duration::from_millis(500);
 const GIVEN_UP: Duration = Duration::from_secs(1);
 /// How far from its expected place a marker is looked for, in metres, and by how much more for each
 /// second since it was last seen.
-const REACH_M: f64 = 0.05;
+const REACH_M: f64 = 0.03;
 const REACH_M_S: f64 = 1.0;
+/// Two of one identifier are one marker if they are so near each other, in pixels.
+const SAME_PX: f64 = 2.0;
 /// Half of a tag's diagonal, with its margin, in parts of its side.
 const HALF_DIAGONAL: f64 = 0.9;
 
@@ -63,7 +65,7 @@ impl Search {
                 *next = captured + EVERYWHERE;
                 vec![Window::all(picture)]
             }
-            _ => apart(expected.iter().filter_map(|it| it.window(lens, picture)).collect()),
+            _ => merged(expected.iter().filter_map(|it| it.window(lens, picture)).collect()),
         };
         let mut markers = Vec::new();
         for window in windows {
@@ -74,7 +76,7 @@ impl Search {
                 markers.extend(detect_colours(image, window));
             }
         }
-        markers
+        without_repeats(markers)
     }
 }
 
@@ -95,15 +97,60 @@ impl Expected {
     }
 }
 
-/// Windows that overlap are made one, so that no marker is found twice.
-fn apart(mut windows: Vec<Window>) -> Vec<Window> {
-    let mut apart: Vec<Window> = Vec::new();
+/// Windows that overlap are made one where that saves pixels.
+fn merged(mut windows: Vec<Window>) -> Vec<Window> {
+    let mut merged: Vec<Window> = Vec::new();
     while let Some(window) = windows.pop() {
-        match apart.iter().position(|other| other.overlaps(&window)) {
-            // What they make together may overlap others.
-            Some(index) => windows.push(apart.swap_remove(index).with(&window)),
-            None => apart.push(window),
+        let saves =
+            |other: &Window| other.with(&window).pixels() <= other.pixels() + window.pixels();
+        match merged.iter().position(saves) {
+            // What they make together may save more with others.
+            Some(index) => windows.push(merged.swap_remove(index).with(&window)),
+            None => merged.push(window),
         }
     }
-    apart
+    merged
+}
+
+/// A marker in two windows is one.
+fn without_repeats(markers: Vec<Marker>) -> Vec<Marker> {
+    let mut once: Vec<Marker> = Vec::with_capacity(markers.len());
+    for marker in markers {
+        let [column, row] = marker.middle();
+        let is_same = |other: &Marker| {
+            let [other_column, other_row] = other.middle();
+            other.identifier == marker.identifier
+                && libm::hypot(column - other_column, row - other_row) < SAME_PX
+        };
+        if !once.iter().any(is_same) {
+            once.push(marker);
+        }
+    }
+    once
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::markers::Identifier;
+
+    #[test]
+    fn windows_are_merged_where_that_saves_pixels() {
+        let square = |left, top| Window { left, top, width: 10, height: 10 };
+        assert_eq!(
+            merged(vec![square(0, 0), square(100, 0), square(0, 1), square(8, 8)]),
+            [square(8, 8), square(100, 0), Window { height: 11, ..square(0, 0) }]
+        );
+    }
+
+    #[test]
+    fn one_marker_in_two_windows_is_one_and_two_of_one_number_are_two() {
+        let at = |number, column: f64| Marker {
+            identifier: Identifier::Tag(number),
+            points: vec![[column, 3.0], [column + 20.0, 3.0]],
+            noise_px: 0.1,
+        };
+        let found = vec![at(1, 5.0), at(2, 5.0), at(1, 5.3), at(1, 40.0)];
+        assert_eq!(without_repeats(found), [at(1, 5.0), at(2, 5.0), at(1, 40.0)]);
+    }
 }

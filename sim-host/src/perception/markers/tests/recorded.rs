@@ -5,8 +5,11 @@ use std::collections::BTreeMap;
 use super::super::*;
 use crate::{camera::Picture, testing::shared_data};
 
-/// The numbers and the corners in a picture.
-fn detected(path: &std::path::Path) -> Vec<(u16, Vec<[f64; 2]>)> {
+/// A tag's number and corners.
+type Tag = (u16, Vec<[f64; 2]>);
+
+/// The tags in a picture.
+fn detected(path: &std::path::Path) -> Vec<Tag> {
     let picture = Picture::Colour(image::open(path).unwrap().to_rgb8());
     let markers = TagDetector::default().detect(&picture, Window::all(&picture));
     let tag = |marker: Marker| match marker.identifier {
@@ -20,7 +23,7 @@ fn detected(path: &std::path::Path) -> Vec<(u16, Vec<[f64; 2]>)> {
 fn every_tag_of_the_photographs_is_found_where_opencv_sees_it() {
     let Some(folder) = shared_data("fiducials/apriltag") else { return };
     let list = std::fs::read_to_string(folder.join("IDS_opencv5.txt")).unwrap();
-    let mut expected: BTreeMap<&str, Vec<(u16, Vec<[f64; 2]>)>> = BTreeMap::new();
+    let mut expected: BTreeMap<&str, Vec<Tag>> = BTreeMap::new();
     for line in list.lines().filter(|line| !line.starts_with('#')) {
         let fields: Vec<&str> = line.split_whitespace().collect();
         let [name, number, corners @ ..] = &fields[..] else { continue };
