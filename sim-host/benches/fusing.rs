@@ -2,8 +2,6 @@
 //!
 //! `cargo bench -p ubimap-sim-host --bench fusing` prints both, in pixels a second.
 
-#![expect(missing_docs, reason = "what criterion's macros make")]
-
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ubimap_protocol::time::Instant;
 use ubimap_sim_host::{
@@ -38,22 +36,23 @@ fn fusing(criterion: &mut Criterion) {
         let image = boxes::noisy(&empty, frame, 980);
         background.learn(&view, &image, Instant(frame * 300_000), &taken);
     }
-    // Somebody has come in, and two pixels in a hundred measure nothing.
-    let visited = boxes::render(&lens, 0.0, &room(false));
-    let images: Vec<DepthImage> =
-        (100..108).map(|seed| boxes::noisy(&visited, seed, 980)).collect();
-
-    let mut group = criterion.benchmark_group("one depth image into evidence");
-    group.throughput(Throughput::Elements(640 * 480));
-    let mut evidence = Evidence::default();
-    let mut turn = images.iter().cycle();
-    group.bench_function("by windows", |bencher| {
-        bencher.iter(|| evidence.fuse(&view, &background, turn.next().map_or(&[], |it| it)));
-    });
-    group.bench_function("pixel by pixel", |bencher| {
-        bencher.iter(|| evidence.scatter(&view, &background, turn.next().map_or(&[], |it| it)));
-    });
-    group.finish();
+    // Two pixels in a hundred measure nothing.
+    for (what, is_empty) in [("an empty room", true), ("a room with somebody in it", false)] {
+        let scene = boxes::render(&lens, 0.0, &room(is_empty));
+        let images: Vec<DepthImage> =
+            (100..108).map(|seed| boxes::noisy(&scene, seed, 980)).collect();
+        let mut group = criterion.benchmark_group(what);
+        group.throughput(Throughput::Elements(640 * 480));
+        let mut evidence = Evidence::default();
+        let mut turn = images.iter().cycle();
+        group.bench_function("by windows", |bencher| {
+            bencher.iter(|| evidence.fuse(&view, &background, turn.next().map_or(&[], |it| it)));
+        });
+        group.bench_function("pixel by pixel", |bencher| {
+            bencher.iter(|| evidence.scatter(&view, &background, turn.next().map_or(&[], |it| it)));
+        });
+        group.finish();
+    }
 }
 
 criterion_group!(benches, fusing);

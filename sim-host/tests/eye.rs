@@ -20,7 +20,7 @@ mod boxes;
 
 use boxes::{Cuboid, lens, noisy, render};
 
-const WALL: Cuboid = [[2.975, -4.0, 0.0], [3.2, 5.0, 2.5]];
+const WALL: Cuboid = [[2.975, -9.0, 0.0], [3.2, 12.0, 2.5]];
 const BOX: Cuboid = [[1.0, 0.5, 0.0], [1.5, 1.0, 0.3]];
 /// The top of a table, higher than the robots.
 const TABLE: Cuboid = [[1.0, 1.6, 0.70], [1.8, 2.2, 0.74]];
@@ -106,7 +106,8 @@ fn walls_and_boxes_are_occupied_where_they_stand_and_tables_hide_without_blockin
 
     // Floor in sight is free, nothing behind the wall is anything, and the table casts a shadow.
     assert_eq!(seen.get(&cell(0.9, 1.5)), Some(&Cell::Free));
-    assert!(seen.keys().all(|it| it.0 <= cell(3.05, 0.0).0), "behind the wall");
+    let behind: Vec<_> = seen.iter().filter(|it| it.0.0 > cell(3.05, 0.0).0).collect();
+    assert_eq!(behind, [], "behind the wall");
     let eye = studio.lens.centre();
     let stretch = eye.z / (eye.z - 0.74);
     assert_eq!(seen.get(&cell(1.4 * stretch, 1.9 * stretch)), None, "the shadow of the table");
@@ -137,15 +138,15 @@ fn who_walks_is_followed_and_leaves_nothing_behind() {
     let mut studio = Studio::learnt(&[WALL, BOX]);
     let (mut layer, mut tracks) = (CameraLayer::default(), Tracks::default());
     let empty = codes(&studio.look(&[]));
-    let walks = |step: u32| at(0.6 + 0.05 * f64::from(step), 1.6, 1.75);
-    for step in 0..30 {
+    let walks = |step: u32| at(0.5 + 0.08 * f64::from(step), 1.6, 1.75);
+    for step in 0..20 {
         let seen = studio.look(&[walks(step)]);
         layer.observe(&seen);
         tracks.observe(seen.captured, &seen.things, Millimetres(50));
         assert_eq!(seen.things.len(), 1, "{step}");
         let codes = codes(&seen);
         // Whatever was free and is in sight again is free.
-        for cell in (0..step.saturating_sub(10)).flat_map(|step| under(walks(step))) {
+        for cell in (0..step.saturating_sub(6)).flat_map(|step| under(walks(step))) {
             if empty.get(&cell) == Some(&Cell::Free) && codes.contains_key(&cell) {
                 let id = TileId::of_cell(cell.0, cell.1).unwrap();
                 let (x, y) = (cell.0.rem_euclid(32) as usize, cell.1.rem_euclid(32) as usize);
@@ -155,9 +156,9 @@ fn who_walks_is_followed_and_leaves_nothing_behind() {
     }
     let [track] = &tracks.now().collect::<Vec<_>>()[..] else { panic!("one of them") };
     assert_eq!((track.class(), track.posture()), (ObstacleClass::Person, Some(Posture::Standing)));
-    assert!((track.position_m[0] - 2.05).abs() < 0.2, "{track:?}");
+    assert!((track.position_m[0] - 2.02).abs() < 0.2, "{track:?}");
     assert!((track.position_m[1] - 1.6).abs() < 0.2, "{track:?}");
-    assert!((track.velocity_m_s[0] - 0.25).abs() < 0.1, "{track:?}");
+    assert!((track.velocity_m_s[0] - 0.4).abs() < 0.1, "{track:?}");
     assert!((1_650..=1_850).contains(&track.top_mm), "{track:?}");
     // Gone.
     let seen = studio.look(&[]);

@@ -157,10 +157,10 @@ impl Background {
 
     /// Gives a pixel a background, and a window about what was measured of it.
     fn set(&mut self, view: &View, pixel: usize, depth: u16, (low, high): (u16, u16)) {
-        // The trimmed range of samples is about 1.7 sigmas: two more on each side.
+        // The trimmed range of samples is about 1.7 sigmas: the window has twice that on each side.
         let noise = noise_mm(i64::from(depth));
-        let margin =
-            (SLACK_MM + (i64::from(high) - i64::from(low)).clamp(noise / 2, 2 * noise)) as u16;
+        let range = i64::from(high) - i64::from(low);
+        let margin = (SLACK_MM + (3 * range / 2).clamp(noise / 2, 3 * noise)) as u16;
         let low = low.saturating_sub(margin).max(1);
         self.low[pixel] = low;
         self.span[pixel] = high.saturating_add(margin) - low;

@@ -8,8 +8,6 @@ use crate::camera::Lens;
 /// Cells along a ray are counted in 2^-24 of a cell, heights in 2^-16 mm.
 const CELL_SHIFT: u32 = 24;
 const HEIGHT_SHIFT: u32 = 16;
-/// Stands for no cell.
-pub(super) const NOWHERE: u32 = u32::MAX;
 
 /// What is asked of all cameras alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +38,7 @@ impl Default for Survey {
 pub(super) enum Place {
     /// Deep below the floor, beyond the reach: no place at all.
     Nowhere,
-    /// On the floor of a cell: where the ray meets it, whatever the noise of the depth.
+    /// On the floor of a cell.
     Floor(u32),
     /// In the way of the robots, at a height in millimetres.
     Band(u32, u16),
@@ -73,13 +71,12 @@ pub struct View {
     survey: Survey,
     size: (u32, u32),
     rays: Vec<Ray>,
-    /// The cell in which each pixel's ray meets the floor.
-    floor: Vec<u32>,
     /// For each cell, the pixels whose rays meet the floor in it.
     expected: Vec<u32>,
     /// The south-west cell, in the cells of `map`.
     first: (i32, i32),
     columns: u32,
+    rows: u32,
     /// The optical centre, from the corner of the south-west cell.
     eye: (i64, i64),
     eye_height: i64,
@@ -129,22 +126,22 @@ impl View {
             y: fixed(direction.y / side_mm, CELL_SHIFT) as i32,
             up: fixed(direction.z, HEIGHT_SHIFT) as i32,
         };
-        let mut view = Self {
+        let view = Self {
             survey,
             size,
             rays: directions.iter().map(ray).collect(),
-            floor: Vec::new(),
-            expected: vec![0; (columns * rows) as usize],
+            expected: Vec::new(),
             first,
             columns,
+            rows,
             eye,
             eye_height: fixed(eye_mm.z, HEIGHT_SHIFT) as i64,
         };
-        view.floor = (0..directions.len()).map(|pixel| view.floor_under(pixel)).collect();
-        for &cell in view.floor.iter().filter(|cell| **cell != NOWHERE) {
-            view.expected[cell as usize] += 1;
+        let mut expected = vec![0; view.cells()];
+        for cell in view.rays.iter().filter_map(|ray| view.floor_under(*ray)) {
+            expected[cell as usize] += 1;
         }
-        view
+        Self { expected, ..view }
     }
 
     /// The pixels of a row, and the rows.
@@ -162,11 +159,7 @@ impl View {
 
     /// How many cells it is about.
     pub fn cells(&self) -> usize {
-        self.expected.len()
-    }
-
-    pub(super) fn columns(&self) -> usize {
-        self.columns as usize
+        (self.columns * self.rows) as usize
     }
 
     /// The pixels that see the floor of a cell, if nothing stands in between.
@@ -176,16 +169,16 @@ impl View {
 
     /// A cell in the coordinates of `map`.
     pub(super) fn in_map(&self, cell: usize) -> (i32, i32) {
-        let (x, y) = (cell % self.columns(), cell / self.columns());
+        let columns = self.columns as usize;
+        let (x, y) = (cell % columns, cell / columns);
         (self.first.0 + x as i32, self.first.1 + y as i32)
     }
 
     /// A cell of `map`, if it is in the rectangle.
     pub(super) fn index(&self, (x, y): (i32, i32)) -> Option<usize> {
         let column = u32::try_from(x - self.first.0).ok().filter(|it| *it < self.columns)?;
-        let row = u32::try_from(y - self.first.1).ok()?;
-        let index = row as usize * self.columns() + column as usize;
-        (index < self.cells()).then_some(index)
+        let row = u32::try_from(y - self.first.1).ok().filter(|it| *it < self.rows)?;
+        Some((row * self.columns + column) as usize)
     }
 
     /// The cell below the camera, in the coordinates of `map`.
@@ -206,15 +199,11 @@ impl View {
         let height = (self.eye_height + up * depth) >> HEIGHT_SHIFT;
         let noise = (noise_mm(depth) * up.abs() * allowance as i64) >> HEIGHT_SHIFT;
         let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
-        if height.abs() <= tolerance {
-            return match self.floor[pixel] {
-                NOWHERE => Place::Nowhere,
-                cell => Place::Floor(cell),
-            };
-        }
-        let cell = self.cell(ray, depth);
-        if height < 0 || cell == NOWHERE {
+        let Some(cell) = self.cell(ray, depth).filter(|_| height >= -tolerance) else {
             return Place::Nowhere;
+        };
+        if height <= tolerance {
+            return Place::Floor(cell);
         }
         let millimetres = height.min(i64::from(u16::MAX)) as u16;
         if height <= i64::from(self.survey.robot_height.0) {
@@ -225,23 +214,20 @@ impl View {
     }
 
     #[inline]
-    fn cell(&self, ray: Ray, depth: i64) -> u32 {
+    fn cell(&self, ray: Ray, depth: i64) -> Option<u32> {
         let x = (self.eye.0 + i64::from(ray.x) * depth) >> CELL_SHIFT;
         let y = (self.eye.1 + i64::from(ray.y) * depth) >> CELL_SHIFT;
         // A negative one is a large one here.
-        if x as u64 >= u64::from(self.columns) {
-            return NOWHERE;
-        }
-        let cell = (y as u64).saturating_mul(u64::from(self.columns)).saturating_add(x as u64);
-        if cell < self.expected.len() as u64 { cell as u32 } else { NOWHERE }
+        let is_inside = (x as u64) < u64::from(self.columns) && (y as u64) < u64::from(self.rows);
+        is_inside.then_some(y as u32 * self.columns + x as u32)
     }
 
-    fn floor_under(&self, pixel: usize) -> u32 {
-        let ray = self.rays[pixel];
+    /// The cell in which a ray meets the floor.
+    fn floor_under(&self, ray: Ray) -> Option<u32> {
         if ray.up >= 0 || self.eye_height <= 0 {
-            return NOWHERE;
+            return None;
         }
         let depth = self.eye_height / -i64::from(ray.up);
-        if depth > i64::from(self.survey.reach.0) { NOWHERE } else { self.cell(ray, depth) }
+        self.cell(ray, depth).filter(|_| depth <= i64::from(self.survey.reach.0))
     }
 }
