@@ -156,7 +156,8 @@ impl<'b> Agent<'b> {
         readings: &[u16],
         now: Instant,
     ) -> Result<(), ScanError> {
-        let speaks = self.link.session() != SessionId::NONE && self.vectors.is_due(taken, false);
+        let speaks =
+            self.link.session() != SessionId::NONE && self.vectors.is_due(taken, false, false);
         if !speaks
             && self.waiting.check(taken, readings).is_ok()
             && self.selection.stands(
@@ -464,13 +465,17 @@ impl<'b> Agent<'b> {
 
     /// Carries out a command about parameters.
     fn configure(&mut self, command: &ParameterCommand) {
-        let mounting = self.config.mounting;
+        let Config { mounting, first_epoch, .. } = self.config;
         self.report = Some(carry_out(command, &mut self.config));
         self.publisher.set_hold(self.config.hold);
         self.selection.set_gate(self.config.gate);
         if self.config.mounting != mounting {
             point_beams(self.beams, &self.config);
             self.map.remount(self.config.mounting, self.beams);
+        }
+        if self.config.first_epoch != first_epoch {
+            self.map.pool.begin_anew(self.config.first_epoch);
+            self.selection.begin_anew();
         }
     }
 
@@ -511,18 +516,23 @@ impl<'b> Agent<'b> {
                 self.latest_pose = Some((moment, pose));
             }
             self.fused.follow(pose, self.config.resolution);
-            if located == Located::Unsure(pose) {
+            let (unsure, shaken) =
+                (located == Located::Unsure(pose), self.steadiness.is_shaken(taken));
+            if unsure {
                 self.statistics.unsure = self.statistics.unsure.wrapping_add(1);
-                continue;
-            }
-            if self.steadiness.is_shaken(taken) {
+            } else if shaken {
                 self.statistics.shaken = self.statistics.shaken.wrapping_add(1);
+            }
+            if shaken {
                 continue;
             }
-            let selected = self.selection.select(pose, readings);
-            let moves = matches!(selected, Selected::Moved(_));
+            // What an unsure robot sees is not mapped, but may tell the server where it is.
+            let selected =
+                if unsure { Selected::Nothing } else { self.selection.select(pose, readings) };
+            let moves = unsure || matches!(selected, Selected::Moved(_));
+            let blind = self.locator.is_blind(taken);
             let vector_time = server_moment.filter(|_| {
-                self.link.session() != SessionId::NONE && self.vectors.is_due(taken, moves)
+                self.link.session() != SessionId::NONE && self.vectors.is_due(taken, moves, blind)
             });
             // What is compared with the next scan is what the sensor said.
             let odometry = self.locator.newest_odometry();
@@ -547,7 +557,8 @@ impl<'b> Agent<'b> {
             }
             let part = match selected {
                 Selected::Nothing => {
-                    self.statistics.gated = self.statistics.gated.wrapping_add(1);
+                    let gated = &mut self.statistics.gated;
+                    *gated = gated.wrapping_add(u32::from(!unsure));
                     continue;
                 }
                 Selected::Moved(part) | Selected::Changed(part) => part,

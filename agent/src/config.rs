@@ -1,6 +1,7 @@
 //! What an agent is made from: its configuration and the caller's memory.
 
 use ubimap_protocol::{
+    tile::Epoch,
     time::Duration,
     units::{Millimetres, Pose, RobotId},
 };
@@ -48,8 +49,10 @@ pub struct Config {
     /// How long changes of the map are gathered before they are sent.
     pub hold: Duration,
     /// Between two distance vectors at least, while the robot moves; one that stands still sends
-    /// one in a minute at most.
+    /// one in a minute at most, and one that has had no fix for a while one in a second.
     pub vector_interval: Duration,
+    /// Tiles are begun from this epoch on, or a later one.
+    pub first_epoch: Epoch,
 }
 
 impl Config {
@@ -74,6 +77,7 @@ impl Config {
             scan_deadline: Duration::from_millis(1_500),
             hold: Duration::from_secs(1),
             vector_interval: Duration::from_secs(5),
+            first_epoch: Epoch(0),
         }
     }
 }

@@ -6,6 +6,7 @@ use ubimap_protocol::{
         MAX_PARAMETERS, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport,
         ParameterValue, ToServerKind, Writer,
     },
+    tile::Epoch,
     time::Duration,
     units::{Angle, Millimetres},
 };
@@ -30,10 +31,13 @@ pub enum Parameter {
     Hold = 6,
     /// How long a scan waits for its pose, in milliseconds, 0 to 60,000.
     ScanDeadline = 7,
+    /// The epoch from which tiles are begun, 0 to 2,147,483,647. Setting it to another value gives
+    /// up all tiles of the robot's own: the server has corrected its pose or mounting.
+    FirstEpoch = 8,
 }
 
 impl Parameter {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 8] = [
         Self::MountingX,
         Self::MountingY,
         Self::MountingHeading,
@@ -41,6 +45,7 @@ impl Parameter {
         Self::GateTurn,
         Self::Hold,
         Self::ScanDeadline,
+        Self::FirstEpoch,
     ];
 
     fn of(number: u16) -> Option<Self> {
@@ -54,6 +59,7 @@ impl Parameter {
             Self::GateDistance => (0, 10_000),
             Self::GateTurn => (0, 32_767),
             Self::Hold | Self::ScanDeadline => (0, 60_000),
+            Self::FirstEpoch => (0, i32::MAX),
         }
     }
 
@@ -67,6 +73,7 @@ impl Parameter {
             Self::GateTurn => i32::from(config.gate.turn.0),
             Self::Hold => millis(config.hold),
             Self::ScanDeadline => millis(config.scan_deadline),
+            Self::FirstEpoch => config.first_epoch.0 as i32,
         };
         ParameterValue { parameter: self as u16, value }
     }
@@ -81,6 +88,7 @@ impl Parameter {
             Self::GateTurn => config.gate.turn = Angle(value as u16),
             Self::Hold => config.hold = span,
             Self::ScanDeadline => config.scan_deadline = span,
+            Self::FirstEpoch => config.first_epoch = Epoch(value as u32),
         }
     }
 }

@@ -3,7 +3,7 @@
 
 use ubimap_protocol::{
     message::Certainty,
-    time::Instant,
+    time::{Duration, Instant},
     units::{Angle, Millimetres, Pose},
 };
 
@@ -12,6 +12,10 @@ use super::{
     filter::{Backwards, Filter, FixError, FixOutcome, WIDEST_GAP, seconds},
     odometry::{MotionNoise, OdometryNoise, between},
 };
+
+/// Fixes that are further apart have stopped. Shorter than the interval of distance vectors, which
+/// are answered by a fix each.
+const BLIND_AFTER: Duration = Duration::from_millis(900);
 
 /// Where the poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,6 +114,12 @@ impl Locator {
         self.filter.newest_odometry().map(|(_, pose)| pose)
     }
 
+    /// Whether the fixes have stopped: there was none in the second before `moment`.
+    pub fn is_blind(&self, moment: Instant) -> bool {
+        let newest = self.filter.newest_fix();
+        self.takes_fixes && newest.is_none_or(|newest| moment.since(newest) >= BLIND_AFTER)
+    }
+
     /// The pose at `moment`, asked for at `now` (robot's clock). With `last_chance` it is not
     /// waited for anything better.
     pub fn at(&self, moment: Instant, now: Instant, last_chance: bool) -> Located {
@@ -172,8 +182,6 @@ impl Locator {
 
 #[cfg(test)]
 mod tests {
-    use ubimap_protocol::time::Duration;
-
     use super::*;
 
     fn pose(x: i32, y: i32, degrees: f64) -> Pose {

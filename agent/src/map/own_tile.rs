@@ -121,6 +121,13 @@ impl<'b> Pool<'b> {
         }
     }
 
+    /// Gives up all tiles, told or not; later ones are of this epoch at least.
+    pub(crate) fn begin_anew(&mut self, epoch: Epoch) {
+        self.places.fill(OwnTile::FREE);
+        (self.kept, self.next) = (0, 0);
+        self.epoch = Epoch(self.epoch.0.wrapping_add(1)).max(epoch);
+    }
+
     /// The tile of this id, if it is kept.
     pub fn find(&self, id: TileId) -> Option<&OwnTile> {
         self.places.iter().find(|tile| tile.id == Some(id))

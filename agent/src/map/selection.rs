@@ -49,6 +49,11 @@ impl Selection {
         self.gate = gate;
     }
 
+    /// Nothing of what has been mapped is left.
+    pub fn begin_anew(&mut self) {
+        self.mapped_at = None;
+    }
+
     /// Whether a scan says nothing, without its pose: the robot stands where it mapped last, by its
     /// odometry and by the newest pose that is known, and it sees what it saw.
     pub fn stands(&self, pose: Option<Pose>, odometry: Option<Pose>, readings: &[u16]) -> bool {

@@ -8,6 +8,10 @@ use ubimap_protocol::{
 
 /// A robot that stands still tells nothing new: one in a minute at most.
 const STANDING_INTERVAL: Duration = Duration::from_secs(60);
+/// One without fixes gets one in answer to each that the server can place on the map.
+const BLIND_INTERVAL: Duration = Duration::from_secs(1);
+/// From the first ones the server finds the robot's constant errors: so many are sent as often.
+const FIRST: u8 = 24;
 
 /// When to send the next one, and the one that is to be sent.
 #[derive(Debug)]
@@ -15,23 +19,29 @@ pub(crate) struct DistanceVectors {
     interval: Duration,
     /// When the scan of the last one was taken (robot's clock).
     last: Option<Instant>,
+    /// How many of the first are yet to come.
+    first: u8,
     waiting: Option<DistanceVector>,
 }
 
 impl DistanceVectors {
     /// At most one in `interval`.
     pub(crate) fn new(interval: Duration) -> Self {
-        Self { interval, last: None, waiting: None }
+        Self { interval, last: None, first: FIRST, waiting: None }
     }
 
     /// A session has begun: the server has none.
     pub(crate) fn begin_session(&mut self) {
-        (self.last, self.waiting) = (None, None);
+        (self.last, self.first, self.waiting) = (None, FIRST, None);
     }
 
     /// Whether one is due from a scan of this moment (robot's clock).
-    pub(crate) fn is_due(&self, taken: Instant, moves: bool) -> bool {
-        let wait = if moves { self.interval } else { self.interval.max(STANDING_INTERVAL) };
+    pub(crate) fn is_due(&self, taken: Instant, moves: bool, blind: bool) -> bool {
+        let wait = match (moves, blind) {
+            (false, _) => self.interval.max(STANDING_INTERVAL),
+            (true, _) if blind || self.first > 0 => self.interval.min(BLIND_INTERVAL),
+            (true, _) => self.interval,
+        };
         self.last.is_none_or(|last| taken >= last + wait)
     }
 
@@ -39,6 +49,7 @@ impl DistanceVectors {
     /// gives way to it.
     pub(crate) fn take(&mut self, taken: Instant, vector: Option<DistanceVector>) {
         self.last = Some(taken);
+        self.first = self.first.saturating_sub(1);
         self.waiting = vector;
     }
 
@@ -82,17 +93,21 @@ mod tests {
     }
 
     #[test]
-    fn one_in_five_seconds_of_a_robot_that_moves_and_one_in_a_minute_of_one_that_stands() {
+    fn a_robot_that_moves_tells_more_often_than_one_that_stands_and_a_blind_one_most_often() {
         let mut vectors = DistanceVectors::new(Duration::from_secs(5));
         let after = |seconds| Instant(9) + Duration::from_secs(seconds);
-        assert!(vectors.is_due(after(0), false));
-        vectors.take(after(0), None);
-        for (seconds, moves, due) in
-            [(4, true, false), (5, true, true), (59, false, false), (60, false, true)]
+        assert!(vectors.is_due(after(0), false, false));
+        for _ in 0..FIRST {
+            vectors.take(after(0), None);
+            assert_eq!(vectors.is_due(after(1), true, false), vectors.first > 0);
+        }
+        for (seconds, moves, blind) in
+            [(5, true, false), (60, false, false), (1, true, true), (60, false, true)]
         {
-            assert_eq!(vectors.is_due(after(seconds), moves), due, "{seconds} {moves}");
+            let due = |seconds| vectors.is_due(after(seconds), moves, blind);
+            assert!(!due(seconds - 1) && due(seconds), "{seconds} {moves} {blind}");
         }
         vectors.begin_session();
-        assert!(vectors.is_due(after(1), false));
+        assert!(vectors.is_due(after(1), false, false));
     }
 }

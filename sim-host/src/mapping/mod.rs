@@ -1,13 +1,17 @@
 //! Camera evidence, robot layers, and the fused and coverage layers that robots get.
 
+mod alignment;
 mod camera_layer;
+mod constant_errors;
 mod coverage_layer;
 mod fused_layer;
 mod robot_layer;
 mod runs;
 mod served_layer;
 
+pub use alignment::{Match, Search, Surfaces, points};
 pub use camera_layer::CameraLayer;
+pub use constant_errors::{ConstantErrors, Estimated};
 pub use coverage_layer::CoverageLayer;
 pub use fused_layer::fuse;
 pub use robot_layer::{RobotLayer, SeenTile, TileRecord, Updated};

@@ -56,6 +56,8 @@ pub struct RobotLayer {
     tiles: BTreeMap<TileId, BTreeMap<Epoch, Held>>,
     /// The epochs of each tile, joined.
     seen: BTreeMap<TileId, SeenTile>,
+    /// The epochs below this one are void.
+    first_epoch: Epoch,
 }
 
 /// What an update came to.
@@ -88,6 +90,10 @@ impl RobotLayer {
             if epoch == Epoch(u32::MAX) {
                 // There would be none left for the robot's next life.
                 return (updated, Err(TileError::Malformed));
+            }
+            if epoch < self.first_epoch {
+                // The robot has given up all that it would tell in this frame.
+                return (updated, Ok(()));
             }
             let epochs = self.tiles.entry(header.id).or_default();
             let held = epochs.entry(epoch).or_default();
@@ -140,6 +146,33 @@ impl RobotLayer {
             }
         }
         joined
+    }
+
+    /// The epochs below this one are void: the robot drew them from wrong poses, and has given them
+    /// up. Returns the tiles that have changed.
+    pub fn retire(&mut self, first: Epoch) -> BTreeSet<TileId> {
+        self.first_epoch = self.first_epoch.max(first);
+        let ids: Vec<TileId> = self.tiles.keys().copied().collect();
+        let mut changed = BTreeSet::new();
+        for id in ids {
+            if let Some(epochs) = self.tiles.get_mut(&id) {
+                *epochs = epochs.split_off(&self.first_epoch);
+            }
+            changed.extend(self.join(id, |_| 0).then_some(id));
+        }
+        changed
+    }
+
+    /// The cells of a tile of which the robot has said nothing new after some second.
+    pub fn drawn_by(&self, id: TileId, second: u32) -> Tile {
+        let mut drawn = Tile::UNKNOWN;
+        if let Some(SeenTile { tile, seconds }) = self.seen.get(&id) {
+            for (cell, _) in seconds.iter().enumerate().filter(|(_, seen)| **seen <= second) {
+                let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+                drawn.set(x, y, tile.cell(x, y));
+            }
+        }
+        drawn
     }
 
     /// What the robot has seen of a tile.
@@ -201,7 +234,8 @@ impl RobotLayer {
     /// The first epoch that the robot has not used.
     pub fn next_epoch(&self) -> Epoch {
         let used = self.tiles.values().filter_map(|epochs| epochs.keys().next_back()).max();
-        used.map_or(Epoch(1), |epoch| Epoch(epoch.0.saturating_add(1)))
+        let next = used.map_or(Epoch(1), |epoch| Epoch(epoch.0.saturating_add(1)));
+        next.max(self.first_epoch)
     }
 }
 

@@ -274,6 +274,11 @@ impl<'b> Fleet<'b> {
         self.server.set_footprint(robot, footprint);
     }
 
+    /// The server leaves the robots' constant errors as they are.
+    pub fn leave_errors(&mut self) {
+        self.server.leave_errors();
+    }
+
     /// The robots.
     pub fn robots(&self) -> &[Robot<'b>] {
         &self.robots

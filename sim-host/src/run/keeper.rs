@@ -62,6 +62,9 @@ impl Keeper {
             return Ok(());
         }
         self.next_commit = now + COMMIT_INTERVAL;
+        while let Some((robot, epoch)) = server.poll_retired() {
+            self.store.retire(robot, epoch)?;
+        }
         let records: Vec<(RobotId, TileRecord)> =
             std::iter::from_fn(|| server.poll_store()).collect();
         if !records.is_empty() {

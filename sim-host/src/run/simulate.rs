@@ -231,7 +231,7 @@ fn true_pose(track: &[Pose], moment: Instant) -> Option<Pose> {
 }
 
 /// The map against the truth.
-fn score(map: &OccupancyGrid, truth: &Truth) -> Result<TruthScores, RunError> {
+pub fn score(map: &OccupancyGrid, truth: &Truth) -> Result<TruthScores, RunError> {
     let cells = || {
         let surfaces = truth.surfaces.iter().map(|&cell| (cell, Cell::Occupied));
         surfaces.chain(truth.free.iter().map(|&cell| (cell, Cell::Free)))

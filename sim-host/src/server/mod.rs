@@ -1,5 +1,6 @@
 //! The camera server: a session for each robot.
 
+mod aligning;
 mod budget;
 mod command;
 mod events;

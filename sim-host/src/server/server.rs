@@ -15,6 +15,7 @@ use ubimap_protocol::{
 };
 
 use super::{
+    aligning::{Aligning, Answered, Maps},
     command::Command,
     events::{EventLog, SightingLog},
     inbox::Inbox,
@@ -24,7 +25,10 @@ use super::{
 };
 use crate::{
     camera::{Observation, Sighting},
-    mapping::{CameraLayer, CoverageLayer, RobotLayer, ServedLayer, TileRecord, Updated, fuse},
+    mapping::{
+        CameraLayer, ConstantErrors, CoverageLayer, RobotLayer, ServedLayer, TileRecord, Updated,
+        fuse,
+    },
     perception::{Footprint, robots::SightingEvent},
 };
 
@@ -69,6 +73,11 @@ pub struct Server {
     coverage: CoverageLayer,
     surroundings: Surroundings,
     sighting_events: SightingLog,
+    aligning: BTreeMap<RobotId, Aligning>,
+    /// Whether constant errors are cured.
+    cures: bool,
+    /// Robots whose epochs below some are void, which the disk has not been told.
+    retired: Vec<(RobotId, Epoch)>,
     /// Tiles of robots that have changed since they were kept on disk.
     unsaved: BTreeSet<(RobotId, TileId, Epoch)>,
 }
@@ -112,6 +121,9 @@ impl Server {
             coverage: CoverageLayer::default(),
             surroundings: Surroundings::default(),
             sighting_events: SightingLog::default(),
+            aligning: BTreeMap::new(),
+            cures: true,
+            retired: Vec::new(),
             unsaved: BTreeSet::new(),
         }
     }
@@ -130,7 +142,7 @@ impl Server {
         loop {
             let port = self.ports.get_mut(index).ok_or(NoSuchPort(index))?;
             let mut updated = Updated::default();
-            let mut hello = None;
+            let (mut hello, mut heard) = (None, None);
             match port.link.receive(&mut bytes, now) {
                 None => return Ok(()),
                 Some(Received::Bad) => port.reset.due |= !port.hears(now),
@@ -141,6 +153,7 @@ impl Server {
                 Some(Received::Session(messages)) => {
                     if let Some(session) = &mut port.session {
                         session.heard = now;
+                        heard = Some(session.robot);
                         let layer = self.layers.entry(session.robot).or_default();
                         let (updated, surroundings) = (&mut updated, &mut self.surroundings);
                         let mut inbox = Inbox { session, layer, surroundings, updated };
@@ -165,6 +178,9 @@ impl Server {
                 self.greet(index, &hello, now);
             }
             self.fuse_anew(&updated.tiles);
+            if let Some(robot) = heard {
+                self.align(robot, index, now);
+            }
         }
     }
 
@@ -172,7 +188,10 @@ impl Server {
     pub fn observe(&mut self, observation: &Observation) {
         let captured = observation.captured;
         for &sighting in &observation.robots {
-            self.fix(captured, sighting);
+            let Sighting { robot, pose: seen, .. } = sighting;
+            let pose = self.aligning.entry(robot).or_default().fix(captured, seen);
+            self.surroundings.robot(robot, captured, pose);
+            self.fix(captured, Sighting { pose, ..sighting });
         }
         self.coverage.observe(observation);
         let changed = self.cameras.observe(observation);
@@ -204,9 +223,16 @@ impl Server {
         None
     }
 
-    /// Whether [`Server::poll_store`] has something.
+    /// A robot, and an epoch: its tiles of epochs below are void, and are to be deleted where they
+    /// are kept.
+    #[must_use]
+    pub fn poll_retired(&mut self) -> Option<(RobotId, Epoch)> {
+        self.retired.pop()
+    }
+
+    /// Whether [`Server::poll_store`] or [`Server::poll_retired`] has something.
     pub fn has_unsaved(&self) -> bool {
-        !self.unsaved.is_empty()
+        !self.unsaved.is_empty() || !self.retired.is_empty()
     }
 
     /// A record is on disk, for good: the robot may give the tile up.
@@ -324,6 +350,11 @@ impl Server {
         self.session(robot).map_or(0, |session| session.distance_vectors)
     }
 
+    /// What has been found of a robot's constant errors.
+    pub fn errors(&self, robot: RobotId) -> Option<&ConstantErrors> {
+        self.aligning.get(&robot).map(Aligning::errors)
+    }
+
     /// How often a robot has asked for the time in its session.
     pub fn time_requests(&self, robot: RobotId) -> u32 {
         self.session(robot).map_or(0, |session| session.time_requests)
@@ -349,6 +380,11 @@ impl Server {
     /// are nearer left no room, counted each time.
     pub fn left_out(&self, robot: RobotId) -> u64 {
         self.session(robot).map_or(0, |session| session.news.left_out())
+    }
+
+    /// Leaves the robots' constant errors as they are, to compare.
+    pub fn leave_errors(&mut self) {
+        self.cures = false;
     }
 
     /// What a robot takes up; the others are told.
@@ -394,6 +430,39 @@ impl Server {
         if let Some(session) = sessions.find(|session| session.robot == sighting.robot) {
             session.fix(moment, sighting);
         }
+    }
+
+    /// Goes on with what a robot's distance vectors and reports are for.
+    fn align(&mut self, robot: RobotId, port: usize, now: Instant) {
+        let Self { aligning, ports, cameras, layers, terms, .. } = self;
+        let session = ports.get_mut(port).and_then(|port| port.session.as_mut());
+        let Some(session) = session else { return };
+        let aligning = aligning.entry(robot).or_default();
+        if let Some(vector) = session.new_vector.take() {
+            let maps = Maps { cameras, layers, resolution: terms.resolution };
+            if let Some(fix) = aligning.looked(robot, &vector, &maps) {
+                session.matched(fix);
+            }
+        }
+        let mut retired = BTreeSet::new();
+        let report = session.own_report.take();
+        let next = match report.and_then(|report| aligning.reported(&report, now)) {
+            Some(Answered::Next(command)) => Some(command),
+            Some(Answered::Retired(epoch)) => {
+                retired = layers.entry(robot).or_default().retire(epoch);
+                self.retired.extend(terms.stores.then_some((robot, epoch)));
+                None
+            }
+            None if self.cures => {
+                let next = layers.get(&robot).map_or(Epoch(1), RobotLayer::next_epoch);
+                aligning.poll_command(next, now)
+            }
+            None => None,
+        };
+        if let Some(command) = next {
+            session.command(Command::Parameter(command));
+        }
+        self.fuse_anew(&retired);
     }
 
     /// Computes the fused tiles anew whose sources have changed.

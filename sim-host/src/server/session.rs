@@ -15,8 +15,8 @@ use ubimap_protocol::{
 };
 
 use super::{
-    budget::Budget, command::Command, events::EventLog, news::News, publishing::Publishing,
-    scene::Scene,
+    aligning::Aligning, budget::Budget, command::Command, events::EventLog, news::News,
+    publishing::Publishing, scene::Scene,
 };
 use crate::camera::Sighting;
 
@@ -54,6 +54,8 @@ pub(super) struct Session {
     /// Newest first.
     fixes: Vec<(Instant, Sighting)>,
     fix_due: bool,
+    /// A fix that comes of a match with the map.
+    matched: Option<PoseFix>,
     next_fix: Instant,
     times: Vec<(u16, Instant)>,
     /// Commands that have not been sent yet, in order.
@@ -68,6 +70,10 @@ pub(super) struct Session {
     /// The newest distance vector, and how many have come.
     pub(super) distance_vector: Option<DistanceVector>,
     pub(super) distance_vectors: u32,
+    /// The last one, until something has been made of it.
+    pub(super) new_vector: Option<DistanceVector>,
+    /// The answer to the newest of the server's own commands about parameters.
+    pub(super) own_report: Option<ParameterReport>,
     /// States of the robot's tiles that are on disk, and of which it has not been told.
     stored: Vec<(TileId, Stamp)>,
     /// The last state of each tile that was put there.
@@ -95,6 +101,7 @@ impl Session {
             next_tiles: now,
             fixes: Vec::new(),
             fix_due: false,
+            matched: None,
             next_fix: now,
             times: Vec::new(),
             commands: VecDeque::new(),
@@ -103,6 +110,8 @@ impl Session {
             parameters: None,
             distance_vector: None,
             distance_vectors: 0,
+            new_vector: None,
+            own_report: None,
             stored: Vec::new(),
             stored_last: BTreeMap::new(),
             time_requests: 0,
@@ -121,6 +130,11 @@ impl Session {
         self.fixes.insert(0, (moment, sighting));
         self.fixes.truncate(1 + ubimap_protocol::message::MAX_EARLIER_FIXES);
         self.fix_due = true;
+    }
+
+    /// Where the robot was, by what it saw.
+    pub(super) fn matched(&mut self, fix: PoseFix) {
+        self.matched = Some(fix);
     }
 
     /// A command for the robot. One that has not been sent gives way to a newer one of its kind.
@@ -150,7 +164,9 @@ impl Session {
 
     /// Whether something waits that must go before frames that are sent again: a pose, a stop.
     pub(super) fn is_urgent(&self, now: Instant) -> bool {
-        self.fix_due(now) || self.commands.front().is_some_and(Command::is_urgent)
+        self.fix_due(now)
+            || self.matched.is_some()
+            || self.commands.front().is_some_and(Command::is_urgent)
     }
 
     fn fix_due(&self, now: Instant) -> bool {
@@ -165,6 +181,7 @@ impl Session {
     /// A distance vector of the robot; they may overtake one another.
     pub(super) fn looked(&mut self, vector: DistanceVector) {
         self.distance_vectors = self.distance_vectors.saturating_add(1);
+        self.new_vector = Some(vector.clone());
         if self.distance_vector.as_ref().is_none_or(|last| last.time < vector.time) {
             self.distance_vector = Some(vector);
         }
@@ -213,7 +230,11 @@ impl Session {
     /// The robot's answer to a command about parameters.
     pub(super) fn reported(&mut self, report: ParameterReport) {
         self.asked.take_if(|asked| asked.number == report.number);
-        self.parameters = Some(report);
+        if Aligning::is_own(&report) {
+            self.own_report = Some(report);
+        } else {
+            self.parameters = Some(report);
+        }
     }
 
     /// The next command that may be sent.
@@ -252,6 +273,7 @@ impl Session {
                 fix.is_some_and(|fix| writer.push(ToRobotKind::PoseFix as u8, &fix))
             });
         }
+        self.matched.take_if(|fix| writer.push(ToRobotKind::PoseFix as u8, fix));
         while let Some(&(nonce, received)) = self.times.first() {
             let held_micros = now.since(received).micros() as u32;
             let reply = TimeReply { nonce, received, held_micros };
@@ -328,7 +350,7 @@ impl Session {
         reliable: bool,
         now: Instant,
     ) -> Option<Instant> {
-        if !self.times.is_empty() {
+        if !self.times.is_empty() || self.matched.is_some() {
             return Some(now);
         }
         let told =
@@ -353,7 +375,7 @@ impl Session {
 
     /// Messages that wait to be sent, tiles aside: of these the newest state alone is sent.
     pub(super) fn waiting(&self) -> usize {
-        let fix = usize::from(self.fix_due);
+        let fix = usize::from(self.fix_due) + usize::from(self.matched.is_some());
         fix + self.times.len() + self.commands.len() + self.stored.len() + self.requests.len()
     }
 

@@ -9,7 +9,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    camera::{Observation, Sighting},
+    camera::Observation,
     perception::{Footprint, Track, Tracks, things_of_cells},
 };
 
@@ -40,12 +40,9 @@ impl Surroundings {
         }
     }
 
-    /// Takes what a frame of a camera says, cells of this side.
+    /// Takes what a frame of a camera says of what moves, cells of this side.
     pub(super) fn observe(&mut self, observation: &Observation, side: Millimetres) {
         let captured = observation.captured;
-        for &Sighting { robot, pose, .. } in &observation.robots {
-            self.robot(robot, captured, pose);
-        }
         // A frame without cells says nothing of them.
         if !observation.cells.is_empty() {
             let of_cells;

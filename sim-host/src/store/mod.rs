@@ -126,6 +126,16 @@ impl Store {
         Ok(())
     }
 
+    /// Deletes the tiles of a robot of epochs below this one.
+    ///
+    /// # Errors
+    /// [`StoreError`]; the file is as it was.
+    pub fn retire(&mut self, robot: RobotId, first: Epoch) -> Result<(), StoreError> {
+        let delete = "DELETE FROM tile WHERE robot = ? AND epoch < ?";
+        let deleted = self.connection.execute(delete, params![robot.0, first.0]);
+        deleted.map(drop).map_err(|trouble| self.error(trouble.into()))
+    }
+
     fn error(&self, trouble: Trouble) -> StoreError {
         StoreError { path: self.path.clone(), trouble }
     }

@@ -1,0 +1,295 @@
+//! What the server makes of a robot's fixes and distance vectors: from covered ground its constant
+//! errors, which are cured; from blind ground fixes, by a match with the map.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use ubimap_agent::Parameter;
+use ubimap_protocol::{
+    message::{
+        Certainty, DistanceVector, FixSource, ParameterAction, ParameterCommand, ParameterOutcome,
+        ParameterReport, ParameterValue, PoseFix,
+    },
+    tile::{Epoch, Tile, TileId},
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose, RobotId},
+};
+
+use crate::mapping::{
+    CameraLayer, ConstantErrors, Match, RobotLayer, Search, SeenTile, Surfaces, fuse, points,
+};
+
+/// Fixes are remembered for so long: a scan may wait for its pose, and a frame for its way.
+const MEMORY: Duration = Duration::from_secs(4);
+/// Fixes further apart than this leave open where the robot was in between.
+const WIDEST_GAP: Duration = Duration::from_millis(400);
+/// A robot without a fix for so long is in blind ground.
+const BLIND_AFTER: Duration = Duration::from_millis(700);
+/// What a robot draws in blind ground counts for its own fixes after so many seconds: what it has
+/// just drawn can't but agree with where it believes to be.
+const OWN_AGE: u32 = 30;
+/// Where a robot in view is looked for: at most so far from where cameras see it.
+const IN_VIEW: Search =
+    Search { position: Millimetres(100), turn: Angle(2_600), known: Some(Millimetres(25)) };
+/// After a correction of fixes it takes a robot's filter so long to follow.
+const SETTLING: Duration = Duration::from_secs(3);
+/// Numbers of the server's own commands about parameters: this one and above.
+const FIRST_NUMBER: u16 = 0xC000;
+/// How far a robot's epochs may be ahead of those that the server has heard of: it begins one with
+/// each tile that leaves its pool.
+const EPOCHS_AHEAD: u32 = 4_096;
+
+/// What a match needs to know.
+pub(super) struct Maps<'m> {
+    pub(super) cameras: &'m CameraLayer,
+    pub(super) layers: &'m BTreeMap<RobotId, RobotLayer>,
+    pub(super) resolution: Millimetres,
+}
+
+/// One robot's part.
+#[derive(Debug, Default)]
+pub(super) struct Aligning {
+    errors: ConstantErrors,
+    /// Where cameras saw it of late, corrected; newest last.
+    fixes: VecDeque<(Instant, Pose)>,
+    blind: Option<Blind>,
+    cure: Cure,
+    /// Distance vectors up to this moment were taken before the last cure.
+    cured: Instant,
+}
+
+/// A robot's time out of view.
+#[derive(Debug)]
+struct Blind {
+    /// The second of its last fix: what the robot had drawn by then it drew where it was.
+    since: u32,
+    /// That, and what it has drawn since and some time ago. What it draws over it does not count.
+    own: BTreeMap<TileId, Tile>,
+    /// Where it said to be last, and how far it has come since its pose was known.
+    last: Pose,
+    way_mm: f64,
+}
+
+/// How far a cure has come.
+#[derive(Debug, Default)]
+enum Cure {
+    #[default]
+    None,
+    /// The fixes are corrected; the robot's older epochs are retired when its filter has followed.
+    Settling(Instant),
+    /// The robot is asked how it believes its sensor to be mounted. The angle is to be added.
+    Asking { number: u16, turn: Angle },
+    /// It is told how.
+    Mounting { number: u16, turn: Angle },
+    /// It is told to begin its tiles anew.
+    Retiring { number: u16 },
+}
+
+impl Aligning {
+    /// What has been found of the robot's constant errors.
+    pub(super) fn errors(&self) -> &ConstantErrors {
+        &self.errors
+    }
+
+    /// Takes where a camera saw the robot, and returns where it was.
+    pub(super) fn fix(&mut self, captured: Instant, seen: Pose) -> Pose {
+        if self.fixes.back().is_some_and(|&(newest, _)| captured <= newest) {
+            return self.errors.corrected(seen);
+        }
+        let pose = self.errors.fix(captured, seen);
+        self.blind = None;
+        self.fixes.push_back((captured, pose));
+        self.fixes.retain(|&(moment, _)| captured.since(moment) <= MEMORY);
+        pose
+    }
+
+    /// Takes a distance vector of the robot. A fix, if it was taken in blind ground and fits the
+    /// map in one place.
+    pub(super) fn looked(
+        &mut self,
+        robot: RobotId,
+        vector: &DistanceVector,
+        maps: &Maps<'_>,
+    ) -> Option<PoseFix> {
+        let points = points(vector);
+        if let Some(pose) = self.seen_at(vector.time) {
+            if vector.time > self.cured {
+                self.compare(&points, pose, maps);
+            }
+            return None;
+        }
+        let newest = self.fixes.back().map_or(Instant(0), |&(newest, _)| newest);
+        if vector.time < newest || vector.time.since(newest) < BLIND_AFTER {
+            return None;
+        }
+        let found = self.place(robot, vector, &points, newest, maps)?;
+        // What they have to do with each other is left out: the deviations are on the wide side.
+        let [x, y, heading] = found.deviations();
+        // The casts saturate.
+        let certainty = Certainty {
+            x: x.ceil() as u16,
+            y: y.ceil() as u16,
+            heading: (heading / core::f64::consts::TAU * 65_536.0).ceil() as u16,
+        };
+        Some(PoseFix {
+            time: vector.time,
+            pose: found.pose,
+            certainty,
+            source: FixSource::MapMatch,
+            earlier: heapless::Vec::new(),
+        })
+    }
+
+    /// Where cameras saw it at a moment.
+    fn seen_at(&self, moment: Instant) -> Option<Pose> {
+        let after = self.fixes.iter().position(|&(fix, _)| fix >= moment)?;
+        let (to, end) = self.fixes[after];
+        let (from, start) = *self.fixes.get(after.checked_sub(1)?)?;
+        let gap = to.since(from);
+        if gap > WIDEST_GAP {
+            return None;
+        }
+        let part = moment.since(from).micros() as f64 / gap.micros() as f64;
+        let mix = |from: Millimetres, to: Millimetres| {
+            from + Millimetres(libm::round(f64::from((to - from).0) * part) as i32)
+        };
+        let turn = Angle::from_radians((end.heading - start.heading).radians() * part);
+        Some(Pose { x: mix(start.x, end.x), y: mix(start.y, end.y), heading: start.heading + turn })
+    }
+
+    /// What it sees from where cameras see it, against what they see.
+    fn compare(&mut self, points: &[[f64; 2]], pose: Pose, maps: &Maps<'_>) {
+        let reach = reach(points, IN_VIEW);
+        let surfaces = Surfaces::about(pose, reach, maps.resolution, |id| maps.cameras.tile(id));
+        if let Some(found) = surfaces.find(points, pose, IN_VIEW) {
+            let [.., deviation] = found.deviations();
+            let turned = (found.pose.heading - pose.heading).degrees();
+            self.errors.turned(turned, deviation.to_degrees());
+        }
+    }
+
+    /// Where it must be to see what it sees in blind ground.
+    fn place(
+        &mut self,
+        robot: RobotId,
+        vector: &DistanceVector,
+        points: &[[f64; 2]],
+        newest: Instant,
+        maps: &Maps<'_>,
+    ) -> Option<Match> {
+        let second = |moment: Instant| (moment.micros() / 1_000_000) as u32;
+        let blind = self.blind.get_or_insert_with(|| Blind {
+            since: second(newest),
+            own: BTreeMap::new(),
+            last: vector.pose,
+            way_mm: 0.0,
+        });
+        let step = [vector.pose.x - blind.last.x, vector.pose.y - blind.last.y];
+        blind.way_mm += f64::from(step[0].0).hypot(f64::from(step[1].0));
+        blind.last = vector.pose;
+        // A robot of 10 % slip that turns by 3 degrees on each metre is found again.
+        let search = Search {
+            position: Millimetres((200.0 + 0.1 * blind.way_mm).min(800.0) as i32),
+            turn: Angle((800.0 + 0.5 * blind.way_mm).min(4_000.0) as u16),
+            known: None,
+        };
+        let settled = second(vector.time).saturating_sub(OWN_AGE);
+        let own = maps.layers.get(&robot);
+        let reach = reach(points, search);
+        let surfaces = Surfaces::about(vector.pose, reach, maps.resolution, |id| {
+            let others = maps.layers.iter().filter(|(other, _)| **other != robot);
+            let others: Vec<&SeenTile> = others.filter_map(|(_, layer)| layer.seen(id)).collect();
+            let mut tile = fuse(&maps.cameras.tile(id), &others);
+            if let Some(own) = own {
+                let known = blind.own.entry(id).or_insert_with(|| own.drawn_by(id, blind.since));
+                known.fill_unknown_from(&own.drawn_by(id, settled));
+                tile.fill_unknown_from(known);
+            }
+            tile
+        });
+        let found = surfaces.find(points, vector.pose, search)?;
+        blind.way_mm = 0.0;
+        Some(found)
+    }
+
+    /// The next command of a cure. `next` is the first epoch that the robot is not known to have
+    /// used.
+    pub(super) fn poll_command(&mut self, next: Epoch, now: Instant) -> Option<ParameterCommand> {
+        let set = |parameter, value| {
+            ParameterAction::Set(ParameterValue { parameter: parameter as u16, value })
+        };
+        let (number, action) = match self.cure {
+            Cure::None => {
+                if self.errors.cure_identifier() {
+                    self.fixes.clear();
+                    self.cured = now;
+                    self.cure = Cure::Settling(now + SETTLING);
+                    return None;
+                }
+                let turn = self.errors.sensor_to_cure()?;
+                self.cure = Cure::Asking { number: FIRST_NUMBER, turn };
+                (FIRST_NUMBER, ParameterAction::Get(Parameter::MountingHeading as u16))
+            }
+            Cure::Settling(until) if until <= now => {
+                let number = FIRST_NUMBER + 2;
+                self.cure = Cure::Retiring { number };
+                let epoch = next.0.saturating_add(EPOCHS_AHEAD).min(i32::MAX as u32);
+                (number, set(Parameter::FirstEpoch, epoch as i32))
+            }
+            _ => return None,
+        };
+        Some(ParameterCommand { number, action })
+    }
+
+    /// Whether a report is of one of the server's own commands.
+    pub(super) fn is_own(report: &ParameterReport) -> bool {
+        report.number >= FIRST_NUMBER
+    }
+
+    /// Takes the robot's answer to a command of a cure: what to tell it next, or the epoch below
+    /// which its tiles are retired.
+    pub(super) fn reported(&mut self, report: &ParameterReport, now: Instant) -> Option<Answered> {
+        let value = report.values.first().map(|it| it.value);
+        let value = value.filter(|_| report.outcome == ParameterOutcome::Done);
+        match self.cure {
+            Cure::Asking { number, turn } if number == report.number => {
+                // With a robot that does not know the parameter all begins again.
+                self.cure = Cure::None;
+                self.errors.remounted(Angle(0));
+                let heading = Angle(value? as u16) + turn;
+                let number = FIRST_NUMBER + 1;
+                self.cure = Cure::Mounting { number, turn };
+                let value = ParameterValue {
+                    parameter: Parameter::MountingHeading as u16,
+                    value: i32::from(heading.0 as i16),
+                };
+                let action = ParameterAction::Set(value);
+                Some(Answered::Next(ParameterCommand { number, action }))
+            }
+            Cure::Mounting { number, turn } if number == report.number => {
+                self.errors.remounted(turn);
+                self.cured = now;
+                self.cure = Cure::Settling(now);
+                None
+            }
+            Cure::Retiring { number } if number == report.number => {
+                self.cure = Cure::None;
+                Some(Answered::Retired(Epoch(u32::try_from(value?).ok()?)))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// What follows from a robot's answer.
+pub(super) enum Answered {
+    /// The next command.
+    Next(ParameterCommand),
+    /// The tiles of epochs below this one are void.
+    Retired(Epoch),
+}
+
+/// How far the map is looked at.
+fn reach(points: &[[f64; 2]], search: Search) -> Millimetres {
+    let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
+    Millimetres(farthest as i32 + search.position.0 + 300)
+}

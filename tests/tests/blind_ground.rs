@@ -1,0 +1,172 @@
+//! A robot whose wheels slip drives 10 m where no camera sees it, and knows where it is by what it
+//! sees.
+
+use std::collections::BTreeMap;
+
+use ubimap_agent::{Config, locate::OdometryNoise};
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose},
+};
+use ubimap_sim_host::{
+    channel::fault::Faults,
+    run::{
+        fleet::{AgentMemory, FUSED_TILES, Fleet, OWN_TILES},
+        simulate::{RESOLUTION, Room, config},
+    },
+    world::{Scenario, World},
+};
+
+/// An aisle of 17 m, of which the camera sees the west end.
+const HALL: &str = r#"
+    duration_s = 60.0
+    slice_height_m = 0.2
+
+    [room]
+    height_m = 3.0
+    outline_m = [[0.0, 1.2], [17.0, 1.2], [17.0, 4.8], [0.0, 4.8]]
+
+    [[room.walls]]
+    points_m = [[6.0, 4.8], [6.0, 4.2]]
+    [[room.walls]]
+    points_m = [[10.5, 1.2], [10.5, 1.9]]
+
+    [[furniture]]
+    footprint.box = { centre_m = [4.5, 1.5], size_m = [1.2, 0.5] }
+    top_m = 1.5
+    [[furniture]]
+    footprint.box = { centre_m = [8.3, 4.5], size_m = [1.5, 0.5] }
+    top_m = 1.5
+    [[furniture]]
+    footprint.box = { centre_m = [7.4, 1.6], size_m = [0.8, 0.5], heading_deg = 25.0 }
+    top_m = 1.5
+    [[furniture]]
+    footprint.disc = { centre_m = [12.2, 4.4], radius_m = 0.25 }
+    top_m = 1.5
+    [[furniture]]
+    footprint.box = { centre_m = [14.2, 1.6], size_m = [1.0, 0.7] }
+    top_m = 1.5
+
+    [[cameras]]
+    position_m = [0.3, 3.0, 2.8]
+    look_at_m = [1.6, 3.0, 0.0]
+    range_m = 4.5
+    position_noise_m = 0.005
+    heading_noise_deg = 0.3
+
+    [[robots]]
+    id = 1
+    start = { x_m = 0.8, y_m = 2.6, heading_deg = 0.0 }
+    route.waypoints_m = [[5.5, 2.6], [8.0, 3.4], [11.0, 2.6], [15.5, 3.2], [11.0, 2.6], [8.0, 3.4], [5.5, 2.6]]
+    odometry = { slip = 0.02, drift_deg_per_m = 1.0 }
+"#;
+
+/// Another robot, of perfect wheels, that has been along the same way shortly before and looks about
+/// at its end.
+const SCOUT: &str = r#"
+    [[robots]]
+    id = 2
+    start = { x_m = 2.4, y_m = 3.4, heading_deg = 0.0 }
+    route.waypoints_m = [
+        [5.5, 3.2], [8.0, 3.4], [11.0, 2.9],
+        [15.7, 3.4], [15.7, 2.6], [15.7, 3.4], [15.7, 2.6], [15.7, 3.4], [15.7, 2.6], [15.7, 3.4],
+        [15.7, 2.6], [15.7, 3.4], [15.7, 2.6], [11.0, 2.9], [8.0, 3.4], [5.5, 3.2],
+    ]
+    route.speed_m_s = 0.9
+    odometry = { slip = 0.0, turn_slip = 0.0, noise_m = 0.0, heading_noise_deg = 0.0 }
+"#;
+
+/// How far the robot and its wheels were off: metres and degrees.
+#[derive(Debug)]
+struct Off {
+    robot: (f64, f64),
+    wheels: (f64, f64),
+}
+
+fn off(believed: Pose, truth: Pose) -> (f64, f64) {
+    let (dx, dy) = (believed.x - truth.x, believed.y - truth.y);
+    let turn = (believed.heading - truth.heading).degrees().abs();
+    (dx.metres().hypot(dy.metres()), turn)
+}
+
+/// A pose of `odom` in `map`, `odom` being where it was when it was at `then` and the robot at
+/// `start`.
+fn carried(odometry: Pose, then: Pose, start: Pose) -> Pose {
+    let turn = start.heading - then.heading;
+    let (sin, cos) = turn.radians().sin_cos();
+    let (dx, dy) = ((odometry.x - then.x).metres(), (odometry.y - then.y).metres());
+    let (x, y) = (start.x.metres() + cos * dx - sin * dy, start.y.metres() + sin * dx + cos * dy);
+    Pose { heading: odometry.heading + turn, ..Pose::from_metres(x, y, 0.0) }
+}
+
+/// After so many metres in blind ground; the worst of the way besides.
+fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
+    let scenario = Scenario::from_toml(scenario, "hall.toml").unwrap();
+    let world = || World::new(&scenario, None, RESOLUTION, seed).unwrap();
+    // The same world again, to know the truth.
+    let mut mirror = world();
+    let covered: std::collections::BTreeSet<_> = mirror.covered(0).into_iter().collect();
+    // What is known of such wheels: 2 cm and a degree on a metre.
+    let heading_per_metre = Angle::from_degrees(1.0);
+    let position_per_metre = Millimetres(20);
+    let odometry_noise =
+        OdometryNoise { position_per_metre, heading_per_metre, ..OdometryNoise::default() };
+    let configs: Vec<Config> = mirror
+        .robots()
+        .iter()
+        .map(|robot| Config { odometry_noise, ..config(robot, seed) })
+        .collect();
+    let mut memory: Vec<AgentMemory> = configs
+        .iter()
+        .map(|config| AgentMemory::new(config, 160, OWN_TILES, FUSED_TILES))
+        .collect();
+    let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, seed, None).unwrap();
+    let mut stage = Room::new(world(), Instant(0) + Duration::from_secs(48));
+    let mut truths = BTreeMap::<u64, Pose>::new();
+    let mut entered: Option<(Pose, Pose)> = None;
+    let (mut way, mut last) = (0.0, None);
+    let (mut worst, mut end) = ((0.0f64, 0.0f64), None);
+    let _ = fleet.run(&mut stage, |fleet| {
+        mirror.advance(fleet.now());
+        let robot = &mirror.robots()[0];
+        let (truth, odometry) = (robot.truth(), robot.odometry());
+        truths.insert(mirror.now().0, truth);
+        let cell = (truth.x.0.div_euclid(RESOLUTION.0), truth.y.0.div_euclid(RESOLUTION.0));
+        if covered.contains(&cell) {
+            entered = None;
+        } else {
+            let (start, then) = *entered.get_or_insert((truth, odometry));
+            let Some((moment, believed)) = fleet.robots()[0].agent().pose() else { return };
+            way += last.map_or(0.0, |last: Pose| off(last, truth).0);
+            // Up to a step older than the pose.
+            let Some((_, was)) = truths.range(..=moment.0).next_back() else { return };
+            let now = off(believed, *was);
+            if way <= metres {
+                worst = (worst.0.max(now.0), worst.1.max(now.1));
+                let wheels = off(carried(odometry, then, start), truth);
+                end = Some(Off { robot: now, wheels });
+            }
+        }
+        last = Some(truth);
+    });
+    assert!(way >= metres, "it came only {way} m far");
+    (end.unwrap(), worst)
+}
+
+#[test]
+fn ten_metres_through_blind_ground() {
+    for (name, scenario) in
+        [("that nobody has seen", HALL.to_owned()), ("that is known", format!("{HALL}{SCOUT}"))]
+    {
+        for seed in 1..=3 {
+            let (Off { robot, wheels }, worst) = drive(&scenario, seed, 10.0);
+            println!(
+                "seed {seed}, ground {name}: off by {:.3} m and {:.2} degrees at the end, {:.3} m \
+                 and {:.2} at worst; odometry alone {:.3} m and {:.2}",
+                robot.0, robot.1, worst.0, worst.1, wheels.0, wheels.1
+            );
+            assert!(wheels.1 > 5.0, "{wheels:?}");
+        }
+    }
+}
