@@ -17,8 +17,8 @@ use crate::{
     inbox::{Inbox, Knock},
     locate::{Located, Locator},
     map::{
-        LocalMap, MAX_RADIUS, MIN_RESOLUTION, MappingConfig, Pool, Selected, Selection,
-        scratch_words,
+        LocalMap, MAX_RADIUS, MIN_RESOLUTION, MappingConfig, PeerMasks, Pool, Selected, Selection,
+        Surround, View, scratch_words,
     },
     parameters::{carry_out, push_report},
     sense::{Beam, Columns, ScanError, Steadiness, WaitingScans, fill_beams, remove_beams},
@@ -563,8 +563,13 @@ impl<'b> Agent<'b> {
                 }
                 Selected::Moved(part) | Selected::Changed(part) => part,
             };
-            let fused = &self.fused;
-            let around = |id| fused.around(id, now);
+            let (fused, locator) = (&self.fused, &self.locator);
+            let Config { max_range: range, resolution, peer_mask: mask, .. } = self.config;
+            let view = View { pose, moment, range, resolution, mask };
+            // Without the server's time they mean nothing.
+            let peers = self.commands.peers().filter(|_| server_moment.is_some());
+            let peers = PeerMasks::new(peers, &view, || locator.variances(taken));
+            let around = |id| Surround { masked: peers.cells(id), ..fused.around(id, now) };
             let beams = self.beams.get(part.clone()).unwrap_or_default();
             let seen = readings.get(part).unwrap_or_default();
             let Some(mapped) = self.map.add(beams, seen, pose, around) else {

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 
 use crate::{
     locate::{OdometryNoise, PoseSource, UncertaintyLimit},
-    map::{Gate, OwnTile, Policy, RowSighting},
+    map::{Gate, OwnTile, PeerMask, Policy, RowSighting},
     sense::{Beam, Removal, SensorModel, SteadyLimits, Validity},
     share::FusedTile,
 };
@@ -44,6 +44,8 @@ pub struct Config {
     pub gate: Gate,
     /// How much of what the sensor says is mapped.
     pub policy: Policy,
+    /// What is not mapped of other robots.
+    pub peer_mask: PeerMask,
     /// How long a scan waits for its pose.
     pub scan_deadline: Duration,
     /// How long changes of the map are gathered before they are sent.
@@ -74,6 +76,7 @@ impl Config {
             uncertainty_limit: UncertaintyLimit::default(),
             gate: Gate::default(),
             policy: Policy::default(),
+            peer_mask: PeerMask::default(),
             scan_deadline: Duration::from_millis(1_500),
             hold: Duration::from_secs(1),
             vector_interval: Duration::from_secs(5),

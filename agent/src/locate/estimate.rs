@@ -52,12 +52,12 @@ impl Fix {
 }
 
 /// How unsure a pose is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Variances {
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Variances {
     /// Of the distance from the true position: mm^2.
-    pub(super) position: f32,
+    pub(crate) position: f32,
     /// Of the heading: rad^2.
-    pub(super) heading: f32,
+    pub(crate) heading: f32,
 }
 
 impl Variances {

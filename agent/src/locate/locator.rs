@@ -132,6 +132,12 @@ impl Locator {
         if self.is_within_limit(variances) { Located::At(pose) } else { Located::Unsure(pose) }
     }
 
+    /// How unsure the pose at `moment` is that [`Locator::at`] tells. All of 13,000 instructions at
+    /// the most.
+    pub(crate) fn variances(&self, moment: Instant) -> Variances {
+        self.best(moment).map_or(Variances::default(), |(_, variances)| variances)
+    }
+
     /// Whether a measurement may come, late or after the moment, that tells more of it.
     fn may_know_better(&self, moment: Instant, now: Instant) -> bool {
         let fresh = |newest: Instant| now.since(newest) <= WIDEST_GAP;

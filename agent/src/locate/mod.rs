@@ -9,6 +9,7 @@ mod odometry;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use estimate::Variances;
 pub use filter::{Backwards, FixError, FixOutcome};
 pub use locator::{Located, Locator, PoseSource, UncertaintyLimit};
 pub use odometry::OdometryNoise;

@@ -13,7 +13,7 @@ use super::{
     policy::Policy,
     projection::Projection,
     trace::{Grain, PixelCounts, trace},
-    window::{Window, words_of},
+    window::{Window, below, words_of},
 };
 use crate::sense::{Beam, Validity};
 
@@ -63,7 +63,6 @@ impl Near {
         let (x, y) = id.first_cell();
         let side = TILE_SIDE as i32;
         let from = |low: i32, first: i32| low.wrapping_sub(first).max(0).min(side) as u32;
-        let below = |columns: u32| ((1u64 << columns) - 1) as u32;
         let rows = from(self.low.1, y) as usize..from(self.high.1, y) as usize;
         NearCells { rows, columns: below(from(self.high.0, x)) & !below(from(self.low.0, x)) }
     }
@@ -93,6 +92,8 @@ pub struct Surround<'m> {
     pub merged: Option<&'m Tile>,
     /// The cells that are left to the cameras, a word for each row; `None` if there are none.
     pub covered: Option<&'m [u32; TILE_SIDE]>,
+    /// The cells that other robots take up, likewise.
+    pub masked: Option<[u32; TILE_SIDE]>,
 }
 
 /// The map of one robot.
@@ -174,13 +175,21 @@ impl<'b> LocalMap<'b> {
             let any_near = nearest <= u32::from(max_range) / 4;
             let Self { pool, scans, .. } = self;
             window.for_each_piece(|piece| {
-                let Surround { merged, covered } = around(piece.id);
+                let Surround { merged, covered, mut masked } = around(piece.id);
+                let left_out = match &mut masked {
+                    None => covered,
+                    Some(masked) => {
+                        let covered = covered.into_iter().flatten();
+                        masked.iter_mut().zip(covered).for_each(|(row, covered)| *row |= covered);
+                        Some(&*masked)
+                    }
+                };
                 let mut memory;
-                let piece = match covered {
+                let piece = match left_out {
                     None => piece,
-                    Some(covered) => {
+                    Some(left_out) => {
                         memory = [RowSighting::default(); 2 * TILE_SIDE];
-                        piece.without(covered, &mut memory)
+                        piece.without(left_out, &mut memory)
                     }
                 };
                 if piece.says_nothing() {
@@ -410,7 +419,7 @@ mod tests {
             let mut scratch = vec![RowSighting::default(); scratch_words(RANGE, CONFIG.resolution)];
             let mut places = [OwnTile::FREE; 9];
             let mut map = LocalMap::new(config, &beams, &mut scratch, Pool::new(&mut places));
-            let known = |_| Surround { covered, merged: None };
+            let known = |_| Surround { covered, ..Surround::default() };
             let mapped = map.add(&beams, &[1_500; 90], Pose::default(), known).unwrap();
             let tiles = map.pool.tiles().map(|tile| (tile.id(), tile.evidence.cells()));
             (mapped.pixels, tiles.collect::<Vec<_>>())

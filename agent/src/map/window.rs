@@ -174,6 +174,11 @@ impl<'s> Window<'s> {
     }
 }
 
+/// Columns of a word, 32 at most, counted from the west.
+pub(super) fn below(columns: u32) -> u32 {
+    ((1u64 << columns) - 1) as u32
+}
+
 /// The first row, or column, whose middle is at or beyond a coordinate.
 #[inline(always)]
 fn middle_from(coordinate: i32) -> i32 {

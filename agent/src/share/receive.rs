@@ -192,6 +192,7 @@ impl<'b> FusedMap<'b> {
         Surround {
             merged: self.tile(id),
             covered: self.place(id).filter(fresh).map(|place| &place.covered),
+            masked: None,
         }
     }
 

@@ -1,0 +1,307 @@
+//! The other robots, which are not mapped (Ahmed 2.2, the "window around other robots").
+//!
+//! Ahmed leaves out a square around each. A robot is no square: his maps have its ends in them, and
+//! a square that is wide enough for any heading hides walls beside a long one. Here a robot takes up
+//! its footprint at its heading, with room for all that is not certain of it; where the heading is
+//! not known any more, that becomes as wide as the square.
+
+use heapless::Vec;
+use libm::sqrtf;
+use ubimap_protocol::{
+    message::{MAX_PEERS, Peer, Peers},
+    tile::{TILE_SIDE, TileId},
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose},
+};
+
+use super::window::below;
+use crate::{
+    locate::Variances,
+    trigonometry::{radians, sin_cos},
+};
+
+/// What is left out of the map around another robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PeerMask {
+    /// Its footprint, at its heading.
+    #[default]
+    Footprint,
+    /// A square along the axes of `map` that holds its footprint at any heading (Ahmed 2.2).
+    Square,
+}
+
+/// A robot that has not been heard of for longer may be anywhere.
+const LOST: Duration = Duration::from_secs(3);
+/// How far a robot may have gone, and turned, since it was seen: mm/s, rad/s.
+const SPEED: f32 = 500.0;
+const TURN: f32 = 1.0;
+/// As far as that gets it before it is lost: mm.
+const FARTHEST: u32 = 1_500;
+/// The variance of a position that cameras see, 30 mm, and twice the deviation of a heading, rad.
+const SEEN_POSITION: f32 = 900.0;
+const SEEN_TURN: f32 = 0.07;
+/// More than there can be: rad.
+const ANY_TURN: f32 = 10.0;
+/// The variance of a reading, in parts of its square: a 64th.
+const READING: f32 = 1.0 / 4_096.0;
+
+/// A scan, as far as it matters to those in view.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View {
+    /// `base_link` in `map` when it was taken.
+    pub(crate) pose: Pose,
+    /// When that was, in the server's clock.
+    pub(crate) moment: Instant,
+    /// Beyond it nothing is mapped: millimetres.
+    pub(crate) range: u16,
+    /// The side of a cell.
+    pub(crate) resolution: Millimetres,
+    /// What is left out.
+    pub(crate) mask: PeerMask,
+}
+
+/// What the other robots take up during a scan.
+#[derive(Debug)]
+pub(crate) struct PeerMasks {
+    masks: Vec<Mask, MAX_PEERS>,
+    /// That of a cell: mm.
+    side: i32,
+}
+
+impl PeerMasks {
+    /// Of those robots that may be in view. `unsure` says how unsure the scan's pose is, and is
+    /// asked only if there is one.
+    pub(crate) fn new(peers: Option<&Peers>, view: &View, unsure: impl Fn() -> Variances) -> Self {
+        let mut near = Self { masks: Vec::new(), side: view.resolution.0.clamp(1, 1 << 16) };
+        let mut variances = None;
+        for (peers, peer) in
+            peers.into_iter().flat_map(|it| it.peers.iter().map(move |peer| (it, peer)))
+        {
+            let reach = u32::from(view.range) + u32::from(peer.half_length);
+            let reach = reach + u32::from(peer.half_width) + FARTHEST;
+            let off = |here: Millimetres, there: Millimetres| (there - here).0.unsigned_abs();
+            let off = off(view.pose.x, peer.pose.x).max(off(view.pose.y, peer.pose.y));
+            let seen = peers.time - Duration(u64::from(u32::from(peer.age) * 10_000));
+            let age = view.moment.0.abs_diff(seen.0);
+            if off <= reach && age <= LOST.0 {
+                let variances = *variances.get_or_insert_with(&unsure);
+                // There is room for each.
+                let _ = near.masks.push(Mask::new(peer, age as u32, view, variances));
+            }
+        }
+        near
+    }
+
+    /// The cells of a tile whose middles a robot takes up, a word for each row; `None` if no robot
+    /// is near. About 1,000 instructions for a robot that is.
+    pub(crate) fn cells(&self, id: TileId) -> Option<[u32; TILE_SIDE]> {
+        let mut cells = None;
+        for mask in &self.masks {
+            let (x, y) = id.first_cell();
+            // From the robot to the middle of the first cell.
+            let from = |cell: i32, centre: Millimetres| {
+                let middle = cell.wrapping_mul(self.side).wrapping_add(self.side / 2);
+                (Millimetres(middle) - centre).0 as f32
+            };
+            let (x, y) = (from(x, mask.centre.0), from(y, mask.centre.1));
+            let last = (self.side * (TILE_SIDE as i32 - 1)) as f32;
+            let reach = mask.length + mask.width;
+            let near = |first: f32| first < reach && first + last > -reach;
+            if near(x) && near(y) {
+                mask.mark(x, y, self.side as f32, cells.get_or_insert([0; TILE_SIDE]));
+            }
+        }
+        cells
+    }
+}
+
+/// What one robot takes up: a rectangle.
+#[derive(Clone, Copy, Debug)]
+struct Mask {
+    centre: (Millimetres, Millimetres),
+    /// Cosine and sine of its heading.
+    turn: (f32, f32),
+    /// Half its length and its width: mm.
+    length: f32,
+    width: f32,
+}
+
+impl Mask {
+    /// A robot whose pose is so many microseconds older, or newer, than the scan.
+    fn new(peer: &Peer, age: u32, view: &View, unsure: Variances) -> Self {
+        let seconds = age as f32 * 1.0e-6;
+        let off = |here: Millimetres, there: Millimetres| (there - here).0 as f32;
+        let (dx, dy) = (off(view.pose.x, peer.pose.x), off(view.pose.y, peer.pose.y));
+        let variance = SEEN_POSITION
+            + unsure.position / 2.0
+            + (unsure.heading + READING) * (dx * dx + dy * dy);
+        // Two standard deviations. A hit in the outermost corner of a cell is in that cell.
+        let room = 2.0 * sqrtf(variance) + SPEED * seconds + view.resolution.0 as f32 * 0.71;
+
+        let (length, width) = (f32::from(peer.half_length), f32::from(peer.half_width));
+        let all_round = sqrtf(length * length + width * width);
+        let (heading, turned) = match view.mask {
+            PeerMask::Footprint => (peer.pose.heading, SEEN_TURN + TURN * seconds),
+            PeerMask::Square => (Angle(0), ANY_TURN),
+        };
+        let (sin, cos) = sin_cos(radians(heading));
+        Self {
+            centre: (peer.pose.x, peer.pose.y),
+            turn: (away_from_zero(cos), away_from_zero(sin)),
+            length: least(length + width * turned, all_round) + room,
+            width: least(width + length * turned, all_round) + room,
+        }
+    }
+
+    /// Marks the cells of a tile, of which the first one's middle is at (x, y) from the centre.
+    fn mark(&self, x: f32, y: f32, side: f32, cells: &mut [u32; TILE_SIDE]) {
+        let (cos, sin) = self.turn;
+        // A row of cells crosses both pairs of the rectangle's sides: within each pair it is so far
+        // to either way of a middle that moves by so much from row to row.
+        let (ends, ends_slope) = (self.length / cos.abs(), -sin / cos);
+        let (flanks, flanks_slope) = (self.width / sin.abs(), cos / sin);
+        let mut y = y;
+        for row in cells {
+            let (a, b) = (ends_slope * y, flanks_slope * y);
+            let low = -least(ends - a, flanks - b);
+            let high = least(ends + a, flanks + b);
+            *row |= below(column(high, x, side)) & !below(column(low, x, side));
+            y += side;
+        }
+    }
+}
+
+/// Without the fourth of a degree next to the axes, of which there is no inverse.
+fn away_from_zero(value: f32) -> f32 {
+    const LEAST: f32 = 0.002;
+    if value.abs() < LEAST { LEAST } else { value }
+}
+
+/// For numbers only.
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// The first column whose middle is beyond a coordinate, 0 to 32.
+fn column(at: f32, first: f32, side: f32) -> u32 {
+    // The cast rounds down what is positive, and saturates.
+    let cells = ((at - first) / side + 64.0) as i32;
+    cells.saturating_sub(63).clamp(0, TILE_SIDE as i32) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use ubimap_protocol::units::RobotId;
+
+    const SIDE: i32 = 50;
+
+    fn at(x: i32, y: i32, heading: u16) -> Pose {
+        Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) }
+    }
+
+    fn peer(pose: Pose, half_length: u16, half_width: u16) -> Peer {
+        Peer { robot: RobotId(2), pose, age: 0, half_length, half_width }
+    }
+
+    fn view(mask: PeerMask, moment: u64) -> View {
+        let resolution = Millimetres(SIDE);
+        View { pose: Pose::default(), moment: Instant(moment), range: 4_000, resolution, mask }
+    }
+
+    fn masks(peer: Peer, view: &View) -> PeerMasks {
+        let peers = Peers { time: Instant(10_000_000), peers: [peer].into_iter().collect() };
+        PeerMasks::new(Some(&peers), view, Variances::default)
+    }
+
+    /// How many cells of the tiles around the origin are left out.
+    fn count(masks: &PeerMasks) -> u32 {
+        let tiles = (-4..4i16).flat_map(|y| (-4..4i16).map(move |x| TileId { x, y }));
+        tiles.filter_map(|id| masks.cells(id)).flatten().map(u32::count_ones).sum()
+    }
+
+    proptest! {
+        /// Every cell by itself, but for those whose middles lie on a side.
+        #[test]
+        fn a_mask_is_the_cells_inside_its_rectangle(
+            x in -3_000..3_000i32, y in -3_000..3_000i32, heading: u16,
+            half_length in 0..900u16, half_width in 0..900u16,
+        ) {
+            let view = view(PeerMask::Footprint, 10_000_000);
+            let masks = masks(peer(at(x, y, heading), half_length, half_width), &view);
+            let [mask] = masks.masks[..] else { panic!() };
+            let (sin, cos) = libm::sincos(Angle(heading).radians());
+            for id in (-3..3i16).flat_map(|y| (-3..3i16).map(move |x| TileId { x, y })) {
+                let cells = masks.cells(id).unwrap_or_default();
+                for (row, cells) in cells.into_iter().enumerate() {
+                    for column in 0..TILE_SIDE {
+                        let (first_x, first_y) = id.first_cell();
+                        let middle = |first: i32, cell: usize| {
+                            f64::from((first + cell as i32) * SIDE + SIDE / 2)
+                        };
+                        let dx = middle(first_x, column) - f64::from(x);
+                        let dy = middle(first_y, row) - f64::from(y);
+                        let along = (dx * cos + dy * sin).abs() - f64::from(mask.length);
+                        let across = (dy * cos - dx * sin).abs() - f64::from(mask.width);
+                        let off = along.max(across);
+                        // Next to an axis it is turned by up to a fourth of a degree.
+                        let slack = 1.0 + 0.005 * dx.hypot(dy);
+                        let is_in = cells >> column & 1 != 0;
+                        prop_assert!(off.abs() < slack || is_in == (off < 0.0), "{off} at {dx}, {dy}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_footprint_takes_less_than_the_square_and_more_when_unheard_of() {
+        let body = peer(at(1_500, 300, 5_000), 600, 150);
+        let count = |mask, moment| count(&masks(body, &view(mask, moment)));
+        let (square, footprint) =
+            (count(PeerMask::Square, 10_000_000), count(PeerMask::Footprint, 10_000_000));
+        assert!(2 * footprint < square, "{footprint} of {square}");
+        // Unheard of for longer it takes more room, up to the square's and what it may have gone.
+        let mut last = footprint;
+        for age in [100_000, 500_000, 1_000_000, 3_000_000] {
+            let older = count(PeerMask::Footprint, 10_000_000 + age);
+            assert!(last < older && older <= count(PeerMask::Square, 10_000_000 + age));
+            assert_eq!(older, count(PeerMask::Footprint, 10_000_000 - age), "of a scan before");
+            last = older;
+        }
+        assert_eq!(count(PeerMask::Footprint, 13_000_001), 0, "it may be anywhere");
+    }
+
+    #[test]
+    fn who_is_out_of_reach_costs_nothing_more() {
+        let peers = |x| Peers {
+            time: Instant(0),
+            peers: [peer(at(x, 0, 0), 300, 200)].into_iter().collect(),
+        };
+        let unsure = || panic!("nobody is near");
+        for x in [6_001, i32::MAX, i32::MIN] {
+            let view = view(PeerMask::Footprint, 0);
+            assert!(PeerMasks::new(Some(&peers(x)), &view, unsure).masks.is_empty());
+        }
+        assert!(PeerMasks::new(None, &view(PeerMask::Footprint, 0), unsure).masks.is_empty());
+    }
+
+    #[test]
+    fn an_unsure_pose_leaves_more_room() {
+        let room = |variances: Variances| {
+            let peers = Peers {
+                time: Instant(0),
+                peers: [peer(at(2_000, 0, 0), 300, 200)].into_iter().collect(),
+            };
+            let masks = PeerMasks::new(Some(&peers), &view(PeerMask::Square, 0), || variances);
+            masks.masks[0].width
+        };
+        let sure = room(Variances::default());
+        // A degree at 2 m is 35 mm; with the 30 mm of the other's and the 31 mm of the reading.
+        let expected = |more: f32| 360.56 + 35.5 + 2.0 * (900.0f32 + 976.6 + more).sqrt();
+        assert!((sure - expected(0.0)).abs() < 0.1, "{sure}");
+        let unsure = room(Variances { position: 5_000.0, heading: 0.000_304_6 });
+        assert!((unsure - expected(2_500.0 + 1_218.5)).abs() < 0.1, "{unsure}");
+    }
+}

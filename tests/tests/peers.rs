@@ -1,0 +1,186 @@
+//! What becomes of another robot on the map: without a mask, with a square around it (Ahmed 2.2), and
+//! with its footprint. A square for a robot as long as it is wide leaves Ahmed's errors (his figures 5
+//! and 6): ends of robots that were taken for walls.
+
+use std::collections::{BTreeSet, VecDeque};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use ubimap_agent::{Config, map::PeerMask, sense::SensorModel};
+use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE},
+    time::{Duration, Instant},
+    units::{Pose, RobotId},
+};
+use ubimap_sim_host::{
+    camera::Observation,
+    channel::fault::Faults,
+    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+    server::Footprint,
+};
+
+/// Beams of a half circle.
+const BEAMS: usize = 181;
+/// A room of 6 by 4 m around the origin: half its sides.
+const ROOM: [f64; 2] = [3.0, 2.0];
+/// Half the length and width of the other robot.
+const BODY: [f64; 2] = [0.6, 0.15];
+/// How long the robots are about.
+const SECONDS: u64 = 12;
+
+/// Where the other robot is after some seconds.
+type Way = fn(f64) -> [f64; 3];
+
+const SCENES: [(&str, Way); 4] = [
+    ("standing 35 cm off a wall", |_| [0.6, 1.5, 0.0]),
+    ("standing 65 cm off a wall", |_| [0.6, 1.2, 0.0]),
+    ("turning on the spot", |seconds| [0.6, 1.1, 0.5 * seconds]),
+    ("driving along a wall", |seconds| [-0.8 + 0.2 * seconds, 1.3, 0.0]),
+];
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Told {
+    Nothing,
+    /// Of a robot as long as it is wide.
+    Short(PeerMask),
+    Of(PeerMask),
+}
+
+/// Cells that were said to be occupied at any time.
+struct Drawn {
+    /// Where there is no wall.
+    wrong: BTreeSet<(i32, i32)>,
+    walls: BTreeSet<(i32, i32)>,
+}
+
+struct Script(VecDeque<(Instant, Event)>);
+
+impl Stage for Script {
+    fn next_event(&self) -> Option<Instant> {
+        Some(self.0.front()?.0)
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Event> {
+        let due = self.0.front().is_some_and(|(moment, _)| *moment <= now);
+        due.then(|| self.0.pop_front()).flatten().map(|(_, event)| event)
+    }
+}
+
+/// How far it is to the walls or to the other robot, along a unit vector.
+fn range(from: [f64; 2], way: [f64; 2], body: [f64; 3]) -> f64 {
+    let walls = (0..2).map(|axis| (ROOM[axis] * way[axis].signum() - from[axis]) / way[axis]);
+    let wall = walls.fold(f64::INFINITY, f64::min);
+    let (sin, cos) = body[2].sin_cos();
+    let turned = |[x, y]: [f64; 2]| [x * cos + y * sin, y * cos - x * sin];
+    let (from, way) = (turned([from[0] - body[0], from[1] - body[1]]), turned(way));
+    let (mut enter, mut leave) = (0.0f64, wall);
+    for axis in 0..2 {
+        let to = |side: f64| (side - from[axis]) / way[axis];
+        let (a, b) = (to(BODY[axis]), to(-BODY[axis]));
+        (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+    }
+    if enter < leave { enter } else { wall }
+}
+
+/// A robot maps the room in which another one is about; cameras see both, but nothing of the room.
+fn run(way: Way, told: Told) -> Drawn {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let step = std::f64::consts::PI / (BEAMS - 1) as f64;
+    let first = -std::f64::consts::FRAC_PI_2;
+    let sensor = SensorModel::Radial { first: first as f32, step: step as f32 };
+    let mut config = Config::new(RobotId(1), sensor);
+    if let Told::Of(mask) | Told::Short(mask) = told {
+        config.peer_mask = mask;
+    }
+    let mut events = VecDeque::new();
+    for millis in (0..SECONDS * 1_000).step_by(10) {
+        let now = Instant(millis * 1_000);
+        let seconds = millis as f64 / 1_000.0;
+        // To and fro, looking at the other one.
+        let at = [-1.2 + 0.3 * seconds.sin(), -0.6];
+        let body = way(seconds);
+        if millis % 70 == 0 {
+            let mut noisy = |[x, y, heading]: [f64; 3]| {
+                let mut off = |most: f64| rng.random_range(-most..most);
+                Pose::from_metres(x + off(0.02), y + off(0.02), heading + off(0.02))
+            };
+            let mut robots = vec![(RobotId(1), noisy([at[0], at[1], 0.6]))];
+            let other = (RobotId(2), noisy(body));
+            robots.extend((told != Told::Nothing).then_some(other));
+            let observation = Observation { camera: 0, captured: now, robots, cells: Vec::new() };
+            events.push_back((now, Event::Observation(observation)));
+        }
+        // The clocks agree by then.
+        if millis % 100 == 50 && seconds > 3.0 {
+            let readings = (0..BEAMS).map(|beam| {
+                let bearing = 0.6 + first + beam as f64 * step;
+                let range = range(at, [bearing.cos(), bearing.sin()], body);
+                (range * 1_000.0 * rng.random_range(0.99..1.01)) as u16
+            });
+            events.push_back((now, Event::Scan { robot: 0, readings: readings.collect() }));
+        }
+    }
+    let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
+    let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, config.resolution, 1, None).unwrap();
+    let [mut half_length, half_width] = BODY.map(|half| (half * 1_000.0) as u16);
+    if matches!(told, Told::Short(_)) {
+        half_length = half_width;
+    }
+    fleet.set_footprint(RobotId(2), Footprint { half_length, half_width });
+
+    let mut drawn = Drawn { wrong: BTreeSet::new(), walls: BTreeSet::new() };
+    let side = config.resolution.metres();
+    let converged = fleet.run(&mut Script(events), |fleet| {
+        for tile in fleet.robots()[0].agent().own_tiles().tiles() {
+            let (x0, y0) = tile.id().unwrap().first_cell();
+            let cells = (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y)));
+            for (x, y) in cells {
+                if !matches!(tile.publication().sent().cell(x, y), Cell::Occupied | Cell::Movable) {
+                    continue;
+                }
+                let cell = (x0 + x as i32, y0 + y as i32);
+                let middle = [cell.0, cell.1].map(|cell| (f64::from(cell) + 0.5) * side);
+                let off = (0..2).map(|axis| ROOM[axis] - middle[axis].abs());
+                // The noise of poses and readings, and half a cell.
+                let is_wall = off.fold(f64::INFINITY, f64::min).abs() < 0.13;
+                if is_wall { &mut drawn.walls } else { &mut drawn.wrong }.insert(cell);
+            }
+        }
+    });
+    assert!(converged.unwrap());
+    let statistics = fleet.robots()[0].agent().statistics();
+    assert!(statistics.mapped > 30, "{statistics:?}");
+    drawn
+}
+
+#[test]
+fn a_footprint_keeps_others_off_the_map_and_the_walls_beside_them_on_it() {
+    println!(
+        "cells of another robot of 1.2 by 0.3 m that were mapped; cells of walls that were not"
+    );
+    let columns = ["no mask", "square of 0.3 m", "square of 1.2 m", "footprint"];
+    println!("{:<26}{:>12}{:>18}{:>18}{:>12}", "", columns[0], columns[1], columns[2], columns[3]);
+    for (name, way) in SCENES {
+        let none = run(way, Told::Nothing);
+        let square = PeerMask::Square;
+        let told = [Told::Short(square), Told::Of(square), Told::Of(PeerMask::Footprint)];
+        let [short, square, footprint] = told.map(|told| {
+            let drawn = run(way, told);
+            (drawn.wrong.len(), none.walls.difference(&drawn.walls).count())
+        });
+        let print = |(wrong, lost)| format!("{wrong}; {lost}");
+        let (short_column, square_column) = (print(short), print(square));
+        let (none_column, footprint_column) = (print((none.wrong.len(), 0)), print(footprint));
+        println!(
+            "{name:<26}{none_column:>12}{short_column:>18}{square_column:>18}{footprint_column:>12}"
+        );
+        assert!(none.wrong.len() >= 50, "{name}: the other robot is not in view");
+        assert!(short.0 > 0, "{name}: a short square covers a long robot");
+        assert_eq!((square.0, footprint.0), (0, 0), "{name}: the masks let cells through");
+        assert!(
+            footprint.1 * 4 <= square.1,
+            "{name}: more walls lost than a quarter of the square's"
+        );
+    }
+}
