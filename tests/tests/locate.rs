@@ -4,31 +4,18 @@ use std::collections::VecDeque;
 
 use ubimap_agent::{Config, Statistics, sense::SensorModel};
 use ubimap_protocol::{
-    time::{Duration, Instant},
+    time::Duration,
     units::{Pose, RobotId},
 };
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::Faults,
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
 };
+use ubimap_tests::script::Script;
 
 const READINGS: usize = 30;
 const ROBOT: RobotId = RobotId(1);
-
-/// The events of a while, by time.
-struct While(VecDeque<(Instant, Event)>);
-
-impl Stage for While {
-    fn next_event(&self) -> Option<Instant> {
-        Some(self.0.front()?.0)
-    }
-
-    fn poll(&mut self, now: Instant) -> Option<Event> {
-        let due = self.0.front().is_some_and(|(moment, _)| *moment <= now);
-        due.then(|| self.0.pop_front()).flatten().map(|(_, event)| event)
-    }
-}
 
 /// A robot that drives up and down 2 m of a line.
 struct Drive<'b> {
@@ -66,7 +53,7 @@ impl Drive<'_> {
                 events.push_back((now, Event::Scan { robot: 0, readings: vec![2_000; READINGS] }));
             }
         }
-        self.fleet.run(&mut While(events), |_| {}).unwrap();
+        self.fleet.run(&mut Script(events), |_| {}).unwrap();
         let after = self.fleet.robots()[0].agent().statistics();
         println!("{after:?}");
         Statistics {

@@ -15,9 +15,10 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::Observation,
     channel::fault::Faults,
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
     server::Footprint,
 };
+use ubimap_tests::script::Script;
 
 /// Beams of a half circle.
 const BEAMS: usize = 181;
@@ -51,19 +52,6 @@ struct Drawn {
     /// Where there is no wall.
     wrong: BTreeSet<(i32, i32)>,
     walls: BTreeSet<(i32, i32)>,
-}
-
-struct Script(VecDeque<(Instant, Event)>);
-
-impl Stage for Script {
-    fn next_event(&self) -> Option<Instant> {
-        Some(self.0.front()?.0)
-    }
-
-    fn poll(&mut self, now: Instant) -> Option<Event> {
-        let due = self.0.front().is_some_and(|(moment, _)| *moment <= now);
-        due.then(|| self.0.pop_front()).flatten().map(|(_, event)| event)
-    }
 }
 
 /// How far it is to the walls or to the other robot, along a unit vector.

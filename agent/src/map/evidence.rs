@@ -34,6 +34,17 @@ impl RowSighting {
     }
 }
 
+/// What is known of two rows of a tile: the columns in which one of the two cells is so.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Certain {
+    /// Occupied for certain: 7.
+    pub(super) occupied: u32,
+    /// Free for certain: 1.
+    pub(super) free: u32,
+    /// Known, and neither.
+    pub(super) neither: u32,
+}
+
 impl Evidence {
     /// Nothing is known of any cell.
     pub const NONE: Self = Self { rows: [[0; 3]; TILE_SIDE] };
@@ -85,7 +96,23 @@ impl Evidence {
         }
     }
 
-    /// What is to be published: unknown, free or occupied.
+    /// What is certain, for every two rows from the south.
+    pub(super) fn certain(&self) -> impl Iterator<Item = Certain> {
+        let certain = |[low, middle, high]: [u32; 3]| {
+            let (occupied, free) = (low & middle & high, low & !middle & !high);
+            [occupied, free, (low | middle | high) & !occupied & !free]
+        };
+        self.rows.as_chunks::<2>().0.iter().map(move |&[south, north]| {
+            let ([occupied, free, neither], north) = (certain(south), certain(north));
+            Certain {
+                occupied: occupied | north[0],
+                free: free | north[1],
+                neither: neither | north[2],
+            }
+        })
+    }
+
+    /// What is known: unknown, free or occupied.
     pub fn cells(&self) -> Tile {
         let mut tile = Tile::UNKNOWN;
         let planes = tile.low.iter_mut().zip(&mut tile.high);

@@ -4,6 +4,7 @@ mod change;
 mod evidence;
 mod gate;
 mod local_map;
+mod movable;
 mod omission;
 mod own_tile;
 mod peers;

@@ -1,8 +1,11 @@
 //! A tile of the robot's own layer: its evidence, and what of it the server has.
 
-use ubimap_protocol::tile::{Epoch, Publication, Stamp, TileId, Version};
+use ubimap_protocol::{
+    tile::{Epoch, Publication, Stamp, Tile, TileId, Version},
+    time::Instant,
+};
 
-use super::evidence::Evidence;
+use super::{evidence::Evidence, movable::Changes};
 
 /// One place in the pool of the robot's own tiles.
 #[derive(Clone, Debug)]
@@ -13,6 +16,7 @@ pub struct OwnTile {
     pub(crate) epoch: Epoch,
     /// What speaks for and against its cells.
     pub(crate) evidence: Evidence,
+    changes: Changes,
     /// What the server has of it.
     pub(crate) publication: Publication,
     /// The version that the server has on disk, if it stores any.
@@ -29,6 +33,7 @@ impl OwnTile {
         id: None,
         epoch: Epoch(0),
         evidence: Evidence::NONE,
+        changes: Changes::NONE,
         publication: Publication::NOTHING,
         stored: Version(0),
         dirty: false,
@@ -58,6 +63,18 @@ impl OwnTile {
     /// Whether the evidence may say something that has not been published.
     pub fn is_dirty(&self) -> bool {
         self.dirty
+    }
+
+    /// Takes note of what has come and gone, before the tile is published.
+    pub(crate) fn look(&mut self, now: Instant) {
+        self.changes.look(&self.evidence, now);
+    }
+
+    /// What there is to publish.
+    pub fn cells(&self) -> Tile {
+        let mut cells = self.evidence.cells();
+        self.changes.mark(&mut cells);
+        cells
     }
 
     /// Whether the tile could be given up without losing anything.

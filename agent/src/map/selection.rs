@@ -8,6 +8,10 @@ use ubimap_protocol::units::Pose;
 use super::{change::LastScan, gate::Gate, omission::Sweep, policy::Policy};
 use crate::sense::Beam;
 
+/// In so many scans a change in view of a robot that stands still is mapped: they take the evidence of
+/// a cell from one end of its scale to the other.
+const REPEATS: u8 = 6;
+
 /// Why readings are mapped.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selected {
@@ -29,6 +33,8 @@ pub struct Selection {
     /// What the odometry said then: `base_link` in `odom`.
     odometry_then: Option<Pose>,
     last: LastScan,
+    /// Scans in which a change was mapped that is not known yet.
+    repeats: u8,
 }
 
 impl Selection {
@@ -41,6 +47,7 @@ impl Selection {
             mapped_at: None,
             odometry_then: None,
             last: LastScan::NONE,
+            repeats: 0,
         }
     }
 
@@ -101,7 +108,13 @@ impl Selection {
                 self.odometry_then = odometry;
                 self.last.remember(readings, 0..readings.len());
             }
-            Selected::Changed(part) => self.last.remember(readings, part.clone()),
+            Selected::Changed(part) => {
+                self.repeats += 1;
+                if self.repeats >= REPEATS {
+                    self.repeats = 0;
+                    self.last.remember(readings, part.clone());
+                }
+            }
         }
     }
 }

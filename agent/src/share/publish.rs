@@ -129,6 +129,7 @@ impl Publisher {
             while let Some(tile) = next_tile(pool, done) {
                 let Some(id) = tile.id else { break };
                 done = Some(id);
+                tile.look(now);
                 let mut cells = news(tile, merged.tile(id));
                 if !tile.publication.differs(&cells) {
                     tile.dirty = false;
@@ -218,12 +219,13 @@ impl Publisher {
 /// What a tile has to tell: what it has told in this epoch, and what the server's map does not
 /// say already.
 fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
-    let mut cells = tile.evidence.cells();
+    let mut cells = tile.cells();
     let Some(merged) = merged else { return cells };
     let sent = tile.publication.sent();
     for y in 0..TILE_SIDE {
         let (own, known) = (cells.row(y), merged.row(y));
-        let same = !(own.low ^ known.low | own.high ^ known.high);
+        // Who has not seen it come and go does not contradict.
+        let same = !(own.high ^ known.high | own.low & !known.low);
         let told = sent.row(y).known();
         let tell = told | !same;
         cells.set_row(y, Row { low: own.low & tell, high: own.high & tell });
