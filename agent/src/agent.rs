@@ -5,7 +5,7 @@ use ubimap_protocol::{
     link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
     message::{
         DistanceVector, EventCode, Hello, ParameterCommand, ParameterReport, Refusal,
-        RefusalReason, State, ToServerKind, Welcome, Writer,
+        RefusalReason, State, ToServerKind, Welcome,
     },
     tile::Epoch,
     time::{Duration, Instant},
@@ -270,7 +270,8 @@ impl<'b> Agent<'b> {
             // What must not be sent again, for it would be stale then, goes apart.
             let before = writer.len();
             if let Some(request) = clock.poll_request(now) {
-                push(writer, ToServerKind::TimeRequest, &request);
+                // What finds no room is asked again.
+                let _ = writer.push(ToServerKind::TimeRequest as u8, &request);
             }
             if *next_state <= now {
                 *next_state = now + STATE_INTERVAL;
@@ -295,8 +296,9 @@ impl<'b> Agent<'b> {
             if push_report(report, writer) {
                 return Fill::Reliable(Token::Other);
             }
-            if let Some(interest) = fused.untold() {
-                push(writer, ToServerKind::Interest, &interest);
+            if let Some(interest) = fused.untold()
+                && writer.push(ToServerKind::Interest as u8, &interest)
+            {
                 // Told as far as the window is concerned: the link sees to the rest.
                 fused.told(interest.number);
                 return Fill::Reliable(Token::Other);
@@ -593,11 +595,4 @@ impl<'b> Agent<'b> {
 fn point_beams(beams: &mut [Beam], config: &Config) {
     fill_beams(beams, config.sensor, config.mounting, config.max_range);
     config.removed.iter().flatten().for_each(|&removal| remove_beams(beams, removal));
-}
-
-/// Adds a message to a frame that has room for it: those of the robot that are not tiles are
-/// small, and sent alone.
-fn push<M: serde::Serialize>(writer: &mut Writer<'_>, kind: ToServerKind, message: &M) {
-    let fitted = writer.push(kind as u8, message);
-    debug_assert!(fitted, "{kind:?} does not fit");
 }

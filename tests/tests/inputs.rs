@@ -1,0 +1,509 @@
+//! Whatever is put into an agent, in whatever order: a typed error or a counted event, what it holds
+//! unchanged, and never a panic.
+//!
+//! There is no NaN to be put in: poses travel and are given in whole millimetres and binary angles,
+//! and what makes them of floating point numbers gives zero for NaN and saturates.
+
+use proptest::{collection::vec, prelude::*};
+use serde::Serialize;
+use ubimap_agent::{
+    Agent, Config,
+    sense::{ScanError, SensorModel},
+};
+use ubimap_protocol::{
+    frame::{DEFAULT_FRAME, Direction, MAX_FRAME, SessionId},
+    link::{Answer, Endpoint, Fill, Received, Terms, answer},
+    message::{
+        Certainty, Digests, EventCode, FixSource, Freshness, Hello, Messages, ParameterAction,
+        ParameterCommand, ParameterValue, Path, Peer, Peers, PoseFix, Refusal, RefusalReason,
+        Request, Stop, Stored, TileDigest, TileUpdateHead, TimeReply, ToRobotKind, Waypoint,
+        Writer, decode,
+    },
+    tile::{Cell, Epoch, Layer, Stamp, Tile, TileEncoder, TileId, Version},
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose, RobotId},
+};
+use ubimap_sim_host::run::fleet::AgentMemory;
+
+const BEAMS: usize = 12;
+/// Fewer tiles than a scan touches.
+const TILES: usize = 3;
+
+/// What is put in.
+#[derive(Clone, Debug)]
+enum Input {
+    Scan {
+        taken: Instant,
+        readings: Vec<u16>,
+    },
+    Odometry {
+        moment: Instant,
+        pose: Pose,
+    },
+    Gyro {
+        moment: Instant,
+        turn: u16,
+    },
+    Jolt {
+        moment: Instant,
+    },
+    /// Bytes from nobody.
+    Noise(Vec<u8>),
+    /// A message of the session, with any bytes for its body.
+    Body {
+        kind: u8,
+        body: Vec<u8>,
+    },
+    Message(Message),
+    Reset,
+    Transmit {
+        room: usize,
+    },
+    Timeout,
+    /// Another life of the server, or the same.
+    Welcome {
+        epoch: u32,
+        stores: bool,
+    },
+    Refusal,
+}
+
+/// What can be read and need not make sense.
+#[derive(Clone, Debug)]
+enum Message {
+    Time(TimeReply),
+    Fix(PoseFix),
+    Tile { layer: Layer, id: TileId, stamp: Stamp, base: Option<Version>, cells: u32 },
+    Request(Request),
+    Peers(Peers),
+    Path(Path),
+    Stop(Stop),
+    Parameter(ParameterCommand),
+    Stored(Stored),
+    Digests(Digests),
+    Freshness(Freshness),
+}
+
+/// A moment, most often of the first minute.
+fn moment() -> impl Strategy<Value = Instant> {
+    prop_oneof![
+        8 => (0..60_000u64).prop_map(|millis| Instant(millis * 1_000)),
+        1 => any::<u64>().prop_map(Instant),
+        1 => Just(Instant(u64::MAX)),
+    ]
+}
+
+fn pose() -> impl Strategy<Value = Pose> {
+    let length = || prop_oneof![4 => -3_000..3_000i32, 1 => any::<i32>()];
+    (length(), length(), any::<u16>()).prop_map(|(x, y, heading)| Pose {
+        x: Millimetres(x),
+        y: Millimetres(y),
+        heading: Angle(heading),
+    })
+}
+
+fn id() -> impl Strategy<Value = TileId> {
+    let place = || prop_oneof![6 => -3..3i16, 1 => any::<i16>()];
+    (place(), place()).prop_map(|(x, y)| TileId { x, y })
+}
+
+fn stamp() -> impl Strategy<Value = Stamp> {
+    let number = || prop_oneof![6 => 0..4u32, 1 => any::<u32>()];
+    (number(), number())
+        .prop_map(|(epoch, version)| Stamp { epoch: Epoch(epoch), version: Version(version) })
+}
+
+fn layer() -> impl Strategy<Value = Layer> {
+    prop_oneof![Just(Layer::Robot), Just(Layer::Coverage), Just(Layer::Fused)]
+}
+
+fn message() -> impl Strategy<Value = Message> {
+    let peer = (any::<u16>(), pose(), any::<(u8, u16, u16)>());
+    let peer = peer.prop_map(|(robot, pose, (age, half_length, half_width))| Peer {
+        robot: RobotId(robot),
+        pose,
+        age,
+        half_length,
+        half_width,
+    });
+    let certainty = any::<(u16, u16, u16)>();
+    let fix = (vec((moment(), pose()), 1..4), certainty).prop_filter_map(
+        "fixes in order",
+        |(fixes, (x, y, heading))| {
+            let certainty = Certainty { x, y, heading };
+            PoseFix::from_fixes(fixes.into_iter(), certainty, FixSource::Camera)
+        },
+    );
+    let digest =
+        (id(), stamp(), any::<u32>()).prop_map(|(id, stamp, hash)| TileDigest { id, stamp, hash });
+    let base = proptest::option::of((0..3u32).prop_map(Version));
+    let action = prop_oneof![
+        Just(ParameterAction::List),
+        any::<u16>().prop_map(ParameterAction::Get),
+        (0..10u16, prop_oneof![-100..70_000i32, any::<i32>()]).prop_map(|(parameter, value)| {
+            ParameterAction::Set(ParameterValue { parameter, value })
+        }),
+    ];
+    prop_oneof![
+        3 => (0..3u16, moment(), any::<u32>()).prop_map(|(nonce, received, held_micros)| {
+            Message::Time(TimeReply { nonce, received, held_micros })
+        }),
+        6 => fix.prop_map(Message::Fix),
+        3 => (layer(), id(), stamp(), base, any::<u32>()).prop_map(
+            |(layer, id, stamp, base, cells)| Message::Tile { layer, id, stamp, base, cells }
+        ),
+        1 => (layer(), vec(id(), 0..4)).prop_map(|(layer, tiles)| {
+            Message::Request(Request { layer, tiles: tiles.into_iter().collect() })
+        }),
+        3 => (moment(), vec(peer, 0..8)).prop_map(|(time, peers)| {
+            Message::Peers(Peers { time, peers: peers.into_iter().collect() })
+        }),
+        1 => (any::<u32>(), vec(pose(), 0..4)).prop_map(|(number, way)| {
+            let waypoints = way.into_iter().map(|Pose { x, y, .. }| Waypoint { x, y }).collect();
+            Message::Path(Path { number, waypoints })
+        }),
+        1 => any::<(u32, bool)>().prop_map(|(number, stop)| Message::Stop(Stop { number, stop })),
+        2 => (any::<u16>(), action).prop_map(|(number, action)| {
+            Message::Parameter(ParameterCommand { number, action })
+        }),
+        1 => vec((id(), stamp()), 0..4).prop_map(|tiles| {
+            Message::Stored(Stored { tiles: tiles.into_iter().collect() })
+        }),
+        1 => (layer(), vec(digest, 0..4)).prop_map(|(layer, tiles)| {
+            Message::Digests(Digests { layer, tiles: tiles.into_iter().collect() })
+        }),
+        1 => (moment(), any::<(u32, u16)>(), vec(any::<u8>(), 0..9)).prop_map(
+            |(time, (interest, first), tiles)| {
+                let tiles = tiles.into_iter().collect();
+                Message::Freshness(Freshness { time, interest, first, tiles })
+            }
+        ),
+    ]
+}
+
+fn input() -> impl Strategy<Value = Input> {
+    let width = prop_oneof![9 => Just(BEAMS), 1 => 0..2 * BEAMS];
+    let readings = width.prop_flat_map(|width| {
+        vec(prop_oneof![4 => 200..4_200u16, 1 => Just(0u16), 1 => any::<u16>()], width)
+    });
+    prop_oneof![
+        8 => (moment(), readings).prop_map(|(taken, readings)| Input::Scan { taken, readings }),
+        3 => (moment(), pose()).prop_map(|(moment, pose)| Input::Odometry { moment, pose }),
+        1 => (moment(), any::<u16>()).prop_map(|(moment, turn)| Input::Gyro { moment, turn }),
+        1 => moment().prop_map(|moment| Input::Jolt { moment }),
+        2 => vec(any::<u8>(), 0..80).prop_map(Input::Noise),
+        2 => (0..20u8, vec(any::<u8>(), 0..60)).prop_map(|(kind, body)| Input::Body { kind, body }),
+        12 => message().prop_map(Input::Message),
+        1 => Just(Input::Reset),
+        3 => (0..300usize).prop_map(|room| Input::Transmit { room }),
+        2 => Just(Input::Timeout),
+        1 => (1..3u32, any::<bool>()).prop_map(|(epoch, stores)| Input::Welcome { epoch, stores }),
+        1 => Just(Input::Refusal),
+    ]
+}
+
+/// The server's end of a link.
+struct Server {
+    link: Endpoint<(), 8, DEFAULT_FRAME>,
+    hello: Option<Hello>,
+    sessions: u32,
+    terms: Terms,
+}
+
+impl Server {
+    fn new(resolution: Millimetres) -> Self {
+        let frame = DEFAULT_FRAME as u16;
+        Self {
+            link: Endpoint::new(Direction::ToRobot),
+            hello: None,
+            sessions: 0,
+            terms: Terms { resolution, frame, server_epoch: 1, stores: false },
+        }
+    }
+
+    /// What the robot says, as far as it can be read.
+    fn hear(&mut self, mut bytes: &[u8], now: Instant) {
+        while let Some(received) = self.link.receive(&mut bytes, now) {
+            if let Received::Handshake(message) = received {
+                self.hello = decode::<Hello>(message.body).ok().map(|(hello, _)| hello);
+            }
+        }
+    }
+
+    /// The bytes of a handshake's frame.
+    fn handshake(&mut self, kind: ToRobotKind, body: &impl Serialize) -> Vec<u8> {
+        let mut out = vec![0; MAX_FRAME];
+        let len = self.link.handshake(kind as u8, body, &mut out).expect("it fits");
+        out.truncate(len);
+        out
+    }
+
+    /// The frame of a welcome to the hello that was heard last.
+    fn welcome(&mut self, epoch: u32, stores: bool) -> Option<Vec<u8>> {
+        self.sessions += 1;
+        (self.terms.server_epoch, self.terms.stores) = (epoch, stores);
+        let session = SessionId(self.sessions);
+        let Answer::Welcome(welcome) = answer(&self.hello?, &self.terms, session, epoch) else {
+            return None;
+        };
+        let frame = self.handshake(ToRobotKind::Welcome, &welcome);
+        self.link.begin(session, DEFAULT_FRAME);
+        Some(frame)
+    }
+
+    /// A frame with a message of the session; `None` without one.
+    fn frame(&mut self, kind: u8, body: &[u8], now: Instant) -> Option<Vec<u8>> {
+        let mut out = vec![0; MAX_FRAME];
+        let sent = self.link.poll_transmit(now, &mut out, true, |writer, _| {
+            let fits = writer.push_with(kind, |room| {
+                room.get_mut(..body.len())?.copy_from_slice(body);
+                Some(body.len())
+            });
+            if fits { Fill::Datagram } else { Fill::Nothing }
+        })?;
+        out.truncate(sent.len);
+        Some(out)
+    }
+}
+
+impl Message {
+    /// Its kind and body.
+    fn bytes(&self) -> (u8, Vec<u8>) {
+        fn of(kind: ToRobotKind, body: &impl Serialize) -> (u8, Vec<u8>) {
+            let mut buffer = [0; MAX_FRAME];
+            let mut writer = Writer::new(&mut buffer);
+            assert!(writer.push(kind as u8, body));
+            let len = writer.len();
+            let mut messages = Messages::new(&buffer[..len]);
+            (kind as u8, messages.next().unwrap().unwrap().body.to_vec())
+        }
+        match self {
+            Self::Time(it) => of(ToRobotKind::TimeReply, it),
+            Self::Fix(it) => of(ToRobotKind::PoseFix, it),
+            Self::Request(it) => of(ToRobotKind::Request, it),
+            Self::Peers(it) => of(ToRobotKind::Peers, it),
+            Self::Path(it) => of(ToRobotKind::Path, it),
+            Self::Stop(it) => of(ToRobotKind::Stop, it),
+            Self::Parameter(it) => of(ToRobotKind::Parameter, it),
+            Self::Stored(it) => of(ToRobotKind::Stored, it),
+            Self::Digests(it) => of(ToRobotKind::Digests, it),
+            Self::Freshness(it) => of(ToRobotKind::Freshness, it),
+            &Self::Tile { layer, id, stamp, base, cells } => {
+                let mut body = vec![0; MAX_FRAME];
+                let head = TileUpdateHead { layer, seconds: cells };
+                let head = head.encode(&mut body).unwrap().len();
+                let mut tile = Tile::UNKNOWN;
+                tile.low[3] = cells;
+                let mut encoder = TileEncoder::new(&mut body[head..]);
+                let _ = encoder.push(id, stamp, base, 0, &Tile::UNKNOWN, &tile);
+                let len = encoder.finish().unwrap_or(0);
+                body.truncate(head + len);
+                (ToRobotKind::TileUpdate as u8, body)
+            }
+        }
+    }
+}
+
+/// All that the agent knows: everything but what is waiting, under way or counted.
+fn state(agent: &Agent<'_>) -> String {
+    let own: Vec<_> = agent.own_tiles().tiles().collect();
+    let [fused, coverage] = [Layer::Fused, Layer::Coverage]
+        .map(|layer| agent.fused_tiles().tiles(layer).collect::<Vec<_>>());
+    format!("{own:?} {fused:?} {coverage:?} {:?} {:?}", agent.commands(), agent.pose())
+}
+
+fn config() -> Config {
+    let sensor = SensorModel::Radial { first: -1.1, step: 0.2 };
+    Config { max_range: 4_000, ..Config::new(RobotId(3), sensor) }
+}
+
+/// Puts one thing in.
+fn put(agent: &mut Agent<'_>, server: &mut Server, input: Input, now: Instant) {
+    // What is due by now is not this input's doing.
+    agent.timeout(now);
+    let (before, counted) = (state(agent), agent.statistics());
+    match input {
+        Input::Scan { taken, readings } => {
+            let taken_in = agent.scan(taken, &readings, now);
+            let after = agent.statistics();
+            if let Err(error) = taken_in {
+                assert_eq!(state(agent), before, "{error:?}");
+                assert_eq!(after.scans, counted.scans, "{error:?}");
+                let overflowed = u32::from(error == ScanError::Full);
+                assert_eq!(after.overflowed, counted.overflowed + overflowed);
+            } else {
+                assert_eq!(readings.len(), BEAMS);
+                assert_eq!(after.scans, counted.scans + 1);
+            }
+            if readings.len() != BEAMS {
+                let (expected, found) = (BEAMS, readings.len());
+                assert_eq!(taken_in, Err(ScanError::Width { expected, found }));
+            }
+        }
+        Input::Odometry { moment, pose } => agent.odometry(moment, pose, now),
+        Input::Gyro { moment, turn } => agent.gyro(moment, Angle(turn)),
+        Input::Jolt { moment } => agent.jolt(moment),
+        Input::Noise(bytes) => {
+            agent.receive(&bytes, now);
+            assert_eq!(state(agent), before, "noise was believed");
+        }
+        Input::Body { kind, body } => {
+            if let Some(frame) = server.frame(kind, &body, now) {
+                agent.receive(&frame, now);
+                let after = agent.statistics();
+                let unread =
+                    |it: &ubimap_agent::Statistics| it.unknown_messages + it.malformed_messages;
+                if unread(&after) != unread(&counted) {
+                    assert_eq!(unread(&after), unread(&counted) + 1);
+                    // Of a tile update that breaks off, what came before it stands.
+                    if kind != ToRobotKind::TileUpdate as u8 {
+                        assert_eq!(state(agent), before, "kind {kind} was not read, and believed");
+                    }
+                }
+            }
+        }
+        Input::Message(message) => {
+            let (kind, body) = message.bytes();
+            if let Some(frame) = server.frame(kind, &body, now) {
+                agent.receive(&frame, now);
+                let after = agent.statistics();
+                let passed_over = match message {
+                    Message::Tile { layer, .. } => layer == Layer::Robot,
+                    Message::Fix(_) => after.fixes == counted.fixes,
+                    _ => false,
+                };
+                assert!(!passed_over || state(agent) == before, "it was passed over, and believed");
+            }
+        }
+        Input::Reset => {
+            let frame = server.handshake(ToRobotKind::Reset, &());
+            agent.receive(&frame, now);
+            assert_eq!(state(agent), before);
+        }
+        Input::Transmit { room } => {
+            let mut out = vec![0; room];
+            if let Some(len) = agent.poll_transmit(now, &mut out) {
+                assert!(len <= room);
+                server.hear(&out[..len], now);
+            }
+        }
+        Input::Timeout => agent.timeout(now),
+        Input::Welcome { epoch, stores } => {
+            if let Some(frame) = server.welcome(epoch, stores) {
+                agent.receive(&frame, now);
+            }
+        }
+        Input::Refusal => {
+            let nonce = server.hello.map_or(0, |hello| hello.nonce);
+            let refusal = Refusal { nonce, reason: RefusalReason::Resolution(Millimetres(1)) };
+            let frame = server.handshake(ToRobotKind::Refusal, &refusal);
+            agent.receive(&frame, now);
+            assert_eq!(state(agent), before);
+        }
+    }
+    assert!(agent.own_tiles().tiles().count() <= TILES);
+    let _ = agent.poll_timeout();
+}
+
+/// An agent with a session, and the frame sizes of both ends.
+fn connect(agent: &mut Agent<'_>, server: &mut Server) {
+    put(agent, server, Input::Transmit { room: DEFAULT_FRAME }, Instant(0));
+    put(agent, server, Input::Welcome { epoch: 1, stores: false }, Instant(0));
+    assert!(agent.is_connected());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn any_inputs_in_any_order_are_errors_or_counted(
+        inputs in vec((input(), moment()), 0..80),
+        in_order: bool,
+    ) {
+        let config = config();
+        let mut memory = AgentMemory::new(&config, BEAMS, TILES, 4);
+        let mut agent = Agent::new(config, memory.lend()).unwrap();
+        let mut server = Server::new(config.resolution);
+        connect(&mut agent, &mut server);
+        let mut now = Instant(0);
+        for (input, moment) in inputs {
+            // Time goes on, or leaps to and fro.
+            now = if in_order { now + Duration(moment.0 % 700_000) } else { moment };
+            put(&mut agent, &mut server, input, now);
+        }
+    }
+}
+
+/// Each of the bad inputs that the agent must tell of, one by one: what it comes to.
+#[test]
+fn each_bad_input_is_told() {
+    let config = config();
+    let mut memory = AgentMemory::new(&config, BEAMS, TILES, 4);
+    let mut agent = Agent::new(config, memory.lend()).unwrap();
+    let mut server = Server::new(config.resolution);
+    connect(&mut agent, &mut server);
+    let at = |millis: u64| Instant(millis * 1_000);
+    let fix = |millis: u64, x: f64| {
+        let fixes = [(at(millis), Pose::from_metres(x, 0.0, 0.0))];
+        let certainty = Certainty { x: 20, y: 20, heading: 100 };
+        let fix = PoseFix::from_fixes(fixes.into_iter(), certainty, FixSource::Camera);
+        Input::Message(Message::Fix(fix.unwrap()))
+    };
+    let scan = |millis| Input::Scan { taken: at(millis), readings: vec![3_000; BEAMS] };
+
+    // A fix of an unknown time: the clocks do not agree yet.
+    put(&mut agent, &mut server, fix(10, 0.0), at(10));
+    assert_eq!((agent.statistics().fixes_untimely, agent.pose()), (1, None));
+    put(&mut agent, &mut server, Input::Transmit { room: 250 }, at(20));
+    let reply = TimeReply { nonce: 0, received: at(20), held_micros: 0 };
+    put(&mut agent, &mut server, Input::Message(Message::Time(reply)), at(20));
+    assert!(agent.server_time(at(20)).is_some());
+    // One of a time to come.
+    put(&mut agent, &mut server, fix(9_000, 0.0), at(30));
+    assert_eq!((agent.statistics().fixes_untimely, agent.pose()), (2, None));
+    put(&mut agent, &mut server, fix(100, 0.0), at(100));
+    assert_eq!((agent.statistics().fixes, agent.statistics().fixes_untimely), (1, 2));
+    // Odometry whose time goes backwards.
+    let pose = Pose::default();
+    for moment in [at(120), at(110)] {
+        put(&mut agent, &mut server, Input::Odometry { moment, pose }, at(120));
+    }
+    assert_eq!(agent.statistics().odometry_backwards, 1);
+
+    // Scans: backwards, and more than can wait. 4 m around it are more tiles than there is room for.
+    put(&mut agent, &mut server, scan(150), at(150));
+    assert_eq!(agent.scan(at(140), &[3_000; BEAMS], at(150)), Err(ScanError::Backwards));
+    let full =
+        (0..20).find_map(|count| agent.scan(at(151 + count), &[3_000; BEAMS], at(180)).err());
+    assert_eq!(full, Some(ScanError::Full));
+    assert_eq!(agent.statistics().overflowed, 1);
+    put(&mut agent, &mut server, fix(200, 0.0), at(200));
+    put(&mut agent, &mut server, Input::Odometry { moment: at(200), pose }, at(200));
+    let counted = agent.statistics();
+    assert!(counted.mapped > 0 && counted.cells_refused > 0, "{counted:?}");
+    assert_eq!(agent.own_tiles().tiles().count(), TILES);
+
+    // An update of a tile upon a version that it does not hold: it asks for the whole.
+    let (id, base) = (TileId { x: 0, y: 0 }, Some(Version(8)));
+    let stamp = Stamp { epoch: Epoch(1), version: Version(9) };
+    let update = Message::Tile { layer: Layer::Fused, id, stamp, base, cells: 7 };
+    put(&mut agent, &mut server, Input::Message(update), at(210));
+    assert!(agent.fused_tiles().tile(id).is_none_or(|tile| tile.cell(0, 3) == Cell::Unknown));
+    // A fix that is absurd.
+    put(&mut agent, &mut server, fix(220, 900.0), at(220));
+    assert_eq!(agent.statistics().fixes_rejected, 1);
+    // Poses from numbers that are none.
+    assert_eq!(Pose::from_metres(f64::NAN, f64::NAN, f64::NAN), Pose::default());
+    // What was raised is known by its code.
+    let codes = format!("{agent:?}");
+    for code in [
+        EventCode::SensorFault,
+        EventCode::ClockBackwards,
+        EventCode::ScanOverflow,
+        EventCode::PoolFull,
+        EventCode::FixRejected,
+    ] {
+        let told = codes.contains(&format!("code: {code:?}"));
+        assert_eq!(told, code != EventCode::SensorFault, "{code:?}");
+    }
+}
