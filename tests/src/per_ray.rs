@@ -1,8 +1,8 @@
 //! The oracle of the onboard pipeline: a plain occupancy map, one line of cells for each beam, in
-//! floating point, straight from a CARMEN log. It shares nothing with the code under test.
+//! floating point, of a scan or straight from a CARMEN log. It shares nothing with the code under test.
 
 use std::{
-    collections::HashMap,
+    collections::{HashMap, HashSet},
     f64::consts::{FRAC_PI_2, PI},
 };
 
@@ -41,14 +41,50 @@ pub fn map(log: &str, resolution: f64, max_range: f64, no_return: f64) -> LogOdd
             let bearing = pose[2] - FRAC_PI_2 + beam as f64 * step;
             let reach = range.min(max_range);
             let end = [pose[0] + reach * bearing.cos(), pose[1] + reach * bearing.sin()];
-            ray(&mut cells, resolution, [pose[0], pose[1]], end, range <= max_range);
+            let from = [pose[0], pose[1]];
+            ray(resolution, from, end, |cell, is_end| {
+                let odds = if is_end && range <= max_range { HIT } else { MISS };
+                let value = cells.entry(cell).or_default();
+                *value = (*value + odds).clamp(-CLAMP, CLAMP);
+            });
         }
     }
     cells
 }
 
-/// The cells that a ray crosses are missed; the one that it ends in is hit, if it is.
-fn ray(cells: &mut LogOdds, resolution: f64, from: [f64; 2], to: [f64; 2], hit: bool) {
+/// What the beams of one scan say.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// Cells that a beam crossed, or ended in.
+    pub crossed: HashSet<(i32, i32)>,
+    /// Cells that one ended in.
+    pub hit: HashSet<(i32, i32)>,
+}
+
+/// One scan from a point, in metres: a bearing in `map` and a range for each beam. A range of 0 says
+/// nothing, one beyond `max_range` that the way there is free.
+pub fn scan(
+    from: [f64; 2],
+    beams: impl Iterator<Item = (f64, f64)>,
+    resolution: f64,
+    max_range: f64,
+) -> Seen {
+    let mut seen = Seen::default();
+    for (bearing, range) in beams.filter(|(_, range)| *range > 0.0) {
+        let reach = range.min(max_range);
+        let end = [from[0] + reach * bearing.cos(), from[1] + reach * bearing.sin()];
+        ray(resolution, from, end, |cell, is_end| {
+            seen.crossed.insert(cell);
+            if is_end && range <= max_range {
+                seen.hit.insert(cell);
+            }
+        });
+    }
+    seen
+}
+
+/// Visits the cells that a ray crosses, once each, and then the one that it ends in.
+fn ray(resolution: f64, from: [f64; 2], to: [f64; 2], mut visit: impl FnMut((i32, i32), bool)) {
     let cell = |point: [f64; 2]| {
         ((point[0] / resolution).floor() as i32, (point[1] / resolution).floor() as i32)
     };
@@ -60,14 +96,9 @@ fn ray(cells: &mut LogOdds, resolution: f64, from: [f64; 2], to: [f64; 2], hit: 
         let part = step as f64 / steps as f64;
         let here = cell([from[0] + (to[0] - from[0]) * part, from[1] + (to[1] - from[1]) * part]);
         if seen != Some(here) && here != last {
-            add(cells, here, MISS);
+            visit(here, false);
         }
         seen = Some(here);
     }
-    add(cells, last, if hit { HIT } else { MISS });
-}
-
-fn add(cells: &mut LogOdds, cell: (i32, i32), odds: f64) {
-    let value = cells.entry(cell).or_default();
-    *value = (*value + odds).clamp(-CLAMP, CLAMP);
+    visit(last, true);
 }
