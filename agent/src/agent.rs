@@ -593,6 +593,6 @@ impl<'b> Agent<'b> {
 
 /// Fills the table of the sensor's beams, without those that are never mapped.
 fn point_beams(beams: &mut [Beam], config: &Config) {
-    fill_beams(beams, config.sensor, config.mounting, config.max_range);
+    fill_beams(beams, config.sensor, config.mounting);
     config.removed.iter().flatten().for_each(|&removal| remove_beams(beams, removal));
 }

@@ -96,7 +96,7 @@ fn frames(folder: &Path, per_metre: f64) -> Vec<Vec<f64>> {
 /// columns: forward and left, in metres.
 fn mapped(log: &Log, scan: usize) -> Vec<(usize, [f64; 2])> {
     let mut beams = vec![Beam::default(); log.sensor.readings()];
-    fill_beams(&mut beams, log.sensor.model(), Pose::default(), (RANGE_M * 1e3) as u16);
+    fill_beams(&mut beams, log.sensor.model(), Pose::default());
     let readings = log.scans[scan].readings_mm.iter().zip(&beams).enumerate();
     let valid = readings.filter(|(_, (reading, beam))| **reading > 0 && **reading <= beam.limit);
     let point = |(column, (reading, beam)): (usize, (&u16, &Beam))| {

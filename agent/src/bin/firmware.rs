@@ -56,7 +56,7 @@ const BLINK: Duration = Duration::from_millis(250);
 #[entry]
 fn main() -> ! {
     // Here, and not on the stack, so that the image tells how much memory there must be.
-    static mut BEAMS: [Beam; PIXELS] = [Beam { forward: 0, left: 0, limit: 0 }; PIXELS];
+    static mut BEAMS: [Beam; PIXELS] = [Beam::NONE; PIXELS];
     static mut WAITING: [u16; PIXELS * WAITING_SCANS] = [0; _];
     static mut SCRATCH: [RowSighting; scratch_words(MAX_RANGE, RESOLUTION)] =
         [RowSighting { free: 0, hit: 0 }; _];

@@ -117,15 +117,16 @@ impl<'b> LocalMap<'b> {
         pool: Pool<'b>,
     ) -> Self {
         scratch.fill(RowSighting::default());
-        let grain = Grain::new(beams, config.resolution, config.validity, config.policy);
+        let grain =
+            Grain::new(beams, config.resolution, config.max_range, config.validity, config.policy);
         Self { config, grain, scratch, pool, scans: 0 }
     }
 
     /// The sensor is mounted otherwise from now on, and this is its new table.
     pub(crate) fn remount(&mut self, mounting: Pose, beams: &[Beam]) {
         self.config.mounting = mounting;
-        let MappingConfig { resolution, validity, policy, .. } = self.config;
-        self.grain = Grain::new(beams, resolution, validity, policy);
+        let MappingConfig { resolution, max_range, validity, policy, .. } = self.config;
+        self.grain = Grain::new(beams, resolution, max_range, validity, policy);
     }
 
     /// Adds a scan that was taken at `pose` (`base_link` in `map`). `around` gives what the server
@@ -150,7 +151,7 @@ impl<'b> LocalMap<'b> {
         let mut end = count;
         while start < count {
             let part = beams.get(start..end)?;
-            let Some(mut window) = Window::over(part, &projection, self.scratch) else {
+            let Some(mut window) = Window::over(part, max_range, &projection, self.scratch) else {
                 if end - start <= 2 {
                     return None;
                 }
@@ -284,7 +285,7 @@ mod tests {
         let mut table = vec![Beam::default(); beams];
         let step = core::f32::consts::PI / (beams - 1) as f32;
         let model = SensorModel::Radial { first: -core::f32::consts::FRAC_PI_2, step };
-        fill_beams(&mut table, model, Pose::default(), 4_000);
+        fill_beams(&mut table, model, Pose::default());
         table
     }
 
@@ -411,7 +412,7 @@ mod tests {
         const RANGE: u16 = 2_000;
         let mut beams = [Beam::default(); 90];
         let sensor = SensorModel::Radial { first: -1.5, step: 0.03 };
-        fill_beams(&mut beams, sensor, Pose::default(), RANGE);
+        fill_beams(&mut beams, sensor, Pose::default());
         let config = MappingConfig { max_range: RANGE, ..CONFIG };
         // Cells with an even x are covered.
         let even = [0x5555_5555; TILE_SIDE];

@@ -18,10 +18,10 @@ impl Sweep {
     /// Of the table of a sensor: the angle between its outermost beams, shared out (the paper's
     /// 86 / 640 = 0.134 degrees a pixel).
     pub(super) fn of(beams: &[Beam]) -> Self {
-        let used = |beam: &&Beam| beam.limit != 0;
+        let used = |beam: &&Beam| **beam != Beam::NONE;
         let bearing = |beam: &Beam| atan2f(f32::from(beam.left), f32::from(beam.forward));
-        let first = beams.iter().position(|beam| beam.limit != 0);
-        let last = beams.iter().rposition(|beam| beam.limit != 0);
+        let first = beams.iter().position(|beam| *beam != Beam::NONE);
+        let last = beams.iter().rposition(|beam| *beam != Beam::NONE);
         let pairs = beams.iter().filter(used).zip(beams.iter().filter(used).skip(1));
         // Summed up, for the outermost ones may be more than half a turn apart.
         let turn = pairs.map(|(a, b)| {
@@ -62,7 +62,7 @@ mod tests {
 
     fn sweep(model: SensorModel, count: usize) -> Sweep {
         let mut beams = std::vec![Beam::default(); count];
-        fill_beams(&mut beams, model, Pose::default(), 4_000);
+        fill_beams(&mut beams, model, Pose::default());
         Sweep::of(&beams)
     }
 

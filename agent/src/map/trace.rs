@@ -54,6 +54,8 @@ pub(super) struct Grain {
     tolerance: u32,
     /// Millimetres of reading times beams that fit [`SPAN`] cells side by side.
     spread: u32,
+    /// The range of the map.
+    range: u16,
     /// Which readings count.
     validity: Validity,
 }
@@ -68,11 +70,12 @@ impl Grain {
     pub(super) fn new(
         beams: &[Beam],
         side: Millimetres,
+        range: u16,
         validity: Validity,
         policy: Policy,
     ) -> Self {
         let apart = beams.windows(2).map(|pair| match pair {
-            [a, b] if a.limit != 0 && b.limit != 0 => {
+            [a, b] if *a != Beam::NONE && *b != Beam::NONE => {
                 let across = |a: i16, b: i16| u32::from(a.abs_diff(b));
                 across(a.forward, b.forward).max(across(a.left, b.left))
             }
@@ -85,6 +88,7 @@ impl Grain {
             margin: side / 2,
             tolerance: side * 3 / 4,
             spread: ((span * side) << DIRECTION_BITS) / widest,
+            range,
             validity,
         }
     }
@@ -113,17 +117,19 @@ pub(super) fn trace(
     pixels: &mut PixelCounts,
 ) -> u32 {
     let sensor = projection.origin();
+    let range_square = u64::from(grain.range).pow(2) << (2 * DIRECTION_BITS);
     let (mut kept, mut invalid, mut nearest) = (0, 0, u32::MAX);
     let mut last: Option<End> = None;
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
         let counts = grain.validity.counts_at(readings, index, reading);
-        let (reading, limit) = (u32::from(reading), u32::from(beam.limit));
-        let is_hit = reading <= limit;
+        let reading = u32::from(reading);
+        let square = beam.square();
+        let is_hit = u64::from(reading * reading) * u64::from(square) <= range_square;
         let reach = match is_hit {
-            _ if !counts => 0,
+            _ if !counts || square == 0 => 0,
             true => reading.saturating_sub(grain.margin),
-            false => limit,
+            false => beam.reading_at(grain.range),
         };
         if reach == 0 {
             invalid += u32::from(index > 0 || !continued);
@@ -179,7 +185,7 @@ pub(super) fn trace(
                     let low = reading.saturating_sub(grain.tolerance) << 8;
                     (low, 2 * grain.tolerance, slope.wrapping_mul(stride as i32))
                 }
-                false => (limit << 8, u32::from(u16::MAX), 0),
+                false => (reach << 8, u32::from(u16::MAX), 0),
             };
             let goes_on = |index: usize, expected: u32| {
                 let next = readings.get(index);

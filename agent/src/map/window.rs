@@ -39,10 +39,11 @@ pub(super) struct Window<'s> {
 }
 
 impl<'s> Window<'s> {
-    /// A window on all that these beams can reach, in `memory` that holds no sighting. `None` if
+    /// A window on all that these beams can reach within a range (millimetres), in `memory` that holds no sighting. `None` if
     /// it is too short.
     pub(super) fn over(
         beams: &[Beam],
+        range: u16,
         projection: &Projection,
         memory: &'s mut [RowSighting],
     ) -> Option<Self> {
@@ -50,7 +51,7 @@ impl<'s> Window<'s> {
         let sensor = at(projection.origin());
         let (mut low, mut high) = (sensor, sensor);
         let mut reach = |beam: &Beam| {
-            let (x, y) = at(projection.point(projection.direction(*beam), u32::from(beam.limit)));
+            let (x, y) = at(projection.point(projection.direction(*beam), beam.reading_at(range)));
             low = (low.0.min(x), low.1.min(y));
             high = (high.0.max(x), high.1.max(y));
         };

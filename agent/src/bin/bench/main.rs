@@ -58,7 +58,7 @@ const FUSED_TILES: usize = 9;
 
 #[entry]
 fn main() -> ! {
-    static mut BEAMS: [Beam; PIXELS] = [Beam { forward: 0, left: 0, limit: 0 }; PIXELS];
+    static mut BEAMS: [Beam; PIXELS] = [Beam::NONE; PIXELS];
     static mut WAITING: [u16; PIXELS] = [0; _];
     static mut SCRATCH: [RowSighting; scratch_words(MAX_RANGE, RESOLUTION)] =
         [RowSighting { free: 0, hit: 0 }; _];
@@ -74,7 +74,7 @@ fn main() -> ! {
 /// The table. `None` if a stage did not do what it is there for.
 fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     hprintln!("{:>12}  stage", "instructions");
-    fill_beams(memory.beams, sensor(), Pose::default(), MAX_RANGE);
+    fill_beams(memory.beams, sensor(), Pose::default());
 
     let wall = [WALL; PIXELS];
     let mut readings = wall;
