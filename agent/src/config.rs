@@ -90,7 +90,7 @@ impl Config {
 pub struct Memory<'b> {
     /// One for each reading of a scan.
     pub beams: &'b mut [Beam],
-    /// As many readings as scans shall be able to wait, at most 16.
+    /// As many readings as scans shall be able to wait, at most 8.
     pub waiting: &'b mut [u16],
     /// At least [`scratch_words`](crate::map::scratch_words).
     pub scratch: &'b mut [RowSighting],

@@ -4,7 +4,7 @@ use heapless::Deque;
 use ubimap_protocol::time::Instant;
 
 /// The most scans that can wait, whatever memory there is.
-const MOST: usize = 16;
+const MOST: usize = 8;
 
 /// Why a scan was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,27 +22,23 @@ pub enum ScanError {
     Backwards,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Entry {
-    taken: Instant,
-    slot: u8,
-}
-
-/// The scans that wait, oldest first, in the caller's memory.
+/// The scans that wait, oldest first, in the caller's memory, which they take in turns.
 #[derive(Debug)]
 pub struct WaitingScans<'b> {
     readings: &'b mut [u16],
     width: usize,
     slots: usize,
-    entries: Deque<Entry, MOST>,
+    /// The slot of the oldest.
+    first: usize,
+    taken: Deque<Instant, MOST>,
     newest: Instant,
 }
 
 impl<'b> WaitingScans<'b> {
-    /// Room for as many scans of `width` readings as `readings` holds, at most 16.
+    /// Room for as many scans of `width` readings as `readings` holds, at most 8.
     pub fn new(readings: &'b mut [u16], width: usize) -> Self {
         let slots = (readings.len() / width.max(1)).min(MOST);
-        Self { readings, width, slots, entries: Deque::new(), newest: Instant(0) }
+        Self { readings, width, slots, first: 0, taken: Deque::new(), newest: Instant(0) }
     }
 
     /// Whether a scan could be one of this sensor's: apart from there being room.
@@ -65,26 +61,32 @@ impl<'b> WaitingScans<'b> {
     /// Every [`ScanError`]; nothing has changed then.
     pub fn push(&mut self, taken: Instant, readings: &[u16]) -> Result<(), ScanError> {
         self.check(taken, readings)?;
-        let free = (0..self.slots as u8)
-            .find(|slot| self.entries.iter().all(|entry| entry.slot != *slot))
-            .ok_or(ScanError::Full)?;
-        let start = usize::from(free) * self.width;
-        let room = self.readings.get_mut(start..start + self.width).ok_or(ScanError::Full)?;
-        self.entries.push_back(Entry { taken, slot: free }).map_err(|_| ScanError::Full)?;
-        room.copy_from_slice(readings);
+        if self.taken.len() >= self.slots {
+            return Err(ScanError::Full);
+        }
+        let free = self.first + self.taken.len();
+        let free = if free < self.slots { free } else { free - self.slots };
+        self.slot(free).ok_or(ScanError::Full)?.copy_from_slice(readings);
+        self.taken.push_back(taken).map_err(|_| ScanError::Full)?;
         self.newest = taken;
         Ok(())
     }
 
     /// When the oldest scan was taken.
     pub fn oldest(&self) -> Option<Instant> {
-        Some(self.entries.front()?.taken)
+        self.taken.front().copied()
     }
 
     /// Takes the oldest scan out. Its readings stand until the next one is pushed.
     pub fn pop(&mut self) -> Option<&mut [u16]> {
-        let entry = self.entries.pop_front()?;
-        let start = usize::from(entry.slot) * self.width;
+        self.taken.pop_front()?;
+        let slot = self.first;
+        self.first = if slot + 1 < self.slots { slot + 1 } else { 0 };
+        self.slot(slot)
+    }
+
+    fn slot(&mut self, slot: usize) -> Option<&mut [u16]> {
+        let start = slot * self.width;
         self.readings.get_mut(start..start + self.width)
     }
 }
