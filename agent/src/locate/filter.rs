@@ -13,7 +13,7 @@ use ubimap_protocol::{
 
 use super::{
     estimate::{Estimate, Fix, Variances},
-    history::History,
+    history::{HISTORY_SPAN, History},
     odometry::{MotionNoise, between},
 };
 
@@ -21,9 +21,9 @@ use super::{
 /// do fixes. A robot that brakes with 1 m/s^2 strays by 15 mm from the straight way.
 pub(super) const WIDEST_GAP: Duration = Duration::from_millis(350);
 /// Readings of the odometry that are remembered, and how far apart they are at least: as long as
-/// a scan waits in any case.
-const READINGS: usize = 32;
-const READING_INTERVAL: Duration = Duration::from_millis(50);
+/// a scan waits in any case. Who brakes like that strays by a millimetre in between.
+const READINGS: usize = 16;
+const READING_INTERVAL: Duration = Duration::from_millis(100);
 /// Fixes that are remembered: half a second at 15 Hz.
 const FIXES: usize = 8;
 /// Rejected fixes in a row that agree with one another before they are believed: a third of a
@@ -139,7 +139,7 @@ impl Belief {
     }
 }
 
-/// The last measurements, and what is believed before them. About 1.5 kB.
+/// The last measurements, and what is believed before them. About 800 bytes.
 #[derive(Debug)]
 pub(super) struct Filter {
     noise: MotionNoise,
@@ -148,8 +148,9 @@ pub(super) struct Filter {
     /// Of a later one, that most questions are about: not all need be replayed for them.
     recent: Belief,
     odometry: History<Pose, READINGS>,
-    /// By the robot's clock; with each its moment by the server's, to tell it again.
-    fixes: History<(Instant, Fix), FIXES>,
+    /// By the robot's clock; with each the lower word of its moment by the server's, to tell it
+    /// again.
+    fixes: History<(u32, Fix), FIXES>,
 }
 
 impl Filter {
@@ -175,17 +176,20 @@ impl Filter {
         pose: Pose,
         certainty: Certainty,
     ) -> Result<(FixOutcome, Pose), FixError> {
+        let server = server.0 as u32;
         if self.fixes.iter().any(|(_, (known, _))| *known == server) {
             return Err(FixError::Repeated);
         }
         let oldest = self.fixes.oldest().filter(|_| self.fixes.is_full());
         let least = oldest.map_or(self.base.moment, |(oldest, _)| oldest.max(self.base.moment));
-        if local <= least {
+        let newest = self.newest_fix().unwrap_or(Instant(0));
+        if local <= least || newest.since(local) >= HISTORY_SPAN {
             return Err(FixError::TooOld);
         }
         if oldest.is_some() {
             self.forget_until(least);
         }
+        self.forget_what_is_old(local);
         let newest = self.newest_fix().filter(|newest| *newest < local);
         if let Some(newest) = newest {
             self.recent = self.replay(newest).0;
@@ -205,14 +209,18 @@ impl Filter {
     /// Takes a reading of the odometry. Readings that come faster than they are remembered
     /// replace one another.
     pub(super) fn odometry(&mut self, moment: Instant, pose: Pose) -> Result<(), Backwards> {
-        let mut newest = self.odometry.iter().rev().map(|(moment, _)| *moment);
-        let (last, before) = (newest.next(), newest.next());
+        let last = self.odometry.newest().map(|(last, _)| last);
         if moment < last.unwrap_or(self.base.moment) {
             return Err(Backwards);
         }
         if last == Some(moment) {
             return Ok(());
         }
+        self.forget_what_is_old(moment);
+        let (last, before) = {
+            let mut newest = self.odometry.iter().rev().map(|(moment, _)| moment);
+            (newest.next(), newest.next())
+        };
         let replaces =
             before.filter(|before| last.is_some_and(|last| last.since(*before) < READING_INTERVAL));
         // What was believed after the reading before this one did not know of this one.
@@ -240,7 +248,7 @@ impl Filter {
 
     /// The moments of the newest fix at a moment or before it, and of the oldest after it.
     pub(super) fn fixes_around(&self, moment: Instant) -> (Option<Instant>, Option<Instant>) {
-        let moments = || self.fixes.iter().map(|(fix, _)| *fix);
+        let moments = || self.fixes.iter().map(|(fix, _)| fix);
         let before = moments().take_while(|fix| *fix <= moment).last();
         (before, moments().find(|fix| *fix > moment))
     }
@@ -262,14 +270,14 @@ impl Filter {
         let mut readings =
             self.odometry.iter().skip_while(|(moment, _)| *moment <= start.moment).peekable();
         let mut drive = |belief: &mut Belief, to: Instant| {
-            while let Some(&(moment, pose)) = readings.next_if(|(moment, _)| *moment <= to) {
+            while let Some((moment, &pose)) = readings.next_if(|(moment, _)| *moment <= to) {
                 belief.go(moment, Some(pose), &self.noise);
             }
             let length = to.since(belief.moment);
             if length == Duration(0) {
                 return;
             }
-            let next = readings.peek().filter(|_| belief.attached);
+            let next = readings.peek().copied().filter(|_| belief.attached);
             let odometry = next.and_then(|(next, pose)| {
                 let gap = next.since(belief.moment);
                 let part = seconds(length) / seconds(gap);
@@ -279,11 +287,20 @@ impl Filter {
         };
         let fixes = self.fixes.iter().skip_while(|(moment, _)| *moment <= start.moment);
         for (moment, (_, fix)) in fixes.take_while(|(moment, _)| *moment <= until) {
-            drive(&mut belief, *moment);
+            drive(&mut belief, moment);
             outcome = Some(belief.take(fix));
         }
         drive(&mut belief, until);
         (belief, outcome)
+    }
+
+    /// Makes sure that all that is remembered lies within [`HISTORY_SPAN`] when something of this
+    /// moment is added.
+    fn forget_what_is_old(&mut self, moment: Instant) {
+        let oldest = [self.odometry.oldest().map(|it| it.0), self.fixes.oldest().map(|it| it.0)];
+        if oldest.into_iter().flatten().any(|oldest| moment.since(oldest) >= HISTORY_SPAN) {
+            self.forget_until(moment - HISTORY_SPAN);
+        }
     }
 
     /// Lets what is older be part of the belief that all begins with.

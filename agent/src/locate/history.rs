@@ -1,30 +1,39 @@
 //! What was said of the last moments, in the order of time.
 
-use heapless::{Deque, deque};
-use ubimap_protocol::time::Instant;
+use heapless::Deque;
+use ubimap_protocol::time::{Duration, Instant};
 
-/// The last `N` entries of one kind, each with its moment, oldest first.
+/// The last `N` entries of one kind, each with its moment, oldest first. They may lie
+/// [`HISTORY_SPAN`] apart.
 #[derive(Debug)]
 pub(super) struct History<T, const N: usize> {
-    entries: Deque<(Instant, T), N>,
+    /// Of the moments the lower words.
+    entries: Deque<(u32, T), N>,
+    newest: Instant,
 }
+
+/// Half an hour: what is as old must be forgotten before something new comes.
+pub(super) const HISTORY_SPAN: Duration = Duration::from_secs(30 * 60);
 
 impl<T: Copy, const N: usize> History<T, N> {
     pub(super) fn new() -> Self {
-        Self { entries: Deque::new() }
+        Self { entries: Deque::new(), newest: Instant(0) }
     }
 
     /// Adds an entry where it belongs in time: behind those of the same moment. `false` if there
     /// is no room.
     pub(super) fn insert(&mut self, moment: Instant, entry: T) -> bool {
-        if self.entries.push_back((moment, entry)).is_err() {
+        let newest = if self.entries.is_empty() { moment } else { self.newest.max(moment) };
+        if self.entries.push_back((moment.0 as u32, entry)).is_err() {
             return false;
         }
+        self.newest = newest;
         // Sink it to its place: nearly always it is there already.
+        let age = |entry: &(u32, T)| (newest.0 as u32).wrapping_sub(entry.0);
         let mut entries = self.entries.iter_mut().rev();
         let mut new = entries.next();
         for earlier in entries {
-            let Some(later) = new.filter(|later| earlier.0 > later.0) else { break };
+            let Some(later) = new.filter(|later| age(earlier) < age(later)) else { break };
             core::mem::swap(earlier, later);
             new = Some(earlier);
         }
@@ -34,13 +43,14 @@ impl<T: Copy, const N: usize> History<T, N> {
     /// Puts another one in the newest one's place; it must not be older than the one before.
     pub(super) fn replace_newest(&mut self, moment: Instant, entry: T) {
         if let Some(newest) = self.entries.back_mut() {
-            *newest = (moment, entry);
+            *newest = (moment.0 as u32, entry);
+            self.newest = moment;
         }
     }
 
     /// Forgets those up to a moment.
     pub(super) fn forget_until(&mut self, moment: Instant) {
-        while self.entries.front().is_some_and(|(oldest, _)| *oldest <= moment) {
+        while self.oldest().is_some_and(|(oldest, _)| oldest <= moment) {
             self.entries.pop_front();
         }
     }
@@ -50,15 +60,19 @@ impl<T: Copy, const N: usize> History<T, N> {
     }
 
     pub(super) fn oldest(&self) -> Option<(Instant, T)> {
-        self.entries.front().copied()
+        self.iter().next().map(|(moment, entry)| (moment, *entry))
     }
 
     pub(super) fn newest(&self) -> Option<(Instant, T)> {
-        self.entries.back().copied()
+        self.iter().next_back().map(|(moment, entry)| (moment, *entry))
     }
 
-    pub(super) fn iter(&self) -> deque::Iter<'_, (Instant, T)> {
-        self.entries.iter()
+    pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = (Instant, &T)> {
+        let newest = self.newest.0;
+        self.entries.iter().map(move |(moment, entry)| {
+            let age = (newest as u32).wrapping_sub(*moment);
+            (Instant(newest.wrapping_sub(age.into())), entry)
+        })
     }
 }
 
@@ -82,5 +96,22 @@ mod tests {
         assert_eq!(all(&history), "bce");
         assert_eq!(history.oldest(), Some((Instant(30), 'b')));
         assert_eq!(history.newest(), Some((Instant(60), 'e')));
+    }
+
+    #[test]
+    fn moments_are_told_apart_wherever_their_lower_words_wrap() {
+        for wrap in [1u64 << 32, 5 << 32] {
+            let mut history = History::<char, 4>::new();
+            let at = |millis: i64| Instant(wrap.wrapping_add_signed(millis * 1_000));
+            let half_an_hour = HISTORY_SPAN.micros() as i64 / 1_000;
+            for (millis, entry) in [(40, 'b'), (half_an_hour - 10, 'd'), (-10, 'a'), (60, 'c')] {
+                assert!(history.insert(at(millis), entry));
+            }
+            let all: std::vec::Vec<_> = history.iter().map(|(at, entry)| (at, *entry)).collect();
+            let expected = [(-10, 'a'), (40, 'b'), (60, 'c'), (half_an_hour - 10, 'd')];
+            assert_eq!(all, expected.map(|(millis, entry)| (at(millis), entry)));
+            history.forget_until(at(59));
+            assert_eq!(history.oldest(), Some((at(60), 'c')));
+        }
     }
 }

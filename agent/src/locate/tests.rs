@@ -200,7 +200,7 @@ fn drive() -> impl Strategy<Value = Drive> {
     let steps = proptest::collection::vec(
         (
             // Between readings: mostly wheels, sometimes a gap.
-            prop_oneof![9 => 50_000..100_000u64, 1 => 100_000..800_000u64],
+            prop_oneof![9 => 100_000..150_000u64, 1 => 150_000..800_000u64],
             // Forward and turn in a second, in mm and binary units.
             (-300..1_500i32, -8_000..8_000i32),
             // Between fixes, their errors and their lateness.
