@@ -4,8 +4,8 @@ use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MIN_VERSION, SessionId, VERSION},
     link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
     message::{
-        DistanceVector, EventCode, Hello, ParameterCommand, ParameterReport, Refusal,
-        RefusalReason, State, ToServerKind, Welcome,
+        DistanceVector, EventCode, Hello, ParameterCommand, Refusal, RefusalReason, State,
+        ToServerKind, Welcome,
     },
     tile::Epoch,
     time::{Duration, Instant},
@@ -20,7 +20,7 @@ use crate::{
         LocalMap, MAX_RADIUS, MIN_RESOLUTION, MappingConfig, PeerMasks, Pool, Selected, Selection,
         Surround, View, scratch_words,
     },
-    parameters::{carry_out, push_report},
+    parameters::{Answer, carry_out, push_report},
     sense::{Beam, Columns, ScanError, Steadiness, WaitingScans, fill_beams, remove_beams},
     share::{Commands, DistanceVectors, Events, FusedMap, Publisher},
     statistics::Statistics,
@@ -68,7 +68,7 @@ pub struct Agent<'b> {
     /// The poses of the newest scans are not known.
     lost: bool,
     /// The answer to the newest command about parameters, until it is sent.
-    report: Option<ParameterReport>,
+    answer: Option<Answer>,
     link: Endpoint<Token, WINDOW, DEFAULT_FRAME>,
     knocking: Knocking,
     clock: ClockSync,
@@ -133,7 +133,7 @@ impl<'b> Agent<'b> {
             vectors: DistanceVectors::new(config.vector_interval),
             events: Events::default(),
             lost: false,
-            report: None,
+            answer: None,
             link: Endpoint::new(Direction::ToServer),
             knocking: Knocking::new(config.boot_nonce),
             clock: ClockSync::default(),
@@ -264,7 +264,17 @@ impl<'b> Agent<'b> {
         let odometry = self.locator.newest_odometry();
         let cells_refused = self.statistics.cells_refused;
         let Self {
-            link, clock, fused, map, publisher, next_state, events, report, vectors, ..
+            config,
+            link,
+            clock,
+            fused,
+            map,
+            publisher,
+            next_state,
+            events,
+            answer,
+            vectors,
+            ..
         } = self;
         let sent = link.poll_transmit(now, out, false, |writer, reliable| {
             // What must not be sent again, for it would be stale then, goes apart.
@@ -293,7 +303,7 @@ impl<'b> Agent<'b> {
             if let Some(code) = events.send(to_server, push_event) {
                 return Fill::Reliable(Token::Event(code));
             }
-            if push_report(report, writer) {
+            if push_report(answer, config, writer) {
                 return Fill::Reliable(Token::Other);
             }
             if let Some(interest) = fused.untold()
@@ -468,7 +478,7 @@ impl<'b> Agent<'b> {
     /// Carries out a command about parameters.
     fn configure(&mut self, command: &ParameterCommand) {
         let Config { mounting, first_epoch, .. } = self.config;
-        self.report = Some(carry_out(command, &mut self.config));
+        self.answer = Some(carry_out(command, &mut self.config));
         self.publisher.set_hold(self.config.hold);
         self.selection.set_gate(self.config.gate);
         if self.config.mounting != mounting {

@@ -37,7 +37,7 @@ pub enum Parameter {
 }
 
 impl Parameter {
-    const ALL: [Self; 8] = [
+    const ALL: &[Self] = &[
         Self::MountingX,
         Self::MountingY,
         Self::MountingHeading,
@@ -48,8 +48,10 @@ impl Parameter {
         Self::FirstEpoch,
     ];
 
-    fn of(number: u16) -> Option<Self> {
-        Self::ALL.into_iter().find(|parameter| *parameter as u16 == number)
+    /// The one of this number, or none.
+    fn of(number: u16) -> &'static [Self] {
+        let found = |parameter: &&[Self]| parameter.iter().any(|it| *it as u16 == number);
+        Self::ALL.chunks(1).find(found).unwrap_or_default()
     }
 
     fn range(self) -> (i32, i32) {
@@ -93,66 +95,66 @@ impl Parameter {
     }
 }
 
+/// The answer to a command: the parameters whose values have not been told yet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Answer {
+    number: u16,
+    outcome: ParameterOutcome,
+    untold: &'static [Parameter],
+}
+
 /// Carries out a command on a configuration.
-pub(crate) fn carry_out(command: &ParameterCommand, config: &mut Config) -> ParameterReport {
-    let mut report = ParameterReport {
-        number: command.number,
-        outcome: ParameterOutcome::Done,
-        values: Vec::new(),
-    };
+pub(crate) fn carry_out(command: &ParameterCommand, config: &mut Config) -> Answer {
+    let mut outcome = ParameterOutcome::Done;
+    let number = command.number;
     let wanted = match command.action {
-        ParameterAction::List => {
-            for parameter in Parameter::ALL {
-                // There is room for all of them: checked below at compile time.
-                let _ = report.values.push(parameter.value(config));
-            }
-            return report;
-        }
+        ParameterAction::List => return Answer { number, outcome, untold: Parameter::ALL },
         ParameterAction::Get(number) => Parameter::of(number),
         ParameterAction::Set(ParameterValue { parameter, value }) => {
             let wanted = Parameter::of(parameter);
-            if let Some(wanted) = wanted {
+            if let Some(wanted) = wanted.first() {
                 let (least, most) = wanted.range();
                 if (least..=most).contains(&value) {
                     wanted.set(config, value);
                 } else {
-                    report.outcome = ParameterOutcome::OutOfRange;
+                    outcome = ParameterOutcome::OutOfRange;
                 }
             }
             wanted
         }
     };
-    match wanted {
-        Some(wanted) => {
-            let _ = report.values.push(wanted.value(config));
-        }
-        None => report.outcome = ParameterOutcome::Unknown,
+    if wanted.is_empty() {
+        outcome = ParameterOutcome::Unknown;
     }
-    report
+    Answer { number, outcome, untold: wanted }
 }
 
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 
-/// Adds as much of a report to a frame as there is room for; the rest stays for the next one.
+/// Reports as much of an answer in a frame as there is room for; the rest stays for the next one.
 /// `false` if there is none.
-pub(crate) fn push_report(report: &mut Option<ParameterReport>, writer: &mut Writer<'_>) -> bool {
-    let Some(whole) = report else { return false };
-    for count in (0..=whole.values.len()).rev() {
-        let mut part = whole.clone();
-        part.values.truncate(count);
-        if writer.push(ToServerKind::ParameterReport as u8, &part) {
-            let mut rest = Vec::new();
-            for &value in whole.values.iter().skip(count) {
-                let _ = rest.push(value);
-            }
-            whole.values = rest;
-            if whole.values.is_empty() {
-                *report = None;
-            }
-            return true;
+pub(crate) fn push_report(
+    answer: &mut Option<Answer>,
+    config: &Config,
+    writer: &mut Writer<'_>,
+) -> bool {
+    let Some(Answer { number, outcome, untold }) = answer else { return false };
+    let mut values = Vec::new();
+    for parameter in *untold {
+        // There is room for all of them: checked above at compile time.
+        let _ = values.push(parameter.value(config));
+    }
+    let mut report = ParameterReport { number: *number, outcome: *outcome, values };
+    while !writer.push(ToServerKind::ParameterReport as u8, &report) {
+        if report.values.pop().is_none() {
+            return false;
         }
     }
-    false
+    *untold = untold.get(report.values.len()..).unwrap_or_default();
+    if untold.is_empty() {
+        *answer = None;
+    }
+    true
 }
 
 #[cfg(test)]
@@ -173,28 +175,27 @@ mod tests {
     #[test]
     fn every_parameter_reads_back_what_was_set() {
         let mut config = config();
-        for parameter in Parameter::ALL {
+        for &parameter in Parameter::ALL {
             let (_, most) = parameter.range();
-            let report = carry_out(&set(parameter as u16, most), &mut config);
+            let answer = carry_out(&set(parameter as u16, most), &mut config);
             let value = ParameterValue { parameter: parameter as u16, value: most };
-            assert_eq!(
-                (report.outcome, &report.values[..]),
-                (ParameterOutcome::Done, &[value][..])
-            );
+            assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Done, &[parameter][..]));
+            assert_eq!(parameter.value(&config), value);
         }
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
-        assert_eq!(carry_out(&list, &mut config).values.len(), Parameter::ALL.len());
+        assert_eq!(carry_out(&list, &mut config).untold, Parameter::ALL);
     }
 
     #[test]
     fn a_report_that_is_too_long_for_a_frame_comes_in_parts() {
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
-        let mut report = Some(carry_out(&list, &mut config()));
+        let mut config = config();
+        let mut answer = Some(carry_out(&list, &mut config));
         let mut numbers = std::vec::Vec::new();
         for _ in 0..Parameter::ALL.len() {
             let mut frame = [0; 24];
             let mut writer = Writer::new(&mut frame);
-            if !push_report(&mut report, &mut writer) {
+            if !push_report(&mut answer, &config, &mut writer) {
                 break;
             }
             let len = writer.len();
@@ -203,14 +204,14 @@ mod tests {
             let part = ubimap_protocol::message::decode::<ParameterReport>(body).unwrap().0;
             numbers.extend(part.values.iter().map(|value| value.parameter));
         }
-        assert_eq!(report, None);
+        assert_eq!(answer, None);
         assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 7]);
     }
 
     #[test]
     fn what_is_out_of_range_or_unknown_changes_nothing() {
         let mut changed = config();
-        for parameter in Parameter::ALL {
+        for &parameter in Parameter::ALL {
             let (least, most) = parameter.range();
             for value in [least - 1, most + 1, i32::MIN, i32::MAX] {
                 let report = carry_out(&set(parameter as u16, value), &mut changed);
