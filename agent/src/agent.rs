@@ -27,7 +27,7 @@ use crate::{
 };
 
 /// Reliable frames that may be under way.
-const WINDOW: usize = 8;
+const WINDOW: usize = 3;
 /// Between two states; what keeps an idle session alive.
 const STATE_INTERVAL: Duration = Duration::from_secs(2);
 

@@ -68,7 +68,7 @@ pub struct Transmit<T> {
 }
 
 /// One end of a link. `WINDOW` reliable frames may be under way (at most 32), of at most `FRAME`
-/// bytes on the wire; about `(WINDOW + 2) * FRAME` bytes of memory. `T` marks reliable frames for
+/// bytes on the wire; about `(WINDOW + 1) * FRAME` bytes of memory, and `FRAME` of stack to write one. `T` marks reliable frames for
 /// the owner.
 #[derive(Debug)]
 pub struct Endpoint<T, const WINDOW: usize, const FRAME: usize> {
@@ -80,7 +80,6 @@ pub struct Endpoint<T, const WINDOW: usize, const FRAME: usize> {
     receiving: ReceiveWindow,
     sending: SendWindow<T, WINDOW, FRAME>,
     datagrams: u16,
-    scratch: [u8; FRAME],
     counters: Counters,
 }
 
@@ -95,7 +94,6 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
             receiving: ReceiveWindow::default(),
             sending: SendWindow::default(),
             datagrams: 0,
-            scratch: [0; FRAME],
             counters: Counters::default(),
         }
     }
@@ -212,14 +210,15 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         out: &mut [u8],
     ) -> Option<usize> {
         let header = Header { version: VERSION, kind: FrameKind::Handshake, sequence: 0 };
-        let (head, payload) = self.scratch.split_first_chunk_mut::<HEADER_LEN>()?;
+        let mut scratch = [0; FRAME];
+        let (head, payload) = scratch.split_first_chunk_mut::<HEADER_LEN>()?;
         *head = header.encode();
         let mut writer = Writer::new(payload);
         if !writer.push(kind, body) {
             return None;
         }
         let len = HEADER_LEN + writer.len();
-        let contents = self.scratch.get(..len)?;
+        let contents = scratch.get(..len)?;
         let tail = seal(SessionId::NONE, self.outgoing, contents);
         self.counters.sent = self.counters.sent.wrapping_add(1);
         cobs::encode([contents, &tail], out)
@@ -267,7 +266,8 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
     ) -> Option<Transmit<T>> {
         let sequence = self.sending.next_sequence();
         let room = payload_capacity(self.frame.min(out.len()));
-        let (head, payload) = self.scratch.split_first_chunk_mut::<HEADER_LEN>()?;
+        let mut scratch = [0; FRAME];
+        let (head, payload) = scratch.split_first_chunk_mut::<HEADER_LEN>()?;
         let mut writer = Writer::new(payload.get_mut(..room)?);
         let due = self.receiving.due().is_some_and(|due| due <= now);
         let alone = room < ROOM_FOR_TWO;
@@ -288,7 +288,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         };
         let len = HEADER_LEN + writer.len();
         *head = Header { version: VERSION, kind, sequence }.encode();
-        let contents = self.scratch.get(..len)?;
+        let contents = scratch.get(..len)?;
         let tail = seal(self.session, self.outgoing, contents);
         let wire = cobs::encode([contents, &tail], out)?;
         debug_assert!(contents.len() + SEAL_LEN <= FRAME);
