@@ -6,7 +6,8 @@
 //! 2. [`locate`]: the pose of the moment it was taken, from the server's fixes and odometry;
 //! 3. [`map`]: the gate, what is known already, the transform to `map`, the tiles;
 //! 4. [`share`]: tile updates to the server, the merged map back;
-//! 5. [`Agent`] ties them together; [`Parameter`] lists what the server may change of it.
+//! 5. [`Agent`] ties them together; [`Parameter`] lists what the server may change of it, and
+//!    [`Bounds`] tells what memory it takes.
 //!
 //! A scan is one borrowed row of readings: [`Agent::scan`] takes a lidar's, or a row of a depth
 //! frame as it lies in memory. A [`sense::Slicer`] makes the row of a frame that comes line by
@@ -22,6 +23,7 @@
 extern crate std;
 
 mod agent;
+mod bounds;
 mod config;
 mod inbox;
 pub mod locate;
@@ -33,6 +35,7 @@ mod statistics;
 mod trigonometry;
 
 pub use agent::{Agent, LINK_STATE};
+pub use bounds::Bounds;
 pub use config::{Config, ConfigError, Memory};
 pub use parameters::Parameter;
 pub use statistics::Statistics;
