@@ -66,7 +66,7 @@ impl Parameter {
     }
 
     fn value(self, config: &Config) -> ParameterValue {
-        let millis = |span: Duration| (span.micros() / 1_000).min(60_000) as i32;
+        let millis = |span: Duration| (span.micros().min(60_000_000) as u32 / 1_000) as i32;
         let value = match self {
             Self::MountingX => config.mounting.x.0,
             Self::MountingY => config.mounting.y.0,

@@ -161,13 +161,14 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
                 index += 1;
                 continue;
             }
-            let Some(frame) = swap_remove(&mut self.outstanding, index) else { return };
-            if frame.sent == 1 {
-                self.round_trip.sample(now.since(frame.last_sent));
+            let Outstanding { sent, last_sent, token, .. } = *frame;
+            swap_remove(&mut self.outstanding, index);
+            if sent == 1 {
+                self.round_trip.sample(now.since(last_sent));
             }
-            self.newest_acknowledged = self.newest_acknowledged.max(Some(frame.last_sent));
+            self.newest_acknowledged = self.newest_acknowledged.max(Some(last_sent));
             // There is room: each frame is either outstanding or here.
-            let _ = self.acknowledged.push(frame.token);
+            let _ = self.acknowledged.push(token);
         }
     }
 
@@ -193,6 +194,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
         self.outstanding.iter().map(|frame| self.deadline(frame)).min()
     }
 
+    #[inline(never)]
     fn deadline(&self, frame: &Outstanding<T, CONTENTS>) -> Instant {
         let patience = frame.last_sent + self.round_trip.timeout(frame.sent);
         let overtaken = frame.last_sent + self.round_trip.reordering();
@@ -204,12 +206,12 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
 }
 
 /// Takes an entry out; the last one takes its place. Without a panic, unlike `Vec::swap_remove`.
-fn swap_remove<T, const N: usize>(entries: &mut Vec<T, N>, index: usize) -> Option<T> {
-    let last = entries.pop()?;
-    Some(match entries.get_mut(index) {
-        Some(entry) => core::mem::replace(entry, last),
-        None => last,
-    })
+fn swap_remove<T, const N: usize>(entries: &mut Vec<T, N>, index: usize) {
+    if let Some(last) = entries.pop()
+        && let Some(entry) = entries.get_mut(index)
+    {
+        *entry = last;
+    }
 }
 
 #[cfg(test)]

@@ -309,7 +309,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         if self.session == SessionId::NONE {
             return None;
         }
-        [self.receiving.due(), self.sending.next_deadline()].into_iter().flatten().min()
+        Instant::earlier(self.receiving.due(), self.sending.next_deadline())
     }
 }
 
