@@ -346,7 +346,7 @@ impl<'b> Agent<'b> {
             [Some(self.knocking.poll_timeout()), None, None, None, expiry]
         };
         // There is always one of the first.
-        timers.into_iter().flatten().min().unwrap_or(Instant(u64::MAX))
+        timers.into_iter().fold(None, Instant::earlier).unwrap_or(Instant(u64::MAX))
     }
 
     /// Does what is due at `now` and has nothing to do with sending.
@@ -595,7 +595,7 @@ impl<'b> Agent<'b> {
             if mapped.cells_refused > 0 {
                 self.events.raise(EventCode::PoolFull, now);
             }
-            let seconds = server_moment.map(|moment| (moment.micros() / 1_000_000) as u32);
+            let seconds = server_moment.map(Instant::seconds);
             self.publisher.changed(now, seconds);
         }
     }

@@ -26,6 +26,12 @@ pub(crate) fn sin_cos(radians: f32) -> (f32, f32) {
     }
 }
 
+/// The nearest whole number. Apart, so that it is in the firmware once.
+#[inline(never)]
+pub(crate) fn round(value: f32) -> f32 {
+    libm::roundf(value)
+}
+
 /// A binary angle in radians, from -pi (inclusive) to pi.
 pub(crate) fn radians(angle: Angle) -> f32 {
     f32::from(angle.0 as i16) * (PI / 32_768.0)
@@ -33,7 +39,7 @@ pub(crate) fn radians(angle: Angle) -> f32 {
 
 /// The nearest binary angle to an angle of less than a hundred turns in radians.
 pub(crate) fn angle(radians: f32) -> Angle {
-    Angle(libm::roundf(radians * (32_768.0 / PI)) as i32 as u16)
+    Angle(round(radians * (32_768.0 / PI)) as i32 as u16)
 }
 
 #[cfg(test)]

@@ -28,6 +28,29 @@ impl Instant {
         self.0
     }
 
+    /// Whole seconds since the start; they wrap after 136 years.
+    pub const fn seconds(self) -> u32 {
+        // In digits of 16 bits: dividing 64 bits costs a microcontroller a kilobyte of flash.
+        const PER_SECOND: u32 = 1_000_000 >> 6;
+        let (mut seconds, mut rest, mut digit) = (0u32, 0, 4);
+        while digit > 0 {
+            digit -= 1;
+            rest = rest << 16 | ((self.0 >> 6) >> (16 * digit)) as u16 as u32;
+            seconds = seconds << 16 | rest / PER_SECOND;
+            rest %= PER_SECOND;
+        }
+        seconds
+    }
+
+    /// The earlier of two moments, one of which there may not be.
+    #[inline(never)]
+    pub fn earlier(one: Option<Self>, other: Option<Self>) -> Option<Self> {
+        match (one, other) {
+            (Some(one), Some(other)) => Some(one.min(other)),
+            _ => one.or(other),
+        }
+    }
+
     /// The time since an earlier moment; zero if that moment is later.
     pub const fn since(self, earlier: Self) -> Duration {
         Duration(self.0.saturating_sub(earlier.0))
@@ -74,5 +97,19 @@ impl Add for Duration {
     type Output = Self;
     fn add(self, other: Self) -> Self {
         Self(self.0.saturating_add(other.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn seconds_are_a_millionth(micros: u64, shift in 0u32..64) {
+            let micros = micros >> shift;
+            prop_assert_eq!(Instant(micros).seconds(), (micros / 1_000_000) as u32);
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! The two steps of a Kalman filter of three states (x, y, heading): a motion, and a fix.
 
-use libm::{roundf, sqrtf};
+use libm::sqrtf;
 use nalgebra::{UnitComplex, Vector2, Vector3};
 use ubimap_protocol::{
     message::Certainty,
@@ -11,7 +11,7 @@ use super::{
     covariance::{Axis, Covariance},
     odometry::MotionNoise,
 };
-use crate::trigonometry::{radians, sin_cos};
+use crate::trigonometry::{radians, round, sin_cos};
 
 /// Radians in a binary angle unit.
 pub(super) const RADIANS: f32 = core::f32::consts::TAU / 65_536.0;
@@ -113,7 +113,7 @@ impl Estimate {
 
     /// `base_link` in `map`, the odometry's heading being `odometry`.
     pub(super) fn pose(&self, odometry: Angle) -> Pose {
-        let turned = roundf(self.rotation.angle() / RADIANS) as i32 as u16;
+        let turned = round(self.rotation.angle() / RADIANS) as i32 as u16;
         Pose { x: self.whole.0, y: self.whole.1, heading: odometry + Angle(turned) }
     }
 
@@ -217,7 +217,7 @@ impl Estimate {
 
     fn shift(&mut self, step: Vector2<f32>) {
         let moved = self.rest + step;
-        let (x, y) = (roundf(moved.x), roundf(moved.y));
+        let (x, y) = (round(moved.x), round(moved.y));
         self.whole.0 = self.whole.0 + Millimetres(x as i32);
         self.whole.1 = self.whole.1 + Millimetres(y as i32);
         self.rest = moved - Vector2::new(x, y);

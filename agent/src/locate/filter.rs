@@ -267,17 +267,18 @@ impl Filter {
     fn replay(&self, until: Instant) -> (Belief, Option<FixOutcome>) {
         let start = if until < self.recent.moment { &self.base } else { &self.recent };
         let (mut belief, mut outcome) = (*start, None);
-        let mut readings =
-            self.odometry.iter().skip_while(|(moment, _)| *moment <= start.moment).peekable();
+        let mut readings = self.odometry.iter().skip_while(|(moment, _)| *moment <= start.moment);
+        let mut next = readings.next();
         let mut drive = |belief: &mut Belief, to: Instant| {
-            while let Some((moment, &pose)) = readings.next_if(|(moment, _)| *moment <= to) {
+            while let Some((moment, &pose)) = next.filter(|(moment, _)| *moment <= to) {
                 belief.go(moment, Some(pose), &self.noise);
+                next = readings.next();
             }
             let length = to.since(belief.moment);
             if length == Duration(0) {
                 return;
             }
-            let next = readings.peek().copied().filter(|_| belief.attached);
+            let next = next.filter(|_| belief.attached);
             let odometry = next.and_then(|(next, pose)| {
                 let gap = next.since(belief.moment);
                 let part = seconds(length) / seconds(gap);

@@ -1,9 +1,9 @@
 //! Odometry: how far it is to be trusted, and what it said between two readings.
 
-use libm::roundf;
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use super::estimate::RADIANS;
+use crate::trigonometry::round;
 
 /// How odometry departs from the truth: standard deviations, whose squares grow with the way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,13 +62,13 @@ impl MotionNoise {
 /// The pose at a part (0 to 1) of the way, in proportion, turning the short way.
 pub(super) fn between(from: Pose, to: Pose, part: f32) -> Pose {
     let mix = |from: Millimetres, to: Millimetres| {
-        from + Millimetres(roundf((to - from).0 as f32 * part) as i32)
+        from + Millimetres(round((to - from).0 as f32 * part) as i32)
     };
     let turn = f32::from((to.heading - from.heading).0 as i16) * part;
     Pose {
         x: mix(from.x, to.x),
         y: mix(from.y, to.y),
-        heading: from.heading + Angle(roundf(turn) as i32 as u16),
+        heading: from.heading + Angle(round(turn) as i32 as u16),
     }
 }
 

@@ -5,7 +5,7 @@ use core::ops::Range;
 use libm::atan2f;
 use ubimap_protocol::units::Angle;
 
-use crate::sense::Beam;
+use crate::{sense::Beam, trigonometry::round};
 
 /// How the beams of a sensor follow each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,7 +46,7 @@ impl Sweep {
         if turn == 0 || step == 0.0 {
             return 0..count;
         }
-        let pixels = libm::roundf(f32::from(turn) / step) as i32;
+        let pixels = round(f32::from(turn) / step) as i32;
         let new = (pixels.unsigned_abs() as usize).min(count);
         // Beams that follow each other to the left show what is new at their end after a turn to
         // the left.

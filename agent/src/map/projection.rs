@@ -1,11 +1,10 @@
 //! From a beam and a reading to a position in the grid of the map (Aluckal, "offsetting").
 
-use libm::roundf;
 use ubimap_protocol::units::{Millimetres, Pose};
 
 use crate::{
     sense::{Beam, DIRECTION_BITS},
-    trigonometry::{radians, sin_cos},
+    trigonometry::{radians, round, sin_cos},
 };
 
 /// Fractional bits of a position in cells.
@@ -44,7 +43,7 @@ impl Projection {
     pub(super) fn new(pose: Pose, mounting: Pose, resolution: Millimetres) -> Self {
         let one = (1 << DIRECTION_BITS) as f32;
         let (sin, cos) = sin_cos(radians(pose.heading));
-        let (sin, cos) = (roundf(sin * one) as i32, roundf(cos * one) as i32);
+        let (sin, cos) = (round(sin * one) as i32, round(cos * one) as i32);
         let side = resolution.max(MIN_RESOLUTION).0;
         let (forward, left) = (i64::from(mounting.x.0), i64::from(mounting.y.0));
         let (cos_64, sin_64) = (i64::from(cos), i64::from(sin));

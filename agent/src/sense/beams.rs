@@ -3,7 +3,7 @@
 use libm::atan2f;
 use ubimap_protocol::units::{Angle, Pose};
 
-use crate::trigonometry::{angle, radians, sin_cos};
+use crate::trigonometry::{angle, radians, round, sin_cos};
 
 use super::camera::{Camera, Rays};
 
@@ -134,7 +134,7 @@ pub fn fill_beams(beams: &mut [Beam], model: SensorModel, mounting: Pose) {
         let left = (x * turn_sin + y * turn_cos) * scale;
         let fits = |value: f32| value.abs() <= f32::from(i16::MAX);
         if fits(forward) && fits(left) {
-            *beam = Beam { forward: libm::roundf(forward) as i16, left: libm::roundf(left) as i16 };
+            *beam = Beam { forward: round(forward) as i16, left: round(left) as i16 };
         }
     }
 }

@@ -66,9 +66,8 @@ impl Publisher {
         let mut digests = Digests { layer: Layer::Robot, tiles: Vec::new() };
         let mut last = self.digested;
         for _ in 0..DIGESTS {
-            let level = |tile: &&OwnTile| !tile.dirty && tile.publication.is_acknowledged();
-            let next = pool.tiles().filter(level).filter(|tile| tile.id > last);
-            let tile = next.min_by_key(|tile| tile.id);
+            let level = |tile: &OwnTile| !tile.dirty && tile.publication.is_acknowledged();
+            let tile = place_after(pool, last, level).and_then(|place| pool.tiles().nth(place));
             last = tile.and_then(|tile| tile.id);
             let Some((tile, id)) = tile.and_then(|tile| Some((tile, tile.id?))) else { break };
             let stamp = Stamp { epoch: tile.epoch, version: tile.publication.version() };
@@ -236,9 +235,27 @@ fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
 /// The first tile after `done`, in order of ids, that is dirty and of which no update is under
 /// way.
 fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut OwnTile> {
-    pool.tiles_mut()
-        .filter(|tile| tile.dirty && tile.publication.is_ready() && tile.id > done)
-        .min_by_key(|tile| tile.id.map(|id| (id.x, id.y)))
+    let place = place_after(pool, done, |tile| tile.dirty && tile.publication.is_ready())?;
+    pool.tiles_mut().nth(place)
+}
+
+/// Where the first tile after `done`, in order of ids, is that is wanted.
+fn place_after(
+    pool: &Pool<'_>,
+    done: Option<TileId>,
+    is_wanted: fn(&OwnTile) -> bool,
+) -> Option<usize> {
+    let mut first: Option<(usize, TileId)> = None;
+    for (place, tile) in pool.tiles().enumerate() {
+        if let Some(id) = tile.id
+            && Some(id) > done
+            && first.is_none_or(|(_, first)| id < first)
+            && is_wanted(tile)
+        {
+            first = Some((place, id));
+        }
+    }
+    first.map(|(place, _)| place)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Messages: one file a direction. A frame carries any number of them, each as a kind (one byte),
 //! the length of its body (a varint) and the body (postcard).
 
+mod reader;
 mod to_robot;
 mod to_server;
 mod wire;

@@ -5,6 +5,7 @@ use core::cell::Cell;
 use heapless::Vec;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
+use super::reader::Reader;
 use crate::tile::{Layer, Stamp, TileId};
 
 /// Acknowledges reliable frames. The same in both directions, kind 0.
@@ -80,7 +81,9 @@ pub struct MalformedMessage;
 
 /// Reads the fixed part of a message body; what follows it is given back as well.
 pub fn decode<T: DeserializeOwned>(body: &[u8]) -> Result<(T, &[u8]), MalformedMessage> {
-    postcard::take_from_bytes(body).map_err(|_| MalformedMessage)
+    let mut reader = Reader::new(body);
+    let message = T::deserialize(&mut reader).map_err(|_| MalformedMessage)?;
+    Ok((message, reader.rest().map_err(|_| MalformedMessage)?))
 }
 
 /// One message of a frame, undecoded.
@@ -106,7 +109,7 @@ impl<'a> Messages<'a> {
 
     fn split(&mut self) -> Option<Message<'a>> {
         let (&kind, rest) = self.rest.split_first()?;
-        let (len, rest) = postcard::take_from_bytes::<u16>(rest).ok()?;
+        let (len, rest) = decode::<u16>(rest).ok()?;
         let (body, rest) = rest.split_at_checked(usize::from(len))?;
         self.rest = rest;
         Some(Message { kind, body })
