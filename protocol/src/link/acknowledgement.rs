@@ -108,7 +108,7 @@ struct Outstanding<T, const CONTENTS: usize> {
 #[derive(Debug)]
 pub(super) struct SendWindow<T, const WINDOW: usize, const CONTENTS: usize> {
     next: u16,
-    outstanding: Vec<Outstanding<T, CONTENTS>, WINDOW>,
+    outstanding: [Option<Outstanding<T, CONTENTS>>; WINDOW],
     acknowledged: Vec<T, WINDOW>,
     newest_acknowledged: Option<Instant>,
     round_trip: RoundTrip,
@@ -120,7 +120,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> Default
     fn default() -> Self {
         Self {
             next: 0,
-            outstanding: Vec::new(),
+            outstanding: [const { None }; WINDOW],
             acknowledged: Vec::new(),
             newest_acknowledged: None,
             round_trip: RoundTrip::default(),
@@ -131,8 +131,9 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> Default
 impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, CONTENTS> {
     /// The sequence number of the next reliable frame, or `None` if none may be sent now.
     pub(super) fn next_sequence(&self) -> Option<u16> {
-        let oldest = self.outstanding.iter().map(|frame| ahead(frame.sequence, self.next)).max();
-        let room = self.outstanding.len() + self.acknowledged.len() < WINDOW;
+        let frames = || self.outstanding.iter().flatten();
+        let oldest = frames().map(|frame| ahead(frame.sequence, self.next)).max();
+        let room = frames().count() + self.acknowledged.len() < WINDOW;
         (room && oldest.is_none_or(|behind| behind < SPAN)).then_some(self.next)
     }
 
@@ -140,8 +141,8 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
     pub(super) fn keep(&mut self, contents: &[u8], token: T, now: Instant) {
         let Ok(contents) = Vec::from_slice(contents) else { return };
         let sequence = self.next;
-        let frame = Outstanding { sequence, sent: 1, last_sent: now, token, contents };
-        if self.outstanding.push(frame).is_ok() {
+        if let Some(free) = self.outstanding.iter_mut().find(|frame| frame.is_none()) {
+            *free = Some(Outstanding { sequence, sent: 1, last_sent: now, token, contents });
             self.next = (self.next + 1) % SEQUENCE_MODULUS;
         }
     }
@@ -149,8 +150,8 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
     /// Takes an acknowledgement. The tokens of the frames can then be taken from
     /// [`Self::take_acknowledged`].
     pub(super) fn acknowledge(&mut self, ack: Ack, now: Instant) {
-        let mut index = 0;
-        while let Some(frame) = self.outstanding.get(index) {
+        for place in &mut self.outstanding {
+            let Some(frame) = place else { continue };
             let ahead = ahead(ack.next, frame.sequence);
             let arrived = match ahead {
                 0 => false,
@@ -158,11 +159,10 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
                 _ => ahead >= SEQUENCE_MODULUS / 2,
             };
             if !arrived {
-                index += 1;
                 continue;
             }
             let Outstanding { sent, last_sent, token, .. } = *frame;
-            swap_remove(&mut self.outstanding, index);
+            *place = None;
             if sent == 1 {
                 self.round_trip.sample(now.since(last_sent));
             }
@@ -179,11 +179,14 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
 
     /// A frame that must be sent again now: its contents and token. It counts as sent.
     pub(super) fn resend(&mut self, now: Instant) -> Option<(&[u8], T)> {
-        let frame = (0..self.outstanding.len())
-            .filter_map(|index| Some((self.deadline(self.outstanding.get(index)?), index)))
-            .filter(|&(deadline, _)| deadline <= now)
-            .min()
-            .and_then(|(_, index)| self.outstanding.get_mut(index))?;
+        let mut first: Option<(Instant, usize)> = None;
+        for (place, frame) in self.outstanding.iter().enumerate() {
+            let Some(deadline) = frame.as_ref().map(|frame| self.deadline(frame)) else { continue };
+            if deadline <= now && first.is_none_or(|(first, _)| deadline < first) {
+                first = Some((deadline, place));
+            }
+        }
+        let frame = self.outstanding.get_mut(first?.1)?.as_mut()?;
         frame.sent = frame.sent.saturating_add(1);
         frame.last_sent = now;
         Some((&frame.contents, frame.token))
@@ -191,7 +194,8 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
 
     /// When the next frame must be sent again.
     pub(super) fn next_deadline(&self) -> Option<Instant> {
-        self.outstanding.iter().map(|frame| self.deadline(frame)).min()
+        let deadlines = self.outstanding.iter().flatten().map(|frame| self.deadline(frame));
+        deadlines.fold(None, |first, deadline| Instant::earlier(first, Some(deadline)))
     }
 
     #[inline(never)]
@@ -202,15 +206,6 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
             Some(newest) if newest >= overtaken => overtaken,
             _ => patience,
         }
-    }
-}
-
-/// Takes an entry out; the last one takes its place. Without a panic, unlike `Vec::swap_remove`.
-fn swap_remove<T, const N: usize>(entries: &mut Vec<T, N>, index: usize) {
-    if let Some(last) = entries.pop()
-        && let Some(entry) = entries.get_mut(index)
-    {
-        *entry = last;
     }
 }
 
