@@ -132,17 +132,17 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     let [low, middle, high] = *row;
     let (hit, free) = (sighting.hit, sighting.free & !sighting.hit);
     let unknown = !(low | middle | high);
+    if !unknown & (hit | free) == 0 {
+        // The same in fewer steps, as on new ground; so below.
+        *row = [low | hit | free, middle | free, high | hit];
+        return hit;
+    }
     if hit == 0 {
-        // The same in fewer steps, as in most words; so below.
         let down = free & (middle | high);
         let carry = down & !low;
         let new = unknown & free;
         *row = [low ^ down | new, middle ^ carry | new, high ^ (carry & !middle)];
         return 0;
-    }
-    if !unknown & (hit | free) == 0 {
-        *row = [low | hit | free, middle | free, high | hit];
-        return hit;
     }
     let up = hit & !unknown & !(low & middle & high);
     let down = free & !unknown & !(low & !middle & !high);

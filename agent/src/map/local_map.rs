@@ -9,11 +9,11 @@ use ubimap_protocol::{
 
 use super::{
     evidence::RowSighting,
-    own_tile::Pool,
+    own_tile::{OwnTile, Pool},
     policy::Policy,
     projection::Projection,
     trace::{Grain, PixelCounts, trace},
-    window::{Window, below, words_of},
+    window::{Piece, Window, below, words_of},
 };
 use crate::sense::{Beam, Validity};
 
@@ -94,6 +94,12 @@ pub struct Surround<'m> {
     pub covered: Option<&'m [u32; TILE_SIDE]>,
     /// The cells that other robots take up, likewise.
     pub masked: Option<[u32; TILE_SIDE]>,
+}
+
+/// Adds a piece to the evidence of its tile. Apart, so that the loop over its rows has all registers.
+#[inline(never)]
+fn weigh(tile: &mut OwnTile, piece: Piece<'_>, merged: Option<&Tile>) -> bool {
+    tile.evidence.add(piece.first_row, piece.fill(), merged)
 }
 
 /// The map of one robot.
@@ -211,7 +217,7 @@ impl<'b> LocalMap<'b> {
                     let hits = hits.map(|hit| hit & near.columns);
                     tile.evidence.add_near(rows.start, hits, merged);
                 }
-                news |= tile.evidence.add(first, piece.fill(), merged);
+                news |= weigh(tile, piece, merged);
             });
             if end == count {
                 break;

@@ -56,6 +56,8 @@ pub(super) struct Grain {
     spread: u32,
     /// The range of the map.
     range: u16,
+    /// Readings up to this one are within it, whatever their beam.
+    surely: u32,
     /// Which readings count.
     validity: Validity,
 }
@@ -82,6 +84,8 @@ impl Grain {
             _ => 0,
         });
         let widest = apart.max().unwrap_or(0).max(1);
+        let used = beams.iter().filter(|beam| **beam != Beam::NONE);
+        let surely = used.map(|beam| beam.reading_at(range)).min().unwrap_or(0).saturating_sub(1);
         let side = side.0.clamp(0, 10_000) as u32;
         let span = if policy == Policy::Full { SPAN } else { 0 };
         Self {
@@ -89,6 +93,7 @@ impl Grain {
             tolerance: side * 3 / 4,
             spread: ((span * side) << DIRECTION_BITS) / widest,
             range,
+            surely,
             validity,
         }
     }
@@ -124,21 +129,20 @@ pub(super) fn trace(
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
         let counts = grain.validity.counts_at(readings, index, reading);
         let reading = u32::from(reading);
-        let square = beam.square();
-        let is_hit = u64::from(reading * reading) * u64::from(square) <= range_square;
-        let reach = match is_hit {
-            _ if !counts || square == 0 => 0,
-            true => reading.saturating_sub(grain.margin),
-            false => beam.reading_at(grain.range),
-        };
-        if reach == 0 {
-            invalid += u32::from(index > 0 || !continued);
-            index += 1;
+        if !counts || reading <= grain.margin || beam == Beam::NONE {
+            // Where nothing comes back, often much does not.
+            let rest = readings.get(index + 1..).unwrap_or_default();
+            let gap = 1 + rest.iter().take_while(|&&reading| reading == 0).count();
+            invalid += gap as u32 - u32::from(index == 0 && continued);
+            index += gap;
             if let Some(end) = last.take() {
                 window.edge(end.at, sensor);
             }
             continue;
         }
+        let is_hit = reading <= grain.surely
+            || u64::from(reading * reading) * u64::from(beam.square()) <= range_square;
+        let reach = if is_hit { reading - grain.margin } else { beam.reading_at(grain.range) };
         kept += u32::from(index > 0 || !continued);
         let direction = projection.direction(beam);
         let at = projection.point(direction, reach);
@@ -197,7 +201,12 @@ pub(super) fn trace(
                 expected = next;
                 next = expected.wrapping_add_signed(change);
             }
-            while index <= end && goes_on(index + 1, expected) {
+            let rest = readings.get(index + 1..readings.len().min(end + 2)).unwrap_or_default();
+            let low = expected >> 8;
+            for &next in rest {
+                if u32::from(next).wrapping_sub(low) > span {
+                    break;
+                }
                 index += 1;
             }
         }

@@ -50,13 +50,11 @@ impl<'s> Window<'s> {
         let at = |(x, y): Point| (x >> FRACTION, y >> FRACTION);
         let sensor = at(projection.origin());
         let (mut low, mut high) = (sensor, sensor);
-        let mut reach = |beam: &Beam| {
+        for beam in beams.iter().step_by(beams.len() / SAMPLES + 1).chain(beams.last()) {
             let (x, y) = at(projection.point(projection.direction(*beam), beam.reading_at(range)));
             low = (low.0.min(x), low.1.min(y));
             high = (high.0.max(x), high.1.max(y));
-        };
-        beams.iter().step_by(beams.len() / SAMPLES + 1).for_each(&mut reach);
-        beams.last().into_iter().for_each(reach);
+        }
         let (cell_x, cell_y) = projection.cell();
         let tile = |x: i32| x.wrapping_add(cell_x) >> TILE_SIDE.ilog2();
         let west = tile(low.0 - RIM);
@@ -142,8 +140,20 @@ impl<'s> Window<'s> {
         if last - first > 1 {
             step = (((run >> 8) << 12) / (rise >> 8).max(1)) << 4;
         }
-        for row in first..last {
-            self.flip(row as usize, middle_from(x) as u32);
+        let end = x.wrapping_add(step.wrapping_mul(last - first - 1));
+        let tile = |x: i32| middle_from(x) as usize / TILE_SIDE;
+        if last - first < 6 || tile(x) != tile(end) {
+            for row in first..last {
+                self.flip(row as usize, middle_from(x) as u32);
+                x = x.wrapping_add(step);
+            }
+            return;
+        }
+        // The same within one column of tiles, as most edges are.
+        let column = tile(x).wrapping_mul(self.rows);
+        let rows = column.wrapping_add(first as usize)..column.wrapping_add(last as usize);
+        for cells in self.cells.get_mut(rows).unwrap_or_default() {
+            cells.free ^= 1 << (middle_from(x) as u32 % TILE_SIDE as u32);
             x = x.wrapping_add(step);
         }
     }
@@ -206,7 +216,10 @@ impl<'w> Piece<'w> {
 
     /// Whether nothing is said of any row.
     pub(super) fn says_nothing(&self) -> bool {
-        self.rows.iter().all(|row| row.known() == 0)
+        let (fours, rest) = self.rows.as_chunks();
+        let silent =
+            |&[a, b, c, d]: &[RowSighting; 4]| a.known() | b.known() | c.known() | d.known() == 0;
+        fours.iter().all(silent) && rest.iter().all(|row| row.known() == 0)
     }
 
     /// What is left of the piece without some cells of its tile, in memory for it.
