@@ -98,14 +98,14 @@ fn mapped(log: &Log, scan: usize) -> Vec<(usize, [f64; 2])> {
     let mut beams = vec![Beam::default(); log.sensor.readings()];
     fill_beams(&mut beams, log.sensor.model(), Pose::default());
     let readings = log.scans[scan].readings_mm.iter().zip(&beams).enumerate();
-    let valid = readings.filter(|(_, (reading, beam))| **reading > 0 && **reading <= beam.limit);
+    let valid = readings.filter(|(_, (reading, beam))| **reading > 0 && **beam != Beam::NONE);
     let point = |(column, (reading, beam)): (usize, (&u16, &Beam))| {
         let metres = |direction: i16| {
             f64::from(direction) / f64::from(1 << DIRECTION_BITS) * f64::from(*reading) / 1e3
         };
         (column, [metres(beam.forward), metres(beam.left)])
     };
-    valid.map(point).collect()
+    valid.map(point).filter(|(_, [x, y])| x.hypot(*y) <= RANGE_M).collect()
 }
 
 /// Distances in millimetres: root mean square, 95th percentile, largest.

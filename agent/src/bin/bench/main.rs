@@ -11,6 +11,7 @@ mod counter;
 mod ending;
 mod locate;
 mod memory;
+mod planes;
 mod sense;
 mod standing;
 mod table;
@@ -23,12 +24,13 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::hprintln;
 use counter::Bench;
 use ending::end;
+use planes::{MAX_RANGE, PIXELS, POSE, RESOLUTION, local_map, rows};
 // For its table of interrupt vectors.
 use stm32f4xx_hal as _;
 use ubimap_agent::{
     Agent, Config, Memory,
-    map::{LocalMap, MappingConfig, OwnTile, Policy, Pool, RowSighting, Surround, scratch_words},
-    sense::{Beam, SensorModel, Validity, fill_beams},
+    map::{OwnTile, RowSighting, Surround, scratch_words},
+    sense::{Beam, SensorModel, fill_beams},
     share::{FusedMap, FusedTile, Publisher},
 };
 use ubimap_protocol::{
@@ -36,17 +38,11 @@ use ubimap_protocol::{
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
     message::{Certainty, FixSource, Hello, PoseFix, TimeReply, ToRobotKind, Writer, decode},
     time::{Duration, Instant},
-    units::{Angle, Millimetres, Pose, RobotId},
+    units::{Pose, RobotId},
 };
 
-/// Pixels of a depth row (Aluckal II.D), and their focal length: 86 degrees across.
-const PIXELS: usize = 640;
+/// The focal length of the rows, in pixels: 86 degrees across (Aluckal II.D).
 const FOCAL: f32 = 343.1;
-/// The range that is mapped, in millimetres, and the cells.
-const MAX_RANGE: u16 = 4_000;
-const RESOLUTION: Millimetres = Millimetres(50);
-/// Where the rows are taken: along no axis.
-const POSE: Pose = Pose { x: Millimetres(310), y: Millimetres(-170), heading: Angle(5_000) };
 /// A wall across the whole view, in millimetres of depth.
 const WALL: u16 = 3_000;
 /// Boxes before it: from column, to column, depth.
@@ -78,11 +74,11 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
 
     let wall = [WALL; PIXELS];
     let mut readings = wall;
-    rows(bench, &mut memory, "a wall", &readings)?;
+    rows(bench, &mut memory, sensor(), "a row of 640 to planes: a wall", &readings)?;
     for (from, to, depth) in BOXES {
         readings.get_mut(from..to)?.fill(depth);
     }
-    rows(bench, &mut memory, "two boxes before it", &readings)?;
+    rows(bench, &mut memory, sensor(), "a row of 640 to planes: two boxes before it", &readings)?;
 
     sense::run(bench, &wall, &readings)?;
 
@@ -108,39 +104,6 @@ fn sensor() -> SensorModel {
     SensorModel::Pinhole { focal: FOCAL, centre: (PIXELS - 1) as f32 / 2.0 }
 }
 
-/// The robot layer with nothing in it.
-fn local_map<'m>(
-    beams: &[Beam],
-    scratch: &'m mut [RowSighting],
-    own: &'m mut [OwnTile],
-) -> LocalMap<'m> {
-    let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
-    let (validity, policy) = (Validity::of(sensor()), Policy::default());
-    let config = MappingConfig { resolution, max_range, mounting, validity, policy };
-    LocalMap::new(config, beams, scratch, Pool::new(own))
-}
-
-/// A row of a frame to evidence planes, as the agent takes it: copied, sorted out, drawn, counted.
-/// And the same row once more.
-fn rows(
-    bench: &mut Bench,
-    memory: &mut Memory<'_>,
-    scene: &str,
-    readings: &[u16; PIXELS],
-) -> Option<()> {
-    let mut map = local_map(memory.beams, memory.scratch, memory.own);
-    for time in ["new", "known"] {
-        let mapped =
-            bench.measure(format_args!("a row of {PIXELS} to planes: {scene}, {time}"), || {
-                let row = memory.waiting.get_mut(..PIXELS)?;
-                row.copy_from_slice(black_box(readings));
-                map.add(memory.beams, row, black_box(POSE), |_| Surround::default())
-            });
-        (mapped?.cells_refused == 0).then_some(())?;
-    }
-    Some(())
-}
-
 /// A first message of the scene's tiles: as many as fit a frame. Its length.
 fn publish(
     bench: &mut Bench,
@@ -148,7 +111,7 @@ fn publish(
     readings: &[u16],
     payload: &mut [u8],
 ) -> Option<usize> {
-    let mut map = local_map(memory.beams, memory.scratch, memory.own);
+    let mut map = local_map(sensor(), memory.beams, memory.scratch, memory.own);
     let merged = FusedMap::new(memory.fused);
     map.add(memory.beams, readings, POSE, |_| Surround::default())?;
     let mut publisher = Publisher::new(Duration(0));

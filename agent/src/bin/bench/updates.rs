@@ -19,17 +19,14 @@
 
 mod counter;
 mod ending;
+mod port;
 
 use cortex_m::Peripherals;
 use cortex_m_rt::entry;
 use cortex_m_semihosting::hprintln;
 use counter::{Bench, instructions};
 use ending::end;
-use stm32f4xx_hal::{
-    pac::{self, USART1},
-    prelude::*,
-    rcc::Enable,
-};
+use port::Port;
 use ubimap_protocol::{
     frame::MAX_FRAME,
     tile::{Row, TILE_SIDE, Tile, TileDecoder, TileEncoder},
@@ -41,13 +38,7 @@ const WAYS: [&str; 2] = ["to the server", "to a robot"];
 #[entry]
 fn main() -> ! {
     let core = Peripherals::take();
-    end(core.and_then(|core| {
-        let chip = pac::Peripherals::take()?;
-        let mut rcc = chip.RCC.constrain();
-        USART1::enable(&mut rcc);
-        chip.USART1.cr1().write(|w| w.ue().set_bit().re().set_bit());
-        run(&mut Bench::new(core.SYST), &mut Port(chip.USART1))
-    }))
+    end(core.and_then(|core| run(&mut Bench::new(core.SYST), &mut Port::open()?)))
 }
 
 /// The table. `None` if an update was not coded as it was the first time.
@@ -56,8 +47,8 @@ fn run(bench: &mut Bench, port: &mut Port) -> Option<()> {
     hprintln!("{:>12}  stage", "instructions");
     let mut counts = [Counts::default(); WAYS.len()];
     while let Some(counts) = counts.get_mut(usize::from(port.byte())) {
-        let room = port.half_word();
-        let len = port.half_word();
+        let room = usize::from(port.half_word());
+        let len = usize::from(port.half_word());
         let mut coded = [0; MAX_FRAME];
         let coded = coded.get_mut(..len)?;
         coded.iter_mut().for_each(|byte| *byte = port.byte());
@@ -89,12 +80,12 @@ fn update(
         decoding += ticks?;
         let Some(header) = header.ok()? else { break };
         let mut old = Tile::UNKNOWN;
-        port.rows(&mut old);
+        read_rows(port, &mut old);
         let mut new = old;
         let ((), ticks) = bench.count(|| decoder.cells(&header, &mut new));
         decoding += ticks?;
         counts.decoded.add(core::mem::take(&mut decoding));
-        port.rows(&mut new);
+        read_rows(port, &mut new);
         let (pushed, ticks) = bench.count(|| {
             encoder_mut.push(header.id, header.stamp, header.base, header.start, &old, &new)
         });
@@ -137,27 +128,9 @@ impl Count {
     }
 }
 
-/// The port that the updates come from. The emulator waits until a byte has been taken.
-struct Port(USART1);
-
-impl Port {
-    fn byte(&mut self) -> u8 {
-        while self.0.sr().read().rxne().bit_is_clear() {}
-        self.0.dr().read().dr().bits() as u8
-    }
-
-    fn half_word(&mut self) -> usize {
-        usize::from(u16::from_le_bytes([self.byte(), self.byte()]))
-    }
-
-    fn word(&mut self) -> u32 {
-        u32::from_le_bytes([self.byte(), self.byte(), self.byte(), self.byte()])
-    }
-
-    fn rows(&mut self, tile: &mut Tile) {
-        let rows = self.word();
-        for y in (0..TILE_SIDE).filter(|y| rows >> y & 1 != 0) {
-            tile.set_row(y, Row { low: self.word(), high: self.word() });
-        }
+fn read_rows(port: &mut Port, tile: &mut Tile) {
+    let rows = port.word();
+    for y in (0..TILE_SIDE).filter(|y| rows >> y & 1 != 0) {
+        tile.set_row(y, Row { low: port.word(), high: port.word() });
     }
 }

@@ -1,0 +1,59 @@
+//! A row of a depth frame to evidence planes.
+
+use core::hint::black_box;
+
+use ubimap_agent::{
+    Memory,
+    map::{LocalMap, MappingConfig, OwnTile, Policy, Pool, RowSighting, Surround},
+    sense::{Beam, SensorModel, Validity, WaitingScans},
+};
+use ubimap_protocol::{
+    time::Instant,
+    units::{Angle, Millimetres, Pose},
+};
+
+use crate::counter::Bench;
+
+/// Pixels of a depth row (Aluckal II.D).
+pub(crate) const PIXELS: usize = 640;
+/// The range that is mapped, in millimetres, and the cells.
+pub(crate) const MAX_RANGE: u16 = 4_000;
+pub(crate) const RESOLUTION: Millimetres = Millimetres(50);
+/// Where the rows are taken: along no axis.
+pub(crate) const POSE: Pose =
+    Pose { x: Millimetres(310), y: Millimetres(-170), heading: Angle(5_000) };
+
+/// The robot layer with nothing in it.
+pub(crate) fn local_map<'m>(
+    sensor: SensorModel,
+    beams: &[Beam],
+    scratch: &'m mut [RowSighting],
+    own: &'m mut [OwnTile],
+) -> LocalMap<'m> {
+    let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
+    let (validity, policy) = (Validity::of(sensor), Policy::default());
+    let config = MappingConfig { resolution, max_range, mounting, validity, policy };
+    LocalMap::new(config, beams, scratch, Pool::new(own))
+}
+
+/// A row of a frame to evidence planes, as the agent takes it: copied, sorted out, drawn, counted.
+/// And the same row once more.
+pub(crate) fn rows(
+    bench: &mut Bench,
+    memory: &mut Memory<'_>,
+    sensor: SensorModel,
+    scene: impl core::fmt::Display,
+    readings: &[u16; PIXELS],
+) -> Option<()> {
+    let mut map = local_map(sensor, memory.beams, memory.scratch, memory.own);
+    let mut waiting = WaitingScans::new(memory.waiting, PIXELS);
+    for time in ["new", "known"] {
+        let name = format_args!("{scene}, {time}");
+        let mapped = bench.measure(name, || {
+            waiting.push(Instant(0), black_box(readings)).ok()?;
+            map.add(memory.beams, waiting.pop()?, black_box(POSE), |_| Surround::default())
+        });
+        (mapped?.cells_refused == 0).then_some(())?;
+    }
+    Some(())
+}
