@@ -13,7 +13,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 use ubimap_sim_host::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     channel::fault::Faults,
     run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
     server::Footprint,
@@ -92,10 +92,10 @@ fn run(way: Way, told: Told) -> Drawn {
                 let mut off = |most: f64| rng.random_range(-most..most);
                 Pose::from_metres(x + off(0.02), y + off(0.02), heading + off(0.02))
             };
-            let mut robots = vec![(RobotId(1), noisy([at[0], at[1], 0.6]))];
-            let other = (RobotId(2), noisy(body));
+            let mut robots = vec![Sighting::usual(RobotId(1), noisy([at[0], at[1], 0.6]))];
+            let other = Sighting::usual(RobotId(2), noisy(body));
             robots.extend((told != Told::Nothing).then_some(other));
-            let observation = Observation { camera: 0, captured: now, robots, cells: Vec::new() };
+            let observation = Observation { captured: now, robots, ..Observation::default() };
             events.push_back((now, Event::Observation(observation)));
         }
         // The clocks agree by then.
