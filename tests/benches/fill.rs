@@ -32,7 +32,7 @@ fn fill(criterion: &mut Criterion) {
     let config = Config { max_range: MAX_RANGE, ..Config::new(RobotId(1), FAN.model()) };
     let mut memory = AgentMemory::new(&config, FAN.beams, OWN_TILES, 1);
     let memory = memory.lend();
-    fill_beams(memory.beams, config.sensor, config.mounting, config.max_range);
+    fill_beams(memory.beams, config.sensor, config.mounting);
     let Config { resolution, max_range, mounting, validity, policy, .. } = config;
     let mapping = MappingConfig { resolution, max_range, mounting, validity, policy };
     let mut map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));

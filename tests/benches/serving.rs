@@ -134,6 +134,7 @@ fn serve(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>
                     .map(|it| Sighting::usual(RobotId(it as u16), pose(it, captured)))
                     .collect(),
                 cells: seen.clone().filter(|_| with_cells).flat_map(covered).collect(),
+                ..Observation::default()
             });
             seen.for_each(|robot| due[robot] = Some(captured));
             frames += 1;

@@ -7,6 +7,7 @@ use ubimap_protocol::{
     units::RobotId,
 };
 use ubimap_sim_host::{
+    camera::Sighting,
     channel::fault::Faults,
     grid::OccupancyGrid,
     run::{
@@ -35,7 +36,7 @@ impl Stage for Watched {
     fn poll(&mut self, now: Instant) -> Option<Event> {
         let event = self.room.poll(now)?;
         if let Event::Observation(observation) = &event {
-            for &(robot, _) in &observation.robots {
+            for &Sighting { robot, .. } in &observation.robots {
                 let mut seen = self.seen.borrow_mut();
                 let (last, time) = seen.entry(robot).or_default();
                 let gap = observation.captured.since(*last);
@@ -90,7 +91,7 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
                 .borrow()
                 .get(&robot)
                 .map_or(0.0, |it: &(_, Duration)| it.1.micros() as f64 / 1e6);
-            let mut note = |of: &mut BTreeMap<_, _>, degrees: f64| {
+            let note = |of: &mut BTreeMap<_, _>, degrees: f64| {
                 if degrees != 0.0 {
                     let first = of.get(&robot).map_or(in_view, |it: &(f64, f64)| it.1);
                     of.insert(robot, (degrees, first));

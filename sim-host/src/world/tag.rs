@@ -84,12 +84,9 @@ const CODES: [u64; 64] = [
 /// the first and the last of each. `None` for a number that is not known here.
 pub(super) fn pattern(id: usize) -> Option<[[bool; SIDE]; SIDE]> {
     let code = CODES.get(id)?;
-    let mut white = [[false; SIDE]; SIDE];
-    for edge in 0..SIDE {
-        white[0][edge] = true;
-        white[SIDE - 1][edge] = true;
-        white[edge][0] = true;
-        white[edge][SIDE - 1] = true;
+    let mut white = [[true; SIDE]; SIDE];
+    for row in &mut white[1..SIDE - 1] {
+        row[1..SIDE - 1].fill(false);
     }
     for bit in 0..36 {
         let (column, row) = place(bit);
@@ -98,8 +95,8 @@ pub(super) fn pattern(id: usize) -> Option<[[bool; SIDE]; SIDE]> {
     Some(white)
 }
 
-/// The column and row of a bit within the black square: nine in the upper left corner of the inner square, and the same
-/// turned by a quarter, a half and three quarters, clockwise.
+/// The column and row of a bit within the black square: nine in the upper left corner of the inner
+/// square, and the same turned by a quarter, a half and three quarters, clockwise.
 fn place(bit: usize) -> (usize, usize) {
     const CORNER: [(usize, usize); 9] =
         [(1, 1), (2, 1), (3, 1), (4, 1), (5, 1), (2, 2), (3, 2), (4, 2), (3, 3)];

@@ -10,7 +10,8 @@ use crate::camera::Picture;
 /// Wrong modules of a tag that are put right. Any two of the family differ in eleven, so that more
 /// could be; but each more lets twenty times as many chance patterns pass for a tag.
 const CORRECTED: usize = 1;
-/// The standard deviation of a corner's coordinate, in pixels.
+/// The standard deviation of a corner's coordinate, in pixels. Rendered pictures show half of it; a
+/// real lens and print add theirs.
 const CORNER_NOISE_PX: f64 = 0.15;
 /// Black and white differ by this. With the library's own 5 a sensor's noise is full of edges: a
 /// frame of 1280 x 720 then takes ten times as long.
