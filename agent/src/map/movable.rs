@@ -197,7 +197,7 @@ mod tests {
                         }
                     }
                 }
-                let now = watched.now * 1_000_000 >> 20;
+                let now = (watched.now * 1_000_000) >> 20;
                 let is_calm = now - last >= 600_000_000 >> 20;
                 for (index, state) in states.iter_mut().enumerate() {
                     let block: Vec<u8> = (0..4).map(|it| cells[it / 2][index * 2 + it % 2]).collect();
