@@ -12,7 +12,8 @@ use ubimap_sim_host::{
     grid::OccupancyGrid,
     run::{
         fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
-        simulate::{RESOLUTION, Room, config, score},
+        scoring::score,
+        simulate::{RESOLUTION, Room, config},
     },
     world::{Scenario, SimRobot, World},
 };
@@ -69,7 +70,6 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
         }
     }
     let world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
-    let truth = world.truth().clone();
     let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, seed)).collect();
     let memory = |(config, robot): (_, &SimRobot)| {
         AgentMemory::new(config, robot.sensor().beams(), OWN_TILES, FUSED_TILES)
@@ -104,7 +104,7 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
     assert!(converged.unwrap());
     let tiles = fleet.server().fused().tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, RESOLUTION).unwrap();
-    Run { f1: score(&map, &truth).unwrap().f1_occupied, identifiers, sensors }
+    Run { f1: score(&map, stage.room.world()).unwrap().f1_occupied, identifiers, sensors }
 }
 
 /// Ahmed's stated error, a heading that is wrong by some degrees, and its cure.

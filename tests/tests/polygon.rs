@@ -46,7 +46,7 @@ fn filled(pose: Pose, readings: &[u16], policy: Policy) -> (Cells, Cells) {
     let config = Config { max_range: MAX_RANGE, ..Config::new(RobotId(1), FAN.model()) };
     let mut memory = AgentMemory::new(&config, FAN.beams, 40, 1);
     let memory = memory.lend();
-    fill_beams(memory.beams, config.sensor, config.mounting, config.max_range);
+    fill_beams(memory.beams, config.sensor, config.mounting);
     let mapping = MappingConfig {
         resolution: config.resolution,
         max_range: config.max_range,

@@ -2,7 +2,8 @@
 //!
 //! An [`Eye`] is one fixed depth camera: its [`View`] is what is computed once, its [`Background`]
 //! what is learnt of the empty room, and the [`Evidence`] of each image becomes cells and things.
-//! [`Tracks`] follow the things over all cameras.
+//! [`Tracks`] follow the things over all cameras. The [`robots::Localiser`] finds the robots' [`markers`].
+//! The [`Observer`] ties both together.
 
 mod background;
 mod cells;
@@ -12,6 +13,7 @@ mod eye;
 mod footprint;
 pub mod markers;
 mod motion;
+mod observer;
 pub mod robots;
 #[cfg(test)]
 mod testing;
@@ -24,6 +26,7 @@ pub use detector::{Detection, Detector};
 pub use evidence::{Evidence, Figure};
 pub use eye::{Eye, FrameError};
 pub use footprint::Footprint;
+pub use observer::Observer;
 pub use things::things_of_cells;
 pub use tracks::{Lying, Posture, Track, Tracks};
 pub use view::{Survey, View};

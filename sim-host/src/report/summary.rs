@@ -36,6 +36,8 @@ pub struct Report {
     /// How far the robots were wrong about where they are; of a simulation only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseErrors>,
+    /// What the cameras said of robots that drove, against the truth; in a simulated room only.
+    pub sighted: Option<PoseErrors>,
 }
 
 /// The figures of one robot.
@@ -111,17 +113,23 @@ pub struct MapSummary {
 /// The map against the true room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TruthScores {
-    /// F1 of occupied cells within one cell, 0 to 1.
+    /// F1 of occupied cells within one cell of the true surfaces, 0 to 1, on ground that a camera
+    /// can see or a robot has passed within three metres and in its sensor's line of sight.
     pub f1_occupied: f64,
+    /// The share of the ground that no camera can see and a robot has passed so which is known, 0
+    /// to 1; 1 if there is none.
+    pub passed_known: f64,
     /// The share of cells known in both that agree, 0 to 1.
     pub agreement_known: f64,
     /// The share of the cells that can be known which are, 0 to 1.
     pub coverage: f64,
 }
 
-/// The robots' poses against their true ones.
+/// Poses against the true ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PoseErrors {
+    /// How many poses.
+    pub count: u64,
     /// Root mean square distance in metres.
     pub rmse_m: f64,
     /// Root mean square turn in degrees.
@@ -174,6 +182,7 @@ impl Report {
             simulated_s: 0.0,
             truth: None,
             pose: None,
+            sighted: None,
         }
     }
 
@@ -233,14 +242,23 @@ impl fmt::Display for Report {
         if let Some(truth) = self.truth {
             writeln!(
                 f,
-                "truth: F1 of occupied cells {:.3}, {:.1} % of known cells agree, {:.1} % covered",
+                "truth: F1 of occupied cells {:.3}, {:.1} % of known cells agree; {:.1} % of all cells and \
+                 {:.1} % of the blind ones that robots passed are known",
                 truth.f1_occupied,
                 100.0 * truth.agreement_known,
-                100.0 * truth.coverage
+                100.0 * truth.coverage,
+                100.0 * truth.passed_known
             )?;
         }
         if let Some(pose) = self.pose {
             writeln!(f, "poses: {:.3} m and {:.2} degrees off (RMS)", pose.rmse_m, pose.rmse_deg)?;
+        }
+        if let Some(sighted) = self.sighted {
+            writeln!(
+                f,
+                "cameras: {} poses of driving robots, {:.4} m and {:.2} degrees off (RMS)",
+                sighted.count, sighted.rmse_m, sighted.rmse_deg
+            )?;
         }
         let verdict = if map.converged { "all hold the same map" } else { "NOT converged" };
         writeln!(
@@ -301,8 +319,8 @@ mod tests {
         report.truth = Some(TruthScores::default());
         report.pose = Some(PoseErrors::default());
         let json: serde_json::Value = serde_json::from_str(&report.to_json_pretty()).unwrap();
-        assert_eq!(names(&json["truth"]), "agreement_known coverage f1_occupied");
-        assert_eq!(names(&json["pose"]), "rmse_deg rmse_m");
+        assert_eq!(names(&json["truth"]), "agreement_known coverage f1_occupied passed_known");
+        assert_eq!(names(&json["pose"]), "count rmse_deg rmse_m");
     }
 
     #[test]

@@ -21,8 +21,9 @@ use super::{
     keeper::{self, Keeper},
 };
 use crate::{
-    camera::Observation,
+    camera::{Frame, Observation, Sighting},
     channel::fault::{FaultWire, Faults},
+    perception::Observer,
     report::{Comparison, Published},
     server::{Footprint, Server},
     store::StoreError,
@@ -52,6 +53,8 @@ pub enum Event {
         /// `base_link` in `odom`.
         pose: Pose,
     },
+    /// A frame of a camera has arrived.
+    Frame(Frame),
     /// A frame of a camera has been looked at.
     Observation(Observation),
 }
@@ -209,6 +212,9 @@ pub type Tap<'t> = Box<dyn FnMut(RobotId, Direction, &[u8]) + 't>;
 /// All robots and the server.
 pub struct Fleet<'b> {
     server: Server,
+    observer: Option<Observer>,
+    /// What the cameras localised, and when by the run's clock.
+    sightings: Vec<(Instant, Sighting)>,
     robots: Vec<Robot<'b>>,
     keeper: Option<Keeper>,
     /// When the run began.
@@ -256,10 +262,31 @@ impl<'b> Fleet<'b> {
         let server = keeper::server(keeper.as_ref(), resolution, Epoch(1), robots.len())?;
         let began = keeper.as_ref().map_or(Instant(0), Keeper::begins);
         let frame = vec![0; MAX_FRAME];
-        Ok(Self { server, robots, keeper, began, now: began, frame, tap: None })
+        Ok(Self {
+            server,
+            observer: None,
+            sightings: Vec::new(),
+            robots,
+            keeper,
+            began,
+            now: began,
+            frame,
+            tap: None,
+        })
     }
 
-    /// Has every frame heard from now on.
+    /// Has the frames of cameras looked at.
+    pub fn look_through(&mut self, observer: Observer) {
+        self.observer = Some(observer);
+    }
+
+    /// What the cameras localised in their frames, and when each was captured, from the beginning
+    /// of the run.
+    pub fn sightings(&self) -> &[(Instant, Sighting)] {
+        &self.sightings
+    }
+
+    /// Has every frame of the links heard from now on.
     pub fn tap(&mut self, tap: Tap<'b>) {
         self.tap = Some(tap);
     }
@@ -384,11 +411,28 @@ impl<'b> Fleet<'b> {
                 let local = robot.clock.local(self.now);
                 robot.agent.odometry(local, pose, local);
             }
+            Event::Frame(frame) => self.look(frame),
             Event::Observation(mut observation) => {
                 observation.captured = self.began + observation.captured.since(Instant(0));
                 self.server.observe(&observation);
             }
         }
+    }
+
+    fn look(&mut self, mut frame: Frame) {
+        let Some(observer) = &mut self.observer else { return };
+        let since_began = frame.captured;
+        frame.captured = self.began + since_began.since(Instant(0));
+        let told = self.server.whereabouts(frame.captured);
+        let (observation, fault) = observer.observe(&frame, self.now, told);
+        if let Some(fault) = fault {
+            log::warn!("{fault}");
+        }
+        while let Some((captured, event)) = observer.poll_event() {
+            self.server.sighting_event(captured, event);
+        }
+        self.sightings.extend(observation.robots.iter().map(|&it| (since_began, it)));
+        self.server.observe(&observation);
     }
 
     /// Drains the outputs of all, until none has any left.

@@ -8,6 +8,7 @@ pub mod keeper;
 pub mod options;
 mod progress;
 pub mod replay;
+pub mod scoring;
 pub mod serve;
 pub mod simulate;
 
@@ -19,6 +20,7 @@ use crate::{
     channel::serial::SerialError,
     grid::{self, GridError, MapError, OccupancyGrid},
     log::LogError,
+    perception::robots::RegistryError,
     report::{self, Marker, OutputError, OutputFolder, Report},
     store::StoreError,
     world::ScenarioError,
@@ -90,6 +92,9 @@ pub enum RunError {
     /// The robots can't work with these options.
     #[error("no robot can be made with these options: {}", explain(.0))]
     Agent(ConfigError),
+    /// The robots' markers can't be told apart.
+    #[error(transparent)]
+    Registry(#[from] RegistryError),
     /// The scenario has fewer robots.
     #[error("--robots {asked}: the scenario has {there}")]
     TooManyRobots {
@@ -120,6 +125,7 @@ impl RunError {
             | Self::Port(_)
             | Self::Poses { .. }
             | Self::Agent(_)
+            | Self::Registry(_)
             | Self::TooManyRobots { .. }
             | Self::TurnedMap { .. } => true,
             Self::Grid(_) | Self::Picture(_) => false,

@@ -83,6 +83,11 @@ pub struct SimulateOptions {
     #[arg(long, value_name = "YAML")]
     pub map: Option<PathBuf>,
 
+    /// Let the cameras know what is in view, in place of drawing and looking at their frames:
+    /// quicker, and better than any camera
+    #[arg(long)]
+    pub ideal_cameras: bool,
+
     /// How many robots drive, in place of the scenario's number
     #[arg(long, value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,

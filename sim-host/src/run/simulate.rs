@@ -1,16 +1,12 @@
 //! `ubimap simulate`: robots in a simulated room.
 
-use std::{
-    collections::{BTreeMap, VecDeque},
-    path::Path,
-    time,
-};
+use std::{collections::VecDeque, path::Path, time};
 
 use ubimap_agent::{Config, sense::SensorModel};
 use ubimap_protocol::{
-    tile::{Cell, TILE_SIDE, Tile, TileId},
+    tile::Cell,
     time::{Duration, Instant},
-    units::{Angle, Millimetres, Pose},
+    units::{Millimetres, Pose, RobotId},
 };
 
 use super::{
@@ -18,23 +14,21 @@ use super::{
     fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
     options::SimulateOptions,
     progress::Progress,
+    scoring::{self, TRACK_INTERVAL},
 };
 use crate::{
-    camera::Source,
+    camera::{Calibration, FrameSource, Source},
     grid::{self, OccupancyGrid},
-    report::{Marker, MarkerKind, PoseErrors, TruthScores},
-    server::Footprint,
-    world::{Scenario, SimRobot, Truth, WallGrid, World},
+    perception::{
+        Footprint, Observer, Survey,
+        markers::{Hue, Identifier, Mount},
+    },
+    report::{Marker, MarkerKind},
+    world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
 /// The side of the map's cells.
 pub const RESOLUTION: Millimetres = Millimetres(50);
-/// Between two readings of the wheels.
-const ODOMETRY_INTERVAL: Duration = Duration::from_millis(50);
-/// The robots boot at the first moment, and drive from it on. The errors of their poses are
-/// counted once they have had the time to meet the server.
-const SETTLED: Duration = Duration::from_secs(5);
-
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
@@ -70,16 +64,19 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut fleet =
         Fleet::new(&configs, &mut memory, faults, RESOLUTION, options.run.seed, keeper)?;
 
-    for robot in world.robots() {
-        let half = (robot.radius_m() * 1000.0).round() as u16;
-        let footprint = Footprint { half_length: half, half_width: half };
-        fleet.set_footprint(robot.id(), footprint);
+    for robot in &scenario.robots {
+        fleet.set_footprint(RobotId(robot.id), footprint(robot));
     }
 
+    if !options.ideal_cameras {
+        fleet.look_through(observer(&scenario, FrameSource::cameras(&world))?);
+    }
     let duration = options
         .duration
         .unwrap_or(Duration::from_micros((scenario.duration_s * 1e6).round() as u64));
-    let mut stage = Room::new(world, Instant(0) + duration);
+    let end = Instant(0) + duration;
+    let mut stage =
+        if options.ideal_cameras { Room::new(world, end) } else { Room::filmed(world, end) };
     let progress = Progress::new(stage.end, options.run.json);
     let converged = fleet.run(&mut stage, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
     progress.finish();
@@ -88,8 +85,10 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, RESOLUTION)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
-    report.truth = Some(score(&map, stage.world.truth())?);
-    report.pose = Some(pose_errors(&fleet, &stage.tracks));
+    report.truth = Some(scoring::score(&map, &stage.world)?);
+    report.pose = Some(scoring::pose_errors(&fleet, &stage.tracks));
+    let sighted = scoring::sighting_errors(&fleet, &stage.tracks);
+    report.sighted = (!options.ideal_cameras).then_some(sighted);
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let mut markers = figures::markers(&fleet);
@@ -121,6 +120,39 @@ pub fn config(robot: &SimRobot, seed: u64) -> Config {
     }
 }
 
+/// What looks at the frames of a scenario's cameras: it knows the robots' markers and sizes.
+fn observer(scenario: &Scenario, cameras: &[Calibration]) -> Result<Observer, RunError> {
+    let robots: Vec<_> = scenario
+        .robots
+        .iter()
+        .map(|robot| {
+            let mount = Mount::centred(RobotId(robot.id), robot.marker_size_m, robot.height_m);
+            (identifier(robot), mount, footprint(robot))
+        })
+        .collect();
+    let robot_height = Millimetres::from_metres(scenario.robot_height_m());
+    let survey = Survey { side: RESOLUTION, robot_height, ..Survey::default() };
+    Ok(Observer::new(cameras, &robots, survey)?)
+}
+
+/// What the cameras know a robot by.
+fn identifier(robot: &RobotConfig) -> Identifier {
+    match robot.marker {
+        MarkerConfig::Tag => Identifier::Tag(robot.tag_id.unwrap_or(robot.id)),
+        MarkerConfig::Colour => {
+            let [head, tail] = robot.colours().map(|colour| Hue::ALL[colour]);
+            Identifier::Colours { head, tail }
+        }
+    }
+}
+
+/// What a robot takes up.
+fn footprint(robot: &RobotConfig) -> Footprint {
+    let [length, width] = robot.box_m.unwrap_or([2.0 * robot.radius_m; 2]);
+    let half = |side: f64| (side * 500.0).round() as u16;
+    Footprint { half_length: half(length), half_width: half(width) }
+}
+
 /// A ROS map that lies straight.
 fn straight_map(yaml: &Path) -> Result<OccupancyGrid, RunError> {
     let map = grid::read_map(yaml)?;
@@ -147,15 +179,29 @@ pub struct Room {
     end: Instant,
     next_odometry: Instant,
     waiting: VecDeque<Event>,
-    /// Where each robot really was, every [`ODOMETRY_INTERVAL`].
+    /// Whether the cameras give frames; what ideal ones see otherwise.
+    is_filmed: bool,
+    /// Where each robot really was, every [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
 }
 
 impl Room {
-    /// The events of a world until some moment.
+    /// The events of a world until some moment, with ideal cameras: nothing is drawn and nothing
+    /// looked at, what is in view is known.
     pub fn new(world: World, end: Instant) -> Self {
         let tracks = vec![Vec::new(); world.robots().len()];
-        Self { world, end, next_odometry: Instant(0), waiting: VecDeque::new(), tracks }
+        let (next_odometry, waiting) = (Instant(0), VecDeque::new());
+        Self { world, end, next_odometry, waiting, is_filmed: false, tracks }
+    }
+
+    /// The same with the frames of RGB-D cameras.
+    pub fn filmed(world: World, end: Instant) -> Self {
+        Self { is_filmed: true, ..Self::new(world, end) }
+    }
+
+    /// The world as it is.
+    pub fn world(&self) -> &World {
+        &self.world
     }
 
     fn read_wheels(&mut self) {
@@ -171,7 +217,12 @@ impl Stage for Room {
         if !self.waiting.is_empty() {
             return Some(self.world.now());
         }
-        let events = [Some(self.next_odometry), self.world.next_scan(), self.world.next_arrival()];
+        let arrival = if self.is_filmed {
+            FrameSource::next_arrival(&self.world)
+        } else {
+            Source::next_arrival(&self.world)
+        };
+        let events = [Some(self.next_odometry), self.world.next_scan(), arrival];
         events.into_iter().flatten().min().filter(|&next| next <= self.end)
     }
 
@@ -181,7 +232,7 @@ impl Stage for Room {
         }
         self.world.advance(now);
         if self.next_odometry <= now {
-            self.next_odometry = self.next_odometry + ODOMETRY_INTERVAL;
+            self.next_odometry = self.next_odometry + TRACK_INTERVAL;
             self.read_wheels();
         }
         while let Some(scan) = self.world.poll_scan(now) {
@@ -190,64 +241,16 @@ impl Stage for Room {
             self.waiting.push_back(Event::Odometry { robot, pose: scan.odometry });
             self.waiting.push_back(Event::Scan { robot, readings: scan.readings_mm });
         }
+        if self.is_filmed {
+            while let Some(frame) = FrameSource::poll(&mut self.world, now) {
+                self.waiting.push_back(Event::Frame(frame));
+            }
+        }
         while let Some(observation) = Source::poll(&mut self.world, now) {
-            self.waiting.push_back(Event::Observation(observation));
+            if !self.is_filmed {
+                self.waiting.push_back(Event::Observation(observation));
+            }
         }
         self.waiting.pop_front()
     }
-}
-
-/// How far the robots' poses are from the truth.
-fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
-    let mut squares = (0.0, 0.0);
-    let mut count = 0.0;
-    for (robot, track) in fleet.robots().iter().zip(tracks) {
-        let path = robot.path().iter();
-        let path =
-            path.map(|&(moment, pose)| (Instant(moment.since(fleet.began()).micros()), pose));
-        for (moment, pose) in path.filter(|(moment, _)| moment.0 >= SETTLED.0) {
-            let Some(truth) = true_pose(track, moment) else { continue };
-            let (dx, dy) = (pose.x - truth.x, pose.y - truth.y);
-            squares.0 += dx.metres().powi(2) + dy.metres().powi(2);
-            squares.1 += (pose.heading - truth.heading).degrees().powi(2);
-            count += 1.0;
-        }
-    }
-    let root = |sum: f64| if count > 0.0 { (sum / count).sqrt() } else { 0.0 };
-    PoseErrors { rmse_m: root(squares.0), rmse_deg: root(squares.1) }
-}
-
-/// A robot's pose between two entries of its track.
-fn true_pose(track: &[Pose], moment: Instant) -> Option<Pose> {
-    let interval = ODOMETRY_INTERVAL.micros();
-    let index = (moment.micros() / interval) as usize;
-    let (from, to) = (*track.get(index)?, *track.get(index + 1)?);
-    let part = (moment.micros() % interval) as f64 / interval as f64;
-    let mix = |from: Millimetres, to: Millimetres| {
-        Millimetres::from_metres(from.metres() + (to - from).metres() * part)
-    };
-    let turn = Angle::from_radians((to.heading - from.heading).radians() * part);
-    Some(Pose { x: mix(from.x, to.x), y: mix(from.y, to.y), heading: from.heading + turn })
-}
-
-/// The map against the truth.
-pub fn score(map: &OccupancyGrid, truth: &Truth) -> Result<TruthScores, RunError> {
-    let cells = || {
-        let surfaces = truth.surfaces.iter().map(|&cell| (cell, Cell::Occupied));
-        surfaces.chain(truth.free.iter().map(|&cell| (cell, Cell::Free)))
-    };
-    let mut tiles = BTreeMap::<TileId, Tile>::new();
-    for ((x, y), cell) in cells() {
-        let Some(id) = TileId::of_cell(x, y) else { continue };
-        let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
-        tiles.entry(id).or_default().set(within(x), within(y), cell);
-    }
-    let reference =
-        OccupancyGrid::from_tiles(tiles.iter().map(|(&id, tile)| (id, tile)), RESOLUTION)?;
-    let scores = grid::compare(map, &reference, None);
-    Ok(TruthScores {
-        f1_occupied: scores.f1,
-        agreement_known: scores.agreement_known,
-        coverage: scores.known_in_both as f64 / (cells().count() as f64).max(1.0),
-    })
 }

@@ -11,7 +11,7 @@ use ubimap_protocol::{
     },
     tile::{Epoch, TileId},
     time::{Duration, Instant},
-    units::RobotId,
+    units::{Pose, RobotId},
 };
 
 use super::{
@@ -385,6 +385,11 @@ impl Server {
     /// Leaves the robots' constant errors as they are, to compare.
     pub fn leave_errors(&mut self) {
         self.cures = false;
+    }
+
+    /// Where the robots were about a moment, as far as the cameras or they themselves have told.
+    pub fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
+        self.surroundings.whereabouts(moment)
     }
 
     /// What a robot takes up; the others are told.

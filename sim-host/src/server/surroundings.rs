@@ -56,6 +56,15 @@ impl Surroundings {
         }
     }
 
+    /// Where the robots were about a moment.
+    pub(super) fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
+        let recent = self
+            .robots
+            .iter()
+            .filter(move |(_, (at, _))| moment.since(*at).max(at.since(moment)) <= LOST);
+        recent.map(|(&robot, &(_, pose))| (robot, pose))
+    }
+
     /// The newest moment of another robot's pose.
     pub(super) fn peers_moment(&self, robot: RobotId) -> Option<Instant> {
         self.others(robot).map(|(_, moment, _)| moment).max()

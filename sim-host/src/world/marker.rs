@@ -51,9 +51,7 @@ impl Marker {
                 (pattern, size * tag::SIDE as f32 / tag::SQUARE as f32)
             }
             MarkerConfig::Colour => {
-                // Thirty ordered pairs of two different hues.
-                let (head, step) = (usize::from(config.id) % 6, usize::from(config.id) / 6 % 5);
-                let tail = (head + 1 + step) % 6;
+                let [head, tail] = config.colours();
                 (Pattern::Colours { head: HUES[head], tail: HUES[tail] }, size)
             }
         };
@@ -82,11 +80,15 @@ impl Marker {
                 let module = |part: f32| (part * tag::SIDE as f32) as usize;
                 if white[module(down)][module(across)] { WHITE } else { BLACK }
             }
-            Pattern::Colours { head, tail } => match (across, down) {
-                (0.15..0.85, 0.1..0.45) => *head,
-                (0.15..0.85, 0.55..0.9) => *tail,
-                _ => WHITE,
-            },
+            Pattern::Colours { head, tail } => {
+                // Two discs, a quarter of the side ahead of the middle and behind it.
+                let within = |disc: f32| (across - 0.5).hypot(down - disc) < 0.2;
+                match () {
+                    () if within(0.25) => *head,
+                    () if within(0.75) => *tail,
+                    () => WHITE,
+                }
+            }
         })
     }
 }

@@ -4,7 +4,7 @@
 //! and rays through it), `changes` (what is moved all the same), `truth` (what a perfect map would
 //! say), `route`, `people` and `robots` (what moves; `marker` and `tag`: what robots wear),
 //! `places` (who can't be or go where), `stereo` and `sensor` (what robots measure), `mounting`, `render` and
-//! `filming` (the frames of cameras), and `cameras` (ideal ones, which say at once what they see).
+//! `filming` (the frames of cameras), `passed` (the ground that robots have passed), and `cameras` (ideal ones, which say at once what they see).
 //! [`World`] ties them together.
 //!
 //! The world moves in steps of [`STEP`], whoever asks it and how often: everything that it reports
@@ -18,6 +18,7 @@ mod filming;
 mod growth;
 mod marker;
 mod mounting;
+mod passed;
 mod people;
 mod places;
 mod render;
@@ -66,6 +67,7 @@ use cadence::{Cadence, FrameTimes};
 use cameras::{Camera, SeenRobot};
 use changes::Changes;
 use filming::Filming;
+use passed::Passed;
 use render::{Part, Scene};
 use room::{Cells, Room};
 use route::Body;
@@ -98,6 +100,7 @@ pub struct World {
     slice_height: f64,
     starts: Vec<DVec2>,
     truth: Truth,
+    passed: Passed,
     people: Vec<Person>,
     robots: Vec<SimRobot>,
     cameras: Vec<IdealCamera>,
@@ -172,6 +175,7 @@ impl World {
             slice_height: scenario.slice_height_m,
             starts,
             truth,
+            passed: Passed::new(cells, scenario.robots.len()),
             filming,
             now: Instant::default(),
             scans: VecDeque::new(),
@@ -230,6 +234,12 @@ impl World {
         views.iter().map(|view| view.cell).collect()
     }
 
+    /// The cells whose centres were within three metres of a robot's sensor, in its field of view
+    /// and in its line of sight, as it is really mounted.
+    pub fn passed(&self) -> impl Iterator<Item = (i32, i32)> {
+        self.passed.cells(self.cells)
+    }
+
     /// Everybody takes a step, one after the other, so that each knows where the others are.
     fn step(&mut self) {
         let seconds = STEP.micros() as f64 / 1e6;
@@ -261,6 +271,7 @@ impl World {
             let others = self.others(index);
             let robot = &self.robots[index];
             let dice = &mut self.scanners[index].1;
+            self.passed.look(index, robot, &self.room, self.cells);
             let readings_mm = robot.sensor().scan(robot.pose(), &self.room, &others, dice);
             self.scans.push_back(ScanEvent {
                 robot: index,

@@ -133,6 +133,13 @@ impl RangeSensor {
         }
     }
 
+    /// Where it really is and looks from a robot's pose, and half its field of view.
+    pub(super) fn view(&self, robot: PlanePose) -> (DVec2, f64, f64) {
+        let facing = DVec2::new(cos(robot.heading), sin(robot.heading));
+        let origin = robot.position + facing.rotate(DVec2::new(self.x, self.y));
+        (origin, robot.heading + self.heading + self.askew, self.fov / 2.0)
+    }
+
     /// A scan from a robot's pose, in millimetres for each beam; zero where nothing came back.
     pub(super) fn scan(
         &self,
@@ -141,14 +148,12 @@ impl RangeSensor {
         others: &[Prism],
         dice: &mut ChaCha8Rng,
     ) -> Vec<u16> {
-        let facing = DVec2::new(cos(robot.heading), sin(robot.heading));
-        let origin = robot.position + facing.rotate(DVec2::new(self.x, self.y));
+        let (origin, axis, _) = self.view(robot);
         // Diagonally a depth reaches farther than along the axis.
         let around = Aabb::from_half_extents(origin, DVec2::splat(2.0 * self.max_range));
         let near: Vec<&Prism> =
             others.iter().filter(|prism| prism.footprint.bounds().intersects(&around)).collect();
         let from = origin.extend(self.height);
-        let axis = robot.heading + self.heading + self.askew;
         let ranges = (0..self.beams).map(|beam| {
             let meets = |way: DVec3| {
                 let fixed = room.first_hit(from, way, self.max_range).map(|(_, range)| range);

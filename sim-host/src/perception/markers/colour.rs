@@ -34,6 +34,12 @@ pub enum Hue {
     Magenta,
 }
 
+impl Hue {
+    /// All of them.
+    pub const ALL: [Self; 6] =
+        [Self::Red, Self::Yellow, Self::Green, Self::Cyan, Self::Blue, Self::Magenta];
+}
+
 /// Pixels of one colour that touch each other.
 struct Blob {
     hue: Hue,

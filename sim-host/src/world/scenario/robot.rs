@@ -43,6 +43,13 @@ pub struct RobotConfig {
 }
 
 impl RobotConfig {
+    /// The colours of the head and the tail of its colour marker, of red, yellow, green, cyan, blue,
+    /// magenta: fifteen robots can be told apart, for nobody knows the head of a pair by its colour.
+    pub fn colours(&self) -> [usize; 2] {
+        let pairs = (0..6).flat_map(|head| (head + 1..6).map(move |tail| [head, tail]));
+        pairs.cycle().nth(usize::from(self.id) % 15).unwrap_or([0, 1])
+    }
+
     /// The usual robot, with a route through these points.
     pub(in super::super) fn at(id: u16, start: StartConfig, waypoints_m: Vec<[f64; 2]>) -> Self {
         Self {

@@ -1,0 +1,128 @@
+//! What perception makes of frames: where the robots are, and what is where.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::{Pose, RobotId},
+};
+
+use super::{
+    eye::{Eye, FrameError},
+    footprint::Footprint,
+    markers::{Identifier, Mount},
+    robots::{Localiser, RegistryError, SightingEvent},
+    view::Survey,
+};
+use crate::camera::{Calibration, Frame, Observation};
+
+/// Between two looks at the depths of one camera: people move a quarter of a metre.
+const LOOK_INTERVAL: Duration = Duration::from_millis(190);
+/// A robot that no picture shows may be in a depth image, which sees wider: it is taken to be where
+/// it was so long ago.
+const REMEMBERED: Duration = Duration::from_millis(500);
+
+/// All cameras, and what they know of the robots.
+#[derive(Debug)]
+pub struct Observer {
+    localiser: Localiser,
+    eyes: Vec<Option<Camera>>,
+    footprints: BTreeMap<RobotId, Footprint>,
+    /// Where each robot was when it was last localised.
+    localised: BTreeMap<RobotId, (Instant, Pose)>,
+}
+
+#[derive(Debug)]
+struct Camera {
+    eye: Eye,
+    next_look: Instant,
+    /// What is wrong with its frames, if anything is; told once.
+    fault: Option<FrameError>,
+}
+
+impl Observer {
+    /// For these cameras, and robots with their markers and what they take up. A camera costs 40
+    /// bytes for each pixel of its depth sensor.
+    ///
+    /// # Errors
+    /// Every [`RegistryError`].
+    pub fn new(
+        cameras: &[Calibration],
+        robots: &[(Identifier, Mount, Footprint)],
+        survey: Survey,
+    ) -> Result<Self, RegistryError> {
+        let markers = robots.iter().map(|&(identifier, mount, _)| (identifier, mount));
+        let camera = |(index, calibration): (usize, &Calibration)| {
+            let eye = Eye::new(index, calibration, survey)?;
+            Some(Camera { eye, next_look: Instant(0), fault: None })
+        };
+        Ok(Self {
+            localiser: Localiser::new(cameras, markers)?,
+            eyes: cameras.iter().enumerate().map(camera).collect(),
+            footprints: robots.iter().map(|&(_, mount, it)| (mount.robot, it)).collect(),
+            localised: BTreeMap::new(),
+        })
+    }
+
+    /// What a frame says that has arrived `now` (server's clock). Its depths are looked at five
+    /// times a second. `told` are the robots that the cameras may not see, where they say that they
+    /// are.
+    ///
+    /// # Errors
+    /// [`FrameError`], the first time that a camera's depths are wrong in one way; the robots in its
+    /// picture are in the observation all the same, which comes with it.
+    pub fn observe(
+        &mut self,
+        frame: &Frame,
+        now: Instant,
+        told: impl IntoIterator<Item = (RobotId, Pose)>,
+    ) -> (Observation, Option<FrameError>) {
+        let captured = frame.captured;
+        let robots = self.localiser.observe(frame, now);
+        for sighting in &robots {
+            let last = self.localised.entry(sighting.robot).or_insert((captured, sighting.pose));
+            if last.0 <= captured {
+                *last = (captured, sighting.pose);
+            }
+        }
+        let mut observation =
+            Observation { camera: frame.camera, captured, robots, ..Observation::default() };
+        let mut poses: BTreeMap<RobotId, Pose> = told.into_iter().collect();
+        let recent = |&(_, &(moment, _)): &(&RobotId, &(Instant, Pose))| {
+            moment.since(captured).max(captured.since(moment)) <= REMEMBERED
+        };
+        poses
+            .extend(self.localised.iter().filter(recent).map(|(&robot, &(_, pose))| (robot, pose)));
+        let Some(Some(camera)) = self.eyes.get_mut(frame.camera) else {
+            return (observation, None);
+        };
+        if frame.depth.is_none() || captured < camera.next_look {
+            return (observation, None);
+        }
+        let bodies: Vec<(Footprint, Pose)> = poses
+            .iter()
+            .map(|(robot, &pose)| (self.footprints.get(robot).copied().unwrap_or_default(), pose))
+            .collect();
+        match camera.eye.look(frame, now, &bodies) {
+            Ok(seen) => {
+                camera.fault = None;
+                camera.next_look = captured + LOOK_INTERVAL;
+                observation.cells = seen.cells;
+                observation.things = seen.things;
+                (observation, None)
+            }
+            Err(error) => {
+                let same = |last: &FrameError| {
+                    core::mem::discriminant(last) == core::mem::discriminant(&error)
+                };
+                let is_known = camera.fault.replace(error).is_some_and(|last| same(&last));
+                (observation, (!is_known).then_some(error))
+            }
+        }
+    }
+
+    /// What has gone wrong with markers, and when the frame was captured that shows it.
+    pub fn poll_event(&mut self) -> Option<(Instant, SightingEvent)> {
+        self.localiser.poll_event()
+    }
+}

@@ -1,0 +1,143 @@
+//! A simulated run against the truth.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE, Tile, TileId},
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose},
+};
+
+use super::{RunError, fleet::Fleet, simulate::RESOLUTION};
+use crate::{
+    camera::FrameSource,
+    grid::{self, OccupancyGrid},
+    report::{PoseErrors, TruthScores},
+    world::World,
+};
+
+/// Between two entries of a robot's true track.
+pub(super) const TRACK_INTERVAL: Duration = Duration::from_millis(50);
+/// The robots boot at the first moment, and drive from it on. The errors of their poses are
+/// counted once they have had the time to meet the server.
+const SETTLED: Duration = Duration::from_secs(5);
+/// A robot that is slower stands, in metres a second; one that turns faster drives, in degrees.
+const DRIVES_M_S: f64 = 0.05;
+const DRIVES_DEG_S: f64 = 5.0;
+
+/// How far the robots' poses are from the truth, as they know them themselves.
+pub(super) fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
+    let robots = fleet.robots().iter().zip(tracks);
+    errors(robots.flat_map(|(robot, track)| {
+        let path = robot.path().iter();
+        path.filter_map(|&(moment, pose)| {
+            let moment = Instant(moment.since(fleet.began()).micros());
+            Some((pose, true_pose(track, moment).filter(|_| moment.0 >= SETTLED.0)?))
+        })
+    }))
+}
+
+/// How far what the cameras said of robots that drove is from the truth.
+pub(super) fn sighting_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
+    let tracks: BTreeMap<_, _> =
+        fleet.robots().iter().map(|robot| robot.id()).zip(tracks).collect();
+    errors(fleet.sightings().iter().filter_map(|&(captured, sighting)| {
+        let track = tracks.get(&sighting.robot)?;
+        Some((sighting.pose, true_pose(track, captured).filter(|_| drives(track, captured))?))
+    }))
+}
+
+fn errors(pairs: impl Iterator<Item = (Pose, Pose)>) -> PoseErrors {
+    let (mut squares, mut count) = ((0.0, 0.0), 0);
+    for (pose, truth) in pairs {
+        let (dx, dy) = (pose.x - truth.x, pose.y - truth.y);
+        squares.0 += dx.metres().powi(2) + dy.metres().powi(2);
+        squares.1 += (pose.heading - truth.heading).degrees().powi(2);
+        count += 1;
+    }
+    let root = |sum: f64| if count > 0 { (sum / count as f64).sqrt() } else { 0.0 };
+    PoseErrors { count, rmse_m: root(squares.0), rmse_deg: root(squares.1) }
+}
+
+fn drives(track: &[Pose], moment: Instant) -> bool {
+    let index = (moment.micros() / TRACK_INTERVAL.micros()) as usize;
+    let (Some(from), Some(to)) = (track.get(index), track.get(index + 1)) else { return false };
+    let seconds = TRACK_INTERVAL.micros() as f64 / 1e6;
+    let way = (to.x - from.x).metres().hypot((to.y - from.y).metres());
+    way >= DRIVES_M_S * seconds
+        || (to.heading - from.heading).degrees().abs() >= DRIVES_DEG_S * seconds
+}
+
+/// A robot's pose between two entries of its track.
+fn true_pose(track: &[Pose], moment: Instant) -> Option<Pose> {
+    let interval = TRACK_INTERVAL.micros();
+    let index = (moment.micros() / interval) as usize;
+    let (from, to) = (*track.get(index)?, *track.get(index + 1)?);
+    let part = (moment.micros() % interval) as f64 / interval as f64;
+    let mix = |from: Millimetres, to: Millimetres| {
+        Millimetres::from_metres(from.metres() + (to - from).metres() * part)
+    };
+    let turn = Angle::from_radians((to.heading - from.heading).radians() * part);
+    Some(Pose { x: mix(from.x, to.x), y: mix(from.y, to.y), heading: from.heading + turn })
+}
+
+/// The map against the truth of a world that has run.
+pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError> {
+    let truth = world.truth();
+    let covered: BTreeSet<(i32, i32)> =
+        (0..FrameSource::cameras(world).len()).flat_map(|camera| world.covered(camera)).collect();
+    let passed: BTreeSet<(i32, i32)> = world.passed().collect();
+    // A surface has been seen if the air before it has.
+    let is_by = |cells: &BTreeSet<(i32, i32)>, (x, y): (i32, i32)| {
+        (-1..=1).any(|dy| (-1..=1).any(|dx| cells.contains(&(x + dx, y + dy))))
+    };
+    let surfaces = || truth.surfaces.iter().copied();
+    let free = || truth.free.iter().map(|&cell| (cell, Cell::Free));
+    let is_seen = |cell: &(i32, i32)| covered.contains(cell) || is_by(&passed, *cell);
+    let occupied = |cell| (cell, Cell::Occupied);
+    let whole = of_cells(surfaces().map(occupied).chain(free()))?;
+    let seen = of_cells(surfaces().filter(is_seen).map(occupied).chain(free()))?;
+    // What the map says must be true; of what is true it must say what has been seen.
+    let scores = grid::compare(map, &whole, None);
+    let (precision, recall) = (scores.precision, grid::compare(map, &seen, None).recall);
+    let known = known(map);
+
+    let all: BTreeSet<(i32, i32)> = truth.free.iter().chain(&truth.surfaces).copied().collect();
+    let is_known = |cell: &&(i32, i32)| known.contains(*cell);
+    let blind: Vec<&(i32, i32)> =
+        truth.free.iter().filter(|cell| passed.contains(cell) && !covered.contains(cell)).collect();
+    let share = |part: usize, whole: usize| {
+        if whole > 0 { part as f64 / whole as f64 } else { 1.0 }
+    };
+    Ok(TruthScores {
+        f1_occupied: 2.0 * precision * recall / (precision + recall).max(f64::EPSILON),
+        passed_known: share(
+            blind.iter().copied().filter(|cell| is_known(cell)).count(),
+            blind.len(),
+        ),
+        agreement_known: scores.agreement_known,
+        coverage: share(all.iter().filter(|cell| is_known(cell)).count(), all.len()),
+    })
+}
+
+/// The cells of which a map says something.
+fn known(map: &OccupancyGrid) -> BTreeSet<(i32, i32)> {
+    let first = map.origin_m().map(|it| (it / RESOLUTION.metres()).round() as i32);
+    let cells = map.cells().iter().enumerate().filter(|(_, cell)| **cell != Cell::Unknown);
+    cells
+        .map(|(index, _)| {
+            let (column, row) = (index % map.width(), index / map.width());
+            (first[0] + column as i32, first[1] + row as i32)
+        })
+        .collect()
+}
+
+fn of_cells(cells: impl Iterator<Item = ((i32, i32), Cell)>) -> Result<OccupancyGrid, RunError> {
+    let mut tiles = BTreeMap::<TileId, Tile>::new();
+    for ((x, y), cell) in cells {
+        let Some(id) = TileId::of_cell(x, y) else { continue };
+        let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
+        tiles.entry(id).or_default().set(within(x), within(y), cell);
+    }
+    Ok(OccupancyGrid::from_tiles(tiles.iter().map(|(&id, tile)| (id, tile)), RESOLUTION)?)
+}
