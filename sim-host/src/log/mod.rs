@@ -12,6 +12,7 @@
 //! [`Log::notes`] says so.
 
 mod carmen;
+mod frames;
 mod lines;
 mod mines;
 mod rgbd;
@@ -23,6 +24,7 @@ use std::path::{Path, PathBuf};
 
 use ubimap_protocol::time::Duration;
 
+pub use frames::RecordedFrames;
 pub use sensor::Sensor;
 pub use slicing::{DepthSlice, PixelModel, Slicing};
 

@@ -89,7 +89,7 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
 }
 
 /// The depth images in the order of the numbers in their names.
-fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
+pub(super) fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
     let inner = folder.join("depth");
     let place = if inner.is_dir() { inner } else { folder.to_owned() };
     let images = files_in(&place, &["png", "pgm"])?;
@@ -118,14 +118,14 @@ fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, LogError
 }
 
 /// A camera's pose in the world.
-struct CameraPose {
+pub(super) struct CameraPose {
     line: usize,
-    stamp_s: Option<f64>,
-    position: Vector3<f64>,
-    rotation: Matrix3<f64>,
+    pub(super) stamp_s: Option<f64>,
+    pub(super) position: Vector3<f64>,
+    pub(super) rotation: Matrix3<f64>,
 }
 
-fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), LogError> {
+pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), LogError> {
     type Parse = fn(&[(usize, Vec<f64>)]) -> Result<CameraPose, LineFault>;
     let kinds: [(&str, usize, Parse); 2] = [
         ("trajectory.log", 5, CameraPose::from_matrix),
@@ -339,7 +339,7 @@ impl Intrinsics {
 }
 
 /// The intrinsics, and a note if they are a guess.
-fn find_intrinsics(
+pub(super) fn find_intrinsics(
     folder: &Path,
     images: &[PathBuf],
 ) -> Result<(Intrinsics, Option<String>), LogError> {

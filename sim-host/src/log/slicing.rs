@@ -123,7 +123,7 @@ fn field_rad(intrinsics: &Intrinsics) -> f64 {
 }
 
 /// The depths of an image in millimetres, row by row; 0 where nothing was measured.
-fn depths_mm(path: &Path, intrinsics: &Intrinsics) -> Result<Vec<u16>, LogError> {
+pub(super) fn depths_mm(path: &Path, intrinsics: &Intrinsics) -> Result<Vec<u16>, LogError> {
     let refuse = |fault| LogError::Frame { path: path.to_owned(), fault };
     let Raster { image, file_white } =
         raster::read(path).map_err(|error| refuse(FrameFault::Image(error)))?;

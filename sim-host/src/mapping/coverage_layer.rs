@@ -133,7 +133,7 @@ mod tests {
         let mut layer = CoverageLayer::default();
         // Camera 1 dies after 2 s. Frames of camera 0 come two by two, the later one first.
         for millis in (0..4_000).step_by(200) {
-            let swapped = millis / 200 ^ 1;
+            let swapped = (millis / 200) ^ 1;
             layer.observe(&frame(0, swapped * 200, 0..4));
             if millis <= 2_000 {
                 layer.observe(&frame(1, millis, 2..6));
