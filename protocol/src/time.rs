@@ -35,8 +35,8 @@ impl Instant {
         let (mut seconds, mut rest, mut digit) = (0u32, 0, 4);
         while digit > 0 {
             digit -= 1;
-            rest = rest << 16 | ((self.0 >> 6) >> (16 * digit)) as u16 as u32;
-            seconds = seconds << 16 | rest / PER_SECOND;
+            rest = (rest << 16) | ((self.0 >> 6) >> (16 * digit)) as u16 as u32;
+            seconds = (seconds << 16) | (rest / PER_SECOND);
             rest %= PER_SECOND;
         }
         seconds

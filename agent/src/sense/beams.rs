@@ -93,10 +93,10 @@ impl Beam {
         // One by the root, in 1/2^14: a line that is off by a tenth, and Newton's steps.
         let mut inverse = 34_900 - part * 39 / 131;
         for _ in 0..2 {
-            let one = part * (inverse * inverse >> 14) >> 16;
-            inverse = inverse * ((3 << 14) - one) >> 15;
+            let one = (part * ((inverse * inverse) >> 14)) >> 16;
+            inverse = (inverse * ((3 << 14) - one)) >> 15;
         }
-        (u32::from(range) * inverse >> (16 - shift / 2)).min(u16::MAX.into())
+        ((u32::from(range) * inverse) >> (16 - shift / 2)).min(u16::MAX.into())
     }
 }
 
