@@ -180,7 +180,7 @@ pub(super) fn trace(
 
         // Where the surface goes on, or nothing is in range, up to some cells further.
         let here = index;
-        let ahead = (grain.spread / reach.max(1)) as usize;
+        let ahead = grain.spread.checked_div(reach).unwrap_or(0) as usize;
         if ahead >= 2 * SPAN as usize {
             let stride = ahead / CHECKS + 1;
             let end = here + ahead - stride;
