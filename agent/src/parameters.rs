@@ -31,7 +31,7 @@ pub enum Parameter {
     Hold = 6,
     /// How long a scan waits for its pose, in milliseconds, 0 to 60,000.
     ScanDeadline = 7,
-    /// The epoch from which tiles are begun, 0 to 2,147,483,647. Setting it to another value gives
+    /// The epoch from which tiles are begun, 0 to 1,073,741,824. Setting it to another value gives
     /// up all tiles of the robot's own: the server has corrected its pose or mounting.
     FirstEpoch = 8,
 }
@@ -61,7 +61,7 @@ impl Parameter {
             Self::GateDistance => (0, 10_000),
             Self::GateTurn => (0, 32_767),
             Self::Hold | Self::ScanDeadline => (0, 60_000),
-            Self::FirstEpoch => (0, i32::MAX),
+            Self::FirstEpoch => (0, 1 << 30),
         }
     }
 
@@ -205,7 +205,7 @@ mod tests {
             numbers.extend(part.values.iter().map(|value| value.parameter));
         }
         assert_eq!(answer, None);
-        assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 7, 8]);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 use ubimap_sim_host::{
-    camera::Observation,
+    camera::{Observation, Sighting},
     channel::fault::Faults,
     run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
 };
@@ -40,9 +40,8 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
             let off = if drives { 0.05 * (millis as f64 / 300.0).sin() } else { 0.0 };
             let pose = Pose::from_metres(off, 0.01, 0.0);
             if millis % 70 == 0 {
-                let robots = vec![(RobotId(1), pose)];
-                let observation =
-                    Observation { camera: 0, captured: now, robots, cells: Vec::new() };
+                let robots = vec![Sighting::usual(RobotId(1), pose)];
+                let observation = Observation { captured: now, robots, ..Observation::default() };
                 events.push_back((now, Event::Observation(observation)));
             }
             if millis % 50 == 0 {

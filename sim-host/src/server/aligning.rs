@@ -232,7 +232,7 @@ impl Aligning {
             Cure::Settling(until) if until <= now => {
                 let number = FIRST_NUMBER + 2;
                 self.cure = Cure::Retiring { number };
-                let epoch = next.0.saturating_add(EPOCHS_AHEAD).min(i32::MAX as u32);
+                let epoch = next.0.saturating_add(EPOCHS_AHEAD).min(1 << 30);
                 (number, set(Parameter::FirstEpoch, epoch as i32))
             }
             _ => return None,

@@ -16,6 +16,8 @@ const CORNER_NOISE_PX: f64 = 0.15;
 /// Black and white differ by this. With the library's own 5 a sensor's noise is full of edges: a
 /// frame of 1280 x 720 then takes ten times as long.
 const CONTRAST: u8 = 30;
+/// A tag's eight modules a side need this many pixels; the library can't bear images of a row or two.
+const SMALLEST_PX: u32 = 12;
 /// Rows of the detector's images start at multiples of this.
 const ALIGNMENT: usize = 96;
 
@@ -42,6 +44,9 @@ impl TagDetector {
     /// The tags that lie wholly in a window of a picture, by number. Takes about 10 ns a pixel
     /// where there is little to see, and up to 30.
     pub fn detect(&mut self, picture: &Picture, window: Window) -> Vec<Marker> {
+        if window.width < SMALLEST_PX || window.height < SMALLEST_PX {
+            return Vec::new();
+        }
         let Some(image) = grey(picture, window) else { return Vec::new() };
         let detections = self.detector.detect(&image);
         let markers = detections.iter().filter_map(|detection| {
@@ -79,7 +84,7 @@ fn thresholds() -> QuadThresholds {
     }
 }
 
-/// The brightness of a window, as the detector takes it. `None` if it has no pixels.
+/// The brightness of a window, as the detector takes it. `None` if it is not within the picture.
 fn grey(picture: &Picture, window: Window) -> Option<Image> {
     let (width, rows) = (window.width as usize, window.height as usize);
     let mut image = Image::zeros_with_alignment(width, rows, ALIGNMENT).ok()?;
@@ -103,5 +108,28 @@ fn grey(picture: &Picture, window: Window) -> Option<Image> {
             }
         }
     }
-    (width > 0 && rows > 0).then_some(image)
+    Some(image)
+}
+
+#[cfg(test)]
+mod tests {
+    use image::GrayImage;
+
+    use super::*;
+
+    #[test]
+    fn windows_of_any_size_may_be_searched() {
+        // Noise, so that there are edges everywhere.
+        let noise =
+            |x: u32, y: u32| (x.wrapping_mul(0x9E37_79B9) ^ y.wrapping_mul(0x85EB_CA6B)) >> 13;
+        let picture =
+            Picture::Grey(GrayImage::from_fn(64, 64, |x, y| image::Luma([noise(x, y) as u8])));
+        let mut detector = TagDetector::default();
+        for width in (1..40).chain([63, 64]) {
+            for height in (1..40).chain([63, 64]) {
+                let window = Window { left: 0, top: 0, width, height };
+                assert!(detector.detect(&picture, window).is_empty(), "{width} x {height}");
+            }
+        }
+    }
 }
