@@ -1,8 +1,9 @@
-//! The camera server: a session for each robot.
+//! The camera server: a session for each robot, and who drives where.
 
 mod aligning;
 mod budget;
 mod command;
+pub mod coordination;
 mod events;
 mod inbox;
 mod news;

@@ -1,0 +1,76 @@
+//! Sending robots aside that stand in the way of another one.
+
+use super::{
+    ground::{Disc, Ground, Point},
+    reservation::{Reservations, is_crossed},
+    route::{SPACING_M, Terrain},
+};
+
+/// Of the points of a route every third one is looked at, with that much more room.
+const STRIDE: usize = 3;
+
+/// Gives a robot its route, by its corners, and sends all aside that stand in its way: to the
+/// nearest places where they are in nobody's way. All or nothing; whether it was done.
+///
+/// `may_yield` says who can be sent, and `terrain` the ground for a robot. One search for each
+/// robot that stands in the way.
+pub(super) fn make_way<'a>(
+    reservations: &mut Reservations,
+    ground: &'a Ground,
+    robot: usize,
+    route: &[Point],
+    may_yield: impl Fn(usize) -> bool,
+    terrain: impl Fn(usize) -> Terrain<'a>,
+) -> bool {
+    let mut planned = reservations.clone();
+    planned.plan(robot, route);
+    let way = planned.claim(robot).ahead().to_vec();
+    let disc_m = planned.claim(robot).disc_m();
+    // How far along the route each stands that has no way of its own to go.
+    let mut standing: Vec<(usize, usize)> = Vec::new();
+    for (other, claim) in planned.claims().iter().enumerate() {
+        let is_met = |point: &Point| is_crossed(&[*point], claim.held(), disc_m + claim.disc_m());
+        if other != robot && claim.is_all_granted() {
+            standing.extend(way.iter().rposition(is_met).map(|along| (along, other)));
+        }
+    }
+    if standing.is_empty() || !standing.iter().all(|&(_, other)| may_yield(other)) {
+        return false;
+    }
+    // Whoever stands farthest along goes first: the others may have to follow.
+    standing.sort_unstable_by(|a, b| b.cmp(a));
+    let mut routes = Vec::new();
+    for (_, other) in standing {
+        let Some(aside) = aside(&planned, ground, terrain(other), robot, other) else {
+            return false;
+        };
+        planned.plan(other, &aside);
+        routes.push((other, aside));
+    }
+    routes.push((robot, route.to_vec()));
+    reservations.admit(&routes)
+}
+
+/// The way to the nearest place where a robot is in nobody's way. It does not pass the robot that
+/// it makes way for, nor places where others will stand.
+fn aside(
+    planned: &Reservations,
+    ground: &Ground,
+    mut terrain: Terrain<'_>,
+    driving: usize,
+    aside: usize,
+) -> Option<Vec<Point>> {
+    let me = planned.claim(aside);
+    let mut in_the_way = vec![false; ground.len()];
+    for (other, claim) in planned.claims().iter().enumerate().filter(|(other, _)| *other != aside) {
+        let reach = claim.disc_m() + me.disc_m();
+        let stays = if other == driving { claim.granted_end() } else { claim.end() };
+        terrain.shut(&Disc { centre: stays, radius: reach }, me.end());
+        let room = reach + STRIDE as f64 * SPACING_M / 2.0;
+        let route = claim.ahead().iter().step_by(STRIDE).copied();
+        for centre in claim.held().chain(route).chain([claim.end()]) {
+            ground.within(&Disc { centre, radius: room }, |at| in_the_way[at] = true);
+        }
+    }
+    terrain.nearest(me.end(), |at| terrain.is_open(at) && !in_the_way[at])
+}

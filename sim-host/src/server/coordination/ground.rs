@@ -1,0 +1,339 @@
+//! The ground as robots may use it: what is known, what no camera sees, how far the next wall is.
+
+use nalgebra::Point2;
+use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE, TileId},
+    units::Millimetres,
+};
+
+use crate::mapping::ServedLayer;
+
+/// A place in `map`, in metres.
+pub(super) type Point = Point2<f64>;
+
+/// The map is cut to so many tiles on each side of the middle robot (64 m of 5 cm cells), so
+/// that a stray tile costs no memory.
+const REACH_TILES: i32 = 40;
+
+/// A disc in `map`, in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Disc {
+    pub(super) centre: Point,
+    pub(super) radius: f64,
+}
+
+/// The known part of the floor, as a rectangle of cells with a border of unknown ones. A cell is
+/// named by its index, row by row from the south-west.
+#[derive(Clone, Debug)]
+pub(super) struct Ground {
+    side_m: f64,
+    /// The grid coordinates of the first cell.
+    first: (i32, i32),
+    width: usize,
+    cells: Vec<Cell>,
+    /// Nobody knows the cell and no camera looks at it.
+    blind: Vec<bool>,
+    /// Squared distances in cells to the nearest cell that is occupied for good or unknown, and to
+    /// the nearest movable one.
+    walls: Vec<u32>,
+    movable: Vec<u32>,
+}
+
+impl Ground {
+    /// Draws the ground from the map and what the cameras see. Unknown cells in `trodden`, where
+    /// robots stand, are taken for passable: a robot that has seen nothing yet must be able to
+    /// leave. `None` as long as nothing is known. Linear in the cells (0.03 microseconds each).
+    pub(super) fn survey(
+        fused: &ServedLayer,
+        coverage: &ServedLayer,
+        resolution: Millimetres,
+        trodden: &[Disc],
+    ) -> Option<Self> {
+        let side_m = Millimetres(resolution.0.max(1)).metres();
+        let middle = middle(trodden, side_m);
+        let near = |id: &TileId| {
+            (i32::from(id.x) - middle.0).abs() <= REACH_TILES
+                && (i32::from(id.y) - middle.1).abs() <= REACH_TILES
+        };
+        let tiles = || fused.tiles().map(|(id, ..)| id).filter(near);
+        // With one more on each side: there is where to look.
+        let west = tiles().map(|id| id.x).min()?.saturating_sub(1);
+        let east = tiles().map(|id| id.x).max()?.saturating_add(1);
+        let south = tiles().map(|id| id.y).min()?.saturating_sub(1);
+        let north = tiles().map(|id| id.y).max()?.saturating_add(1);
+        let first = TileId { x: west, y: south }.first_cell();
+        let along = |from: i16, to: i16| (i32::from(to) - i32::from(from) + 1) as usize * TILE_SIDE;
+        let (width, height) = (along(west, east), along(south, north));
+        let mut ground = Self {
+            side_m,
+            first,
+            width,
+            cells: vec![Cell::Unknown; width * height],
+            blind: vec![true; width * height],
+            walls: Vec::new(),
+            movable: Vec::new(),
+        };
+        for id in (south..=north).flat_map(|y| (west..=east).map(move |x| TileId { x, y })) {
+            let (known, covered) = (fused.get(id), coverage.get(id));
+            if known.is_none() && covered.is_none() {
+                continue;
+            }
+            let (x, y) = id.first_cell();
+            let corner = (y - first.1) as usize * width + (x - first.0) as usize;
+            for y in 0..TILE_SIDE {
+                for x in 0..TILE_SIDE {
+                    let at = corner + y * width + x;
+                    let cell = known.map_or(Cell::Unknown, |(_, tile)| tile.cell(x, y));
+                    let is_covered = covered.is_some_and(|(_, it)| it.cell(x, y) == Cell::Free);
+                    ground.cells[at] = cell;
+                    ground.blind[at] = cell == Cell::Unknown && !is_covered;
+                }
+            }
+        }
+        let mut is_wall: Vec<bool> =
+            ground.cells.iter().map(|it| matches!(it, Cell::Unknown | Cell::Occupied)).collect();
+        for disc in trodden {
+            ground.within(disc, |at| is_wall[at] &= ground.cells[at] != Cell::Unknown);
+        }
+        // The border stays shut: a search needs not look where the rectangle ends.
+        for (at, is_wall) in is_wall.iter_mut().enumerate() {
+            *is_wall |= ground.is_border(at);
+        }
+        let is_movable: Vec<bool> = ground.cells.iter().map(|it| *it == Cell::Movable).collect();
+        ground.walls = squared_distances(&is_wall, width);
+        ground.movable = squared_distances(&is_movable, width);
+        Some(ground)
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.cells.len()
+    }
+
+    /// Cells from one row to the next.
+    pub(super) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// The side of a cell, in metres.
+    pub(super) fn side_m(&self) -> f64 {
+        self.side_m
+    }
+
+    pub(super) fn cell(&self, at: usize) -> Cell {
+        self.cells[at]
+    }
+
+    pub(super) fn is_unknown(&self, at: usize) -> bool {
+        self.cells[at] == Cell::Unknown
+    }
+
+    /// Whether nobody knows the cell and no camera looks at it.
+    pub(super) fn is_blind(&self, at: usize) -> bool {
+        self.blind[at]
+    }
+
+    /// The squared distance to the nearest wall or unknown cell, in cells.
+    pub(super) fn to_wall(&self, at: usize) -> u32 {
+        self.walls[at]
+    }
+
+    /// The squared distance to the nearest movable cell, in cells.
+    pub(super) fn to_movable(&self, at: usize) -> u32 {
+        self.movable[at]
+    }
+
+    /// Whether no wall and no unknown cell is nearer to a place, in metres.
+    pub(super) fn has_room(&self, place: Point, metres: f64) -> bool {
+        let cells = metres / self.side_m;
+        self.at(place).is_some_and(|at| f64::from(self.walls[at]) >= cells * cells)
+    }
+
+    /// The cell that holds a place, without the border. `None` outside.
+    pub(super) fn at(&self, place: Point) -> Option<usize> {
+        let column = (place.x / self.side_m).floor() - f64::from(self.first.0);
+        let row = (place.y / self.side_m).floor() - f64::from(self.first.1);
+        if !(column >= 1.0 && row >= 1.0) {
+            return None;
+        }
+        // The casts saturate.
+        let (column, row) = (column as usize, row as usize);
+        let inside = column < self.width - 1 && row < self.len() / self.width - 1;
+        inside.then(|| row * self.width + column)
+    }
+
+    /// The middle of a cell.
+    pub(super) fn place(&self, at: usize) -> Point {
+        let (column, row) = (at % self.width, at / self.width);
+        let along =
+            |first: i32, cells: usize| (f64::from(first) + cells as f64 + 0.5) * self.side_m;
+        Point::new(along(self.first.0, column), along(self.first.1, row))
+    }
+
+    /// Calls for every cell whose middle lies in a disc.
+    pub(super) fn within(&self, disc: &Disc, mut each: impl FnMut(usize)) {
+        let rows = self.len() / self.width;
+        let span = |centre: f64, first: i32, end: usize| {
+            let from = ((centre - disc.radius) / self.side_m).floor() - f64::from(first);
+            let to = ((centre + disc.radius) / self.side_m).ceil() - f64::from(first);
+            // The casts saturate.
+            (from as usize).min(end)..(to as usize).min(end)
+        };
+        let columns = span(disc.centre.x, self.first.0, self.width);
+        for row in span(disc.centre.y, self.first.1, rows) {
+            for column in columns.clone() {
+                let at = row * self.width + column;
+                let off = self.place(at) - disc.centre;
+                if off.norm_squared() <= disc.radius * disc.radius {
+                    each(at);
+                }
+            }
+        }
+    }
+
+    fn is_border(&self, at: usize) -> bool {
+        let (column, row) = (at % self.width, at / self.width);
+        column == 0 || row == 0 || column == self.width - 1 || row == self.len() / self.width - 1
+    }
+}
+
+/// The tile in the middle of the robots: the median, as one may say nonsense of where it is.
+fn middle(trodden: &[Disc], side_m: f64) -> (i32, i32) {
+    let tile_m = side_m * TILE_SIDE as f64;
+    let median = |along: fn(&Disc) -> f64| {
+        let mut all: Vec<f64> = trodden.iter().map(along).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).map_or(0, |metres| (metres / tile_m).floor() as i32)
+    };
+    (median(|disc| disc.centre.x), median(|disc| disc.centre.y))
+}
+
+/// The exact squared distance from each cell to the nearest marked one, by Meijster, Roerdink and
+/// Hesselink's two passes ("A general algorithm for computing distance transforms in linear time",
+/// 2000). Where nothing is marked it is larger than the grid.
+fn squared_distances(marked: &[bool], width: usize) -> Vec<u32> {
+    let height = marked.len() / width;
+    let far = (width + height) as i64;
+    let mut along_y = vec![far; marked.len()];
+    for at in 0..marked.len() {
+        let south = at.checked_sub(width).map_or(far, |south| along_y[south]);
+        along_y[at] = if marked[at] { 0 } else { (south + 1).min(far) };
+    }
+    for at in (0..marked.len().saturating_sub(width)).rev() {
+        along_y[at] = along_y[at].min(along_y[at + width] + 1);
+    }
+    let mut squared = vec![0; marked.len()];
+    // Of the row's parabolas those that are lowest somewhere, and from where on.
+    let mut lowest: Vec<(i64, i64)> = Vec::with_capacity(width);
+    for (row, out) in along_y.chunks(width).zip(squared.chunks_mut(width)) {
+        let height_at = |x: i64, column: i64| {
+            let up = row[column as usize];
+            (x - column) * (x - column) + up * up
+        };
+        lowest.clear();
+        for column in 0..width as i64 {
+            while lowest
+                .last()
+                .is_some_and(|&(it, from)| height_at(from, it) > height_at(from, column))
+            {
+                lowest.pop();
+            }
+            let from = lowest.last().map_or(0, |&(it, _)| {
+                let rise = height_at(0, column) - height_at(0, it);
+                1 + rise.div_euclid(2 * (column - it))
+            });
+            if from < width as i64 {
+                lowest.push((column, from));
+            }
+        }
+        for x in (0..width as i64).rev() {
+            while lowest.len() > 1 && lowest.last().is_some_and(|&(_, from)| from > x) {
+                lowest.pop();
+            }
+            let nearest = lowest.last().map_or(far * far, |&(column, _)| height_at(x, column));
+            out[x as usize] = u32::try_from(nearest).unwrap_or(u32::MAX);
+        }
+    }
+    squared
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use ubimap_protocol::tile::{TILE_CELLS, Tile};
+
+    fn layer(cell: impl Fn(i32, i32) -> Cell) -> ServedLayer {
+        let mut layer = ServedLayer::default();
+        for (x, y) in [(-1, 0), (0, 0)] {
+            let id = TileId { x, y };
+            let mut tile = Tile::UNKNOWN;
+            let (west, south) = id.first_cell();
+            for at in 0..TILE_SIDE * TILE_SIDE {
+                let (x, y) = (at % TILE_SIDE, at / TILE_SIDE);
+                tile.set(x, y, cell(west + x as i32, south + y as i32));
+            }
+            layer.set(id, tile);
+        }
+        layer
+    }
+
+    #[test]
+    fn places_and_cells_agree() {
+        let fused = layer(|x, y| if x == y { Cell::Occupied } else { Cell::Free });
+        let ground = Ground::survey(&fused, &fused, Millimetres(50), &[]).unwrap();
+        for (x, y) in [(-32, 0), (31, 31), (0, 0), (-1, 7)] {
+            let place = Point::new((f64::from(x) + 0.5) * 0.05, (f64::from(y) + 0.5) * 0.05);
+            let at = ground.at(place).unwrap();
+            assert!((ground.place(at) - place).norm() < 1e-9);
+            assert_eq!(ground.cell(at) == Cell::Occupied, x == y);
+        }
+        for outside in [(-3.2, 0.1), (3.2, 0.1), (0.1, -1.6), (0.1, 3.2), (f64::NAN, 0.0)] {
+            assert_eq!(ground.at(Point::new(outside.0, outside.1)), None, "{outside:?}");
+        }
+    }
+
+    #[test]
+    fn unknown_ground_is_blind_but_where_a_camera_looks_and_passable_where_a_robot_stands() {
+        let fused = layer(|x, _| if x < 0 { Cell::Free } else { Cell::Unknown });
+        let coverage = layer(|_, y| if y < 8 { Cell::Free } else { Cell::Unknown });
+        let robot = Disc { centre: Point::new(0.5, 0.8), radius: 0.2 };
+        let ground = Ground::survey(&fused, &coverage, Millimetres(50), &[robot]).unwrap();
+        let at = |x, y| ground.at(Point::new(x, y)).unwrap();
+        assert!(ground.is_blind(at(0.5, 0.8)) && !ground.is_blind(at(0.5, 0.2)));
+        assert!(!ground.is_blind(at(-0.5, 0.8)));
+        assert!(ground.to_wall(at(0.5, 0.8)) >= 9 && ground.to_wall(at(0.5, 0.2)) == 0);
+    }
+
+    #[test]
+    fn a_stray_tile_costs_no_memory() {
+        let mut fused = layer(|_, _| Cell::Free);
+        let mut tile = Tile::UNKNOWN;
+        tile.set(0, 0, Cell::Free);
+        fused.set(TileId { x: i16::MAX, y: i16::MIN }, tile);
+        let ground = Ground::survey(&fused, &fused, Millimetres(50), &[]).unwrap();
+        assert_eq!(ground.len(), 4 * 3 * usize::from(TILE_CELLS));
+    }
+
+    proptest! {
+        /// The oracle looks at every pair.
+        #[test]
+        fn distances_are_exact(
+            width in 1usize..14,
+            cells in proptest::collection::vec(proptest::bool::weighted(0.1), 1..150),
+        ) {
+            let marked = &cells[..cells.len() / width * width];
+            let distances = squared_distances(marked, width);
+            for (at, &distance) in distances.iter().enumerate() {
+                let to = |other: usize| {
+                    let along = |a: usize, b: usize| (a.abs_diff(b) * a.abs_diff(b)) as u32;
+                    along(at % width, other % width) + along(at / width, other / width)
+                };
+                let expected = (0..marked.len()).filter(|&it| marked[it]).map(to).min();
+                match expected {
+                    Some(expected) => prop_assert_eq!(distance, expected),
+                    None => prop_assert!(distance as usize >= width * width),
+                }
+            }
+        }
+    }
+}

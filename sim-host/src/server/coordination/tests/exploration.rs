@@ -1,0 +1,148 @@
+//! Robots that go where nobody has been.
+
+use ubimap_protocol::tile::Cell;
+
+use super::{
+    floor::{Floor, RADIUS_M, id},
+    plan::{Plan, middle},
+};
+use crate::server::coordination::{Notice, ground::Point};
+
+/// Corridors and rooms, 12 m by 8 m.
+fn maze() -> Plan {
+    let mut plan = Plan::room(12.0, 8.0);
+    for (x, from, to) in [(2.0, 0.0, 6.4), (4.0, 1.6, 8.0), (6.0, 0.0, 5.0), (8.0, 2.4, 8.0)] {
+        plan.wall(x, from, x + 0.1, to);
+    }
+    plan.wall(8.1, 2.4, 10.4, 2.5);
+    plan.wall(9.6, 5.0, 12.0, 5.1);
+    plan
+}
+
+/// Lets robots explore a plan.
+fn exploring(plan: Plan, starts: &[Point], seed: u64) -> Floor {
+    let mut floor = Floor::new(plan, starts, seed, |_| true);
+    floor.look_around();
+    for index in 0..starts.len() {
+        assert!(floor.coordinator.set_exploring(id(index), true));
+    }
+    floor
+}
+
+/// Lets robots explore until all is known, or so many seconds are over. Checks that no two of them
+/// go to one frontier at a time, and returns the seconds, and the share of the ground that can be
+/// known and is.
+fn explore(mut floor: Floor) -> (u64, f64, Floor) {
+    let robots = floor.bodies.len();
+    let mut looked = 0;
+    let mut idle_since = floor.now;
+    floor.run(900, |floor| {
+        if floor.now.micros() / 500_000 != looked {
+            looked = floor.now.micros() / 500_000;
+            floor.look_around();
+        }
+        let targets: Vec<_> =
+            (0..robots).filter_map(|it| floor.coordinator.target(id(it))).collect();
+        for (at, one) in targets.iter().enumerate() {
+            for other in &targets[at + 1..] {
+                let apart = (one[0] - other[0]).hypot(one[1] - other[1]);
+                assert!(apart > 1.0, "two robots go to one frontier: {one:?}, {other:?}");
+            }
+        }
+        if !targets.is_empty() {
+            idle_since = floor.now;
+        }
+        floor.now.since(idle_since).micros() > 5_000_000
+    });
+    let (mut known, mut all) = (0, 0);
+    for cell in floor.plan.places().filter(|it| floor.plan.cell(middle(*it)) == Cell::Free) {
+        all += 1;
+        known += u32::from(!floor.is_unknown(cell));
+    }
+    (idle_since.micros() / 1_000_000, f64::from(known) / f64::from(all), floor)
+}
+
+/// Eight rooms on both sides of a corridor.
+fn rooms() -> Plan {
+    let mut plan = Plan::room(12.0, 8.0);
+    for column in 0..4 {
+        let west = 3.0 * f64::from(column);
+        for (south, north) in [(0.0, 3.2), (4.8, 8.0)] {
+            plan.wall(west - 0.05, south, west + 0.05, north);
+        }
+        for y in [3.2, 4.7] {
+            plan.wall(west, y, west + 1.0, y + 0.1);
+            plan.wall(west + 1.9, y, west + 3.0, y + 0.1);
+        }
+    }
+    plan
+}
+
+fn report(floor: &Floor, known: f64, seconds: u64) {
+    let driven: f64 = floor.bodies.iter().map(|body| body.driven).sum();
+    println!(
+        "{} robots: {:.2} % known in {seconds} s, {driven:.0} m driven, {} paths, slowest tick {:?}",
+        floor.bodies.len(),
+        known * 100.0,
+        floor.paths,
+        floor.slowest_tick,
+    );
+    assert!(known > 0.999, "{known}");
+    assert!(!floor.is_blocked(), "{} {}", floor.overlaps, floor.collisions);
+}
+
+#[test]
+fn all_of_a_maze_gets_known() {
+    let starts = [Point::new(1.0, 0.6), Point::new(1.0, 1.6)];
+    let (seconds, known, floor) = explore(exploring(maze(), &starts, 1));
+    report(&floor, known, seconds);
+}
+
+#[test]
+fn three_robots_share_rooms() {
+    let starts = [Point::new(1.0, 4.0), Point::new(2.0, 4.0), Point::new(3.0, 4.0)];
+    let mut times = Vec::new();
+    for robots in [1, 3] {
+        let (seconds, known, floor) = explore(exploring(rooms(), &starts[..robots], 1));
+        report(&floor, known, seconds);
+        times.push(seconds);
+    }
+    assert!(times[1] as f64 <= 0.6 * times[0] as f64, "{times:?}");
+}
+
+#[test]
+fn people_in_the_corridor_hold_robots_up_but_not_for_ever() {
+    let starts = [Point::new(1.0, 4.0), Point::new(2.0, 4.0), Point::new(3.0, 4.0)];
+    let mut floor = exploring(rooms(), &starts, 1);
+    floor.people = vec![(Point::new(8.0, 4.3), 0.7), (Point::new(10.0, 3.7), -0.5)];
+    let (seconds, known, floor) = explore(floor);
+    report(&floor, known, seconds);
+}
+
+#[test]
+fn a_goal_goes_before_exploration() {
+    let mut floor = exploring(rooms(), &[Point::new(1.0, 4.0)], 1);
+    floor.run(3, |_| false);
+    assert!(floor.coordinator.target(id(0)).is_some());
+    floor.coordinator.goal(id(0), 1.4, 3.9, floor.now).unwrap();
+    assert_eq!(floor.coordinator.target(id(0)), None);
+    assert!(floor.run(60, |floor| floor.count(Notice::Reached) == 1));
+    let there = Point::new(1.4, 3.9);
+    assert!((floor.bodies[0].place - there).norm() < 0.3, "{}", floor.bodies[0].place);
+    assert!(floor.run(3, |floor| floor.coordinator.target(id(0)).is_some()));
+}
+
+/// Behind a wall without a door nothing can be known, and nobody tries for ever.
+#[test]
+fn ground_out_of_reach_is_left_alone() {
+    let mut plan = Plan::room(6.0, 4.0);
+    plan.wall(4.0, 0.0, 4.1, 4.0);
+    let starts = [Point::new(1.0, 1.0), Point::new(1.0, 3.0)];
+    let (time, known, floor) = explore(exploring(plan, &starts, 2));
+    println!("{:.1} % known in {time} s", known * 100.0);
+    assert!(known > 0.6 && known < 0.7 && time < 60, "{known} {time}");
+    assert!(
+        !floor.is_blocked()
+            && floor.bodies.iter().all(|it| floor.plan.room_around(it.place) > RADIUS_M)
+    );
+}

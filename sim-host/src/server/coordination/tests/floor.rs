@@ -1,0 +1,306 @@
+//! A floor with point robots that follow their paths, late, at speeds of their own and with stops.
+
+use std::collections::VecDeque;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use ubimap_protocol::{
+    message::{EventCode, Obstacle, ObstacleClass},
+    tile::Cell,
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose, RobotId},
+};
+
+use super::plan::{Plan, SIDE_M, middle, set};
+use crate::{
+    mapping::ServedLayer,
+    server::{
+        Command, Footprint,
+        coordination::{Coordinator, Notice, Settings, Situation, Whereabouts, ground::Point},
+    },
+};
+
+const STEP: Duration = Duration::from_millis(50);
+/// The robots are 40 cm wide and long.
+pub(super) const RADIUS_M: f64 = 0.2828;
+/// How far their sensors see.
+const RANGE_M: f64 = 3.0;
+
+pub(super) struct Body {
+    pub(super) place: Point,
+    speed: f64,
+    path: VecDeque<Point>,
+    is_done: bool,
+    stands_until: Instant,
+    /// Since when a person stands before it.
+    blocked_since: Option<Instant>,
+    pub(super) has_session: bool,
+    /// Paths that are under way, and where it was when that is told.
+    mail: VecDeque<(Instant, Vec<Point>)>,
+    reports: VecDeque<(Instant, Instant, Point)>,
+    reported: (Instant, Point),
+    pub(super) driven: f64,
+}
+
+pub(super) struct Floor {
+    pub(super) plan: Plan,
+    pub(super) coordinator: Coordinator,
+    pub(super) bodies: Vec<Body>,
+    /// Where people are, and how fast they walk along x.
+    pub(super) people: Vec<(Point, f64)>,
+    pub(super) fused: ServedLayer,
+    pub(super) now: Instant,
+    pub(super) notices: Vec<(Instant, RobotId, Notice)>,
+    /// Pairs of robots whose discs overlapped, and robots in walls, in each step.
+    pub(super) overlaps: u32,
+    pub(super) collisions: u32,
+    pub(super) slowest_tick: std::time::Duration,
+    pub(super) last_tick: Option<std::time::Duration>,
+    pub(super) paths: u32,
+    rng: ChaCha8Rng,
+}
+
+pub(super) fn id(index: usize) -> RobotId {
+    RobotId(index as u16 + 1)
+}
+
+impl Floor {
+    /// A floor of which everything is known but what something hides.
+    pub(super) fn new(
+        plan: Plan,
+        starts: &[Point],
+        seed: u64,
+        hides: impl Fn(Point) -> bool,
+    ) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut fused = ServedLayer::default();
+        let seen = plan.places().filter(|it| !hides(middle(*it)));
+        set(&mut fused, seen.map(|it| (it, plan.cell(middle(it)))));
+        let body = |&place: &Point| Body {
+            place,
+            speed: rng.random_range(0.25..0.6),
+            path: VecDeque::new(),
+            is_done: true,
+            stands_until: Instant(0),
+            blocked_since: None,
+            has_session: true,
+            mail: VecDeque::new(),
+            reports: VecDeque::new(),
+            reported: (Instant(0), place),
+            driven: 0.0,
+        };
+        let bodies = starts.iter().map(body).collect();
+        let settings = Settings { resolution: Millimetres(50), view_m: 2.0, first_path: 1 };
+        let mut floor = Self {
+            plan,
+            coordinator: Coordinator::new(settings),
+            bodies,
+            people: Vec::new(),
+            fused,
+            now: Instant(0),
+            notices: Vec::new(),
+            overlaps: 0,
+            collisions: 0,
+            slowest_tick: Default::default(),
+            last_tick: None,
+            paths: 0,
+            rng,
+        };
+        // So that all robots are known.
+        floor.tick();
+        floor
+    }
+
+    pub(super) fn is_blocked(&self) -> bool {
+        self.overlaps + self.collisions > 0
+    }
+
+    /// Lets time pass until something is so, or so many seconds are over. Whether it came so.
+    pub(super) fn run(&mut self, seconds: u64, mut until: impl FnMut(&mut Self) -> bool) -> bool {
+        let end = self.now + Duration::from_secs(seconds);
+        while self.now < end {
+            self.step();
+            if until(self) {
+                return true;
+            }
+        }
+        false
+    }
+
+    pub(super) fn count(&self, which: Notice) -> usize {
+        self.notices.iter().filter(|(_, _, notice)| *notice == which).count()
+    }
+
+    fn step(&mut self) {
+        self.now = self.now + STEP;
+        for (place, velocity) in &mut self.people {
+            place.x += *velocity * STEP.micros() as f64 / 1e6;
+            if place.x < 0.4 || place.x > self.plan.width - 0.4 {
+                *velocity = -*velocity;
+            }
+        }
+        for index in 0..self.bodies.len() {
+            self.drive(index);
+        }
+        for (index, body) in self.bodies.iter().enumerate() {
+            let others = self.bodies[index + 1..].iter();
+            let near = others.filter(|other| (other.place - body.place).norm() < 2.0 * RADIUS_M);
+            self.overlaps += near.count() as u32;
+            self.collisions += u32::from(self.plan.room_around(body.place) < RADIUS_M);
+        }
+        if self.coordinator.poll_timeout() <= self.now {
+            self.tick();
+        }
+    }
+
+    fn drive(&mut self, index: usize) {
+        let (now, rng) = (self.now, &mut self.rng);
+        let body = &mut self.bodies[index];
+        while let Some((_, path)) = body.mail.pop_front_if(|(at, _)| *at <= now) {
+            body.path = path.into();
+            body.is_done = false;
+        }
+        if rng.random_bool(0.001) {
+            body.stands_until = now + Duration::from_millis(rng.random_range(500..6_000));
+        }
+        let step_m = body.speed * STEP.micros() as f64 / 1e6;
+        let mut event = None;
+        if now >= body.stands_until && body.has_session {
+            match body.path.front().copied() {
+                Some(next) => {
+                    let way = next - body.place;
+                    let ahead = body.place + way * (0.3 / way.norm().max(0.3));
+                    let is_near =
+                        |(it, _): &(Point, f64)| (it - ahead).norm() < RADIUS_M + 0.25 + 0.1;
+                    if self.people.iter().any(is_near) {
+                        let since = *body.blocked_since.get_or_insert(now);
+                        if now.since(since) == Duration::from_secs(2) {
+                            event = Some(EventCode::PathBlocked);
+                        }
+                    } else if way.norm() < 0.05 {
+                        body.path.pop_front();
+                        body.blocked_since = None;
+                    } else {
+                        body.place += way * (step_m / way.norm()).min(1.0);
+                        body.driven += step_m;
+                        body.blocked_since = None;
+                    }
+                }
+                None if !body.is_done => {
+                    body.is_done = true;
+                    event = Some(EventCode::PathDone);
+                }
+                None => {}
+            }
+        }
+        let noise = || rng.random_range(-0.015..0.015);
+        let seen = body.place
+            + nalgebra::Vector2::from_fn({
+                let mut noise = noise;
+                move |_, _| noise()
+            });
+        let delay = Duration::from_millis(rng.random_range(50..300));
+        body.reports.push_back((now + delay, now, seen));
+        while let Some((_, moment, place)) = body.reports.pop_front_if(|(at, ..)| *at <= now) {
+            body.reported = (moment, place);
+        }
+        if let Some(event) = event {
+            self.coordinator.event(id(index), event, now);
+        }
+    }
+
+    fn tick(&mut self) {
+        let robot = |(index, body): (usize, &Body)| Whereabouts {
+            robot: id(index),
+            moment: body.reported.0,
+            pose: Pose {
+                x: Millimetres::from_metres(body.reported.1.x),
+                y: Millimetres::from_metres(body.reported.1.y),
+                heading: Angle(0),
+            },
+            footprint: Footprint::default(),
+            has_session: body.has_session,
+        };
+        let robots: Vec<Whereabouts> = self.bodies.iter().enumerate().map(robot).collect();
+        let obstacle = |(place, velocity): &(Point, f64)| Obstacle {
+            number: 1,
+            class: ObstacleClass::Person,
+            x: Millimetres::from_metres(place.x),
+            y: Millimetres::from_metres(place.y),
+            velocity_x: (velocity * 1000.0) as i16,
+            velocity_y: 0,
+            radius: 250,
+        };
+        let obstacles: Vec<Obstacle> = self.people.iter().map(obstacle).collect();
+        let coverage = ServedLayer::default();
+        let situation = Situation {
+            fused: &self.fused,
+            coverage: &coverage,
+            robots: &robots,
+            obstacles: &obstacles,
+        };
+        let before = std::time::Instant::now();
+        self.coordinator.tick(&situation, self.now);
+        self.last_tick = Some(before.elapsed());
+        self.slowest_tick = self.slowest_tick.max(before.elapsed());
+        while let Some((robot, command)) = self.coordinator.poll_command() {
+            let Command::Path(path) = command else { panic!("{command:?}") };
+            let body = &mut self.bodies[usize::from(robot.0) - 1];
+            self.paths += 1;
+            let place =
+                |it: &ubimap_protocol::message::Waypoint| Point::new(it.x.metres(), it.y.metres());
+            let delay = Duration::from_millis(self.rng.random_range(50..500));
+            let arrives = body.mail.back().map_or(Instant(0), |(at, _)| *at).max(self.now + delay);
+            body.mail.push_back((arrives, path.waypoints.iter().map(place).collect()));
+        }
+        while let Some((robot, notice)) = self.coordinator.poll_notice() {
+            self.notices.push((self.now, robot, notice));
+        }
+    }
+
+    /// All robots see what is in sight and range of them. How many cells became known.
+    pub(super) fn look_around(&mut self) -> usize {
+        let unknown: Vec<(i32, i32)> = self
+            .plan
+            .places()
+            .filter(|&it| self.is_unknown(it) && self.plan.cell(middle(it)) != Cell::Unknown)
+            .filter(|&it| self.bodies.iter().any(|body| self.sees(body.place, middle(it))))
+            .collect();
+        let seen: Vec<_> = unknown.into_iter().map(|it| (it, self.plan.cell(middle(it)))).collect();
+        let count = seen.len();
+        set(&mut self.fused, seen.into_iter());
+        count
+    }
+
+    pub(super) fn is_unknown(&self, (x, y): (i32, i32)) -> bool {
+        let tile = ubimap_protocol::tile::TileId::of_cell(x, y).unwrap();
+        self.fused.get(tile).is_none_or(|(_, tile)| {
+            tile.cell(x.rem_euclid(32) as usize, y.rem_euclid(32) as usize) == Cell::Unknown
+        })
+    }
+
+    /// Whether nothing stands between two places but at the second one.
+    fn sees(&self, from: Point, to: Point) -> bool {
+        let way = to - from;
+        let steps = (way.norm() / SIDE_M * 2.0) as usize;
+        way.norm() < RANGE_M
+            && (0..steps.saturating_sub(2))
+                .all(|step| self.plan.room_around(from + way * (step as f64 / steps as f64)) > 0.0)
+    }
+
+    /// A place with so much room around it and from all others, in a rectangle.
+    pub(super) fn free_place(
+        plan: &Plan,
+        rng: &mut ChaCha8Rng,
+        [west, south, east, north]: [f64; 4],
+        others: &[Point],
+    ) -> Point {
+        loop {
+            let place = Point::new(rng.random_range(west..east), rng.random_range(south..north));
+            let is_apart = |it: &Point| (it - place).norm() > 0.9;
+            if plan.room_around(place) > 0.4 && others.iter().all(is_apart) {
+                return place;
+            }
+        }
+    }
+}

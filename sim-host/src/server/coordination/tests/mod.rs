@@ -1,0 +1,6 @@
+//! Whole drives of several robots on simple floors.
+
+mod exploration;
+mod floor;
+pub(super) mod plan;
+mod traffic;
