@@ -25,6 +25,7 @@ extern crate std;
 mod agent;
 mod bounds;
 mod config;
+pub mod drive;
 mod inbox;
 pub mod locate;
 pub mod map;

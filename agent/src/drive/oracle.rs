@@ -1,0 +1,231 @@
+//! The planner against the exact shortest way: Dijkstra over all pairs of cells that see each
+//! other, in doubles.
+
+use std::{vec, vec::Vec};
+
+use proptest::prelude::*;
+use ubimap_protocol::{
+    tile::Row,
+    units::{Millimetres, Pose},
+};
+
+use super::*;
+
+const CELL: i32 = 50;
+
+/// Rooms: rectangles that are walls, doors cut into them.
+#[derive(Clone, Debug)]
+struct Rooms {
+    /// Column or row, from, to, and the door's from and width; vertical or not.
+    walls: Vec<(i32, i32, i32, i32, i32, bool)>,
+    /// Boxes: column, row, width, height.
+    boxes: Vec<(i32, i32, i32, i32)>,
+}
+
+impl Rooms {
+    fn is_wall(&self, x: i32, y: i32) -> bool {
+        let in_wall = self.walls.iter().any(|&(at, from, to, door, width, vertical)| {
+            let (across, along) = if vertical { (x, y) } else { (y, x) };
+            across == at && (from..=to).contains(&along) && !(door..door + width).contains(&along)
+        });
+        let in_box = |&(at_x, at_y, width, height): &(i32, i32, i32, i32)| {
+            (at_x..at_x + width).contains(&x) && (at_y..at_y + height).contains(&y)
+        };
+        in_wall || self.boxes.iter().any(in_box)
+    }
+
+    fn row(&self, column: i32, row: i32) -> GroundRow {
+        let mut cells = Row::default();
+        for bit in 0..32 {
+            let plane =
+                if self.is_wall(column * 32 + bit, row) { &mut cells.high } else { &mut cells.low };
+            *plane |= 1 << bit;
+        }
+        GroundRow { cells, covered: 0 }
+    }
+
+    /// A window from cell (0, 0) on.
+    fn window(&self, radius: u16) -> Window {
+        let middle = Millimetres(32 * CELL);
+        let pose = Pose { x: middle, y: middle, ..Pose::default() };
+        let near = NearPoints::default();
+        let view = View {
+            pose,
+            resolution: Millimetres(CELL),
+            level: 0,
+            radius,
+            near: &near,
+            movers: &[],
+            given_up: &[],
+            explore_covered: true,
+        };
+        let mut window = Window::default();
+        window.fill(&view, |column, row| self.row(column, row));
+        window
+    }
+}
+
+fn rooms() -> impl Strategy<Value = Rooms> {
+    let wall = (0..64i32, 0..40i32, 20..64i32, 0..60i32, 6..16i32, any::<bool>());
+    let block = (0..60i32, 0..60i32, 1..9i32, 1..9i32);
+    (prop::collection::vec(wall, 0..5), prop::collection::vec(block, 0..10))
+        .prop_map(|(walls, boxes)| Rooms { walls, boxes })
+}
+
+fn place(index: usize) -> Place {
+    Place { x: (index % SIDE) as u8, y: (index / SIDE) as u8 }
+}
+
+fn between(a: Place, b: Place) -> f64 {
+    f64::from(a.x.abs_diff(b.x)).hypot(f64::from(a.y.abs_diff(b.y)))
+}
+
+/// Whether a line between two cells' middles is inside free cells: every cell whose inside it
+/// enters, by clipping the line to the cell, a formulation of its own.
+fn sees(window: &Window, a: Place, b: Place) -> bool {
+    let ((ax, ay), (bx, by)) = (a.column_and_row(), b.column_and_row());
+    let range = |p: i32, q: i32| p.min(q)..=p.max(q);
+    range(ay, by).all(|y| {
+        range(ax, bx).all(|x| {
+            // Where the line is between the sides of the cell: over (2 dx) and (2 dy).
+            let span = |from: i32, to: i32, at: i32| {
+                let way = f64::from(to - from);
+                if way == 0.0 {
+                    return (0.0, 1.0);
+                }
+                let (p, q) = (f64::from(2 * (at - from) - 1), f64::from(2 * (at - from) + 1));
+                let (p, q) = (p / (2.0 * way), q / (2.0 * way));
+                (p.min(q).max(0.0), p.max(q).min(1.0))
+            };
+            let (x_span, y_span) = (span(ax, bx, x), span(ay, by, y));
+            let enters = x_span.1.min(y_span.1) - x_span.0.max(y_span.0) > 1e-9;
+            !enters || window.free.has(Place { x: x as u8, y: y as u8 })
+        })
+    })
+}
+
+/// The exact shortest way, in cells, of those that are no longer than `most`.
+fn shortest(window: &Window, start: Place, goal: Place, most: f64) -> f64 {
+    let free = (0..SIDE * SIDE).map(place).filter(|&it| window.free.has(it));
+    let nodes = free.filter(|&it| between(start, it) + between(it, goal) <= most + 1e-9);
+    let nodes = nodes.collect::<Vec<_>>();
+    let mut way = vec![f64::INFINITY; nodes.len()];
+    let mut open = vec![true; nodes.len()];
+    way[nodes.iter().position(|&it| it == start).unwrap()] = 0.0;
+    loop {
+        let promise = |at: usize| way[at] + between(nodes[at], goal);
+        let ahead = (0..nodes.len()).filter(|&at| open[at]);
+        let at = ahead.min_by(|&a, &b| promise(a).total_cmp(&promise(b))).unwrap();
+        if nodes[at] == goal {
+            return way[at];
+        }
+        open[at] = false;
+        for to in 0..nodes.len() {
+            let length = way[at] + between(nodes[at], nodes[to]);
+            if open[to] && length < way[to] && window.sees(nodes[at], nodes[to]) {
+                way[to] = length;
+            }
+        }
+    }
+}
+
+/// Whether steps to neighbours, over corners too, lead from one cell to another.
+fn is_reachable(window: &Window, start: Place, goal: Place) -> bool {
+    let mut found = Plane::EMPTY;
+    let mut todo = vec![start];
+    while let Some(at) = todo.pop() {
+        let (x, y) = at.column_and_row();
+        for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
+            let next = Place::new(x + dx, y + dy);
+            if let Some(next) = next.filter(|&it| window.free.has(it) && !found.has(it)) {
+                found.insert(next);
+                todo.push(next);
+            }
+        }
+    }
+    start == goal || found.has(goal)
+}
+
+fn plan(window: &mut Window, start: Place, target: Target) -> Result<Path, PlanError> {
+    let mut planner = std::boxed::Box::<Planner>::default();
+    planner.begin(window, start, target)?;
+    for _ in 0..SIDE * SIDE {
+        match planner.step(window, 7) {
+            Progress::Searching => {}
+            Progress::Found(place) => return Ok(planner.path(window, place)),
+            Progress::Failed(error) => return Err(error),
+        }
+    }
+    panic!("the search does not end");
+}
+
+fn length(path: &Path) -> f64 {
+    path.places.windows(2).map(|pair| between(pair[0], pair[1])).sum()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn a_path_is_as_short_as_can_be_and_clear(
+        rooms in rooms(), radius in prop::sample::select(vec![0u16, 100, 180]),
+        start in 0..4096usize, goal in 0..4096usize,
+    ) {
+        let mut window = rooms.window(radius);
+        let (start, goal) = (place(start), place(goal));
+        prop_assume!(window.free.has(start) && window.free.has(goal));
+        let reachable = is_reachable(&window, start, goal);
+        match plan(&mut window, start, Target::Place(goal)) {
+            Err(error) => prop_assert!(error == PlanError::Unreachable && !reachable),
+            Ok(path) => {
+                prop_assert!(path.is_whole);
+                prop_assert_eq!(path.places.first().copied(), Some(start));
+                prop_assert_eq!(path.places.last().copied(), Some(goal));
+                for pair in path.places.windows(2) {
+                    prop_assert!(sees(&window, pair[0], pair[1]));
+                }
+                let found = length(&path);
+                let best = shortest(&window, start, goal, found);
+                prop_assert!(found >= best - 1e-9, "{found} < {best}");
+                prop_assert!(found <= 1.03 * best, "{} of {best}", found / best);
+            }
+        }
+    }
+
+    #[test]
+    fn a_line_of_sight_is_what_the_geometry_says(
+        rooms in rooms(), start in 0..4096usize, goal in 0..4096usize,
+    ) {
+        let window = rooms.window(0);
+        let (start, goal) = (place(start), place(goal));
+        prop_assume!(window.free.has(start));
+        prop_assert_eq!(window.sees(start, goal), sees(&window, start, goal));
+    }
+
+    #[test]
+    fn every_point_of_a_free_cell_is_clear_of_every_wall(
+        rooms in rooms(), radius in 0u16..600, x in 1..63i32, y in 1..63i32,
+        inside in (0.0f64..=1.0, 0.0f64..=1.0),
+    ) {
+        let window = rooms.window(radius);
+        // Not under the robot, which has pushed the walls aside in the middle.
+        let away = f64::from(x - 32).hypot(f64::from(y - 32)) * f64::from(CELL);
+        prop_assume!(away > 2.0 * f64::from(radius) + 200.0);
+        let is_free = window.free.has(Place { x: x as u8, y: y as u8 });
+        let (at_x, at_y) = (f64::from(x) + inside.0, f64::from(y) + inside.1);
+        let walls = (0..64).flat_map(|y| (0..64).map(move |x| (x, y)));
+        let walls = walls.filter(|&(x, y)| rooms.is_wall(x, y));
+        let gap = |at: f64, cell: i32| {
+            let cell = f64::from(cell);
+            (cell - at).max(at - cell - 1.0).max(0.0)
+        };
+        let nearest = walls.map(|(x, y)| gap(at_x, x).hypot(gap(at_y, y)));
+        let nearest = nearest.fold(f64::INFINITY, f64::min) * f64::from(CELL);
+        if is_free {
+            prop_assert!(nearest >= f64::from(radius) - 1.0, "{nearest}");
+        } else {
+            // It is not blocked for more than the diagonal of a cell beyond.
+            prop_assert!(nearest <= f64::from(radius) + 1.42 * f64::from(CELL), "{nearest}");
+        }
+    }
+}

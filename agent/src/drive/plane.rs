@@ -1,0 +1,194 @@
+//! 64 x 64 cells, one bit each, a word for each row: what is done to one cell is done to a row.
+
+/// Cells along a side of a window.
+pub const SIDE: usize = 64;
+
+/// A cell of a window, from its south-western corner.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Place {
+    /// To the east, below [`SIDE`].
+    pub x: u8,
+    /// To the north, below [`SIDE`].
+    pub y: u8,
+}
+
+impl Place {
+    /// The cell so many columns and rows from the corner, if that is within the window.
+    pub fn new(x: i32, y: i32) -> Option<Self> {
+        let along = |it: i32| u8::try_from(it).ok().filter(|&it| usize::from(it) < SIDE);
+        Some(Self { x: along(x)?, y: along(y)? })
+    }
+
+    /// Column and row.
+    pub fn column_and_row(self) -> (i32, i32) {
+        (self.x.into(), self.y.into())
+    }
+}
+
+/// One bit for each cell of a window (512 bytes): bit `x` of row `y`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plane([u64; SIDE]);
+
+impl Plane {
+    /// No cell.
+    pub const EMPTY: Self = Self([0; SIDE]);
+    /// All but the outermost cells.
+    pub(super) const INNER: u64 = u64::MAX >> 2 << 1;
+
+    /// Row `y`, modulo 64.
+    #[inline(always)]
+    pub fn row(&self, y: usize) -> u64 {
+        self.0[y % SIDE]
+    }
+
+    /// Row `y`, modulo 64.
+    #[inline(always)]
+    pub(super) fn row_mut(&mut self, y: usize) -> &mut u64 {
+        &mut self.0[y % SIDE]
+    }
+
+    /// Whether a cell is in it.
+    #[inline(always)]
+    pub fn has(&self, place: Place) -> bool {
+        half(self.row(place.y.into()), place.x) >> (place.x % 32) & 1 != 0
+    }
+
+    #[inline(always)]
+    pub(super) fn insert(&mut self, place: Place) {
+        *self.row_mut(place.y.into()) |= bit(place.x);
+    }
+
+    #[inline(always)]
+    pub(super) fn remove(&mut self, place: Place) {
+        *self.row_mut(place.y.into()) &= !bit(place.x);
+    }
+
+    /// Whether no cell is in it.
+    pub fn is_empty(&self) -> bool {
+        self.0.iter().all(|&row| row == 0)
+    }
+
+    /// How many cells are in it.
+    pub fn len(&self) -> u32 {
+        self.0.iter().map(|row| row.count_ones()).sum()
+    }
+
+    /// The five cells about column `x` in a row, the westernmost first, in the lowest bits. Cells
+    /// of the outermost columns count as absent.
+    #[inline(always)]
+    pub(super) fn five(&self, x: u8, y: i32) -> u32 {
+        let row = self.row(y as usize) << 1;
+        (row >> (x.saturating_sub(1) % 64)) as u32 & 31
+    }
+
+    /// The cells of `within` that hang together with these, over corners too.
+    pub(super) fn flood(&mut self, within: &Plane) {
+        let mut changed = true;
+        while changed {
+            changed = false;
+            let mut last = 0;
+            for (row, &mask) in self.0.iter_mut().zip(&within.0) {
+                changed |= spread(row, last, mask);
+                last = *row;
+            }
+            last = 0;
+            for (row, &mask) in self.0.iter_mut().zip(&within.0).rev() {
+                changed |= spread(row, last, mask);
+                last = *row;
+            }
+        }
+    }
+
+    /// One step outwards within `within`: over sides, or over corners too.
+    pub(super) fn grow(&mut self, within: &Plane, corners: bool) {
+        let mut below = 0;
+        for y in 0..SIDE {
+            let row = self.row(y);
+            let above = if y + 1 < SIDE { self.row(y + 1) } else { 0 };
+            let vertical = above | below | row;
+            let sideways = if corners { vertical } else { row };
+            *self.row_mut(y) = (vertical | sideways << 1 | sideways >> 1) & within.row(y);
+            below = row;
+        }
+    }
+}
+
+#[inline(always)]
+fn half(row: u64, x: u8) -> u32 {
+    if x & 32 == 0 { row as u32 } else { (row >> 32) as u32 }
+}
+
+#[inline(always)]
+fn bit(x: u8) -> u64 {
+    let bit = u64::from(1u32 << (x % 32));
+    if x & 32 == 0 { bit } else { bit << 32 }
+}
+
+/// Adds to a row what its neighbour row and itself reach within `mask`. Whether that was anything.
+#[inline(always)]
+fn spread(row: &mut u64, neighbour: u64, mask: u64) -> bool {
+    let seeds = (*row | neighbour | neighbour << 1 | neighbour >> 1) & mask;
+    if seeds == *row {
+        return false;
+    }
+    // A carry runs up each stretch of the mask that has a seed.
+    let up = |seeds: u64, mask: u64| mask & (mask ^ mask.wrapping_add(seeds)) | seeds;
+    let down = up(seeds.reverse_bits(), mask.reverse_bits()).reverse_bits();
+    let filled = up(seeds, mask) | down;
+    let changed = filled != *row;
+    *row = filled;
+    changed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn plane() -> impl Strategy<Value = Plane> {
+        // Two of three cells are in.
+        prop::collection::vec((any::<u64>(), any::<u64>(), any::<u64>()), SIDE)
+            .prop_map(|rows| Plane(core::array::from_fn(|y| rows[y].0 | rows[y].1 & rows[y].2)))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn a_flood_fills_what_hangs_together(within in plane(), x in 0i32..64, y in 0i32..64) {
+            let start = Place::new(x, y).unwrap();
+            let mut flooded = Plane::EMPTY;
+            flooded.insert(start);
+            flooded.flood(&within);
+            // Cell by cell.
+            let mut found = Plane::EMPTY;
+            let mut todo = Vec::from([start]);
+            found.insert(start);
+            while let Some(place) = todo.pop() {
+                let (x, y) = place.column_and_row();
+                for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
+                    let Some(next) = Place::new(x + dx, y + dy) else { continue };
+                    if within.has(next) && !found.has(next) {
+                        found.insert(next);
+                        todo.push(next);
+                    }
+                }
+            }
+            if !within.has(start) {
+                // A start outside is a seed of nothing but its neighbours.
+                flooded.insert(start);
+            }
+            prop_assert_eq!(flooded, found);
+        }
+
+        #[test]
+        fn five_cells_of_a_row_are_read_as_one_by_one(plane in plane(), x in 1u8..63, y in 0i32..64) {
+            let cells = (0..5).map(|index| {
+                let column = i32::from(x) + index - 2;
+                let place = Place::new(column, y).filter(|_| (0..63).contains(&column));
+                u32::from(place.is_some_and(|place| plane.has(place))) << index
+            });
+            prop_assert_eq!(plane.five(x, y), cells.sum::<u32>());
+        }
+    }
+}

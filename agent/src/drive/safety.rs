@@ -1,0 +1,303 @@
+//! When the robot must stand, whatever its path says.
+
+use libm::sqrtf;
+use ubimap_protocol::{
+    message::Waypoint,
+    time::{Duration, Instant},
+    units::Pose,
+};
+
+use super::{follow::DriveCommand, reason::Reason};
+
+/// What is taken for amiss.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SafetyLimits {
+    /// The longest silence of the server; `None` for a robot that may be alone.
+    pub silence: Option<Duration>,
+    /// The oldest scan to drive by.
+    pub scan_age: Duration,
+    /// The standard deviation of the position from which on the pose is lost, in millimetres.
+    pub most_unsure: f32,
+    /// The ground that it may not leave: its south-western and its north-eastern corner.
+    pub fence: Option<[Waypoint; 2]>,
+    /// How long it stands before it tries whether the wheels work again.
+    pub retry: Duration,
+}
+
+impl Default for SafetyLimits {
+    /// Two seconds of silence, a scan of 0.5 s, 15 cm.
+    fn default() -> Self {
+        Self {
+            silence: Some(Duration::from_secs(2)),
+            scan_age: Duration::from_millis(500),
+            most_unsure: 150.0,
+            fence: None,
+            retry: Duration::from_secs(5),
+        }
+    }
+}
+
+/// What is known at a moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Health {
+    /// The moment.
+    pub now: Instant,
+    /// When the server was last heard.
+    pub heard: Option<Instant>,
+    /// Whether it wants the robot to stand.
+    pub must_stop: bool,
+    /// `base_link` in `map`, and the standard deviation of the position in millimetres.
+    pub pose: Option<(Pose, f32)>,
+    /// `base_link` in `odom`.
+    pub odometry: Option<Pose>,
+    /// When the newest scan was taken.
+    pub scan: Option<Instant>,
+}
+
+/// Over what time the wheels are compared with their commands and with the pose.
+const SPAN: Duration = Duration::from_secs(1);
+/// Tries after which wheels that do not work are let be.
+const TRIES: u8 = 3;
+
+/// Watches.
+#[derive(Clone, Debug)]
+pub struct Safety {
+    limits: SafetyLimits,
+    watch: Option<Watch>,
+    /// What is wrong with the wheels, since when, and how often it was in a row.
+    fault: Option<(Reason, Instant)>,
+    tries: u8,
+}
+
+/// What was commanded and measured since a moment.
+#[derive(Clone, Copy, Debug)]
+struct Watch {
+    since: Instant,
+    last: Instant,
+    /// `base_link` in `map` and in `odom` then.
+    pose: Pose,
+    odometry: Pose,
+    /// And at the last look.
+    seen: Pose,
+    /// Millimetres and radians.
+    commanded: (f32, f32),
+    measured: (f32, f32),
+}
+
+impl Safety {
+    /// With these limits.
+    pub fn new(limits: SafetyLimits) -> Self {
+        Self { limits, watch: None, fault: None, tries: 0 }
+    }
+
+    /// Wheels that were let be are tried again.
+    pub fn forgive(&mut self) {
+        (self.fault, self.tries) = (None, 0);
+    }
+
+    /// Why the robot must stand, if it must. `command` is what it has done since the last look.
+    pub fn check(&mut self, health: &Health, command: DriveCommand) -> Option<Reason> {
+        let limits = &self.limits;
+        let now = health.now;
+        let is_old = |then: Option<Instant>, most| then.is_none_or(|it| now.since(it) > most);
+        let sure = health.pose.filter(|&(_, unsure)| unsure <= limits.most_unsure);
+        let amiss = if health.must_stop {
+            Some(Reason::Stopped)
+        } else if limits.silence.is_some_and(|most| is_old(health.heard, most)) {
+            Some(Reason::LinkLost)
+        } else if sure.is_none() {
+            Some(Reason::PoseLost)
+        } else if is_old(health.scan, limits.scan_age) {
+            Some(Reason::SensorLost)
+        } else if sure.is_some_and(|(pose, _)| !self.is_inside(pose)) {
+            Some(Reason::OutsideMap)
+        } else {
+            None
+        };
+        if amiss.is_some() {
+            self.watch = None;
+            return amiss;
+        }
+        if let Some((fault, since)) = self.fault {
+            if self.tries >= TRIES || now.since(since) < limits.retry {
+                return Some(fault);
+            }
+            self.fault = None;
+        }
+        let (pose, _) = sure?;
+        let fault = self.watch(now, pose, health.odometry?, command)?;
+        self.watch = None;
+        self.tries += 1;
+        self.fault = Some((fault, now));
+        Some(fault)
+    }
+
+    fn is_inside(&self, pose: Pose) -> bool {
+        self.limits.fence.is_none_or(|[low, high]| {
+            (low.x..=high.x).contains(&pose.x) && (low.y..=high.y).contains(&pose.y)
+        })
+    }
+
+    /// Whether the wheels do what they were told, and the robot what the wheels say.
+    fn watch(
+        &mut self,
+        now: Instant,
+        pose: Pose,
+        odometry: Pose,
+        command: DriveCommand,
+    ) -> Option<Reason> {
+        let mut watch = self.watch.unwrap_or(Watch {
+            since: now,
+            last: now,
+            pose,
+            odometry,
+            seen: odometry,
+            commanded: (0.0, 0.0),
+            measured: (0.0, 0.0),
+        });
+        let elapsed = now.since(watch.last).micros().min(SPAN.micros()) as f32 * 1.0e-6;
+        watch.commanded.0 += f32::from(command.speed).abs() * elapsed;
+        watch.commanded.1 += f32::from(command.turn).abs() * 1.0e-3 * elapsed;
+        watch.measured.0 += way(watch.seen, odometry);
+        let turned = f32::from(watch.seen.heading.distance(odometry.heading));
+        watch.measured.1 += turned * (core::f32::consts::PI / 32_768.0);
+        (watch.last, watch.seen) = (now, odometry);
+        if now.since(watch.since) < SPAN {
+            self.watch = Some(watch);
+            return None;
+        }
+        self.watch = None;
+        let (commanded, measured) = (watch.commanded, watch.measured);
+        // A third of what was told, of what is enough to tell.
+        let stuck = |commanded: f32, measured: f32, enough: f32| {
+            commanded > enough && measured < commanded / 3.0
+        };
+        let by_map = way(watch.pose, pose);
+        let by_wheels = way(watch.odometry, odometry);
+        // More than the pose may be corrected by meanwhile.
+        let slips = (by_map - by_wheels).abs() > 120.0 + 0.3 * by_map;
+        if stuck(commanded.0, measured.0, 100.0) || stuck(commanded.1, measured.1, 0.4) {
+            return Some(Reason::WheelsStuck);
+        }
+        if slips {
+            return Some(Reason::WheelsSlip);
+        }
+        if commanded.0 > 100.0 {
+            self.tries = 0;
+        }
+        None
+    }
+}
+
+/// From one pose to another, in millimetres.
+fn way(from: Pose, to: Pose) -> f32 {
+    let (x, y) = ((to.x - from.x).0 as f32, (to.y - from.y).0 as f32);
+    sqrtf(x * x + y * y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ubimap_protocol::units::{Angle, Millimetres};
+
+    fn at(millis: u64) -> Instant {
+        Instant(millis * 1_000)
+    }
+
+    fn well(now: Instant) -> Health {
+        Health {
+            now,
+            heard: Some(now),
+            must_stop: false,
+            pose: Some((Pose::default(), 20.0)),
+            odometry: Some(Pose::default()),
+            scan: Some(now),
+        }
+    }
+
+    #[test]
+    fn each_thing_amiss_has_its_reason_and_its_limit() {
+        let corner = |metres| {
+            let at = Millimetres::from_metres(metres);
+            Waypoint { x: at, y: at }
+        };
+        let fence = Some([corner(-1.0), corner(1.0)]);
+        let limits = SafetyLimits { fence, ..SafetyLimits::default() };
+        let now = at(10_000);
+        let check = |health: Health| Safety::new(limits).check(&health, DriveCommand::STAND);
+        let well = well(now);
+        assert_eq!(check(well), None);
+        assert_eq!(check(Health { must_stop: true, ..well }), Some(Reason::Stopped));
+        for (heard, reason) in [
+            (Some(8_000), None),
+            (Some(7_999), Some(Reason::LinkLost)),
+            (None, Some(Reason::LinkLost)),
+        ] {
+            assert_eq!(check(Health { heard: heard.map(at), ..well }), reason);
+        }
+        for (scan, reason) in [
+            (Some(9_500), None),
+            (Some(9_499), Some(Reason::SensorLost)),
+            (None, Some(Reason::SensorLost)),
+        ] {
+            assert_eq!(check(Health { scan: scan.map(at), ..well }), reason);
+        }
+        for (unsure, reason) in
+            [(150.0, None), (151.0, Some(Reason::PoseLost)), (f32::NAN, Some(Reason::PoseLost))]
+        {
+            assert_eq!(check(Health { pose: Some((Pose::default(), unsure)), ..well }), reason);
+        }
+        assert_eq!(check(Health { pose: None, ..well }), Some(Reason::PoseLost));
+        let outside = Pose::from_metres(0.0, -1.001, 0.0);
+        assert_eq!(check(Health { pose: Some((outside, 0.0)), ..well }), Some(Reason::OutsideMap));
+        let alone = SafetyLimits { silence: None, ..limits };
+        let silent = Health { heard: None, ..well };
+        assert_eq!(Safety::new(alone).check(&silent, DriveCommand::STAND), None);
+    }
+
+    /// The reasons of some seconds at 20 Hz, a line for each change: `by_map` and `by_wheels` give
+    /// millimetres and binary angle units for each millimetre and milliradian commanded.
+    fn driven(command: DriveCommand, by_map: f32, by_wheels: f32) -> std::vec::Vec<Option<Reason>> {
+        let mut safety = Safety::new(SafetyLimits::default());
+        let (mut way, mut turned) = (0.0, 0.0);
+        let mut reasons = std::vec::Vec::new();
+        let mut done = command;
+        for step in 0..800u64 {
+            way += f32::from(done.speed) * 0.05;
+            turned += f32::from(done.turn) * 0.05e-3 * 10_430.0;
+            let pose = |part: f32| Pose {
+                x: Millimetres((way * part) as i32),
+                y: Millimetres(0),
+                heading: Angle((turned * part) as i32 as u16),
+            };
+            let now = at(1_000 + 50 * step);
+            let (pose, odometry) = (Some((pose(by_map), 10.0)), Some(pose(by_wheels)));
+            let reason = safety.check(&Health { pose, odometry, ..well(now) }, done);
+            done = if reason.is_some() { DriveCommand::STAND } else { command };
+            if reasons.last() != Some(&reason) {
+                reasons.push(reason);
+            }
+        }
+        reasons
+    }
+
+    #[test]
+    fn wheels_that_do_not_turn_or_slip_are_tried_three_times() {
+        let ahead = DriveCommand { speed: 300, turn: 100 };
+        let round = DriveCommand { speed: 0, turn: 1_000 };
+        for command in [ahead, round, DriveCommand::STAND] {
+            assert_eq!(driven(command, 1.0, 1.0), [None]);
+            assert_eq!(driven(command, 0.9, 1.1), [None], "an error of odometry is none of wheels");
+        }
+        for (command, by_map, by_wheels, fault) in [
+            (ahead, 0.0, 0.0, Reason::WheelsStuck),
+            (round, 0.0, 0.0, Reason::WheelsStuck),
+            (ahead, 0.0, 1.0, Reason::WheelsSlip),
+            (ahead, 1.0, 0.4, Reason::WheelsSlip),
+        ] {
+            let fault = Some(fault);
+            let expected = [None, fault, None, fault, None, fault];
+            assert_eq!(driven(command, by_map, by_wheels), expected, "{command:?}");
+        }
+    }
+}
