@@ -5,7 +5,7 @@ use heapless::Vec;
 use super::{plane::Place, window::Window};
 
 /// The most points of a path. Of a longer one the first are kept.
-pub const MAX_POINTS: usize = 32;
+pub(super) const MAX_POINTS: usize = 32;
 
 /// Cells of a window in the order in which they are driven through, the start among them. Each
 /// [sees](Window::sees) the next.

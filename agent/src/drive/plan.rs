@@ -234,12 +234,12 @@ impl Planner {
         let way = self.ways[index(place)];
         let rest = self.promise.wrapping_sub(self.heuristic(place));
         let rows = steps(place, &window.free, |dy| self.ahead.five(place.x, dy));
-        for ((cells, costs), y) in rows.into_iter().zip(&COSTS).zip(place.y.wrapping_sub(2)..) {
+        for ((cells, costs), row) in rows.into_iter().zip(&COSTS).zip(0u8..) {
             let mut cells = cells;
             while cells != 0 {
                 let column = cells.trailing_zeros() as u8 & 7;
                 cells &= cells - 1;
-                let to = Place { x: (place.x + column).wrapping_sub(2), y };
+                let to = at(place, column, row);
                 let mut cost = costs.get(usize::from(column)).copied().unwrap_or(0);
                 if dear && window.dear.has(to) {
                     cost += DEAR;
@@ -306,9 +306,9 @@ impl Planner {
         let extra = if dear && window.dear.has(place) { DEAR } else { 0 };
         let done = |dy| window.free.five(place.x, dy) & !self.ahead.five(place.x, dy);
         let rows = steps(place, &window.free, done);
-        for ((cells, costs), y) in rows.into_iter().zip(&COSTS).zip(place.y.wrapping_sub(2)..) {
+        for ((cells, costs), row) in rows.into_iter().zip(&COSTS).zip(0u8..) {
             for (column, &cost) in costs.iter().enumerate() {
-                let from = Place { x: (place.x + column as u8).wrapping_sub(2), y };
+                let from = at(place, column as u8, row);
                 let reached = || self.ways[index(from)].wrapping_add(cost + extra);
                 if cells >> column & 1 != 0 && reached() == way {
                     return Some(from);
@@ -322,6 +322,13 @@ impl Planner {
 #[inline(always)]
 fn index(place: Place) -> usize {
     (usize::from(place.y) * SIDE + usize::from(place.x)) % CELLS
+}
+
+/// A cell by its column and row of the 5 x 5 about another.
+#[inline(always)]
+fn at(place: Place, column: u8, row: u8) -> Place {
+    let along = |it: u8, at: u8| it.wrapping_add(at).wrapping_sub(2);
+    Place { x: along(place.x, column), y: along(place.y, row) }
 }
 
 /// The cells one step away, of the five of each row about a cell that `wanted` has (given the row):

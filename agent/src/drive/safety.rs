@@ -175,7 +175,7 @@ impl Safety {
         let by_map = way(watch.pose, pose);
         let by_wheels = way(watch.odometry, odometry);
         // More than the pose may be corrected by meanwhile.
-        let slips = (by_map - by_wheels).abs() > 120.0 + 0.3 * by_map;
+        let slips = (by_map - by_wheels).abs() > 120.0 + 0.3 * by_map.min(by_wheels);
         if stuck(commanded.0, measured.0, 100.0) || stuck(commanded.1, measured.1, 0.4) {
             return Some(Reason::WheelsStuck);
         }

@@ -1,1 +1,665 @@
-//! A robot in a room.
+//! A robot in a room: it sees by rays, draws its own map, and drives by it.
+
+use core::f64::consts::TAU;
+use std::{boxed::Box, vec, vec::Vec};
+
+use proptest::prelude::*;
+use ubimap_protocol::{
+    message::Waypoint,
+    tile::Row,
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose},
+};
+
+use super::*;
+use crate::sense::{Beam, SensorModel, fill_beams};
+
+/// The side of a cell, of the room's drawing and of the map, in millimetres.
+const CELL: f64 = 50.0;
+/// Cells of a letter of the drawing.
+const LETTER: usize = 4;
+/// Rows of the map, and tiles along a row: more than any room here.
+const ROWS: usize = 320;
+const COLUMNS: usize = ROWS / 32;
+/// Cells of the map beyond the room.
+const EDGE: i32 = 64;
+/// Seconds of a step.
+const STEP: f64 = 0.05;
+/// The robot's radius; `Motion::default()` adds a margin.
+const RADIUS: f64 = 150.0;
+const BEAMS: usize = 192;
+const RANGE: f64 = 4_000.0;
+
+/// A room: `#` is a wall. The first line is the north.
+struct Room(Vec<Vec<u8>>);
+
+impl Room {
+    fn new(drawing: &str) -> Self {
+        Self(drawing.split_whitespace().rev().map(|line| line.into()).collect())
+    }
+
+    /// Whether there is a wall in a cell.
+    fn is_wall(&self, x: i32, y: i32) -> bool {
+        let letter = |it: i32| usize::try_from(it).map(|it| it / LETTER);
+        let row = letter(y).ok().and_then(|y| self.0.get(y));
+        let letter = row.zip(letter(x).ok()).and_then(|(row, x)| row.get(x));
+        letter.is_none_or(|&it| it == b'#')
+    }
+
+    /// From a point to the nearest wall, up to half a metre.
+    fn nearest_wall(&self, x: f64, y: f64) -> f64 {
+        let (column, row) = ((x / CELL).floor() as i32, (y / CELL).floor() as i32);
+        let about = (-10..=10).flat_map(|dy| (-10..=10).map(move |dx| (column + dx, row + dy)));
+        let gap = |at: f64, cell: i32| {
+            let (low, high) = (f64::from(cell) * CELL, f64::from(cell + 1) * CELL);
+            (low - at).max(at - high).max(0.0)
+        };
+        let walls = about.filter(|&(x, y)| self.is_wall(x, y));
+        let ways = walls.map(|(column, row)| gap(x, column).hypot(gap(y, row)));
+        ways.fold(500.0, f64::min)
+    }
+}
+
+/// A person who walks to and fro between two points, and waits before a robot that stands.
+#[derive(Clone, Copy)]
+struct Person {
+    from: (f64, f64),
+    to: (f64, f64),
+    /// How far from the first point, in millimetres, and which way it goes.
+    walked: f64,
+    back: bool,
+    waits: bool,
+}
+
+impl Person {
+    const SPEED: f64 = 1_200.0;
+    const RADIUS: f64 = 250.0;
+
+    fn direction(&self) -> (f64, f64) {
+        let (x, y) = (self.to.0 - self.from.0, self.to.1 - self.from.1);
+        let length = x.hypot(y);
+        (x / length, y / length)
+    }
+
+    fn at(&self) -> (f64, f64) {
+        let direction = self.direction();
+        (self.from.0 + direction.0 * self.walked, self.from.1 + direction.1 * self.walked)
+    }
+
+    fn velocity(&self) -> (f64, f64) {
+        let speed = if self.waits { 0.0 } else { Self::SPEED } * if self.back { -1.0 } else { 1.0 };
+        (self.direction().0 * speed, self.direction().1 * speed)
+    }
+
+    fn walk(&mut self, robot: (f64, f64), stands: bool) {
+        let length = (self.to.0 - self.from.0).hypot(self.to.1 - self.from.1);
+        let before = *self;
+        self.walked += if self.back { -STEP } else { STEP } * Self::SPEED;
+        if !(0.0..=length).contains(&self.walked) {
+            self.back = !self.back;
+            self.walked = self.walked.clamp(0.0, length);
+        }
+        let apart = |it: &Self| (it.at().0 - robot.0).hypot(it.at().1 - robot.1);
+        let nearer = apart(self) < apart(&before);
+        self.waits = stands && nearer && apart(self) < RADIUS + Self::RADIUS + 60.0;
+        if self.waits {
+            (self.walked, self.back) = (before.walked, before.back);
+        }
+    }
+}
+
+/// What is wrong with the wheels.
+#[derive(Clone, Copy, PartialEq)]
+enum Wheels {
+    Work,
+    Blocked,
+    Slip,
+}
+
+struct Simulation {
+    room: Room,
+    people: Vec<Person>,
+    /// Whether cameras tell of the people.
+    is_told: bool,
+    wheels: Wheels,
+    /// Radians of the sensor's view.
+    view: f64,
+    link: bool,
+    sees: bool,
+    stop: bool,
+    unsure: f32,
+    /// Millimetres and radians.
+    at: (f64, f64, f64),
+    odometry: (f64, f64, f64),
+    command: DriveCommand,
+    now: Instant,
+    heard: Instant,
+    near: NearPoints,
+    map: Vec<Row>,
+    driver: Box<Driver>,
+    told: Vec<Reason>,
+    /// The way driven, in millimetres.
+    way: f64,
+}
+
+fn config() -> Config {
+    let motion = Motion { radius: RADIUS as u16, ..Motion::default() };
+    Config { motion, explore_covered: true, ..Config::default() }
+}
+
+impl Simulation {
+    /// A robot at a place in metres that looks along x.
+    fn new(drawing: &str, x: f64, y: f64) -> Self {
+        let mut it = Self {
+            room: Room::new(drawing),
+            people: Vec::new(),
+            is_told: true,
+            wheels: Wheels::Work,
+            view: 1.5 * core::f64::consts::PI,
+            link: true,
+            sees: true,
+            stop: false,
+            unsure: 20.0,
+            at: (x * 1_000.0, y * 1_000.0, 0.0),
+            odometry: (0.0, 0.0, 0.0),
+            command: DriveCommand::STAND,
+            now: Instant(1_000_000),
+            heard: Instant(1_000_000),
+            near: NearPoints::default(),
+            map: vec![Row::default(); ROWS * COLUMNS],
+            driver: Box::new(Driver::new(config())),
+            told: Vec::new(),
+            way: 0.0,
+        };
+        it.look();
+        it
+    }
+
+    /// Knows all of the room.
+    fn with_map(mut self) -> Self {
+        for y in 0..ROWS as i32 - EDGE {
+            for x in 0..ROWS as i32 - EDGE {
+                let is_wall = self.room.is_wall(x, y);
+                self.draw(x, y, is_wall);
+            }
+        }
+        self
+    }
+
+    fn draw(&mut self, x: i32, y: i32, is_wall: bool) {
+        let (x, y) = ((x + EDGE) as usize, (y + EDGE) as usize);
+        let Some(row) = self.map.get_mut(y * COLUMNS + x / 32).filter(|_| x < ROWS) else { return };
+        let bit = 1 << (x % 32);
+        if is_wall {
+            (row.low, row.high) = (row.low & !bit, row.high | bit);
+        } else if row.high & bit == 0 {
+            row.low |= bit;
+        }
+    }
+
+    fn known(map: &[Row], column: i32, row: i32) -> GroundRow {
+        let (column, row) = (column + EDGE / 32, row + EDGE);
+        let inside = (0..COLUMNS as i32).contains(&column) && (0..ROWS as i32).contains(&row);
+        let index = (row * COLUMNS as i32 + column) as usize;
+        let cells = if inside { map[index] } else { Row::default() };
+        GroundRow { cells, covered: 0 }
+    }
+
+    fn pose((x, y, heading): (f64, f64, f64)) -> Pose {
+        Pose::from_metres(x / 1_000.0, y / 1_000.0, heading)
+    }
+
+    /// A scan: onto the map what is no person.
+    fn look(&mut self) {
+        let model = SensorModel::Radial {
+            first: (-self.view / 2.0) as f32,
+            step: (self.view / BEAMS as f64) as f32,
+        };
+        let mut beams = [Beam::default(); BEAMS];
+        fill_beams(&mut beams, model, Pose::default(), RANGE as u16);
+        let mut readings = [0; BEAMS];
+        let (x, y, heading) = self.at;
+        for (index, reading) in readings.iter_mut().enumerate() {
+            let bearing = heading - self.view / 2.0 + index as f64 * self.view / BEAMS as f64;
+            let (sin, cos) = bearing.sin_cos();
+            let mut range = RANGE + 1.0;
+            for person in &self.people {
+                let (px, py) = (person.at().0 - x, person.at().1 - y);
+                let (along, aside) = (px * cos + py * sin, py * cos - px * sin);
+                let half = Person::RADIUS.powi(2) - aside.powi(2);
+                if along > 0.0 && half > 0.0 {
+                    range = range.min(along - half.sqrt());
+                }
+            }
+            let mut way = 0.0;
+            while way <= RANGE.min(range) {
+                let (at_x, at_y) = (x + cos * way, y + sin * way);
+                let (column, row) = ((at_x / CELL).floor() as i32, (at_y / CELL).floor() as i32);
+                let is_wall = self.room.is_wall(column, row);
+                self.draw(column, row, is_wall);
+                if is_wall {
+                    range = range.min(way);
+                    break;
+                }
+                way += 12.5;
+            }
+            if range <= RANGE {
+                *reading = range.max(1.0) as u16;
+            }
+        }
+        self.near = NearPoints::of_scan(&beams, &readings, Pose::default(), self.now);
+    }
+
+    fn step(&mut self) {
+        self.now = self.now + Duration::from_millis((STEP * 1_000.0) as u64);
+        // The command of the last step is driven during this one.
+        let (speed, turn) = (f64::from(self.command.speed), f64::from(self.command.turn) / 1_000.0);
+        let (speed, turn) = if self.wheels == Wheels::Blocked { (0.0, 0.0) } else { (speed, turn) };
+        let moved = |(x, y, heading): (f64, f64, f64)| {
+            let middle: f64 = heading + turn * STEP / 2.0;
+            (
+                x + speed * STEP * middle.cos(),
+                y + speed * STEP * middle.sin(),
+                heading + turn * STEP,
+            )
+        };
+        self.odometry = moved(self.odometry);
+        if self.wheels != Wheels::Slip {
+            self.at = moved(self.at);
+            self.way += speed * STEP;
+        }
+        let robot = (self.at.0, self.at.1);
+        let wall = self.room.nearest_wall(robot.0, robot.1);
+        assert!(wall >= RADIUS, "{wall} mm from a wall at {robot:?}");
+        for person in &mut self.people {
+            person.walk(robot, speed == 0.0);
+            let apart = (person.at().0 - robot.0).hypot(person.at().1 - robot.1);
+            let touches = apart < RADIUS + Person::RADIUS;
+            assert!(!touches, "{apart} from a person, at {speed} mm/s, {:?}", self.now);
+        }
+        // Ten scans a second.
+        if self.sees && self.now.micros() % 100_000 == 0 {
+            self.look();
+        }
+        if self.link {
+            self.heard = self.now;
+        }
+        let health = Health {
+            now: self.now,
+            heard: Some(self.heard),
+            must_stop: self.stop,
+            pose: Some((Self::pose(self.at), self.unsure)),
+            odometry: Some(Self::pose(self.odometry)),
+            scan: self.near.taken(),
+        };
+        let movers = self.people.iter().filter(|_| self.is_told).map(|person| Mover {
+            x: Millimetres(person.at().0 as i32),
+            y: Millimetres(person.at().1 as i32),
+            velocity_x: person.velocity().0 as i16,
+            velocity_y: person.velocity().1 as i16,
+            radius: Person::RADIUS as u16,
+            is_person: true,
+        });
+        let movers = movers.collect::<Vec<_>>();
+        let inputs = Inputs { health, near: &self.near, movers: &movers };
+        let map = &self.map;
+        self.command = self.driver.step(&inputs, |column, row| Self::known(map, column, row));
+        self.told.extend(self.driver.poll_event());
+    }
+
+    /// Runs until a reason has been told, so many seconds at the most: after how many.
+    fn until(&mut self, reason: Reason, seconds: f64) -> f64 {
+        let start = self.now;
+        let elapsed = |it: &Self| it.now.since(start).micros() as f64 * 1.0e-6;
+        while self.driver.reason() != reason {
+            self.step();
+            let at = self.at;
+            assert!(elapsed(self) < seconds, "not {reason:?}: {:?}, at {at:?}", self.told);
+        }
+        elapsed(self)
+    }
+
+    fn run(&mut self, seconds: f64) {
+        (0..(seconds / STEP) as usize).for_each(|_| self.step());
+    }
+
+    fn go(&mut self, x: f64, y: f64) {
+        self.driver.set_task(Task::Go(point(x, y)));
+    }
+
+    /// The cells that the robot's middle can reach in truth, and how many of them it knows.
+    fn reachable(&self) -> (usize, usize) {
+        let start = ((self.at.0 / CELL) as i32, (self.at.1 / CELL) as i32);
+        let mut seen = vec![false; ROWS * ROWS];
+        let (mut todo, mut all, mut known) = (vec![start], 0, 0);
+        while let Some((x, y)) = todo.pop() {
+            let index = y as usize * ROWS + x as usize;
+            let middle = |at: i32| (f64::from(at) + 0.5) * CELL;
+            if seen[index] || self.room.nearest_wall(middle(x), middle(y)) < RADIUS + 65.0 {
+                continue;
+            }
+            seen[index] = true;
+            all += 1;
+            let row = Self::known(&self.map, x.div_euclid(32), y).cells;
+            known += (row.known() >> (x % 32) & 1) as usize;
+            todo.extend([(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)]);
+        }
+        (all, known)
+    }
+}
+
+fn point(x: f64, y: f64) -> Waypoint {
+    Waypoint { x: Millimetres::from_metres(x), y: Millimetres::from_metres(y) }
+}
+
+/// 20 cm a letter: 7.6 m by 5.2 m.
+const MAZE: &str = "
+    ######################################
+    #.........#..............#...........#
+    #.........#..............#...........#
+    #.........#..............#...........#
+    #.........#....######....#....#......#
+    #.........#....######....#....#......#
+    #..............######....#....#......#
+    #..............######.........#......#
+    #..............######.........#......#
+    #.........#..............#....#......#
+    #.........#..............#....#......#
+    #.........#..............#....#......#
+    #############....#############.......#
+    #.........#..............#...........#
+    #.........#..............#...........#
+    #.........#..............#...........#
+    #.........#....###.......#...........#
+    #..............###.......#######..####
+    #..............###...................#
+    #..............###...................#
+    #.........#..........................#
+    #.........#..............#...........#
+    #.........#..............#...........#
+    #.........#..............#...........#
+    #.........#..............#...........#
+    ######################################";
+
+const HALL: &str = "
+    ####################
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    ####################";
+
+/// Two rooms and a door of 80 cm.
+const DOOR: &str = "
+    ####################
+    #.........#........#
+    #.........#........#
+    #.........#........#
+    #..................#
+    #..................#
+    #..................#
+    #..................#
+    #.........#........#
+    #.........#........#
+    #.........#........#
+    ####################";
+
+#[test]
+fn it_explores_a_maze_on_its_own_map_and_comes_back() {
+    for view in [1.5 * core::f64::consts::PI, 1.5] {
+        let mut it = Simulation::new(MAZE, 0.8, 0.8);
+        it.view = view;
+        it.driver.set_task(Task::Explore(Some(point(1.0, 1.0))));
+        let seconds = it.until(Reason::Explored, 900.0);
+        let (all, known) = it.reachable();
+        let share = known as f64 / all as f64;
+        std::println!(
+            "view {view:.1}: {share:.4} of {all} cells in {seconds:.0} s, {:.1} m",
+            it.way / 1e3
+        );
+        assert!(share >= 0.99, "{share}");
+        let home = (it.at.0 - 1_000.0).hypot(it.at.1 - 1_000.0);
+        assert!(home < 100.0, "{home} mm from home");
+    }
+}
+
+#[test]
+fn it_goes_to_a_goal_beyond_the_window_and_says_why_it_can_not() {
+    let mut it = Simulation::new(MAZE, 0.8, 0.8).with_map();
+    it.go(6.8, 0.8);
+    it.until(Reason::Arrived, 60.0);
+    assert!((it.at.0 - 6_800.0).hypot(it.at.1 - 800.0) < 60.0, "{:?}", it.at);
+    it.go(2.1, 0.8);
+    it.until(Reason::NoWay(PlanError::GoalBlocked), 60.0);
+    assert_eq!(it.command, DriveCommand::STAND);
+    it.go(12.0, 0.8);
+    it.until(Reason::NoWay(PlanError::GoalBlocked), 60.0);
+
+    let mut it =
+        Simulation::new(&DOOR.replace("#..................#", "#.........#........#"), 0.8, 1.2);
+    it = it.with_map();
+    it.go(3.0, 1.2);
+    it.until(Reason::NoWay(PlanError::Unreachable), 10.0);
+    assert_eq!(it.told, [Reason::Driving, Reason::NoWay(PlanError::Unreachable)]);
+    it.run(10.0);
+    assert_eq!(it.told.len(), 2, "said once: {:?}", it.told);
+    // Somebody opens it.
+    it.room = Room::new(DOOR);
+    it.map.fill(Row::default());
+    it = it.with_map();
+    it.until(Reason::Arrived, 30.0);
+}
+
+#[test]
+fn a_door_that_closes_under_the_path_is_not_run_into() {
+    let closed = DOOR.replace("#..................#", "#.........#........#");
+    for is_drawn in [true, false] {
+        let mut it = Simulation::new(DOOR, 0.8, 1.2).with_map();
+        it.go(3.0, 1.2);
+        it.run(1.5);
+        assert!(it.command.speed > 100);
+        it.room = Room::new(&closed);
+        if is_drawn {
+            it = it.with_map();
+        }
+        it.until(Reason::NoWay(PlanError::Unreachable), 30.0);
+        assert!(it.at.0 < 2_000.0);
+    }
+}
+
+#[test]
+fn people_who_cross_are_waited_for_and_not_touched() {
+    let (mut crossed, mut longest) = (0, 0.0f64);
+    for is_told in [true, false] {
+        for start in 0..20 {
+            let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
+            it.is_told = is_told;
+            let person = Person {
+                from: (1_900.0, 2_000.0),
+                to: (1_900.0, 400.0),
+                walked: 0.0,
+                back: false,
+                waits: false,
+            };
+            it.people.push(person);
+            it.run(0.1 * f64::from(start));
+            it.go(3.4, 1.2);
+            let seconds = it.until(Reason::Arrived, 120.0);
+            crossed += it.told.contains(&Reason::Person) as u32;
+            longest = longest.max(seconds);
+        }
+    }
+    std::println!("waited for a person in {crossed} of 40 runs, at most {longest:.1} s");
+    assert!(crossed > 10);
+}
+
+#[test]
+fn a_person_who_stays_in_the_way_is_passed() {
+    for is_told in [true, false] {
+        let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
+        it.is_told = is_told;
+        let at = (2_000.0, 1_200.0);
+        let to = (2_000.0, 1_200.1);
+        it.people.push(Person { from: at, to, walked: 0.0, back: false, waits: true });
+        it.go(3.4, 1.2);
+        it.until(Reason::Arrived, 60.0);
+    }
+}
+
+#[test]
+fn it_stands_without_link_pose_or_scan_and_goes_on_with_them() {
+    type Fault = fn(&mut Simulation, bool);
+    let faults: [(Fault, Reason, f64); 4] = [
+        (|it, on| it.link = !on, Reason::LinkLost, 2.1),
+        (|it, on| it.sees = !on, Reason::SensorLost, 0.7),
+        (|it, on| it.stop = on, Reason::Stopped, 0.1),
+        (|it, on| it.unsure = if on { 200.0 } else { 20.0 }, Reason::PoseLost, 0.1),
+    ];
+    for (fault, reason, within) in faults {
+        let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
+        it.go(3.4, 1.2);
+        it.run(2.0);
+        assert!(it.command.speed > 100);
+        fault(&mut it, true);
+        it.until(reason, within);
+        assert_eq!(it.command, DriveCommand::STAND);
+        let at = it.at;
+        it.run(10.0);
+        assert!(it.at == at && it.command == DriveCommand::STAND);
+        fault(&mut it, false);
+        it.until(Reason::Arrived, 30.0);
+        assert_eq!(it.told, [Reason::Driving, reason, Reason::Driving, Reason::Arrived]);
+    }
+}
+
+#[test]
+fn wheels_that_fail_are_noticed_and_it_stands() {
+    for (wheels, reason) in
+        [(Wheels::Blocked, Reason::WheelsStuck), (Wheels::Slip, Reason::WheelsSlip)]
+    {
+        let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
+        it.go(3.4, 1.2);
+        it.run(2.0);
+        it.wheels = wheels;
+        let seconds = it.until(reason, 2.5);
+        std::println!("{reason:?} after {seconds:.2} s");
+        it.run(60.0);
+        assert_eq!((it.driver.reason(), it.command), (reason, DriveCommand::STAND));
+        it.wheels = Wheels::Work;
+        it.go(3.4, 1.2);
+        it.until(Reason::Arrived, 30.0);
+    }
+}
+
+#[test]
+fn the_same_room_is_driven_the_same_way() {
+    let drive = || {
+        let mut it = Simulation::new(MAZE, 0.8, 0.8);
+        it.driver.set_task(Task::Explore(None));
+        it.run(20.0);
+        (it.at, it.command, it.told)
+    };
+    assert!(drive() == drive());
+}
+
+/// Ahmed's way: a camera that sees the floor, no map.
+#[test]
+fn a_boundary_is_followed_round_a_room_by_the_distance_vector() {
+    use crate::sense::{COLUMNS, ScaleCurve, TABLE_1};
+    let curve = ScaleCurve::fit(&TABLE_1).unwrap().scaled(2.5);
+    let follower = BoundaryFollower::default();
+    let mut it = Simulation::new(HALL, 2.0, 1.2);
+    let mut quarters = [false; 4];
+    for _ in 0..4_000 {
+        let (x, y, heading) = it.at;
+        let distances: [u8; COLUMNS] = core::array::from_fn(|column| {
+            // 90 degrees from the left to the right.
+            let bearing = heading + TAU / 8.0 - TAU / 4.0 * column as f64 / COLUMNS as f64;
+            let (sin, cos) = bearing.sin_cos();
+            let wall = (1..600).map(|step| f64::from(step) * 5.0).find(|way| {
+                let at = |from: f64, along: f64| ((from + along * way) / CELL).floor() as i32;
+                it.room.is_wall(at(x, cos), at(y, sin))
+            });
+            let pixels = wall.and_then(|way| {
+                (62..=121u8).find(|&it| curve.distance(it).is_some_and(|far| f64::from(far) >= way))
+            });
+            // Nearer than the curve tells, or further.
+            if wall.is_some_and(|way| way < 185.0) { 50 } else { pixels.unwrap_or(124) }
+        });
+        let command = follower.step(&distances);
+        let (speed, turn) = (f64::from(command.speed), f64::from(command.turn) / 1_000.0);
+        let heading = heading + turn * STEP;
+        it.at = (x + speed * STEP * heading.cos(), y + speed * STEP * heading.sin(), heading);
+        let wall = it.room.nearest_wall(it.at.0, it.at.1);
+        assert!(wall > 75.0, "{wall} mm from a wall at {:?}", it.at);
+        if wall < 600.0 {
+            quarters[(it.at.0 > 2_000.0) as usize + 2 * (it.at.1 > 1_200.0) as usize] = true;
+        }
+    }
+    assert_eq!(quarters, [true; 4]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn no_input_makes_it_panic_or_drive_too_fast(
+        steps in prop::collection::vec((
+            any::<u64>(), any::<(i32, i32, u16)>(), any::<f32>(), any::<(i32, i32, u16)>(),
+            any::<(i16, i16, u16, bool)>(), any::<(u32, u32)>(), 0..6u8, any::<(i32, i32)>(),
+        ), 1..60),
+    ) {
+        let mut driver = Box::new(Driver::new(config()));
+        let pose = |(x, y, heading): (i32, i32, u16)| {
+            Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) }
+        };
+        for (time, at, unsure, odometry, (vx, vy, radius, is_person), ground, task, goal) in steps {
+            let goal = Waypoint { x: Millimetres(goal.0), y: Millimetres(goal.1) };
+            match task {
+                0 => driver.set_task(Task::Go(goal)),
+                1 => driver.set_task(Task::Explore(Some(goal))),
+                _ => {}
+            }
+            let now = Instant(time);
+            let mut beams = [Beam::default(); 70];
+            let model = SensorModel::Radial { first: 0.0, step: 0.09 };
+            fill_beams(&mut beams, model, Pose::default(), u16::MAX);
+            let readings = [radius; 70];
+            let mounting = pose(odometry);
+            let near = NearPoints::of_scan(&beams, &readings, mounting, now);
+            let health = Health {
+                now,
+                heard: Some(now),
+                must_stop: false,
+                pose: Some((pose(at), unsure.abs().min(100.0))),
+                odometry: Some(pose(odometry)),
+                scan: Some(now),
+            };
+            let mover = Mover {
+                x: Millimetres(at.0),
+                y: goal.y,
+                velocity_x: vx,
+                velocity_y: vy,
+                radius,
+                is_person,
+            };
+            let inputs = Inputs { health, near: &near, movers: &[mover] };
+            let cells = Row { low: ground.0, high: ground.1 };
+            for _ in 0..8 {
+                let command = driver.step(&inputs, |column, row| {
+                    let covered = (column ^ row) as u32;
+                    GroundRow { cells, covered }
+                });
+                let motion = Motion::default();
+                prop_assert!((0..=motion.top_speed as i16).contains(&command.speed));
+                prop_assert!(f32::from(command.turn).abs() <= 1_000.0 * motion.top_turn + 1.0);
+            }
+        }
+    }
+}

@@ -8,6 +8,7 @@
 
 mod coder;
 mod counter;
+mod drive;
 mod ending;
 mod locate;
 mod memory;
@@ -88,6 +89,7 @@ fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
     vector::of_row(bench, memory.beams, &readings)?;
     vector::of_image(bench)?;
     locate::run(bench)?;
+    drive::run(bench)?;
     standing::run(bench, reborrowed(&mut memory), sensor(), &readings)?;
     receive(bench, memory)?;
     memory::run();

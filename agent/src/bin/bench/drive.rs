@@ -1,0 +1,155 @@
+//! Driving: a window of the map, ways across it, and a step along one.
+
+use core::hint::black_box;
+
+use cortex_m::singleton;
+use ubimap_agent::{
+    drive::{
+        Follower, GroundRow, MAX_POINTS, Motion, Mover, NearPoints, Place, PlanError, Planner,
+        Progress, SIDE, Sight, Target, View, Window,
+    },
+    sense::Beam,
+};
+use ubimap_protocol::{
+    tile::Row,
+    time::Instant,
+    units::{Millimetres, Pose},
+};
+
+use super::{RESOLUTION, counter::Bench};
+
+/// Rooms of 64 x 64 cells in which a robot of 30 cm goes from one corner to the other.
+#[derive(Clone, Copy, PartialEq)]
+enum Scene {
+    /// Nothing in it.
+    Empty,
+    /// Three rooms, whose doors of 80 cm are at opposite sides.
+    Rooms,
+    /// Tables and boxes.
+    Furniture,
+    /// Walls from alternate sides: the longest way that there is.
+    Serpent,
+    /// A wall without a door.
+    Closed,
+}
+
+impl Scene {
+    fn is_wall(self, x: i32, y: i32) -> bool {
+        match self {
+            Self::Empty => false,
+            Self::Rooms => x == 21 && !(44..60).contains(&y) || x == 42 && !(4..20).contains(&y),
+            Self::Furniture => {
+                let block = (x / 16 + 3 * (y / 16)) % 4;
+                block != 3 && (3..9 + block).contains(&(x % 16)) && (4..10).contains(&(y % 16))
+            }
+            Self::Serpent => (y + 2) % 12 == 0 && if y / 12 % 2 == 0 { x < 52 } else { x >= 12 },
+            Self::Closed => x == 32,
+        }
+    }
+
+    fn row(self, column: i32, row: i32) -> GroundRow {
+        let mut cells = Row::default();
+        for bit in 0..32 {
+            let x = column * 32 + bit;
+            let inside = (0..SIDE as i32).contains(&x) && (0..SIDE as i32).contains(&row);
+            let wall = !inside || self.is_wall(x, row);
+            *(if wall { &mut cells.high } else { &mut cells.low }) |= 1 << bit;
+        }
+        GroundRow { cells, covered: u32::MAX }
+    }
+}
+
+/// From corner to corner of each scene, and a frontier; then a step. `None` if one of them does not
+/// find what it should.
+#[inline(never)]
+pub(super) fn run(bench: &mut Bench) -> Option<()> {
+    let planner = singleton!(: Option<Planner> = None)?.get_or_insert_with(Planner::default);
+    let window = singleton!(: Option<Window> = None)?.get_or_insert_with(Window::default);
+    let size = size_of::<Planner>() + size_of::<Window>();
+    cortex_m_semihosting::hprintln!("{:>12}  bytes of a planner and its window", size);
+    let (start, goal) = (Place { x: 5, y: 5 }, Place { x: 58, y: 58 });
+    for (name, scene) in [
+        ("an empty room", Scene::Empty),
+        ("three rooms", Scene::Rooms),
+        ("furniture", Scene::Furniture),
+        ("a serpent", Scene::Serpent),
+    ] {
+        fill(scene, window);
+        let name = format_args!("a plan across a window: {name}");
+        let points = bench.measure(name, || plan(planner, window, start, Target::Place(goal)));
+        cortex_m_semihosting::hprintln!("{:>12}  cells expanded", planner.expanded());
+        points.ok().filter(|&points| points >= 2)?;
+    }
+    fill(Scene::Closed, window);
+    let closed = bench
+        .measure("no plan: a closed door", || plan(planner, window, start, Target::Place(goal)));
+    (closed == Err(PlanError::Unreachable)).then_some(())?;
+    follow(bench, window)
+}
+
+/// The window of a scene, its south-western corner the map's origin.
+fn fill(scene: Scene, window: &mut Window) {
+    let near = NearPoints::default();
+    let middle = Millimetres(SIDE as i32 / 2 * RESOLUTION.0);
+    let view = View {
+        pose: Pose { x: middle, y: middle, ..Pose::default() },
+        resolution: RESOLUTION,
+        level: 0,
+        radius: 150,
+        near: &near,
+        movers: &[],
+        given_up: &[],
+        explore_covered: false,
+    };
+    window.fill(&view, |column, row| scene.row(column, row));
+}
+
+/// The points of the way.
+fn plan(
+    planner: &mut Planner,
+    window: &mut Window,
+    start: Place,
+    target: Target,
+) -> Result<usize, PlanError> {
+    planner.begin(window, black_box(start), target)?;
+    loop {
+        match planner.step(window, 128) {
+            Progress::Searching => {}
+            Progress::Found(place) => return Ok(planner.path(window, place).places.len()),
+            Progress::Failed(error) => return Err(error),
+        }
+    }
+}
+
+/// A step in the middle of a curve, with things all around and people about.
+fn follow(bench: &mut Bench, window: &mut Window) -> Option<()> {
+    fill(Scene::Empty, window);
+    let mut beams = [Beam::default(); MAX_POINTS];
+    let model = ubimap_agent::sense::SensorModel::Radial { first: -3.1, step: 6.2 / 64.0 };
+    ubimap_agent::sense::fill_beams(&mut beams, model, Pose::default(), 4_000);
+    let near = NearPoints::of_scan(&beams, &[450; MAX_POINTS], Pose::default(), Instant(1));
+    let person = |x: i32| Mover {
+        x: Millimetres(x),
+        y: Millimetres(3_100),
+        velocity_x: 300,
+        velocity_y: 1_100,
+        radius: 250,
+        is_person: true,
+    };
+    let movers: [Mover; 12] = core::array::from_fn(|index| person(1_000 + 100 * index as i32));
+    let mut follower = Follower::new(Motion::default());
+    let mut route = heapless::Vec::new();
+    for index in 0..32u8 {
+        let place = Place { x: 5 + index, y: 20 + index * index / 40 };
+        route.push(window.middle(place)).ok()?;
+    }
+    follower.take(route);
+    let mut pose = Pose { x: Millimetres(700), y: Millimetres(1_250), ..Pose::default() };
+    for _ in 0..3 {
+        let sight =
+            Sight { pose, unsure: 20.0, near: &near, movers: &movers, window, elapsed: 0.05 };
+        bench.measure("a step along a path", || follower.step(black_box(&sight)));
+        pose.x.0 += 20;
+    }
+    Some(())
+}
