@@ -1,6 +1,8 @@
 //! Following a boundary by the distance vector alone, without a map (Ahmed 3: "all the robots were
 //! programmed to follow the boundaries"), on and off by the ground clearance signal (2.1).
 
+use core::f32::consts::TAU;
+
 use super::follow::DriveCommand;
 use crate::sense::{COLUMNS, GroundClearance};
 
@@ -20,23 +22,29 @@ pub struct BoundaryFollower {
     pub speed: i16,
     /// The fastest turn, in milliradians a second.
     pub turn: i16,
+    /// How far it has turned towards a boundary that it does not see, in radians; once round
+    /// without finding it there is none.
+    lost: f32,
 }
 
 impl Default for BoundaryFollower {
     /// A boundary on the right, an eighth of the image.
     fn default() -> Self {
         let clearance = GroundClearance::default();
-        Self { clearance, is_left: false, aside: 70, columns: COLUMNS / 8, speed: 150, turn: 600 }
+        let columns = COLUMNS / 8;
+        Self { clearance, is_left: false, aside: 70, columns, speed: 150, turn: 600, lost: TAU }
     }
 }
 
 impl BoundaryFollower {
     /// The next command, by the [`distances`](crate::sense::Floor::distances) of an image, the
-    /// leftmost column first. Without ground clearance it turns away from the boundary on the
-    /// spot; with it, it drives, towards the boundary if that is further than it should be.
-    pub fn step(&self, distances: &[u8; COLUMNS]) -> DriveCommand {
+    /// leftmost column first, so many seconds after the last one. Without ground clearance it turns
+    /// away from the boundary on the spot; with it, it drives, towards the boundary if that is
+    /// further than it should be, straight on if there is none.
+    pub fn step(&mut self, distances: &[u8; COLUMNS], elapsed: f32) -> DriveCommand {
         let away = if self.is_left { self.turn.saturating_neg() } else { self.turn };
         if !self.clearance.is_clear(distances) {
+            self.lost = 0.0;
             return DriveCommand { speed: 0, turn: away };
         }
         let left = distances.iter().take(self.columns).min();
@@ -46,6 +54,13 @@ impl BoundaryFollower {
         // The full turn at a quarter of the wanted distance off.
         let off = i32::from(self.aside) - i32::from(nearest);
         let full = i32::from(self.aside / 4).max(1);
+        if off > -full {
+            self.lost = 0.0;
+        } else if self.lost < TAU {
+            self.lost += f32::from(self.turn).abs() * 1.0e-3 * elapsed;
+        } else {
+            return DriveCommand { speed: self.speed, turn: 0 };
+        }
         let turn = i32::from(away) * off.min(full).max(-full) / full;
         DriveCommand { speed: self.speed, turn: turn as i16 }
     }
@@ -58,23 +73,28 @@ mod tests {
     #[test]
     fn it_turns_away_from_what_is_ahead_and_keeps_what_is_aside() {
         for is_left in [false, true] {
-            let follower = BoundaryFollower { is_left, ..BoundaryFollower::default() };
+            let mut follower = BoundaryFollower { is_left, ..BoundaryFollower::default() };
             let sign = if is_left { -1 } else { 1 };
             let mut distances = [124; COLUMNS];
-            let with = |side: u8, ahead: u8, distances: &mut [u8; COLUMNS]| {
+            let mut with = |side: u8, ahead: u8, distances: &mut [u8; COLUMNS]| {
                 distances.fill(124);
                 let columns = if is_left { 0..40 } else { 280..320 };
                 distances[columns].fill(side);
                 distances[150] = ahead;
-                follower.step(distances)
+                follower.step(distances, 0.05)
             };
+            let straight = DriveCommand { speed: 150, turn: 0 };
+            assert_eq!(with(124, 124, &mut distances), straight, "no boundary yet");
             let stand = with(70, 61, &mut distances);
             assert_eq!(stand, DriveCommand { speed: 0, turn: 600 * sign });
             let along = with(70, 100, &mut distances);
-            assert_eq!(along, DriveCommand { speed: 150, turn: 0 });
+            assert_eq!(along, straight);
             assert!(with(60, 100, &mut distances).turn * sign > 0, "too near: away");
             assert!(with(80, 100, &mut distances).turn * sign < 0, "too far: towards");
             assert_eq!(with(124, 100, &mut distances).turn, -600 * sign);
+            // Once round, at 0.6 radians a second.
+            let steps = (0..300).take_while(|_| with(124, 100, &mut distances) != straight).count();
+            assert!((205..=212).contains(&steps), "{steps}");
             assert_eq!(with(0, 100, &mut distances).turn, 600 * sign);
         }
     }

@@ -1,6 +1,5 @@
 //! What the robot shall do, and what it knows, to what its wheels do.
 
-use heapless::Vec;
 use ubimap_protocol::{
     message::Waypoint,
     time::{Duration, Instant},
@@ -10,11 +9,11 @@ use ubimap_protocol::{
 use super::{
     follow::{DriveCommand, Follower, Hindrance, Motion, Sight},
     near::NearPoints,
-    plan::{PlanError, Planner, Progress, Target},
-    plane::{Place, SIDE},
+    plan::PlanError,
     reason::Reason,
     safety::{Health, Safety, SafetyLimits},
-    window::{GivenUp, GroundRow, MAX_LEVEL, Mover, View, Window},
+    search::{End, Outcome, Search},
+    window::{GroundRow, Mover, View, Window},
 };
 use crate::trigonometry::radians;
 
@@ -69,14 +68,14 @@ pub struct Inputs<'i> {
     pub movers: &'i [Mover],
 }
 
-/// The most places from which blind ground was given up. With more the robot stops exploring.
-const MOST_GIVEN_UP: usize = 48;
 /// How often the map is looked at.
 const REFRESH: Duration = Duration::from_millis(500);
 /// How often a way is looked for again.
 const REPLAN: Duration = Duration::from_secs(4);
 /// How long is waited for a way to become clear before another one is looked for.
 const PATIENCE: Duration = Duration::from_secs(3);
+/// How far it must have driven for that wait to be over, in millimetres.
+const STRETCH: u32 = 200;
 /// How long what was waited for counts as an obstacle.
 const AVOIDED: Duration = Duration::from_secs(10);
 /// How long is waited when there is no way.
@@ -84,51 +83,61 @@ const RETRY: Duration = Duration::from_secs(2);
 /// Steps are no longer than this for what is reckoned with, in seconds.
 const LONGEST_STEP: f32 = 0.2;
 
-/// Which windows and targets are tried, one after the other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Attempt {
-    level: u32,
-    /// Coarser windows have been tried: finer ones are left.
-    finer: bool,
+/// What keeps it from driving on, since when and where.
+#[derive(Clone, Copy, Debug)]
+struct Hindered {
+    since: Instant,
+    at: Pose,
+    reason: Reason,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// Nothing to do, or it is done.
     Resting(Reason),
-    /// A way is being looked for, from where the robot was.
-    Searching(Attempt),
+    /// A way is being looked for.
+    Searching,
     /// It drives.
     Driving,
-    /// It turns to look around: how far it has, and where it looked last.
-    Looking { turned: f32, last: Pose },
+    /// It turns to look around.
+    Looking(Look),
     /// There is no way; it is tried again.
     Stuck { why: PlanError, since: Instant },
+}
+
+/// A look around.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Look {
+    /// The frontier's point and its window's level.
+    at: Waypoint,
+    level: u32,
+    /// How far it has turned, and where it looked last.
+    turned: f32,
+    last: Pose,
 }
 
 /// Drives.
 #[derive(Debug)]
 pub struct Driver {
     config: Config,
-    window: Window,
-    planner: Planner,
+    search: Search,
     follower: Follower,
     safety: Safety,
     task: Task,
     phase: Phase,
-    given_up: Vec<GivenUp, MOST_GIVEN_UP>,
-    /// The window's level, and what the path leads to.
-    level: u32,
-    target: Target,
+    /// What the path leads to.
+    end: End,
     /// Whether the path can still be driven while a new one is looked for.
     has_path: bool,
+    /// Whether the search has begun.
+    is_begun: bool,
     /// Whether all has been explored, and it is on its way home.
     goes_home: bool,
     last: Option<Instant>,
     looked: Instant,
     planned: Instant,
-    /// Since when something has hindered it, and when that was found to be an obstacle.
-    hindered: Option<Instant>,
+    /// What hinders it, and when that was found to be an obstacle.
+    hindered: Option<Hindered>,
     avoided: Option<Instant>,
     command: DriveCommand,
     reason: Reason,
@@ -140,16 +149,14 @@ impl Driver {
     pub fn new(config: Config) -> Self {
         Self {
             config,
-            window: Window::default(),
-            planner: Planner::default(),
+            search: Search::new(),
             follower: Follower::new(config.motion),
             safety: Safety::new(config.safety),
             task: Task::Stand,
             phase: Phase::Resting(Reason::NoTask),
-            given_up: Vec::new(),
-            level: 0,
-            target: Target::Frontier,
+            end: End::OnTheWay,
             has_path: false,
+            is_begun: false,
             goes_home: false,
             last: None,
             looked: Instant(0),
@@ -166,7 +173,7 @@ impl Driver {
     pub fn set_task(&mut self, task: Task) {
         self.task = task;
         self.goes_home = false;
-        self.given_up.clear();
+        self.search.forget();
         self.safety.forgive();
         self.set_out();
     }
@@ -186,7 +193,7 @@ impl Driver {
 
     /// The ground as it was last looked at.
     pub fn window(&self) -> &Window {
-        &self.window
+        &self.search.window
     }
 
     /// What the wheels shall do until the next step. `ground` gives, for a column of tiles and a row
@@ -215,12 +222,11 @@ impl Driver {
     /// Looks for a way to what the task wants.
     fn set_out(&mut self) {
         self.has_path = false;
-        self.hindered = None;
+        self.is_begun = false;
         self.phase = match self.task {
             Task::Stand => Phase::Resting(Reason::NoTask),
-            _ => Phase::Searching(Attempt { level: 0, finer: false }),
+            _ => Phase::Searching,
         };
-        self.planned = Instant(0);
     }
 
     fn go_on(
@@ -236,19 +242,18 @@ impl Driver {
                 }
                 (self.follower.stand(), Reason::NoWay(why))
             }
-            Phase::Searching(attempt) => {
-                self.search(attempt, step, ground);
+            Phase::Searching => {
+                self.search(step, ground);
                 if self.has_path {
-                    self.drive(step)
-                } else {
-                    (self.follower.stand(), self.waiting())
+                    return self.drive(step);
                 }
+                (self.follower.stand(), self.waiting())
             }
             Phase::Driving => {
                 self.look(step, ground);
                 self.drive(step)
             }
-            Phase::Looking { turned, last } => self.look_around(turned, last, step, ground),
+            Phase::Looking(look) => self.look_around(look, step, ground),
         }
     }
 
@@ -269,25 +274,62 @@ impl Driver {
         }
     }
 
-    /// Fills the window.
-    fn fill(&mut self, level: u32, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    /// Begins a search, or goes on with one.
+    fn search(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+        if !self.is_begun {
+            self.is_begun = true;
+            self.search.begin(self.goal(), step.pose, self.config.resolution);
+        }
         let none = NearPoints::default();
+        let view = self.view(step, &none);
+        match self.search.step(&view, ground, self.config.cells_per_step) {
+            Outcome::Searching => {}
+            Outcome::Found(route, end) => {
+                self.follower.take(route);
+                self.end = end;
+                self.has_path = true;
+                (self.planned, self.looked) = (step.now, step.now);
+                self.phase = Phase::Driving;
+            }
+            Outcome::Failed(error) => self.fail(error, step.now),
+        }
+    }
+
+    /// There is no way, or nothing left to explore.
+    fn fail(&mut self, why: PlanError, now: Instant) {
+        self.has_path = false;
+        match self.task {
+            Task::Explore(home) if why == PlanError::NoFrontier && !self.goes_home => {
+                self.come_home(home);
+            }
+            _ => self.phase = Phase::Stuck { why, since: now },
+        }
+    }
+
+    /// All has been explored.
+    fn come_home(&mut self, home: Option<Waypoint>) {
+        self.phase = Phase::Resting(Reason::Explored);
+        if home.is_some() {
+            self.goes_home = true;
+            self.set_out();
+        }
+    }
+
+    /// What windows are made from; without `near` what moves is no obstacle.
+    fn view<'v>(&self, step: &Step<'v>, none: &'v NearPoints) -> View<'v> {
         // What walks by is no obstacle; what has been waited for is.
         let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED);
         let motion = &self.config.motion;
-        let view = View {
+        View {
             pose: step.pose,
             resolution: self.config.resolution,
-            level,
+            level: 0,
             radius: motion.radius.saturating_add(motion.margin),
-            near: if avoids { step.inputs.near } else { &none },
+            near: if avoids { step.inputs.near } else { none },
             movers: step.inputs.movers,
-            given_up: &self.given_up,
+            given_up: &[],
             explore_covered: self.config.explore_covered,
-        };
-        self.window.fill(&view, ground);
-        self.level = level;
-        self.looked = step.now;
+        }
     }
 
     /// Looks at the map again, and whether the path still leads to something.
@@ -295,135 +337,19 @@ impl Driver {
         if step.now.since(self.looked) < REFRESH {
             return;
         }
-        self.fill(self.level, step, ground);
-        let leads = match self.target {
-            Target::Frontier => self.is_frontier(),
+        self.looked = step.now;
+        let none = NearPoints::default();
+        self.search.fill(0, &self.view(step, &none), ground);
+        let leads = match self.end {
+            End::Frontier(at, 0) => self.search.is_frontier(at),
             _ => step.now.since(self.planned) < REPLAN,
         };
-        let clear = self.follower.is_clear(&self.window, step.pose);
+        let clear = self.follower.is_clear(&self.search.window, step.pose);
         if !(leads && clear) {
             self.set_out();
+            // While it thinks it drives on, if it can.
             self.has_path = clear;
         }
-    }
-
-    /// Whether there is blind ground near the path's end.
-    fn is_frontier(&self) -> bool {
-        let end = self.follower.end().and_then(|end| self.window.place(end));
-        end.is_some_and(|place| self.window.frontier.has(place))
-    }
-
-    /// Begins a search, or goes on with one.
-    fn search(
-        &mut self,
-        attempt: Attempt,
-        step: &Step<'_>,
-        ground: &impl Fn(i32, i32) -> GroundRow,
-    ) {
-        let progress = if self.planned == Instant(0) {
-            let attempt = self.first_level(attempt, step.pose);
-            self.phase = Phase::Searching(attempt);
-            self.fill(attempt.level, step, ground);
-            self.target = self.target_at(attempt);
-            self.planned = step.now;
-            let start = self.window.place(Waypoint { x: step.pose.x, y: step.pose.y });
-            let start = start.unwrap_or_default();
-            match self.planner.begin(&self.window, start, self.target) {
-                Ok(()) => Progress::Searching,
-                Err(error) => Progress::Failed(error),
-            }
-        } else {
-            self.planner.step(&mut self.window, self.config.cells_per_step)
-        };
-        match progress {
-            Progress::Searching => {}
-            Progress::Found(place) => {
-                self.take_path(place);
-                self.phase = Phase::Driving;
-            }
-            Progress::Failed(error) => self.try_otherwise(error, step.now),
-        }
-    }
-
-    /// The finest level whose window holds the goal.
-    fn first_level(&self, attempt: Attempt, pose: Pose) -> Attempt {
-        let Some(goal) = self.goal() else { return attempt };
-        let side = self.config.resolution.0.max(1).saturating_mul(SIDE as i32 / 2 - 3);
-        let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
-        let far = far(goal.x, pose.x).max(far(goal.y, pose.y));
-        let holds = |&level: &u32| far <= side.unsigned_abs() << level;
-        let level = (0..MAX_LEVEL).find(holds).unwrap_or(MAX_LEVEL);
-        let level = if attempt.finer { attempt.level } else { attempt.level.max(level) };
-        Attempt { level, ..attempt }
-    }
-
-    fn target_at(&self, attempt: Attempt) -> Target {
-        let Some(goal) = self.goal() else { return Target::Frontier };
-        let (x, y) = self.window.column_and_row(goal);
-        let inner = |it: i32| (1..SIDE as i32 - 1).contains(&it);
-        match Place::new(x, y).filter(|_| inner(x) && inner(y)) {
-            Some(place) if attempt.level == 0 || self.window.free.has(place) => {
-                Target::Place(place)
-            }
-            Some(place) => match self.window.nearest_free(place) {
-                // A coarse cell is blocked more easily: near it the finer window knows better.
-                Some(near) => Target::Place(near),
-                None => Target::Place(place),
-            },
-            // Far enough to tell the direction.
-            None => Target::Beyond(x.clamp(-1_000, 1_000), y.clamp(-1_000, 1_000)),
-        }
-    }
-
-    /// Takes the way to a place.
-    fn take_path(&mut self, place: Place) {
-        let path = self.planner.path(&self.window, place);
-        let mut route = Vec::new();
-        for &place in &path.places {
-            // As long as a path.
-            let _ = route.push(self.window.middle(place));
-        }
-        // A goal is driven to, not the middle of its cell.
-        let is_goal = self.target == Target::Place(place) && self.level == 0;
-        if let (true, true, Some(goal), Some(end)) =
-            (is_goal, path.is_whole, self.goal(), route.last_mut())
-        {
-            *end = goal;
-        }
-        self.follower.take(route);
-        self.has_path = true;
-        self.hindered = None;
-    }
-
-    /// Another window, or the end.
-    fn try_otherwise(&mut self, error: PlanError, now: Instant) {
-        let Phase::Searching(attempt) = self.phase else { return };
-        let is_inside = matches!(self.target, Target::Place(_));
-        let next = if !attempt.finer && self.level < MAX_LEVEL {
-            // What is blocked in the finest window is blocked.
-            let blocked = error == PlanError::GoalBlocked && self.level == 0;
-            (!blocked).then_some(Attempt { level: self.level + 1, finer: false })
-        } else if self.goal().is_some() && self.level > 0 && !(is_inside && attempt.finer) {
-            Some(Attempt { level: self.level - 1, finer: true })
-        } else {
-            None
-        };
-        if let Some(next) = next {
-            self.phase = Phase::Searching(next);
-            self.planned = Instant(0);
-            return;
-        }
-        self.has_path = false;
-        self.phase = match (self.task, error) {
-            (Task::Explore(home), PlanError::NoFrontier) if !self.goes_home => {
-                if home.is_some() {
-                    self.goes_home = true;
-                    return self.set_out();
-                }
-                Phase::Resting(Reason::Explored)
-            }
-            _ => Phase::Stuck { why: error, since: now },
-        };
     }
 
     /// Drives along the path.
@@ -433,90 +359,97 @@ impl Driver {
             unsure: step.unsure,
             near: step.inputs.near,
             movers: step.inputs.movers,
-            window: &self.window,
+            window: &self.search.window,
             elapsed: step.elapsed,
         };
         let (command, hindrance) = self.follower.step(&sight);
         let reason = match hindrance {
-            None => {
-                // Only a stretch driven shows that the way is clear again.
-                if command.speed > 0 {
-                    self.hindered = None;
-                }
-                Reason::Driving
-            }
+            None => Reason::Driving,
             Some(Hindrance::Arrived) => return (command, self.arrive(step)),
             Some(Hindrance::OffPath) => {
                 self.set_out();
                 Reason::Driving
             }
-            Some(hindrance) => {
-                let since = *self.hindered.get_or_insert(step.now);
-                if step.now.since(since) >= PATIENCE {
-                    self.avoided = Some(step.now);
-                    self.set_out();
-                }
-                match hindrance {
-                    Hindrance::Person => Reason::Person,
-                    _ => Reason::Blocked,
-                }
-            }
+            Some(Hindrance::Person) => Reason::Person,
+            Some(Hindrance::Blocked) => Reason::Blocked,
         };
-        (command, reason)
+        (command, self.wait(reason, step))
+    }
+
+    /// Waits for what hinders it, and then goes round it. Only a stretch driven shows that the way
+    /// is clear again: until then the reason stays.
+    fn wait(&mut self, reason: Reason, step: &Step<'_>) -> Reason {
+        let hindered = match (self.hindered, reason) {
+            (None, Reason::Driving) => return reason,
+            (None, _) => Hindered { since: step.now, at: step.pose, reason },
+            (Some(hindered), _) => hindered,
+        };
+        let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
+        let (from, to) = (hindered.at, step.pose);
+        if far(from.x, to.x).max(far(from.y, to.y)) > STRETCH {
+            self.hindered = None;
+            return Reason::Driving;
+        }
+        self.hindered = Some(hindered);
+        if reason != Reason::Driving && step.now.since(hindered.since) >= PATIENCE {
+            self.hindered = Some(Hindered { since: step.now, ..hindered });
+            self.avoided = Some(step.now);
+            self.set_out();
+        }
+        hindered.reason
     }
 
     /// At the end of the path.
     fn arrive(&mut self, step: &Step<'_>) -> Reason {
-        if !matches!(self.phase, Phase::Driving) {
+        if self.phase != Phase::Driving {
             // Another path is being looked for.
             self.has_path = false;
             return Reason::Driving;
         }
-        if self.target == Target::Frontier {
-            self.phase = Phase::Looking { turned: 0.0, last: step.pose };
-            return Reason::Driving;
+        match self.end {
+            End::Frontier(at, level) => {
+                self.phase = Phase::Looking(Look { at, level, turned: 0.0, last: step.pose });
+                Reason::Driving
+            }
+            End::Goal => {
+                let reason = if self.goes_home { Reason::Explored } else { Reason::Arrived };
+                self.phase = Phase::Resting(reason);
+                reason
+            }
+            End::OnTheWay => {
+                self.set_out();
+                Reason::Driving
+            }
         }
-        let at_goal = self.goal().zip(self.follower.end()).is_some_and(|(goal, end)| goal == end);
-        if !at_goal {
-            self.set_out();
-            return Reason::Driving;
-        }
-        let reason = if self.goes_home { Reason::Explored } else { Reason::Arrived };
-        self.phase = Phase::Resting(reason);
-        reason
     }
 
-    /// Turns once round at a frontier, as long as there is blind ground near.
+    /// Turns once round at a frontier, as long as there is blind ground near. What can't be seen
+    /// from there is passed over from then on.
     fn look_around(
         &mut self,
-        turned: f32,
-        last: Pose,
+        look: Look,
         step: &Step<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
-        let turned = turned + radians(step.pose.heading - last.heading);
-        self.phase = Phase::Looking { turned, last: step.pose };
+        let turned = look.turned + radians(step.pose.heading - look.last.heading);
+        let look = Look { turned, last: step.pose, ..look };
+        self.phase = Phase::Looking(look);
         let done = turned > core::f32::consts::TAU;
         if done || step.now.since(self.looked) >= REFRESH {
-            self.fill(self.level, step, ground);
-            if !self.is_frontier() {
+            self.looked = step.now;
+            let none = NearPoints::default();
+            let view = self.view(step, &none);
+            self.search.fill(look.level, &view, ground);
+            if !self.search.is_frontier(look.at) {
+                self.set_out();
+            } else if done && self.search.give_up(look.at, look.level, &view) {
                 self.set_out();
             } else if done {
-                self.give_up();
+                // So much is out of sight that it is no use to go on.
+                self.fail(PlanError::NoFrontier, step.now);
             }
         }
         (self.follower.spin(true, step.elapsed), Reason::Driving)
-    }
-
-    /// What can't be seen from here is passed over from now on.
-    fn give_up(&mut self) {
-        let reach = self.window.frontier_reach(self.config.motion.radius);
-        let given_up = self.follower.end().map(|at| GivenUp { at, reach });
-        if given_up.is_some_and(|it| self.given_up.push(it).is_ok()) {
-            self.set_out();
-        } else {
-            self.phase = Phase::Resting(Reason::Explored);
-        }
     }
 }
 

@@ -14,6 +14,7 @@ mod plan;
 mod plane;
 mod reason;
 mod safety;
+mod search;
 mod window;
 
 #[cfg(test)]

@@ -69,6 +69,8 @@ struct Person {
     walked: f64,
     back: bool,
     waits: bool,
+    /// Stands for good.
+    stands: bool,
 }
 
 impl Person {
@@ -87,11 +89,15 @@ impl Person {
     }
 
     fn velocity(&self) -> (f64, f64) {
-        let speed = if self.waits { 0.0 } else { Self::SPEED } * if self.back { -1.0 } else { 1.0 };
+        let speed = if self.waits || self.stands { 0.0 } else { Self::SPEED }
+            * if self.back { -1.0 } else { 1.0 };
         (self.direction().0 * speed, self.direction().1 * speed)
     }
 
     fn walk(&mut self, robot: (f64, f64), stands: bool) {
+        if self.stands {
+            return;
+        }
         let length = (self.to.0 - self.from.0).hypot(self.to.1 - self.from.1);
         let before = *self;
         self.walked += if self.back { -STEP } else { STEP } * Self::SPEED;
@@ -481,11 +487,12 @@ fn people_who_cross_are_waited_for_and_not_touched() {
             let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
             it.is_told = is_told;
             let person = Person {
-                from: (1_900.0, 2_000.0),
-                to: (1_900.0, 400.0),
+                from: (1_900.0, 4_000.0),
+                to: (1_900.0, -2_000.0),
                 walked: 0.0,
                 back: false,
                 waits: false,
+                stands: false,
             };
             it.people.push(person);
             it.run(0.1 * f64::from(start));
@@ -505,8 +512,9 @@ fn a_person_who_stays_in_the_way_is_passed() {
         let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
         it.is_told = is_told;
         let at = (2_000.0, 1_200.0);
-        let to = (2_000.0, 1_200.1);
-        it.people.push(Person { from: at, to, walked: 0.0, back: false, waits: true });
+        let to = (2_000.0, 0.0);
+        let (back, waits, stands) = (false, false, true);
+        it.people.push(Person { from: at, to, walked: 0.0, back, waits, stands });
         it.go(3.4, 1.2);
         it.until(Reason::Arrived, 60.0);
     }
@@ -573,7 +581,7 @@ fn the_same_room_is_driven_the_same_way() {
 fn a_boundary_is_followed_round_a_room_by_the_distance_vector() {
     use crate::sense::{COLUMNS, ScaleCurve, TABLE_1};
     let curve = ScaleCurve::fit(&TABLE_1).unwrap().scaled(2.5);
-    let follower = BoundaryFollower::default();
+    let mut follower = BoundaryFollower::default();
     let mut it = Simulation::new(HALL, 2.0, 1.2);
     let mut quarters = [false; 4];
     for _ in 0..4_000 {
@@ -592,7 +600,7 @@ fn a_boundary_is_followed_round_a_room_by_the_distance_vector() {
             // Nearer than the curve tells, or further.
             if wall.is_some_and(|way| way < 185.0) { 50 } else { pixels.unwrap_or(124) }
         });
-        let command = follower.step(&distances);
+        let command = follower.step(&distances, STEP as f32);
         let (speed, turn) = (f64::from(command.speed), f64::from(command.turn) / 1_000.0);
         let heading = heading + turn * STEP;
         it.at = (x + speed * STEP * heading.cos(), y + speed * STEP * heading.sin(), heading);

@@ -85,8 +85,9 @@ pub struct View<'v> {
 /// 64 x 64 cells about the robot (1.5 KiB). The outermost are never entered.
 #[derive(Clone, Debug)]
 pub struct Window {
-    /// Where the robot's middle may be: every point of such a cell is known and further from
-    /// everything occupied than its radius.
+    /// Where the robot's middle may be: known, and at level 0 every point of such a cell is further
+    /// from everything occupied than its radius. In coarser windows, whose walls are as thick as
+    /// their cells, this holds for the middle: they are for finding a way, not for driving it.
     pub free: Plane,
     /// Of those, where something movable stood when it was last seen.
     pub dear: Plane,
@@ -131,7 +132,7 @@ impl Window {
             }
         }
         self.bound_frontier(view, &occupied);
-        self.inflate(view.radius, &occupied);
+        self.inflate(view.radius, level, &occupied);
     }
 
     /// Reads the map: free, movable (into `dear`), blind and unknown (into `frontier`), occupied.
@@ -147,7 +148,7 @@ impl Window {
         let column = first.div_euclid(TILE_SIDE as i32);
         let columns = (2 << level) + 1;
         for y in 0..SIDE {
-            let (mut free, mut movable, mut blind, mut fixed) = (0, 0, 0, 0);
+            let (mut free, mut movable, mut settled, mut fixed) = (0, 0, 0, 0);
             let row = south.saturating_add(y as i32).saturating_mul(1 << level);
             for row in row..row.saturating_add(1 << level) {
                 for column in column..column.saturating_add(columns) {
@@ -158,12 +159,12 @@ impl Window {
                     movable |= at(low & high);
                     fixed |= at(high & !low);
                     let seen = if explore_covered { 0 } else { covered };
-                    blind |= at(!(low | high | seen));
+                    settled |= at(low | high | seen);
                 }
             }
             *self.free.row_mut(y) = free | movable;
             *self.dear.row_mut(y) = movable;
-            *self.frontier.row_mut(y) = blind;
+            *self.frontier.row_mut(y) = !settled;
             *occupied.row_mut(y) = fixed;
         }
     }
@@ -198,16 +199,19 @@ impl Window {
     }
 
     /// Keeps the robot's middle so far from everything occupied that it has room.
-    fn inflate(&mut self, radius: u16, occupied: &Plane) {
+    fn inflate(&mut self, radius: u16, level: u32, occupied: &Plane) {
         let mut near = Plane::EMPTY;
-        inflate(occupied, radius.into(), self.cell, &mut near);
+        // A finer window will know better than a coarse one, whose walls are thick already.
+        let diagonal = if level == 0 { (i64::from(self.cell) * 1_448) >> 10 } else { 0 };
+        let reach = 2 * i64::from(radius) + diagonal;
+        inflate(occupied, reach, self.cell, &mut near);
         for y in 0..SIDE {
             let inner = if (1..SIDE - 1).contains(&y) { Plane::INNER } else { 0 };
             *self.free.row_mut(y) &= !near.row(y) & inner;
         }
         if !self.dear.is_empty() {
             near = Plane::EMPTY;
-            inflate(&self.dear, radius.into(), self.cell, &mut near);
+            inflate(&self.dear, reach, self.cell, &mut near);
             self.dear = near;
         }
         for y in 0..SIDE {
@@ -240,12 +244,6 @@ impl Window {
             Millimetres(corner.saturating_add(i32::from(at) * self.cell + self.cell / 2))
         };
         Waypoint { x: along(self.corner.0, place.x), y: along(self.corner.1, place.y) }
-    }
-
-    /// How far about a cell of the frontier the ground is given up if it can't be seen from there.
-    pub fn frontier_reach(&self, radius: u16) -> u16 {
-        let cells = frontier_steps(radius, self.cell) + 2;
-        u16::try_from(cells.saturating_mul(self.cell)).unwrap_or(u16::MAX)
     }
 
     /// The side of a cell in millimetres.
@@ -323,6 +321,13 @@ fn frontier_steps(radius: u16, cell: i32) -> i32 {
     (i32::from(radius) / cell.max(1) + 2).min(SIDE as i32)
 }
 
+/// How far about a cell of the frontier the ground is given up if it can't be seen from there, in
+/// millimetres.
+pub(super) fn frontier_reach(radius: u16, cell: i32) -> u16 {
+    let cells = frontier_steps(radius, cell) + 2;
+    u16::try_from(cells.saturating_mul(cell)).unwrap_or(u16::MAX)
+}
+
 /// 32 bits with each 2 or 4 neighbours made one.
 fn squeezed(mut cells: u32, level: u32) -> u32 {
     for _ in 0..level {
@@ -364,11 +369,9 @@ fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, 
 /// The most cells that an obstacle can grow.
 const MOST: usize = 24;
 
-/// Adds to `near` the cells whose middle is nearer to an occupied cell than the radius and half a
-/// cell's diagonal: any point of the others is at least the radius away.
-fn inflate(occupied: &Plane, radius: i32, cell: i32, near: &mut Plane) {
-    // All lengths doubled; the root of two in 1/1,024.
-    let reach = i64::from(2 * radius) + ((i64::from(cell) * 1_448) >> 10);
+/// Adds to `near` the cells whose middle is nearer to an occupied cell than half of `reach`.
+fn inflate(occupied: &Plane, reach: i64, cell: i32, near: &mut Plane) {
+    // All lengths doubled.
     let gap = |cells: usize| (2 * cells as i64 - 1).max(0) * i64::from(cell);
     // How far a cell reaches along the rows at so many rows from its own.
     let widths: [u8; MOST + 1] = core::array::from_fn(|aside| {

@@ -1,0 +1,263 @@
+//! From a goal, or none, to a route: over windows of the map from the finest to the coarsest.
+//!
+//! A goal is looked for in the finest window that holds it, then in coarser ones. What a coarse
+//! window finds is looked at once more in the finest, as far as that reaches: only such a route is
+//! driven. A goal that no window has a way to is approached through the rims of the finer ones.
+
+use heapless::Vec;
+use ubimap_protocol::{
+    message::Waypoint,
+    units::{Millimetres, Pose},
+};
+
+use super::{
+    path::MAX_POINTS,
+    plan::{PlanError, Planner, Progress, Target},
+    plane::{Place, SIDE},
+    window::{GivenUp, GroundRow, MAX_LEVEL, View, Window, frontier_reach},
+};
+
+/// The points of a way.
+pub(super) type Route = Vec<Waypoint, MAX_POINTS>;
+
+/// The most places from which blind ground is given up.
+const MOST_GIVEN_UP: usize = 48;
+
+/// Where a route leads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum End {
+    /// To the goal.
+    Goal,
+    /// To a frontier, at this point of a window of this level.
+    Frontier(Waypoint, u32),
+    /// On the way: from there on another one must be looked for.
+    OnTheWay,
+}
+
+/// How a search stands.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Outcome {
+    Searching,
+    Found(Route, End),
+    Failed(PlanError),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Attempt {
+    level: u32,
+    /// The finest level whose window holds the goal.
+    finest: u32,
+    /// Through the rim of a window that does not hold the goal.
+    beyond: bool,
+    /// What a coarse window has found: a point on the way there in the finest, and the end.
+    via: Option<(Waypoint, End)>,
+}
+
+/// Looks for routes.
+#[derive(Debug)]
+pub(super) struct Search {
+    pub(super) window: Window,
+    planner: Planner,
+    given_up: Vec<GivenUp, MOST_GIVEN_UP>,
+    /// `None` for the frontier that is worth most.
+    goal: Option<Waypoint>,
+    attempt: Attempt,
+    /// Whether the planner is at work on the attempt.
+    is_begun: bool,
+    target: Target,
+}
+
+impl Search {
+    pub(super) fn new() -> Self {
+        Self {
+            window: Window::default(),
+            planner: Planner::default(),
+            given_up: Vec::new(),
+            goal: None,
+            attempt: Attempt { level: 0, finest: 0, beyond: false, via: None },
+            is_begun: false,
+            target: Target::Frontier,
+        }
+    }
+
+    /// Begins anew, from `pose`. Without a goal it explores.
+    pub(super) fn begin(&mut self, goal: Option<Waypoint>, pose: Pose, resolution: Millimetres) {
+        let side = resolution.0.max(1).saturating_mul(SIDE as i32 / 2 - 3).unsigned_abs();
+        let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
+        let far = goal.map_or(0, |goal| far(goal.x, pose.x).max(far(goal.y, pose.y)));
+        let holds = |&level: &u32| far <= side.saturating_mul(1 << level);
+        let finest = (0..MAX_LEVEL).find(holds).unwrap_or(MAX_LEVEL);
+        self.goal = goal;
+        self.attempt = Attempt { level: finest, finest, beyond: false, via: None };
+        self.is_begun = false;
+    }
+
+    /// Goes on, expanding so many cells at the most. A step fills a window or works in it.
+    pub(super) fn step(
+        &mut self,
+        view: &View<'_>,
+        ground: &impl Fn(i32, i32) -> GroundRow,
+        cells: usize,
+    ) -> Outcome {
+        let progress = if self.is_begun {
+            self.planner.step(&mut self.window, cells)
+        } else {
+            self.is_begun = true;
+            let level = if self.attempt.via.is_some() { 0 } else { self.attempt.level };
+            self.fill(level, view, ground);
+            self.target = self.target();
+            let start = self.window.place(Waypoint { x: view.pose.x, y: view.pose.y });
+            match self.planner.begin(&self.window, start.unwrap_or_default(), self.target) {
+                Ok(()) => Progress::Searching,
+                Err(error) => Progress::Failed(error),
+            }
+        };
+        match progress {
+            Progress::Searching => Outcome::Searching,
+            Progress::Found(place) => self.found(place, view.pose),
+            Progress::Failed(error) => self.try_otherwise(error, view),
+        }
+    }
+
+    /// Looks at the map in a window of a level.
+    pub(super) fn fill(
+        &mut self,
+        level: u32,
+        view: &View<'_>,
+        ground: &impl Fn(i32, i32) -> GroundRow,
+    ) {
+        let view = View { level, given_up: &self.given_up, ..*view };
+        self.window.fill(&view, ground);
+    }
+
+    /// Whether blind ground is near a point, by the window as it is.
+    pub(super) fn is_frontier(&self, point: Waypoint) -> bool {
+        self.window.place(point).is_some_and(|place| self.window.frontier.has(place))
+    }
+
+    /// Passes over what can't be seen from a point, as far as a window of this level would find it
+    /// there again. `false` if too much has been given up.
+    pub(super) fn give_up(&mut self, at: Waypoint, level: u32, view: &View<'_>) -> bool {
+        let cell = view.resolution.0.saturating_mul(1 << level.min(MAX_LEVEL));
+        let reach = frontier_reach(view.radius, cell);
+        self.given_up.push(GivenUp { at, reach }).is_ok()
+    }
+
+    /// What has been given up counts again.
+    pub(super) fn forget(&mut self) {
+        self.given_up.clear();
+    }
+
+    fn target(&self) -> Target {
+        let goal = match (self.attempt.via, self.goal) {
+            (Some((via, _)), _) => via,
+            (None, Some(goal)) => goal,
+            (None, None) => return Target::Frontier,
+        };
+        let (x, y) = self.window.column_and_row(goal);
+        let inner = |it: i32| (1..SIDE as i32 - 1).contains(&it);
+        let Some(place) = Place::new(x, y).filter(|_| inner(x) && inner(y)) else {
+            // Far enough to tell the direction.
+            return Target::Beyond(x.clamp(-1_000, 1_000), y.clamp(-1_000, 1_000));
+        };
+        // Another window has it for free, or will; the goal itself must be.
+        let is_rough = self.attempt.via.is_some() || self.attempt.level > 0;
+        let near = self.window.nearest_free(place).filter(|_| is_rough);
+        Target::Place(near.unwrap_or(place))
+    }
+
+    fn found(&mut self, place: Place, pose: Pose) -> Outcome {
+        let path = self.planner.path(&self.window, place);
+        let mut route = Route::new();
+        for &place in &path.places {
+            // As long as a path.
+            let _ = route.push(self.window.middle(place));
+        }
+        let whole = path.is_whole;
+        let end = match (self.target, self.goal) {
+            (Target::Frontier, _) if whole => {
+                End::Frontier(self.window.middle(place), self.attempt.level)
+            }
+            (Target::Place(_), Some(_)) if whole => End::Goal,
+            _ => End::OnTheWay,
+        };
+        if let Some((_, end)) = self.attempt.via {
+            let end = if whole { end } else { End::OnTheWay };
+            return self.to_drive(route, end);
+        }
+        if self.attempt.level == 0 {
+            return self.to_drive(route, end);
+        }
+        let reach = self.window.cell() >> self.attempt.level;
+        let (via, is_end) = within(&route, pose, reach.saturating_mul(SIDE as i32 / 2 - 4));
+        // A goal that the finest window holds would have been found there.
+        let end = if is_end && end != End::Goal { end } else { End::OnTheWay };
+        self.attempt.via = Some((via, end));
+        self.is_begun = false;
+        Outcome::Searching
+    }
+
+    /// A goal is driven to, not the middle of its cell.
+    fn to_drive(&self, mut route: Route, end: End) -> Outcome {
+        if let (End::Goal, Some(goal), Some(last)) = (end, self.goal, route.last_mut()) {
+            *last = goal;
+        }
+        Outcome::Found(route, end)
+    }
+
+    /// Another window, or the end.
+    fn try_otherwise(&mut self, error: PlanError, view: &View<'_>) -> Outcome {
+        let Attempt { level, finest, beyond, via } = self.attempt;
+        if let Some((_, End::Frontier(at, level))) = via
+            && self.give_up(at, level, view)
+        {
+            // It is not as near as the coarse window says.
+            return self.attempt_at(level, false);
+        }
+        // What is blocked in the finest window is blocked.
+        let is_known = error == PlanError::GoalBlocked && level == 0 && via.is_none();
+        if is_known || error == PlanError::StartBlocked && level == 0 {
+            return Outcome::Failed(error);
+        }
+        if !beyond && level < MAX_LEVEL {
+            return self.attempt_at(level + 1, false);
+        }
+        match (if beyond { level } else { finest }).checked_sub(1) {
+            Some(level) if self.goal.is_some() => self.attempt_at(level, true),
+            _ => Outcome::Failed(error),
+        }
+    }
+
+    fn attempt_at(&mut self, level: u32, beyond: bool) -> Outcome {
+        self.attempt = Attempt { level, beyond, via: None, ..self.attempt };
+        self.is_begun = false;
+        Outcome::Searching
+    }
+}
+
+/// The last point of a route that is no further than `reach` from a pose along x and along y, and
+/// whether that is its end.
+fn within(route: &Route, pose: Pose, reach: i32) -> (Waypoint, bool) {
+    let is_near = |point: &Waypoint| {
+        let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
+        far(point.x, pose.x).max(far(point.y, pose.y)) <= reach.unsigned_abs()
+    };
+    let mut last = Waypoint { x: pose.x, y: pose.y };
+    for point in route {
+        if is_near(point) {
+            last = *point;
+            continue;
+        }
+        // Halves of the leg: within 1/256 of it.
+        let (mut inside, mut outside) = (last, *point);
+        for _ in 0..8 {
+            let half = |a: Millimetres, b: Millimetres| {
+                Millimetres(((i64::from(a.0) + i64::from(b.0)) / 2) as i32)
+            };
+            let middle = Waypoint { x: half(inside.x, outside.x), y: half(inside.y, outside.y) };
+            if is_near(&middle) { inside = middle } else { outside = middle }
+        }
+        return (inside, false);
+    }
+    (last, true)
+}
