@@ -28,19 +28,19 @@ pub struct Config {
     pub resolution: Millimetres,
     /// Whether ground that the cameras see is worth exploring, too.
     pub explore_covered: bool,
-    /// Cells that a search may expand in a step, about 350 instructions each.
-    pub cells_per_step: usize,
+    /// Corners that a search may expand in a step, about 5,000 instructions each.
+    pub corners_per_step: usize,
 }
 
 impl Default for Config {
-    /// 5 cm cells, 128 cells a step.
+    /// 5 cm cells, eight corners a step.
     fn default() -> Self {
         Self {
             motion: Motion::default(),
             safety: SafetyLimits::default(),
             resolution: Millimetres(50),
             explore_covered: false,
-            cells_per_step: 128,
+            corners_per_step: 8,
         }
     }
 }
@@ -282,7 +282,7 @@ impl Driver {
         }
         let none = NearPoints::default();
         let view = self.view(step, &none);
-        match self.search.step(&view, ground, self.config.cells_per_step) {
+        match self.search.step(&view, ground, self.config.corners_per_step) {
             Outcome::Searching => {}
             Outcome::Found(route, end) => {
                 self.follower.take(route);

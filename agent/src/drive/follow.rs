@@ -2,7 +2,6 @@
 //! always stop before what its own sensor sees.
 
 use heapless::Vec;
-use libm::sqrtf;
 use ubimap_protocol::{
     message::Waypoint,
     units::{Millimetres, Pose},
@@ -11,6 +10,7 @@ use ubimap_protocol::{
 use super::{
     near::NearPoints,
     path::MAX_POINTS,
+    root::root,
     window::{Mover, Window},
 };
 use crate::trigonometry::{radians, sin_cos};
@@ -84,7 +84,7 @@ impl Motion {
     /// The fastest speed from which the robot stands within a way.
     fn stops_within(&self, way: f32) -> f32 {
         let pause = self.braking * self.reaction;
-        (sqrtf(pause * pause + 2.0 * self.braking * way.max(0.0)) - pause).max(0.0)
+        (root(pause * pause + 2.0 * self.braking * way.max(0.0)) - pause).max(0.0)
     }
 }
 
@@ -143,6 +143,8 @@ const OFF: f32 = 300.0;
 const SAMPLES: usize = 8;
 /// How far ahead people are predicted, in seconds.
 const FORESIGHT: f32 = 2.0;
+/// What is slower than this is no drive, in millimetres a second.
+const STANDS: f32 = 20.0;
 /// What it creeps by things it must pass, in millimetres a second, and in which time it would cover
 /// the room that it has beside it.
 const CREEP: f32 = 100.0;
@@ -271,7 +273,7 @@ impl Follower {
                 return None;
             }
             let rest = self.rest.get(self.at + 1).copied().unwrap_or(0.0);
-            let to_corner = sqrtf(square) * (1.0 - along);
+            let to_corner = root(square) * (1.0 - along);
             let mut ahead = 200.0 + 0.4 * self.speed;
             let corner = between(robot, to);
             for _ in 0..3 {
@@ -313,8 +315,8 @@ impl Follower {
     fn wanted(&self, sight: &Sight<'_>, curvature: f32, left: f32) -> f32 {
         let motion = &self.motion;
         let bend = curvature.abs().max(1.0e-6);
-        let in_curve = (motion.top_turn / bend).min(sqrtf(motion.side_acceleration / bend));
-        let to_end = sqrtf(2.0 * motion.acceleration * left);
+        let in_curve = (motion.top_turn / bend).min(root(motion.side_acceleration / bend));
+        let to_end = root(2.0 * motion.acceleration * left);
         let sure = 1.0 - sight.unsure / motion.most_unsure.max(1.0);
         let room = sight.near.nearest().unwrap_or(f32::MAX) - f32::from(motion.radius);
         let beside = (room / ROOM_TIME).max(CREEP);
@@ -331,13 +333,14 @@ impl Follower {
         let crossing = self.is_crossed(sight, curvature, wanted);
         let before_person = if crossing { 0.0 } else { before_stranger };
         let speed = wanted.min(before_wall).min(before_person);
-        // Slower than this it stands.
-        const STANDS: f32 = 20.0;
-        if speed >= STANDS {
-            return (speed, None);
+        if before_person < CREEP {
+            // Nobody is crept up to.
+            (0.0, Some(Hindrance::Person))
+        } else if before_wall < STANDS {
+            (0.0, Some(Hindrance::Blocked))
+        } else {
+            (speed, None)
         }
-        let person = before_person < STANDS;
-        (0.0, Some(if person { Hindrance::Person } else { Hindrance::Blocked }))
     }
 
     /// How far the robot can drive along a circle before it is too near to what it sees; as far as
@@ -374,25 +377,23 @@ impl Follower {
     fn before_strangers(&self, sight: &Sight<'_>) -> f32 {
         let motion = &self.motion;
         let keep = f32::from(motion.radius) + f32::from(motion.margin);
-        let mut speed = f32::MAX;
         // Those who walk, and the robot meanwhile.
         let closing = (motion.walking + 0.5 * motion.top_speed).max(1.0);
-        let matters =
-            (motion.reaction + motion.top_speed / motion.braking.max(1.0)) * closing + keep;
-        let points = sight.near.points().iter().zip(sight.near.on_map(sight.pose));
-        for (&(x, y), (map_x, map_y)) in points {
+        let matters = (motion.reaction + motion.top_speed / motion.braking.max(1.0)) * closing;
+        let mut nearest = (matters + keep) * (matters + keep);
+        let window = sight.window;
+        let to_window = window.of_robot(sight.pose);
+        for &(x, y) in sight.near.points() {
             let square = x * x + y * y;
-            if x < -keep || square > matters * matters {
-                continue;
-            }
-            let place = sight.window.place(Waypoint { x: map_x, y: map_y });
-            let window = sight.window;
-            if place.is_some_and(|it| window.free.has(it) && !window.dear.has(it)) {
-                let time = (sqrtf(square) - keep) / closing - motion.reaction;
-                speed = speed.min((time * motion.braking).max(0.0));
+            if x >= -keep
+                && square < nearest
+                && to_window(x, y).is_some_and(|it| window.free.has(it) && !window.dear.has(it))
+            {
+                nearest = square;
             }
         }
-        speed
+        let time = (root(nearest) - keep) / closing - motion.reaction;
+        (time * motion.braking).max(0.0)
     }
 
     /// Whether somebody whom the cameras see is about to be where the robot will be.
@@ -429,7 +430,7 @@ fn between(from: Waypoint, to: Waypoint) -> Vector {
 }
 
 fn length((x, y): Vector) -> f32 {
-    sqrtf(x * x + y * y)
+    root(x * x + y * y)
 }
 
 /// So far along a circle that begins straight ahead: forward and left. Within a thousandth for

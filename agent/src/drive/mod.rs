@@ -13,6 +13,7 @@ mod path;
 mod plan;
 mod plane;
 mod reason;
+mod root;
 mod safety;
 mod search;
 mod window;

@@ -2,16 +2,10 @@
 //! drive look at.
 
 use heapless::Vec;
-use libm::sqrtf;
-use ubimap_protocol::{
-    time::Instant,
-    units::{Millimetres, Pose},
-};
+use ubimap_protocol::{time::Instant, units::Pose};
 
-use crate::{
-    sense::{Beam, DIRECTION_BITS},
-    trigonometry::{radians, sin_cos},
-};
+use super::root::root;
+use crate::sense::{Beam, DIRECTION_BITS};
 
 /// The most points.
 pub const MAX_POINTS: usize = 64;
@@ -65,18 +59,7 @@ impl NearPoints {
     /// How near the nearest point is.
     pub fn nearest(&self) -> Option<f32> {
         let squares = self.points.iter().map(|(x, y)| x * x + y * y);
-        squares.reduce(f32::min).map(sqrtf)
-    }
-
-    /// The points in `map`, from a robot at `pose`.
-    pub fn on_map(&self, pose: Pose) -> impl Iterator<Item = (Millimetres, Millimetres)> {
-        let (sin, cos) = sin_cos(radians(pose.heading));
-        self.points.iter().map(move |&(x, y)| {
-            let along = |base: Millimetres, offset: f32| {
-                Millimetres(base.0.saturating_add(libm::roundf(offset) as i32))
-            };
-            (along(pose.x, x * cos - y * sin), along(pose.y, x * sin + y * cos))
-        })
+        squares.reduce(f32::min).map(root)
     }
 }
 
@@ -86,7 +69,7 @@ mod tests {
     use crate::sense::{SensorModel, fill_beams};
 
     #[test]
-    fn the_nearest_of_each_stretch_is_kept_and_lands_where_it_was_seen() {
+    fn the_nearest_of_each_stretch_is_kept() {
         let mut beams = [Beam::default(); 256];
         let step = core::f32::consts::TAU / 256.0;
         let model = SensorModel::Radial { first: 0.0, step };
@@ -96,15 +79,11 @@ mod tests {
         readings[64] = 700;
         readings[65] = 0;
         readings[128] = 4_001;
-        let mounting = Pose { x: Millimetres(100), ..Pose::default() };
+        let mounting = Pose { x: ubimap_protocol::units::Millimetres(100), ..Pose::default() };
         let near = NearPoints::of_scan(&beams, &readings, mounting, Instant(5));
         assert_eq!((near.points().len(), near.taken()), (64, Some(Instant(5))));
         let (x, y) = near.points()[16];
         assert!((x - 100.0).abs() < 1.0 && (y - 700.0).abs() < 1.0, "{x} {y}");
         assert!((near.nearest().unwrap() - 707.1).abs() < 1.0);
-        // From a robot that looks north, left is west.
-        let pose = Pose::from_metres(1.0, 2.0, core::f64::consts::FRAC_PI_2);
-        let (x, y) = near.on_map(pose).nth(16).unwrap();
-        assert!((x.0 - 300).abs() <= 1 && (y.0 - 2_100).abs() <= 1, "{x:?} {y:?}");
     }
 }

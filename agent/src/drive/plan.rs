@@ -1,47 +1,29 @@
-//! The shortest way across a window: A* over 16 directions, in 6.1 KiB, some cells at a time.
+//! The shortest way across a window, from corner to corner of what stands in it, in 6.2 KiB.
 //!
-//! Steps go to the eight neighbours and, like a knight's, to the eight cells between those
-//! directions. Straight, diagonal and knight's steps cost 17, 24 and 38: within 0.2 % of their
-//! lengths, so that in any direction a way of steps is between 0.998 and 1.028 of the straight
-//! line. The shortest way of steps is therefore at most 1.03 of the shortest way there is, before
-//! its corners are cut (see [`Path`]).
-//!
-//! What is left to the goal without obstacles is a consistent heuristic, so a cell that has been
-//! expanded is done. Open cells then differ little in what they promise: a byte holds each cell's
-//! way from the start modulo 256, 128 lists suffice in a circle, and a list is a word of the rows
-//! in which cells of that promise are open. Nobody's predecessor is kept: the way back is where the
-//! differences fit.
+//! A shortest way bends only at the corners of obstacles, around them. So the search is A* over
+//! these corners and the two ends, with straight lines for steps: their lengths are exact in any
+//! direction, and the way needs no smoothing. Corners are found 64 cells at a time. That one corner
+//! sees another is first taken for granted, and looked at when the other is the most promising of
+//! all (as in Lazy Theta*: Nash, Koenig, Tovey 2010): most lines are never drawn.
+
+use heapless::Vec;
 
 use super::{
-    path::{Path, WayBack},
+    path::{MAX_POINTS, Path},
     plane::{Place, Plane, SIDE},
-    window::Window,
+    root::root,
+    window::{Line, Window},
 };
 
-/// A straight step, a diagonal one, a knight's.
-const STRAIGHT: u8 = 17;
-const DIAGONAL: u8 = 24;
-const KNIGHT: u8 = 38;
-/// What it costs more to enter a cell where something movable may stand: a straight step is three
-/// times as dear.
-const DEAR: u8 = 2 * STRAIGHT;
+/// The most corners of a window.
+const MOST_NODES: usize = 384;
+/// The most clusters of frontier cells that are weighed.
+const MOST_FRONTIERS: usize = 16;
 
-/// By rows from the south and columns from the west of the 5 x 5 cells about one.
-const COSTS: [[u8; 5]; 5] = {
-    const K: u8 = KNIGHT;
-    const D: u8 = DIAGONAL;
-    const S: u8 = STRAIGHT;
-    [[0, K, 0, K, 0], [K, D, S, D, K], [0, S, 0, S, 0], [K, D, S, D, K], [0, K, 0, K, 0]]
-};
-
-/// More than a promise can grow in a step: twice the dearest step, and what is dear.
-const LISTS: usize = 128;
-const _: () = assert!(2 * KNIGHT as usize + (DEAR as usize) < LISTS);
-
-const CELLS: usize = SIDE * SIDE;
-
-/// A frontier cell is worth so much of a way, and so many count at the most: 30 cells of way.
-const WORTH: u32 = 2;
+/// What it costs more to cross a cell where something movable may stand, in cells.
+const DEAR: f32 = 2.0;
+/// What a frontier cell is worth in cells of way, and how many count at the most: 30 cells of way.
+const WORTH: f32 = 30.0 / MOST_WORTH as f32;
 const MOST_WORTH: u32 = 256;
 
 /// Where to.
@@ -49,9 +31,8 @@ const MOST_WORTH: u32 = 256;
 pub enum Target {
     /// A cell.
     Place(Place),
-    /// Columns and rows from the corner, outside the window: through the rim by the cell that
-    /// promises most.
-    Beyond(i32, i32),
+    /// Columns and rows from the corner, outside the window, at most 1,000: out through the rim.
+    Beyond(i16, i16),
     /// The frontier that is worth most: cells from where blind ground is near against the way.
     Frontier,
 }
@@ -67,6 +48,8 @@ pub enum PlanError {
     Unreachable,
     /// No frontier can be reached: all is mapped.
     NoFrontier,
+    /// The window has more corners than there is memory for.
+    Crowded,
 }
 
 /// How far a search is.
@@ -80,24 +63,49 @@ pub enum Progress {
     Failed(PlanError),
 }
 
+/// Lines through a corner that have its obstacle on one side: those that fall from west to east,
+/// past what is in the north-east or south-west, and those that rise.
+const FALLING: u8 = 1;
+const RISING: u8 = 2;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    /// Nobody is known from whom it may be reached.
+    New,
+    /// Somebody is who may see it.
+    Promised,
+    /// Who of those that are done sees it is known.
+    Seen,
+    /// No shorter way leads there.
+    Done,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    x: i16,
+    y: i16,
+    /// From which node it is reached.
+    parent: u16,
+    /// The lines that its obstacle does not meet at once.
+    lines: u8,
+    state: State,
+    /// From the start, and with what is left at least to the goal, in cells.
+    way: f32,
+    promise: f32,
+}
+
 /// A search that goes on from call to call.
 #[derive(Clone, Debug)]
 pub struct Planner {
-    /// The way from the start to each cell that has been reached, modulo 256.
-    ways: [u8; CELLS],
-    /// Reached and not yet expanded.
-    open: Plane,
-    /// What can be reached from the start and has not been expanded.
-    ahead: Plane,
-    /// By promise (way and heuristic) modulo 128: the rows in which such cells may be open.
-    lists: [u64; LISTS],
-    /// The promise whose list is worked off.
-    promise: u32,
-    start: Place,
+    /// The start, the goals, the corners.
+    nodes: Vec<Node, MOST_NODES>,
+    /// How many goals there are, and what each one costs more than the way.
+    goals: usize,
+    prices: [f32; MOST_FRONTIERS],
     target: Target,
-    /// What is worth most so far: what it costs less what it is worth.
-    best: Option<(i64, Place)>,
-    expanded: u32,
+    /// The goal that was reached, and where the way leaves the window if it is outside.
+    found: u16,
+    exit: Place,
 }
 
 const _: () = assert!(size_of::<Planner>() + size_of::<Window>() <= 8 * 1024);
@@ -105,15 +113,12 @@ const _: () = assert!(size_of::<Planner>() + size_of::<Window>() <= 8 * 1024);
 impl Default for Planner {
     fn default() -> Self {
         Self {
-            ways: [0; CELLS],
-            open: Plane::EMPTY,
-            ahead: Plane::EMPTY,
-            lists: [0; LISTS],
-            promise: 0,
-            start: Place::default(),
+            nodes: Vec::new(),
+            goals: 0,
+            prices: [0.0; MOST_FRONTIERS],
             target: Target::Frontier,
-            best: None,
-            expanded: 0,
+            found: 0,
+            exit: Place::default(),
         }
     }
 }
@@ -121,10 +126,10 @@ impl Default for Planner {
 impl Planner {
     /// Begins a search in a window that must stay as it is until the search ends. It floods the
     /// free cells first, so a closed door is found here. A start among blocked cells is moved to
-    /// the nearest free one; about 20,000 instructions.
+    /// the nearest free one. Some 50,000 instructions, 1.5 KiB of stack.
     ///
     /// # Errors
-    /// [`PlanError`], but [`PlanError::NoFrontier`] only if there is none at all.
+    /// [`PlanError`].
     pub fn begin(
         &mut self,
         window: &Window,
@@ -132,232 +137,317 @@ impl Planner {
         target: Target,
     ) -> Result<(), PlanError> {
         let start = window.nearest_free(start).ok_or(PlanError::StartBlocked)?;
-        self.ahead = Plane::EMPTY;
-        self.ahead.insert(start);
-        self.ahead.flood(&window.free);
+        let mut reached = Plane::EMPTY;
+        reached.insert(start);
+        reached.flood(&window.free);
+        self.nodes.clear();
+        self.target = target;
+        self.add(start, FALLING | RISING)?;
         match target {
             Target::Place(goal) if !window.free.has(goal) => return Err(PlanError::GoalBlocked),
-            Target::Place(goal) if !self.ahead.has(goal) => return Err(PlanError::Unreachable),
-            Target::Frontier if window.frontier.is_empty() => return Err(PlanError::NoFrontier),
-            _ => {}
+            Target::Place(goal) if !reached.has(goal) => return Err(PlanError::Unreachable),
+            Target::Place(goal) => self.add(goal, FALLING | RISING)?,
+            Target::Beyond(x, y) => self.add_at(x, y, FALLING | RISING)?,
+            Target::Frontier => self.add_frontiers(&window.frontier, &reached, start)?,
         }
-        (self.start, self.target) = (start, target);
-        self.open = Plane::EMPTY;
-        self.lists = [0; LISTS];
-        (self.best, self.expanded) = (None, 0);
-        self.promise = self.heuristic(start);
-        self.reach(start, 0, self.promise);
+        self.goals = self.nodes.len() - 1;
+        self.add_corners(&window.free, &reached)?;
+        if window.has_dear {
+            for y in 0..SIDE {
+                *reached.row_mut(y) &= !window.dear.row(y);
+            }
+            self.add_corners(&reached, &reached)?;
+        }
+        if let Some(first) = self.nodes.first_mut() {
+            (first.state, first.way, first.promise) = (State::Seen, 0.0, 0.0);
+        }
         Ok(())
     }
 
-    /// How many cells the search has expanded.
-    pub fn expanded(&self) -> u32 {
-        self.expanded
+    fn add(&mut self, place: Place, lines: u8) -> Result<(), PlanError> {
+        self.add_at(place.x.into(), place.y.into(), lines)
     }
 
-    /// Expands so many cells at the most, about 350 instructions each. The frontiers that a search
-    /// has weighed are taken out of the window.
-    pub fn step(&mut self, window: &mut Window, most: usize) -> Progress {
-        let dear = !window.dear.is_empty();
+    fn add_at(&mut self, x: i16, y: i16, lines: u8) -> Result<(), PlanError> {
+        let (way, promise) = (f32::MAX, f32::MAX);
+        let node = Node { x, y, parent: 0, lines, state: State::New, way, promise };
+        self.nodes.push(node).map_err(|_| PlanError::Crowded)
+    }
+
+    /// Each cluster of the frontier that can be reached as a goal: the cell that is nearest to the
+    /// start. Large ones cost less.
+    fn add_frontiers(
+        &mut self,
+        frontier: &Plane,
+        reached: &Plane,
+        start: Place,
+    ) -> Result<(), PlanError> {
+        let mut left = *frontier;
+        for y in 0..SIDE {
+            *left.row_mut(y) &= reached.row(y);
+        }
+        for price in &mut self.prices {
+            let Some(first) = left.cells().next() else { break };
+            let mut cluster = Plane::EMPTY;
+            cluster.insert(first);
+            cluster.flood(&left);
+            for y in 0..SIDE {
+                *left.row_mut(y) &= !cluster.row(y);
+            }
+            let square = |it: &Place| {
+                let (x, y) = (it.x.abs_diff(start.x), it.y.abs_diff(start.y));
+                u32::from(x) * u32::from(x) + u32::from(y) * u32::from(y)
+            };
+            let nearest = cluster.cells().min_by_key(square).unwrap_or(first);
+            *price = (MOST_WORTH - cluster.len().min(MOST_WORTH)) as f32 * WORTH;
+            let (x, y, lines) = (nearest.x.into(), nearest.y.into(), FALLING | RISING);
+            let (way, promise) = (f32::MAX, f32::MAX);
+            let node = Node { x, y, parent: 0, lines, state: State::New, way, promise };
+            self.nodes.push(node).map_err(|_| PlanError::Crowded)?;
+        }
+        if self.nodes.len() > 1 { Ok(()) } else { Err(PlanError::NoFrontier) }
+    }
+
+    /// The corners of what is not free, as far as they can be reached.
+    fn add_corners(&mut self, free: &Plane, reached: &Plane) -> Result<(), PlanError> {
+        for y in 1..SIDE - 1 {
+            let cells = reached.row(y);
+            if cells == 0 {
+                continue;
+            }
+            let (south, here, north) = (free.row(y - 1), free.row(y), free.row(y + 1));
+            let (east, west) = (here >> 1, here << 1);
+            // A side and the next are free, and what is between them is not.
+            let falling = north & east & !(north >> 1) | south & west & !(south << 1);
+            let rising = north & west & !(north << 1) | south & east & !(south >> 1);
+            // Between two that touch with their corners a way leads, too.
+            let gap = !north & (!east & north >> 1 | !west & north << 1)
+                | !south & (!east & south >> 1 | !west & south << 1);
+            let mut corners = cells & (falling | rising | gap);
+            while corners != 0 {
+                let x = corners.trailing_zeros();
+                corners &= corners - 1;
+                let has = |row: u64| (row >> (x % 64)) as u8 & 1;
+                let lines = has(falling) * FALLING | has(rising) * RISING;
+                let lines = if has(gap) != 0 { FALLING | RISING } else { lines };
+                self.add_at(x as i16, y as i16, lines)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// How many corners there are, and how many have been expanded.
+    pub fn corners(&self) -> (usize, usize) {
+        let done = self.nodes.iter().filter(|node| node.state == State::Done);
+        (self.nodes.len(), done.count())
+    }
+
+    /// Expands so many corners at the most, each for some 200 instructions for each corner.
+    pub fn step(&mut self, window: &Window, most: usize) -> Progress {
         for _ in 0..most {
-            let Some(place) = self.pop() else {
-                let failure = match self.target {
+            let Some(index) = self.next(window) else {
+                return Progress::Failed(match self.target {
                     Target::Frontier => PlanError::NoFrontier,
                     _ => PlanError::Unreachable,
-                };
-                return self.best.map_or(Progress::Failed(failure), |it| Progress::Found(it.1));
+                });
             };
-            if self.is_end(place, window) {
-                return Progress::Found(self.best.map_or(place, |it| it.1));
+            let Some(node) = self.nodes.get_mut(index) else { break };
+            node.state = State::Done;
+            if (1..=self.goals).contains(&index) {
+                self.found = index as u16;
+                let inside = Place::new(node.x.into(), node.y.into());
+                return Progress::Found(inside.unwrap_or(self.exit));
             }
-            self.expand(place, window, dear);
+            let node = *node;
+            self.expand(index, node, window);
         }
         Progress::Searching
     }
 
-    /// Whether the search ends with this cell.
-    fn is_end(&mut self, place: Place, window: &mut Window) -> bool {
-        match self.target {
-            Target::Place(goal) => place == goal,
-            Target::Beyond(..) => {
-                let rim = |it: u8| it <= 1 || usize::from(it) >= SIDE - 2;
-                rim(place.x) || rim(place.y)
+    /// The most promising node that is seen.
+    fn next(&mut self, window: &Window) -> Option<usize> {
+        loop {
+            let open = self.nodes.iter().enumerate();
+            let mut best = None;
+            let mut least = f32::MAX;
+            for (index, node) in open {
+                if node.promise < least && node.state != State::Done {
+                    (best, least) = (Some(index), node.promise);
+                }
             }
-            Target::Frontier => {
-                let way = i64::from(self.promise);
-                if window.frontier.has(place) {
-                    let worth = WORTH * take_cluster(&mut window.frontier, place).min(MOST_WORTH);
-                    let price = way - i64::from(worth);
-                    if self.best.is_none_or(|(best, _)| price < best) {
-                        self.best = Some((price, place));
+            let index = best?;
+            let node = *self.nodes.get(index)?;
+            if node.state == State::Seen {
+                return best;
+            }
+            let settled = self.settled(index, node, window);
+            if let Some(it) = self.nodes.get_mut(index) {
+                *it = settled;
+            }
+        }
+    }
+
+    /// A node with the best parent, of those that are done, that sees it.
+    #[inline(never)]
+    fn settled(&mut self, index: usize, mut node: Node, window: &Window) -> Node {
+        let rest = node.promise - node.way;
+        let (mut way, mut parent) = (node.way, node.parent);
+        let (mut best, mut from) = (f32::MAX, 0);
+        // Ways grow from candidate to candidate.
+        while way < best {
+            let Some(candidate) = self.nodes.get(usize::from(parent)) else { break };
+            if let Some((dear, exit)) = sight(candidate, &node, index <= self.goals, window) {
+                if way + dear < best {
+                    (best, from) = (way + dear, parent);
+                }
+                self.exit = exit.unwrap_or(self.exit);
+            }
+            let last = (way, parent);
+            (way, parent) = (f32::MAX, 0);
+            for (index, candidate) in self.nodes.iter().enumerate() {
+                if candidate.state == State::Done && may_see(candidate, &node) {
+                    let next = (candidate.way + between(candidate, &node), index as u16);
+                    if next > last && next < (way, parent) {
+                        (way, parent) = next;
                     }
                 }
-                let cheapest = way - i64::from(WORTH * MOST_WORTH);
-                window.frontier.is_empty() || self.best.is_some_and(|(best, _)| best <= cheapest)
             }
         }
+        let promise = if best < f32::MAX { best + rest } else { f32::MAX };
+        (node.way, node.promise) = (best, promise);
+        (node.parent, node.state) = (from, State::Seen);
+        node
     }
 
-    /// Takes an open cell of the least promise.
-    #[inline(always)]
-    fn pop(&mut self) -> Option<Place> {
-        let mut tried = 0;
-        while tried < LISTS {
-            let list = &mut self.lists[self.promise as usize % LISTS];
-            if *list == 0 {
-                self.promise = self.promise.wrapping_add(1);
-                tried += 1;
+    /// Promises the others a way by a node that is done.
+    #[inline(never)]
+    fn expand(&mut self, index: usize, from: Node, window: &Window) {
+        let Self { nodes, goals, prices, target, exit, .. } = self;
+        let goal = nodes.get(1).copied();
+        for (other, node) in nodes.iter_mut().enumerate() {
+            if node.state == State::Done || !may_see(&from, node) {
                 continue;
             }
-            let y = list.trailing_zeros() as u8;
-            let mut cells = self.open.row(y.into());
-            while cells != 0 {
-                let place = Place { x: cells.trailing_zeros() as u8, y };
-                let way = u32::from(self.ways[index(place)]);
-                if way.wrapping_add(self.heuristic(place)) as u8 == self.promise as u8 {
-                    self.open.remove(place);
-                    self.ahead.remove(place);
-                    self.expanded += 1;
-                    return Some(place);
-                }
-                cells &= cells - 1;
+            let mut way = from.way + between(&from, node);
+            if way >= node.way {
+                continue;
             }
-            let list = &mut self.lists[self.promise as usize % LISTS];
-            *list &= *list - 1;
-        }
-        None
-    }
-
-    /// Reaches the cells around one that is done.
-    #[inline(always)]
-    fn expand(&mut self, place: Place, window: &Window, dear: bool) {
-        let way = self.ways[index(place)];
-        let rest = self.promise.wrapping_sub(self.heuristic(place));
-        let rows = steps(place, &window.free, |dy| self.ahead.five(place.x, dy));
-        for ((cells, costs), row) in rows.into_iter().zip(&COSTS).zip(0u8..) {
-            let mut cells = cells;
-            while cells != 0 {
-                let column = cells.trailing_zeros() as u8 & 7;
-                cells &= cells - 1;
-                let to = at(place, column, row);
-                let mut cost = costs.get(usize::from(column)).copied().unwrap_or(0);
-                if dear && window.dear.has(to) {
-                    cost += DEAR;
-                }
-                let new = way.wrapping_add(cost);
-                let known = self.ways[index(to)];
-                if self.open.has(to) && new.wrapping_sub(known) < 128 {
+            // Whom the others do not see, or by a longer way, is looked at now.
+            if node.state == State::Seen {
+                let Some((dear, left)) = sight(&from, node, other <= *goals, window) else {
+                    continue;
+                };
+                way += dear;
+                if way >= node.way {
                     continue;
                 }
-                let promise = rest.wrapping_add(cost.into()).wrapping_add(self.heuristic(to));
-                self.reach(to, new, promise);
+                *exit = left.unwrap_or(*exit);
+            } else {
+                node.state = State::Promised;
             }
+            let rest = match (*target, &goal) {
+                (Target::Frontier, _) if other <= *goals => {
+                    other.checked_sub(1).and_then(|it| prices.get(it)).copied().unwrap_or(0.0)
+                }
+                (Target::Frontier, _) | (_, None) => 0.0,
+                (_, Some(goal)) => between(node, goal),
+            };
+            (node.way, node.promise, node.parent) = (way, way + rest, index as u16);
         }
     }
 
-    #[inline(always)]
-    fn reach(&mut self, place: Place, way: u8, promise: u32) {
-        self.ways[index(place)] = way;
-        self.open.insert(place);
-        self.lists[promise as usize % LISTS] |= 1 << (place.y % 64);
-    }
-
-    /// The way that is left if nothing stands in it.
-    #[inline(always)]
-    fn heuristic(&self, place: Place) -> u32 {
-        let (x, y) = match self.target {
-            Target::Place(goal) => goal.column_and_row(),
-            Target::Beyond(x, y) => (x, y),
-            Target::Frontier => return 0,
+    /// The way that has been found, pulled tight: a line may miss an obstacle a little beside its
+    /// corners.
+    pub fn path(&self, window: &Window) -> Path {
+        let parents = |index: &u16| {
+            let node = self.nodes.get(usize::from(*index)).filter(|_| *index != 0)?;
+            Some(node.parent)
         };
-        let (across, up) = (x.abs_diff(place.x.into()), y.abs_diff(place.y.into()));
-        let (long, short) = if across > up { (across, up) } else { (up, across) };
-        // Straight and knight's steps, or knight's and diagonal ones: what is more.
-        let (straight, diagonal) = (u32::from(STRAIGHT), u32::from(DIAGONAL));
-        let knight = u32::from(KNIGHT);
-        let flat =
-            straight.wrapping_mul(long).wrapping_add((knight - 2 * straight).wrapping_mul(short));
-        let steep = (knight - diagonal)
-            .wrapping_mul(long)
-            .wrapping_add((2 * diagonal - knight).wrapping_mul(short));
-        flat.max(steep)
-    }
-
-    /// The way to a cell that the search has found, its corners cut.
-    pub fn path(&self, window: &Window, to: Place) -> Path {
-        let mut way = WayBack::from(to);
-        let dear = !window.dear.is_empty();
-        let mut at = to;
-        // No cell is on it twice.
-        for _ in 0..CELLS {
-            if at == self.start {
-                break;
-            }
-            let Some(before) = self.before(at, window, dear) else { break };
-            way.lead(before, window);
-            at = before;
+        let back = || core::iter::successors(Some(self.found), parents).take(MOST_NODES);
+        let beyond = back().count().saturating_sub(MAX_POINTS);
+        let mut places = Vec::new();
+        for index in back().skip(beyond) {
+            let node = self.nodes.get(usize::from(index));
+            let place = node.and_then(|node| Place::new(node.x.into(), node.y.into()));
+            // No more than there is room for.
+            let _ = places.push(place.unwrap_or(self.exit));
         }
-        way.finish(window)
+        places.reverse();
+        tighten(&mut places, window);
+        Path { places, is_whole: beyond == 0 }
     }
+}
 
-    /// The cell from where a done cell was reached.
-    fn before(&self, place: Place, window: &Window, dear: bool) -> Option<Place> {
-        let way = self.ways[index(place)];
-        let extra = if dear && window.dear.has(place) { DEAR } else { 0 };
-        let done = |dy| window.free.five(place.x, dy) & !self.ahead.five(place.x, dy);
-        let rows = steps(place, &window.free, done);
-        for ((cells, costs), row) in rows.into_iter().zip(&COSTS).zip(0u8..) {
-            for (column, &cost) in costs.iter().enumerate() {
-                let from = at(place, column as u8, row);
-                let reached = || self.ways[index(from)].wrapping_add(cost + extra);
-                if cells >> column & 1 != 0 && reached() == way {
-                    return Some(from);
+/// Moves the points between the ends to cells beside them as long as that makes the way shorter.
+fn tighten(places: &mut [Place], window: &Window) {
+    // Each time a point moves by a cell.
+    const MOST: usize = 4;
+    let is_clear =
+        |a: Place, b: Place| window.line(a, b.column_and_row()) == (Line::Clear { dear: 0 });
+    for _ in 0..MOST {
+        let mut changed = false;
+        for index in 1..places.len().saturating_sub(1) {
+            let Some([before, place, after]) = places.get_mut(index - 1..=index + 1) else { break };
+            let length = |it: Place| apart(*before, it) + apart(it, *after);
+            let (x, y) = place.column_and_row();
+            let mut best = length(*place) - 1.0e-3;
+            let middle = *place;
+            for (dx, dy) in SIDES {
+                let Some(beside) = Place::new(x + dx, y + dy) else { continue };
+                let shorter = length(beside);
+                if shorter < best
+                    && window.free.has(beside)
+                    && is_clear(*before, beside)
+                    && is_clear(beside, *after)
+                {
+                    (best, *place) = (shorter, beside);
                 }
             }
+            changed |= *place != middle;
         }
-        None
+        if !changed {
+            break;
+        }
     }
 }
 
-#[inline(always)]
-fn index(place: Place) -> usize {
-    (usize::from(place.y) * SIDE + usize::from(place.x)) % CELLS
+/// The cells beside one.
+const SIDES: [(i32, i32); 8] =
+    [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
+
+/// From one cell to another, in cells.
+fn apart(a: Place, b: Place) -> f32 {
+    let (x, y) = (i32::from(a.x.abs_diff(b.x)), i32::from(a.y.abs_diff(b.y)));
+    root((x * x + y * y) as f32)
 }
 
-/// A cell by its column and row of the 5 x 5 about another.
-#[inline(always)]
-fn at(place: Place, column: u8, row: u8) -> Place {
-    let along = |it: u8, at: u8| it.wrapping_add(at).wrapping_sub(2);
-    Place { x: along(place.x, column), y: along(place.y, row) }
-}
-
-/// The cells one step away, of the five of each row about a cell that `wanted` has (given the row):
-/// by rows from the south, five bits each. A knight's step crosses two cells, both free.
-#[inline(always)]
-fn steps(place: Place, free: &Plane, wanted: impl Fn(i32) -> u32) -> [u32; 5] {
-    let y = i32::from(place.y);
-    let [south, here, north] = [y - 1, y, y + 1].map(|y| free.five(place.x, y));
-    let beside = |cells: u32| {
-        let both = cells & here;
-        0b0_1110 | (both & 0b0_1000) << 1 | (both & 0b0_0010) >> 1
-    };
-    let beyond = |cells: u32| if cells & 0b0_0100 != 0 { cells & 0b0_1010 } else { 0 };
-    [
-        wanted(y - 2) & beyond(south),
-        wanted(y - 1) & beside(south),
-        wanted(y) & 0b0_1010,
-        wanted(y + 1) & beside(north),
-        wanted(y + 2) & beyond(north),
-    ]
-}
-
-/// Takes the cells that hang together with one out of a plane: how many they are.
-fn take_cluster(plane: &mut Plane, place: Place) -> u32 {
-    let mut cluster = Plane::EMPTY;
-    cluster.insert(place);
-    cluster.flood(plane);
-    for y in 0..SIDE {
-        *plane.row_mut(y) &= !cluster.row(y);
+/// Whether a node sees another: what it costs more for what is dear in between, and where the line
+/// leaves the window towards a goal outside.
+fn sight(from: &Node, to: &Node, is_goal: bool, window: &Window) -> Option<(f32, Option<Place>)> {
+    let place = Place::new(from.x.into(), from.y.into())?;
+    match window.line(place, (to.x.into(), to.y.into())) {
+        Line::Clear { dear } => Some((DEAR * dear as f32, None)),
+        Line::Leaves(place) if is_goal => Some((0.0, Some(place))),
+        _ => None,
     }
-    cluster.len()
+}
+
+/// Whether one corner may see another: a line at more than a slope of 1 : 3 towards its own obstacle
+/// meets it.
+#[inline(always)]
+fn may_see(a: &Node, b: &Node) -> bool {
+    let (x, y) = (i32::from(b.x - a.x), i32::from(b.y - a.y));
+    let lines = if x ^ y < 0 { FALLING } else { RISING };
+    if a.lines & b.lines & lines != 0 {
+        return true;
+    }
+    let (x, y) = (x.abs(), y.abs());
+    3 * x <= y || 3 * y <= x
+}
+
+/// From one node to another, in cells.
+#[inline(always)]
+fn between(a: &Node, b: &Node) -> f32 {
+    let (x, y) = (i32::from(a.x - b.x), i32::from(a.y - b.y));
+    root((x * x + y * y) as f32)
 }

@@ -58,11 +58,6 @@ impl Plane {
         *self.row_mut(place.y.into()) |= bit(place.x);
     }
 
-    #[inline(always)]
-    pub(super) fn remove(&mut self, place: Place) {
-        *self.row_mut(place.y.into()) &= !bit(place.x);
-    }
-
     /// Whether no cell is in it.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(|&row| row == 0)
@@ -73,12 +68,14 @@ impl Plane {
         self.0.iter().map(|row| row.count_ones()).sum()
     }
 
-    /// The five cells about column `x` in a row, the westernmost first, in the lowest bits. Cells
-    /// of the outermost columns count as absent.
-    #[inline(always)]
-    pub(super) fn five(&self, x: u8, y: i32) -> u32 {
-        let row = self.row(y as usize) << 1;
-        (row >> (x.saturating_sub(1) % 64)) as u32 & 31
+    /// The cells that are in it, from the south-west.
+    pub fn cells(&self) -> impl Iterator<Item = Place> {
+        let rows = self.0.iter().zip(0u8..);
+        rows.flat_map(|(&row, y)| {
+            let rest = core::iter::successors(Some(row), |row| Some(row & row.wrapping_sub(1)));
+            rest.take_while(|&row| row != 0)
+                .map(move |row| Place { x: row.trailing_zeros() as u8, y })
+        })
     }
 
     /// The cells of `within` that hang together with these, over corners too.
@@ -179,13 +176,11 @@ mod tests {
         }
 
         #[test]
-        fn five_cells_of_a_row_are_read_as_one_by_one(plane in plane(), x in 1u8..63, y in 0i32..64) {
-            let cells = (0..5).map(|index| {
-                let column = i32::from(x) + index - 2;
-                let place = Place::new(column, y).filter(|_| (0..63).contains(&column));
-                u32::from(place.is_some_and(|place| plane.has(place))) << index
-            });
-            prop_assert_eq!(plane.five(x, y), cells.sum::<u32>());
+        fn the_cells_of_a_plane_are_those_that_it_has(plane in plane()) {
+            let cells = plane.cells().collect::<Vec<_>>();
+            prop_assert_eq!(cells.len() as u32, plane.len());
+            prop_assert!(cells.iter().all(|&place| plane.has(place)));
+            prop_assert!(cells.windows(2).all(|it| (it[0].y, it[0].x) < (it[1].y, it[1].x)));
         }
     }
 }

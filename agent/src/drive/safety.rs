@@ -1,13 +1,12 @@
 //! When the robot must stand, whatever its path says.
 
-use libm::sqrtf;
 use ubimap_protocol::{
     message::Waypoint,
     time::{Duration, Instant},
     units::Pose,
 };
 
-use super::{follow::DriveCommand, reason::Reason};
+use super::{follow::DriveCommand, reason::Reason, root::root};
 
 /// What is taken for amiss.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -192,7 +191,7 @@ impl Safety {
 /// From one pose to another, in millimetres.
 fn way(from: Pose, to: Pose) -> f32 {
     let (x, y) = ((to.x - from.x).0 as f32, (to.y - from.y).0 as f32);
-    sqrtf(x * x + y * y)
+    root(x * x + y * y)
 }
 
 #[cfg(test)]

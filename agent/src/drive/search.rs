@@ -92,15 +92,15 @@ impl Search {
         self.is_begun = false;
     }
 
-    /// Goes on, expanding so many cells at the most. A step fills a window or works in it.
+    /// Goes on, expanding so many corners at the most. A step fills a window or works in it.
     pub(super) fn step(
         &mut self,
         view: &View<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
-        cells: usize,
+        corners: usize,
     ) -> Outcome {
         let progress = if self.is_begun {
-            self.planner.step(&mut self.window, cells)
+            self.planner.step(&self.window, corners)
         } else {
             self.is_begun = true;
             let level = if self.attempt.via.is_some() { 0 } else { self.attempt.level };
@@ -158,7 +158,8 @@ impl Search {
         let inner = |it: i32| (1..SIDE as i32 - 1).contains(&it);
         let Some(place) = Place::new(x, y).filter(|_| inner(x) && inner(y)) else {
             // Far enough to tell the direction.
-            return Target::Beyond(x.clamp(-1_000, 1_000), y.clamp(-1_000, 1_000));
+            let far = |it: i32| it.max(-1_000).min(1_000) as i16;
+            return Target::Beyond(far(x), far(y));
         };
         // Another window has it for free, or will; the goal itself must be.
         let is_rough = self.attempt.via.is_some() || self.attempt.level > 0;
@@ -167,7 +168,7 @@ impl Search {
     }
 
     fn found(&mut self, place: Place, pose: Pose) -> Outcome {
-        let path = self.planner.path(&self.window, place);
+        let path = self.planner.path(&self.window);
         let mut route = Route::new();
         for &place in &path.places {
             // As long as a path.

@@ -60,7 +60,8 @@ impl Room {
     }
 }
 
-/// A person who walks to and fro between two points, and waits before a robot that stands.
+/// A person who walks to and fro between two points, and does not walk into a robot that stands or
+/// creeps.
 #[derive(Clone, Copy)]
 struct Person {
     from: (f64, f64),
@@ -94,7 +95,7 @@ impl Person {
         (self.direction().0 * speed, self.direction().1 * speed)
     }
 
-    fn walk(&mut self, robot: (f64, f64), stands: bool) {
+    fn walk(&mut self, robot: (f64, f64), creeps: bool) {
         if self.stands {
             return;
         }
@@ -107,7 +108,7 @@ impl Person {
         }
         let apart = |it: &Self| (it.at().0 - robot.0).hypot(it.at().1 - robot.1);
         let nearer = apart(self) < apart(&before);
-        self.waits = stands && nearer && apart(self) < RADIUS + Self::RADIUS + 60.0;
+        self.waits = creeps && nearer && apart(self) < RADIUS + Self::RADIUS + 60.0;
         if self.waits {
             (self.walked, self.back) = (before.walked, before.back);
         }
@@ -278,7 +279,7 @@ impl Simulation {
         let wall = self.room.nearest_wall(robot.0, robot.1);
         assert!(wall >= RADIUS, "{wall} mm from a wall at {robot:?}");
         for person in &mut self.people {
-            person.walk(robot, speed == 0.0);
+            person.walk(robot, speed < 200.0);
             let apart = (person.at().0 - robot.0).hypot(person.at().1 - robot.1);
             let touches = apart < RADIUS + Person::RADIUS;
             assert!(!touches, "{apart} from a person, at {speed} mm/s, {:?}", self.now);

@@ -10,7 +10,9 @@ use ubimap_protocol::{
 use super::{
     near::NearPoints,
     plane::{Place, Plane, SIDE},
+    root::root,
 };
+use crate::trigonometry::{radians, sin_cos};
 
 /// The coarsest window: cells of four by four of the map's, 256 along a side.
 pub const MAX_LEVEL: u32 = 2;
@@ -52,6 +54,20 @@ impl Mover {
     }
 }
 
+/// What a straight line crosses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Line {
+    /// Free cells, so many of which are dear.
+    Clear {
+        /// How many.
+        dear: u32,
+    },
+    /// Something else.
+    Blocked,
+    /// Free cells as far as the rim of the window, which this is the last one before.
+    Leaves(Place),
+}
+
 /// Blind ground that could not be seen from where it should have been: it is passed over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GivenUp {
@@ -91,6 +107,8 @@ pub struct Window {
     pub free: Plane,
     /// Of those, where something movable stood when it was last seen.
     pub dear: Plane,
+    /// Whether there is any.
+    pub(super) has_dear: bool,
     /// Of those, from where unmapped blind ground is near.
     pub frontier: Plane,
     /// The south-western corner in `map`, in millimetres.
@@ -102,7 +120,7 @@ pub struct Window {
 impl Default for Window {
     fn default() -> Self {
         let [free, dear, frontier] = [Plane::EMPTY; 3];
-        Self { free, dear, frontier, corner: (0, 0), cell: 1 }
+        Self { free, dear, frontier, has_dear: false, corner: (0, 0), cell: 1 }
     }
 }
 
@@ -126,8 +144,9 @@ impl Window {
                 *occupied.row_mut(y) |= cells;
             });
         }
-        for (x, y) in view.near.on_map(view.pose) {
-            if let Some(place) = self.place(Waypoint { x, y }) {
+        let to_window = self.of_robot(view.pose);
+        for &(x, y) in view.near.points() {
+            if let Some(place) = to_window(x, y) {
                 occupied.insert(place);
             }
         }
@@ -219,6 +238,7 @@ impl Window {
             *self.dear.row_mut(y) &= free;
             *self.frontier.row_mut(y) &= free;
         }
+        self.has_dear = !self.dear.is_empty();
     }
 
     /// From the south-western corner, in millimetres.
@@ -236,6 +256,21 @@ impl Window {
     pub fn place(&self, point: Waypoint) -> Option<Place> {
         let (x, y) = self.column_and_row(point);
         Place::new(x, y)
+    }
+
+    /// From forward and left of a robot to the cell there.
+    pub(super) fn of_robot(&self, pose: Pose) -> impl Fn(f32, f32) -> Option<Place> + use<> {
+        let cells = 1.0 / self.cell as f32;
+        let (sin, cos) = sin_cos(radians(pose.heading));
+        let (sin, cos) = (sin * cells, cos * cells);
+        let (from_x, from_y) = self.relative(pose.x, pose.y);
+        let (from_x, from_y) = (from_x * cells, from_y * cells);
+        move |forward, left| {
+            let x = from_x + forward * cos - left * sin;
+            let y = from_y + forward * sin + left * cos;
+            // What is just outside lands on the rim, which is never free.
+            Place::new(x as i32, y as i32)
+        }
     }
 
     /// The middle of a cell in `map`.
@@ -265,14 +300,56 @@ impl Window {
     }
 
     /// Whether the straight line between two cells' middles crosses free cells only: those whose
-    /// inside it crosses, a corner does not count. About 16 instructions a cell.
+    /// inside it crosses, a corner does not count. About 20 instructions a cell.
     pub fn sees(&self, from: Place, to: Place) -> bool {
-        crosses_only(from, to, |y| self.free.row(y))
+        matches!(self.line(from, to.column_and_row()), Line::Clear { .. })
     }
 
-    /// Whether it crosses free cells only that are not dear.
-    pub(super) fn sees_cheaply(&self, from: Place, to: Place) -> bool {
-        crosses_only(from, to, |y| self.free.row(y) & !self.dear.row(y))
+    /// What the straight line from a cell, itself not counted, to another crosses; the other may
+    /// be outside.
+    #[inline(never)]
+    pub(super) fn line(&self, from: Place, to: (i32, i32)) -> Line {
+        let (across, up) = (to.0 - i32::from(from.x), to.1 - i32::from(from.y));
+        let (east, step_y) = (across > 0, up.signum());
+        let (across, up) = (across.abs(), up.abs());
+        let mut cell = 1u64 << (from.x % 64);
+        let mut y = i32::from(from.y);
+        let mut row = self.free.row(from.y.into());
+        // Twice the ways to the next sides, each times the other's length: how much further the
+        // next column is.
+        let mut ahead = up - across;
+        let mut left = across + up;
+        let mut dear = 0;
+        while left > 0 {
+            let side = ahead;
+            if side <= 0 {
+                cell = if east { cell << 1 } else { cell >> 1 };
+                ahead += 2 * up;
+                left -= 1;
+            }
+            if side >= 0 {
+                y += step_y;
+                row = self.free.row(y as usize);
+                ahead -= 2 * across;
+                left -= 1;
+            }
+            // The rim is never free: a line that leaves ends there.
+            if row & cell == 0 {
+                let x = cell.trailing_zeros() as i32;
+                let rim = |it: i32| it == 0 || it == SIDE as i32 - 1;
+                if !rim(x) && !rim(y) {
+                    return Line::Blocked;
+                }
+                let last_x =
+                    if side > 0 { x } else { x - across.min(1) * if east { 1 } else { -1 } };
+                let last_y = if side < 0 { y } else { y - step_y };
+                return Place::new(last_x, last_y).map_or(Line::Blocked, Line::Leaves);
+            }
+            if self.has_dear && self.dear.row(y as usize) & cell != 0 {
+                dear += 1;
+            }
+        }
+        Line::Clear { dear }
     }
 
     /// Whether a straight line between two points of `map` crosses free cells only. What is
@@ -286,46 +363,16 @@ impl Window {
     }
 }
 
-/// Whether a straight line, after its first cell, crosses cells of these rows only.
-#[inline(always)]
-fn crosses_only(from: Place, to: Place, rows: impl Fn(usize) -> u64) -> bool {
-    let (from, to) = (from.column_and_row(), to.column_and_row());
-    let (across, up) = (to.0 - from.0, to.1 - from.1);
-    let (step_x, step_y) = (across.signum(), up.signum());
-    let (across, up) = (across.abs(), up.abs());
-    let (mut x, mut y) = from;
-    // Twice the ways to the next sides, each times the other's length.
-    let (mut to_column, mut to_row) = (up, across);
-    let mut left = across + up;
-    while left > 0 {
-        let ahead = to_column - to_row;
-        if ahead <= 0 {
-            x += step_x;
-            to_column += 2 * up;
-            left -= 1;
-        }
-        if ahead >= 0 {
-            y += step_y;
-            to_row += 2 * across;
-            left -= 1;
-        }
-        if rows(y as usize) >> (x as u32 % 64) & 1 == 0 {
-            return false;
-        }
-    }
-    true
-}
-
-/// From how many cells away a frontier is near: the robot can be there, whatever wall is beside it.
-fn frontier_steps(radius: u16, cell: i32) -> i32 {
-    (i32::from(radius) / cell.max(1) + 2).min(SIDE as i32)
-}
-
 /// How far about a cell of the frontier the ground is given up if it can't be seen from there, in
 /// millimetres.
 pub(super) fn frontier_reach(radius: u16, cell: i32) -> u16 {
     let cells = frontier_steps(radius, cell) + 2;
     u16::try_from(cells.saturating_mul(cell)).unwrap_or(u16::MAX)
+}
+
+/// From how many cells away a frontier is near: the robot can be there, whatever wall is beside it.
+fn frontier_steps(radius: u16, cell: i32) -> i32 {
+    (i32::from(radius) / cell.max(1) + 2).min(SIDE as i32)
 }
 
 /// 32 bits with each 2 or 4 neighbours made one.
@@ -357,7 +404,7 @@ fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, 
         if square < 0.0 {
             continue;
         }
-        let half = libm::sqrtf(square);
+        let half = root(square);
         let from = libm::ceilf(x - half).max(0.0) as u32;
         let to = libm::floorf(x + half).min(SIDE as f32 - 1.0) as i32;
         if to >= 0 && from <= to as u32 {
