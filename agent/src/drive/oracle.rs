@@ -80,8 +80,7 @@ fn between(a: Place, b: Place) -> f64 {
     f64::from(a.x.abs_diff(b.x)).hypot(f64::from(a.y.abs_diff(b.y)))
 }
 
-/// Whether a line between two cells' middles is inside free cells: every cell whose inside it
-/// enters, by clipping the line to the cell, a formulation of its own.
+/// Whether a line between two cells' middles touches free cells only, by clipping the line to the cell, a formulation of its own.
 fn sees(window: &Window, a: Place, b: Place) -> bool {
     let ((ax, ay), (bx, by)) = (a.column_and_row(), b.column_and_row());
     let range = |p: i32, q: i32| p.min(q)..=p.max(q);
@@ -98,8 +97,8 @@ fn sees(window: &Window, a: Place, b: Place) -> bool {
                 (p.min(q).max(0.0), p.max(q).min(1.0))
             };
             let (x_span, y_span) = (span(ax, bx, x), span(ay, by, y));
-            let enters = x_span.1.min(y_span.1) - x_span.0.max(y_span.0) > 1e-9;
-            !enters || window.free.has(Place { x: x as u8, y: y as u8 })
+            let touches = x_span.1.min(y_span.1) - x_span.0.max(y_span.0) > -1e-9;
+            !touches || window.free.has(Place { x: x as u8, y: y as u8 })
         })
     })
 }
@@ -129,13 +128,13 @@ fn shortest(window: &Window, start: Place, goal: Place, most: f64) -> f64 {
     }
 }
 
-/// Whether steps to neighbours, over corners too, lead from one cell to another.
+/// Whether steps to the four neighbours lead from one cell to another.
 fn is_reachable(window: &Window, start: Place, goal: Place) -> bool {
     let mut found = Plane::EMPTY;
     let mut todo = vec![start];
     while let Some(at) = todo.pop() {
         let (x, y) = at.column_and_row();
-        for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
+        for (dx, dy) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
             let next = Place::new(x + dx, y + dy);
             if let Some(next) = next.filter(|&it| window.free.has(it) && !found.has(it)) {
                 found.insert(next);
@@ -152,7 +151,7 @@ fn plan(window: &Window, start: Place, target: Target) -> Result<Path, PlanError
     for _ in 0..SIDE * SIDE {
         match planner.step(window, 7) {
             Progress::Searching => {}
-            Progress::Found(_) => return Ok(planner.path(window)),
+            Progress::Found(_) => return Ok(planner.path()),
             Progress::Failed(error) => return Err(error),
         }
     }

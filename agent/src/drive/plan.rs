@@ -220,16 +220,12 @@ impl Planner {
             // A side and the next are free, and what is between them is not.
             let falling = north & east & !(north >> 1) | south & west & !(south << 1);
             let rising = north & west & !(north << 1) | south & east & !(south >> 1);
-            // Between two that touch with their corners a way leads, too.
-            let gap = !north & (!east & north >> 1 | !west & north << 1)
-                | !south & (!east & south >> 1 | !west & south << 1);
-            let mut corners = cells & (falling | rising | gap);
+            let mut corners = cells & (falling | rising);
             while corners != 0 {
                 let x = corners.trailing_zeros();
                 corners &= corners - 1;
                 let has = |row: u64| (row >> (x % 64)) as u8 & 1;
                 let lines = has(falling) * FALLING | has(rising) * RISING;
-                let lines = if has(gap) != 0 { FALLING | RISING } else { lines };
                 self.add_at(x as i16, y as i16, lines)?;
             }
         }
@@ -291,26 +287,22 @@ impl Planner {
     #[inline(never)]
     fn settled(&mut self, index: usize, mut node: Node, window: &Window) -> Node {
         let rest = node.promise - node.way;
-        let (mut way, mut parent) = (node.way, node.parent);
+        let is_goal = index <= self.goals;
         let (mut best, mut from) = (f32::MAX, 0);
-        // Ways grow from candidate to candidate.
-        while way < best {
-            let Some(candidate) = self.nodes.get(usize::from(parent)) else { break };
-            if let Some((dear, exit)) = sight(candidate, &node, index <= self.goals, window) {
-                if way + dear < best {
-                    (best, from) = (way + dear, parent);
-                }
-                self.exit = exit.unwrap_or(self.exit);
+        // Who promises most first: mostly it keeps it.
+        let first = self.nodes.get(usize::from(node.parent)).map(|it| (node.parent, it));
+        let others = self.nodes.iter().enumerate().map(|(index, it)| (index as u16, it));
+        for (index, candidate) in first.into_iter().chain(others) {
+            if candidate.state != State::Done || !may_see(candidate, &node) {
+                continue;
             }
-            let last = (way, parent);
-            (way, parent) = (f32::MAX, 0);
-            for (index, candidate) in self.nodes.iter().enumerate() {
-                if candidate.state == State::Done && may_see(candidate, &node) {
-                    let next = (candidate.way + between(candidate, &node), index as u16);
-                    if next > last && next < (way, parent) {
-                        (way, parent) = next;
-                    }
-                }
+            let way = candidate.way + between(candidate, &node);
+            if way < best
+                && let Some((dear, exit)) = sight(candidate, &node, is_goal, window)
+                && way + dear < best
+            {
+                (best, from) = (way + dear, index);
+                self.exit = exit.unwrap_or(self.exit);
             }
         }
         let promise = if best < f32::MAX { best + rest } else { f32::MAX };
@@ -356,9 +348,8 @@ impl Planner {
         }
     }
 
-    /// The way that has been found, pulled tight: a line may miss an obstacle a little beside its
-    /// corners.
-    pub fn path(&self, window: &Window) -> Path {
+    /// The way that has been found.
+    pub fn path(&self) -> Path {
         let parents = |index: &u16| {
             let node = self.nodes.get(usize::from(*index)).filter(|_| *index != 0)?;
             Some(node.parent)
@@ -373,52 +364,8 @@ impl Planner {
             let _ = places.push(place.unwrap_or(self.exit));
         }
         places.reverse();
-        tighten(&mut places, window);
         Path { places, is_whole: beyond == 0 }
     }
-}
-
-/// Moves the points between the ends to cells beside them as long as that makes the way shorter.
-fn tighten(places: &mut [Place], window: &Window) {
-    // Each time a point moves by a cell.
-    const MOST: usize = 4;
-    let is_clear =
-        |a: Place, b: Place| window.line(a, b.column_and_row()) == (Line::Clear { dear: 0 });
-    for _ in 0..MOST {
-        let mut changed = false;
-        for index in 1..places.len().saturating_sub(1) {
-            let Some([before, place, after]) = places.get_mut(index - 1..=index + 1) else { break };
-            let length = |it: Place| apart(*before, it) + apart(it, *after);
-            let (x, y) = place.column_and_row();
-            let mut best = length(*place) - 1.0e-3;
-            let middle = *place;
-            for (dx, dy) in SIDES {
-                let Some(beside) = Place::new(x + dx, y + dy) else { continue };
-                let shorter = length(beside);
-                if shorter < best
-                    && window.free.has(beside)
-                    && is_clear(*before, beside)
-                    && is_clear(beside, *after)
-                {
-                    (best, *place) = (shorter, beside);
-                }
-            }
-            changed |= *place != middle;
-        }
-        if !changed {
-            break;
-        }
-    }
-}
-
-/// The cells beside one.
-const SIDES: [(i32, i32); 8] =
-    [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
-
-/// From one cell to another, in cells.
-fn apart(a: Place, b: Place) -> f32 {
-    let (x, y) = (i32::from(a.x.abs_diff(b.x)), i32::from(a.y.abs_diff(b.y)));
-    root((x * x + y * y) as f32)
 }
 
 /// Whether a node sees another: what it costs more for what is dear in between, and where the line
@@ -432,17 +379,17 @@ fn sight(from: &Node, to: &Node, is_goal: bool, window: &Window) -> Option<(f32,
     }
 }
 
-/// Whether one corner may see another: a line at more than a slope of 1 : 3 towards its own obstacle
-/// meets it.
+/// Whether a shortest way may go straight from one corner to another: the line passes by the
+/// obstacle of each. Past that of one it may go by as little as it could miss it.
 #[inline(always)]
 fn may_see(a: &Node, b: &Node) -> bool {
     let (x, y) = (i32::from(b.x - a.x), i32::from(b.y - a.y));
     let lines = if x ^ y < 0 { FALLING } else { RISING };
-    if a.lines & b.lines & lines != 0 {
+    if a.lines & b.lines & lines != 0 || x == 0 || y == 0 {
         return true;
     }
     let (x, y) = (x.abs(), y.abs());
-    3 * x <= y || 3 * y <= x
+    (a.lines | b.lines) & lines != 0 && (3 * x < y || 3 * y < x)
 }
 
 /// From one node to another, in cells.

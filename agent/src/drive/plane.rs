@@ -78,8 +78,11 @@ impl Plane {
         })
     }
 
-    /// The cells of `within` that hang together with these, over corners too.
+    /// The cells of `within` that hang together with these by their sides.
     pub(super) fn flood(&mut self, within: &Plane) {
+        for (row, &mask) in self.0.iter_mut().zip(&within.0) {
+            *row = filled(*row & mask, mask);
+        }
         let mut changed = true;
         while changed {
             changed = false;
@@ -124,17 +127,20 @@ fn bit(x: u8) -> u64 {
 /// Adds to a row what its neighbour row and itself reach within `mask`. Whether that was anything.
 #[inline(always)]
 fn spread(row: &mut u64, neighbour: u64, mask: u64) -> bool {
-    let seeds = (*row | neighbour | neighbour << 1 | neighbour >> 1) & mask;
+    let seeds = (*row | neighbour) & mask;
     if seeds == *row {
         return false;
     }
-    // A carry runs up each stretch of the mask that has a seed.
+    *row = filled(seeds, mask);
+    true
+}
+
+/// The stretches of a mask that have a seed.
+#[inline(always)]
+fn filled(seeds: u64, mask: u64) -> u64 {
+    // A carry runs up each stretch from its first seed.
     let up = |seeds: u64, mask: u64| mask & (mask ^ mask.wrapping_add(seeds)) | seeds;
-    let down = up(seeds.reverse_bits(), mask.reverse_bits()).reverse_bits();
-    let filled = up(seeds, mask) | down;
-    let changed = filled != *row;
-    *row = filled;
-    changed
+    up(seeds, mask) | up(seeds.reverse_bits(), mask.reverse_bits()).reverse_bits()
 }
 
 #[cfg(test)]
@@ -164,7 +170,7 @@ mod tests {
             found.insert(start);
             while let Some(place) = todo.pop() {
                 let (x, y) = place.column_and_row();
-                for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
+                for (dx, dy) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
                     let Some(next) = Place::new(x + dx, y + dy) else { continue };
                     if within.has(next) && !found.has(next) {
                         found.insert(next);

@@ -168,7 +168,7 @@ impl Search {
     }
 
     fn found(&mut self, place: Place, pose: Pose) -> Outcome {
-        let path = self.planner.path(&self.window);
+        let path = self.planner.path();
         let mut route = Route::new();
         for &place in &path.places {
             // As long as a path.

@@ -132,7 +132,7 @@ fn plan(
     loop {
         match planner.step(window, 8) {
             Progress::Searching => {}
-            Progress::Found(_) => return Ok(planner.path(window).places.len()),
+            Progress::Found(_) => return Ok(planner.path().places.len()),
             Progress::Failed(error) => return Err(error),
         }
     }
