@@ -284,8 +284,8 @@ impl Driver {
         let view = self.view(step, &none);
         match self.search.step(&view, ground, self.config.corners_per_step) {
             Outcome::Searching => {}
-            Outcome::Found(route, end) => {
-                self.follower.take(route);
+            Outcome::Found(end) => {
+                self.follower.take(self.search.route());
                 self.end = end;
                 self.has_path = true;
                 (self.planned, self.looked) = (step.now, step.now);
@@ -440,13 +440,12 @@ impl Driver {
             let none = NearPoints::default();
             let view = self.view(step, &none);
             self.search.fill(look.level, &view, ground);
-            if !self.search.is_frontier(look.at) {
-                self.set_out();
-            } else if done && self.search.give_up(look.at, look.level, &view) {
-                self.set_out();
-            } else if done {
+            let is_blind = self.search.is_frontier(look.at);
+            if is_blind && done && !self.search.give_up(look.at, look.level, &view) {
                 // So much is out of sight that it is no use to go on.
                 self.fail(PlanError::NoFrontier, step.now);
+            } else if done || !is_blind {
+                self.set_out();
             }
         }
         (self.follower.spin(true, step.elapsed), Reason::Driving)

@@ -163,7 +163,7 @@ impl Follower {
     }
 
     /// Takes another path.
-    pub fn take(&mut self, route: Vec<Waypoint, MAX_POINTS>) {
+    pub fn take(&mut self, route: &Vec<Waypoint, MAX_POINTS>) {
         self.rest = [0.0; MAX_POINTS];
         let mut rest = 0.0;
         let mut ahead: Option<Waypoint> = None;
@@ -172,7 +172,7 @@ impl Follower {
             *left = rest;
             ahead = Some(*point);
         }
-        self.route = route;
+        self.route = route.clone();
         self.at = 0;
     }
 

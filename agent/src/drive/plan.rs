@@ -225,7 +225,7 @@ impl Planner {
                 let x = corners.trailing_zeros();
                 corners &= corners - 1;
                 let has = |row: u64| (row >> (x % 64)) as u8 & 1;
-                let lines = has(falling) * FALLING | has(rising) * RISING;
+                let lines = (has(falling) * FALLING) | (has(rising) * RISING);
                 self.add_at(x as i16, y as i16, lines)?;
             }
         }
@@ -248,7 +248,8 @@ impl Planner {
                 });
             };
             let Some(node) = self.nodes.get_mut(index) else { break };
-            node.state = State::Done;
+            // None is more promising than who is not asked any more.
+            (node.state, node.promise) = (State::Done, f32::MAX);
             if (1..=self.goals).contains(&index) {
                 self.found = index as u16;
                 let inside = Place::new(node.x.into(), node.y.into());
@@ -263,22 +264,20 @@ impl Planner {
     /// The most promising node that is seen.
     fn next(&mut self, window: &Window) -> Option<usize> {
         loop {
-            let open = self.nodes.iter().enumerate();
-            let mut best = None;
-            let mut least = f32::MAX;
-            for (index, node) in open {
-                if node.promise < least && node.state != State::Done {
+            let (mut best, mut least) = (None, f32::MAX);
+            for (index, node) in self.nodes.iter().enumerate() {
+                if node.promise < least {
                     (best, least) = (Some(index), node.promise);
                 }
             }
             let index = best?;
-            let node = *self.nodes.get(index)?;
-            if node.state == State::Seen {
-                return best;
+            let mut node = *self.nodes.get(index)?;
+            if node.state != State::Seen {
+                node = self.settled(index, node, window);
+                *self.nodes.get_mut(index)? = node;
             }
-            let settled = self.settled(index, node, window);
-            if let Some(it) = self.nodes.get_mut(index) {
-                *it = settled;
+            if node.promise <= least {
+                return best;
             }
         }
     }
@@ -289,20 +288,28 @@ impl Planner {
         let rest = node.promise - node.way;
         let is_goal = index <= self.goals;
         let (mut best, mut from) = (f32::MAX, 0);
-        // Who promises most first: mostly it keeps it.
-        let first = self.nodes.get(usize::from(node.parent)).map(|it| (node.parent, it));
-        let others = self.nodes.iter().enumerate().map(|(index, it)| (index as u16, it));
-        for (index, candidate) in first.into_iter().chain(others) {
-            if candidate.state != State::Done || !may_see(candidate, &node) {
-                continue;
-            }
-            let way = candidate.way + between(candidate, &node);
-            if way < best
-                && let Some((dear, exit)) = sight(candidate, &node, is_goal, window)
-                && way + dear < best
-            {
-                (best, from) = (way + dear, index);
-                self.exit = exit.unwrap_or(self.exit);
+        // Who promised most is looked at first. If it sees the node at that price nobody is better.
+        let promised = node.parent;
+        if let Some(parent) = self.nodes.get(usize::from(promised))
+            && let Some((dear, exit)) = sight(parent, &node, is_goal, window)
+        {
+            (best, from) = (node.way + dear, promised);
+            self.exit = exit.unwrap_or(self.exit);
+        }
+        if best > node.way {
+            for (index, other) in self.nodes.iter().enumerate() {
+                if other.state != State::Done || index == usize::from(promised) {
+                    continue;
+                }
+                let way = other.way + between(other, &node);
+                if way < best
+                    && may_see(other, &node)
+                    && let Some((dear, exit)) = sight(other, &node, is_goal, window)
+                    && way + dear < best
+                {
+                    (best, from) = (way + dear, index as u16);
+                    self.exit = exit.unwrap_or(self.exit);
+                }
             }
         }
         let promise = if best < f32::MAX { best + rest } else { f32::MAX };

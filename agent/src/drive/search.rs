@@ -35,10 +35,11 @@ pub(super) enum End {
 }
 
 /// How a search stands.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Outcome {
     Searching,
-    Found(Route, End),
+    /// [`Search::route`] has the way.
+    Found(End),
     Failed(PlanError),
 }
 
@@ -65,6 +66,7 @@ pub(super) struct Search {
     /// Whether the planner is at work on the attempt.
     is_begun: bool,
     target: Target,
+    route: Route,
 }
 
 impl Search {
@@ -77,7 +79,13 @@ impl Search {
             attempt: Attempt { level: 0, finest: 0, beyond: false, via: None },
             is_begun: false,
             target: Target::Frontier,
+            route: Route::new(),
         }
+    }
+
+    /// The way that was found last.
+    pub(super) fn route(&self) -> &Route {
+        &self.route
     }
 
     /// Begins anew, from `pose`. Without a goal it explores.
@@ -158,7 +166,7 @@ impl Search {
         let inner = |it: i32| (1..SIDE as i32 - 1).contains(&it);
         let Some(place) = Place::new(x, y).filter(|_| inner(x) && inner(y)) else {
             // Far enough to tell the direction.
-            let far = |it: i32| it.max(-1_000).min(1_000) as i16;
+            let far = |it: i32| it.clamp(-1_000, 1_000) as i16;
             return Target::Beyond(far(x), far(y));
         };
         // Another window has it for free, or will; the goal itself must be.
@@ -184,10 +192,10 @@ impl Search {
         };
         if let Some((_, end)) = self.attempt.via {
             let end = if whole { end } else { End::OnTheWay };
-            return self.to_drive(route, end);
+            return self.keep(route, end);
         }
         if self.attempt.level == 0 {
-            return self.to_drive(route, end);
+            return self.keep(route, end);
         }
         let reach = self.window.cell() >> self.attempt.level;
         let (via, is_end) = within(&route, pose, reach.saturating_mul(SIDE as i32 / 2 - 4));
@@ -199,11 +207,12 @@ impl Search {
     }
 
     /// A goal is driven to, not the middle of its cell.
-    fn to_drive(&self, mut route: Route, end: End) -> Outcome {
+    fn keep(&mut self, mut route: Route, end: End) -> Outcome {
         if let (End::Goal, Some(goal), Some(last)) = (end, self.goal, route.last_mut()) {
             *last = goal;
         }
-        Outcome::Found(route, end)
+        self.route = route;
+        Outcome::Found(end)
     }
 
     /// Another window, or the end.

@@ -285,7 +285,7 @@ impl Simulation {
             assert!(!touches, "{apart} from a person, at {speed} mm/s, {:?}", self.now);
         }
         // Ten scans a second.
-        if self.sees && self.now.micros() % 100_000 == 0 {
+        if self.sees && self.now.micros().is_multiple_of(100_000) {
             self.look();
         }
         if self.link {

@@ -312,11 +312,9 @@ impl Window {
         // Most lines that are blocked are so at one of three points.
         if Place::new(to.0, to.1).is_some() {
             for quarters in [2, 1, 3] {
-                let along = |from: u8, way: i32| (from.into(), (quarters * way + 2) >> 2);
-                let ((x, dx), (y, dy)) = (along(from.x, across), along(from.y, up));
-                let (x, y): (i32, i32) = (x, y);
-                let (x, y) = ((x + dx) as u8, (y + dy) as u8);
-                if across.abs().max(up.abs()) > 7 && !self.free.has(Place { x, y }) {
+                let along = |from: u8, way| (i32::from(from) + ((quarters * way + 2) >> 2)) as u8;
+                let place = Place { x: along(from.x, across), y: along(from.y, up) };
+                if !self.free.has(place) {
                     return Line::Blocked;
                 }
             }

@@ -160,7 +160,7 @@ fn follow(bench: &mut Bench, window: &mut Window) -> Option<()> {
         let place = Place { x: 5 + index, y: 20 + index * index / 40 };
         route.push(window.middle(place)).ok()?;
     }
-    follower.take(route);
+    follower.take(&route);
     let mut pose = Pose { x: Millimetres(700), y: Millimetres(1_250), ..Pose::default() };
     for _ in 0..3 {
         let sight =
