@@ -29,7 +29,7 @@ impl NearPoints {
             let points = beams
                 .iter()
                 .zip(readings)
-                .filter(|(beam, reading)| (1..=beam.limit).contains(reading));
+                .filter(|(beam, reading)| **beam != Beam::NONE && **reading != 0);
             let points = points.map(|(beam, &reading)| {
                 let reading = f32::from(reading) * one;
                 let x = f32::from(beam.forward) * reading + mounting.x.0 as f32;
@@ -73,7 +73,7 @@ mod tests {
         let mut beams = [Beam::default(); 256];
         let step = core::f32::consts::TAU / 256.0;
         let model = SensorModel::Radial { first: 0.0, step };
-        fill_beams(&mut beams, model, Pose::default(), 4_000);
+        fill_beams(&mut beams, model, Pose::default());
         let mut readings = [2_000; 256];
         // A quarter of a turn to the left, and an invalid one beside it.
         readings[64] = 700;

@@ -223,7 +223,7 @@ impl Simulation {
             step: (self.view / BEAMS as f64) as f32,
         };
         let mut beams = [Beam::default(); BEAMS];
-        fill_beams(&mut beams, model, Pose::default(), RANGE as u16);
+        fill_beams(&mut beams, model, Pose::default());
         let mut readings = [0; BEAMS];
         let (x, y, heading) = self.at;
         for (index, reading) in readings.iter_mut().enumerate() {
@@ -638,7 +638,7 @@ proptest! {
             let now = Instant(time);
             let mut beams = [Beam::default(); 70];
             let model = SensorModel::Radial { first: 0.0, step: 0.09 };
-            fill_beams(&mut beams, model, Pose::default(), u16::MAX);
+            fill_beams(&mut beams, model, Pose::default());
             let readings = [radius; 70];
             let mounting = pose(odometry);
             let near = NearPoints::of_scan(&beams, &readings, mounting, now);
