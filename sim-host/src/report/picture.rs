@@ -13,6 +13,8 @@ const OBSTACLE: Rgb<u8> = Rgb([208, 40, 40]);
 const ROBOT: Rgb<u8> = Rgb([24, 140, 52]);
 const ROBOT_PATH: Rgb<u8> = Rgb([120, 190, 132]);
 const PERSON_PATH: Rgb<u8> = Rgb([226, 150, 146]);
+const COVERED: Rgb<u8> = Rgb([186, 214, 240]);
+const MISSING: Rgb<u8> = Rgb([40, 80, 216]);
 const HEADING: Rgb<u8> = Rgb([255, 255, 255]);
 
 /// Unexplored cells around the map.
@@ -55,6 +57,68 @@ pub struct Marker {
 /// Draws a map and what moves on it. A cell becomes 2 to 8 pixels wide, so that the picture of a
 /// room and that of a building are of about the same size; huge maps get one pixel a cell.
 pub fn render(grid: &OccupancyGrid, markers: &[Marker]) -> RgbImage {
+    let (image, scale) = draw(grid, |column, row| match grid.cell(column, row) {
+        Cell::Unknown => UNEXPLORED,
+        Cell::Free => EXPLORED,
+        Cell::Occupied => WALL,
+        Cell::Movable => OBSTACLE,
+    });
+    let mut canvas = Canvas { image, grid, scale: scale as f64 };
+    for marker in markers {
+        canvas.path(marker);
+    }
+    for marker in markers {
+        canvas.marker(marker);
+    }
+    canvas.image
+}
+
+/// Draws which cells of a map the cameras see: these light blue, what is blind as it is on the map.
+pub fn render_coverage(map: &OccupancyGrid, coverage: &OccupancyGrid) -> RgbImage {
+    let (image, _) = draw(map, |column, row| {
+        let is_covered = at(coverage, map, column, row) == Cell::Free;
+        match map.cell(column, row) {
+            Cell::Occupied | Cell::Movable => WALL,
+            _ if is_covered => COVERED,
+            Cell::Free => EXPLORED,
+            Cell::Unknown => UNEXPLORED,
+        }
+    });
+    image
+}
+
+/// Draws a map against the truth: surfaces that are where they should be black, within one cell;
+/// those that are not red; those that are missing blue, of which somebody has `seen` the place.
+pub fn render_error(map: &OccupancyGrid, truth: &OccupancyGrid, seen: &OccupancyGrid) -> RgbImage {
+    let is_occupied = |grid: &OccupancyGrid, column: usize, row: usize| {
+        matches!(at(grid, map, column, row), Cell::Occupied | Cell::Movable)
+    };
+    let is_by = |grid: &OccupancyGrid, column: usize, row: usize| {
+        let neighbours = [(0, 0), (1, 0), (usize::MAX, 0), (0, 1), (0, usize::MAX)];
+        neighbours
+            .into_iter()
+            .any(|(x, y)| is_occupied(grid, column.wrapping_add(x), row.wrapping_add(y)))
+    };
+    let (image, _) = draw(map, |column, row| match map.cell(column, row) {
+        Cell::Occupied | Cell::Movable if is_by(truth, column, row) => WALL,
+        Cell::Occupied | Cell::Movable => OBSTACLE,
+        _ if is_occupied(seen, column, row) && !is_by(map, column, row) => MISSING,
+        Cell::Free => EXPLORED,
+        Cell::Unknown => UNEXPLORED,
+    });
+    image
+}
+
+/// The cell of a grid that holds the middle of a cell of another, which may be beside that.
+fn at(grid: &OccupancyGrid, other: &OccupancyGrid, column: usize, row: usize) -> Cell {
+    let middle = |index: usize| index as isize as f64 + 0.5;
+    let [x, y] = grid.from_map(other.to_map([middle(column), middle(row)]));
+    if x < 0.0 || y < 0.0 { Cell::Unknown } else { grid.cell(x as usize, y as usize) }
+}
+
+/// A picture of a grid with a margin, and the pixels of a cell; of each cell its colour, outside as
+/// well.
+fn draw(grid: &OccupancyGrid, colour: impl Fn(usize, usize) -> Rgb<u8>) -> (RgbImage, usize) {
     let (columns, rows) = (grid.width() + 2 * MARGIN, grid.height() + 2 * MARGIN);
     let scale = if grid.width() * grid.height() > MOST_SCALED_CELLS {
         1
@@ -65,22 +129,9 @@ pub fn render(grid: &OccupancyGrid, markers: &[Marker]) -> RgbImage {
         // West and south of the grid the subtraction wraps, and outside all is unknown.
         let column = (x as usize / scale).wrapping_sub(MARGIN);
         let row = (rows - 1 - y as usize / scale).wrapping_sub(MARGIN);
-        match grid.cell(column, row) {
-            Cell::Unknown => UNEXPLORED,
-            Cell::Free => EXPLORED,
-            Cell::Occupied => WALL,
-            Cell::Movable => OBSTACLE,
-        }
+        colour(column, row)
     });
-
-    let mut canvas = Canvas { image, grid, scale: scale as f64 };
-    for marker in markers {
-        canvas.path(marker);
-    }
-    for marker in markers {
-        canvas.marker(marker);
-    }
-    canvas.image
+    (image, scale)
 }
 
 /// A picture as the bytes of a PNG file.

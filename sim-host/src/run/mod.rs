@@ -14,6 +14,7 @@ pub mod simulate;
 
 use std::path::{Path, PathBuf};
 
+use image::RgbImage;
 use ubimap_agent::{ConfigError, map::MAX_RADIUS};
 
 use crate::{
@@ -35,14 +36,20 @@ pub struct Outcome {
     pub map: OccupancyGrid,
     /// The robots, and what else moves, where they ended.
     pub markers: Vec<Marker>,
+    /// More pictures, by the names of their files.
+    pub pictures: Vec<(&'static str, RgbImage)>,
 }
 
 impl Outcome {
-    /// Writes `map.pgm`, `map.yaml`, `map.png` and `report.json`: all of them or none.
+    /// Writes `map.pgm`, `map.yaml`, `map.png`, `report.json` and the other pictures: all of them or
+    /// none.
     pub fn write(&self, mut folder: OutputFolder) -> Result<(), RunError> {
         folder.add("map.pgm", &grid::pgm(&self.map))?;
         folder.add("map.yaml", grid::yaml(&self.map, "map.pgm").as_bytes())?;
         folder.add("map.png", &report::png(&report::render(&self.map, &self.markers))?)?;
+        for (name, picture) in &self.pictures {
+            folder.add(name, &report::png(picture)?)?;
+        }
         folder.add("report.json", self.report.to_json_pretty().as_bytes())?;
         Ok(folder.finish()?)
     }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use image::RgbImage;
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, Tile, TileId},
     time::{Duration, Instant},
@@ -12,7 +13,7 @@ use super::{RunError, fleet::Fleet, simulate::RESOLUTION};
 use crate::{
     camera::FrameSource,
     grid::{self, OccupancyGrid},
-    report::{PoseErrors, TruthScores},
+    report::{self, PoseErrors, TruthScores},
     world::World,
 };
 
@@ -81,43 +82,65 @@ fn true_pose(track: &[Pose], moment: Instant) -> Option<Pose> {
     Some(Pose { x: mix(from.x, to.x), y: mix(from.y, to.y), heading: from.heading + turn })
 }
 
+/// The ground of a world that has run, and what should be known of it.
+struct Ground {
+    covered: BTreeSet<(i32, i32)>,
+    passed: BTreeSet<(i32, i32)>,
+    /// What a perfect map would say.
+    whole: OccupancyGrid,
+    /// The same, of the surfaces those that a camera can see or that a robot has passed.
+    seen: OccupancyGrid,
+}
+
+impl Ground {
+    fn of(world: &World) -> Result<Self, RunError> {
+        let truth = world.truth();
+        let cameras = 0..FrameSource::cameras(world).len();
+        let covered: BTreeSet<_> = cameras.flat_map(|camera| world.covered(camera)).collect();
+        let passed: BTreeSet<_> = world.passed().collect();
+        // A surface has been passed if the air before it has.
+        let is_seen = |&(x, y): &(i32, i32)| {
+            let mut about = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
+            covered.contains(&(x, y)) || about.any(|cell| passed.contains(&cell))
+        };
+        let surfaces = || truth.surfaces.iter().copied();
+        let free = || truth.free.iter().map(|&cell| (cell, Cell::Free));
+        let occupied = |cell| (cell, Cell::Occupied);
+        let whole = of_cells(surfaces().map(occupied).chain(free()))?;
+        let seen = of_cells(surfaces().filter(is_seen).map(occupied).chain(free()))?;
+        Ok(Self { covered, passed, whole, seen })
+    }
+}
+
 /// The map against the truth of a world that has run.
 pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError> {
-    let truth = world.truth();
-    let covered: BTreeSet<(i32, i32)> =
-        (0..FrameSource::cameras(world).len()).flat_map(|camera| world.covered(camera)).collect();
-    let passed: BTreeSet<(i32, i32)> = world.passed().collect();
-    // A surface has been seen if the air before it has.
-    let is_by = |cells: &BTreeSet<(i32, i32)>, (x, y): (i32, i32)| {
-        (-1..=1).any(|dy| (-1..=1).any(|dx| cells.contains(&(x + dx, y + dy))))
-    };
-    let surfaces = || truth.surfaces.iter().copied();
-    let free = || truth.free.iter().map(|&cell| (cell, Cell::Free));
-    let is_seen = |cell: &(i32, i32)| covered.contains(cell) || is_by(&passed, *cell);
-    let occupied = |cell| (cell, Cell::Occupied);
-    let whole = of_cells(surfaces().map(occupied).chain(free()))?;
-    let seen = of_cells(surfaces().filter(is_seen).map(occupied).chain(free()))?;
+    let Ground { covered, passed, whole, seen } = Ground::of(world)?;
     // What the map says must be true; of what is true it must say what has been seen.
     let scores = grid::compare(map, &whole, None);
     let (precision, recall) = (scores.precision, grid::compare(map, &seen, None).recall);
+    let truth = world.truth();
     let known = known(map);
-
-    let all: BTreeSet<(i32, i32)> = truth.free.iter().chain(&truth.surfaces).copied().collect();
-    let is_known = |cell: &&(i32, i32)| known.contains(*cell);
-    let blind: Vec<&(i32, i32)> =
-        truth.free.iter().filter(|cell| passed.contains(cell) && !covered.contains(cell)).collect();
-    let share = |part: usize, whole: usize| {
-        if whole > 0 { part as f64 / whole as f64 } else { 1.0 }
+    let share = |cells: &mut dyn Iterator<Item = &(i32, i32)>| {
+        let (mut count, mut found) = (0, 0);
+        for cell in cells {
+            count += 1;
+            found += usize::from(known.contains(cell));
+        }
+        if count > 0 { found as f64 / f64::from(count) } else { 1.0 }
     };
+    let is_blind = |cell: &&(i32, i32)| passed.contains(*cell) && !covered.contains(*cell);
     Ok(TruthScores {
         f1_occupied: 2.0 * precision * recall / (precision + recall).max(f64::EPSILON),
-        passed_known: share(
-            blind.iter().copied().filter(|cell| is_known(cell)).count(),
-            blind.len(),
-        ),
+        passed_known: share(&mut truth.free.iter().filter(is_blind)),
         agreement_known: scores.agreement_known,
-        coverage: share(all.iter().filter(|cell| is_known(cell)).count(), all.len()),
+        coverage: share(&mut truth.free.iter().chain(&truth.surfaces)),
     })
+}
+
+/// A picture of where a map is wrong.
+pub(super) fn error_picture(map: &OccupancyGrid, world: &World) -> Result<RgbImage, RunError> {
+    let ground = Ground::of(world)?;
+    Ok(report::render_error(map, &ground.whole, &ground.seen))
 }
 
 /// The cells of which a map says something.

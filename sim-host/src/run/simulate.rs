@@ -23,7 +23,7 @@ use crate::{
         Footprint, Observer, Survey,
         markers::{Hue, Identifier, Mount},
     },
-    report::{Marker, MarkerKind},
+    report::{self, Marker, MarkerKind},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
@@ -84,19 +84,26 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let fused = fleet.server().fused();
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, RESOLUTION)?;
-    let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
-    report.truth = Some(scoring::score(&map, &stage.world)?);
-    report.pose = Some(scoring::pose_errors(&fleet, &stage.tracks));
+    let mut summary = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
+    summary.truth = Some(scoring::score(&map, &stage.world)?);
+    summary.pose = Some(scoring::pose_errors(&fleet, &stage.tracks));
     let sighted = scoring::sighting_errors(&fleet, &stage.tracks);
-    report.sighted = (!options.ideal_cameras).then_some(sighted);
-    report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
-    report.elapsed_s = started.elapsed().as_secs_f64();
+    summary.sighted = (!options.ideal_cameras).then_some(sighted);
+    summary.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
+    summary.elapsed_s = started.elapsed().as_secs_f64();
     let mut markers = figures::markers(&fleet);
     markers.extend(stage.world.people().iter().map(|person| {
         let [x_m, y_m] = person.position_m();
         Marker { kind: MarkerKind::Person, x_m, y_m, heading_rad: 0.0, path: Vec::new() }
     }));
-    Ok(Outcome { report, map, markers })
+    let coverage = fleet.server().coverage();
+    let coverage =
+        OccupancyGrid::from_tiles(coverage.tiles().map(|(id, _, tile)| (id, tile)), RESOLUTION)?;
+    let pictures = vec![
+        ("coverage.png", report::render_coverage(&map, &coverage)),
+        ("error.png", scoring::error_picture(&map, &stage.world)?),
+    ];
+    Ok(Outcome { report: summary, map, markers, pictures })
 }
 
 /// The configuration of a simulated robot's agent.
