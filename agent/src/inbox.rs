@@ -3,8 +3,8 @@
 use ubimap_protocol::{
     link::ClockSync,
     message::{
-        Ack, Digests, EventCode, Freshness, Message, Messages, ParameterCommand, PoseFix, Refusal,
-        Request, Stored, TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
+        Ack, Digests, EventCode, FixSource, Freshness, Message, Messages, ParameterCommand,
+        PoseFix, Refusal, Request, Stored, TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
     },
     tile::Layer,
     time::Instant,
@@ -122,9 +122,9 @@ impl Inbox<'_, '_> {
 
     fn fix(&mut self, message: &PoseFix, now: Instant) {
         let count = &mut *self.statistics;
-        for (moment, pose) in message.fixes() {
+        for (moment, told) in message.fixes() {
             let local = self.clock.to_local(moment);
-            match self.locator.fix(moment, local, pose, message.certainty, now) {
+            match self.locator.fix(moment, local, told, message.certainty, now) {
                 Ok((outcome, pose)) => {
                     count.fixes = count.fixes.wrapping_add(1);
                     match outcome {
@@ -133,6 +133,11 @@ impl Inbox<'_, '_> {
                             self.events.raise(EventCode::FixRejected, now);
                         }
                         FixOutcome::Moved => count.moves = count.moves.wrapping_add(1),
+                        FixOutcome::Taken if message.source == FixSource::Camera => {
+                            if let Some(local) = local {
+                                self.locator.learn(local, told, message.certainty);
+                            }
+                        }
                         FixOutcome::Began | FixOutcome::Taken => {}
                     }
                     if self.latest_pose.is_none_or(|(latest, _)| latest < moment) {

@@ -1,5 +1,5 @@
-//! A robot whose wheels slip drives 10 m where no camera sees it, and knows where it is by what it
-//! sees.
+//! A robot whose wheels slip drives 10 m where no camera sees it, after two rounds where one does. It
+//! knows where it is by what it has learnt of its wheels and by what it sees.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,7 +19,7 @@ use ubimap_sim_host::{
 
 /// An aisle of 17 m, of which the camera sees the west end.
 const HALL: &str = r#"
-    duration_s = 60.0
+    duration_s = 100.0
     slice_height_m = 0.2
 
     [room]
@@ -57,7 +57,10 @@ const HALL: &str = r#"
     [[robots]]
     id = 1
     start = { x_m = 0.8, y_m = 2.6, heading_deg = 0.0 }
-    route.waypoints_m = [[5.5, 2.6], [8.0, 3.4], [11.0, 2.6], [15.5, 3.2], [11.0, 2.6], [8.0, 3.4], [5.5, 2.6]]
+    route.waypoints_m = [
+        [3.4, 2.6], [3.4, 3.4], [0.9, 3.4], [0.9, 2.6], [3.4, 2.6], [3.4, 3.4], [0.9, 3.4], [0.9, 2.6],
+        [5.5, 2.6], [8.0, 3.4], [11.0, 2.6], [15.5, 3.2], [11.0, 2.6], [8.0, 3.4], [5.5, 2.6],
+    ]
     odometry = { slip = 0.02, drift_deg_per_m = 1.0 }
 "#;
 
@@ -125,7 +128,7 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
         .collect();
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
     let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, seed, None).unwrap();
-    let mut stage = Room::new(world(), Instant(0) + Duration::from_secs(48));
+    let mut stage = Room::new(world(), Instant(0) + Duration::from_secs(100));
     let mut truths = BTreeMap::<u64, Pose>::new();
     let mut entered: Option<(Pose, Pose)> = None;
     let (mut way, mut last) = (0.0, None);
@@ -170,11 +173,14 @@ fn ten_metres_through_blind_ground() {
                  and {:.2} at worst; odometry alone {:.3} m and {:.2}",
                 robot.0, robot.1, worst.0, worst.1, wheels.0, wheels.1
             );
-            assert!(wheels.0 > 0.5 && wheels.1 > 5.0, "{wheels:?}");
+            assert!(wheels.0 > 0.3 && wheels.1 > 5.0, "{wheels:?}");
             good += u32::from(robot.0 <= 0.1 && robot.1 <= 2.0);
-            assert!(!known || robot.0 < wheels.0 / 4.0 && robot.1 < wheels.1 / 4.0, "seed {seed}");
+            let part = if known { 4.0 } else { 2.0 };
+            assert!(robot.0 < wheels.0 / part && robot.1 < wheels.1 / part, "seed {seed}");
         }
-        // Of three seeds one misses the bound; where nothing is known there is nothing to go by.
-        assert_eq!(good, if known { 2 } else { 0 }, "within 10 cm and 2 degrees");
+        println!("within 10 cm and 2 degrees, ground {name}: {good} of 3");
+        // Where nothing is known there is nothing to go by but the wheels, whose chance errors alone
+        // come to 1.6 degrees on 10 m.
+        assert!(good == 3 || !known);
     }
 }

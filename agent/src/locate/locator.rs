@@ -11,6 +11,7 @@ use super::{
     estimate::{RADIANS, Variances},
     filter::{Backwards, Filter, FixError, FixOutcome, WIDEST_GAP, seconds},
     odometry::{MotionNoise, OdometryNoise, between},
+    systematic::SystematicErrors,
 };
 
 /// Fixes that are further apart have stopped. Shorter than the interval of distance vectors, which
@@ -61,6 +62,7 @@ pub enum Located {
 #[derive(Debug)]
 pub struct Locator {
     filter: Filter,
+    errors: SystematicErrors,
     takes_fixes: bool,
     limit: UncertaintyLimit,
 }
@@ -72,7 +74,8 @@ impl Locator {
             PoseSource::Fixes => Filter::new(MotionNoise::of(noise), None),
             PoseSource::Odometry(start) => Filter::new(MotionNoise::default(), Some(start)),
         };
-        Self { filter, takes_fixes: source == PoseSource::Fixes, limit }
+        let errors = SystematicErrors::new(noise);
+        Self { filter, errors, takes_fixes: source == PoseSource::Fixes, limit }
     }
 
     /// Takes a fix that arrived at `now`: `base_link` in `map` at the moment `server` of the
@@ -106,10 +109,21 @@ impl Locator {
     /// # Errors
     /// [`Backwards`]; nothing has changed then.
     pub fn odometry(&mut self, moment: Instant, pose: Pose) -> Result<(), Backwards> {
-        self.filter.odometry(moment, pose)
+        if self.filter.is_new(moment)? {
+            let corrected = self.errors.corrected(pose);
+            self.filter.odometry(moment, corrected);
+        }
+        Ok(())
     }
 
-    /// The newest reading of the odometry: `base_link` in `odom`.
+    /// Learns from a camera's fix that was taken in what odometry gets wrong each time.
+    pub(crate) fn learn(&mut self, local: Instant, pose: Pose, certainty: Certainty) {
+        if let Some(odometry) = self.filter.steady_odometry(local) {
+            self.errors.learn(local, pose, certainty, odometry);
+        }
+    }
+
+    /// The newest reading of the odometry without the errors that are known: `base_link` in `odom`.
     pub fn newest_odometry(&self) -> Option<Pose> {
         self.filter.newest_odometry().map(|(_, pose)| pose)
     }

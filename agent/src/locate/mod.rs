@@ -6,6 +6,7 @@ mod filter;
 mod history;
 mod locator;
 mod odometry;
+mod systematic;
 #[cfg(test)]
 mod tests;
 

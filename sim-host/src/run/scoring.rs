@@ -27,7 +27,7 @@ const DRIVES_M_S: f64 = 0.05;
 const DRIVES_DEG_S: f64 = 5.0;
 
 /// How far the robots' poses are from the truth, as they know them themselves.
-pub(super) fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
+pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let robots = fleet.robots().iter().zip(tracks);
     errors(robots.flat_map(|(robot, track)| {
         let path = robot.path().iter();
@@ -39,7 +39,7 @@ pub(super) fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors
 }
 
 /// How far what the cameras said of robots that drove is from the truth.
-pub(super) fn sighting_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
+pub fn sighting_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let tracks: BTreeMap<_, _> =
         fleet.robots().iter().map(|robot| robot.id()).zip(tracks).collect();
     errors(fleet.sightings().iter().filter_map(|&(captured, sighting)| {

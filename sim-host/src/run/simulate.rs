@@ -128,7 +128,10 @@ pub fn config(robot: &SimRobot, seed: u64) -> Config {
 }
 
 /// What looks at the frames of a scenario's cameras: it knows the robots' markers and sizes.
-fn observer(scenario: &Scenario, cameras: &[Calibration]) -> Result<Observer, RunError> {
+///
+/// # Errors
+/// [`RunError::Registry`].
+pub fn observer(scenario: &Scenario, cameras: &[Calibration]) -> Result<Observer, RunError> {
     let robots: Vec<_> = scenario
         .robots
         .iter()
@@ -154,7 +157,7 @@ fn identifier(robot: &RobotConfig) -> Identifier {
 }
 
 /// What a robot takes up.
-fn footprint(robot: &RobotConfig) -> Footprint {
+pub fn footprint(robot: &RobotConfig) -> Footprint {
     let [length, width] = robot.box_m.unwrap_or([2.0 * robot.radius_m; 2]);
     let half = |side: f64| (side * 500.0).round() as u16;
     Footprint { half_length: half(length), half_width: half(width) }
@@ -204,6 +207,11 @@ impl Room {
     /// The same with the frames of RGB-D cameras.
     pub fn filmed(world: World, end: Instant) -> Self {
         Self { is_filmed: true, ..Self::new(world, end) }
+    }
+
+    /// Where each robot really was, every twentieth of a second from the first moment on.
+    pub fn tracks(&self) -> &[Vec<Pose>] {
+        &self.tracks
     }
 
     /// The world as it is.
