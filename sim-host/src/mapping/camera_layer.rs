@@ -89,7 +89,7 @@ impl Default for Still {
 }
 
 impl Still {
-    /// Takes what a camera says of a cell, free or occupied. Whether that changes it.
+    /// Takes what a camera says of a cell, free, occupied, or no longer known. Whether that changes it.
     fn take(&mut self, x: usize, y: usize, cell: Cell, camera: usize, captured: Instant) -> bool {
         let known = self.tile.cell(x, y);
         let seen = &mut self.seen[y * TILE_SIDE + x];
@@ -98,7 +98,9 @@ impl Still {
             && cell == Cell::Free
             && by != camera
             && captured.since(when) <= HOLDS;
-        if captured < when || is_held {
+        // Only who said what stands there takes it back.
+        let is_anothers = cell == Cell::Unknown && by != camera;
+        if captured < when || is_held || is_anothers {
             return false;
         }
         *seen = (captured, camera);

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
-    tile::{Row, TILE_SIDE, Tile, TileId},
+    tile::{Cell, Row, TILE_SIDE, Tile, TileId},
     time::{Duration, Instant},
 };
 
@@ -39,8 +39,8 @@ impl CoverageLayer {
         let mut seen = BTreeMap::<TileId, Mask>::new();
         for (id, cells) in runs(observation) {
             let mask = seen.entry(id).or_default();
-            for (x, y, _) in cells {
-                mask[y] |= 1 << x;
+            for (x, y, cell) in cells {
+                mask[y] |= u32::from(cell != Cell::Unknown) << x;
             }
         }
         self.frames.push_back((observation.captured, seen));
@@ -86,8 +86,6 @@ impl CoverageLayer {
 
 #[cfg(test)]
 mod tests {
-    use ubimap_protocol::tile::Cell;
-
     use super::*;
 
     const ID: TileId = TileId { x: 0, y: -1 };

@@ -3,8 +3,11 @@
 //!
 //! A pixel agrees with its background if its depth is within a window, learnt as well. It then
 //! counts for the cell in which the *learnt* point is, so that noise does not smear what stands
-//! still; which cell that is, is found once. Learning also takes up what calibration leaves: a floor
-//! that is a centimetre off, a threshold, a carpet.
+//! still; which cell that is, is found now and then. The learnt depth is the mean of all that
+//! agreed, and counts for nothing before it is good to half a cell: the noise of one depth is two
+//! cells at 5 m, that of the mean of `n` is smaller by the root of `n`. So the view reaches farther
+//! the longer a camera looks. Learning also takes up what calibration leaves: a floor that is a
+//! centimetre off, a threshold, a carpet.
 
 use ubimap_protocol::time::{Duration, Instant};
 
@@ -15,16 +18,20 @@ const SAMPLES: usize = 15;
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(300);
 /// A pixel that measured less often has no background.
 const FEWEST_SAMPLES: usize = 8;
-/// One in so many samples may be a passer-by on each side of the window.
+/// What is farthest in one sample of so many is the room: whoever stands before it for the rest of
+/// the time leaves nothing behind.
 const TRIM: usize = 5;
 /// Added to what noise explains, in millimetres: quantisation.
 const SLACK_MM: i64 = 4;
 /// After a frame, one row in so many is looked at for changes that last.
-const ROWS_BETWEEN: u32 = 32;
+const ROWS_BETWEEN: u32 = 8;
 /// What is nearer than the background becomes background after so many looks and seconds without a
-/// change; what is farther was hidden until now, and becomes it sooner.
-const STAY: (u8, u32) = (3, 20);
-const UNCOVERED: (u8, u32) = (2, 2);
+/// change, for it may be somebody; so does what stands where there was no background. Floor, and
+/// what is farther than the background, was hidden until now, and becomes it sooner.
+const STAY: (u8, u32) = (6, 20);
+const UNCOVERED: (u8, u32) = (2, 1);
+/// When so many depths have agreed, half of them are forgotten: a drift is followed.
+const MOST_AGREED: u32 = 256;
 
 /// A depth that may become the background of a pixel.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,11 +43,19 @@ struct Candidate {
     since_s: u32,
 }
 
+/// The depths that agreed.
+#[derive(Clone, Copy, Debug, Default)]
+struct Agreed {
+    sum: u32,
+    count: u32,
+}
+
 /// The background of one camera.
 #[derive(Clone, Debug)]
 pub struct Background {
-    /// In millimetres; zero where there is none.
+    /// In millimetres; zero where there is none that is good to half a cell.
     depth: Vec<u16>,
+    agreed: Vec<Agreed>,
     /// The lowest depth of each pixel's window, and how much more the highest is. Without a
     /// background only nothing agrees.
     low: Vec<u16>,
@@ -68,6 +83,7 @@ impl Background {
         totals[nowhere + 1] = pixels as u32;
         Self {
             depth: vec![0; pixels],
+            agreed: vec![Agreed::default(); pixels],
             low: vec![0; pixels],
             span: vec![0; pixels],
             home: vec![nowhere as u32 + 1; pixels],
@@ -88,6 +104,7 @@ impl Background {
     /// by a robot or by somebody who walks, are not learnt.
     pub fn learn(&mut self, view: &View, depths: &[u16], captured: Instant, taken: &[bool]) {
         let Some(samples) = &mut self.samples else {
+            self.gather(depths);
             return self.tend(view, depths, captured, taken);
         };
         if captured < self.due {
@@ -121,6 +138,11 @@ impl Background {
         depth.wrapping_sub(self.low[pixel]) <= self.span[pixel]
     }
 
+    /// Whether a pixel has a background.
+    pub(super) fn is_known(&self, pixel: usize) -> bool {
+        self.low[pixel] > 0
+    }
+
     /// Whether a depth is nearer than the background.
     pub(super) fn is_nearer(&self, pixel: usize, depth: u16) -> bool {
         depth > 0 && depth < self.low[pixel]
@@ -138,36 +160,66 @@ impl Background {
         slot as u32
     }
 
-    /// Ends the learning: the median of each pixel's samples, and the window that most are in.
+    /// Ends the learning: what most of the farthest samples of each pixel are about.
     fn settle_all(&mut self, view: &View, samples: &[u16]) {
         let pixels = self.depth.len();
         let mut seen = Vec::with_capacity(SAMPLES);
         for pixel in 0..pixels {
             seen.clear();
-            seen.extend(samples.iter().skip(pixel).step_by(pixels).filter(|depth| **depth > 0));
+            let all = samples.iter().skip(pixel).step_by(pixels);
+            seen.extend(all.copied().filter(|depth| *depth > 0));
             if seen.len() < FEWEST_SAMPLES {
                 continue;
             }
             seen.sort_unstable();
-            let median = seen[seen.len() / 2];
-            let (low, high) = (seen[seen.len() / TRIM], seen[seen.len() - 1 - seen.len() / TRIM]);
-            self.set(view, pixel, median, (low, high));
+            let far = seen[seen.len() - 1 - seen.len() / TRIM];
+            let nearest = far.saturating_sub((SLACK_MM + 4 * noise_mm(i64::from(far))) as u16);
+            let room = &seen[seen.partition_point(|depth| *depth < nearest)..];
+            let (low, high) =
+                (room[room.len() / TRIM], room[room.len() - 1 - room.len() / TRIM]);
+            let sum = room.iter().map(|depth| u32::from(*depth)).sum();
+            self.set(pixel, Agreed { sum, count: room.len() as u32 }, (low, high));
+            self.settle_again(view, pixel);
         }
     }
 
     /// Gives a pixel a background, and a window about what was measured of it.
-    fn set(&mut self, view: &View, pixel: usize, depth: u16, (low, high): (u16, u16)) {
+    fn set(&mut self, pixel: usize, agreed: Agreed, (low, high): (u16, u16)) {
         // The trimmed range of samples is about 1.7 sigmas: the window has twice that on each side.
-        let noise = noise_mm(i64::from(depth));
+        let noise = noise_mm((i64::from(low) + i64::from(high)) / 2);
         let range = i64::from(high) - i64::from(low);
         let margin = (SLACK_MM + (3 * range / 2).clamp(noise / 2, 3 * noise)) as u16;
         let low = low.saturating_sub(margin).max(1);
         self.low[pixel] = low;
         self.span[pixel] = high.saturating_add(margin) - low;
+        self.agreed[pixel] = agreed;
+    }
+
+    /// Finds anew how deep the background of a pixel is, and what it counts for.
+    fn settle_again(&mut self, view: &View, pixel: usize) {
+        let agreed = &mut self.agreed[pixel];
+        let mean = (agreed.sum + agreed.count / 2).checked_div(agreed.count).unwrap_or(0);
+        let (noise, side) = (noise_mm(i64::from(mean)), i64::from(view.survey().side.0));
+        let is_good = 4 * noise * noise <= side * side * i64::from(agreed.count);
+        let depth = if is_good && self.low[pixel] > 0 { mean as u16 } else { 0 };
+        if agreed.count >= MOST_AGREED {
+            *agreed = Agreed { sum: agreed.sum / 2, count: agreed.count / 2 };
+        }
         self.depth[pixel] = depth;
         self.totals[self.home[pixel] as usize] -= 1;
         self.home[pixel] = self.settle(view, pixel);
         self.totals[self.home[pixel] as usize] += 1;
+    }
+
+    /// Adds the depths that agree to those that did before. Of a pixel that has no background only
+    /// zero does.
+    fn gather(&mut self, depths: &[u16]) {
+        let windows = self.low.iter().zip(&self.span);
+        for ((agreed, &depth), (&low, &span)) in self.agreed.iter_mut().zip(depths).zip(windows) {
+            let one = u32::from(depth.wrapping_sub(low) <= span);
+            agreed.sum += one * u32::from(depth);
+            agreed.count += one;
+        }
     }
 
     /// Looks at some of the rows for what has changed for good.
@@ -177,14 +229,12 @@ impl Background {
         let rows = depths.chunks(width).enumerate().skip(self.turn as usize);
         for (row, depths) in rows.step_by(ROWS_BETWEEN as usize) {
             for (pixel, &depth) in (row * width..).zip(depths) {
-                if depth == 0 || is_taken(view, pixel, depth, taken) {
-                    continue;
-                }
-                if self.agrees(pixel, depth) {
+                if depth > 0 && self.agrees(pixel, depth) {
                     self.candidates[pixel].looks = 0;
-                } else {
+                } else if depth > 0 && !is_taken(view, pixel, depth, taken) {
                     self.consider(view, pixel, depth, now_s);
                 }
+                self.settle_again(view, pixel);
             }
         }
         self.turn = (self.turn + 1) % ROWS_BETWEEN;
@@ -193,6 +243,7 @@ impl Background {
     /// A pixel sees something else than its background.
     fn consider(&mut self, view: &View, pixel: usize, depth: u16, now_s: u32) {
         let is_nearer = self.is_nearer(pixel, depth);
+        let is_floor = matches!(view.place(pixel, depth, Allowance::Measured), Place::Floor(_));
         let candidate = &mut self.candidates[pixel];
         let spread = (SLACK_MM + 3 * noise_mm(i64::from(depth))) as u16;
         if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread {
@@ -204,18 +255,15 @@ impl Background {
         let sum = u32::from(candidate.depth) * looks + u32::from(depth);
         candidate.depth = (sum / (looks + 1)) as u16;
         candidate.looks = candidate.looks.saturating_add(1);
-        let (enough, seconds) = if is_nearer { STAY } else { UNCOVERED };
+        let may_be_somebody = if self.low[pixel] > 0 { is_nearer } else { !is_floor };
+        let (enough, seconds) = if may_be_somebody { STAY } else { UNCOVERED };
         if candidate.looks >= enough && now_s.saturating_sub(candidate.since_s) >= seconds {
             candidate.looks = 0;
             candidate.has_come = is_nearer;
             let depth = candidate.depth;
             let spread = 2 * noise_mm(i64::from(depth)) as u16;
-            self.set(
-                view,
-                pixel,
-                depth,
-                (depth.saturating_sub(spread), depth.saturating_add(spread)),
-            );
+            let window = (depth.saturating_sub(spread), depth.saturating_add(spread));
+            self.set(pixel, Agreed { sum: u32::from(depth), count: 1 }, window);
         }
     }
 }

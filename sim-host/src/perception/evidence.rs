@@ -114,7 +114,11 @@ impl Evidence {
         // The window has the noise in it already.
         let allowance = if is_nearer { Allowance::None } else { Allowance::Measured };
         match view.place(pixel, depth, allowance) {
-            Place::Floor(cell) => self.counts[2 * cell as usize] += 1,
+            // Behind the background is what it hid. Nothing is known of a pixel without one, nor of
+            // what stands behind, before it is learnt.
+            Place::Floor(cell) if background.is_known(pixel) => {
+                self.counts[2 * cell as usize] += 1;
+            }
             Place::Band(cell, height) | Place::Above(cell, height)
                 if is_nearer && is_backed(view, background, depths, pixel) =>
             {
@@ -127,8 +131,7 @@ impl Evidence {
                 let layer = &mut figure.layers[usize::from(height >> LAYER_SHIFT).min(LAYERS - 1)];
                 *layer = layer.saturating_add(1);
             }
-            Place::Band(cell, _) if !is_nearer => self.counts[2 * cell as usize + 1] += 1,
-            Place::Band(..) | Place::Above(..) | Place::Nowhere => self.counts[nowhere] += 1,
+            _ => self.counts[nowhere] += 1,
         }
     }
 }

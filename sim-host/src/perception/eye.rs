@@ -75,6 +75,8 @@ pub struct Eye {
     view: View,
     background: Background,
     evidence: Evidence,
+    /// The cells where something solid is learnt.
+    solid: Vec<bool>,
     /// What it follows itself, so that nobody who has walked is learnt.
     tracks: Tracks,
     /// When the newest frame was captured.
@@ -90,6 +92,7 @@ impl Eye {
         Some(Self {
             camera,
             background: Background::new(&view),
+            solid: vec![false; view.cells()],
             view,
             evidence: Evidence::default(),
             tracks: Tracks::default(),
@@ -144,7 +147,14 @@ impl Eye {
                 movable[index] = true;
             }
         }
-        let cells = cells(view, &self.evidence, &movable, &under);
+        let cells = cells(
+            view,
+            self.background.totals(),
+            &self.evidence,
+            &movable,
+            &under,
+            &mut self.solid,
+        );
 
         self.tracks.observe(frame.captured, &things, side);
         if frame.captured >= self.newest {

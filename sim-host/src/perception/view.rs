@@ -46,15 +46,15 @@ pub(super) enum Place {
     Above(u32, u16),
 }
 
-/// Allowance for noise, in sigmas, when it is told whether a point is on the floor.
+/// Allowance for noise, two sigmas, when it is told whether a point is on the floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Allowance {
     /// It is known to be no noise.
-    None = 0,
-    /// The median of many measurements.
-    Learnt = 1,
+    None,
+    /// The mean of so many measurements that it is good to half a cell.
+    Learnt,
     /// A measurement.
-    Measured = 2,
+    Measured,
 }
 
 /// One pixel's ray, for each millimetre of depth.
@@ -197,7 +197,12 @@ impl View {
         }
         let up = i64::from(ray.up);
         let height = (self.eye_height + up * depth) >> HEIGHT_SHIFT;
-        let noise = (noise_mm(depth) * up.abs() * allowance as i64) >> HEIGHT_SHIFT;
+        let sigma = match allowance {
+            Allowance::None => 0,
+            Allowance::Learnt => noise_mm(depth).min(i64::from(self.survey.side.0) / 2),
+            Allowance::Measured => noise_mm(depth),
+        };
+        let noise = (2 * sigma * up.abs()) >> HEIGHT_SHIFT;
         let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
         let Some(cell) = self.cell(ray, depth).filter(|_| height >= -tolerance) else {
             return Place::Nowhere;
