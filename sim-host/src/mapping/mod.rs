@@ -6,6 +6,7 @@ mod constant_errors;
 mod coverage_layer;
 mod fused_layer;
 mod robot_layer;
+mod ros_merge;
 mod runs;
 mod served_layer;
 
@@ -15,4 +16,5 @@ pub use constant_errors::{ConstantErrors, Estimated};
 pub use coverage_layer::CoverageLayer;
 pub use fused_layer::fuse;
 pub use robot_layer::{RobotLayer, SeenTile, TileRecord, Updated};
+pub use ros_merge::RosMerge;
 pub use served_layer::ServedLayer;
