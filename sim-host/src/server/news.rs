@@ -121,7 +121,6 @@ impl Told {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{Observation, Sighting};
     use ubimap_protocol::{
         message::{Messages, decode},
         units::Pose,
@@ -136,10 +135,7 @@ mod tests {
     /// Robots 1 to `robots`, as many metres to the east of a place far away.
     fn saw(about: &mut Surroundings, robots: u16, at: Instant) {
         let pose = |robot: u16| Pose::from_metres(200_000.0 + f64::from(robot), 0.0, 0.0);
-        let robots = (1..=robots).map(|robot| Sighting::usual(RobotId(robot), pose(robot)));
-        let robots = robots.collect();
-        let observation = Observation { captured: at, robots, ..Observation::default() };
-        about.observe(&observation, ubimap_protocol::units::Millimetres(50));
+        (1..=robots).for_each(|robot| about.robot(RobotId(robot), at, pose(robot)));
     }
 
     /// The robots that the next frame with so much room tells of, if it tells anything.
