@@ -17,7 +17,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose, RobotId},
 };
 use ubimap_sim_host::{
-    mapping::{RobotLayer, fuse},
+    mapping::{MapTime, RobotLayer, SeenTile, Weight, fuse},
     run::fleet::AgentMemory,
     store::Store,
 };
@@ -198,8 +198,10 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
         let held: Vec<_> = robot.agent.fused_tiles().tiles(Layer::Fused).collect();
         assert!(!held.is_empty());
         for (id, replica) in held {
-            let seen: Vec<_> = layers.values().filter_map(|layer| layer.seen(id)).collect();
-            assert_eq!(*replica.tile(), fuse(&Tile::UNKNOWN, &seen), "{id:?}");
+            let seen = layers.values().filter_map(|layer| layer.seen(id));
+            let seen: Vec<_> = seen.map(|seen| (Weight::FULL, seen)).collect();
+            let expected = fuse(&SeenTile::NOTHING, &seen, MapTime::default());
+            assert_eq!(*replica.tile(), expected, "{id:?}");
         }
     }
 }

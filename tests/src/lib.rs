@@ -8,6 +8,7 @@ pub mod emulator;
 pub mod floor_view;
 pub mod fuzz;
 pub mod per_ray;
+pub mod raw_robot;
 pub mod schedule;
 pub mod script;
 pub mod star;

@@ -19,7 +19,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::{FaultWire, Faults},
-    mapping::{SeenTile, fuse},
+    mapping::{SeenTile, clear, fuse},
     run::fleet::AgentMemory,
     server::{Command, CommandError, Server},
 };
@@ -567,10 +567,7 @@ impl<'b> Star<'b> {
             let Some(layer) = self.server.layer(robot.id) else { continue };
             for (id, seen) in layer.tiles() {
                 let before = self.checked.layers.entry((robot.id, id));
-                let before = before.or_insert_with(|| SeenTile {
-                    tile: Tile::UNKNOWN,
-                    seconds: [0; TILE_SIDE * TILE_SIDE],
-                });
+                let before = before.or_insert(SeenTile::NOTHING);
                 if before.tile == seen.tile {
                     assert!(before.seconds == seen.seconds, "a time without a change: {id:?}");
                     continue;
@@ -589,10 +586,15 @@ impl<'b> Star<'b> {
     }
 
     fn check_fused(&self, id: TileId) {
-        let layers = self.robots.iter().filter_map(|robot| self.server.layer(robot.id)?.seen(id));
-        let layers: Vec<&SeenTile> = layers.collect();
+        let server = &self.server;
+        let layers = self
+            .robots
+            .iter()
+            .filter_map(|robot| Some((server.weight(robot.id), server.layer(robot.id)?.seen(id)?)));
+        let layers: Vec<_> = layers.collect();
         // The cameras of these runs see robots, and no cells.
-        let expected = fuse(&Tile::UNKNOWN, &layers);
+        let mut expected = fuse(&SeenTile::NOTHING, &layers, server.map_time());
+        clear(&mut expected, &server.under(id));
         let found = self.server.fused().get(id).map(|(_, tile)| tile);
         assert!(found == Some(&expected), "{id:?} is not what the layers make");
     }

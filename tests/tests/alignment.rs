@@ -15,6 +15,7 @@ use ubimap_sim_host::{
         scoring::score,
         simulate::{RESOLUTION, Room, config},
     },
+    server::RobotEvent,
     world::{Scenario, SimRobot, World},
 };
 
@@ -58,6 +59,8 @@ struct Run {
     /// degrees, and after how many seconds in view.
     identifiers: BTreeMap<RobotId, (f64, f64)>,
     sensors: BTreeMap<RobotId, (f64, f64)>,
+    /// What robots did that none should.
+    events: Vec<RobotEvent>,
 }
 
 fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
@@ -104,7 +107,9 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
     assert!(converged.unwrap());
     let tiles = fleet.server().fused().tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, RESOLUTION).unwrap();
-    Run { f1: score(&map, stage.room.world()).unwrap().f1_occupied, identifiers, sensors }
+    let f1 = score(&map, stage.room.world()).unwrap().f1_occupied;
+    let events = fleet.server().robot_events().iter().map(|(event, ..)| event).collect();
+    Run { f1, identifiers, sensors, events }
 }
 
 /// Ahmed's stated error, a heading that is wrong by some degrees, and its cure.
@@ -120,6 +125,8 @@ fn askew_sensors_and_identifiers_are_told_apart_and_cured() {
             straight.f1, left.f1, cured.f1, cured.sensors, cured.identifiers
         );
         assert!(straight.sensors.is_empty() && straight.identifiers.is_empty(), "seed {seed}");
+        // What is explained lowers nobody's weight.
+        assert_eq!((straight.events, cured.events), (vec![], vec![]), "seed {seed}");
         let [(&sensor, &(sensor_deg, sensor_s))] = cured.sensors.iter().collect::<Vec<_>>()[..]
         else {
             panic!("{:?}", cured.sensors)

@@ -3,7 +3,8 @@
 
 use proptest::prelude::*;
 use ubimap_protocol::tile::{Cell, Epoch, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version};
-use ubimap_sim_host::mapping::{RobotLayer, SeenTile, fuse};
+use ubimap_protocol::time::Instant;
+use ubimap_sim_host::mapping::{MapTime, RobotLayer, SeenTile, Weight, fuse};
 
 const ID: TileId = TileId { x: -3, y: 2 };
 const CODES: [Cell; 4] = [Cell::Unknown, Cell::Free, Cell::Occupied, Cell::Movable];
@@ -109,16 +110,23 @@ proptest! {
     /// The fused tile does not depend on the order of the robots, nor on one who says nothing.
     #[test]
     fn the_order_of_the_robots_does_not_matter(
-        robots in proptest::collection::vec((states(), 0u32..4), 0..4),
-        cameras in states(),
+        robots in proptest::collection::vec((states(), 0u32..400, 0u8..5), 0..6),
+        cameras in (states(), 0u32..400),
+        now in 0u64..800,
     ) {
-        let seen = |(states, second): &(Vec<Tile>, u32)| {
-            SeenTile { tile: states[0], seconds: [*second; TILE_SIDE * TILE_SIDE] }
+        let seen = |states: &[Tile], second: u32| {
+            SeenTile { tile: states[0], seconds: [second; TILE_SIDE * TILE_SIDE] }
         };
-        let silent = SeenTile { tile: Tile::UNKNOWN, seconds: [9; TILE_SIDE * TILE_SIDE] };
-        let seen: Vec<SeenTile> = robots.iter().map(seen).collect();
-        let there: Vec<&SeenTile> = seen.iter().collect();
-        let back: Vec<&SeenTile> = seen.iter().rev().chain([&silent]).collect();
-        prop_assert_eq!(fuse(&cameras[0], &there), fuse(&cameras[0], &back));
+        let silent = seen(&[Tile::UNKNOWN], 9);
+        let cameras = seen(&cameras.0, cameras.1);
+        let robots: Vec<(Weight, SeenTile)> = robots
+            .iter()
+            .map(|(states, second, grade)| (Weight::grade(*grade), seen(states, *second)))
+            .collect();
+        let there: Vec<_> = robots.iter().map(|(weight, seen)| (*weight, seen)).collect();
+        let back: Vec<_> =
+            there.iter().rev().copied().chain([(Weight::FULL, &silent)]).collect();
+        let time = MapTime::at(Instant(now * 1_000_000));
+        prop_assert_eq!(fuse(&cameras, &there, time), fuse(&cameras, &back, time));
     }
 }

@@ -8,12 +8,15 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::runs::runs;
+use super::{robot_layer::SeenTile, runs::runs};
 use crate::camera::Observation;
 
 /// What a camera has said for so long holds: another camera that sees the foot of the same wall
 /// does not make it free, and one that is dead does not keep anybody in the map.
 const HOLDS: Duration = Duration::from_secs(1);
+/// A cell that was out of view for longer has come back: what robots have said of it meanwhile no
+/// longer holds. Cells are looked at twice a second at least.
+const AWAY: Duration = Duration::from_millis(1_500);
 
 /// The camera evidence.
 #[derive(Clone, Debug, Default)]
@@ -69,6 +72,25 @@ impl CameraLayer {
         changed
     }
 
+    /// What the cameras know of a tile, and when they last saw each cell.
+    pub fn seen(&self, id: TileId) -> SeenTile {
+        let mut seen = SeenTile { tile: self.tile(id), ..SeenTile::NOTHING };
+        let second = |moment: Instant| (moment.micros() / 1_000_000) as u32;
+        if let Some(still) = self.still.get(&id) {
+            seen.seconds = core::array::from_fn(|cell| second(still.seen[cell].0));
+        }
+        for (captured, tiles) in self.moving.values() {
+            for y in tiles.contains_key(&id).then_some(0..TILE_SIDE).into_iter().flatten() {
+                let moving = tiles[&id].row(y).known();
+                for x in (0..TILE_SIDE).filter(|x| moving >> x & 1 == 1) {
+                    let last = &mut seen.seconds[y * TILE_SIDE + x];
+                    *last = second(*captured).max(*last);
+                }
+            }
+        }
+        seen
+    }
+
     /// What the cameras know of a tile.
     pub fn tile(&self, id: TileId) -> Tile {
         let mut tile = Tile::UNKNOWN;
@@ -89,7 +111,8 @@ impl Default for Still {
 }
 
 impl Still {
-    /// Takes what a camera says of a cell, free, occupied, or no longer known. Whether that changes it.
+    /// Takes what a camera says of a cell, free, occupied, or no longer known. Whether that changes
+    /// it, or it has not been in view for a while.
     fn take(&mut self, x: usize, y: usize, cell: Cell, camera: usize, captured: Instant) -> bool {
         let known = self.tile.cell(x, y);
         let seen = &mut self.seen[y * TILE_SIDE + x];
@@ -105,7 +128,7 @@ impl Still {
         }
         *seen = (captured, camera);
         self.tile.set(x, y, cell);
-        known != cell
+        known != cell || captured.since(when) > AWAY
     }
 }
 
@@ -171,6 +194,19 @@ mod tests {
         assert!(layer.observe(&frame(0, 2_000_000, &[(-1, Cell::Free)])).contains(&ID));
         assert!(other.observe(&frame(1, 2_850_000, &[(-1, Cell::Free)])).is_empty());
         assert!(other.observe(&frame(1, 2_850_001, &[(-1, Cell::Free)])).contains(&ID));
+    }
+
+    #[test]
+    fn a_cell_that_comes_back_into_view_is_told_of_and_each_has_its_second() {
+        let mut layer = CameraLayer::default();
+        layer.observe(&frame(0, 1_000_000, &[(-1, Cell::Free), (-2, Cell::Free)]));
+        assert!(layer.observe(&frame(0, 2_500_000, &[(-1, Cell::Free)])).is_empty());
+        assert!(layer.observe(&frame(0, 2_500_001, &[(-2, Cell::Free)])).contains(&ID));
+        layer.observe(&frame(0, 4_000_000, &[(-3, Cell::Movable)]));
+        let seen = layer.seen(ID);
+        assert_eq!(seen.tile, layer.tile(ID));
+        let row = 5 * TILE_SIDE;
+        assert_eq!(seen.seconds[row + 28..row + TILE_SIDE], [0, 4, 2, 2]);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Camera evidence, robot layers, and the fused and coverage layers that robots get.
 
+mod agreement;
 mod alignment;
 mod camera_layer;
 mod constant_errors;
@@ -10,11 +11,12 @@ mod ros_merge;
 mod runs;
 mod served_layer;
 
+pub use agreement::{Agreements, Weight};
 pub use alignment::{Match, Search, Surfaces, points};
 pub use camera_layer::CameraLayer;
 pub use constant_errors::{ConstantErrors, Estimated};
 pub use coverage_layer::CoverageLayer;
-pub use fused_layer::fuse;
+pub use fused_layer::{MapTime, Mask, clear, fuse};
 pub use robot_layer::{RobotLayer, SeenTile, TileRecord, Updated};
 pub use ros_merge::RosMerge;
 pub use served_layer::ServedLayer;

@@ -7,6 +7,11 @@ use ubimap_protocol::tile::{
     TileError, TileId, Version,
 };
 
+/// No robot draws more tiles, with 5 cm cells 21,000 square metres, nor begins so many epochs of
+/// them: some 90 MB.
+const MOST_TILES: usize = 8_192;
+const MOST_EPOCHS: usize = 65_536;
+
 /// One epoch of one tile.
 #[derive(Clone, Debug, Default)]
 struct Held {
@@ -18,8 +23,9 @@ struct Held {
     kept: Version,
 }
 
-/// What a robot has seen of one tile, and when it last said something new of each cell: seconds of
-/// the server's clock, row by row from the south-west.
+/// What has been seen of one tile, and when: of each cell the second of the server's clock in which a
+/// robot last said something new of it, or in which cameras last saw it; row by row from the
+/// south-west.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SeenTile {
     /// The cells.
@@ -30,7 +36,7 @@ pub struct SeenTile {
 
 impl SeenTile {
     /// Nothing has been seen.
-    const NOTHING: Self = Self { tile: Tile::UNKNOWN, seconds: [0; TILE_CELLS as usize] };
+    pub const NOTHING: Self = Self { tile: Tile::UNKNOWN, seconds: [0; TILE_CELLS as usize] };
 }
 
 /// A complete state of one epoch of a tile, to be kept on disk.
@@ -58,6 +64,8 @@ pub struct RobotLayer {
     seen: BTreeMap<TileId, SeenTile>,
     /// The epochs below this one are void.
     first_epoch: Epoch,
+    /// How many epochs of tiles there are.
+    epochs: usize,
 }
 
 /// What an update came to.
@@ -70,6 +78,8 @@ pub struct Updated {
     /// The tile that could not be read because its base is not held. What followed it in the
     /// update was lost as well; asking for this tile brings all of that back.
     pub missing: Option<TileId>,
+    /// Whether something was not taken because there is no end to what the robot draws.
+    pub too_much: bool,
 }
 
 impl RobotLayer {
@@ -95,6 +105,15 @@ impl RobotLayer {
                 // The robot has given up all that it would tell in this frame.
                 return (updated, Ok(()));
             }
+            let known = self.tiles.get(&header.id);
+            let is_new = !known.is_some_and(|epochs| epochs.contains_key(&epoch));
+            let is_too_much = known.is_none() && self.tiles.len() >= MOST_TILES
+                || is_new && self.epochs >= MOST_EPOCHS;
+            if is_too_much {
+                updated.too_much = true;
+                return (updated, Ok(()));
+            }
+            self.epochs += usize::from(is_new);
             let epochs = self.tiles.entry(header.id).or_default();
             let held = epochs.entry(epoch).or_default();
             let mut before = *held.replica.tile();
@@ -111,6 +130,7 @@ impl RobotLayer {
                 Err(BaseMissing) => {
                     if held.replica == Replica::default() {
                         epochs.remove(&epoch);
+                        self.epochs -= 1;
                     }
                     updated.missing = Some(header.id);
                     return (updated, Ok(()));
@@ -156,7 +176,9 @@ impl RobotLayer {
         let mut changed = BTreeSet::new();
         for id in ids {
             if let Some(epochs) = self.tiles.get_mut(&id) {
+                let before = epochs.len();
                 *epochs = epochs.split_off(&self.first_epoch);
+                self.epochs -= before - epochs.len();
             }
             changed.extend(self.join(id, |_| 0).then_some(id));
         }
@@ -221,7 +243,9 @@ impl RobotLayer {
     /// last. A state that is not newer than what is held is passed over. Whether anything has
     /// changed.
     pub fn restore(&mut self, record: &TileRecord) -> bool {
-        let held = self.tiles.entry(record.id).or_default().entry(record.stamp.epoch).or_default();
+        let epochs = self.tiles.entry(record.id).or_default();
+        self.epochs += usize::from(!epochs.contains_key(&record.stamp.epoch));
+        let held = epochs.entry(record.stamp.epoch).or_default();
         if held.replica.stamp() >= record.stamp {
             return false;
         }
@@ -303,6 +327,34 @@ mod tests {
         let mut joined = second;
         joined.fill_unknown_from(&early);
         assert_eq!(restarted.seen(ID).unwrap().tile, joined);
+    }
+
+    #[test]
+    fn who_draws_without_end_is_stopped_and_goes_on_with_what_it_has_drawn() {
+        let cells = tile(&[(0, Cell::Free)]);
+        let mut out = [0u8; 64];
+        let mut coded = |x: usize, epoch: u32, version: u32, cells: &Tile| {
+            let mut encoder = TileEncoder::new(&mut out);
+            let id = TileId { x: x as i16, y: 0 };
+            let stamp = Stamp { epoch: Epoch(epoch), version: Version(version) };
+            encoder.push(id, stamp, None, 0, &Tile::UNKNOWN, cells).unwrap();
+            let len = encoder.finish().unwrap();
+            out[..len].to_vec()
+        };
+        let mut layer = RobotLayer::default();
+        for x in 0..MOST_TILES {
+            assert!(!layer.update(&coded(x, 1, 1, &cells), 5).0.too_much);
+        }
+        assert!(layer.update(&coded(MOST_TILES, 1, 1, &cells), 5).0.too_much);
+        assert_eq!(layer.tiles().count(), MOST_TILES);
+        let more = tile(&[(0, Cell::Occupied)]);
+        for (epoch, version) in [(1, 2), (2, 1)] {
+            let (updated, _) = layer.update(&coded(3, epoch, version, &more), 6);
+            assert!(!updated.too_much && !updated.complete.is_empty());
+        }
+        // Those that are given up do not count.
+        layer.retire(Epoch(2));
+        assert_eq!(layer.epochs, 1);
     }
 
     #[test]

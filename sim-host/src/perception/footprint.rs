@@ -21,7 +21,7 @@ impl Default for Footprint {
 impl Footprint {
     /// The cells of this side whose centres are in the rectangle about a pose, or no farther from
     /// it than a margin.
-    pub(super) fn cells(
+    pub(crate) fn cells(
         self,
         pose: Pose,
         margin: Millimetres,

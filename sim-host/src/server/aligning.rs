@@ -14,9 +14,8 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose, RobotId},
 };
 
-use crate::mapping::{
-    CameraLayer, ConstantErrors, Match, RobotLayer, Search, SeenTile, Surfaces, fuse, points,
-};
+use super::shared_map::SharedMap;
+use crate::mapping::{ConstantErrors, Match, Search, Surfaces, points};
 
 /// Fixes are remembered for so long: a scan may wait for its pose, and a frame for its way.
 const MEMORY: Duration = Duration::from_secs(4);
@@ -37,12 +36,15 @@ const FIRST_NUMBER: u16 = 0xC000;
 /// How far a robot's epochs may be ahead of those that the server has heard of: it begins one with
 /// each tile that leaves its pool.
 const EPOCHS_AHEAD: u32 = 4_096;
+/// Distance vectors are looked at no sooner after each other: an agent sends one in a second.
+const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 
-/// What a match needs to know.
-pub(super) struct Maps<'m> {
-    pub(super) cameras: &'m CameraLayer,
-    pub(super) layers: &'m BTreeMap<RobotId, RobotLayer>,
-    pub(super) resolution: Millimetres,
+/// What the server makes of a distance vector.
+pub(super) enum Looked {
+    /// It was taken in blind ground and fits the map in one place.
+    Fix(PoseFix),
+    /// It was taken in view: so many points lie on what the cameras see, and so many in the free.
+    Agreement(u32, u32),
 }
 
 /// One robot's part.
@@ -55,6 +57,7 @@ pub(super) struct Aligning {
     cure: Cure,
     /// Distance vectors up to this moment were taken before the last cure.
     cured: Instant,
+    next_look: Instant,
 }
 
 /// A robot's time out of view.
@@ -102,26 +105,28 @@ impl Aligning {
         pose
     }
 
-    /// Takes a distance vector of the robot. A fix, if it was taken in blind ground and fits the
-    /// map in one place.
+    /// Takes a distance vector of the robot. Takes some milliseconds.
     pub(super) fn looked(
         &mut self,
         robot: RobotId,
         vector: &DistanceVector,
-        maps: &Maps<'_>,
-    ) -> Option<PoseFix> {
+        (map, resolution): (&SharedMap, Millimetres),
+        now: Instant,
+    ) -> Option<Looked> {
+        if now < self.next_look {
+            return None;
+        }
+        self.next_look = now + LOOK_INTERVAL;
         let points = points(vector);
         if let Some(pose) = self.seen_at(vector.time) {
-            if vector.time > self.cured {
-                self.compare(&points, pose, maps);
-            }
-            return None;
+            let is_of_now = vector.time > self.cured;
+            return is_of_now.then(|| self.compare(&points, pose, map, resolution));
         }
         let newest = self.fixes.back().map_or(Instant(0), |&(newest, _)| newest);
         if vector.time < newest || vector.time.since(newest) < BLIND_AFTER {
             return None;
         }
-        let found = self.place(robot, vector, &points, newest, maps)?;
+        let found = self.place(robot, vector, &points, newest, map, resolution)?;
         // What they have to do with each other is left out: the deviations are on the wide side.
         let [x, y, heading] = found.deviations();
         // The casts saturate.
@@ -130,13 +135,13 @@ impl Aligning {
             y: y.ceil() as u16,
             heading: (heading / core::f64::consts::TAU * 65_536.0).ceil() as u16,
         };
-        Some(PoseFix {
+        Some(Looked::Fix(PoseFix {
             time: vector.time,
             pose: found.pose,
             certainty,
             source: FixSource::MapMatch,
             earlier: heapless::Vec::new(),
-        })
+        }))
     }
 
     /// Where cameras saw it at a moment.
@@ -156,15 +161,26 @@ impl Aligning {
         Some(Pose { x: mix(start.x, end.x), y: mix(start.y, end.y), heading: start.heading + turn })
     }
 
-    /// What it sees from where cameras see it, against what they see.
-    fn compare(&mut self, points: &[[f64; 2]], pose: Pose, maps: &Maps<'_>) {
+    /// What it sees from where cameras see it, against what they see. A constant error explains
+    /// what it explains: what is left is how well they agree.
+    fn compare(
+        &mut self,
+        points: &[[f64; 2]],
+        pose: Pose,
+        map: &SharedMap,
+        resolution: Millimetres,
+    ) -> Looked {
         let reach = reach(points, IN_VIEW);
-        let surfaces = Surfaces::about(pose, reach, maps.resolution, |id| maps.cameras.tile(id));
-        if let Some(found) = surfaces.find(points, pose, IN_VIEW) {
+        let surfaces = Surfaces::about(pose, reach, resolution, |id| map.in_view(id));
+        let found = surfaces.find(points, pose, IN_VIEW);
+        if let Some(found) = found {
             let [.., deviation] = found.deviations();
             let turned = (found.pose.heading - pose.heading).degrees();
             self.errors.turned(turned, deviation.to_degrees());
         }
+        let (agree, contradict) =
+            surfaces.agreement(points, found.map_or(pose, |found| found.pose));
+        Looked::Agreement(agree, contradict)
     }
 
     /// Where it must be to see what it sees in blind ground.
@@ -174,7 +190,8 @@ impl Aligning {
         vector: &DistanceVector,
         points: &[[f64; 2]],
         newest: Instant,
-        maps: &Maps<'_>,
+        map: &SharedMap,
+        resolution: Millimetres,
     ) -> Option<Match> {
         let second = |moment: Instant| (moment.micros() / 1_000_000) as u32;
         let blind = self.blind.get_or_insert_with(|| Blind {
@@ -193,12 +210,10 @@ impl Aligning {
             known: None,
         };
         let settled = second(vector.time).saturating_sub(OWN_AGE);
-        let own = maps.layers.get(&robot);
+        let own = map.layers.get(&robot);
         let reach = reach(points, search);
-        let surfaces = Surfaces::about(vector.pose, reach, maps.resolution, |id| {
-            let others = maps.layers.iter().filter(|(other, _)| **other != robot);
-            let others: Vec<&SeenTile> = others.filter_map(|(_, layer)| layer.seen(id)).collect();
-            let mut tile = fuse(&maps.cameras.tile(id), &others);
+        let surfaces = Surfaces::about(vector.pose, reach, resolution, |id| {
+            let mut tile = map.without(Some(robot), id);
             if let Some(own) = own {
                 let known = blind.own.entry(id).or_insert_with(|| own.drawn_by(id, blind.since));
                 known.fill_unknown_from(&own.drawn_by(id, settled));

@@ -1,13 +1,14 @@
-//! What has happened on a robot, and what the cameras saw of robots that is no pose.
+//! What has happened on a robot, what the cameras saw of robots that is no pose, and what robots do
+//! that none should.
 
+use core::fmt;
 use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
     message::{Event, EventCode},
     time::Instant,
+    units::RobotId,
 };
-
-use crate::perception::robots::SightingEvent;
 
 /// The newest events that are kept.
 const MOST: usize = 8;
@@ -39,22 +40,53 @@ impl EventLog {
     }
 }
 
-/// What the cameras saw of robots and cannot be a pose.
-#[derive(Clone, Debug, Default)]
-pub struct SightingLog {
-    seen: BTreeMap<SightingEvent, (u64, Instant)>,
+/// What a robot does and none should.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RobotEvent {
+    /// What it draws or sees is not what the others do, and no constant error explains it.
+    Disagrees(RobotId),
+    /// It sends more than any agent would, or draws more ground than there is.
+    Floods(RobotId),
 }
 
-impl SightingLog {
-    pub(super) fn add(&mut self, captured: Instant, event: SightingEvent) {
-        let (count, last) = self.seen.entry(event).or_insert((0, captured));
+impl fmt::Display for RobotEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Disagrees(robot) => {
+                write!(f, "robot {} disagrees with what the others see; it counts less", robot.0)
+            }
+            Self::Floods(robot) => {
+                write!(f, "robot {} sends too much; the rest is not read", robot.0)
+            }
+        }
+    }
+}
+
+/// Events that begin and pass: what the cameras saw of robots and cannot be a pose
+/// ([`SightingEvent`](crate::perception::robots::SightingEvent)), and what robots do
+/// ([`RobotEvent`]).
+#[derive(Clone, Debug)]
+pub struct Began<E> {
+    events: BTreeMap<E, (u64, Instant)>,
+}
+
+impl<E> Default for Began<E> {
+    fn default() -> Self {
+        Self { events: BTreeMap::new() }
+    }
+}
+
+impl<E: Copy + Ord + fmt::Display> Began<E> {
+    pub(super) fn add(&mut self, moment: Instant, event: E) {
+        log::warn!("{event}");
+        let (count, last) = self.events.entry(event).or_insert((0, moment));
         *count += 1;
-        *last = captured.max(*last);
+        *last = moment.max(*last);
     }
 
     /// Each event, how often it began, and when last.
-    pub fn iter(&self) -> impl Iterator<Item = (SightingEvent, u64, Instant)> {
-        self.seen.iter().map(|(&event, &(count, last))| (event, count, last))
+    pub fn iter(&self) -> impl Iterator<Item = (E, u64, Instant)> {
+        self.events.iter().map(|(&event, &(count, last))| (event, count, last))
     }
 }
 

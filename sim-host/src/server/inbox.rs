@@ -65,7 +65,10 @@ impl Inbox<'_> {
                 if head.layer != Layer::Robot {
                     return None;
                 }
-                let (mut updated, result) = self.layer.update(coded, head.seconds);
+                // Nobody has seen what is yet to come.
+                let seconds = head.seconds.min((now.micros() / 1_000_000) as u32);
+                let (mut updated, result) = self.layer.update(coded, seconds);
+                self.updated.too_much |= updated.too_much;
                 self.updated.tiles.append(&mut updated.tiles);
                 self.updated.complete.append(&mut updated.complete);
                 if let Some(missing) = updated.missing {

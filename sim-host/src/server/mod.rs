@@ -6,15 +6,17 @@ mod command;
 pub mod coordination;
 mod events;
 mod inbox;
+mod inflow;
 mod news;
 mod publishing;
 mod scene;
 #[expect(clippy::module_inception, reason = "the server itself, beside its sessions")]
 mod server;
 mod session;
+mod shared_map;
 mod surroundings;
 
 pub use crate::perception::Footprint;
 pub use command::Command;
-pub use events::{EventLog, SightingLog, described};
+pub use events::{Began, EventLog, RobotEvent, described};
 pub use server::{CommandError, NoSuchPort, Server};

@@ -11,23 +11,25 @@ use ubimap_protocol::{
     },
     tile::{Epoch, TileId},
     time::{Duration, Instant},
-    units::{Pose, RobotId},
+    units::{Millimetres, Pose, RobotId},
 };
 
 use super::{
-    aligning::{Aligning, Answered, Maps},
+    aligning::{Aligning, Answered, Looked},
     command::Command,
-    events::{EventLog, SightingLog},
+    events::{Began, EventLog, RobotEvent},
     inbox::Inbox,
+    inflow::Inflow,
     scene::Scene,
     session::{Link, Session},
+    shared_map::SharedMap,
     surroundings::Surroundings,
 };
 use crate::{
     camera::{Observation, Sighting},
     mapping::{
-        CameraLayer, ConstantErrors, CoverageLayer, RobotLayer, ServedLayer, TileRecord, Updated,
-        fuse,
+        ConstantErrors, CoverageLayer, MapTime, Mask, RobotLayer, ServedLayer, TileRecord, Updated,
+        Weight,
     },
     perception::{Footprint, robots::SightingEvent},
 };
@@ -43,6 +45,7 @@ const SILENCE: Duration = Duration::from_secs(15);
 #[derive(Debug)]
 struct Port {
     link: Link,
+    inflow: Inflow,
     session: Option<Session>,
     /// A frame of the handshake that is due.
     answer: Option<Answer>,
@@ -67,15 +70,16 @@ pub struct Server {
     terms: Terms,
     ports: Vec<Port>,
     next_session: u32,
-    layers: BTreeMap<RobotId, RobotLayer>,
-    cameras: CameraLayer,
-    fused: ServedLayer,
+    map: SharedMap,
     coverage: CoverageLayer,
     surroundings: Surroundings,
-    sighting_events: SightingLog,
+    sighting_events: Began<SightingEvent>,
+    robot_events: Began<RobotEvent>,
     aligning: BTreeMap<RobotId, Aligning>,
     /// Whether constant errors are cured.
     cures: bool,
+    /// Robots that draw more ground than there is.
+    draws_too_much: BTreeSet<RobotId>,
     /// Robots whose epochs below some are void, which the disk has not been told.
     retired: Vec<(RobotId, Epoch)>,
     /// Tiles of robots that have changed since they were kept on disk.
@@ -103,6 +107,7 @@ impl Server {
     pub fn new(terms: Terms, ports: usize) -> Self {
         let port = || Port {
             link: Link::new(Direction::ToRobot),
+            inflow: Inflow::default(),
             session: None,
             answer: None,
             reset: Reset::default(),
@@ -115,20 +120,21 @@ impl Server {
             ports: (0..ports).map(|_| port()).collect(),
             // Sessions of different lives of the server must differ.
             next_session: terms.server_epoch.wrapping_mul(0x9E37_79B9) | 1,
-            layers: BTreeMap::new(),
-            cameras: CameraLayer::default(),
-            fused: ServedLayer::default(),
+            map: SharedMap::default(),
             coverage: CoverageLayer::default(),
             surroundings: Surroundings::default(),
-            sighting_events: SightingLog::default(),
+            sighting_events: Began::default(),
+            robot_events: Began::default(),
             aligning: BTreeMap::new(),
             cures: true,
+            draws_too_much: BTreeSet::new(),
             retired: Vec::new(),
             unsaved: BTreeSet::new(),
         }
     }
 
-    /// Takes bytes that came in at a port, in pieces of any size.
+    /// Takes bytes that came in at a port, in pieces of any size. What is more than any agent would
+    /// send is not read: it is lost, as on a bad link.
     ///
     /// # Errors
     /// [`NoSuchPort`].
@@ -139,6 +145,14 @@ impl Server {
         now: Instant,
     ) -> Result<(), NoSuchPort> {
         let index = port;
+        let port = self.ports.get_mut(index).ok_or(NoSuchPort(index))?;
+        let was_flooded = port.inflow.floods();
+        bytes = bytes.get(..port.inflow.admit(bytes.len(), now)).unwrap_or_default();
+        if let Some(session) =
+            port.session.as_ref().filter(|_| !was_flooded && port.inflow.floods())
+        {
+            self.robot_events.add(now, RobotEvent::Floods(session.robot));
+        }
         loop {
             let port = self.ports.get_mut(index).ok_or(NoSuchPort(index))?;
             let mut updated = Updated::default();
@@ -154,7 +168,7 @@ impl Server {
                     if let Some(session) = &mut port.session {
                         session.heard = now;
                         heard = Some(session.robot);
-                        let layer = self.layers.entry(session.robot).or_default();
+                        let layer = self.map.layers.entry(session.robot).or_default();
                         let (updated, surroundings) = (&mut updated, &mut self.surroundings);
                         let mut inbox = Inbox { session, layer, surroundings, updated };
                         let (unknown, malformed) = inbox.take(messages, now);
@@ -177,8 +191,11 @@ impl Server {
             if let Some(hello) = hello {
                 self.greet(index, &hello, now);
             }
-            self.fuse_anew(&updated.tiles);
+            self.map.changed(&updated.tiles);
             if let Some(robot) = heard {
+                if updated.too_much && self.draws_too_much.insert(robot) {
+                    self.robot_events.add(now, RobotEvent::Floods(robot));
+                }
                 self.align(robot, index, now);
             }
         }
@@ -191,23 +208,30 @@ impl Server {
             let Sighting { robot, pose: seen, .. } = sighting;
             let pose = self.aligning.entry(robot).or_default().fix(captured, seen);
             self.surroundings.robot(robot, captured, pose);
+            let (footprint, side) = (self.surroundings.footprint(robot), self.terms.resolution);
+            // Cells that are only just under it may hold a wall beside it.
+            self.map.stands(robot, captured, footprint.cells(pose, Millimetres(-side.0), side));
             self.fix(captured, Sighting { pose, ..sighting });
         }
         self.coverage.observe(observation);
-        let changed = self.cameras.observe(observation);
+        let changed = self.map.cameras.observe(observation);
         self.surroundings.observe(observation, self.terms.resolution);
-        self.fuse_anew(&changed);
+        self.map.changed(&changed);
     }
 
     /// Takes what a frame of a camera, captured then, shows of robots and cannot be a pose.
     pub fn sighting_event(&mut self, captured: Instant, event: SightingEvent) {
-        log::warn!("{event}");
         self.sighting_events.add(captured, event);
     }
 
     /// What the cameras saw of robots and could not be a pose.
-    pub fn sighting_events(&self) -> &SightingLog {
+    pub fn sighting_events(&self) -> &Began<SightingEvent> {
         &self.sighting_events
+    }
+
+    /// What robots do and none should.
+    pub fn robot_events(&self) -> &Began<RobotEvent> {
+        &self.robot_events
     }
 
     /// A state of a robot's tile to be kept on disk, if the terms say that the server stores any.
@@ -216,7 +240,7 @@ impl Server {
     pub fn poll_store(&mut self) -> Option<(RobotId, TileRecord)> {
         while let Some((robot, id, epoch)) = self.unsaved.pop_first() {
             // A state of which only parts have arrived comes back when it is complete.
-            if let Some(record) = self.layers.get(&robot).and_then(|it| it.record(id, epoch)) {
+            if let Some(record) = self.map.layers.get(&robot).and_then(|it| it.record(id, epoch)) {
                 return Some((robot, record));
             }
         }
@@ -237,7 +261,7 @@ impl Server {
 
     /// A record is on disk, for good: the robot may give the tile up.
     pub fn stored(&mut self, robot: RobotId, record: &TileRecord) {
-        if let Some(layer) = self.layers.get_mut(&robot) {
+        if let Some(layer) = self.map.layers.get_mut(&robot) {
             layer.kept(record);
         }
         let mut sessions = self.ports.iter_mut().filter_map(|port| port.session.as_mut());
@@ -249,8 +273,8 @@ impl Server {
     /// Takes back a record that an earlier life of the server kept. The clock of this life must go
     /// on from that one's: the seconds in the record are of it.
     pub fn restore(&mut self, robot: RobotId, record: &TileRecord) {
-        if self.layers.entry(robot).or_default().restore(record) {
-            self.fuse_anew(&BTreeSet::from([record.id]));
+        if self.map.layers.entry(robot).or_default().restore(record) {
+            self.map.changed(&BTreeSet::from([record.id]));
         }
     }
 
@@ -282,9 +306,12 @@ impl Server {
     #[must_use]
     pub fn poll_transmit(&mut self, port: usize, now: Instant, out: &mut [u8]) -> Option<usize> {
         self.coverage.refresh(now);
-        let Self { terms, ports, fused, coverage, surroundings, .. } = self;
+        for robot in self.map.age(now) {
+            self.robot_events.add(now, RobotEvent::Disagrees(robot));
+        }
+        let Self { terms, ports, map, coverage, surroundings, .. } = self;
         let epoch = Epoch(terms.server_epoch);
-        let scene = Scene { epoch, fused, coverage: coverage.served(), surroundings };
+        let scene = Scene { epoch, fused: map.fused(), coverage: coverage.served(), surroundings };
         let port = ports.get_mut(port)?;
         let len = port.poll_handshake(now, out).or_else(|| {
             let Port { link, session, .. } = port;
@@ -311,13 +338,30 @@ impl Server {
         let session = port.session.as_ref();
         let scene = self.scene();
         let messages = session.and_then(|session| session.poll_timeout(&scene, reliable, now));
-        let coverage = self.coverage.poll_timeout();
-        [reset, port.link.poll_timeout(), messages, coverage].into_iter().flatten().min()
+        let layers = [self.coverage.poll_timeout(), self.map.poll_timeout()];
+        let port = [reset, port.link.poll_timeout(), messages];
+        port.into_iter().chain(layers).flatten().min()
     }
 
     /// The map that everybody gets.
     pub fn fused(&self) -> &ServedLayer {
-        &self.fused
+        self.map.fused()
+    }
+
+    /// The time by which the map ages.
+    pub fn map_time(&self) -> MapTime {
+        self.map.time()
+    }
+
+    /// What a robot's word counts for.
+    pub fn weight(&self, robot: RobotId) -> Weight {
+        self.map.weight(robot)
+    }
+
+    /// The cells of a tile that robots take up, as cameras saw them last: there the fused layer is
+    /// not occupied, whatever the layers say.
+    pub fn under(&self, id: TileId) -> Mask {
+        self.map.under(id)
     }
 
     /// The cells that the cameras see now.
@@ -327,7 +371,7 @@ impl Server {
 
     /// What a robot has seen.
     pub fn layer(&self, robot: RobotId) -> Option<&RobotLayer> {
-        self.layers.get(&robot)
+        self.map.layers.get(&robot)
     }
 
     /// The robot whose session is on a port.
@@ -420,7 +464,7 @@ impl Server {
     fn scene(&self) -> Scene<'_> {
         Scene {
             epoch: self.epoch(),
-            fused: &self.fused,
+            fused: self.map.fused(),
             coverage: self.coverage.served(),
             surroundings: &self.surroundings,
         }
@@ -439,14 +483,17 @@ impl Server {
 
     /// Goes on with what a robot's distance vectors and reports are for.
     fn align(&mut self, robot: RobotId, port: usize, now: Instant) {
-        let Self { aligning, ports, cameras, layers, terms, .. } = self;
+        let Self { aligning, ports, map, terms, .. } = self;
         let session = ports.get_mut(port).and_then(|port| port.session.as_mut());
         let Some(session) = session else { return };
         let aligning = aligning.entry(robot).or_default();
         if let Some(vector) = session.new_vector.take() {
-            let maps = Maps { cameras, layers, resolution: terms.resolution };
-            if let Some(fix) = aligning.looked(robot, &vector, &maps) {
-                session.matched(fix);
+            match aligning.looked(robot, &vector, (map, terms.resolution), now) {
+                Some(Looked::Fix(fix)) => session.matched(fix),
+                Some(Looked::Agreement(agree, contradict)) => {
+                    map.looked(robot, agree, contradict);
+                }
+                None => {}
             }
         }
         let mut retired = BTreeSet::new();
@@ -454,12 +501,12 @@ impl Server {
         let next = match report.and_then(|report| aligning.reported(&report, now)) {
             Some(Answered::Next(command)) => Some(command),
             Some(Answered::Retired(epoch)) => {
-                retired = layers.entry(robot).or_default().retire(epoch);
+                retired = map.layers.entry(robot).or_default().retire(epoch);
                 self.retired.extend(terms.stores.then_some((robot, epoch)));
                 None
             }
             None if self.cures => {
-                let next = layers.get(&robot).map_or(Epoch(1), RobotLayer::next_epoch);
+                let next = map.layers.get(&robot).map_or(Epoch(1), RobotLayer::next_epoch);
                 aligning.poll_command(next, now)
             }
             None => None,
@@ -467,15 +514,7 @@ impl Server {
         if let Some(command) = next {
             session.command(Command::Parameter(command));
         }
-        self.fuse_anew(&retired);
-    }
-
-    /// Computes the fused tiles anew whose sources have changed.
-    fn fuse_anew(&mut self, changed: &BTreeSet<TileId>) {
-        for &id in changed {
-            let robots: Vec<_> = self.layers.values().filter_map(|layer| layer.seen(id)).collect();
-            self.fused.set(id, fuse(&self.cameras.tile(id), &robots));
-        }
+        self.map.changed(&retired);
     }
 
     fn greet(&mut self, index: usize, hello: &Hello, now: Instant) {
@@ -485,7 +524,8 @@ impl Server {
             .as_ref()
             .is_some_and(|session| session.robot == hello.robot && session.nonce == hello.nonce);
         let id = if known { port.link.session() } else { SessionId(self.next_session.max(1)) };
-        let first_epoch = self.layers.get(&hello.robot).map_or(Epoch(1), RobotLayer::next_epoch);
+        let first_epoch =
+            self.map.layers.get(&hello.robot).map_or(Epoch(1), RobotLayer::next_epoch);
         let answered = answer(hello, &self.terms, id, first_epoch.0);
         if let (Answer::Welcome(welcome), false) = (answered, known) {
             self.next_session = self.next_session.wrapping_add(1);
@@ -558,10 +598,7 @@ fn parse_hello(message: Message<'_>) -> Option<Hello> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::{
-        frame::{MAX_FRAME, MIN_VERSION, VERSION},
-        units::Millimetres,
-    };
+    use ubimap_protocol::frame::{MAX_FRAME, MIN_VERSION, VERSION};
 
     const TERMS: Terms =
         Terms { resolution: Millimetres(50), frame: 250, server_epoch: 1, stores: false };

@@ -32,6 +32,8 @@ const TILES_INTERVAL: Duration = Duration::from_millis(400);
 /// However many cameras see the robot, fixes are sent no sooner after each other; each message has
 /// those before it as well.
 const FIX_INTERVAL: Duration = Duration::from_millis(60);
+/// Answers to one robot that wait, and tiles to ask it for: an agent makes fewer.
+const MOST_WAITING: usize = 256;
 
 pub(super) type Link = Endpoint<u16, WINDOW, MAX_FRAME>;
 
@@ -174,7 +176,9 @@ impl Session {
     }
 
     pub(super) fn time_requested(&mut self, nonce: u16, now: Instant) {
-        self.times.push((nonce, now));
+        if self.times.len() < MOST_WAITING {
+            self.times.push((nonce, now));
+        }
         self.time_requests = self.time_requests.saturating_add(1);
     }
 
@@ -210,7 +214,8 @@ impl Session {
     }
 
     pub(super) fn ask_for(&mut self, id: TileId) {
-        if !self.requests.contains(&id) {
+        // The robot's digests bring up what finds no room.
+        if self.requests.len() < MOST_WAITING && !self.requests.contains(&id) {
             self.requests.push(id);
         }
     }

@@ -32,6 +32,10 @@ impl Surroundings {
         self.footprints.insert(robot, footprint);
     }
 
+    pub(super) fn footprint(&self, robot: RobotId) -> Footprint {
+        self.footprints.get(&robot).copied().unwrap_or_default()
+    }
+
     /// A robot was at this pose.
     pub(super) fn robot(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
         let known = self.robots.entry(robot).or_insert((moment, pose));
@@ -76,8 +80,7 @@ impl Surroundings {
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
         let recent = self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= LOST);
         let peers = recent.map(|(id, moment, pose)| {
-            let Footprint { half_length, half_width } =
-                self.footprints.get(&id).copied().unwrap_or_default();
+            let Footprint { half_length, half_width } = self.footprint(id);
             let age = (newest.since(moment).micros() / 10_000).min(255) as u8;
             let peer = Peer { robot: id, pose, age, half_length, half_width };
             (distance_m(me, pose.x, pose.y), peer)

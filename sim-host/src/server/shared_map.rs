@@ -1,0 +1,190 @@
+//! The map: the layers of all who see, and the fused layer that they make.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use ubimap_protocol::{
+    tile::{Tile, TileId},
+    time::{Duration, Instant},
+    units::RobotId,
+};
+
+use crate::mapping::{
+    Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Weight, clear, fuse,
+};
+
+/// A robot that no camera has seen for longer may be anywhere.
+const STANDS: Duration = Duration::from_secs(10);
+
+/// The layers, and what follows from them.
+#[derive(Debug, Default)]
+pub(super) struct SharedMap {
+    pub(super) cameras: CameraLayer,
+    pub(super) layers: BTreeMap<RobotId, RobotLayer>,
+    agreements: Agreements,
+    /// As of the present step of the map's time; a robot that is not among them has the full one.
+    weights: BTreeMap<RobotId, Weight>,
+    /// Tiles of robots that have changed since the weights were found.
+    unweighed: BTreeSet<TileId>,
+    time: MapTime,
+    fused: ServedLayer,
+    /// Tiles with something movable, which is forgotten in time.
+    ageing: BTreeSet<TileId>,
+    /// The cells that each robot takes up, and when cameras saw it there.
+    under: BTreeMap<RobotId, (Instant, BTreeMap<TileId, Mask>)>,
+    /// Tiles that would be other ones without the robots upon them.
+    hiding: BTreeSet<TileId>,
+}
+
+impl SharedMap {
+    pub(super) fn fused(&self) -> &ServedLayer {
+        &self.fused
+    }
+
+    pub(super) fn time(&self) -> MapTime {
+        self.time
+    }
+
+    /// What a robot's word counts for.
+    pub(super) fn weight(&self, robot: RobotId) -> Weight {
+        self.weights.get(&robot).copied().unwrap_or(Weight::FULL)
+    }
+
+    /// The cells of a tile that robots take up, as cameras saw them last.
+    pub(super) fn under(&self, id: TileId) -> Mask {
+        let mut under = Mask::default();
+        for mask in self.under.values().filter_map(|(_, masks)| masks.get(&id)) {
+            under.iter_mut().zip(mask).for_each(|(row, more)| *row |= more);
+        }
+        under
+    }
+
+    /// What all have seen of a tile but one robot.
+    pub(super) fn without(&self, robot: Option<RobotId>, id: TileId) -> Tile {
+        let others = self.layers.iter().filter(|(other, _)| Some(**other) != robot);
+        let others: Vec<(Weight, &SeenTile)> = others
+            .filter_map(|(&other, layer)| Some((self.weight(other), layer.seen(id)?)))
+            .collect();
+        fuse(&self.cameras.seen(id), &others, self.time)
+    }
+
+    /// What the cameras know of a tile; the robots upon it are movable.
+    pub(super) fn in_view(&self, id: TileId) -> Tile {
+        let mut tile = self.cameras.tile(id);
+        for (y, mask) in self.under(id).into_iter().enumerate() {
+            let mut row = tile.row(y);
+            (row.low, row.high) = (row.low | mask, row.high | mask);
+            tile.set_row(y, row);
+        }
+        tile
+    }
+
+    /// Computes the fused tiles anew whose sources have changed.
+    pub(super) fn changed(&mut self, ids: &BTreeSet<TileId>) {
+        for &id in ids {
+            if self.layers.values().any(|layer| layer.seen(id).is_some()) {
+                self.unweighed.insert(id);
+            }
+            self.fuse(id);
+        }
+    }
+
+    fn fuse(&mut self, id: TileId) {
+        let mut tile = self.without(None, id);
+        set_member(
+            &mut self.ageing,
+            id,
+            (0..).zip(tile.high).any(|(y, high)| high & tile.low[y] != 0),
+        );
+        let hides = clear(&mut tile, &self.under(id));
+        set_member(&mut self.hiding, id, hides);
+        self.fused.set(id, tile);
+    }
+
+    /// A camera saw a robot that takes up these cells.
+    pub(super) fn stands(
+        &mut self,
+        robot: RobotId,
+        captured: Instant,
+        cells: impl Iterator<Item = (i32, i32)>,
+    ) {
+        let mut masks = BTreeMap::<TileId, Mask>::new();
+        for (x, y) in cells {
+            if let Some(id) = TileId::of_cell(x, y) {
+                let (west, south) = id.first_cell();
+                masks.entry(id).or_default()[(y - south) as usize] |= 1 << (x - west);
+            }
+        }
+        let (last, before) = self.under.entry(robot).or_default();
+        if captured < *last {
+            return;
+        }
+        *last = captured;
+        if *before == masks {
+            return;
+        }
+        let before = core::mem::replace(before, masks.clone());
+        let mut other: BTreeSet<TileId> =
+            before.into_keys().filter(|id| self.hiding.contains(id)).collect();
+        other.extend(masks.iter().filter_map(|(&id, mask)| {
+            let (_, tile) = self.fused.get(id)?;
+            let hides = mask.iter().zip(tile.high).any(|(mask, high)| mask & high != 0);
+            (hides || self.hiding.contains(&id)).then_some(id)
+        }));
+        other.into_iter().for_each(|id| self.fuse(id));
+    }
+
+    /// Takes how many points of a distance vector lie on what cameras see, and how many in the free.
+    pub(super) fn looked(&mut self, robot: RobotId, agree: u32, contradict: u32) {
+        self.agreements.looked(robot, agree, contradict);
+    }
+
+    /// Goes on to a step of the map's time: the robots' weights are found anew, and what moves is
+    /// forgotten. The robots that have begun to disagree with the others.
+    pub(super) fn age(&mut self, now: Instant) -> Vec<RobotId> {
+        let time = MapTime::at(now);
+        if time <= self.time {
+            return Vec::new();
+        }
+        self.time = time;
+        let mut other = core::mem::take(&mut self.ageing);
+        self.under.retain(|_, (captured, masks)| {
+            let stands = now.since(*captured) <= STANDS;
+            if !stands {
+                other.extend(masks.keys().filter(|id| self.hiding.contains(id)));
+            }
+            stands
+        });
+        for id in core::mem::take(&mut self.unweighed) {
+            let robots = self.layers.iter();
+            let robots: Vec<(RobotId, &Tile)> =
+                robots.filter_map(|(&robot, layer)| Some((robot, &layer.seen(id)?.tile))).collect();
+            self.agreements.count(id, &self.cameras.tile(id), &robots);
+        }
+        let mut disagree = Vec::new();
+        for (&robot, layer) in &self.layers {
+            let weight = self.agreements.weight(robot);
+            let last = self.weights.insert(robot, weight).unwrap_or(Weight::FULL);
+            if weight != last {
+                other.extend(layer.tiles().map(|(id, _)| id));
+                disagree.extend((last == Weight::FULL).then_some(robot));
+            }
+        }
+        other.into_iter().for_each(|id| self.fuse(id));
+        disagree
+    }
+
+    /// When to call [`SharedMap::age`].
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        let waits =
+            !(self.unweighed.is_empty() && self.ageing.is_empty() && self.hiding.is_empty());
+        waits.then(|| self.time.next())
+    }
+}
+
+fn set_member(set: &mut BTreeSet<TileId>, id: TileId, is_member: bool) {
+    if is_member {
+        set.insert(id);
+    } else {
+        set.remove(&id);
+    }
+}

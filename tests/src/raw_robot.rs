@@ -1,0 +1,102 @@
+//! A robot that says whatever a test has it say, to a server and at once.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    frame::{DEFAULT_FRAME, Direction, MAX_FRAME, MIN_VERSION, VERSION},
+    link::{Endpoint, Fill, Received},
+    message::{Hello, TileUpdateHead, ToRobotKind, ToServerKind, Welcome, Writer, decode},
+    tile::{Epoch, Layer, Stamp, Tile, TileEncoder, TileId, Version},
+    time::Instant,
+    units::{Millimetres, RobotId},
+};
+use ubimap_sim_host::server::Server;
+
+/// It acknowledges nothing, and what it says it says once.
+#[derive(Debug)]
+pub struct RawRobot {
+    /// Its number.
+    pub id: RobotId,
+    port: usize,
+    link: Endpoint<(), 1, MAX_FRAME>,
+    versions: BTreeMap<TileId, u32>,
+}
+
+impl RawRobot {
+    /// A robot with a session at a port.
+    ///
+    /// # Panics
+    /// If the server gives it none.
+    pub fn connect(server: &mut Server, port: usize, id: RobotId, now: Instant) -> Self {
+        let mut link = Endpoint::new(Direction::ToServer);
+        let hello = Hello {
+            version: VERSION,
+            min_version: MIN_VERSION,
+            robot: id,
+            nonce: 7,
+            frame: DEFAULT_FRAME as u16,
+            resolution: Millimetres(50),
+            fused_tiles: 64,
+        };
+        let mut out = [0; MAX_FRAME];
+        let len = link.handshake(ToServerKind::Hello as u8, &hello, &mut out);
+        server
+            .receive(port, &out[..len.expect("a hello fits")], now)
+            .expect("there is such a port");
+        let len = server.poll_transmit(port, now, &mut out).expect("a welcome");
+        let session = match link.receive(&mut &out[..len], now) {
+            Some(Received::Handshake(message)) if message.kind == ToRobotKind::Welcome as u8 => {
+                decode::<Welcome>(message.body).expect("it can be read").0.session
+            }
+            other => panic!("{other:?}"),
+        };
+        link.begin(session, DEFAULT_FRAME);
+        Self { id, port, link, versions: BTreeMap::new() }
+    }
+
+    /// The next frame, with what `fill` writes.
+    ///
+    /// # Panics
+    /// If it does not fit.
+    pub fn frame(&mut self, now: Instant, fill: impl FnOnce(&mut Writer<'_>) -> bool) -> Vec<u8> {
+        let mut out = [0; MAX_FRAME];
+        let sent = self.link.poll_transmit(now, &mut out, true, |writer, _| {
+            assert!(fill(writer), "it does not fit");
+            Fill::Datagram
+        });
+        out[..sent.expect("a frame").len].to_vec()
+    }
+
+    /// Says something.
+    pub fn say<M: serde::Serialize>(
+        &mut self,
+        server: &mut Server,
+        now: Instant,
+        kind: ToServerKind,
+        message: &M,
+    ) {
+        let frame = self.frame(now, |writer| writer.push(kind as u8, message));
+        server.receive(self.port, &frame, now).expect("there is such a port");
+    }
+
+    /// A frame with the whole of a tile as it has drawn it, in a second of the server's clock.
+    pub fn drawn(&mut self, now: Instant, seconds: u32, id: TileId, tile: &Tile) -> Vec<u8> {
+        let version = self.versions.entry(id).or_default();
+        *version += 1;
+        let stamp = Stamp { epoch: Epoch(1), version: Version(*version) };
+        self.frame(now, |writer| {
+            writer.push_with(ToServerKind::TileUpdate as u8, |body| {
+                let head = TileUpdateHead { layer: Layer::Robot, seconds }.encode(body)?.len();
+                let mut encoder = TileEncoder::new(&mut body[head..]);
+                encoder.push(id, stamp, None, 0, &Tile::UNKNOWN, tile)?;
+                Some(head + encoder.finish()?)
+            })
+        })
+    }
+
+    /// Draws a tile now.
+    pub fn draw(&mut self, server: &mut Server, now: Instant, id: TileId, tile: &Tile) {
+        let frame = self.drawn(now, (now.micros() / 1_000_000) as u32, id, tile);
+        server.receive(self.port, &frame, now).expect("there is such a port");
+    }
+}
