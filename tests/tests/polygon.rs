@@ -10,9 +10,7 @@
 //! - whose middles lie beside a beam that says nothing, or between two beams of which one looks past
 //!   an edge: nothing is claimed there that only one of the two beams crossed;
 //! - where a surface is in view for less than a cell's width: it may be passed over, for three beams to
-//!   two cells are looked at;
-//! - in the last sixteen cells of a surface before it leaves the range: it is drawn from one hit to the
-//!   next, and the next that is looked at may be out of range.
+//!   two cells are looked at.
 
 use std::collections::HashSet;
 
@@ -101,8 +99,7 @@ fn is_in_a_gap((x, y): (i32, i32), from: [f64; 2], pose: Pose, readings: &[u16])
 }
 
 /// The readings of surfaces that are in view for a cell's width, without the others: from beam to beam
-/// they step by less than three quarters of a cell, and they do not leave the range within sixteen
-/// cells.
+/// they step by less than three quarters of a cell.
 fn broad(readings: &[u16]) -> Vec<u16> {
     let mut broad = vec![0; readings.len()];
     let step = FAN.angle / (FAN.beams - 1) as f64;
@@ -117,13 +114,6 @@ fn broad(readings: &[u16]) -> Vec<u16> {
             broad[start..start + run.len()].copy_from_slice(run);
         }
         start += run.len();
-    }
-    for (beam, reading) in broad.iter_mut().enumerate() {
-        let ahead = (800.0 / (f64::from(*reading).max(1.0) * step)) as usize + 1;
-        let ahead = &readings[beam..(beam + ahead).min(readings.len())];
-        if ahead.iter().any(|&it| it > MAX_RANGE) {
-            *reading = 0;
-        }
     }
     broad
 }

@@ -130,30 +130,27 @@ impl Evidence {
 #[inline(always)]
 fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     let [low, middle, high] = *row;
-    let (hit, free) = (sighting.hit, sighting.free & !sighting.hit);
-    let unknown = !(low | middle | high);
-    if !unknown & (hit | free) == 0 {
-        // The same in fewer steps, as on new ground; so below.
+    let RowSighting { free, hit } = sighting;
+    if (low | middle | high) & (free | hit) == 0 {
+        // The same in fewer steps, as on new ground.
         *row = [low | hit | free, middle | free, high | hit];
         return hit;
     }
+    // Below zero there is 7, which without its highest bit is 3.
+    let down = free & !(low & !(middle | high));
+    let borrow = down & !low;
+    *row = [low ^ down, middle ^ borrow, high & !(borrow & !middle)];
     if hit == 0 {
-        let down = free & (middle | high);
-        let carry = down & !low;
-        let new = unknown & free;
-        *row = [low ^ down | new, middle ^ carry | new, high ^ (carry & !middle)];
         return 0;
     }
-    let up = hit & !unknown & !(low & middle & high);
-    let down = free & !unknown & !(low & !middle & !high);
-    let carry = low & up | !low & down;
-    let carry_high = middle & carry & up | !middle & carry & down;
-    *row = [
-        (low ^ (up | down)) | unknown & (hit | free),
-        (middle ^ carry) | unknown & free,
-        (high ^ carry_high) | unknown & hit,
-    ];
-    hit & !(low & middle & high)
+    let up = hit & !(low & middle & high);
+    let carry = up & low;
+    let [row_low, row_middle, row_high] = row;
+    *row_low ^= up;
+    *row_middle ^= carry;
+    // An unknown cell has come to 1, and goes to 5.
+    *row_high ^= carry & middle | hit & !(low | middle | high);
+    up
 }
 
 /// Leaves to the server's map what it says already of a row, and takes over what it says otherwise.

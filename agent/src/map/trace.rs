@@ -58,6 +58,12 @@ pub(super) struct Grain {
     range: u16,
     /// Readings up to this one are within it, whatever their beam.
     surely: u32,
+    /// Millimetres of reading times beams that fit half a cell.
+    bridge: u32,
+    /// Readings from the first on, so many more, may count.
+    counting: (u32, u32),
+    /// They do if they are so near to the one before; negative if that alone does not do.
+    touch: i32,
     /// Which readings count.
     validity: Validity,
 }
@@ -88,14 +94,62 @@ impl Grain {
         let surely = used.map(|beam| beam.reading_at(range)).min().unwrap_or(0).saturating_sub(1);
         let side = side.0.clamp(0, 10_000) as u32;
         let span = if policy == Policy::Full { SPAN } else { 0 };
+        let spread = ((span * side) << DIRECTION_BITS) / widest;
+        let margin = side / 2;
+        let first = u32::from(validity.nearest).max(margin + 1);
+        let more = u32::from(validity.farthest).checked_sub(first);
+        let touch = match validity {
+            _ if validity.removes() => -1,
+            Validity { flying: 0, .. } => i32::MAX,
+            Validity { flying, .. } => i32::from(flying),
+        };
         Self {
-            margin: side / 2,
+            margin,
             tolerance: side * 3 / 4,
-            spread: ((span * side) << DIRECTION_BITS) / widest,
+            spread,
             range,
             surely,
+            bridge: spread / (2 * SPAN),
+            counting: more.map_or((u32::MAX, 0), |more| (first, more)),
+            touch,
             validity,
         }
+    }
+
+    /// Whether a reading counts, and is farther than the margin.
+    #[inline(always)]
+    fn counts(&self, readings: &[u16], index: usize, reading: u16) -> bool {
+        let (first, more) = self.counting;
+        let is_apart = |&before: &u16| i32::from(before.abs_diff(reading)) > self.touch;
+        u32::from(reading).wrapping_sub(first) <= more
+            && (!readings.get(index.wrapping_sub(1)).is_none_or(is_apart)
+                || self.validity.counts_at(readings, index, reading))
+    }
+
+    /// Whether a beam ends within the range.
+    #[inline(never)]
+    fn reaches(&self, beam: Beam, reading: u32) -> bool {
+        let range_square = u64::from(self.range).pow(2) << (2 * DIRECTION_BITS);
+        u64::from(reading * reading) * u64::from(beam.square()) <= range_square
+    }
+
+    /// A beam from `here` to `to` that ends within the range, as the one at `here` does, and the next
+    /// one does not; `to` if that one does.
+    #[inline(never)]
+    fn last_hit(&self, beams: &[Beam], readings: &[u16], here: usize, to: usize) -> usize {
+        let is_hit = |index: usize| {
+            let both = beams.get(index).zip(readings.get(index));
+            both.is_some_and(|(&beam, &reading)| self.reaches(beam, reading.into()))
+        };
+        if is_hit(to) {
+            return to;
+        }
+        let (mut hit, mut beyond) = (here, to);
+        while beyond > hit + 1 {
+            let middle = hit + (beyond - hit) / 2;
+            *(if is_hit(middle) { &mut hit } else { &mut beyond }) = middle;
+        }
+        hit
     }
 }
 
@@ -122,61 +176,70 @@ pub(super) fn trace(
     pixels: &mut PixelCounts,
 ) -> u32 {
     let sensor = projection.origin();
-    let range_square = u64::from(grain.range).pow(2) << (2 * DIRECTION_BITS);
     let (mut kept, mut invalid, mut nearest) = (0, 0, u32::MAX);
     let mut last: Option<End> = None;
+    // Whether there is a beam that says nothing behind the last end.
+    let mut is_broken = false;
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
-        let counts = grain.validity.counts_at(readings, index, reading);
-        let reading = u32::from(reading);
-        if !counts || reading <= grain.margin || beam == Beam::NONE {
+        if !grain.counts(readings, index, reading) || beam == Beam::NONE {
             // Where nothing comes back, often much does not.
             let rest = readings.get(index + 1..).unwrap_or_default();
             let gap = 1 + rest.iter().take_while(|&&reading| reading == 0).count();
             invalid += gap as u32 - u32::from(index == 0 && continued);
             index += gap;
-            if let Some(end) = last.take() {
-                window.edge(end.at, sensor);
-            }
+            is_broken = true;
             continue;
         }
-        let is_hit = reading <= grain.surely
-            || u64::from(reading * reading) * u64::from(beam.square()) <= range_square;
+        let reading = u32::from(reading);
+        let is_hit = reading <= grain.surely || grain.reaches(beam, reading);
         let reach = if is_hit { reading - grain.margin } else { beam.reading_at(grain.range) };
-        kept += u32::from(index > 0 || !continued);
+        kept += 1;
         let direction = projection.direction(beam);
         let at = projection.point(direction, reach);
-        let hit = is_hit.then(|| projection.point(direction, reading));
         // By how much the reading changes from beam to beam, as far as known: 8 fractional bits.
         let mut slope = 0;
         let mut from = sensor;
-        let mut surface = hit;
-        let mut passed = 1;
+        let mut surface = None;
+        let mut passed = 0;
         if let Some(before) = last {
-            from = before.at;
-            if before.index + 1 == index && before.reach.abs_diff(reach) > JUMP {
-                // Only the nearer range is claimed between them.
-                let step = match before.reach < reach {
-                    true => projection.point(direction, before.reach),
-                    false => {
-                        let beam = beams.get(before.index).copied().unwrap_or(beam);
-                        projection.point(projection.direction(beam), reach)
+            passed = index - before.index;
+            let least = before.reach.min(reach);
+            if is_broken && (passed as u32).wrapping_mul(least) > grain.bridge {
+                window.edge(before.at, sensor);
+            } else {
+                from = before.at;
+                let is_beside = is_broken || passed == 1;
+                if is_beside && before.reach.abs_diff(reach) > JUMP {
+                    // Only the nearer range is claimed between them.
+                    let mut step = direction;
+                    if before.reach >= reach
+                        && let Some(&beam) = beams.get(before.index)
+                    {
+                        step = projection.direction(beam);
                     }
-                };
-                window.edge(from, step);
-                from = step;
-            } else if before.hit.is_some() {
-                surface = before.hit;
-                passed = (index - before.index) as i32;
-                slope = ((reach as i32 - before.reach as i32) << 8) / passed.max(4);
+                    let step = projection.point(step, least);
+                    window.edge(from, step);
+                    from = step;
+                } else {
+                    surface = before.hit;
+                    slope = ((reach as i32 - before.reach as i32) << 8) / (passed as i32).max(4);
+                }
             }
         }
         window.edge(from, at);
-        if let (Some(hit), Some(surface)) = (hit, surface) {
-            window.surface(surface, hit, passed);
+        let mut hit = None;
+        if is_hit {
+            let to = projection.point(direction, reading);
+            if let Some(surface) = surface {
+                window.surface(surface, to, passed as i32);
+            }
+            window.hit(to);
             nearest = nearest.min(reading);
+            hit = Some(to);
         }
         last = Some(End { index, reach, at, hit });
+        is_broken = false;
 
         // Where the surface goes on, or nothing is in range, up to some cells further.
         let here = index;
@@ -184,30 +247,39 @@ pub(super) fn trace(
         if ahead >= 2 * SPAN as usize {
             let stride = ahead / CHECKS + 1;
             let end = here + ahead - stride;
-            let (mut expected, span, change) = match is_hit {
-                true => {
-                    let low = reading.saturating_sub(grain.tolerance) << 8;
-                    (low, 2 * grain.tolerance, slope.wrapping_mul(stride as i32))
-                }
-                false => (reach << 8, u32::from(u16::MAX), 0),
-            };
-            let goes_on = |index: usize, expected: u32| {
+            let mut low = reach << 8;
+            let mut span = u32::from(u16::MAX);
+            if is_hit {
+                low = reading.saturating_sub(grain.tolerance) << 8;
+                span = 2 * grain.tolerance;
+            } else if let Some(far) = beams.get(end) {
+                // The end of the range, which for a camera is another depth in each column.
+                let far = far.reading_at(grain.range);
+                slope = ((far as i32 - reach as i32) << 8)
+                    .checked_div((end - here) as i32)
+                    .unwrap_or(0);
+            }
+            let change = slope.wrapping_mul(stride as i32);
+            let goes_on = |index: usize, low: u32| {
                 let next = readings.get(index);
-                next.is_some_and(|&next| u32::from(next).wrapping_sub(expected >> 8) <= span)
+                next.is_some_and(|&next| u32::from(next).wrapping_sub(low >> 8) <= span)
             };
-            let mut next = expected.wrapping_add_signed(change);
+            let mut next = low.wrapping_add_signed(change);
             while index <= end && goes_on(index + stride, next) {
                 index += stride;
-                expected = next;
-                next = expected.wrapping_add_signed(change);
+                low = next;
+                next = low.wrapping_add_signed(change);
             }
             let rest = readings.get(index + 1..readings.len().min(end + 2)).unwrap_or_default();
-            let low = expected >> 8;
+            let low = low >> 8;
             for &next in rest {
                 if u32::from(next).wrapping_sub(low) > span {
                     break;
                 }
                 index += 1;
+            }
+            if is_hit && readings.get(index).is_some_and(|&it| u32::from(it) > grain.surely) {
+                index = grain.last_hit(beams, readings, here, index);
             }
         }
         index = index.max(here + 1);
@@ -216,6 +288,9 @@ pub(super) fn trace(
         window.edge(end.at, sensor);
     }
     let seen = (readings.len() as u32).saturating_sub(u32::from(continued));
+    // The first one has been counted with the part before.
+    let starts = readings.first().is_some_and(|&reading| grain.counts(readings, 0, reading));
+    kept -= u32::from(continued && starts && beams.first() != Some(&Beam::NONE));
     *pixels += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
     nearest
 }

@@ -79,8 +79,8 @@ impl<'s> Window<'s> {
         near.is_some() && far.is_some_and(|(x, y)| TileId::of_cell(x, y).is_some())
     }
 
-    /// Marks the cells of a surface as hit, from one point (which is marked already) to another that
-    /// is so many beams further. Points are counted from the corner.
+    /// Marks the cells of a surface as hit between one point and another that is so many beams
+    /// further. Points are counted from the corner.
     #[inline(never)]
     pub(super) fn surface(&mut self, from: Point, to: Point, beams: i32) {
         let (run, rise) = (to.0 - from.0, to.1 - from.1);
@@ -93,11 +93,11 @@ impl<'s> Window<'s> {
                 self.hit(at);
             }
         }
-        self.hit(to);
     }
 
+    /// Marks the cell of a point as hit.
     #[inline(always)]
-    fn hit(&mut self, (x, y): Point) {
+    pub(super) fn hit(&mut self, (x, y): Point) {
         let column = (x >> FRACTION) as u32;
         if let Some(cells) = self.word((y >> FRACTION) as usize, column) {
             cells.hit |= 1 << (column % TILE_SIDE as u32);
