@@ -175,8 +175,7 @@ impl Background {
             let far = seen[seen.len() - 1 - seen.len() / TRIM];
             let nearest = far.saturating_sub((SLACK_MM + 4 * noise_mm(i64::from(far))) as u16);
             let room = &seen[seen.partition_point(|depth| *depth < nearest)..];
-            let (low, high) =
-                (room[room.len() / TRIM], room[room.len() - 1 - room.len() / TRIM]);
+            let (low, high) = (room[room.len() / TRIM], room[room.len() - 1 - room.len() / TRIM]);
             let sum = room.iter().map(|depth| u32::from(*depth)).sum();
             self.set(pixel, Agreed { sum, count: room.len() as u32 }, (low, high));
             self.settle_again(view, pixel);
