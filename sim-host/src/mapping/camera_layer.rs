@@ -210,6 +210,16 @@ mod tests {
     }
 
     #[test]
+    fn only_who_said_what_stands_there_takes_it_back() {
+        let mut layer = CameraLayer::default();
+        layer.observe(&frame(0, 10, &[(-1, Cell::Occupied)]));
+        assert!(layer.observe(&frame(1, 20, &[(-1, Cell::Unknown)])).is_empty());
+        assert_eq!(layer.tile(ID).cell(31, 5), Cell::Occupied);
+        assert!(layer.observe(&frame(0, 30, &[(-1, Cell::Unknown)])).contains(&ID));
+        assert_eq!(layer.tile(ID).cell(31, 5), Cell::Unknown);
+    }
+
+    #[test]
     fn a_camera_whose_frames_are_always_a_little_older_is_heard() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(0, 100, &[(-1, Cell::Free)]));

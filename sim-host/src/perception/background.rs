@@ -11,7 +11,7 @@
 
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::view::{Allowance, Place, View, noise_mm};
+use super::view::{Allowance, Place, Survey, View, noise_mm};
 
 /// Depths of each pixel that are learnt from, and the time from one to the next.
 const SAMPLES: usize = 15;
@@ -30,6 +30,8 @@ const ROWS_BETWEEN: u32 = 8;
 /// what is farther than the background, was hidden until now, and becomes it sooner.
 const STAY: (u8, u32) = (6, 20);
 const UNCOVERED: (u8, u32) = (2, 1);
+/// The mean of so many depths tells whether something else is there now.
+const FEWEST_FRESH: u32 = 5;
 /// When so many depths have agreed, half of them are forgotten: a drift is followed.
 const MOST_AGREED: u32 = 256;
 
@@ -43,11 +45,24 @@ struct Candidate {
     since_s: u32,
 }
 
+/// Where a depth is that does not agree with the background.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    Nearer,
+    Farther,
+}
+
 /// The depths that agreed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Agreed {
     sum: u32,
     count: u32,
+}
+
+impl Agreed {
+    fn mean(self) -> Option<u16> {
+        (self.sum + self.count / 2).checked_div(self.count).map(|mean| mean as u16)
+    }
 }
 
 /// The background of one camera.
@@ -56,6 +71,8 @@ pub struct Background {
     /// In millimetres; zero where there is none that is good to half a cell.
     depth: Vec<u16>,
     agreed: Vec<Agreed>,
+    /// Those that agreed since the pixel's row was last looked at.
+    fresh: Vec<Agreed>,
     /// The lowest depth of each pixel's window, and how much more the highest is. Without a
     /// background only nothing agrees.
     low: Vec<u16>,
@@ -84,6 +101,7 @@ impl Background {
         Self {
             depth: vec![0; pixels],
             agreed: vec![Agreed::default(); pixels],
+            fresh: vec![Agreed::default(); pixels],
             low: vec![0; pixels],
             span: vec![0; pixels],
             home: vec![nowhere as u32 + 1; pixels],
@@ -138,9 +156,10 @@ impl Background {
         depth.wrapping_sub(self.low[pixel]) <= self.span[pixel]
     }
 
-    /// Whether a pixel has a background.
-    pub(super) fn is_known(&self, pixel: usize) -> bool {
-        self.low[pixel] > 0
+    /// On which side of its background, if it has one, a pixel that does not agree with it is.
+    pub(super) fn side(&self, pixel: usize, depth: u16) -> Option<Side> {
+        let is_known = *self.low.get(pixel)? > 0 && depth > 0 && !self.agrees(pixel, depth);
+        is_known.then(|| if depth < self.low[pixel] { Side::Nearer } else { Side::Farther })
     }
 
     /// Whether a depth is nearer than the background.
@@ -173,51 +192,53 @@ impl Background {
             }
             seen.sort_unstable();
             let far = seen[seen.len() - 1 - seen.len() / TRIM];
-            let nearest = far.saturating_sub((SLACK_MM + 4 * noise_mm(i64::from(far))) as u16);
-            let room = &seen[seen.partition_point(|depth| *depth < nearest)..];
-            let (low, high) = (room[room.len() / TRIM], room[room.len() - 1 - room.len() / TRIM]);
+            let room = &seen[seen.partition_point(|depth| *depth < far - margin(far))..];
             let sum = room.iter().map(|depth| u32::from(*depth)).sum();
-            self.set(pixel, Agreed { sum, count: room.len() as u32 }, (low, high));
+            self.agreed[pixel] = Agreed { sum, count: room.len() as u32 };
             self.settle_again(view, pixel);
         }
     }
 
-    /// Gives a pixel a background, and a window about what was measured of it.
-    fn set(&mut self, pixel: usize, agreed: Agreed, (low, high): (u16, u16)) {
-        // The trimmed range of samples is about 1.7 sigmas: the window has twice that on each side.
-        let noise = noise_mm((i64::from(low) + i64::from(high)) / 2);
-        let range = i64::from(high) - i64::from(low);
-        let margin = (SLACK_MM + (3 * range / 2).clamp(noise / 2, 3 * noise)) as u16;
-        let low = low.saturating_sub(margin).max(1);
-        self.low[pixel] = low;
-        self.span[pixel] = high.saturating_add(margin) - low;
-        self.agreed[pixel] = agreed;
-    }
-
-    /// Finds anew how deep the background of a pixel is, and what it counts for.
+    /// Finds anew how deep the background of a pixel is, the window about that, and what the pixel
+    /// counts for.
     fn settle_again(&mut self, view: &View, pixel: usize) {
         let agreed = &mut self.agreed[pixel];
-        let mean = (agreed.sum + agreed.count / 2).checked_div(agreed.count).unwrap_or(0);
-        let (noise, side) = (noise_mm(i64::from(mean)), i64::from(view.survey().side.0));
-        let is_good = 4 * noise * noise <= side * side * i64::from(agreed.count);
-        let depth = if is_good && self.low[pixel] > 0 { mean as u16 } else { 0 };
+        let fresh = core::mem::take(&mut self.fresh[pixel]);
+        let Some(before) = agreed.mean() else { return };
+        let mean_of_fresh = fresh.mean().filter(|_| fresh.count >= FEWEST_FRESH);
+        if mean_of_fresh.is_some_and(|mean| mean.abs_diff(before) > shift(before)) {
+            *agreed = fresh;
+        } else {
+            agreed.sum += fresh.sum;
+            agreed.count += fresh.count;
+        }
+        let Some(mean) = agreed.mean() else { return };
         if agreed.count >= MOST_AGREED {
             *agreed = Agreed { sum: agreed.sum / 2, count: agreed.count / 2 };
         }
-        self.depth[pixel] = depth;
+        let margin = margin(mean);
+        self.low[pixel] = mean - margin;
+        self.span[pixel] = 2 * margin;
+        let Survey { side, reach, .. } = view.survey();
+        let (noise, side) = (noise_mm(i64::from(mean)), i64::from(side.0));
+        // A sensor that gives no depth beyond its reach cuts the noise off: the mean would be nearer
+        // than what is there.
+        let is_good = i64::from(mean) + i64::from(margin) <= i64::from(reach.0)
+            && 4 * noise * noise <= side * side * i64::from(agreed.count);
+        self.depth[pixel] = if is_good { mean } else { 0 };
         self.totals[self.home[pixel] as usize] -= 1;
         self.home[pixel] = self.settle(view, pixel);
         self.totals[self.home[pixel] as usize] += 1;
     }
 
-    /// Adds the depths that agree to those that did before. Of a pixel that has no background only
-    /// zero does.
+    /// Adds the depths that agree.
     fn gather(&mut self, depths: &[u16]) {
         let windows = self.low.iter().zip(&self.span);
-        for ((agreed, &depth), (&low, &span)) in self.agreed.iter_mut().zip(depths).zip(windows) {
-            let one = u32::from(depth.wrapping_sub(low) <= span);
-            agreed.sum += one * u32::from(depth);
-            agreed.count += one;
+        for ((fresh, &depth), (&low, &span)) in self.fresh.iter_mut().zip(depths).zip(windows) {
+            // Zero agrees where there is no background.
+            let one = u32::from(depth > 0 && depth.wrapping_sub(low) <= span);
+            fresh.sum += one * u32::from(depth);
+            fresh.count += one;
         }
     }
 
@@ -260,11 +281,22 @@ impl Background {
             candidate.looks = 0;
             candidate.has_come = is_nearer;
             let depth = candidate.depth;
-            let spread = 2 * noise_mm(i64::from(depth)) as u16;
-            let window = (depth.saturating_sub(spread), depth.saturating_add(spread));
-            self.set(pixel, Agreed { sum: u32::from(depth), count: 1 }, window);
+            self.agreed[pixel] = Agreed { sum: u32::from(depth), count: 1 };
+            self.settle_again(view, pixel);
         }
     }
+}
+
+/// What the mean of [`FEWEST_FRESH`] depths is never off by, unless something else is there that is
+/// in the window as well: three sigmas of that mean and a half.
+fn shift(depth: u16) -> u16 {
+    margin(depth) / 2
+}
+
+/// Half the width of the window about a depth: three sigmas, and never all of the depth.
+fn margin(depth: u16) -> u16 {
+    let noise = SLACK_MM + 3 * noise_mm(i64::from(depth));
+    noise.min(i64::from(depth / 2)) as u16
 }
 
 /// Whether a pixel sees something over a cell that is taken.

@@ -10,7 +10,7 @@ pub(super) const FEWEST: u32 = 4;
 
 /// The cells that an image shows, in the order of rows from the south-west. `movable` says which
 /// cells something takes up that stands out of the empty room, and cells `under` a robot are left
-/// out. `said` are the cells that were occupied by the last image.
+/// out. `said` are the cells that were last said to be occupied.
 ///
 /// With `F` pixels that have learnt a cell's floor, `B` that have learnt what is in the way over it,
 /// `f` and `b` that see it now, and `e` that would see its floor if nothing stood in between, the
@@ -37,18 +37,22 @@ pub(super) fn cells(
         let solid = totals[2 * cell + 1];
         let is_solid =
             solid >= FEWEST && solid >= totals[2 * cell] && is_ridge(view, totals, foot, cell);
-        let was_occupied = core::mem::replace(&mut said[cell], is_solid);
         if under[cell] {
-            None
-        } else if movable[cell] {
-            Some(Cell::Movable)
-        } else if is_solid && 2 * band >= solid {
-            Some(Cell::Occupied)
-        } else if floor >= 2 && 2 * floor >= view.expected(cell) {
-            Some(Cell::Free)
-        } else {
-            (was_occupied && !is_solid).then_some(Cell::Unknown)
+            return None;
         }
+        let code = if movable[cell] {
+            return Some(Cell::Movable);
+        } else if is_solid && 2 * band >= solid {
+            Cell::Occupied
+        } else if floor >= 2 && 2 * floor >= view.expected(cell) {
+            Cell::Free
+        } else if said[cell] && !is_solid {
+            Cell::Unknown
+        } else {
+            return None;
+        };
+        said[cell] = code == Cell::Occupied;
+        Some(code)
     };
     (0..view.cells()).filter_map(|cell| Some((view.in_map(cell), code(cell)?))).collect()
 }

@@ -113,15 +113,15 @@ impl Evidence {
         let is_nearer = background.is_nearer(pixel, depth);
         // The window has the noise in it already.
         let allowance = if is_nearer { Allowance::None } else { Allowance::Measured };
-        match view.place(pixel, depth, allowance) {
-            // Behind the background is what it hid. Nothing is known of a pixel without one, nor of
-            // what stands behind, before it is learnt.
-            Place::Floor(cell) if background.is_known(pixel) => {
-                self.counts[2 * cell as usize] += 1;
-            }
-            Place::Band(cell, height) | Place::Above(cell, height)
-                if is_nearer && is_backed(view, background, depths, pixel) =>
-            {
+        let place = view.place(pixel, depth, allowance);
+        if place == Place::Nowhere || !is_backed(view, background, depths, pixel) {
+            self.counts[nowhere] += 1;
+            return;
+        }
+        match place {
+            // Behind the background is what it hid.
+            Place::Floor(cell) => self.counts[2 * cell as usize] += 1,
+            Place::Band(cell, height) | Place::Above(cell, height) if is_nearer => {
                 let figure = &mut self.figures[cell as usize];
                 if figure.pixels == 0 {
                     self.touched.push(cell);
@@ -131,7 +131,8 @@ impl Evidence {
                 let layer = &mut figure.layers[usize::from(height >> LAYER_SHIFT).min(LAYERS - 1)];
                 *layer = layer.saturating_add(1);
             }
-            _ => self.counts[nowhere] += 1,
+            // What stands behind has to be learnt first.
+            Place::Band(..) | Place::Above(..) | Place::Nowhere => self.counts[nowhere] += 1,
         }
     }
 }
@@ -145,15 +146,16 @@ fn compare(depths: &[u16], low: &[u16], span: &[u16], differs: &mut [u8; BLOCK])
     }
 }
 
-/// Whether a neighbour in the row and one in the column are nearer than their background as well:
-/// a pixel that stands out alone is noise, or mixed at an edge.
+/// Whether a neighbour in the row and one in the column are on the same side of their background: a
+/// pixel that stands out alone is noise, or mixed at an edge, and one without a background cannot.
 fn is_backed(view: &View, background: &Background, depths: &[u16], pixel: usize) -> bool {
     let width = view.size().0 as usize;
-    let stands_out =
-        |pixel: usize| depths.get(pixel).is_some_and(|depth| background.is_nearer(pixel, *depth));
+    let side = |pixel: usize| background.side(pixel, depths.get(pixel).copied().unwrap_or(0));
+    let own = side(pixel);
+    let is_same = |pixel: usize| side(pixel) == own;
     let either =
-        |step: usize| stands_out(pixel + step) || pixel.checked_sub(step).is_some_and(stands_out);
-    either(1) && either(width)
+        |step: usize| is_same(pixel + step) || pixel.checked_sub(step).is_some_and(is_same);
+    own.is_some() && either(1) && either(width)
 }
 
 #[cfg(test)]

@@ -75,8 +75,8 @@ pub struct Eye {
     view: View,
     background: Background,
     evidence: Evidence,
-    /// The cells where something solid is learnt.
-    solid: Vec<bool>,
+    /// The cells that were said to be occupied, until that is taken back.
+    said: Vec<bool>,
     /// What it follows itself, so that nobody who has walked is learnt.
     tracks: Tracks,
     /// When the newest frame was captured.
@@ -92,7 +92,7 @@ impl Eye {
         Some(Self {
             camera,
             background: Background::new(&view),
-            solid: vec![false; view.cells()],
+            said: vec![false; view.cells()],
             view,
             evidence: Evidence::default(),
             tracks: Tracks::default(),
@@ -147,14 +147,8 @@ impl Eye {
                 movable[index] = true;
             }
         }
-        let cells = cells(
-            view,
-            self.background.totals(),
-            &self.evidence,
-            &movable,
-            &under,
-            &mut self.solid,
-        );
+        let cells =
+            cells(view, self.background.totals(), &self.evidence, &movable, &under, &mut self.said);
 
         self.tracks.observe(frame.captured, &things, side);
         if frame.captured >= self.newest {
