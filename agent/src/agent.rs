@@ -380,6 +380,38 @@ impl<'b> Agent<'b> {
         self.latest_pose
     }
 
+    /// `base_link` in `map` at a moment of the robot's clock as far as is known now, and the
+    /// standard deviation of the position in millimetres. At most 13,000 instructions.
+    pub fn pose_at(&self, moment: Instant) -> Option<(Pose, f32)> {
+        let (pose, variances) = self.locator.best(moment)?;
+        Some((pose, libm::sqrtf(variances.position)))
+    }
+
+    /// The newest reading of the odometry: `base_link` in `odom`.
+    pub fn newest_odometry(&self) -> Option<Pose> {
+        self.locator.newest_odometry()
+    }
+
+    /// When something of a session was last heard, if ever.
+    pub fn heard(&self) -> Option<Instant> {
+        (self.statistics.sessions > 0).then_some(self.heard)
+    }
+
+    /// Tells the server that something has happened.
+    pub fn raise(&mut self, code: EventCode, now: Instant) {
+        self.events.raise(code, now);
+    }
+
+    /// What each reading of a scan stands for.
+    pub fn beams(&self) -> &[Beam] {
+        self.beams
+    }
+
+    /// The configuration as it is now.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// The server's time now, once the clocks agree.
     pub fn server_time(&mut self, now: Instant) -> Option<Instant> {
         self.clock.server_now(now)

@@ -7,7 +7,8 @@
 //! 3. [`map`]: the gate, what is known already, the transform to `map`, the tiles;
 //! 4. [`share`]: tile updates to the server, the merged map back;
 //! 5. [`Agent`] ties them together; [`Parameter`] lists what the server may change of it, and
-//!    [`Bounds`] tells what memory it takes.
+//!    [`Bounds`] tells what memory it takes;
+//! 6. [`drive`]: from the map to the wheels, and [`Pilot`] drives an agent's robot by it.
 //!
 //! A scan is one borrowed row of readings: [`Agent::scan`] takes a lidar's, or a row of a depth
 //! frame as it lies in memory. A [`sense::Slicer`] makes the row of a frame that comes line by
@@ -30,6 +31,7 @@ mod inbox;
 pub mod locate;
 pub mod map;
 mod parameters;
+mod pilot;
 pub mod sense;
 pub mod share;
 mod statistics;
@@ -39,4 +41,5 @@ pub use agent::{Agent, LINK_STATE};
 pub use bounds::Bounds;
 pub use config::{Config, ConfigError, Memory};
 pub use parameters::Parameter;
+pub use pilot::Pilot;
 pub use statistics::Statistics;

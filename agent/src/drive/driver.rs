@@ -15,7 +15,7 @@ use super::{
     search::{End, Outcome, Search},
     window::{GroundRow, Mover, View, Window},
 };
-use crate::trigonometry::radians;
+use crate::trigonometry::{radians, sin_cos};
 
 /// What does not change while the robot drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +28,9 @@ pub struct Config {
     pub resolution: Millimetres,
     /// Whether ground that the cameras see is worth exploring, too.
     pub explore_covered: bool,
+    /// Whether it looks around at a goal that unmapped blind ground is near to, before it has
+    /// arrived.
+    pub looks_at_goal: bool,
     /// Corners that a search may expand in a step, about 5,000 instructions each.
     pub corners_per_step: usize,
 }
@@ -40,6 +43,7 @@ impl Default for Config {
             safety: SafetyLimits::default(),
             resolution: Millimetres(50),
             explore_covered: false,
+            looks_at_goal: false,
             corners_per_step: 8,
         }
     }
@@ -111,6 +115,8 @@ struct Look {
     /// The frontier's point and its window's level.
     at: Waypoint,
     level: u32,
+    /// Which way it turns.
+    left: bool,
     /// How far it has turned, and where it looked last.
     turned: f32,
     last: Pose,
@@ -176,6 +182,22 @@ impl Driver {
         self.search.forget();
         self.safety.forgive();
         self.set_out();
+    }
+
+    /// Gives it the next point of a way. Until it knows how to get there it goes on along its path,
+    /// if it has one.
+    pub fn go_to_next(&mut self, goal: Waypoint) {
+        let has_path = self.has_path;
+        self.task = Task::Go(goal);
+        self.goes_home = false;
+        self.search.forget();
+        self.set_out();
+        self.has_path = has_path;
+    }
+
+    /// What it is to do.
+    pub fn task(&self) -> Task {
+        self.task
     }
 
     /// What it does now.
@@ -408,7 +430,14 @@ impl Driver {
         }
         match self.end {
             End::Frontier(at, level) => {
-                self.phase = Phase::Looking(Look { at, level, turned: 0.0, last: step.pose });
+                let look = Look { at, level, left: true, turned: 0.0, last: step.pose };
+                self.phase = Phase::Looking(look);
+                Reason::Driving
+            }
+            End::Goal if self.config.looks_at_goal && !self.search.window.frontier.is_empty() => {
+                let (at, left) = self.unseen(step.pose);
+                self.phase =
+                    Phase::Looking(Look { at, level: 0, left, turned: 0.0, last: step.pose });
                 Reason::Driving
             }
             End::Goal => {
@@ -423,6 +452,22 @@ impl Driver {
         }
     }
 
+    /// The nearest point of the frontier, and whether it is to the left.
+    fn unseen(&self, pose: Pose) -> (Waypoint, bool) {
+        let window = &self.search.window;
+        let way = |at: &Waypoint| ((at.x - pose.x).0 as f32, (at.y - pose.y).0 as f32);
+        let square = |at: &Waypoint| {
+            let (x, y) = way(at);
+            x * x + y * y
+        };
+        let points = window.frontier.cells().map(|place| window.middle(place));
+        let nearest = points.reduce(|a, b| if square(&b) < square(&a) { b } else { a });
+        let at = nearest.unwrap_or(Waypoint { x: pose.x, y: pose.y });
+        let (sin, cos) = sin_cos(radians(pose.heading));
+        let (x, y) = way(&at);
+        (at, y * cos - x * sin > 0.0)
+    }
+
     /// Turns once round at a frontier, as long as there is blind ground near. What can't be seen
     /// from there is passed over from then on.
     fn look_around(
@@ -434,21 +479,25 @@ impl Driver {
         let turned = look.turned + radians(step.pose.heading - look.last.heading);
         let look = Look { turned, last: step.pose, ..look };
         self.phase = Phase::Looking(look);
-        let done = turned > core::f32::consts::TAU;
+        let done = turned.abs() > core::f32::consts::TAU;
         if done || step.now.since(self.looked) >= REFRESH {
             self.looked = step.now;
             let none = NearPoints::default();
             let view = self.view(step, &none);
             self.search.fill(look.level, &view, ground);
             let is_blind = self.search.is_frontier(look.at);
-            if is_blind && done && !self.search.give_up(look.at, look.level, &view) {
+            if let Task::Go(_) = self.task {
+                if done || self.search.window.frontier.is_empty() {
+                    self.phase = Phase::Resting(Reason::Arrived);
+                }
+            } else if is_blind && done && !self.search.give_up(look.at, look.level, &view) {
                 // So much is out of sight that it is no use to go on.
                 self.fail(PlanError::NoFrontier, step.now);
             } else if done || !is_blind {
                 self.set_out();
             }
         }
-        (self.follower.spin(true, step.elapsed), Reason::Driving)
+        (self.follower.spin(look.left, step.elapsed), Reason::Driving)
     }
 }
 

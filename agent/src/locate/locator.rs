@@ -168,7 +168,7 @@ impl Locator {
     }
 
     /// The pose at a moment, and how unsure it is.
-    fn best(&self, moment: Instant) -> Option<(Pose, Variances)> {
+    pub(crate) fn best(&self, moment: Instant) -> Option<(Pose, Variances)> {
         let before = self.filter.at(moment);
         if let Some(told) = before.filter(|told| !told.guessed) {
             return Some((told.pose, told.variances));

@@ -112,6 +112,12 @@ impl Evidence {
         })
     }
 
+    /// What is known of a row of cells.
+    pub fn row(&self, y: usize) -> Row {
+        let [low, middle, high] = self.rows.get(y).copied().unwrap_or_default();
+        Row { low: (low | middle) & !high, high }
+    }
+
     /// What is known: unknown, free or occupied.
     pub fn cells(&self) -> Tile {
         let mut tile = Tile::UNKNOWN;

@@ -1,7 +1,7 @@
 //! A tile of the robot's own layer: its evidence, and what of it the server has.
 
 use ubimap_protocol::{
-    tile::{Epoch, Publication, Stamp, Tile, TileId, Version},
+    tile::{Epoch, Publication, Row, Stamp, Tile, TileId, Version},
     time::Instant,
 };
 
@@ -75,6 +75,11 @@ impl OwnTile {
         let mut cells = self.evidence.cells();
         self.changes.mark(&mut cells);
         cells
+    }
+
+    /// What has been seen of a row of cells, whether anything in it is movable or not.
+    pub fn row(&self, y: usize) -> Row {
+        self.evidence.row(y)
     }
 
     /// Whether the tile could be given up without losing anything.
