@@ -2,7 +2,7 @@
 
 use ubimap_protocol::{
     message::{
-        Ack, Digests, Event, Interest, Messages, Request, Severity, State, TileDigest,
+        Ack, Digests, Event, EventCode, Interest, Messages, Request, Severity, State, TileDigest,
         TileUpdateHead, TimeRequest, ToServerKind, decode,
     },
     tile::{Layer, tile_hash},
@@ -18,6 +18,8 @@ pub(super) struct Inbox<'a> {
     pub(super) layer: &'a mut RobotLayer,
     pub(super) surroundings: &'a mut Surroundings,
     pub(super) updated: &'a mut Updated,
+    /// What has happened on the robot.
+    pub(super) happened: &'a mut Vec<EventCode>,
 }
 
 impl Inbox<'_> {
@@ -98,6 +100,7 @@ impl Inbox<'_> {
                     Severity::Warning | Severity::Error => log::Level::Warn,
                 };
                 log::log!(level, "robot {robot}: {}", described(&event));
+                self.happened.extend(EventCode::from_number(event.code));
                 self.session.events.add(now, event);
             }
             ToServerKind::DistanceVector => self.session.looked(decode(body).ok()?.0),

@@ -3,6 +3,7 @@
 mod aligning;
 mod budget;
 mod command;
+mod coordinating;
 pub mod coordination;
 mod events;
 mod inbox;

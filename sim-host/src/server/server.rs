@@ -17,6 +17,8 @@ use ubimap_protocol::{
 use super::{
     aligning::{Aligning, Answered, Looked},
     command::Command,
+    coordinating::{Coordinating, View},
+    coordination::{Coordinator, Settings},
     events::{Began, EventLog, RobotEvent},
     inbox::Inbox,
     inflow::Inflow,
@@ -76,6 +78,7 @@ pub struct Server {
     sighting_events: Began<SightingEvent>,
     robot_events: Began<RobotEvent>,
     aligning: BTreeMap<RobotId, Aligning>,
+    coordinating: Option<Coordinating>,
     /// Whether constant errors are cured.
     cures: bool,
     /// Robots that draw more ground than there is.
@@ -126,6 +129,7 @@ impl Server {
             sighting_events: Began::default(),
             robot_events: Began::default(),
             aligning: BTreeMap::new(),
+            coordinating: None,
             cures: true,
             draws_too_much: BTreeSet::new(),
             retired: Vec::new(),
@@ -156,6 +160,7 @@ impl Server {
         loop {
             let port = self.ports.get_mut(index).ok_or(NoSuchPort(index))?;
             let mut updated = Updated::default();
+            let mut happened = Vec::new();
             let (mut hello, mut heard) = (None, None);
             match port.link.receive(&mut bytes, now) {
                 None => return Ok(()),
@@ -170,7 +175,8 @@ impl Server {
                         heard = Some(session.robot);
                         let layer = self.map.layers.entry(session.robot).or_default();
                         let (updated, surroundings) = (&mut updated, &mut self.surroundings);
-                        let mut inbox = Inbox { session, layer, surroundings, updated };
+                        let happened = &mut happened;
+                        let mut inbox = Inbox { session, layer, surroundings, updated, happened };
                         let (unknown, malformed) = inbox.take(messages, now);
                         port.unknown += unknown;
                         port.malformed += malformed;
@@ -195,6 +201,9 @@ impl Server {
             if let Some(robot) = heard {
                 if updated.too_much && self.draws_too_much.insert(robot) {
                     self.robot_events.add(now, RobotEvent::Floods(robot));
+                }
+                if let Some(coordinating) = &mut self.coordinating {
+                    happened.into_iter().for_each(|code| coordinating.event(robot, code, now));
                 }
                 self.align(robot, index, now);
             }
@@ -296,6 +305,47 @@ impl Server {
         Err(CommandError::NoSession(robot))
     }
 
+    /// Lets a coordinator say from now on where robots drive. Its paths have higher numbers than
+    /// those of the server's earlier lives. Call [`Server::timeout`] at the timeouts.
+    pub fn coordinate(&mut self, view_m: f64, look: Duration) {
+        let Terms { resolution, server_epoch, .. } = self.terms;
+        let first_path = server_epoch.wrapping_shl(20);
+        let settings = Settings { resolution, view_m, look, first_path };
+        self.coordinating = Some(Coordinating::new(settings));
+    }
+
+    /// Lets a robot go where nobody has been, if there is a coordinator.
+    pub fn explore(&mut self, robot: RobotId) {
+        if let Some(coordinating) = &mut self.coordinating {
+            coordinating.explore(robot);
+        }
+    }
+
+    /// What says where robots drive, if anything does: to give them goals.
+    pub fn coordinator(&mut self) -> Option<&mut Coordinator> {
+        self.coordinating.as_mut().map(Coordinating::coordinator)
+    }
+
+    /// Does what is due at `now` and has nothing to do with sending.
+    pub fn timeout(&mut self, now: Instant) {
+        let Some(mut coordinating) = self.coordinating.take() else { return };
+        let sessions = self.ports.iter().filter_map(|port| port.session.as_ref());
+        let heard: Vec<_> = sessions.map(|session| (session.robot, session.heard)).collect();
+        let view = View {
+            fused: self.map.fused(),
+            coverage: self.coverage.served(),
+            surroundings: &self.surroundings,
+            heard: &heard,
+        };
+        for (robot, command) in coordinating.tick(&view, now) {
+            if let Err(error) = self.command(robot, command) {
+                // It is told again when it is back.
+                log::debug!("{error}");
+            }
+        }
+        self.coordinating = Some(coordinating);
+    }
+
     /// What a robot last reported of its parameters.
     pub fn parameters(&self, robot: RobotId) -> Option<&ParameterReport> {
         self.session(robot)?.parameters.as_ref()
@@ -327,7 +377,8 @@ impl Server {
         Some(len)
     }
 
-    /// When to come back at the latest to call [`Server::poll_transmit`] for a port.
+    /// When to come back at the latest to call [`Server::timeout`], and [`Server::poll_transmit`] for
+    /// a port.
     pub fn poll_timeout(&self, port: usize, now: Instant) -> Option<Instant> {
         let port = self.ports.get(port)?;
         if port.answer.is_some() {
@@ -338,7 +389,8 @@ impl Server {
         let session = port.session.as_ref();
         let scene = self.scene();
         let messages = session.and_then(|session| session.poll_timeout(&scene, reliable, now));
-        let layers = [self.coverage.poll_timeout(), self.map.poll_timeout()];
+        let coordinating = self.coordinating.as_ref().map(Coordinating::poll_timeout);
+        let layers = [self.coverage.poll_timeout(), self.map.poll_timeout(), coordinating];
         let port = [reset, port.link.poll_timeout(), messages];
         port.into_iter().chain(layers).flatten().min()
     }

@@ -88,6 +88,19 @@ impl Surroundings {
         nearest_first(peers)
     }
 
+    /// All robots of which anything was ever heard: when and where they were last, and what they
+    /// take up.
+    pub(super) fn robots(&self) -> impl Iterator<Item = (RobotId, Instant, Pose, Footprint)> {
+        self.robots.iter().map(|(&id, &(moment, pose))| {
+            (id, moment, pose, self.footprints.get(&id).copied().unwrap_or_default())
+        })
+    }
+
+    /// All that moves.
+    pub(super) fn all_obstacles(&self) -> Vec<Obstacle> {
+        self.tracks.now().map(|track| obstacle(&track)).collect()
+    }
+
     /// The newest moment of what moves.
     pub(super) fn obstacles_moment(&self) -> Instant {
         self.tracks.moment()

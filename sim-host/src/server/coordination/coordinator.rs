@@ -58,6 +58,8 @@ pub struct Settings {
     pub resolution: Millimetres,
     /// A frontier is in view from this far, in metres; no more than the robots' sensors see.
     pub view_m: f64,
+    /// How long a robot takes to look around at the end of its way.
+    pub look: Duration,
     /// The number of the first path. Of two paths the one with the higher number holds, so a
     /// server that starts again must go on from its earlier life's.
     pub first_path: u32,

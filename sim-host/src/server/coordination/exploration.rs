@@ -14,8 +14,6 @@ use super::{
 const WORTH_M: f64 = 1.0;
 /// Two frontiers nearer to each other are one, in metres.
 const APART_M: f64 = 1.0;
-/// A robot looks for so long, and if the frontier is still there, it can't be seen from here.
-const LOOK: Duration = Duration::from_millis(1_500);
 /// The places around this one, in metres, are then not tried for so long.
 const TRIED_M: f64 = 0.3;
 const TRIED: Duration = Duration::from_secs(300);
@@ -39,11 +37,13 @@ impl Coordinator {
 
     /// Drops targets of which nothing is left to be seen, or seen from there.
     fn drop_targets(&mut self, now: Instant) {
+        let look = self.settings.look;
         for member in &mut self.members {
             let Some(target) = member.target else { continue };
             let is_left =
                 self.frontiers.iter().any(|it| (it.place - target.frontier).norm() <= APART_M);
-            let is_vain = target.reached.is_some_and(|reached| now.since(reached) >= LOOK);
+            // If it is still there, it can't be seen from here.
+            let is_vain = target.reached.is_some_and(|reached| now.since(reached) >= look);
             if is_vain && is_left {
                 self.tried.push((Disc { centre: target.view, radius: TRIED_M }, now + TRIED));
             }

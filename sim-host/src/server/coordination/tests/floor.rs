@@ -90,7 +90,12 @@ impl Floor {
             driven: 0.0,
         };
         let bodies = starts.iter().map(body).collect();
-        let settings = Settings { resolution: Millimetres(50), view_m: 2.0, first_path: 1 };
+        let settings = Settings {
+            resolution: Millimetres(50),
+            view_m: 2.0,
+            look: Duration::from_millis(1_500),
+            first_path: 1,
+        };
         let mut floor = Self {
             plan,
             coordinator: Coordinator::new(settings),
