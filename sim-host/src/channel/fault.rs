@@ -36,6 +36,8 @@ pub struct Faults {
     pub latency: Duration,
     /// The most that is added to the latency, uniformly at random for each copy.
     pub jitter: Duration,
+    /// From when to when nothing that is sent arrives.
+    pub cut: Option<(Instant, Instant)>,
 }
 
 impl Default for Faults {
@@ -48,6 +50,7 @@ impl Default for Faults {
             corrupt: 0.0,
             latency: Duration::from_micros(0),
             jitter: Duration::from_micros(0),
+            cut: None,
         }
     }
 }
@@ -102,7 +105,8 @@ impl FaultWire {
     pub fn send(&mut self, now: Instant, frame: &[u8]) {
         self.counters.sent += 1;
         self.counters.bytes += frame.len() as u64;
-        if self.losses.next(&mut self.rng) {
+        let is_cut = self.faults.cut.is_some_and(|(from, to)| from <= now && now < to);
+        if self.losses.next(&mut self.rng) || is_cut {
             self.counters.lost += 1;
             return;
         }

@@ -13,4 +13,6 @@ pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
 pub use picture::{Marker, MarkerKind, png, render, render_coverage, render_error};
 pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
-pub use summary::{HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores};
+pub use summary::{
+    DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores,
+};

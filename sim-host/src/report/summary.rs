@@ -36,6 +36,9 @@ pub struct Report {
     /// How far the robots were wrong about where they are; of a simulation only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseErrors>,
+    /// What came of robots that drove themselves.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub driving: Option<DrivingSummary>,
     /// What the cameras said of robots that drove, against the truth; in a simulated room only.
     pub sighted: Option<PoseErrors>,
 }
@@ -136,6 +139,21 @@ pub struct PoseErrors {
     pub rmse_deg: f64,
 }
 
+/// Robots that drove themselves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct DrivingSummary {
+    /// How often one ran into a wall, furniture or another robot.
+    pub collisions: u64,
+    /// How often one ran into a person.
+    pub touches: u64,
+    /// The ground that no camera sees and a robot can stand on, in square metres.
+    pub blind_m2: f64,
+    /// The share of it that is mapped, 0 to 1.
+    pub blind_mapped: f64,
+    /// After how many seconds 99 % of it were mapped, if they were.
+    pub mapped_s: Option<f64>,
+}
+
 /// A digest as it stands in a report: 16 hexadecimal digits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HexDigest(pub u64);
@@ -182,6 +200,7 @@ impl Report {
             simulated_s: 0.0,
             truth: None,
             pose: None,
+            driving: None,
             sighted: None,
         }
     }
@@ -252,6 +271,18 @@ impl fmt::Display for Report {
         }
         if let Some(pose) = self.pose {
             writeln!(f, "poses: {:.3} m and {:.2} degrees off (RMS)", pose.rmse_m, pose.rmse_deg)?;
+        }
+        if let Some(driving) = self.driving {
+            let mapped = driving.mapped_s.map_or("never".into(), |it| format!("after {it:.0} s"));
+            writeln!(
+                f,
+                "driving: {} collisions, {} touches; of {:.1} m2 of blind ground that can be reached \
+                 {:.1} % mapped, 99 % {mapped}",
+                driving.collisions,
+                driving.touches,
+                driving.blind_m2,
+                100.0 * driving.blind_mapped
+            )?;
         }
         if let Some(sighted) = self.sighted {
             writeln!(

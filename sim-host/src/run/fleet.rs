@@ -4,7 +4,8 @@
 //! when they asked to, and the same seed gives the same bytes.
 
 use ubimap_agent::{
-    Agent, Config, ConfigError, Memory,
+    Agent, Config, ConfigError, Memory, Pilot,
+    drive::{self, DriveCommand},
     map::{OwnTile, RowSighting, scratch_words},
     sense::Beam,
     share::FusedTile,
@@ -53,6 +54,11 @@ pub enum Event {
         /// `base_link` in `odom`.
         pose: Pose,
     },
+    /// A robot that drives itself says what its wheels shall do.
+    Drive {
+        /// Which robot.
+        robot: usize,
+    },
     /// A frame of a camera has arrived.
     Frame(Frame),
     /// A frame of a camera has been looked at.
@@ -66,6 +72,9 @@ pub trait Stage {
 
     /// An event that has happened by `now`, oldest first.
     fn poll(&mut self, now: Instant) -> Option<Event>;
+
+    /// A robot's wheels shall do this from now on.
+    fn drive(&mut self, _robot: usize, _command: DriveCommand) {}
 }
 
 /// The memory of one agent, sized like a robot's.
@@ -147,6 +156,8 @@ pub struct Robot<'b> {
     id: RobotId,
     clock: RobotClock,
     agent: Agent<'b>,
+    /// What drives it, if it does not drive a route.
+    pilot: Option<Box<Pilot>>,
     up: FaultWire,
     down: FaultWire,
     path: Vec<(Instant, Pose)>,
@@ -172,6 +183,11 @@ impl Robot<'_> {
     /// Its number.
     pub fn id(&self) -> RobotId {
         self.id
+    }
+
+    /// What drives it, if it drives itself.
+    pub fn pilot(&self) -> Option<&Pilot> {
+        self.pilot.as_deref()
     }
 
     /// Its agent.
@@ -251,6 +267,7 @@ impl<'b> Fleet<'b> {
                 beams: memory.beams.len(),
                 clock: RobotClock::of(id, seed),
                 agent: Agent::new(*config, memory.lend())?,
+                pilot: None,
                 up: wire(1),
                 down: wire(2),
                 path: Vec::new(),
@@ -301,6 +318,20 @@ impl<'b> Fleet<'b> {
         self.server.set_footprint(robot, footprint);
     }
 
+    /// Lets the server say where robots drive: a frontier is in view from so far, in metres, and
+    /// looked at for so long.
+    pub fn coordinate(&mut self, view_m: f64, look: Duration) {
+        self.server.coordinate(view_m, look);
+    }
+
+    /// Lets a robot drive itself, and explore.
+    pub fn let_drive(&mut self, robot: RobotId, config: drive::Config) {
+        if let Some(robot) = self.robots.iter_mut().find(|it| it.id == robot) {
+            robot.pilot = Some(Box::new(Pilot::new(config)));
+            self.server.explore(robot.id);
+        }
+    }
+
     /// The server leaves the robots' constant errors as they are.
     pub fn leave_errors(&mut self) {
         self.server.leave_errors();
@@ -340,7 +371,13 @@ impl<'b> Fleet<'b> {
             self.run_until(self.began + next.since(Instant(0)))?;
             let now = Instant(self.now.since(self.began).micros());
             while let Some(event) = stage.poll(now) {
-                self.happen(event);
+                if let Event::Drive { robot } = event {
+                    if let Some(command) = self.drive(robot) {
+                        stage.drive(robot, command);
+                    }
+                } else {
+                    self.happen(event);
+                }
             }
             self.drain();
             watch(self);
@@ -393,16 +430,28 @@ impl<'b> Fleet<'b> {
             }
             robot.agent.timeout(local);
         }
+        self.server.timeout(now);
+    }
+
+    /// What the wheels of a robot shall do, if it drives itself.
+    fn drive(&mut self, robot: usize) -> Option<DriveCommand> {
+        let robot = self.robots.get_mut(robot)?;
+        let local = robot.clock.local(self.now);
+        Some(robot.pilot.as_mut()?.step(&mut robot.agent, local))
     }
 
     fn happen(&mut self, event: Event) {
         match event {
+            Event::Drive { .. } => {}
             Event::Scan { robot, readings } => {
                 let Some(robot) = self.robots.get_mut(robot) else { return };
                 let local = robot.clock.local(self.now);
                 if let Err(error) = robot.agent.scan(local, &readings, local) {
                     // The agent counts them.
                     log::debug!("robot {}: a scan is not taken: {error:?}", robot.id.0);
+                }
+                if let Some(pilot) = &mut robot.pilot {
+                    pilot.scan(&robot.agent, &readings, local);
                 }
                 robot.path.extend(robot.agent.pose());
             }

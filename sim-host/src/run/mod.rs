@@ -2,6 +2,7 @@
 //! `ubimap`'s commands, and their options.
 
 pub mod compare;
+mod driving;
 mod figures;
 pub mod fleet;
 pub mod keeper;

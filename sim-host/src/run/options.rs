@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum, value_parser};
 use ubimap_agent::map::Policy;
 use ubimap_protocol::{
-    time::Duration,
+    time::{Duration, Instant},
     units::{Millimetres, Pose},
 };
 
@@ -87,6 +87,11 @@ pub struct SimulateOptions {
     /// quicker, and better than any camera
     #[arg(long)]
     pub ideal_cameras: bool,
+
+    /// Let the robots drive themselves where nobody has been, under the server's coordination, in
+    /// place of their routes
+    #[arg(long)]
+    pub drive: bool,
 
     /// How many robots drive, in place of the scenario's number
     #[arg(long, value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
@@ -186,7 +191,14 @@ pub struct ChannelOptions {
     /// How long a frame takes, in milliseconds
     #[arg(long, value_name = "MS", default_value = "0", value_parser = milliseconds, allow_negative_numbers = true)]
     pub latency: Duration,
+
+    /// Let nothing arrive for ten seconds from this second on
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
+    pub cut: Option<Duration>,
 }
+
+/// How long a channel is cut.
+const CUT: Duration = Duration::from_secs(10);
 
 impl ChannelOptions {
     /// The same, as the wires take it.
@@ -197,6 +209,7 @@ impl ChannelOptions {
             reorder: self.reorder,
             corrupt: self.corrupt,
             latency: self.latency,
+            cut: self.cut.map(|from| (Instant(0) + from, Instant(0) + from + CUT)),
             ..Faults::default()
         }
     }

@@ -2,7 +2,7 @@
 
 use std::{collections::VecDeque, path::Path, time};
 
-use ubimap_agent::{Config, sense::SensorModel};
+use ubimap_agent::{Config, drive::DriveCommand, sense::SensorModel};
 use ubimap_protocol::{
     tile::Cell,
     time::{Duration, Instant},
@@ -10,7 +10,9 @@ use ubimap_protocol::{
 };
 
 use super::{
-    Outcome, RunError, figures,
+    Outcome, RunError,
+    driving::{self, BlindGround},
+    figures,
     fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
     options::SimulateOptions,
     progress::Progress,
@@ -78,7 +80,17 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut stage =
         if options.ideal_cameras { Room::new(world, end) } else { Room::filmed(world, end) };
     let progress = Progress::new(stage.end, options.run.json);
-    let converged = fleet.run(&mut stage, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
+    let ground = options.drive.then(|| BlindGround::of(&stage.world));
+    if options.drive {
+        driving::set_out(&mut fleet, &stage.world);
+        stage.hand_over();
+    }
+    let converged = fleet.run(&mut stage, |fleet| {
+        progress.at(Instant(0) + fleet.elapsed());
+        if let Some(ground) = &ground {
+            ground.look(fleet);
+        }
+    })?;
     progress.finish();
 
     let fused = fleet.server().fused();
@@ -89,6 +101,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     summary.pose = Some(scoring::pose_errors(&fleet, &stage.tracks));
     let sighted = scoring::sighting_errors(&fleet, &stage.tracks);
     summary.sighted = (!options.ideal_cameras).then_some(sighted);
+    summary.driving = ground.map(|ground| ground.summary(&fleet, &stage.world));
     summary.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     summary.elapsed_s = started.elapsed().as_secs_f64();
     let mut markers = figures::markers(&fleet);
@@ -191,6 +204,8 @@ pub struct Room {
     waiting: VecDeque<Event>,
     /// Whether the cameras give frames; what ideal ones see otherwise.
     is_filmed: bool,
+    /// Whether robots that have a route drive themselves.
+    is_driven: bool,
     /// Where each robot really was, every [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
 }
@@ -201,7 +216,7 @@ impl Room {
     pub fn new(world: World, end: Instant) -> Self {
         let tracks = vec![Vec::new(); world.robots().len()];
         let (next_odometry, waiting) = (Instant(0), VecDeque::new());
-        Self { world, end, next_odometry, waiting, is_filmed: false, tracks }
+        Self { world, end, next_odometry, waiting, is_filmed: false, is_driven: false, tracks }
     }
 
     /// The same with the frames of RGB-D cameras.
@@ -214,6 +229,16 @@ impl Room {
         &self.tracks
     }
 
+    /// Lets the robots that have a route drive themselves from now on.
+    pub fn hand_over(&mut self) {
+        self.is_driven = true;
+        for robot in 0..self.world.robots().len() {
+            if self.world.robots()[robot].drives() {
+                self.world.tell_wheels(robot, 0.0, 0.0);
+            }
+        }
+    }
+
     /// The world as it is.
     pub fn world(&self) -> &World {
         &self.world
@@ -223,6 +248,9 @@ impl Room {
         for (index, robot) in self.world.robots().iter().enumerate() {
             self.tracks[index].push(robot.truth());
             self.waiting.push_back(Event::Odometry { robot: index, pose: robot.odometry() });
+            if self.is_driven && robot.drives() {
+                self.waiting.push_back(Event::Drive { robot: index });
+            }
         }
     }
 }
@@ -267,5 +295,10 @@ impl Stage for Room {
             }
         }
         self.waiting.pop_front()
+    }
+
+    fn drive(&mut self, robot: usize, command: DriveCommand) {
+        let (speed_m_s, turn_rad_s) = driving::wheels(command);
+        self.world.tell_wheels(robot, speed_m_s, turn_rad_s);
     }
 }

@@ -4,7 +4,8 @@
 //! and rays through it), `changes` (what is moved all the same), `truth` (what a perfect map would
 //! say), `route`, `people` and `robots` (what moves; `marker` and `tag`: what robots wear),
 //! `places` (who can't be or go where), `stereo` and `sensor` (what robots measure), `mounting`, `render` and
-//! `filming` (the frames of cameras), `passed` (the ground that robots have passed), and `cameras` (ideal ones, which say at once what they see).
+//! `filming` (the frames of cameras), `passed` (the ground that robots have passed), `reachable`
+//! (the ground that they can stand on), and `cameras` (ideal ones, which say at once what they see).
 //! [`World`] ties them together.
 //!
 //! The world moves in steps of [`STEP`], whoever asks it and how often: everything that it reports
@@ -21,6 +22,7 @@ mod mounting;
 mod passed;
 mod people;
 mod places;
+mod reachable;
 mod render;
 mod robots;
 mod room;
@@ -69,6 +71,7 @@ use changes::Changes;
 use filming::Filming;
 use passed::Passed;
 use render::{Part, Scene};
+use robots::Contact;
 use room::{Cells, Room};
 use route::Body;
 use shapes::Prism;
@@ -92,6 +95,15 @@ pub struct ScanEvent {
     pub truth: Pose,
 }
 
+/// What robots whose wheels are told have driven against.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Contacts {
+    /// Walls, furniture and other robots.
+    pub collisions: u64,
+    /// People.
+    pub touches: u64,
+}
+
 /// The simulated room, and the time in it.
 pub struct World {
     room: Arc<Room>,
@@ -107,6 +119,7 @@ pub struct World {
     filming: Filming,
     scanners: Vec<(Cadence, ChaCha8Rng)>,
     now: Instant,
+    contacts: Contacts,
     scans: VecDeque<ScanEvent>,
     /// Observations under way, by arrival, then capture, then camera.
     observations: BTreeMap<(Instant, Instant, usize), Observation>,
@@ -178,6 +191,7 @@ impl World {
             passed: Passed::new(cells, scenario.robots.len()),
             filming,
             now: Instant::default(),
+            contacts: Contacts::default(),
             scans: VecDeque::new(),
             observations: BTreeMap::new(),
         };
@@ -202,6 +216,19 @@ impl World {
     /// The robots as they are now, in the order of the scenario.
     pub fn robots(&self) -> &[SimRobot] {
         &self.robots
+    }
+
+    /// Tells a robot's wheels what to do from now on, in metres and radians a second; it leaves its
+    /// route.
+    pub fn tell_wheels(&mut self, robot: usize, speed_m_s: f64, turn_rad_s: f64) {
+        if let Some(robot) = self.robots.get_mut(robot) {
+            robot.tell_wheels(speed_m_s, turn_rad_s);
+        }
+    }
+
+    /// What robots whose wheels are told have driven against so far.
+    pub fn contacts(&self) -> Contacts {
+        self.contacts
     }
 
     /// The people as they are now, in the order of the scenario.
@@ -234,6 +261,13 @@ impl World {
         views.iter().map(|view| view.cell).collect()
     }
 
+    /// The ground that robots of this radius can stand on when they come from their starts, with so
+    /// much room about them as maps of cells need, all in metres: sorted cells.
+    pub fn reachable(&self, radius_m: f64, room_m: f64) -> Vec<(i32, i32)> {
+        let height = self.robots.iter().map(SimRobot::height_m).fold(0.0, f64::max);
+        reachable::ground(&self.room, self.cells, &self.starts, [radius_m, room_m, height])
+    }
+
     /// The cells whose centres were within three metres of a robot's sensor, in its field of view
     /// and in its line of sight, as it is really mounted.
     pub fn passed(&self) -> impl Iterator<Item = (i32, i32)> {
@@ -256,9 +290,35 @@ impl World {
             self.people[index].step(seconds, &others);
         }
         for index in 0..self.robots.len() {
+            if self.robots[index].is_told() {
+                self.obey(index, seconds);
+                continue;
+            }
             let mut others = self.bodies(Some(index), None);
             others.extend(self.changes.barriers());
             self.robots[index].step(seconds, &others);
+        }
+    }
+
+    /// Lets a robot do what its wheels were told.
+    fn obey(&mut self, index: usize, seconds: f64) {
+        let people: Vec<Body> = self.people.iter().map(Person::body).collect();
+        let others = self.robots.iter().enumerate().filter(|(other, _)| *other != index);
+        let mut things: Vec<Body> = others.map(|(_, robot)| robot.body()).collect();
+        things.extend(self.changes.barriers());
+        let room = &self.room;
+        let contact = |me: Body, next: DVec2| {
+            let meets = |other: &Body| me.meets(next, other);
+            if people.iter().any(meets) {
+                return Some(Contact::Person);
+            }
+            let wall = || room.obstacle(me.centre, next, me.radius, me.height).is_some();
+            (things.iter().any(meets) || wall()).then_some(Contact::Thing)
+        };
+        match self.robots[index].obey(seconds, contact) {
+            Some(Contact::Person) => self.contacts.touches += 1,
+            Some(Contact::Thing) => self.contacts.collisions += 1,
+            None => {}
         }
     }
 

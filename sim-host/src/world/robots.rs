@@ -1,4 +1,5 @@
-//! Robots that drive their routes: turn in place, drive straight, wait for whoever is ahead.
+//! Robots that drive: along their routes (turn in place, drive straight, wait for whoever is
+//! ahead), or as their wheels are told.
 
 use std::f64::consts::{PI, TAU};
 
@@ -44,6 +45,24 @@ impl PlanePose {
     }
 }
 
+/// What stops a robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Contact {
+    /// A wall, furniture, or another robot.
+    Thing,
+    Person,
+}
+
+/// What a robot's wheels are told: metres and radians a second.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wheels {
+    speed: f64,
+    turn: f64,
+}
+
+/// From standing to the fastest turn, in seconds.
+const TURN_RISE: f64 = 0.25;
+
 /// A simulated robot.
 #[derive(Clone, Debug)]
 pub struct SimRobot {
@@ -67,6 +86,11 @@ pub struct SimRobot {
     patience: f64,
     speed: f64,
     waited: f64,
+    /// What the wheels are told, if they do not drive the route.
+    wheels: Option<Wheels>,
+    turning: f64,
+    /// What it drives against.
+    contact: Option<Contact>,
 }
 
 impl SimRobot {
@@ -88,6 +112,16 @@ impl SimRobot {
     /// Its range sensor.
     pub fn sensor(&self) -> &RangeSensor {
         &self.sensor
+    }
+
+    /// Whether it has a route. Without one it stands.
+    pub fn drives(&self) -> bool {
+        self.route.target().is_some()
+    }
+
+    /// The fastest that it drives and turns, and how it gains speed: metres, radians, seconds.
+    pub fn limits(&self) -> [f64; 3] {
+        [self.top_speed, self.turn_rate, self.acceleration]
     }
 
     /// The radius of its footprint, in metres.
@@ -121,6 +155,9 @@ impl SimRobot {
             patience: PATIENCE + 1.5 * index as f64,
             speed: 0.0,
             waited: 0.0,
+            wheels: None,
+            turning: 0.0,
+            contact: None,
         }
     }
 
@@ -152,6 +189,49 @@ impl SimRobot {
             facing: DVec2::new(cos(heading), sin(heading)).as_vec2(),
         };
         Part { prism: Prism { footprint, bottom: 0.0, top: self.height }, paint }
+    }
+
+    /// Lets the wheels obey, and no longer drive the route: metres and radians a second.
+    pub(super) fn tell_wheels(&mut self, speed: f64, turn: f64) {
+        let turn = turn.clamp(-self.turn_rate, self.turn_rate);
+        self.wheels = Some(Wheels { speed: speed.clamp(0.0, self.top_speed), turn });
+    }
+
+    /// Whether the wheels are told what to do.
+    pub(super) fn is_told(&self) -> bool {
+        self.wheels.is_some()
+    }
+
+    /// Does for a moment what the wheels were told, as fast as they can. `contact` says what it
+    /// would touch on its way to a place; that stops it. What it newly touches.
+    pub(super) fn obey(
+        &mut self,
+        seconds: f64,
+        contact: impl Fn(Body, DVec2) -> Option<Contact>,
+    ) -> Option<Contact> {
+        let Wheels { speed, turn } = self.wheels.unwrap_or_default();
+        let gained = self.acceleration * seconds;
+        self.speed += (speed - self.speed).clamp(-BRAKE * gained, gained);
+        let most = self.turn_rate / TURN_RISE * seconds;
+        self.turning += (turn - self.turning).clamp(-most, most);
+        let angle = self.turning * seconds;
+        let middle = self.truth.heading + angle / 2.0;
+        let mut way = self.speed * seconds;
+        let next = self.truth.position + DVec2::new(cos(middle), sin(middle)) * way;
+        let mut touched = None;
+        if way > 0.0 {
+            let met = contact(self.body(), next);
+            touched = met.filter(|_| self.contact != met);
+            self.contact = met;
+            if met.is_some() {
+                (self.speed, way) = (0.0, 0.0);
+            } else {
+                self.truth.position = next;
+            }
+        }
+        self.truth.heading = wrap(self.truth.heading + angle);
+        self.measure(way, angle);
+        touched
     }
 
     /// Drives on for a moment among the others.

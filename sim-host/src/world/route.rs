@@ -23,7 +23,13 @@ impl Body {
         ahead > 0.0 && ahead < reach + gap && aside < reach + 2.0 * APART
     }
 
-    /// Whether moving to `centre` would bring this body into touch with `other`.
+    /// Whether this body would touch `other` at `centre`, and come nearer.
+    pub(super) fn meets(&self, centre: DVec2, other: &Body) -> bool {
+        let distance = centre.distance(other.centre);
+        distance < self.radius + other.radius && distance < self.centre.distance(other.centre)
+    }
+
+    /// Whether moving to `centre` would bring this body nearly into touch with `other`.
     pub(super) fn would_touch(&self, centre: DVec2, other: &Body) -> bool {
         let distance = centre.distance(other.centre);
         distance < self.radius + other.radius + APART

@@ -1,0 +1,116 @@
+//! A run in which the robots drive themselves: how they can, and what came of it.
+
+use std::cell::Cell;
+
+use ubimap_agent::drive::{Config, DriveCommand, Motion, SafetyLimits};
+use ubimap_protocol::{
+    tile::{Cell as MapCell, TILE_SIDE, TileId},
+    time::{Duration, Instant},
+};
+
+use super::{fleet::Fleet, simulate::RESOLUTION};
+use crate::{
+    camera::FrameSource,
+    mapping::ServedLayer,
+    report::DrivingSummary,
+    world::{SimRobot, World},
+};
+
+/// What a robot keeps from everything, in millimetres.
+const MARGIN: u16 = 30;
+/// A turn on the spot, and until the server has heard what was seen.
+const LOOK: Duration = Duration::from_secs(9);
+/// A frontier is in view from so far at most, in metres: things farther off are few cells wide.
+const VIEW_M: f64 = 2.5;
+/// Beside a robot that passes, in metres: half a diagonal of two cells, as the map draws walls.
+const ROOM_M: f64 = 0.065;
+/// How much of the ground is all of it.
+const ALL: f64 = 0.99;
+/// How often it is looked at.
+const INTERVAL: Duration = Duration::from_secs(1);
+
+/// Lets the server coordinate, and all robots that have a route drive themselves.
+pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World) {
+    let seen = world.robots().iter().map(|robot| robot.sensor().max_range_m());
+    fleet.coordinate(seen.fold(VIEW_M, f64::min), LOOK);
+    for robot in world.robots().iter().filter(|robot| robot.drives()) {
+        fleet.let_drive(robot.id(), config(robot));
+    }
+}
+
+/// What a simulated robot's driver knows of it.
+fn config(robot: &SimRobot) -> Config {
+    let [speed, turn, acceleration] = robot.limits();
+    let usual = Motion::default();
+    let motion = Motion {
+        radius: (robot.radius_m() * 1_000.0).ceil() as u16,
+        margin: MARGIN,
+        top_speed: (speed * 1_000.0) as f32,
+        top_turn: turn as f32,
+        acceleration: (acceleration * 1_000.0) as f32,
+        ..usual
+    };
+    let safety = SafetyLimits { silence: Some(Duration::from_secs(3)), ..SafetyLimits::default() };
+    Config { motion, safety, resolution: RESOLUTION, looks_at_goal: true, ..Config::default() }
+}
+
+/// What a command means for the wheels: metres and radians a second.
+pub(super) fn wheels(command: DriveCommand) -> (f64, f64) {
+    (f64::from(command.speed) / 1_000.0, f64::from(command.turn) / 1_000.0)
+}
+
+/// The ground that no camera sees and a robot can stand on, and when it was mapped.
+pub(super) struct BlindGround {
+    cells: Vec<(i32, i32)>,
+    next: Cell<Instant>,
+    mapped: Cell<Option<Duration>>,
+}
+
+impl BlindGround {
+    pub(super) fn of(world: &World) -> Self {
+        let mut covered: Vec<(i32, i32)> = (0..FrameSource::cameras(world).len())
+            .flat_map(|camera| world.covered(camera))
+            .collect();
+        covered.sort_unstable();
+        let radius = world.robots().iter().map(SimRobot::radius_m).fold(0.0, f64::max);
+        let mut cells = world.reachable(radius, ROOM_M);
+        cells.retain(|cell| covered.binary_search(cell).is_err());
+        Self { cells, next: Cell::new(Instant(0)), mapped: Cell::new(None) }
+    }
+
+    /// How much of it a map knows.
+    fn known(&self, fused: &ServedLayer) -> f64 {
+        let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
+        let is_known = |&&(x, y): &&(i32, i32)| {
+            let tile = TileId::of_cell(x, y).and_then(|id| fused.get(id));
+            tile.is_some_and(|(_, tile)| tile.cell(within(x), within(y)) != MapCell::Unknown)
+        };
+        if self.cells.is_empty() {
+            return 1.0;
+        }
+        self.cells.iter().filter(is_known).count() as f64 / self.cells.len() as f64
+    }
+
+    /// Looks whether all is mapped.
+    pub(super) fn look(&self, fleet: &Fleet<'_>) {
+        let now = Instant(0) + fleet.elapsed();
+        if self.mapped.get().is_none() && now >= self.next.get() {
+            self.next.set(now + INTERVAL);
+            if self.known(fleet.server().fused()) >= ALL {
+                self.mapped.set(Some(fleet.elapsed()));
+            }
+        }
+    }
+
+    /// What came of the run.
+    pub(super) fn summary(&self, fleet: &Fleet<'_>, world: &World) -> DrivingSummary {
+        let contacts = world.contacts();
+        DrivingSummary {
+            collisions: contacts.collisions,
+            touches: contacts.touches,
+            blind_m2: self.cells.len() as f64 * RESOLUTION.metres().powi(2),
+            blind_mapped: self.known(fleet.server().fused()),
+            mapped_s: self.mapped.get().map(|it| it.micros() as f64 / 1e6),
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! The ground that robots can stand on.
+
+use std::collections::BTreeSet;
+
+use parry2d_f64::glamx::DVec2;
+
+use super::room::{Cells, Room};
+
+/// The cells whose centres are within the radius of a robot somewhere on its way from a start. Its
+/// middle goes from cell to cell, with so much more room about it; both in metres, and the height.
+pub(super) fn ground(
+    room: &Room,
+    cells: Cells,
+    starts: &[DVec2],
+    [radius, room_about, height]: [f64; 3],
+) -> Vec<(i32, i32)> {
+    let reach = (radius / cells.side) as i32;
+    let disc: Vec<(i32, i32)> = (-reach..=reach)
+        .flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)))
+        .filter(|&(dx, dy)| f64::from(dx).hypot(f64::from(dy)) * cells.side <= radius)
+        .collect();
+    let mut seen = BTreeSet::new();
+    let mut ground = BTreeSet::new();
+    let mut queue: Vec<(i32, i32)> = starts.iter().map(|&start| cells.cell_at(start)).collect();
+    while let Some(cell) = queue.pop() {
+        let at = cells.centre(cell);
+        if cells.index(cell).is_none()
+            || !seen.insert(cell)
+            || room.obstacle(at, at, radius + room_about, height).is_some()
+        {
+            continue;
+        }
+        let (x, y) = cell;
+        ground.extend(disc.iter().map(|(dx, dy)| (x + dx, y + dy)));
+        queue.extend([(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)]);
+    }
+    ground.into_iter().collect()
+}
