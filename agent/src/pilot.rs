@@ -17,13 +17,16 @@ use crate::{
 
 /// Obstacles are known for so long after they were seen.
 const SEEN: Duration = Duration::from_secs(2);
+/// How long the link and the sensor may be silent while a robot seeks to be seen.
+const LINKED: Duration = Duration::from_secs(3);
+const SCANNED: Duration = Duration::from_millis(500);
 /// A point on the way is passed from this near, in millimetres.
 const PASSED: i32 = 150;
 
 type Movers = Vec<Mover, { MAX_PEERS + MAX_OBSTACLES }>;
 
-/// Drives the robot of an agent along the paths that the server sends, a point after the other. It
-/// takes about 12 kB.
+/// Drives the robot of an agent along the paths that the server sends, a point after the other. One
+/// that does not know where it is seeks to be seen. It takes about 12 kB.
 #[derive(Debug)]
 pub struct Pilot {
     driver: Driver,
@@ -67,6 +70,9 @@ impl Pilot {
             odometry: agent.newest_odometry(),
             scan: self.near.taken(),
         };
+        if pose.is_none() && self.may_seek(&health) {
+            return self.seek();
+        }
         let inputs = Inputs { health, near: &self.near, movers: &movers };
         let command = self.driver.step(&inputs, |column, row| ground(agent, now, column, row));
         let code = self.driver.poll_event().and_then(Reason::event_code);
@@ -111,6 +117,25 @@ impl Pilot {
         let heads_there = self.driver.task() == Task::Go(point);
         if !heads_there || self.driver.reason() == Reason::Arrived {
             self.driver.go_to_next(point);
+        }
+    }
+
+    /// Whether a robot that does not know where it is may look for somebody who does: it is linked, and sees.
+    fn may_seek(&self, health: &Health) -> bool {
+        let is_new =
+            |then: Option<Instant>, most| then.is_some_and(|it| health.now.since(it) < most);
+        !health.must_stop && is_new(health.heard, LINKED) && is_new(health.scan, SCANNED)
+    }
+
+    /// Slowly ahead where its own sensor sees free floor, and on the spot to the left where not.
+    fn seek(&self) -> DriveCommand {
+        let aside = (self.radius + 100) as f32;
+        let before = (self.radius + 400) as f32;
+        let stands = |&(x, y): &(f32, f32)| x > 0.0 && x < before && y.abs() < aside;
+        if self.near.points().iter().any(stands) {
+            DriveCommand { speed: 0, turn: 600 }
+        } else {
+            DriveCommand { speed: 200, turn: 0 }
         }
     }
 

@@ -19,7 +19,7 @@ use crate::{
 /// What a robot keeps from everything, in millimetres.
 const MARGIN: u16 = 30;
 /// A turn on the spot, and until the server has heard what was seen.
-const LOOK: Duration = Duration::from_secs(9);
+const LOOK: Duration = Duration::from_secs(7);
 /// A frontier is in view from so far at most, in metres: things farther off are few cells wide.
 const VIEW_M: f64 = 2.5;
 /// Beside a robot that passes, in metres: half a diagonal of two cells, as the map draws walls.

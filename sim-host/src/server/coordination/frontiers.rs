@@ -15,6 +15,9 @@ const PIECE_M: f64 = 1.0;
 const LEAST_GAIN_M2: f64 = 0.05;
 /// A frontier is looked at from this far at least, in metres: sensors are blind before themselves.
 const NEAREST_M: f64 = 0.4;
+/// A frontier is looked at so that its unknown ground is ahead: within 70 degrees (the cosine).
+/// Along the edge of a shadow nothing more is to be seen than what cast it.
+const AHEAD: f64 = 0.34;
 /// Rays by which ground in sight is found.
 const RAYS: usize = 32;
 
@@ -72,7 +75,8 @@ pub(super) fn frontiers(ground: &Ground, range_m: f64) -> Vec<Frontier> {
         let off = |at: &usize| (ground.place(*at) - middle).norm_squared();
         let nearest = cells.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)));
         let at = nearest.unwrap_or(cells[0]);
-        Frontier { place: ground.place(at), gain_m2: rays.gain(at), views: rays.views(at) }
+        let (gain_m2, towards) = rays.gain(at);
+        Frontier { place: ground.place(at), gain_m2, views: rays.views(at, towards) }
     });
     frontiers.filter(|it| it.gain_m2 >= LEAST_GAIN_M2).collect()
 }
@@ -123,23 +127,34 @@ impl<'a> Rays<'a> {
         (1..=steps).map_while(at)
     }
 
-    /// The unknown ground in sight of a cell, if nothing stands in what is unknown.
-    fn gain(&self, from: usize) -> f64 {
+    /// The unknown ground in sight of a cell, if nothing stands in what is unknown, in square
+    /// metres; and where most of it is.
+    fn gain(&self, from: usize) -> (f64, nalgebra::Vector2<f64>) {
         let side_m = self.ground.side_m();
         let ring = core::f64::consts::TAU / RAYS as f64 * side_m;
         let all = (0..RAYS).flat_map(|direction| {
             let until_wall = move |(_, at): &(f64, usize)| {
                 !matches!(self.ground.cell(*at), Cell::Occupied | Cell::Movable)
             };
-            self.ray(from, direction).take_while(until_wall)
+            self.ray(from, direction).take_while(until_wall).map(move |it| (direction, it))
         });
-        let unknown = all.filter(|(_, at)| self.ground.is_blind(*at));
-        unknown.map(|(metres, _)| metres * ring).sum()
+        let unknown = all.filter(|(_, (_, at))| self.ground.is_blind(*at));
+        unknown.fold(
+            (0.0, nalgebra::Vector2::zeros()),
+            |(sum, towards), (direction, (metres, _))| {
+                (sum + metres * ring, towards + self.directions[direction] * metres * ring)
+            },
+        )
     }
 
-    /// The known free cells in sight of a cell, over free ground alone.
-    fn views(&self, from: usize) -> Vec<usize> {
+    /// The known free cells in sight of a cell, over free ground alone, from where what is unknown
+    /// is ahead.
+    fn views(&self, from: usize, towards: nalgebra::Vector2<f64>) -> Vec<usize> {
+        let ahead = |direction: &usize| {
+            -self.directions[*direction].dot(&towards) >= AHEAD * towards.norm()
+        };
         let mut views: Vec<usize> = (0..RAYS)
+            .filter(ahead)
             .flat_map(|direction| {
                 let ray = self.ray(from, direction);
                 let free = ray.take_while(|(metres, at)| {
