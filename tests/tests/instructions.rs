@@ -16,8 +16,11 @@ use ubimap_tests::{
 };
 
 /// What a line of the tables may say at the most, by the ends of its name.
-const BOUNDS: [(&str, &str, u64); 20] = [
+const BOUNDS: [(&str, &str, u64); 24] = [
     ("a row of 640 to planes", "new", 25_000),
+    ("a row of 640 to planes: a wall", "known", 25_000),
+    // 25,000 is wanted: this is what it takes today, and may only improve.
+    ("a row of 640 to planes: two boxes", "known", 26_100),
     ("a row of 640 from a robot that stands", "", 2_500),
     // With the row to planes half a million.
     ("the tiles that fit a frame", "", 475_000),
@@ -30,6 +33,9 @@ const BOUNDS: [(&str, &str, u64); 20] = [
     ("bytes of a planner", "", 8 * 1_024),
     ("a new tile", "to bytes", 150_000),
     ("its ", "bytes to a tile", 150_000),
+    // 150,000 is wanted: this is what they take today, and may only improve.
+    ("a tile update to a robot to bytes", "the most", 154_400),
+    ("a tile update to a robot from bytes", "the most", 207_900),
     ("a tile update", "the most", 150_000),
     ("a tile update", "", 40_000),
     ("", "bytes of link state", 4_096),
@@ -44,7 +50,7 @@ const BOUNDS: [(&str, &str, u64); 20] = [
 /// ground. 25,000 is wanted of each; where it says more, that is what it takes today, and may only
 /// improve.
 const RECORDED: [(&str, u64); 3] =
-    [("rgbd_redwood", 28_900), ("rgbd_frames/icl_nuim", 25_000), ("rgbd_frames/handheld", 37_900)];
+    [("rgbd_redwood", 28_000), ("rgbd_frames/icl_nuim", 25_000), ("rgbd_frames/handheld", 36_700)];
 
 /// Every so manieth update is taken: its bytes take the emulator longer than its coding.
 const SAMPLE: usize = 4;
@@ -61,7 +67,7 @@ struct CommandLine {
 #[test]
 fn no_stage_takes_more_than_its_bound() {
     match image("bench").and_then(|image| count(&image, Vec::new())) {
-        Ok(table) => assert_eq!(bounded(&table), 27, "{table}"),
+        Ok(table) => assert_eq!(bounded(&table), 29, "{table}"),
         Err(error) => leave_out("the stages' instruction counts", &error),
     }
 }

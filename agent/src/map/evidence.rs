@@ -137,7 +137,7 @@ impl Evidence {
 fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     let [low, middle, high] = *row;
     let RowSighting { free, hit } = sighting;
-    if (low | middle | high) & (free | hit) == 0 {
+    if hit != 0 && (low | middle | high) & (free | hit) == 0 {
         // The same in fewer steps, as on new ground.
         *row = [low | hit | free, middle | free, high | hit];
         return hit;

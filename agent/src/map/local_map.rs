@@ -379,6 +379,17 @@ mod tests {
     }
 
     #[test]
+    fn a_wall_that_leaves_the_range_is_drawn_up_to_there() {
+        let mut beams = [Beam::default(); 640];
+        let camera = SensorModel::Pinhole { focal: 343.1, centre: 319.5 };
+        fill_beams(&mut beams, camera, Pose::default());
+        let seen = see(&beams, &[3_820; 640], Pose::default());
+        // It is 4 m away 1,186 mm aside.
+        let rows: BTreeSet<_> = seen.hit.iter().map(|&(x, y)| (x == 76, y)).collect();
+        assert_eq!(rows, (-24..24).map(|y| (true, y)).collect());
+    }
+
+    #[test]
     fn a_scan_at_the_end_of_the_map_is_refused() {
         let beams = half_circle(5);
         let add = |words: usize, pose: Pose| {

@@ -56,6 +56,8 @@ pub(super) struct Grain {
     spread: u32,
     /// The range of the map.
     range: u16,
+    /// Its square, in the units of [`Beam::square`].
+    range_square: u64,
     /// Readings up to this one are within it, whatever their beam.
     surely: u32,
     /// Millimetres of reading times beams that fit half a cell.
@@ -108,6 +110,7 @@ impl Grain {
             tolerance: side * 3 / 4,
             spread,
             range,
+            range_square: u64::from(range).pow(2) << (2 * DIRECTION_BITS),
             surely,
             bridge: spread / (2 * SPAN),
             counting: more.map_or((u32::MAX, 0), |more| (first, more)),
@@ -127,29 +130,25 @@ impl Grain {
     }
 
     /// Whether a beam ends within the range.
-    #[inline(never)]
+    #[inline(always)]
     fn reaches(&self, beam: Beam, reading: u32) -> bool {
-        let range_square = u64::from(self.range).pow(2) << (2 * DIRECTION_BITS);
-        u64::from(reading * reading) * u64::from(beam.square()) <= range_square
+        reading <= self.surely
+            || u64::from(reading * reading) * u64::from(beam.square()) <= self.range_square
     }
 
-    /// A beam from `here` to `to` that ends within the range, as the one at `here` does, and the next
-    /// one does not; `to` if that one does.
+    /// Of two beams that end within the range and beyond it, with others between them: one that ends
+    /// within it beside one that does not.
     #[inline(never)]
-    fn last_hit(&self, beams: &[Beam], readings: &[u16], here: usize, to: usize) -> usize {
-        let is_hit = |index: usize| {
-            let both = beams.get(index).zip(readings.get(index));
-            both.is_some_and(|(&beam, &reading)| self.reaches(beam, reading.into()))
-        };
-        if is_hit(to) {
-            return to;
+    fn last_within(&self, beams: &[Beam], readings: &[u16], within: usize, beyond: usize) -> usize {
+        let (mut within, mut beyond) = (within, beyond);
+        while beyond.abs_diff(within) > 1 {
+            let middle = (within + beyond) / 2;
+            let both = beams.get(middle).zip(readings.get(middle));
+            let is_within =
+                both.is_some_and(|(&beam, &reading)| self.reaches(beam, reading.into()));
+            *(if is_within { &mut within } else { &mut beyond }) = middle;
         }
-        let (mut hit, mut beyond) = (here, to);
-        while beyond > hit + 1 {
-            let middle = hit + (beyond - hit) / 2;
-            *(if is_hit(middle) { &mut hit } else { &mut beyond }) = middle;
-        }
-        hit
+        within
     }
 }
 
@@ -176,7 +175,8 @@ pub(super) fn trace(
     pixels: &mut PixelCounts,
 ) -> u32 {
     let sensor = projection.origin();
-    let (mut kept, mut invalid, mut nearest) = (0, 0, u32::MAX);
+    let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
+    let mut is_first_invalid = false;
     let mut last: Option<End> = None;
     // Whether there is a beam that says nothing behind the last end.
     let mut is_broken = false;
@@ -186,13 +186,14 @@ pub(super) fn trace(
             // Where nothing comes back, often much does not.
             let rest = readings.get(index + 1..).unwrap_or_default();
             let gap = 1 + rest.iter().take_while(|&&reading| reading == 0).count();
-            invalid += gap as u32 - u32::from(index == 0 && continued);
+            invalid += gap as u32;
+            is_first_invalid |= index == 0;
             index += gap;
             is_broken = true;
             continue;
         }
         let reading = u32::from(reading);
-        let is_hit = reading <= grain.surely || grain.reaches(beam, reading);
+        let is_hit = grain.reaches(beam, reading);
         let reach = if is_hit { reading - grain.margin } else { beam.reading_at(grain.range) };
         kept += 1;
         let direction = projection.direction(beam);
@@ -238,7 +239,6 @@ pub(super) fn trace(
             nearest = nearest.min(reading);
             hit = Some(to);
         }
-        last = Some(End { index, reach, at, hit });
         is_broken = false;
 
         // Where the surface goes on, or nothing is in range, up to some cells further.
@@ -252,20 +252,15 @@ pub(super) fn trace(
             if is_hit {
                 low = reading.saturating_sub(grain.tolerance) << 8;
                 span = 2 * grain.tolerance;
-            } else if let Some(far) = beams.get(end) {
-                // The end of the range, which for a camera is another depth in each column.
-                let far = far.reading_at(grain.range);
-                slope = ((far as i32 - reach as i32) << 8)
-                    .checked_div((end - here) as i32)
-                    .unwrap_or(0);
+            } else {
+                slope = 0;
             }
             let change = slope.wrapping_mul(stride as i32);
-            let goes_on = |index: usize, low: u32| {
-                let next = readings.get(index);
-                next.is_some_and(|&next| u32::from(next).wrapping_sub(low >> 8) <= span)
-            };
+            let within = readings.get(..end + stride + 1).unwrap_or(readings);
             let mut next = low.wrapping_add_signed(change);
-            while index <= end && goes_on(index + stride, next) {
+            while let Some(&reading) = within.get(index + stride)
+                && u32::from(reading).wrapping_sub(next >> 8) <= span
+            {
                 index += stride;
                 low = next;
                 next = low.wrapping_add_signed(change);
@@ -278,10 +273,24 @@ pub(super) fn trace(
                 }
                 index += 1;
             }
-            if is_hit && readings.get(index).is_some_and(|&it| u32::from(it) > grain.surely) {
-                index = grain.last_hit(beams, readings, here, index);
+            if let Some((&beam, &next)) = beams.get(index).zip(readings.get(index))
+                && grain.reaches(beam, next.into()) != is_hit
+            {
+                // A surface that leaves the range, or comes into it.
+                let (within, beyond) = if is_hit { (here, index) } else { (index, here) };
+                let end = grain.last_within(beams, readings, within, beyond);
+                if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end)) {
+                    let to = projection.point(projection.direction(beam), reading.into());
+                    if let Some(hit) = hit {
+                        window.surface(hit, to, (end - here) as i32);
+                    } else {
+                        hit = Some(to);
+                    }
+                    window.hit(to);
+                }
             }
         }
+        last = Some(End { index: here, reach, at, hit });
         index = index.max(here + 1);
     }
     if let Some(end) = last {
@@ -289,8 +298,8 @@ pub(super) fn trace(
     }
     let seen = (readings.len() as u32).saturating_sub(u32::from(continued));
     // The first one has been counted with the part before.
-    let starts = readings.first().is_some_and(|&reading| grain.counts(readings, 0, reading));
-    kept -= u32::from(continued && starts && beams.first() != Some(&Beam::NONE));
+    let again = if is_first_invalid { &mut invalid } else { &mut kept };
+    *again = again.saturating_sub(u32::from(continued));
     *pixels += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
     nearest
 }
