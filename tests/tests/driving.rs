@@ -16,7 +16,7 @@ use ubimap_sim_host::{
 
 /// Two rooms with a door; the camera sees the first of them. A person walks in it.
 const TWO_ROOMS: &str = r#"
-    duration_s = 90.0
+    duration_s = 240.0
     slice_height_m = 0.2
 
     [room]
