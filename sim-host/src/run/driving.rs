@@ -20,8 +20,9 @@ use crate::{
 const MARGIN: u16 = 30;
 /// A turn on the spot, and until the server has heard what was seen.
 const LOOK: Duration = Duration::from_secs(7);
-/// A frontier is in view from so far at most, in metres: things farther off are few cells wide.
-const VIEW_M: f64 = 2.5;
+/// A frontier is in view from so far, in metres: within a driver's finest window, so that it turns
+/// there to look.
+const VIEW_M: f64 = 1.4;
 /// Beside a robot that passes, in metres: half a diagonal of two cells, as the map draws walls.
 const ROOM_M: f64 = 0.065;
 /// How much of the ground is all of it.
