@@ -480,6 +480,7 @@ fn weather(rng: &mut ChaCha8Rng, robot: usize) -> Happening {
             corrupt: at_most(0.1, rng),
             latency: Duration(rng.random_range(0..200_000)),
             jitter: Duration(rng.random_range(0..100_000)),
+            cut: None,
         }
     };
     Happening::Weather { robot, up: faults(), down: faults() }

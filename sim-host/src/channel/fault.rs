@@ -281,6 +281,7 @@ mod tests {
             corrupt: 0.2,
             latency: STEP,
             jitter: STEP,
+            cut: None,
         };
         let (mut one, mut two, mut other) =
             (FaultWire::new(faults, 7), FaultWire::new(faults, 7), FaultWire::new(faults, 8));
@@ -334,6 +335,7 @@ mod tests {
                     corrupt: odd,
                     latency: Duration(u64::MAX),
                     jitter: Duration(u64::MAX),
+                    cut: None,
                 };
                 let mut wire = FaultWire::new(faults, 5);
                 wire.send(Instant(u64::MAX), b"");
