@@ -11,7 +11,7 @@ use std::{
 const LAYERS: [(&str, &[&str]); 11] = [
     ("grid", &[]),
     ("camera", &["grid"]),
-    ("log", &["grid"]),
+    ("log", &["grid", "camera"]),
     ("perception", &["grid", "camera"]),
     ("mapping", &["grid", "camera", "perception"]),
     ("server", &["grid", "camera", "perception", "mapping"]),
@@ -54,7 +54,9 @@ fn imports_run_one_way() {
     for (folder, allowed) in LAYERS {
         for file in sources(&src.join(folder)) {
             let text = fs::read_to_string(&file).unwrap();
-            for import in imports(&text) {
+            // A unit test may hold a thing against others.
+            let text = text.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
+            for import in imports(text) {
                 let is_layer = known.contains(&import.as_str());
                 if is_layer && import != folder && !allowed.contains(&import.as_str()) {
                     wrong.push(format!("{} imports {import}", file.display()));

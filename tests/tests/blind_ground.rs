@@ -175,7 +175,7 @@ fn ten_metres_through_blind_ground() {
             );
             assert!(wheels.0 > 0.3 && wheels.1 > 5.0, "{wheels:?}");
             good += u32::from(robot.0 <= 0.1 && robot.1 <= 2.0);
-            let part = if known { 4.0 } else { 2.0 };
+            let part = if known { 4.0 } else { 1.5 };
             assert!(robot.0 < wheels.0 / part && robot.1 < wheels.1 / part, "seed {seed}");
         }
         println!("within 10 cm and 2 degrees, ground {name}: {good} of 3");

@@ -22,7 +22,7 @@ use super::{
 pub(super) const WIDEST_GAP: Duration = Duration::from_millis(350);
 /// Readings of the odometry that are remembered, and how far apart they are at least: as long as
 /// a scan waits in any case. Who brakes like that strays by a millimetre in between.
-const READINGS: usize = 16;
+const READINGS: usize = 15;
 const READING_INTERVAL: Duration = Duration::from_millis(100);
 /// Half a degree, in binary units.
 const STEADY: u16 = 91;
@@ -243,6 +243,10 @@ impl Filter {
 
     pub(super) fn newest_odometry(&self) -> Option<(Instant, Pose)> {
         self.odometry.newest()
+    }
+
+    pub(super) fn noise(&self) -> &MotionNoise {
+        &self.noise
     }
 
     /// Where odometry says that the robot was at a moment between two readings in which it hardly

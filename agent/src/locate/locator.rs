@@ -119,7 +119,7 @@ impl Locator {
     /// Learns from a camera's fix that was taken in what odometry gets wrong each time.
     pub(crate) fn learn(&mut self, local: Instant, pose: Pose, certainty: Certainty) {
         if let Some(odometry) = self.filter.steady_odometry(local) {
-            self.errors.learn(local, pose, certainty, odometry);
+            self.errors.learn(local, pose, certainty, odometry, self.filter.noise());
         }
     }
 

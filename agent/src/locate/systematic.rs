@@ -8,7 +8,7 @@
 use libm::sqrtf;
 use ubimap_protocol::{
     message::Certainty,
-    time::{Duration, Instant},
+    time::Instant,
     units::{Angle, Millimetres, Pose},
 };
 
@@ -24,7 +24,7 @@ const WAY: f32 = 1_000.0;
 const STRAIGHT: f32 = 0.17;
 const TURN: f32 = 0.5;
 const WIDEST_TURN: f32 = 2.6;
-const LONGEST: Duration = Duration::from_secs(20);
+const LONGEST_MICROS: u32 = 20_000_000;
 /// Fixes that are less sure than this teach nothing.
 const SURE: Certainty = Certainty { x: 20, y: 20, heading: 182 };
 /// Nothing is learnt beyond a fifth, or 6 degrees on a metre: then something is broken.
@@ -64,10 +64,13 @@ impl Learnt {
 /// A fix, and where odometry said that the robot was.
 #[derive(Clone, Copy, Debug)]
 struct Anchor {
-    moment: Instant,
+    /// The lower word of the moment, in microseconds.
+    moment: u32,
     fix: Pose,
     odometry: Pose,
-    certainty: Certainty,
+    /// Standard deviations in millimetres and binary angle units.
+    position: u16,
+    heading: u16,
 }
 
 /// What odometry gets wrong each time in the same way.
@@ -79,7 +82,6 @@ pub(super) struct SystematicErrors {
     turn: Learnt,
     /// The turn on straight way: radians for each mm.
     drift: Learnt,
-    noise: MotionNoise,
     /// The last reading as it came, and what it was taken for, with what is left of a millimetre.
     last: Option<(Pose, Pose)>,
     rest: (f32, f32),
@@ -96,7 +98,6 @@ impl SystematicErrors {
             way: Learnt::of(noise.position_per_metre.0 as f32 / 1_000.0),
             turn: Learnt::of(angle(noise.heading_per_radian)),
             drift: Learnt::of(angle(noise.heading_per_metre) / 1_000.0),
-            noise: MotionNoise::of(noise),
             last: None,
             rest: (0.0, 0.0),
             turned: 0.0,
@@ -137,17 +138,23 @@ impl SystematicErrors {
         fix: Pose,
         certainty: Certainty,
         odometry: Pose,
+        noise: &MotionNoise,
     ) {
         let Certainty { x, y, heading } = certainty;
-        if x.max(y) > SURE.x || heading > SURE.heading {
+        let position = x.max(y);
+        if position > SURE.x || heading > SURE.heading {
             return;
         }
-        let new = Anchor { moment, fix, odometry, certainty };
-        let Some(last) = self.anchor.filter(|last| moment.since(last.moment) <= LONGEST) else {
+        let new = Anchor { moment: moment.0 as u32, fix, odometry, position, heading };
+        // An older fix lies more than half of the word ahead.
+        let age = |last: &Anchor| new.moment.wrapping_sub(last.moment);
+        let Some(last) =
+            self.anchor.filter(|last| age(last) <= LONGEST_MICROS || age(last) > u32::MAX / 2)
+        else {
             self.anchor = Some(new);
             return;
         };
-        if moment <= last.moment {
+        if age(&last) == 0 || age(&last) > u32::MAX / 2 {
             return;
         }
         let turn = radians(odometry.heading - last.odometry.heading);
@@ -158,12 +165,10 @@ impl SystematicErrors {
         }
         self.anchor = Some(new);
         let square = |value: f32| value * value;
-        let sure = |of: fn(&Certainty) -> u16| {
-            square(f32::from(of(&certainty))) + square(f32::from(of(&last.certainty)))
-        };
-        let heading = sure(|it| it.heading) * RADIANS * RADIANS;
+        let both = |one: u16, other: u16| square(f32::from(one)) + square(f32::from(other));
+        let heading = both(heading, last.heading) * RADIANS * RADIANS;
         // Half of the noise is chance.
-        let chance = 0.5 * (self.noise.heading_by_way * way + self.noise.heading_by_turn * turned);
+        let chance = 0.5 * (noise.heading_by_way * way + noise.heading_by_turn * turned);
         let seen = radians(fix.heading - last.fix.heading);
         let off = radians(crate::trigonometry::angle(seen - turn));
         if (TURN..WIDEST_TURN).contains(&turned) {
@@ -172,7 +177,7 @@ impl SystematicErrors {
             self.turn.learn(off / turn, variance, MOST);
         } else if turned < STRAIGHT {
             self.drift.learn(off / way, (heading + chance) / square(way), MOST_DRIFT);
-            let position = sure(|it| it.x.max(it.y)) + 0.5 * self.noise.position_by_way * way;
+            let position = both(position, last.position) + 0.5 * noise.position_by_way * way;
             let longer = distance(last.fix, fix) - way;
             self.way.learn(longer / way, position / square(way), MOST);
         }
@@ -193,6 +198,10 @@ fn fraction(angle: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn noise() -> MotionNoise {
+        MotionNoise::of(&OdometryNoise::default())
+    }
 
     /// A robot that drives and turns, and its wheels that are wrong in three ways: what it learns
     /// from exact fixes, and how far its corrected odometry strays on the way after them.
@@ -223,7 +232,7 @@ mod tests {
             // A fix in a turn says too little of where the wheels were.
             if leg < 12 && turn == 0.0 {
                 let certainty = Certainty { x: 3, y: 3, heading: 30 };
-                errors.learn(Instant(step * 50_000), pose(truth), certainty, odometry);
+                errors.learn(Instant(step * 50_000), pose(truth), certainty, odometry, &noise());
                 origin = Some((pose(truth), odometry));
             }
             last = odometry;
@@ -280,8 +289,8 @@ mod tests {
         errors.anchor = None;
         let certainty = Certainty { x: 3, y: 3, heading: 30 };
         let at = |x: f64| Pose::from_metres(x, 0.0, 0.0);
-        errors.learn(Instant(200_000_000), at(0.0), certainty, at(0.0));
-        errors.learn(Instant(205_000_000), at(0.4), certainty, at(1.2));
+        errors.learn(Instant(200_000_000), at(0.0), certainty, at(0.0), &noise());
+        errors.learn(Instant(205_000_000), at(0.4), certainty, at(1.2), &noise());
         assert_eq!(errors.way, before.0);
         assert!((errors.drift.value - before.1.value).abs() < 1.0e-7);
     }

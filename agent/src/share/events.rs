@@ -10,7 +10,7 @@ use ubimap_protocol::{
 const INTERVAL: Duration = Duration::from_secs(10);
 
 /// One for each code that the agent has.
-const MOST: usize = 12;
+const MOST: usize = 10;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Progress {

@@ -17,6 +17,8 @@ const STRETCH_M: f64 = 0.6;
 const STRETCH_TIME: Duration = Duration::from_secs(8);
 /// Fixes further apart than this leave open what the robot did in between.
 const WIDEST_GAP: Duration = Duration::from_millis(400);
+/// A stretch of fewer fixes may have been anything but straight.
+const LEAST_FIXES: usize = 6;
 /// A robot that turns by more than this ends its stretch, in degrees: beyond the noise of fixes.
 const TURN_DEG: f64 = 5.0;
 /// A stretch whose two halves head more differently than this was no straight one.
@@ -192,6 +194,9 @@ impl Stretch {
     }
 
     fn measure(&self) -> Option<(f64, f64)> {
+        if self.fixes.len() < LEAST_FIXES {
+            return None;
+        }
         let (_, first) = *self.fixes.first()?;
         let (_, last) = *self.fixes.last()?;
         let count = self.fixes.len() as f64;

@@ -224,7 +224,7 @@ impl View {
         let y = (self.eye.1 + i64::from(ray.y) * depth) >> CELL_SHIFT;
         // A negative one is a large one here.
         let is_inside = (x as u64) < u64::from(self.columns) && (y as u64) < u64::from(self.rows);
-        is_inside.then_some(y as u32 * self.columns + x as u32)
+        is_inside.then(|| y as u32 * self.columns + x as u32)
     }
 
     /// The cell in which a ray meets the floor.

@@ -40,6 +40,7 @@ pub struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub driving: Option<DrivingSummary>,
     /// What the cameras said of robots that drove, against the truth; in a simulated room only.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub sighted: Option<PoseErrors>,
 }
 

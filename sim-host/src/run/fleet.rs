@@ -332,7 +332,8 @@ impl<'b> Fleet<'b> {
         }
     }
 
-    /// The server leaves the robots' constant errors as they are.
+    /// The server leaves the robots' constant errors as they are, and tells nobody in blind ground
+    /// where it is.
     pub fn leave_errors(&mut self) {
         self.server.leave_errors();
     }

@@ -79,7 +79,7 @@ pub struct Server {
     robot_events: Began<RobotEvent>,
     aligning: BTreeMap<RobotId, Aligning>,
     coordinating: Option<Coordinating>,
-    /// Whether constant errors are cured.
+    /// Whether constant errors are cured, and robots in blind ground told where they are.
     cures: bool,
     /// Robots that draw more ground than there is.
     draws_too_much: BTreeSet<RobotId>,
@@ -478,7 +478,8 @@ impl Server {
         self.session(robot).map_or(0, |session| session.news.left_out())
     }
 
-    /// Leaves the robots' constant errors as they are, to compare.
+    /// Leaves the robots' constant errors as they are and tells nobody in blind ground where it is, to
+    /// compare.
     pub fn leave_errors(&mut self) {
         self.cures = false;
     }
@@ -541,7 +542,8 @@ impl Server {
         let aligning = aligning.entry(robot).or_default();
         if let Some(vector) = session.new_vector.take() {
             match aligning.looked(robot, &vector, (map, terms.resolution), now) {
-                Some(Looked::Fix(fix)) => session.matched(fix),
+                Some(Looked::Fix(fix)) if self.cures => session.matched(fix),
+                Some(Looked::Fix(_)) => {}
                 Some(Looked::Agreement(agree, contradict)) => {
                     map.looked(robot, agree, contradict);
                 }

@@ -31,6 +31,10 @@ const BRAKE: f64 = 3.0;
 /// that of two who wait for each other one goes first.
 const PATIENCE: f64 = 5.0;
 
+/// A robot that has moved no farther from where it ran into something leans against it still, in
+/// metres.
+const LEANS: f64 = 0.05;
+
 /// A position in metres and a heading in radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlanePose {
@@ -90,7 +94,7 @@ pub struct SimRobot {
     wheels: Option<Wheels>,
     turning: f64,
     /// What it drives against.
-    contact: Option<Contact>,
+    contact: Option<(Contact, DVec2)>,
 }
 
 impl SimRobot {
@@ -220,10 +224,13 @@ impl SimRobot {
         let next = self.truth.position + DVec2::new(cos(middle), sin(middle)) * way;
         let mut touched = None;
         if way > 0.0 {
+            let here = self.truth.position;
+            // Who still leans against it has not met it again.
+            self.contact = self.contact.filter(|(_, at)| at.distance(here) < LEANS);
             let met = contact(self.body(), next);
-            touched = met.filter(|_| self.contact != met);
-            self.contact = met;
-            if met.is_some() {
+            touched = met.filter(|_| self.contact.map(|(what, _)| what) != met);
+            if let Some(what) = met {
+                self.contact = Some((what, here));
                 (self.speed, way) = (0.0, 0.0);
             } else {
                 self.truth.position = next;
