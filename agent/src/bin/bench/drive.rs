@@ -143,7 +143,7 @@ fn follow(bench: &mut Bench, window: &mut Window) -> Option<()> {
     fill(Scene::Empty, window);
     let mut beams = [Beam::default(); MAX_POINTS];
     let model = ubimap_agent::sense::SensorModel::Radial { first: -3.1, step: 6.2 / 64.0 };
-    ubimap_agent::sense::fill_beams(&mut beams, model, Pose::default(), 4_000);
+    ubimap_agent::sense::fill_beams(&mut beams, model, Pose::default());
     let near = NearPoints::of_scan(&beams, &[450; MAX_POINTS], Pose::default(), Instant(1));
     let person = |x: i32| Mover {
         x: Millimetres(x),
