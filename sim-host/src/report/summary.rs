@@ -117,7 +117,7 @@ pub struct MapSummary {
 /// The map against the true room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TruthScores {
-    /// F1 of occupied cells within one cell of the true surfaces, 0 to 1, on ground that a camera
+    /// F1 of occupied cells, without movable ones, within one cell of the true surfaces, 0 to 1, on ground that a camera
     /// can see or a robot has passed within three metres and in its sensor's line of sight.
     pub f1_occupied: f64,
     /// The share of the ground that no camera can see and a robot has passed so which is known, 0

@@ -115,6 +115,15 @@ impl Ground {
 /// The map against the truth of a world that has run.
 pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError> {
     let Ground { covered, passed, whole, seen } = Ground::of(world)?;
+    // Who stands about is no surface of the room.
+    let mut map = map.clone();
+    for index in 0..map.cells().len() {
+        let (x, y) = (index % map.width(), index / map.width());
+        if map.cell(x, y) == Cell::Movable {
+            map.set(x, y, Cell::Free);
+        }
+    }
+    let map = &map;
     // What the map says must be true; of what is true it must say what has been seen.
     let scores = grid::compare(map, &whole, None);
     let (precision, recall) = (scores.precision, grid::compare(map, &seen, None).recall);
