@@ -91,13 +91,11 @@ fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
     assert_eq!((mistaken.fixes_rejected, mistaken.moves), (14, 0));
     assert!(mistaken.mapped >= 45 && mistaken.unsure == 0, "{mistaken:?}");
 
-    // Out of sight it maps on until its heading is unsure by 3 degrees, after some 30 m; a second
-    // in sight, and it does again.
-    let hidden = drive.on(40, |_, _| None);
-    assert!(hidden.mapped >= 180 && hidden.unsure == 0, "{hidden:?}");
-    let lost = drive.on(40, |_, _| None);
-    assert!(lost.mapped >= 50 && lost.unsure >= 50, "{lost:?}");
-    assert_eq!((lost.expired, lost.fixes), (0, 0));
+    // Out of sight after a second it maps on until its heading is unsure by 3 degrees, after some
+    // 30 m; a second in sight, and it does again.
+    let lost = drive.on(80, |along, frame| (frame < 15).then_some(along));
+    assert!(lost.mapped >= 230 && lost.unsure >= 50, "{lost:?}");
+    assert_eq!(lost.expired, 0);
     drive.on(1, |along, _| Some(along));
     let found = drive.on(5, |along, _| Some(along));
     assert!(found.mapped >= 20 && found.unsure == 0, "{found:?}");
