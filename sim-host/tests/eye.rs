@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use ubimap_protocol::{
+    link::Terms,
     message::ObstacleClass,
     tile::{Cell, TileId},
     time::Instant,
@@ -13,6 +14,7 @@ use ubimap_sim_host::{
     camera::{Calibration, DepthImage, Frame, Intrinsics, Lens, Observation, Picture},
     mapping::CameraLayer,
     perception::{Detection, Detector, Eye, Footprint, FrameError, Posture, Survey, Tracks},
+    server::Server,
 };
 
 #[path = "../src/perception/testing/boxes.rs"]
@@ -205,6 +207,8 @@ fn who_has_walked_in_and_sits_down_does_not_become_part_of_the_room() {
 fn who_falls_is_told_of_once() {
     let mut studio = Studio::learnt(&[WALL]);
     let mut tracks = Tracks::default();
+    let terms = Terms { resolution: Millimetres(50), frame: 250, server_epoch: 1, stores: false };
+    let mut server = Server::new(terms, 0);
     let mut told = Vec::new();
     for step in 0..60 {
         let x = 0.4 + 0.06 * f64::from(step.min(20));
@@ -215,6 +219,7 @@ fn who_falls_is_told_of_once() {
         };
         let seen = studio.look(&[body]);
         tracks.observe(seen.captured, &seen.things, Millimetres(50));
+        server.observe(&seen);
         told.extend(std::iter::from_fn(|| tracks.poll_lying()).map(|it| (step, it)));
         // A height is believed for a second.
         if matches!(step, 15..30 | 38..45 | 53..) {
@@ -225,6 +230,8 @@ fn who_falls_is_told_of_once() {
     let [(step, lying)] = told[..] else { panic!("{told:?}") };
     assert!((50..58).contains(&step), "{step}");
     assert!((lying.position_m[0] - 1.6).abs() < 0.3, "{lying:?}");
+    let events: Vec<_> = server.person_events().iter().collect();
+    assert_eq!(events, [(lying.into(), 1, lying.moment)]);
 }
 
 #[test]

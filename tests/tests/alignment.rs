@@ -11,12 +11,12 @@ use ubimap_sim_host::{
     channel::fault::Faults,
     grid::OccupancyGrid,
     run::{
-        fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+        fleet::{Event, Fleet, OWN_TILES, Stage},
         scoring::score,
-        simulate::{RESOLUTION, Room, config},
+        simulate::{RESOLUTION, Room, config, memory},
     },
     server::RobotEvent,
-    world::{Scenario, SimRobot, World},
+    world::{Scenario, World},
 };
 
 /// Whose sensor is askew, and whose identifier.
@@ -74,10 +74,7 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
     }
     let world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
     let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, seed)).collect();
-    let memory = |(config, robot): (_, &SimRobot)| {
-        AgentMemory::new(config, robot.sensor().beams(), OWN_TILES, FUSED_TILES)
-    };
-    let mut memory: Vec<AgentMemory> = configs.iter().zip(world.robots()).map(memory).collect();
+    let mut memory = memory(&world, &configs, OWN_TILES);
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
     let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, seed, None).unwrap();
     if !cures {

@@ -1,7 +1,8 @@
-//! What a camera reports, and the door through which it comes.
+//! What a camera is, what it takes and what is seen in it.
 //!
-//! Simulated cameras, recorded logs and, later, real ones behind a detector all implement
-//! [`Source`]; nothing downstream knows which it is.
+//! Frames come from a [`FrameSource`]: simulated cameras and recorded folders implement it, and
+//! nothing downstream knows which it is. Perception makes an [`Observation`] of each. Ideal cameras
+//! see without frames: they are a [`Source`] of observations.
 
 mod calibration;
 mod frame;

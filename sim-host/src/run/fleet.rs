@@ -225,6 +225,9 @@ impl Robot<'_> {
 /// which robot's channel, which way, and the bytes.
 pub type Tap<'t> = Box<dyn FnMut(RobotId, Direction, &[u8]) + 't>;
 
+/// Hears what every frame of a camera says, before the server does.
+pub type Watch<'w> = Box<dyn FnMut(&Observation) + 'w>;
+
 /// All robots and the server.
 pub struct Fleet<'b> {
     server: Server,
@@ -238,6 +241,7 @@ pub struct Fleet<'b> {
     now: Instant,
     frame: Vec<u8>,
     tap: Option<Tap<'b>>,
+    watch: Option<Watch<'b>>,
 }
 
 /// A run goes on for so long after the last event, if not all hold the same map before.
@@ -289,6 +293,7 @@ impl<'b> Fleet<'b> {
             now: began,
             frame,
             tap: None,
+            watch: None,
         })
     }
 
@@ -306,6 +311,11 @@ impl<'b> Fleet<'b> {
     /// Has every frame of the links heard from now on.
     pub fn tap(&mut self, tap: Tap<'b>) {
         self.tap = Some(tap);
+    }
+
+    /// Has every observation heard from now on.
+    pub fn watch(&mut self, watch: Watch<'b>) {
+        self.watch = Some(watch);
     }
 
     /// The server.
@@ -464,7 +474,7 @@ impl<'b> Fleet<'b> {
             Event::Frame(frame) => self.look(frame),
             Event::Observation(mut observation) => {
                 observation.captured = self.began + observation.captured.since(Instant(0));
-                self.server.observe(&observation);
+                self.observe(&observation);
             }
         }
     }
@@ -482,7 +492,14 @@ impl<'b> Fleet<'b> {
             self.server.sighting_event(captured, event);
         }
         self.sightings.extend(observation.robots.iter().map(|&it| (since_began, it)));
-        self.server.observe(&observation);
+        self.observe(&observation);
+    }
+
+    fn observe(&mut self, observation: &Observation) {
+        if let Some(watch) = &mut self.watch {
+            watch(observation);
+        }
+        self.server.observe(observation);
     }
 
     /// Drains the outputs of all, until none has any left.

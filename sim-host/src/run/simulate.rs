@@ -31,6 +31,7 @@ use crate::{
 
 /// The side of the map's cells.
 pub const RESOLUTION: Millimetres = Millimetres(50);
+
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
@@ -53,14 +54,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
     let configs: Vec<Config> =
         world.robots().iter().map(|robot| config(robot, options.run.seed)).collect();
-    let mut memory: Vec<AgentMemory> = world
-        .robots()
-        .iter()
-        .zip(&configs)
-        .map(|(robot, config)| {
-            AgentMemory::new(config, robot.sensor().beams(), own_tiles, FUSED_TILES)
-        })
-        .collect();
+    let mut memory = memory(&world, &configs, own_tiles);
     let faults = options.run.channel.faults();
     let keeper = options.run.keeper(RESOLUTION)?;
     let mut fleet =
@@ -138,6 +132,15 @@ pub fn config(robot: &SimRobot, seed: u64) -> Config {
         boot_nonce: seed as u32 ^ u32::from(robot.id().0) << 16,
         ..Config::new(robot.id(), model)
     }
+}
+
+/// Memory for the agents of a world's robots, with so many tiles of their own.
+pub fn memory(world: &World, configs: &[Config], own_tiles: usize) -> Vec<AgentMemory> {
+    let robots = world.robots().iter().zip(configs);
+    let memory = robots.map(|(robot, config)| {
+        AgentMemory::new(config, robot.sensor().beams(), own_tiles, FUSED_TILES)
+    });
+    memory.collect()
 }
 
 /// What looks at the frames of a scenario's cameras: it knows the robots' markers and sizes.

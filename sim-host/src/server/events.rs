@@ -7,8 +7,10 @@ use std::collections::{BTreeMap, VecDeque};
 use ubimap_protocol::{
     message::{Event, EventCode},
     time::Instant,
-    units::RobotId,
+    units::{Millimetres, RobotId},
 };
+
+use crate::perception::Lying;
 
 /// The newest events that are kept.
 const MOST: usize = 8;
@@ -62,9 +64,35 @@ impl fmt::Display for RobotEvent {
     }
 }
 
+/// What happens to a person and somebody should look at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PersonEvent {
+    /// Lies on the floor, here in `map`.
+    Lies {
+        /// Along x.
+        x: Millimetres,
+        /// Along y.
+        y: Millimetres,
+    },
+}
+
+impl From<Lying> for PersonEvent {
+    fn from(lying: Lying) -> Self {
+        let [x, y] = lying.position_m.map(Millimetres::from_metres);
+        Self::Lies { x, y }
+    }
+}
+
+impl fmt::Display for PersonEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self::Lies { x, y } = self;
+        write!(f, "somebody lies on the floor at ({:.1}, {:.1}) m", x.metres(), y.metres())
+    }
+}
+
 /// Events that begin and pass: what the cameras saw of robots and cannot be a pose
-/// ([`SightingEvent`](crate::perception::robots::SightingEvent)), and what robots do
-/// ([`RobotEvent`]).
+/// ([`SightingEvent`](crate::perception::robots::SightingEvent)), what robots do ([`RobotEvent`]) and
+/// what happens to people ([`PersonEvent`]).
 #[derive(Clone, Debug)]
 pub struct Began<E> {
     events: BTreeMap<E, (u64, Instant)>,

@@ -19,5 +19,5 @@ mod surroundings;
 
 pub use crate::perception::Footprint;
 pub use command::Command;
-pub use events::{Began, EventLog, RobotEvent, described};
+pub use events::{Began, EventLog, PersonEvent, RobotEvent, described};
 pub use server::{CommandError, NoSuchPort, Server};

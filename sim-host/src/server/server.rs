@@ -19,7 +19,7 @@ use super::{
     command::Command,
     coordinating::{Coordinating, View},
     coordination::{Coordinator, Settings},
-    events::{Began, EventLog, RobotEvent},
+    events::{Began, EventLog, PersonEvent, RobotEvent},
     inbox::Inbox,
     inflow::Inflow,
     scene::Scene,
@@ -39,8 +39,8 @@ use crate::{
 /// At most this often a robot is told that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
 /// A robot states how it fares every two seconds. A session of which nothing has been heard for so
-/// long (not even seven states on a bad link), where frames of something else come in, is not the one that the robot has: an old hello
-/// may have opened it.
+/// long (not even seven states on a bad link), where frames of something else come in, is not the one
+/// that the robot has: an old hello may have opened it.
 const SILENCE: Duration = Duration::from_secs(15);
 
 /// One way in: a serial port, a simulated channel. At most one robot is behind it.
@@ -77,6 +77,7 @@ pub struct Server {
     surroundings: Surroundings,
     sighting_events: Began<SightingEvent>,
     robot_events: Began<RobotEvent>,
+    person_events: Began<PersonEvent>,
     aligning: BTreeMap<RobotId, Aligning>,
     coordinating: Option<Coordinating>,
     /// Whether constant errors are cured, and robots in blind ground told where they are.
@@ -128,6 +129,7 @@ impl Server {
             surroundings: Surroundings::default(),
             sighting_events: Began::default(),
             robot_events: Began::default(),
+            person_events: Began::default(),
             aligning: BTreeMap::new(),
             coordinating: None,
             cures: true,
@@ -225,6 +227,9 @@ impl Server {
         self.coverage.observe(observation);
         let changed = self.map.cameras.observe(observation);
         self.surroundings.observe(observation, self.terms.resolution);
+        while let Some(lying) = self.surroundings.poll_lying() {
+            self.person_events.add(lying.moment, lying.into());
+        }
         self.map.changed(&changed);
     }
 
@@ -236,6 +241,11 @@ impl Server {
     /// What the cameras saw of robots and could not be a pose.
     pub fn sighting_events(&self) -> &Began<SightingEvent> {
         &self.sighting_events
+    }
+
+    /// What has happened to people.
+    pub fn person_events(&self) -> &Began<PersonEvent> {
+        &self.person_events
     }
 
     /// What robots do and none should.

@@ -10,7 +10,7 @@ use ubimap_protocol::{
 
 use crate::{
     camera::Observation,
-    perception::{Footprint, Track, Tracks, things_of_cells},
+    perception::{Footprint, Lying, Track, Tracks, things_of_cells},
 };
 
 /// Whoever is farther away is not near: metres.
@@ -58,6 +58,11 @@ impl Surroundings {
             };
             self.tracks.observe(captured, things, side);
         }
+    }
+
+    /// Somebody who lies on the floor: told once each time.
+    pub(super) fn poll_lying(&mut self) -> Option<Lying> {
+        self.tracks.poll_lying()
     }
 
     /// Where the robots were about a moment.
