@@ -1,0 +1,238 @@
+//! What must hold at any moment, and what holds once all is settled.
+
+use std::{collections::BTreeSet, iter, mem};
+
+use ubimap_agent::Agent;
+use ubimap_protocol::{
+    link::Counters,
+    tile::{Layer, Stamp, TILE_SIDE, Tile, TileId, tile_hash},
+};
+use ubimap_sim_host::mapping::{SeenTile, clear, fuse};
+
+use super::{Robot, Star};
+
+impl<'b> Star<'b> {
+    /// Why not all hold the same yet; `None` if they do.
+    pub fn behind(&self) -> Option<String> {
+        self.robots.iter().find_map(|robot| {
+            let agent = robot.agent.as_ref()?;
+            let why = self.behind_at(robot, agent)?;
+            Some(format!("robot {}: {why}", robot.id.0))
+        })
+    }
+
+    fn behind_at(&self, robot: &Robot<'b>, agent: &Agent<'b>) -> Option<String> {
+        if !agent.is_connected() || self.server.robot_at(robot.port) != Some(robot.id) {
+            return Some(format!(
+                "no session, port {} has {:?}",
+                robot.port,
+                self.server.robot_at(robot.port)
+            ));
+        }
+        if self.server.state(robot.id).is_none() {
+            // An old hello may have opened the session: then the robot speaks in another one.
+            return Some("the server has heard nothing of it in this session".into());
+        }
+        if !agent.is_idle() {
+            let dirty: Vec<_> = agent.own_tiles().tiles().filter(|tile| tile.is_dirty()).collect();
+            let dirty: Vec<_> =
+                dirty.iter().map(|tile| (tile.id(), tile.publication().is_ready())).collect();
+            return Some(format!("it has more to tell: {dirty:?}"));
+        }
+        if !self.server.is_level(robot.id) {
+            return Some("the server has more to tell it".into());
+        }
+        for tile in agent.own_tiles().tiles() {
+            let stamp = Stamp { epoch: tile.epoch(), version: tile.publication().version() };
+            let layer = self.server.layer(robot.id);
+            let held = layer.zip(tile.id()).and_then(|(layer, id)| layer.held(id, tile.epoch()));
+            let hash = tile_hash(tile.publication().sent());
+            if held.is_none_or(|(held, cells)| held != stamp || tile_hash(cells) != hash) {
+                let held = held.map(|(held, _)| held);
+                return Some(format!(
+                    "of its {:?} at {stamp:?} the server holds {held:?}",
+                    tile.id()
+                ));
+            }
+        }
+        let epoch = self.server.epoch();
+        for (id, replica) in agent.fused_tiles().tiles(Layer::Fused) {
+            let newest = self.server.fused().get(id);
+            let same = newest.is_some_and(|(version, cells)| {
+                replica.stamp() == Stamp { epoch, version }
+                    && tile_hash(replica.tile()) == tile_hash(cells)
+            });
+            if !same || replica.is_partial() {
+                let newest = newest.map(|(version, _)| version);
+                return Some(format!(
+                    "of the fused {id:?} at {newest:?} it holds {:?}, partial {}",
+                    replica.stamp(),
+                    replica.is_partial()
+                ));
+            }
+        }
+        self.missing_at(agent).map(|id| format!("it lacks the fused {id:?}"))
+    }
+
+    /// A fused tile that a robot wants and does not hold.
+    fn missing_at(&self, agent: &Agent<'b>) -> Option<TileId> {
+        let window = agent.fused_tiles().interest()?;
+        let mut wanted = self.server.fused().within(&window);
+        wanted.find_map(|(id, ..)| {
+            (!agent.fused_tiles().tiles(Layer::Fused).any(|(held, _)| held == id)).then_some(id)
+        })
+    }
+
+    /// A tile of a robot's own that it holds acknowledged and does not know to be stored.
+    pub fn unstored(&self) -> Option<String> {
+        self.disk.as_ref()?;
+        self.robots.iter().find_map(|robot| {
+            let mut tiles = robot.agent.as_ref()?.own_tiles().tiles();
+            let tile = tiles.find(|tile| tile.stored() != tile.publication().version())?;
+            let (stored, version) = (tile.stored(), tile.publication().version());
+            let robot = robot.id.0;
+            Some(format!("{:?} of robot {robot}: {stored:?} of {version:?} is stored", tile.id()))
+        })
+    }
+
+    /// When a robot holds every fused tile that it wants, as new as the server's. `None` before
+    /// it wants any.
+    pub fn holds_its_window(&self, robot: usize) -> Option<bool> {
+        let agent = self.robots[robot].agent.as_ref()?;
+        let window = agent.fused_tiles().interest()?;
+        let epoch = self.server.epoch();
+        let level = self.server.fused().within(&window).all(|(id, version, cells)| {
+            let mut held = agent.fused_tiles().tiles(Layer::Fused).filter(|(held, _)| *held == id);
+            held.any(|(_, replica)| {
+                let newest = replica.stamp() == Stamp { epoch, version };
+                newest && !replica.is_partial() && replica.tile() == cells
+            })
+        });
+        Some(level)
+    }
+
+    /// Bytes of frames with tiles of robots so far, and frames sent again.
+    pub fn effort(&self) -> Vec<(u64, u32)> {
+        let agents = self.robots.iter().filter_map(|robot| robot.agent.as_ref());
+        agents
+            .map(|agent| (agent.statistics().bytes_sent_map, agent.link_counters().retransmissions))
+            .collect()
+    }
+
+    /// What must hold at any moment.
+    pub(super) fn check(&mut self) {
+        self.check_agents();
+        if mem::take(&mut self.server_changed) {
+            self.check_layers();
+            self.check_acknowledged();
+            self.check_ports();
+        }
+    }
+
+    /// Nothing that the server knew of a robot's layer is unknown again, and the fused layer is
+    /// what the layers make.
+    fn check_layers(&mut self) {
+        let seconds = (self.server_now().micros() / 1_000_000) as u32 + 1;
+        let mut changed = BTreeSet::new();
+        for robot in &self.robots {
+            let Some(layer) = self.server.layer(robot.id) else { continue };
+            for (id, seen) in layer.tiles() {
+                let before = self.checked.layers.entry((robot.id, id));
+                let before = before.or_insert(SeenTile::NOTHING);
+                if before.tile == seen.tile {
+                    assert!(before.seconds == seen.seconds, "a time without a change: {id:?}");
+                    continue;
+                }
+                let newest = seen.seconds.iter().max().copied().unwrap_or(0);
+                assert!(newest <= seconds, "{id:?} was seen at {newest} s, it is {seconds} s now");
+                let known = |tile: &Tile, y: usize| tile.row(y).known();
+                let kept =
+                    (0..TILE_SIDE).all(|y| known(&before.tile, y) & !known(&seen.tile, y) == 0);
+                assert!(kept, "{:?} of robot {} has forgotten cells", id, robot.id.0);
+                *before = seen.clone();
+                changed.insert(id);
+            }
+        }
+        changed.into_iter().for_each(|id| self.check_fused(id));
+    }
+
+    fn check_fused(&self, id: TileId) {
+        let server = &self.server;
+        let layers = self
+            .robots
+            .iter()
+            .filter_map(|robot| Some((server.weight(robot.id), server.layer(robot.id)?.seen(id)?)));
+        let layers: Vec<_> = layers.collect();
+        // The cameras of these runs see robots, and no cells.
+        let mut expected = fuse(&SeenTile::NOTHING, &layers, server.map_time());
+        clear(&mut expected, &server.under(id));
+        let found = self.server.fused().get(id).map(|(_, tile)| tile);
+        assert!(found == Some(&expected), "{id:?} is not what the layers make");
+    }
+
+    /// Every fused tile is what the layers make, and the layers know what is on disk.
+    pub fn check_all(&self) {
+        self.disk.iter().for_each(|disk| disk.check_server(&self.server));
+        self.server.fused().tiles().for_each(|(id, ..)| self.check_fused(id));
+    }
+
+    /// What the robot believes to be acknowledged is.
+    fn check_acknowledged(&self) {
+        for robot in &self.robots {
+            let Some(agent) = &robot.agent else { continue };
+            // A welcome of the server's life before may come late.
+            if agent.server_epoch() != Some(self.server.epoch()) || !agent.is_connected() {
+                continue;
+            }
+            let Some(layer) = self.server.layer(robot.id) else { continue };
+            for tile in agent.own_tiles().tiles().filter(|it| it.publication().is_acknowledged()) {
+                let held = tile.id().and_then(|id| layer.held(id, tile.epoch()));
+                let version = tile.publication().version();
+                assert!(
+                    held.is_some_and(|(stamp, _)| stamp.version >= version),
+                    "{:?} of robot {} at {version:?} is acknowledged, the server holds {:?}",
+                    tile.id(),
+                    robot.id.0,
+                    held.map(|(stamp, _)| stamp)
+                );
+            }
+        }
+    }
+
+    fn check_ports(&mut self) {
+        for port in 0..self.ports {
+            let now = self.server.link_counters(port);
+            let last = self.checked.ports.insert(port, now).unwrap_or_default();
+            check_counters(last, now);
+            assert_eq!(self.server.unread_messages(port), (0, 0), "at port {port}");
+        }
+    }
+
+    fn check_agents(&mut self) {
+        for robot in &mut self.robots {
+            let Some(agent) = &robot.agent else { continue };
+            if let Some(disk) = &self.disk {
+                disk.check_robot(robot.id, agent.own_tiles(), &mut robot.own);
+            }
+            let (now, link) = (agent.statistics(), agent.link_counters());
+            let (before, link_before) = mem::replace(&mut robot.last, (now, link));
+            check_counters(link_before, link);
+            assert_eq!((now.unknown_messages, now.malformed_messages), (0, 0));
+            assert_eq!(now.bytes_sent, robot.up.bytes() - robot.bytes_at_boot);
+            assert!(now.bytes_sent_map <= now.bytes_sent && now.bytes_sent >= before.bytes_sent);
+            let settled = now.mapped + now.gated + now.shaken + now.unsure + now.expired;
+            assert!((settled..=settled + 4).contains(&now.scans), "{now:?}");
+            assert_eq!(now.pixels.seen, now.pixels.kept + now.pixels.omitted + now.pixels.invalid);
+        }
+    }
+}
+
+fn check_counters(before: Counters, now: Counters) {
+    let fields = |it: Counters| {
+        [it.sent, it.retransmissions, it.received, it.duplicates, it.bad, it.refused]
+    };
+    let grown = iter::zip(fields(before), fields(now)).all(|(before, now)| before <= now);
+    let sound = now.retransmissions <= now.sent && now.duplicates <= now.received;
+    assert!(grown && sound, "{before:?} became {now:?}");
+    assert_eq!(now.refused, 0, "a good frame is never refused");
+}

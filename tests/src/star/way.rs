@@ -1,0 +1,101 @@
+//! One direction of a robot's channel, at which anything may be done to frames.
+
+use std::collections::BTreeSet;
+
+use ubimap_protocol::{
+    frame::{Direction, MAX_FRAME, SessionId, cobs, open},
+    time::Instant,
+};
+use ubimap_sim_host::channel::fault::{FaultWire, Faults};
+
+/// Frames that a way remembers, so that they can be replayed: the first, and the last.
+const REMEMBERED: usize = 40;
+
+/// One direction of a robot's channel.
+#[derive(Debug)]
+pub struct Way {
+    /// The last one takes what is sent; what is still on its way in the others arrives.
+    wires: Vec<FaultWire>,
+    cut_until: Instant,
+    pub(super) remembered: Vec<Vec<u8>>,
+    sent: usize,
+    /// The frames of sessions so far, if a frame that comes again is dropped.
+    once: Option<BTreeSet<Vec<u8>>>,
+    direction: Direction,
+    /// Bytes that were given to it, whatever became of them.
+    bytes: u64,
+}
+
+impl Way {
+    pub(super) fn new(direction: Direction) -> Self {
+        Self {
+            wires: vec![FaultWire::new(Faults::default(), 0)],
+            cut_until: Instant(0),
+            remembered: Vec::new(),
+            sent: 0,
+            once: None,
+            direction,
+            bytes: 0,
+        }
+    }
+
+    /// From now on it is as bad as that.
+    pub fn weather(&mut self, faults: Faults, seed: u64) {
+        self.wires.retain(|wire| wire.next_delivery().is_some());
+        self.wires.push(FaultWire::new(faults, seed));
+    }
+
+    /// What is sent before then is lost.
+    pub fn cut(&mut self, until: Instant) {
+        self.cut_until = self.cut_until.max(until);
+    }
+
+    /// From now on a frame of a session that is sent again is lost.
+    pub fn drop_repeats(&mut self) {
+        self.once = Some(BTreeSet::new());
+    }
+
+    /// Bytes that were given to it so far, whatever became of them.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    pub(super) fn send(&mut self, now: Instant, frame: &[u8]) {
+        self.bytes += frame.len() as u64;
+        if self.sent < 2 * REMEMBERED {
+            self.remembered.push(frame.to_vec());
+        } else {
+            self.remembered[REMEMBERED + self.sent % REMEMBERED] = frame.to_vec();
+        }
+        self.sent += 1;
+        let repeated = self.once.as_mut().is_some_and(|seen| {
+            !is_handshake(frame, self.direction) && !seen.insert(frame.to_vec())
+        });
+        if now < self.cut_until || repeated {
+            return;
+        }
+        if let Some(wire) = self.wires.last_mut() {
+            wire.send(now, frame);
+        }
+    }
+
+    pub(super) fn poll(&mut self, now: Instant) -> Option<Vec<u8>> {
+        self.wires.iter_mut().find_map(|wire| wire.poll(now))
+    }
+
+    pub(super) fn next_delivery(&self) -> Option<Instant> {
+        self.wires.iter().filter_map(FaultWire::next_delivery).min()
+    }
+
+    pub(super) fn lose_all(&mut self) {
+        for wire in &mut self.wires {
+            while wire.poll(Instant(u64::MAX)).is_some() {}
+        }
+    }
+}
+
+fn is_handshake(frame: &[u8], direction: Direction) -> bool {
+    let mut decoder = cobs::Decoder::<MAX_FRAME>::default();
+    let contents = decoder.next(&mut &*frame);
+    matches!(contents, Some(Ok(frame)) if open(SessionId::NONE, direction, frame).is_some())
+}
