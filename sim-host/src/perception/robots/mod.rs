@@ -28,6 +28,9 @@ const AWAY: Duration = Duration::from_secs(10);
 /// A number that nobody registered is told of when it is read twice within this time: chance
 /// patterns are read once.
 const AGAIN: Duration = Duration::from_secs(1);
+/// A marker that fits no pose of its robot in so many views, and in none between them, is not level:
+/// one that is blurred or half hidden fits soon again.
+const NOT_LEVEL: u32 = 8;
 
 /// Why the markers of a deployment cannot be told apart.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -51,8 +54,8 @@ pub struct Localiser {
     mounts: BTreeMap<Identifier, Mount>,
     search: Search,
     tracks: BTreeMap<Identifier, Track>,
-    /// Markers that were where no robot carries them when they were last seen.
-    not_there: BTreeSet<Identifier>,
+    /// Markers that were where no robot carries them when they were last seen, and in how many views.
+    not_there: BTreeMap<Identifier, u32>,
     /// When a number that nobody registered was last read, and whether that has been told.
     strangers: BTreeMap<Identifier, (Instant, bool)>,
     /// Cameras whose last frame was of a time to come.
@@ -96,7 +99,7 @@ impl Localiser {
             mounts,
             search,
             tracks: BTreeMap::new(),
-            not_there: BTreeSet::new(),
+            not_there: BTreeMap::new(),
             strangers: BTreeMap::new(),
             ahead: BTreeSet::new(),
             events: VecDeque::new(),
@@ -162,8 +165,12 @@ impl Localiser {
         let located = locate(lens, marker, &mount.points(identifier), mount.height_m);
         if located.is_ok() {
             self.not_there.remove(&identifier);
-        } else if is_tag && self.not_there.insert(identifier) {
-            self.events.push_back((captured, SightingEvent::NotLevel(mount.robot)));
+        } else if is_tag {
+            let views = self.not_there.entry(identifier).or_default();
+            *views += 1;
+            if *views == NOT_LEVEL {
+                self.events.push_back((captured, SightingEvent::NotLevel(mount.robot)));
+            }
         }
         located.ok()
     }
