@@ -30,7 +30,7 @@ const AWAY: Duration = Duration::from_secs(10);
 const AGAIN: Duration = Duration::from_secs(1);
 /// A marker that fits no pose of its robot in so many views, and in none between them, is not level:
 /// one that is blurred or half hidden fits soon again.
-const NOT_LEVEL: u32 = 8;
+const NOT_LEVEL: u32 = 4;
 
 /// Why the markers of a deployment cannot be told apart.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

@@ -86,7 +86,7 @@ fn what_is_no_pose_is_told_once() {
     let mut sloping = plate(2, [0.5, -0.6, 1.0]);
     sloping.rise_m = 0.03;
     let mut poses = 0;
-    for number in 0..12 {
+    for number in 0..30 {
         let twins = [plate(3, [-0.4, 0.3, 0.2]), plate(3, [0.6, 0.5, 0.2])];
         // Number 9 is nobody's.
         let plates = [plate(1, [0.0, -0.3, 0.0]), sloping, plate(9, [0.0, 0.7, 0.0])];
@@ -95,7 +95,7 @@ fn what_is_no_pose_is_told_once() {
         assert!(sightings.iter().all(|it| it.robot == RobotId(1)), "{sightings:?}");
         poses += sightings.len();
     }
-    assert_eq!(poses, 12);
+    assert_eq!(poses, 30);
     let mut events = events(&mut localiser);
     events.sort_unstable();
     assert_eq!(
