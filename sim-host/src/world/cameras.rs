@@ -65,7 +65,8 @@ pub(super) struct Camera {
     dice: ChaCha8Rng,
     cells: Cells,
     robot_height: f64,
-    /// What it sees of the room without people and robots.
+    has_depth: bool,
+    /// What it sees of the room without people and robots; without depths nothing.
     views: Vec<View>,
     /// For each cell the index of its view plus one; zero for none.
     view_of: Vec<u32>,
@@ -86,6 +87,7 @@ impl Camera {
             dice,
             cells,
             robot_height,
+            has_depth: config.has_depth,
             views: Vec::new(),
             view_of: Vec::new(),
         };
@@ -95,6 +97,9 @@ impl Camera {
 
     /// The room has changed.
     pub(super) fn look_again(&mut self, room: &Room) {
+        if !self.has_depth {
+            return;
+        }
         self.views = views(&self.lens, room, self.cells, self.robot_height);
         self.view_of = vec![0; self.cells.count()];
         for (number, view) in (1..).zip(&self.views) {
@@ -145,7 +150,7 @@ impl Camera {
                 localised.push(robot.body);
             }
         }
-        if with_cells {
+        if with_cells && self.has_depth {
             frame.cells = self.cells_in_view(room, &localised, robots.len(), &bodies, &prisms);
         }
         frame

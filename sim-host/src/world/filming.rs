@@ -173,7 +173,7 @@ impl Job<'_> {
         let frame = images.map(|(depth, picture)| Frame {
             camera,
             captured,
-            depth: Some(depth),
+            depth: self.camera.has_depth().then_some(depth),
             picture: Some(picture),
         });
         (self.key, frame)

@@ -261,11 +261,16 @@ impl World {
         views.iter().map(|view| view.cell).collect()
     }
 
-    /// The ground that robots of this radius can stand on when they come from their starts, with so
-    /// much room about them as maps of cells need, all in metres: sorted cells.
+    /// The ground that robots of this radius can stand on when those that have a route come from
+    /// their starts, with so much room about them as maps of cells need, all in metres: sorted cells.
     pub fn reachable(&self, radius_m: f64, room_m: f64) -> Vec<(i32, i32)> {
         let height = self.robots.iter().map(SimRobot::height_m).fold(0.0, f64::max);
-        reachable::ground(&self.room, self.cells, &self.starts, [radius_m, room_m, height])
+        let (driving, standing): (Vec<_>, Vec<_>) =
+            self.robots.iter().zip(&self.starts).partition(|(robot, _)| robot.drives());
+        let standing: Vec<Body> = standing.into_iter().map(|(robot, _)| robot.body()).collect();
+        let starts = driving.into_iter().map(|(_, &start)| start);
+        let sizes = [radius_m, room_m, height];
+        reachable::ground(&self.room, self.cells, starts, &standing, sizes)
     }
 
     /// The cells whose centres were within three metres of a robot's sensor, in its field of view

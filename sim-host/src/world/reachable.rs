@@ -4,14 +4,19 @@ use std::collections::BTreeSet;
 
 use parry2d_f64::glamx::DVec2;
 
-use super::room::{Cells, Room};
+use super::{
+    room::{Cells, Room},
+    route::Body,
+};
 
 /// The cells whose centres are within the radius of a robot somewhere on its way from a start. Its
-/// middle goes from cell to cell, with so much more room about it; both in metres, and the height.
+/// middle goes from cell to cell, with so much more room about it, also from those who stand; both
+/// in metres, and the height.
 pub(super) fn ground(
     room: &Room,
     cells: Cells,
-    starts: &[DVec2],
+    starts: impl Iterator<Item = DVec2>,
+    standing: &[Body],
     [radius, room_about, height]: [f64; 3],
 ) -> Vec<(i32, i32)> {
     let reach = (radius / cells.side) as i32;
@@ -21,12 +26,16 @@ pub(super) fn ground(
         .collect();
     let mut seen = BTreeSet::new();
     let mut ground = BTreeSet::new();
-    let mut queue: Vec<(i32, i32)> = starts.iter().map(|&start| cells.cell_at(start)).collect();
+    let mut queue: Vec<(i32, i32)> = starts.map(|start| cells.cell_at(start)).collect();
+    let apart = radius + room_about;
+    let is_taken =
+        |at: DVec2| standing.iter().any(|body| body.centre.distance(at) < body.radius + apart);
     while let Some(cell) = queue.pop() {
         let at = cells.centre(cell);
         if cells.index(cell).is_none()
             || !seen.insert(cell)
-            || room.obstacle(at, at, radius + room_about, height).is_some()
+            || is_taken(at)
+            || room.obstacle(at, at, apart, height).is_some()
         {
             continue;
         }

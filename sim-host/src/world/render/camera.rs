@@ -65,8 +65,15 @@ impl FrameCamera {
         })
     }
 
+    /// Of the sensors whose images are handed out.
     pub(in super::super) fn calibration(&self) -> Calibration {
-        self.calibration
+        let depth = self.calibration.depth.filter(|_| self.has_depth());
+        Calibration { depth, ..self.calibration }
+    }
+
+    /// Whether its depths are handed out.
+    pub(in super::super) fn has_depth(&self) -> bool {
+        self.config.has_depth
     }
 
     /// What its sensors give of a scene, with noise by these dice.

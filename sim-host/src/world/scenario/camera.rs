@@ -47,6 +47,10 @@ pub struct CameraConfig {
     pub lost_frames: f64,
     /// From when on nothing comes from it any more.
     pub fails_at_s: Option<f64>,
+    /// Whether it sees depths. Without, it says where robots are, and of no cell what is there
+    /// (Ahmed et al., 2.2).
+    #[serde(default = "defaults::has_depth")]
+    pub has_depth: bool,
     /// Its depth images; their field of view and range are the camera's.
     #[serde(default)]
     pub depth: DepthConfig,
@@ -74,6 +78,7 @@ impl CameraConfig {
             latency_jitter_ms: defaults::latency_jitter_ms(),
             lost_frames: defaults::lost_frames(),
             fails_at_s: None,
+            has_depth: defaults::has_depth(),
             depth: DepthConfig::default(),
             picture: PictureConfig::default(),
         }
@@ -168,5 +173,8 @@ mod defaults {
     }
     pub(super) fn lost_frames() -> f64 {
         0.005
+    }
+    pub(super) fn has_depth() -> bool {
+        true
     }
 }

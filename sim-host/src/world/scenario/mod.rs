@@ -22,11 +22,12 @@ pub use robot::{
 pub const BUILT_IN: &str = include_str!("../../../scenarios/room.toml");
 
 /// All built-in scenarios by their names; the first is the usual one.
-pub const NAMED: [(&str, &str); 4] = [
+pub const NAMED: [(&str, &str); 5] = [
     ("room", BUILT_IN),
     ("warehouse", include_str!("../../../scenarios/warehouse.toml")),
     ("changing", include_str!("../../../scenarios/changing.toml")),
     ("office", include_str!("../../../scenarios/office.toml")),
+    ("ahmed-2013", include_str!("../../../scenarios/ahmed-2013.toml")),
 ];
 
 /// Why a scenario can't be simulated. Each is one line that names the file and the line or key.
