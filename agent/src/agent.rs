@@ -392,6 +392,11 @@ impl<'b> Agent<'b> {
         self.locator.newest_odometry()
     }
 
+    /// The moment (robot's clock) at which the newest fix says where the robot was.
+    pub fn newest_fix(&self) -> Option<Instant> {
+        self.locator.newest_fix()
+    }
+
     /// When something of a session was last heard, if ever.
     pub fn heard(&self) -> Option<Instant> {
         (self.statistics.sessions > 0).then_some(self.heard)

@@ -11,22 +11,20 @@ use ubimap_protocol::{
 use crate::{
     Agent,
     drive::{
-        Config, DriveCommand, Driver, GroundRow, Health, Inputs, Mover, NearPoints, Reason, Task,
+        Config, DriveCommand, Driver, GroundRow, Health, Inputs, Mover, NearPoints, Reason, Stops,
+        Task,
     },
 };
 
 /// Obstacles are known for so long after they were seen.
 const SEEN: Duration = Duration::from_secs(2);
-/// How long the link and the sensor may be silent while a robot seeks to be seen.
-const LINKED: Duration = Duration::from_secs(3);
-const SCANNED: Duration = Duration::from_millis(500);
 /// A point on the way is passed from this near, in millimetres.
 const PASSED: i32 = 150;
 
 type Movers = Vec<Mover, { MAX_PEERS + MAX_OBSTACLES }>;
 
-/// Drives the robot of an agent along the paths that the server sends, a point after the other. One
-/// that does not know where it is seeks to be seen. It takes about 12 kB.
+/// Drives the robot of an agent along the paths that the server sends, a point after the other, and
+/// explores without a server if it may. It takes about 12 kB.
 #[derive(Debug)]
 pub struct Pilot {
     driver: Driver,
@@ -36,6 +34,10 @@ pub struct Pilot {
     /// The number of the path, and which of its points is next.
     path: Option<u32>,
     next: usize,
+    /// Of a robot that stops for each scan.
+    stops: Option<Stops>,
+    /// What it does as long as it has never heard a server.
+    alone: Option<Task>,
 }
 
 impl Pilot {
@@ -43,7 +45,26 @@ impl Pilot {
     pub fn new(config: Config) -> Self {
         let radius = config.motion.radius.into();
         let near = NearPoints::default();
-        Self { driver: Driver::new(config), near, radius, path: None, next: 0 }
+        Self {
+            driver: Driver::new(config),
+            near,
+            radius,
+            path: None,
+            next: 0,
+            stops: None,
+            alone: None,
+        }
+    }
+
+    /// Lets it stop for each scan that is mapped: see [`Pilot::takes_scan`].
+    pub fn stop_for_scans(&mut self, stops: Stops) {
+        self.stops = Some(stops);
+    }
+
+    /// Lets it explore by its own map and odometry, and then come home, as long as it has never
+    /// heard a server; its agent's [`PoseSource`](crate::locate::PoseSource) must be odometry.
+    pub fn explore_alone(&mut self, home: Waypoint) {
+        self.alone = Some(Task::Explore(Some(home)));
     }
 
     /// What it drives by.
@@ -51,7 +72,13 @@ impl Pilot {
         &self.driver
     }
 
-    /// Takes the scan that the agent was given: its readings, and when it was taken.
+    /// Whether the agent is to be given a scan that was taken at `taken`: always, unless the robot
+    /// stops for scans and does not stand where it has been localised.
+    pub fn takes_scan(&mut self, agent: &Agent<'_>, taken: Instant) -> bool {
+        self.stops.as_mut().is_none_or(|stops| stops.takes(taken, agent.newest_fix()))
+    }
+
+    /// Takes a scan, whether the agent was given it or not: its readings, and when it was taken.
     pub fn scan(&mut self, agent: &Agent<'_>, readings: &[u16], taken: Instant) {
         self.near = NearPoints::of_scan(agent.beams(), readings, agent.config().mounting, taken);
     }
@@ -62,17 +89,17 @@ impl Pilot {
         let pose = agent.pose_at(now);
         let last = self.follow(agent, pose.map(|(pose, _)| pose));
         let movers = pose.map(|(pose, _)| self.movers(agent, pose, now)).unwrap_or_default();
+        let odometry = agent.newest_odometry();
+        let heard = agent.heard().filter(|_| agent.is_connected());
+        let stops = self.stops.as_mut().is_some_and(|stops| stops.must_stand(odometry, now));
         let health = Health {
             now,
-            heard: agent.heard().filter(|_| agent.is_connected()),
-            must_stop: agent.commands().must_stop(),
+            heard: if self.is_alone(agent) { Some(now) } else { heard },
+            must_stop: agent.commands().must_stop() || stops,
             pose,
-            odometry: agent.newest_odometry(),
+            odometry,
             scan: self.near.taken(),
         };
-        if pose.is_none() && self.may_seek(&health) {
-            return self.seek();
-        }
         let inputs = Inputs { health, near: &self.near, movers: &movers };
         let command = self.driver.step(&inputs, |column, row| ground(agent, now, column, row));
         let code = self.driver.poll_event().and_then(Reason::event_code);
@@ -87,10 +114,11 @@ impl Pilot {
     fn follow(&mut self, agent: &Agent<'_>, pose: Option<Pose>) -> bool {
         let Some(path) = agent.commands().path() else {
             // Another server knows nothing of the path.
-            if self.path.take().is_some() {
-                self.driver.set_task(Task::Stand);
+            let task = self.alone.filter(|_| self.is_alone(agent)).unwrap_or(Task::Stand);
+            if self.path.take().is_some() || self.driver.task() != task {
+                self.driver.set_task(task);
             }
-            return false;
+            return true;
         };
         if self.path != Some(path.number) {
             (self.path, self.next) = (Some(path.number), 0);
@@ -112,30 +140,16 @@ impl Pilot {
         self.next + 1 >= path.waypoints.len()
     }
 
+    /// Whether it may do without a server, and has never heard one.
+    fn is_alone(&self, agent: &Agent<'_>) -> bool {
+        self.alone.is_some() && agent.heard().is_none()
+    }
+
     /// A path that goes on to the same point is no news.
     fn head_for(&mut self, point: Waypoint) {
         let heads_there = self.driver.task() == Task::Go(point);
         if !heads_there || self.driver.reason() == Reason::Arrived {
             self.driver.go_to_next(point);
-        }
-    }
-
-    /// Whether a robot that does not know where it is may look for somebody who does: it is linked, and sees.
-    fn may_seek(&self, health: &Health) -> bool {
-        let is_new =
-            |then: Option<Instant>, most| then.is_some_and(|it| health.now.since(it) < most);
-        !health.must_stop && is_new(health.heard, LINKED) && is_new(health.scan, SCANNED)
-    }
-
-    /// Slowly ahead where its own sensor sees free floor, and on the spot to the left where not.
-    fn seek(&self) -> DriveCommand {
-        let aside = (self.radius + 100) as f32;
-        let before = (self.radius + 400) as f32;
-        let stands = |&(x, y): &(f32, f32)| x > 0.0 && x < before && y.abs() < aside;
-        if self.near.points().iter().any(stands) {
-            DriveCommand { speed: 0, turn: 600 }
-        } else {
-            DriveCommand { speed: 200, turn: 0 }
         }
     }
 

@@ -9,6 +9,7 @@ pub mod floor_view;
 pub mod fuzz;
 pub mod per_ray;
 pub mod raw_robot;
+pub mod routes;
 pub mod schedule;
 pub mod script;
 pub mod star;

@@ -1,18 +1,30 @@
 //! Robots that drive themselves under the server's coordination: they map what no camera sees and
-//! run into nothing, with the link cut meanwhile.
+//! run into nothing, with the link cut meanwhile. `cargo driving` prints the tables over ten seeds.
 
-use std::{fs, path::Path};
+use std::{env, fs, ops::RangeInclusive, path::Path};
 
 use clap::Parser;
-use ubimap_protocol::time::Instant;
+use ubimap_agent::{
+    Agent, Config, Pilot,
+    drive::{self, Motion, Reason},
+    locate::PoseSource,
+};
+use ubimap_protocol::{
+    frame::DEFAULT_FRAME,
+    message::Waypoint,
+    tile::{Cell, TileId},
+    time::{Duration, Instant},
+};
 use ubimap_sim_host::{
-    report::Report,
     run::{
+        Outcome,
+        fleet::{AgentMemory, FUSED_TILES, OWN_TILES},
         options::SimulateOptions,
         simulate::{self, RESOLUTION},
     },
     world::{Contacts, Scenario, World},
 };
+use ubimap_tests::routes::{SETS, scripted};
 
 /// Two rooms with a door; the camera sees the first of them. A person walks in it.
 const TWO_ROOMS: &str = r#"
@@ -57,18 +69,51 @@ struct CommandLine {
     options: SimulateOptions,
 }
 
-/// Runs a scenario with options of the command line.
-fn driven(name: &str, scenario: &str, options: &[&str]) -> Report {
+/// Runs a scenario, a file or a built-in one, with options of the command line.
+fn simulated(scenario: &str, options: &[&str]) -> Outcome {
+    let fixed = ["simulate", scenario, "--json"];
+    let command_line = CommandLine::parse_from(fixed.iter().chain(options));
+    simulate::run(&command_line.options).unwrap()
+}
+
+/// The file of a scenario.
+fn written(name: &str, scenario: &str) -> String {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::write(&path, scenario).unwrap();
-    let fixed = ["simulate", path.to_str().unwrap(), "--drive", "--ideal-cameras", "--json"];
-    let command_line = CommandLine::parse_from(fixed.iter().chain(options));
-    simulate::run(&command_line.options).unwrap().report
+    path.to_str().unwrap().into()
+}
+
+/// The seeds of the tables: the first alone, unless `UBIMAP_SEEDS` says how many.
+fn seeds() -> RangeInclusive<u64> {
+    1..=env::var("UBIMAP_SEEDS").map_or(1, |seeds| seeds.parse().unwrap())
+}
+
+/// Whether the tables are to be printed, and what takes long is run too.
+fn prints_tables() -> bool {
+    env::var_os("UBIMAP_SEEDS").is_some()
+}
+
+/// The options of a run of the tables: ideal cameras, unless `UBIMAP_CAMERAS` is `filmed`.
+fn run(scenario: &str, seed: u64, options: &[&str]) -> Outcome {
+    let is_filmed = env::var("UBIMAP_CAMERAS").is_ok_and(|cameras| cameras == "filmed");
+    let cameras: &[&str] = if is_filmed { &[] } else { &["--ideal-cameras"] };
+    let seed = seed.to_string();
+    let outcome = simulated(scenario, &[&["--seed", &seed], cameras, options].concat());
+    let driving = outcome.report.driving.unwrap();
+    assert_eq!((driving.collisions, driving.touches), (0, 0), "{}", outcome.report);
+    outcome
+}
+
+/// After how many seconds 99 % of the blind ground were mapped; never is endless.
+fn mapped_s(outcome: &Outcome) -> f64 {
+    outcome.report.driving.unwrap().mapped_s.unwrap_or(f64::INFINITY)
 }
 
 #[test]
 fn two_robots_map_a_room_that_no_camera_sees_with_the_link_cut_meanwhile() {
-    let report = driven("two_rooms.toml", TWO_ROOMS, &["--cut", "15", "--latency", "10"]);
+    let scenario = written("two_rooms.toml", TWO_ROOMS);
+    let options = ["--ideal-cameras", "--cut", "15", "--latency", "10"];
+    let report = simulated(&scenario, &options).report;
     let driving = report.driving.unwrap();
     assert_eq!((driving.collisions, driving.touches), (0, 0), "{report}");
     assert!(driving.blind_m2 > 8.0 && driving.blind_mapped >= 0.99, "{report}");
@@ -104,4 +149,155 @@ fn who_drives_against_a_wall_or_a_robot_is_stopped_and_counted_once() {
     assert_eq!(contacts, Contacts { collisions: 1, touches: 0 });
     let apart = 2.8 - pose.y.metres();
     assert!(apart >= 2.0 * radius - 1e-3 && apart < 2.0 * radius + 0.05, "{apart}");
+}
+
+/// Reachable blind ground mapped, against the best of three sets of scripted routes.
+fn against_routes(scenario: &str, duration: &str) {
+    let (mut driven, mut best) = (0.0, 0.0);
+    for seed in seeds() {
+        let outcome = run(scenario, seed, &["--duration", duration]);
+        let share = outcome.report.driving.unwrap().blind_mapped;
+        let by_routes = |set: usize| {
+            let file = written(&format!("{scenario}_{set}.toml"), &scripted(scenario, set));
+            mapped_s(&run(&file, seed, &["--scripted", "--duration", duration]))
+        };
+        let routes: Vec<f64> = (0..SETS).map(by_routes).collect();
+        let mapped = mapped_s(&outcome);
+        println!(
+            "| {scenario}, seed {seed} | {:.1} % | {mapped:.0} s | {routes:.0?} s |",
+            100.0 * share
+        );
+        assert!(share >= 0.99, "{}", outcome.report);
+        (driven, best) = (driven + mapped, best + routes.into_iter().fold(f64::INFINITY, f64::min));
+    }
+    println!("| {scenario} | {:.2} x the time of the best routes |", driven / best);
+    assert!(driven <= 1.3 * best, "{driven} s against {best} s");
+}
+
+#[test]
+fn robots_map_the_room_about_as_fast_as_the_best_of_three_scripts() {
+    against_routes("room", "150");
+}
+
+#[test]
+fn robots_map_the_warehouse_about_as_fast_as_the_best_of_three_scripts() {
+    if prints_tables() {
+        against_routes("warehouse", "300");
+    }
+}
+
+#[test]
+fn two_robots_map_the_warehouse_in_less_time_than_one() {
+    if !prints_tables() {
+        return;
+    }
+    let (mut one, mut two) = (0.0, 0.0);
+    for seed in seeds() {
+        let times = ["1", "2"].map(|robots| {
+            mapped_s(&run("warehouse", seed, &["--robots", robots, "--duration", "900"]))
+        });
+        println!(
+            "| warehouse, seed {seed} | one robot {:.0} s | two {:.0} s |",
+            times[0], times[1]
+        );
+        (one, two) = (one + times[0], two + times[1]);
+    }
+    println!("| warehouse | two against one: {:.2} |", two / one);
+    assert!(two <= 0.6 * one, "{two} s against {one} s");
+}
+
+/// Cells drawn occupied where robots stand that never drive, or within a cell of them.
+fn drawn_of_standing(outcome: &Outcome, scenario: &Scenario) -> usize {
+    let map = &outcome.map;
+    let standing = scenario.robots.iter().filter(|robot| robot.route.waypoints_m.is_empty());
+    let cells = standing.flat_map(|robot| {
+        let [length, width] = robot.box_m.unwrap_or([2.0 * robot.radius_m; 2]);
+        let (sin, cos) = robot.start.heading_deg.to_radians().sin_cos();
+        (0..map.cells().len()).filter(move |index| {
+            let middle = [index % map.width(), index / map.width()].map(|it| it as f64 + 0.5);
+            let [x, y] = map.to_map(middle);
+            let (x, y) = (x - robot.start.x_m, y - robot.start.y_m);
+            let (along, aside) = ((x * cos + y * sin).abs(), (y * cos - x * sin).abs());
+            let about = map.resolution_m();
+            along <= length / 2.0 + about && aside <= width / 2.0 + about
+        })
+    });
+    cells.filter(|&index| matches!(map.cells()[index], Cell::Occupied | Cell::Movable)).count()
+}
+
+/// Ahmed 3: his robots waited after each move until they were localised; and R3 and R4 left
+/// boundaries in his map.
+#[test]
+fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
+    let scenario = Scenario::read(Path::new("ahmed-2013")).unwrap();
+    let (mut times, mut f1) = ([0.0; 2], [0.0; 2]);
+    for seed in seeds() {
+        let outcomes = ["on-the-move", "stop-and-wait"]
+            .map(|motion| run("ahmed-2013", seed, &["--motion", motion, "--duration", "600"]));
+        let mapped = outcomes.each_ref().map(mapped_s);
+        let score = outcomes.each_ref().map(|it| it.report.truth.unwrap().f1_occupied);
+        let drawn = outcomes.each_ref().map(|it| drawn_of_standing(it, &scenario));
+        println!(
+            "| ahmed-2013, seed {seed} | {mapped:.0?} s | F1 {score:.3?} | {drawn:?} cells of R3 and R4 |"
+        );
+        assert_eq!(drawn[0], 0);
+        for way in 0..2 {
+            times[way] += mapped[way];
+            f1[way] += score[way];
+        }
+    }
+    println!(
+        "| ahmed-2013 | on the move against stop-and-wait: {:.2} of the time |",
+        times[0] / times[1]
+    );
+    assert!(times[0] <= 0.25 * times[1], "{times:?}");
+    assert!(f1[0] >= f1[1], "{f1:?}");
+}
+
+#[test]
+fn without_a_server_a_robot_explores_by_its_own_odometry_and_comes_home() {
+    let scenario = Scenario::from_toml(TWO_ROOMS, "two_rooms.toml").unwrap();
+    let mut world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
+    world.tell_wheels(1, 0.0, 0.0);
+    let robot = &world.robots()[0];
+    let home = robot.truth();
+    let own = simulate::config(robot, 1);
+    let own = Config { pose_source: PoseSource::Odometry(home), ..own };
+    let mut memory = AgentMemory::new(&own, robot.sensor().beams(), OWN_TILES, FUSED_TILES);
+    let mut agent = Agent::new(own, memory.lend()).unwrap();
+    let [speed, turn, _] = robot.limits();
+    let motion =
+        Motion { top_speed: speed as f32 * 1e3, top_turn: turn as f32, ..Motion::default() };
+    let mut pilot = Pilot::new(drive::Config { motion, ..drive::Config::default() });
+    pilot.explore_alone(Waypoint { x: home.x, y: home.y });
+    let mut now = Instant(0);
+    let mut frame = [0; DEFAULT_FRAME];
+    while pilot.driver().reason() != Reason::Explored {
+        now = now + Duration::from_millis(50);
+        assert!(now < Instant(400_000_000), "{:?}", pilot.driver().reason());
+        world.advance(now);
+        agent.odometry(now, world.robots()[0].odometry(), now);
+        while let Some(scan) = world.poll_scan(now) {
+            if scan.robot == 0 {
+                // A scan that does not fit is left out.
+                let _ = agent.scan(scan.taken, &scan.readings_mm, now);
+                pilot.scan(&agent, &scan.readings_mm, scan.taken);
+            }
+        }
+        let command = pilot.step(&mut agent, now);
+        world.tell_wheels(0, f64::from(command.speed) / 1e3, f64::from(command.turn) / 1e3);
+        while agent.poll_transmit(now, &mut frame).is_some() {}
+    }
+    assert_eq!(world.contacts(), Contacts::default());
+    let reached = world.reachable(world.robots()[0].radius_m(), 0.065);
+    let known = reached.iter().filter(|&&(x, y)| {
+        let tile = TileId::of_cell(x, y).and_then(|id| agent.own_tiles().find(id));
+        let bit = 1 << x.rem_euclid(32);
+        tile.is_some_and(|tile| tile.row(y.rem_euclid(32) as usize).known() & bit != 0)
+    });
+    let (known, all) = (known.count(), reached.len());
+    let truth = world.robots()[0].truth();
+    let away = (truth.x - home.x).metres().hypot((truth.y - home.y).metres());
+    println!("alone: {known} of {all} cells in {:?}, {away:.2} m from home", now);
+    assert!(known * 100 >= all * 97 && away < 0.5, "{known} of {all}, {away} m");
 }

@@ -8,6 +8,7 @@ use ubimap_protocol::{
 
 use super::{
     follow::{DriveCommand, Follower, Hindrance, Motion, Sight},
+    look::{Gaze, LookAround},
     near::NearPoints,
     plan::PlanError,
     reason::Reason,
@@ -15,7 +16,7 @@ use super::{
     search::{End, Outcome, Search},
     window::{GroundRow, Mover, View, Window},
 };
-use crate::trigonometry::{radians, sin_cos};
+use crate::trigonometry::radians;
 
 /// What does not change while the robot drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,9 +29,8 @@ pub struct Config {
     pub resolution: Millimetres,
     /// Whether ground that the cameras see is worth exploring, too.
     pub explore_covered: bool,
-    /// Whether it looks around at a goal that unmapped blind ground is near to, before it has
-    /// arrived.
-    pub looks_at_goal: bool,
+    /// What it looks around for at a goal, before it has arrived.
+    pub looks_at_goal: Option<Gaze>,
     /// Corners that a search may expand in a step, about 5,000 instructions each.
     pub corners_per_step: usize,
 }
@@ -43,7 +43,7 @@ impl Default for Config {
             safety: SafetyLimits::default(),
             resolution: Millimetres(50),
             explore_covered: false,
-            looks_at_goal: false,
+            looks_at_goal: None,
             corners_per_step: 8,
         }
     }
@@ -103,20 +103,20 @@ enum Phase {
     Searching,
     /// It drives.
     Driving,
-    /// It turns to look around.
+    /// It turns to look at a frontier.
     Looking(Look),
+    /// It turns to look around at a goal.
+    LookingAround(Gaze, LookAround),
     /// There is no way; it is tried again.
     Stuck { why: PlanError, since: Instant },
 }
 
-/// A look around.
+/// A look at a frontier.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Look {
     /// The frontier's point and its window's level.
     at: Waypoint,
     level: u32,
-    /// Which way it turns.
-    left: bool,
     /// How far it has turned, and where it looked last.
     turned: f32,
     last: Pose,
@@ -237,7 +237,9 @@ impl Driver {
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
-        (self.command, self.reason) = (command, reason);
+        // Only a stretch driven shows that wheels work again: until then the fault stays.
+        let doubt = self.safety.doubt().filter(|_| reason == Reason::Driving);
+        (self.command, self.reason) = (command, doubt.unwrap_or(reason));
         command
     }
 
@@ -275,7 +277,8 @@ impl Driver {
                 self.look(step, ground);
                 self.drive(step)
             }
-            Phase::Looking(look) => self.look_around(look, step, ground),
+            Phase::Looking(look) => self.look_at(look, step, ground),
+            Phase::LookingAround(gaze, look) => self.look_around(gaze, look, step, ground),
         }
     }
 
@@ -430,14 +433,16 @@ impl Driver {
         }
         match self.end {
             End::Frontier(at, level) => {
-                let look = Look { at, level, left: true, turned: 0.0, last: step.pose };
-                self.phase = Phase::Looking(look);
+                self.phase = Phase::Looking(Look { at, level, turned: 0.0, last: step.pose });
                 Reason::Driving
             }
-            End::Goal if self.config.looks_at_goal && !self.search.window.frontier.is_empty() => {
-                let (at, left) = self.unseen(step.pose);
-                self.phase =
-                    Phase::Looking(Look { at, level: 0, left, turned: 0.0, last: step.pose });
+            End::Goal
+                if !self.goes_home
+                    && let Some(gaze) = self.config.looks_at_goal =>
+            {
+                self.phase = Phase::LookingAround(gaze, LookAround::new(step.pose.heading));
+                // At once.
+                self.looked = Instant(0);
                 Reason::Driving
             }
             End::Goal => {
@@ -452,25 +457,30 @@ impl Driver {
         }
     }
 
-    /// The nearest point of the frontier, and whether it is to the left.
-    fn unseen(&self, pose: Pose) -> (Waypoint, bool) {
-        let window = &self.search.window;
-        let way = |at: &Waypoint| ((at.x - pose.x).0 as f32, (at.y - pose.y).0 as f32);
-        let square = |at: &Waypoint| {
-            let (x, y) = way(at);
-            x * x + y * y
+    /// Turns until all blind ground in sight has been looked at.
+    fn look_around(
+        &mut self,
+        gaze: Gaze,
+        mut look: LookAround,
+        step: &Step<'_>,
+        ground: &impl Fn(i32, i32) -> GroundRow,
+    ) -> (DriveCommand, Reason) {
+        let Config { resolution, explore_covered, .. } = self.config;
+        if step.now.since(self.looked) >= REFRESH {
+            self.looked = step.now;
+            look.look(&gaze, step.pose, resolution, explore_covered, ground);
+        }
+        let Some(left) = look.turn(step.pose.heading, gaze.half_view) else {
+            self.phase = Phase::Resting(Reason::Arrived);
+            return (self.follower.stand(), Reason::Arrived);
         };
-        let points = window.frontier.cells().map(|place| window.middle(place));
-        let nearest = points.reduce(|a, b| if square(&b) < square(&a) { b } else { a });
-        let at = nearest.unwrap_or(Waypoint { x: pose.x, y: pose.y });
-        let (sin, cos) = sin_cos(radians(pose.heading));
-        let (x, y) = way(&at);
-        (at, y * cos - x * sin > 0.0)
+        self.phase = Phase::LookingAround(gaze, look);
+        (self.follower.spin(left, step.elapsed), Reason::Driving)
     }
 
     /// Turns once round at a frontier, as long as there is blind ground near. What can't be seen
     /// from there is passed over from then on.
-    fn look_around(
+    fn look_at(
         &mut self,
         look: Look,
         step: &Step<'_>,
@@ -486,18 +496,14 @@ impl Driver {
             let view = self.view(step, &none);
             self.search.fill(look.level, &view, ground);
             let is_blind = self.search.is_frontier(look.at);
-            if let Task::Go(_) = self.task {
-                if done || self.search.window.frontier.is_empty() {
-                    self.phase = Phase::Resting(Reason::Arrived);
-                }
-            } else if is_blind && done && !self.search.give_up(look.at, look.level, &view) {
+            if is_blind && done && !self.search.give_up(look.at, look.level, &view) {
                 // So much is out of sight that it is no use to go on.
                 self.fail(PlanError::NoFrontier, step.now);
             } else if done || !is_blind {
                 self.set_out();
             }
         }
-        (self.follower.spin(look.left, step.elapsed), Reason::Driving)
+        (self.follower.spin(true, step.elapsed), Reason::Driving)
     }
 }
 

@@ -63,9 +63,11 @@ const TRIES: u8 = 3;
 pub struct Safety {
     limits: SafetyLimits,
     watch: Option<Watch>,
-    /// What is wrong with the wheels, since when, and how often it was in a row.
+    /// What is wrong with the wheels, since when, and how often it was in a row; and whether it is
+    /// tried if they work again.
     fault: Option<(Reason, Instant)>,
     tries: u8,
+    is_trying: bool,
 }
 
 /// What was commanded and measured since a moment.
@@ -76,7 +78,9 @@ struct Watch {
     /// `base_link` in `map` and in `odom` then.
     pose: Pose,
     odometry: Pose,
-    /// And at the last look.
+    /// How unsure `pose` was, in millimetres.
+    unsure: f32,
+    /// And `odometry` at the last look.
     seen: Pose,
     /// Millimetres and radians.
     commanded: (f32, f32),
@@ -86,12 +90,17 @@ struct Watch {
 impl Safety {
     /// With these limits.
     pub fn new(limits: SafetyLimits) -> Self {
-        Self { limits, watch: None, fault: None, tries: 0 }
+        Self { limits, watch: None, fault: None, tries: 0, is_trying: false }
     }
 
     /// Wheels that were let be are tried again.
     pub fn forgive(&mut self) {
-        (self.fault, self.tries) = (None, 0);
+        (self.fault, self.tries, self.is_trying) = (None, 0, false);
+    }
+
+    /// What was wrong with the wheels, while it is tried if they work again.
+    pub fn doubt(&self) -> Option<Reason> {
+        self.fault.filter(|_| self.is_trying).map(|(reason, _)| reason)
     }
 
     /// Why the robot must stand, if it must. `command` is what it has done since the last look.
@@ -117,17 +126,16 @@ impl Safety {
             self.watch = None;
             return amiss;
         }
-        if let Some((fault, since)) = self.fault {
+        if let Some((fault, since)) = self.fault.filter(|_| !self.is_trying) {
             if self.tries >= TRIES || now.since(since) < limits.retry {
                 return Some(fault);
             }
-            self.fault = None;
+            self.is_trying = true;
         }
-        let (pose, _) = sure?;
-        let fault = self.watch(now, pose, health.odometry?, command)?;
+        let fault = self.watch(now, sure?, health.odometry?, command)?;
         self.watch = None;
         self.tries += 1;
-        self.fault = Some((fault, now));
+        (self.fault, self.is_trying) = (Some((fault, now)), false);
         Some(fault)
     }
 
@@ -141,7 +149,7 @@ impl Safety {
     fn watch(
         &mut self,
         now: Instant,
-        pose: Pose,
+        (pose, unsure): (Pose, f32),
         odometry: Pose,
         command: DriveCommand,
     ) -> Option<Reason> {
@@ -150,6 +158,7 @@ impl Safety {
             last: now,
             pose,
             odometry,
+            unsure,
             seen: odometry,
             commanded: (0.0, 0.0),
             measured: (0.0, 0.0),
@@ -174,7 +183,8 @@ impl Safety {
         let by_map = way(watch.pose, pose);
         let by_wheels = way(watch.odometry, odometry);
         // More than the pose may be corrected by meanwhile.
-        let slips = (by_map - by_wheels).abs() > 120.0 + 0.3 * by_map.min(by_wheels);
+        let corrected = 100.0 + 2.0 * watch.unsure;
+        let slips = (by_map - by_wheels).abs() > corrected + 0.3 * by_map.min(by_wheels);
         if stuck(commanded.0, measured.0, 100.0) || stuck(commanded.1, measured.1, 0.4) {
             return Some(Reason::WheelsStuck);
         }
@@ -182,7 +192,7 @@ impl Safety {
             return Some(Reason::WheelsSlip);
         }
         if commanded.0 > 100.0 {
-            self.tries = 0;
+            self.forgive();
         }
         None
     }

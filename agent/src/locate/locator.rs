@@ -128,6 +128,11 @@ impl Locator {
         self.filter.newest_odometry().map(|(_, pose)| pose)
     }
 
+    /// The moment of the newest fix.
+    pub fn newest_fix(&self) -> Option<Instant> {
+        self.filter.newest_fix()
+    }
+
     /// Whether the fixes have stopped: there was none in the second before `moment`.
     pub fn is_blind(&self, moment: Instant) -> bool {
         let newest = self.filter.newest_fix();

@@ -35,12 +35,14 @@ pub struct Events {
 
 impl Events {
     /// Something happened at `at` (robot's clock). It is passed over if the last event of this code
-    /// has not arrived, or is not old enough.
+    /// has not arrived, or is not old enough; but the end of a path, for which the server waits, is
+    /// news each time.
     pub fn raise(&mut self, code: EventCode, at: Instant) {
         let new = Raised { code, at, progress: Progress::Waiting };
         match self.raised.iter_mut().find(|raised| raised.code == code) {
             Some(last) => {
-                if last.progress == Progress::Arrived && at >= last.at + INTERVAL {
+                let is_news = code == EventCode::PathDone || at >= last.at + INTERVAL;
+                if last.progress == Progress::Arrived && is_news {
                     *last = new;
                 }
             }

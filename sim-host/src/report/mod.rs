@@ -11,7 +11,7 @@ mod summary;
 
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
-pub use picture::{Marker, MarkerKind, png, render, render_coverage, render_error};
+pub use picture::{Marker, MarkerKind, png, render, render_coverage, render_error, render_frames};
 pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
 pub use summary::{
     DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores,

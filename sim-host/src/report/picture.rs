@@ -27,6 +27,9 @@ const SCALES: std::ops::RangeInclusive<usize> = 2..=8;
 /// Past this many cells a cell is one pixel.
 const MOST_SCALED_CELLS: usize = 1 << 22;
 
+/// Frames of a time-lapse in a row.
+const ABREAST: usize = 3;
+
 const ROBOT_RADIUS_M: f64 = 0.2;
 const LEAST_RADIUS: f64 = 5.0;
 
@@ -71,6 +74,32 @@ pub fn render(grid: &OccupancyGrid, markers: &[Marker]) -> RgbImage {
         canvas.marker(marker);
     }
     canvas.image
+}
+
+/// Draws a map as it was at several moments, each with what moved on it, beside one another, row by
+/// row: all as large as the last map.
+pub fn render_frames(map: &OccupancyGrid, frames: &[(OccupancyGrid, Vec<Marker>)]) -> RgbImage {
+    let drawn = frames.iter().map(|(earlier, markers)| {
+        let mut grid = map.clone();
+        for index in 0..map.width() * map.height() {
+            let (column, row) = (index % map.width(), index / map.width());
+            grid.set(column, row, at(earlier, map, column, row));
+        }
+        render(&grid, markers)
+    });
+    let drawn: Vec<RgbImage> = drawn.collect();
+    let Some((width, height)) = drawn.first().map(RgbImage::dimensions) else {
+        return RgbImage::default();
+    };
+    let rows = drawn.len().div_ceil(ABREAST) as u32;
+    // Every second pixel of every second row, and a white line between frames.
+    let (across, down) = (width / 2 + 2, height / 2 + 2);
+    RgbImage::from_fn(across * ABREAST as u32, down * rows, |x, y| {
+        let frame = drawn.get((y / down) as usize * ABREAST + (x / across) as usize);
+        let (x, y) = (2 * (x % across), 2 * (y % down));
+        let pixel = frame.and_then(|frame| frame.get_pixel_checked(x, y));
+        pixel.copied().unwrap_or(HEADING)
+    })
 }
 
 /// Draws which cells of a map the cameras see: these light blue, what is blind as it is on the map.
@@ -252,6 +281,19 @@ mod tests {
         assert_eq!(cell(17, 20), ROBOT);
         assert_eq!(cell(14, 20), EXPLORED);
         assert_eq!(cell(50, 30), ROBOT_PATH);
+    }
+
+    #[test]
+    fn frames_lie_beside_one_another_and_show_the_map_of_their_moment() {
+        let earlier = OccupancyGrid::new(0.05, [0.0, 3.0], 20, 20).unwrap();
+        let frames = [(earlier, vec![]), (room(), vec![robot(0.0, 3.0, vec![])])];
+        let picture = render_frames(&room(), &frames);
+        assert_eq!(picture.dimensions(), (3 * (108 * 4 + 2), 68 * 4 + 2));
+        let cell = |frame: u32, x: u32, y: u32| {
+            *picture.get_pixel(frame * (108 * 4 + 2) + (x + 4) * 4 + 2, (67 - 4 - y) * 4 + 2)
+        };
+        assert_eq!([cell(0, 50, 2), cell(1, 50, 2)], [UNEXPLORED, EXPLORED]);
+        assert_eq!([cell(0, 17, 20), cell(1, 17, 20)], [UNEXPLORED, ROBOT]);
     }
 
     #[test]

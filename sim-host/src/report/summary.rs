@@ -36,7 +36,8 @@ pub struct Report {
     /// How far the robots were wrong about where they are; of a simulation only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseErrors>,
-    /// What came of robots that drove themselves.
+    /// How the blind ground was mapped, and what robots that drove themselves ran into; of a
+    /// simulation only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub driving: Option<DrivingSummary>,
     /// What the cameras said of robots that drove, against the truth; in a simulated room only.
@@ -140,7 +141,8 @@ pub struct PoseErrors {
     pub rmse_deg: f64,
 }
 
-/// Robots that drove themselves.
+/// What came of driving: of robots that drove themselves, or along the routes of a scenario, which
+/// run into nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct DrivingSummary {
     /// How often one ran into a wall, furniture or another robot.

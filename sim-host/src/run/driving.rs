@@ -2,13 +2,13 @@
 
 use std::cell::Cell;
 
-use ubimap_agent::drive::{Config, DriveCommand, Motion, SafetyLimits};
+use ubimap_agent::drive::{Config, DriveCommand, Gaze, Motion, SafetyLimits};
 use ubimap_protocol::{
     tile::{Cell as MapCell, TILE_SIDE, TileId},
     time::{Duration, Instant},
 };
 
-use super::{fleet::Fleet, simulate::RESOLUTION};
+use super::{fleet::Fleet, options::MotionName, simulate::RESOLUTION};
 use crate::{
     camera::FrameSource,
     mapping::ServedLayer,
@@ -20,9 +20,10 @@ use crate::{
 const MARGIN: u16 = 30;
 /// A turn on the spot, and until the server has heard what was seen.
 const LOOK: Duration = Duration::from_secs(7);
-/// A frontier is in view from so far, in metres: within a driver's finest window, so that it turns
-/// there to look.
-const VIEW_M: f64 = 1.4;
+/// A frontier is in view from so far, in metres.
+const VIEW_M: f64 = 2.5;
+/// And so far about itself a robot looks around where it ends: beyond the frontier.
+const AROUND_M: f64 = VIEW_M + 0.3;
 /// Beside a robot that passes, in metres: half a diagonal of two cells, as the map draws walls.
 const ROOM_M: f64 = 0.065;
 /// How much of the ground is all of it.
@@ -31,11 +32,12 @@ const ALL: f64 = 0.99;
 const INTERVAL: Duration = Duration::from_secs(1);
 
 /// Lets the server coordinate, and all robots that have a route drive themselves.
-pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World) {
-    let seen = world.robots().iter().map(|robot| robot.sensor().max_range_m());
-    fleet.coordinate(seen.fold(VIEW_M, f64::min), LOOK);
+pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World, motion: MotionName) {
+    let ranges = world.robots().iter().map(|robot| robot.sensor().max_range_m());
+    let range_m = ranges.fold(f64::INFINITY, f64::min);
+    fleet.coordinate(range_m.min(VIEW_M), range_m, LOOK);
     for robot in world.robots().iter().filter(|robot| robot.drives()) {
-        fleet.let_drive(robot.id(), config(robot));
+        fleet.let_drive(robot.id(), config(robot), motion == MotionName::StopAndWait);
     }
 }
 
@@ -52,7 +54,14 @@ fn config(robot: &SimRobot) -> Config {
         ..usual
     };
     let safety = SafetyLimits { silence: Some(Duration::from_secs(3)), ..SafetyLimits::default() };
-    Config { motion, safety, resolution: RESOLUTION, looks_at_goal: true, ..Config::default() }
+    let sensor = robot.sensor();
+    let gaze = Gaze {
+        half_view: -sensor.first_angle_rad() as f32,
+        reach: (sensor.max_range_m().min(AROUND_M) * 1_000.0) as u16,
+        radius: motion.radius,
+    };
+    let looks_at_goal = Some(gaze);
+    Config { motion, safety, resolution: RESOLUTION, looks_at_goal, ..Config::default() }
 }
 
 /// What a command means for the wheels: metres and radians a second.

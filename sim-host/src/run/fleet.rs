@@ -5,7 +5,7 @@
 
 use ubimap_agent::{
     Agent, Config, ConfigError, Memory, Pilot,
-    drive::{self, DriveCommand},
+    drive::{self, DriveCommand, Stops},
     map::{OwnTile, RowSighting, scratch_words},
     sense::Beam,
     share::FusedTile,
@@ -328,16 +328,20 @@ impl<'b> Fleet<'b> {
         self.server.set_footprint(robot, footprint);
     }
 
-    /// Lets the server say where robots drive: a frontier is in view from so far, in metres, and
-    /// looked at for so long.
-    pub fn coordinate(&mut self, view_m: f64, look: Duration) {
-        self.server.coordinate(view_m, look);
+    /// Lets the server say where robots drive: a frontier is in view from so far, by sensors that
+    /// see so far, both in metres, and looked at for so long.
+    pub fn coordinate(&mut self, view_m: f64, range_m: f64, look: Duration) {
+        self.server.coordinate(view_m, range_m, look);
     }
 
-    /// Lets a robot drive itself, and explore.
-    pub fn let_drive(&mut self, robot: RobotId, config: drive::Config) {
+    /// Lets a robot drive itself, and explore; if it is to stop for scans, where its gate opens.
+    pub fn let_drive(&mut self, robot: RobotId, config: drive::Config, stops: bool) {
         if let Some(robot) = self.robots.iter_mut().find(|it| it.id == robot) {
-            robot.pilot = Some(Box::new(Pilot::new(config)));
+            let mut pilot = Box::new(Pilot::new(config));
+            if stops {
+                pilot.stop_for_scans(Stops::new(robot.agent.config().gate));
+            }
+            robot.pilot = Some(pilot);
             self.server.explore(robot.id);
         }
     }
@@ -457,7 +461,10 @@ impl<'b> Fleet<'b> {
             Event::Scan { robot, readings } => {
                 let Some(robot) = self.robots.get_mut(robot) else { return };
                 let local = robot.clock.local(self.now);
-                if let Err(error) = robot.agent.scan(local, &readings, local) {
+                let pilot = &mut robot.pilot;
+                let is_taken =
+                    pilot.as_mut().is_none_or(|pilot| pilot.takes_scan(&robot.agent, local));
+                if is_taken && let Err(error) = robot.agent.scan(local, &readings, local) {
                     // The agent counts them.
                     log::debug!("robot {}: a scan is not taken: {error:?}", robot.id.0);
                 }

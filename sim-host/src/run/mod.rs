@@ -12,6 +12,7 @@ pub mod replay;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;
+mod time_lapse;
 
 use std::path::{Path, PathBuf};
 

@@ -75,7 +75,7 @@ impl SlicingOptions {
 #[derive(Args, Clone, Debug)]
 pub struct SimulateOptions {
     /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
-    /// changing or office
+    /// changing, office or ahmed-2013
     #[arg(default_value = NAMED[0].0)]
     pub scenario: PathBuf,
 
@@ -88,10 +88,14 @@ pub struct SimulateOptions {
     #[arg(long)]
     pub ideal_cameras: bool,
 
-    /// Let the robots drive themselves where nobody has been, under the server's coordination, in
-    /// place of their routes
+    /// Let the robots drive the scenario's routes, in place of driving themselves where nobody has
+    /// been, under the server's coordination
     #[arg(long)]
-    pub drive: bool,
+    pub scripted: bool,
+
+    /// How robots that drive themselves come to their scans
+    #[arg(long, value_enum, default_value_t)]
+    pub motion: MotionName,
 
     /// How many robots drive, in place of the scenario's number
     #[arg(long, value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
@@ -290,6 +294,16 @@ fn number(text: &str, least: f64, most: f64, unit: &'static str) -> Result<f64, 
 
 fn probability(text: &str) -> Result<f64, OptionError> {
     number(text, 0.0, 1.0, "(a probability)")
+}
+
+/// The names of the ways to come to a scan.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum MotionName {
+    /// They scan as they drive
+    #[default]
+    OnTheMove,
+    /// They stop for each scan until the cameras have localised them there, as Ahmed et al. did
+    StopAndWait,
 }
 
 /// The names of the policies.

@@ -17,6 +17,7 @@ use super::{
     options::SimulateOptions,
     progress::Progress,
     scoring::{self, TRACK_INTERVAL},
+    time_lapse::{self, TimeLapse},
 };
 use crate::{
     camera::{Calibration, FrameSource, Source},
@@ -74,28 +75,28 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut stage =
         if options.ideal_cameras { Room::new(world, end) } else { Room::filmed(world, end) };
     let progress = Progress::new(stage.end, options.run.json);
-    let ground = options.drive.then(|| BlindGround::of(&stage.world));
-    if options.drive {
-        driving::set_out(&mut fleet, &stage.world);
+    let ground = BlindGround::of(&stage.world);
+    let mut time_lapse = options.run.out.is_some().then(|| TimeLapse::new(duration));
+    if !options.scripted {
+        driving::set_out(&mut fleet, &stage.world, options.motion);
         stage.hand_over();
     }
     let converged = fleet.run(&mut stage, |fleet| {
         progress.at(Instant(0) + fleet.elapsed());
-        if let Some(ground) = &ground {
-            ground.look(fleet);
+        ground.look(fleet);
+        if let Some(time_lapse) = &mut time_lapse {
+            time_lapse.look(fleet);
         }
     })?;
     progress.finish();
 
-    let fused = fleet.server().fused();
-    let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
-    let map = OccupancyGrid::from_tiles(tiles, RESOLUTION)?;
+    let map = time_lapse::grid(&fleet)?;
     let mut summary = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
     summary.truth = Some(scoring::score(&map, &stage.world)?);
     summary.pose = Some(scoring::pose_errors(&fleet, &stage.tracks));
     let sighted = scoring::sighting_errors(&fleet, &stage.tracks);
     summary.sighted = (!options.ideal_cameras).then_some(sighted);
-    summary.driving = ground.map(|ground| ground.summary(&fleet, &stage.world));
+    summary.driving = Some(ground.summary(&fleet, &stage.world));
     summary.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     summary.elapsed_s = started.elapsed().as_secs_f64();
     let mut markers = figures::markers(&fleet);
@@ -106,10 +107,11 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let coverage = fleet.server().coverage();
     let coverage =
         OccupancyGrid::from_tiles(coverage.tiles().map(|(id, _, tile)| (id, tile)), RESOLUTION)?;
-    let pictures = vec![
+    let mut pictures = vec![
         ("coverage.png", report::render_coverage(&map, &coverage)),
         ("error.png", scoring::error_picture(&map, &stage.world)?),
     ];
+    pictures.extend(time_lapse.map(|it| ("timelapse.png", it.picture(&map))));
     Ok(Outcome { report: summary, map, markers, pictures })
 }
 

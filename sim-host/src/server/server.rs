@@ -317,10 +317,10 @@ impl Server {
 
     /// Lets a coordinator say from now on where robots drive. Its paths have higher numbers than
     /// those of the server's earlier lives. Call [`Server::timeout`] at the timeouts.
-    pub fn coordinate(&mut self, view_m: f64, look: Duration) {
+    pub fn coordinate(&mut self, view_m: f64, range_m: f64, look: Duration) {
         let Terms { resolution, server_epoch, .. } = self.terms;
         let first_path = server_epoch.wrapping_shl(20);
-        let settings = Settings { resolution, view_m, look, first_path };
+        let settings = Settings { resolution, view_m, range_m, look, first_path };
         self.coordinating = Some(Coordinating::new(settings));
     }
 

@@ -10,6 +10,7 @@ use ubimap_protocol::{
 
 use super::{
     evasion::make_way,
+    exploration::Tried,
     frontiers::Frontier,
     ground::{Disc, Ground, Point},
     member::{ARRIVED_M, Member},
@@ -34,10 +35,16 @@ const RESPECT_M: f64 = 0.1;
 /// A robot that is so far off its route has lost it, in metres.
 const ASTRAY_M: f64 = 0.6;
 /// A robot that could drive and was seen to stand for so long can't.
-const STALLED: Duration = Duration::from_secs(4);
+const STALLED: Duration = Duration::from_secs(6);
+/// And one of which nothing else was heard for so long.
+const SILENT: Duration = Duration::from_secs(15);
+/// What a robot says of the end of its path is about the newest one if that was sent so long ago.
+const UNDER_WAY: Duration = Duration::from_secs(1);
 /// A robot that was told to stand does after so long, and was then seen to.
 const HALTING: Duration = Duration::from_millis(1_500);
 const HALTED: Duration = Duration::from_secs(1);
+/// By then it has said where it stands.
+const REPORTED: Duration = Duration::from_millis(3_500);
 /// One that can't be told comes to a stand by itself.
 const LOST: Duration = Duration::from_secs(5);
 /// Somebody in the way is waited for so long before another way is looked for.
@@ -58,6 +65,9 @@ pub struct Settings {
     pub resolution: Millimetres,
     /// A frontier is in view from this far, in metres; no more than the robots' sensors see.
     pub view_m: f64,
+    /// How far these see, in metres: what is farther does not come back, and nothing before it is
+    /// known then.
+    pub range_m: f64,
     /// How long a robot takes to look around at the end of its way.
     pub look: Duration,
     /// The number of the first path. Of two paths the one with the higher number holds, so a
@@ -79,8 +89,8 @@ pub struct Coordinator {
     pub(super) reservations: Reservations,
     pub(super) ground: Option<Ground>,
     pub(super) frontiers: Vec<Frontier>,
-    /// Places from which nothing was to be seen, and until when they are not tried again.
-    pub(super) tried: Vec<(Disc, Instant)>,
+    /// What was tried in vain.
+    pub(super) tried: Vec<Tried>,
     surveyed: Instant,
     passers: Vec<Passer>,
     /// Where robots were held up, and until when that is avoided.
@@ -149,9 +159,22 @@ impl Coordinator {
         let Ok(index) = self.index(robot) else { return };
         let claim = self.reservations.claim_mut(index);
         match code {
-            // It may be about an earlier end: only where it is counts.
-            EventCode::PathDone if claim.to_grant_m() <= ARRIVED_M => claim.arrive(),
-            EventCode::PathBlocked | EventCode::Collision if self.members[index].can_drive() => {
+            // It may be about an earlier end.
+            EventCode::PathDone
+                if claim.to_grant_m() <= ARRIVED_M
+                    || now.since(self.members[index].sent) >= UNDER_WAY =>
+            {
+                claim.arrive();
+                let (is_at_end, place) = (claim.is_at_end(), claim.end());
+                let member = &mut self.members[index];
+                let is_there = is_at_end && member.is_there(place);
+                if let Some(target) = member.target.as_mut().filter(|_| is_there) {
+                    target.looked = Some(now);
+                }
+            }
+            EventCode::PathBlocked | EventCode::Collision | EventCode::DriveFault
+                if self.members[index].can_drive() =>
+            {
                 self.blocked(index, now);
             }
             _ => {}
@@ -281,13 +304,17 @@ impl Coordinator {
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
             let claim = self.reservations.claim_mut(index);
-            let is_stuck = member.still_for() >= STALLED && now.since(member.sent) >= STALLED;
+            let is_stuck = now.since(member.sent) >= STALLED
+                && (member.still_for() >= STALLED || member.unmoved_for(now) >= SILENT);
             if let Some(lost) = member.lost {
                 if now.since(lost) >= LOST && !claim.is_at_end() {
                     claim.stand();
                 }
             } else if let Some(halted) = member.halted {
-                if now.since(halted) >= HALTING && member.still_for() >= HALTED {
+                if now.since(halted) >= HALTING
+                    && (member.still_for() >= HALTED
+                        || now.since(halted) >= REPORTED && member.unmoved_for(now) >= HALTED)
+                {
                     claim.stand();
                     member.halted = None;
                     member.set_out(now);

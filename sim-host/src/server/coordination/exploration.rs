@@ -4,31 +4,60 @@ use ubimap_protocol::time::{Duration, Instant};
 
 use super::{
     assignment::{NEVER, assign},
-    coordinator::Coordinator,
+    coordinator::{Coordinator, Settings},
     frontiers::{View, frontiers},
-    ground::{Disc, Ground},
+    ground::{Disc, Ground, Point},
     member::Target,
 };
 
 /// A square metre of unknown ground is worth so many metres of way.
-const WORTH_M: f64 = 1.0;
+const WORTH_M: f64 = 0.5;
 /// Two frontiers nearer to each other are one, in metres.
 const APART_M: f64 = 1.0;
 /// The places around this one, in metres, are then not tried for so long.
 const TRIED_M: f64 = 0.3;
 const TRIED: Duration = Duration::from_secs(300);
+/// A frontier that was looked at from so many places and is still there can't be seen.
+const MOST_LOOKS: usize = 3;
+/// Until the server has heard what a robot saw.
+const HEARD: Duration = Duration::from_millis(1_500);
 /// A frontier to which others leave no room is given up after so long, for a while.
 const PATIENCE: Duration = Duration::from_secs(8);
 const PUT_OFF: Duration = Duration::from_secs(20);
+
+/// A frontier that was looked at in vain, or to which there was no way.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tried {
+    frontier: Point,
+    view: Point,
+    /// When it is tried again.
+    until: Instant,
+}
+
+impl Tried {
+    fn new(target: &Target, until: Instant) -> Self {
+        Self { frontier: target.frontier, view: target.view, until }
+    }
+
+    fn is_of(&self, frontier: Point) -> bool {
+        (self.frontier - frontier).norm() <= TRIED_M
+    }
+
+    /// The places from which it looked so.
+    fn views(&self) -> Disc {
+        Disc { centre: self.view, radius: TRIED_M }
+    }
+}
 
 impl Coordinator {
     /// Gives robots that explore, and have nothing to do, frontiers of their own.
     pub(super) fn share_out(&mut self, now: Instant) {
         let Some(ground) = self.ground.take() else { return };
-        self.tried.retain(|(_, until)| now < *until);
+        self.tried.retain(|tried| now < tried.until);
         self.frontiers.clear();
         if self.members.iter().any(|member| member.explores) {
-            self.frontiers = frontiers(&ground, self.settings.view_m);
+            let Settings { view_m, range_m, .. } = self.settings;
+            self.frontiers = frontiers(&ground, view_m, range_m);
         }
         self.drop_targets(now);
         self.assign_targets(&ground, now);
@@ -43,9 +72,10 @@ impl Coordinator {
             let is_left =
                 self.frontiers.iter().any(|it| (it.place - target.frontier).norm() <= APART_M);
             // If it is still there, it can't be seen from here.
-            let is_vain = target.reached.is_some_and(|reached| now.since(reached) >= look);
+            let is_vain = target.looked.is_some_and(|looked| now.since(looked) >= HEARD)
+                || target.reached.is_some_and(|reached| now.since(reached) >= look);
             if is_vain && is_left {
-                self.tried.push((Disc { centre: target.view, radius: TRIED_M }, now + TRIED));
+                self.tried.push(Tried::new(&target, now + TRIED));
             }
             if is_vain || !is_left {
                 member.target = None;
@@ -60,6 +90,10 @@ impl Coordinator {
             .frontiers
             .iter()
             .filter(|it| taken.iter().all(|taken| (it.place - taken).norm() > APART_M))
+            .filter(|it| {
+                let looks = self.tried.iter().filter(|tried| tried.is_of(it.place));
+                looks.count() < MOST_LOOKS
+            })
             .collect();
         let is_idle = |index: &usize| {
             let member = &self.members[*index];
@@ -69,7 +103,7 @@ impl Coordinator {
         if idle.is_empty() || open.is_empty() {
             return;
         }
-        let tried: Vec<Disc> = self.tried.iter().map(|(disc, _)| *disc).collect();
+        let tried: Vec<Disc> = self.tried.iter().map(Tried::views).collect();
         let views: Vec<Vec<Option<View>>> = idle
             .iter()
             .map(|&index| {
@@ -96,7 +130,10 @@ impl Coordinator {
             let is_apart =
                 |(_, other): &(usize, Target)| (other.frontier - frontier).norm() > APART_M;
             if given.iter().all(is_apart) {
-                given.push((index, Target { frontier, view: view.place, reached: None }));
+                given.push((
+                    index,
+                    Target { frontier, view: view.place, reached: None, looked: None },
+                ));
             }
         }
         for (index, target) in given {
@@ -109,7 +146,7 @@ impl Coordinator {
     /// There is no way to a frontier.
     pub(super) fn give_up_target(&mut self, index: usize, now: Instant) {
         if let Some(target) = self.members[index].target.take() {
-            self.tried.push((Disc { centre: target.view, radius: TRIED_M }, now + PUT_OFF));
+            self.tried.push(Tried::new(&target, now + PUT_OFF));
         }
     }
 

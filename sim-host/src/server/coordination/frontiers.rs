@@ -18,6 +18,11 @@ const NEAREST_M: f64 = 0.4;
 /// A frontier is looked at so that its unknown ground is ahead: within 70 degrees (the cosine).
 /// Along the edge of a shadow nothing more is to be seen than what cast it.
 const AHEAD: f64 = 0.34;
+/// Of places on one straight way the last is the best: what is left of it counts more than what is
+/// driven.
+const LAST: f64 = 1.5;
+/// A view without a known surface behind the frontier is so much worse, in metres.
+const UNBACKED_M: f64 = 0.5;
 /// Rays by which ground in sight is found.
 const RAYS: usize = 32;
 
@@ -28,8 +33,8 @@ pub(super) struct Frontier {
     pub(super) place: Point,
     /// The unknown ground that can be seen through it, in square metres.
     pub(super) gain_m2: f64,
-    /// The cells from which it is in view.
-    views: Vec<usize>,
+    /// The cells from which it is in view, and whether a surface is known behind it from there.
+    views: Vec<(usize, bool)>,
 }
 
 /// Where to stand to look at a frontier.
@@ -41,19 +46,24 @@ pub(super) struct View {
 }
 
 impl Frontier {
-    /// The nearest place from which it is in view, none of those that were tried in vain.
+    /// The place from which it is in view that a robot passes last on the shortest way to it, none
+    /// of those that were tried in vain: it looks there as it drives, and need not stop.
     pub(super) fn view(&self, ground: &Ground, ways: &Ways<'_>, tried: &[Disc]) -> Option<View> {
-        let metres = |at: &usize| Some((ways.metres(*at)?, *at));
-        let place = |(metres, at): (f64, usize)| View { place: ground.place(at), metres };
-        let is_new =
-            |view: &View| tried.iter().all(|disc| (view.place - disc.centre).norm() > disc.radius);
-        let views = self.views.iter().filter_map(metres).map(place).filter(is_new);
-        views.min_by(|a, b| a.metres.total_cmp(&b.metres))
+        let view = |&(at, is_backed): &(usize, bool)| {
+            let view = View { place: ground.place(at), metres: ways.metres(at)? };
+            let doubt = if is_backed { 0.0 } else { UNBACKED_M };
+            Some((view.metres + LAST * (view.place - self.place).norm() + doubt, view))
+        };
+        let is_new = |(_, view): &(f64, View)| {
+            tried.iter().all(|disc| (view.place - disc.centre).norm() > disc.radius)
+        };
+        let views = self.views.iter().filter_map(view).filter(is_new);
+        views.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, view)| view)
     }
 }
 
-/// All frontiers of the ground, for sensors that see so far.
-pub(super) fn frontiers(ground: &Ground, range_m: f64) -> Vec<Frontier> {
+/// All frontiers of the ground, in view from so far, for sensors that see so far.
+pub(super) fn frontiers(ground: &Ground, view_m: f64, range_m: f64) -> Vec<Frontier> {
     let width = ground.width();
     let is_frontier = |at: usize| {
         let beside = [at.checked_sub(width), at.checked_sub(1), Some(at + 1), Some(at + width)];
@@ -68,7 +78,7 @@ pub(super) fn frontiers(ground: &Ground, range_m: f64) -> Vec<Frontier> {
             found.extend(Some(piece).filter(|it| it.len() >= LEAST_CELLS));
         }
     }
-    let rays = Rays::new(ground, range_m);
+    let rays = Rays::new(ground, view_m);
     let frontiers = found.into_iter().map(|cells| {
         let middle = cells.iter().fold(Point::origin(), |sum, &at| sum + ground.place(at).coords)
             / cells.len() as f64;
@@ -76,7 +86,7 @@ pub(super) fn frontiers(ground: &Ground, range_m: f64) -> Vec<Frontier> {
         let nearest = cells.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)));
         let at = nearest.unwrap_or(cells[0]);
         let (gain_m2, towards) = rays.gain(at);
-        Frontier { place: ground.place(at), gain_m2, views: rays.views(at, towards) }
+        Frontier { place: ground.place(at), gain_m2, views: rays.views(at, towards, range_m) }
     });
     frontiers.filter(|it| it.gain_m2 >= LEAST_GAIN_M2).collect()
 }
@@ -105,21 +115,31 @@ fn piece(ground: &Ground, open: &mut [bool], first: usize) -> Vec<usize> {
 /// Looks along straight lines.
 struct Rays<'a> {
     ground: &'a Ground,
-    range_m: f64,
+    view_m: f64,
     directions: Vec<nalgebra::Vector2<f64>>,
 }
 
 impl<'a> Rays<'a> {
-    fn new(ground: &'a Ground, range_m: f64) -> Self {
+    fn new(ground: &'a Ground, view_m: f64) -> Self {
         let turn = |ray| core::f64::consts::TAU * ray as f64 / RAYS as f64;
         let direction = |ray| nalgebra::Vector2::new(libm::cos(turn(ray)), libm::sin(turn(ray)));
-        Self { ground, range_m, directions: (0..RAYS).map(direction).collect() }
+        Self { ground, view_m, directions: (0..RAYS).map(direction).collect() }
     }
 
     /// The cells on a ray from a cell, that one left out, and how far they are in metres.
     fn ray(&self, from: usize, direction: usize) -> impl Iterator<Item = (f64, usize)> {
+        self.long_ray(from, direction, self.view_m)
+    }
+
+    /// The same, so many metres long.
+    fn long_ray(
+        &self,
+        from: usize,
+        direction: usize,
+        metres: f64,
+    ) -> impl Iterator<Item = (f64, usize)> {
         let (start, way) = (self.ground.place(from), self.directions[direction]);
-        let steps = (self.range_m / self.ground.side_m()) as usize;
+        let steps = (metres / self.ground.side_m()) as usize;
         let at = move |step: usize| {
             let metres = step as f64 * self.ground.side_m();
             Some((metres, self.ground.at(start + way * metres)?))
@@ -147,13 +167,32 @@ impl<'a> Rays<'a> {
         )
     }
 
+    /// Whether a sensor that sees so far beyond a cell has a wall behind it; `None` if it has known
+    /// ground alone at its end, from where nothing comes back: then nothing before it is known
+    /// either, as along an aisle that is longer than sensors see.
+    fn is_backed(&self, from: usize, direction: usize, reach_m: f64) -> Option<bool> {
+        let mut last = None;
+        for (_, at) in self.long_ray(from, direction, reach_m) {
+            if self.ground.cell(at) == Cell::Occupied {
+                return Some(true);
+            }
+            last = Some(at);
+        }
+        last.is_none_or(|at| self.ground.is_blind(at)).then_some(false)
+    }
+
     /// The known free cells in sight of a cell, over free ground alone, from where what is unknown
-    /// is ahead.
-    fn views(&self, from: usize, towards: nalgebra::Vector2<f64>) -> Vec<usize> {
+    /// is ahead; and whether a sensor that sees so far has a wall behind it from there.
+    fn views(
+        &self,
+        from: usize,
+        towards: nalgebra::Vector2<f64>,
+        range_m: f64,
+    ) -> Vec<(usize, bool)> {
         let ahead = |direction: &usize| {
             -self.directions[*direction].dot(&towards) >= AHEAD * towards.norm()
         };
-        let mut views: Vec<usize> = (0..RAYS)
+        let mut views: Vec<(usize, bool)> = (0..RAYS)
             .filter(ahead)
             .flat_map(|direction| {
                 let ray = self.ray(from, direction);
@@ -162,11 +201,16 @@ impl<'a> Rays<'a> {
                     let near = *metres < NEAREST_M && self.ground.is_blind(*at);
                     near || self.ground.cell(*at) == Cell::Free
                 });
-                free.filter(|(metres, _)| *metres >= NEAREST_M).map(|(_, at)| at)
+                let far = free.filter(|(metres, _)| *metres >= NEAREST_M);
+                let behind = (direction + RAYS / 2) % RAYS;
+                far.filter_map(move |(metres, at)| {
+                    Some((at, self.is_backed(from, behind, range_m - metres)?))
+                })
             })
             .collect();
-        views.sort_unstable();
-        views.dedup();
+        // Of two ways to look from one cell the better one.
+        views.sort_unstable_by_key(|&(at, is_backed)| (at, !is_backed));
+        views.dedup_by_key(|(at, _)| *at);
         views
     }
 }
@@ -185,7 +229,7 @@ mod tests {
         // Unknown: the eastern quarter, and a little pocket.
         let hidden = |x: f64, y: f64| x > 6.0 || (x - 1.0).hypot(y - 1.0) < 0.08;
         let ground = drawn(&plan, hidden);
-        let found = frontiers(&ground, 2.0);
+        let found = frontiers(&ground, 2.0, 4.0);
         assert!(found.iter().all(|it| (it.place.x - 6.0).abs() < 0.1), "{found:?}");
         assert!(found.len() >= 3 && found.len() <= 6, "{}", found.len());
         // From the middle of the edge half a disc of 2 m is to be seen: 17 of 32 rays.
@@ -199,7 +243,7 @@ mod tests {
         let ground = drawn(&plan, |x, _| x > 6.0);
         let terrain = Terrain::new(&ground, 0.3);
         let ways = terrain.everywhere(Point::new(1.0, 3.0)).unwrap();
-        let found = frontiers(&ground, 2.0);
+        let found = frontiers(&ground, 2.0, 4.0);
         let off = |it: &Frontier| (it.place.y - 3.0).abs();
         let middle = found.iter().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap();
         let view = middle.view(&ground, &ways, &[]).unwrap();

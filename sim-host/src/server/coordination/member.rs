@@ -20,8 +20,9 @@ pub(super) struct Target {
     pub(super) frontier: Point,
     /// Where to look at it from.
     pub(super) view: Point,
-    /// Since when the robot stands there.
+    /// Since when the robot stands there, and when it said that it had looked around.
     pub(super) reached: Option<Instant>,
+    pub(super) looked: Option<Instant>,
 }
 
 /// One robot.
@@ -89,6 +90,12 @@ impl Member {
     /// For how long it was seen to stand.
     pub(super) fn still_for(&self) -> Duration {
         self.seen.since(self.still_since)
+    }
+
+    /// For how long nobody has seen it move. Where no camera sees it a robot that stands does not
+    /// say so anew, and one that drives says where it is now and then.
+    pub(super) fn unmoved_for(&self, now: Instant) -> Duration {
+        now.since(self.still_since)
     }
 
     /// Where it is to go.

@@ -93,6 +93,7 @@ impl Floor {
         let settings = Settings {
             resolution: Millimetres(50),
             view_m: 2.0,
+            range_m: RANGE_M,
             look: Duration::from_millis(1_500),
             first_path: 1,
         };

@@ -1,0 +1,192 @@
+//! Looking around: which way blind ground is in sight, and how far to turn to have seen it.
+
+use core::f32::consts::TAU;
+
+use ubimap_protocol::{
+    tile::{Row, TILE_SIDE},
+    units::{Angle, Millimetres, Pose},
+};
+
+use super::window::GroundRow;
+use crate::trigonometry::{radians, sin_cos};
+
+/// Rays that are looked along.
+const RAYS: u32 = 32;
+/// So many blind cells one behind the other are ground; fewer are noise.
+const LEAST: u32 = 3;
+/// What is nearer than a part of the half view to its edge may have been missed.
+const SURE: f32 = 0.9;
+
+/// What there is to be seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gaze {
+    /// How far the sensor sees to either side, in radians.
+    pub half_view: f32,
+    /// How far away blind ground is looked at, in millimetres.
+    pub reach: u16,
+    /// The robot's radius, in millimetres: nothing is to be seen there.
+    pub radius: u16,
+}
+
+impl Default for Gaze {
+    /// A sensor of 86 degrees, and a robot of 30 cm.
+    fn default() -> Self {
+        Self { half_view: 0.75, reach: 2_500, radius: 150 }
+    }
+}
+
+impl Gaze {
+    /// The rays from a pose, counted counter-clockwise from `map`'s x, on which blind ground begins
+    /// behind free ground: a bit each. Up to a thousand looks at the map.
+    fn blind_rays(
+        &self,
+        pose: Pose,
+        resolution: Millimetres,
+        explore_covered: bool,
+        ground: &impl Fn(i32, i32) -> GroundRow,
+    ) -> u32 {
+        let cell = resolution.0.max(1) as f32;
+        let (first, last) = (u32::from(self.radius), u32::from(self.reach));
+        let steps = |millimetres: u32| millimetres / resolution.0.max(1).unsigned_abs();
+        let mut rays = 0;
+        for ray in 0..RAYS {
+            let (sin, cos) = sin_cos(ray as f32 * (TAU / RAYS as f32));
+            let mut blind = 0;
+            for step in steps(first) + 1..=steps(last) {
+                let along = |from: Millimetres, part: f32| {
+                    libm::floorf(from.0 as f32 / cell + part * step as f32) as i32
+                };
+                let (x, y) = (along(pose.x, cos), along(pose.y, sin));
+                let side = TILE_SIDE as i32;
+                let GroundRow { cells: Row { low, high }, covered } = ground(x.div_euclid(side), y);
+                let has = |row: u32| row >> x.rem_euclid(side) & 1 != 0;
+                if has(high) {
+                    break;
+                }
+                let is_blind = !has(low) && (explore_covered || !has(covered));
+                blind = if is_blind { blind + 1 } else { 0 };
+                if blind == LEAST {
+                    rays |= 1 << ray;
+                    break;
+                }
+            }
+        }
+        rays
+    }
+}
+
+/// A look around on the spot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LookAround {
+    /// Where it looked first and looked last; and how far it has turned since the first, at least
+    /// and at most, to the left, in radians.
+    first: Angle,
+    last: Angle,
+    turned: f32,
+    least: f32,
+    most: f32,
+    /// The rays of blind ground, and which way it turns; none before the first look.
+    rays: u32,
+    left: Option<bool>,
+}
+
+impl LookAround {
+    /// From here.
+    pub(super) fn new(heading: Angle) -> Self {
+        let (turned, least, most) = (0.0, 0.0, 0.0);
+        Self { first: heading, last: heading, turned, least, most, rays: 0, left: None }
+    }
+
+    /// Looks at the map.
+    pub(super) fn look(
+        &mut self,
+        gaze: &Gaze,
+        pose: Pose,
+        resolution: Millimetres,
+        explore_covered: bool,
+        ground: &impl Fn(i32, i32) -> GroundRow,
+    ) {
+        self.rays = gaze.blind_rays(pose, resolution, explore_covered, ground);
+    }
+
+    /// Which way to turn on, to the left or not; `None` when nothing is left to be seen. It goes on
+    /// as it has begun: the nearer way.
+    pub(super) fn turn(&mut self, heading: Angle, half_view: f32) -> Option<bool> {
+        self.turned += radians(heading - self.last);
+        self.last = heading;
+        (self.least, self.most) = (self.least.min(self.turned), self.most.max(self.turned));
+        let sure = half_view * SURE;
+        let (right, left) = (self.least - sure, self.most + sure);
+        if left - right >= TAU {
+            return None;
+        }
+        // How far beyond what it has seen each ray is, on both sides.
+        let (mut to_left, mut to_right) = (f32::MAX, f32::MAX);
+        for ray in (0..RAYS).filter(|ray| self.rays >> ray & 1 != 0) {
+            let bearing = Angle((ray << 11) as u16) - self.first;
+            let beyond = libm::fmodf(radians(bearing) - right + 2.0 * TAU, TAU);
+            let unseen = beyond - (left - right);
+            if unseen > 0.0 {
+                to_left = to_left.min(unseen);
+                to_right = to_right.min(TAU - beyond);
+            }
+        }
+        if to_left == f32::MAX {
+            return None;
+        }
+        Some(*self.left.get_or_insert(to_left <= to_right))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Turns by the looks until nothing is left: by how much, in degrees, to the left.
+    fn turned(mut known: impl FnMut(f64, f64) -> bool, occupied: impl Fn(f64, f64) -> bool) -> f64 {
+        let gaze = Gaze::default();
+        let mut look = LookAround::new(Angle(0));
+        let mut degrees = 0.0;
+        let known = core::cell::RefCell::new(&mut known);
+        loop {
+            let heading = Angle::from_degrees(degrees);
+            let pose = Pose { heading, ..Pose::default() };
+            look.look(&gaze, pose, Millimetres(50), false, &|column, row| {
+                let mut cells = Row::default();
+                for bit in 0..32 {
+                    let middle = |cell: i32| (f64::from(cell) + 0.5) * 0.05;
+                    let (x, y) = (middle(column * 32 + bit), middle(row));
+                    if occupied(x, y) {
+                        cells.high |= 1 << bit;
+                    } else if (known.borrow_mut())(x, y) {
+                        cells.low |= 1 << bit;
+                    }
+                }
+                GroundRow { cells, covered: 0 }
+            });
+            match look.turn(heading, gaze.half_view) {
+                Some(left) => degrees += if left { 5.0 } else { -5.0 },
+                None => return degrees,
+            }
+            assert!(degrees.abs() < 360.0);
+        }
+    }
+
+    #[test]
+    fn it_turns_as_far_as_there_is_something_to_see_and_the_nearer_way() {
+        let nowhere = |_, _| false;
+        assert_eq!(turned(|_, _| true, nowhere), 0.0, "all is known");
+        assert_eq!(turned(|x, y| x.hypot(y) < 2.6, nowhere), 0.0, "or far away");
+        // Ahead it looks already.
+        assert_eq!(turned(|x, y| x < 1.0 || y.abs() > 0.5, nowhere), 0.0);
+        let left = turned(|_, y| y < 1.0, nowhere);
+        assert!((85.0..=130.0).contains(&left), "{left}");
+        let right = turned(|_, y| y > -1.0, nowhere);
+        assert!((-130.0..=-85.0).contains(&right), "{right}");
+        let round = turned(|x, y| x.hypot(y) < 1.0, nowhere);
+        assert!((270.0..300.0).contains(&round.abs()), "{round}");
+        // Behind a wall it is out of sight, and a speck is nothing.
+        assert_eq!(turned(|_, y| y < 1.0, |_, y| y > 0.9 && y < 1.0), 0.0);
+        assert_eq!(turned(|x, y| !(y > 1.0 && y < 1.1 && x.abs() < 0.05), nowhere), 0.0);
+    }
+}

@@ -1,0 +1,109 @@
+//! Stopping for each scan, to be localised where the robot stands (Ahmed 3: "after every move, the
+//! robots needed to wait so that the tracking system locks their current position").
+
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::Pose,
+};
+
+use crate::map::Gate;
+
+/// A robot that no camera sees goes on after so long, and maps nothing there.
+const UNSEEN: Duration = Duration::from_secs(3);
+
+/// Drives from scan to scan.
+#[derive(Clone, Copy, Debug)]
+pub struct Stops {
+    /// How far from one to the next: as far as on the move.
+    gate: Gate,
+    phase: Phase,
+    /// Whether it has not moved since it was localised.
+    is_located: bool,
+}
+
+/// Poses are of `base_link` in `odom`.
+#[derive(Clone, Copy, Debug)]
+enum Phase {
+    /// It has not begun.
+    New,
+    /// It drives, and came from here.
+    Driving(Option<Pose>),
+    /// It was told to stand, and was here at the last step.
+    Stopping(Pose),
+    /// It stands, since then.
+    Standing(Instant),
+}
+
+impl Stops {
+    /// Stands until the first scan, and then stops where the gate opens.
+    pub fn new(gate: Gate) -> Self {
+        Self { gate, phase: Phase::New, is_located: false }
+    }
+
+    /// Whether the wheels must stand. To be asked at every step, with the newest odometry.
+    pub fn must_stand(&mut self, odometry: Option<Pose>, now: Instant) -> bool {
+        let Some(odometry) = odometry else { return true };
+        if let Phase::Driving(Some(from)) = self.phase {
+            self.is_located &= from == odometry;
+        }
+        self.phase = match self.phase {
+            Phase::New => Phase::Standing(now),
+            Phase::Driving(None) => Phase::Driving(Some(odometry)),
+            Phase::Driving(from) if self.gate.opens(from, odometry) => Phase::Stopping(odometry),
+            Phase::Stopping(before) if before == odometry => Phase::Standing(now),
+            Phase::Stopping(_) => Phase::Stopping(odometry),
+            Phase::Standing(since) if now.since(since) >= UNSEEN => Phase::Driving(Some(odometry)),
+            phase => phase,
+        };
+        !matches!(self.phase, Phase::Driving(_))
+    }
+
+    /// Whether a scan that was taken at `taken` is to be mapped: the robot stands, and its newest
+    /// fix is of a moment since then. It may drive on after it.
+    pub fn takes(&mut self, taken: Instant, fix: Option<Instant>) -> bool {
+        if let Phase::Standing(since) = self.phase {
+            self.is_located = taken >= since && fix.is_some_and(|fix| fix >= since);
+            if self.is_located {
+                self.phase = Phase::Driving(None);
+            }
+        }
+        self.is_located
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: u64) -> Instant {
+        Instant(millis * 1_000)
+    }
+
+    #[test]
+    fn it_maps_where_it_stands_and_has_been_localised_since() {
+        let mut stops = Stops::new(Gate::default());
+        let mut must_stand =
+            |stops: &mut Stops, x, now| stops.must_stand(Some(Pose::from_metres(x, 0.0, 0.0)), now);
+        assert!(stops.must_stand(None, at(0)), "nobody knows whether it has moved");
+        assert!(must_stand(&mut stops, 0.0, at(20)), "the first scan is taken where it stands");
+        assert!(stops.takes(at(30), Some(at(25))));
+        assert!(!must_stand(&mut stops, 0.0, at(50)));
+        assert!(!must_stand(&mut stops, 0.035, at(100)));
+        assert!(!stops.takes(at(100), Some(at(100))), "it drives");
+        assert!(must_stand(&mut stops, 0.036, at(150)));
+        assert!(must_stand(&mut stops, 0.05, at(200)), "it brakes");
+        assert!(!stops.takes(at(210), Some(at(210))));
+        assert!(must_stand(&mut stops, 0.05, at(250)));
+        assert!(!stops.takes(at(260), Some(at(249))), "that fix is of when it drove");
+        assert!(!stops.takes(at(249), Some(at(260))), "and that scan");
+        assert!(stops.takes(at(300), Some(at(260))));
+        assert!(!must_stand(&mut stops, 0.05, at(350)), "on from here");
+        assert!(stops.takes(at(360), Some(at(360))), "as long as it stands");
+        assert!(!must_stand(&mut stops, 0.08, at(400)));
+        assert!(!stops.takes(at(410), Some(at(410))), "it drives");
+        // Nobody sees it.
+        assert!(must_stand(&mut stops, 0.09, at(450)) && must_stand(&mut stops, 0.09, at(500)));
+        assert!(must_stand(&mut stops, 0.09, at(3_499)));
+        assert!(!must_stand(&mut stops, 0.09, at(3_500)));
+    }
+}
