@@ -29,7 +29,7 @@ const LINE_WIDTH: f64 = 0.1;
 const TURN_STEP: i32 = 256;
 /// Another place is as good as the best one with so many hundredths of its score, and another one
 /// if it is so many cells or steps of heading away.
-const RIVAL_SCORE: u32 = 88;
+const RIVAL_SCORE: i32 = 88;
 const RIVAL_CELLS: i32 = 4;
 const RIVAL_TURNS: i32 = 4;
 /// Places that are looked at, the best one included.
@@ -37,6 +37,9 @@ const MOST_PLACES: usize = 8;
 /// Two places are not one if they are so far from each other: the square of the distance in
 /// standard deviations, as chi-squared with three degrees of freedom has it in one of 10,000 cases.
 const ELSEWHERE: f64 = 21.1;
+/// What a candidate's score loses for the square of its distance from the predicted pose in
+/// standard deviations: half of what a point on a surface is worth.
+const DEVIATION_SCORE: f64 = 128.0;
 /// Points farther from their surface than this do not count, in millimetres: at first, and once the
 /// pose is nearly right.
 const FIRST_REACH_MM: f64 = 250.0;
@@ -142,6 +145,21 @@ struct Nearest {
     surface: usize,
 }
 
+/// The surfaces that one can see when one looks into one of four quarters: whoever looks to the
+/// north-east sees the west and the south of things. A wall that is known from one side only is
+/// not what somebody sees who stands on the other, be it as thin as it may.
+#[derive(Clone, Debug, Default)]
+struct Facing {
+    surfaces: Vec<Surface>,
+    /// For each cell the one nearest to it.
+    nearest: Vec<Option<Nearest>>,
+}
+
+/// The quarter into which one looks along an arm.
+fn quarter(arm: Vector2<f64>) -> usize {
+    usize::from(arm.x > 0.0) | usize::from(arm.y > 0.0) << 1
+}
+
 /// The surfaces of a part of the map.
 #[derive(Clone, Debug)]
 pub struct Surfaces {
@@ -150,14 +168,16 @@ pub struct Surfaces {
     corner: (i32, i32),
     side: i32,
     codes: Vec<Cell>,
-    nearest: Vec<Option<Nearest>>,
-    surfaces: Vec<Surface>,
+    /// By [`quarter`].
+    facing: [Facing; 4],
 }
 
 /// A candidate of the search: what it scores, and how far it is from the predicted pose.
 #[derive(Clone, Copy, Debug, Default)]
 struct Candidate {
-    score: u32,
+    score: i32,
+    /// What the score loses for the distance from the predicted pose.
+    away: i32,
     turns: i32,
     cells: (i32, i32),
 }
@@ -174,9 +194,17 @@ struct Refined {
 }
 
 impl Search {
+    /// Standard deviations of x and of y in millimetres, and of the heading in binary angle units,
+    /// about the predicted pose: the search goes four of them far.
+    fn deviations(&self) -> (f64, f64) {
+        let position = f64::from(self.position.0) / 4.0;
+        let known = self.known.map_or(position, |known| f64::from(known.0));
+        (known.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))
+    }
+
     /// What the start says of the position, as information for deviations of a millimetre.
     fn prior(&self, start: Vector2<f64>) -> Prior {
-        let deviation = self.known.map_or(f64::from(self.position.0) / 2.0, |it| f64::from(it.0));
+        let (deviation, _) = self.deviations();
         let ratio = CELL_DEVIATION_MM / deviation.max(1.0);
         Prior { position: start, information: ratio * ratio, counts: self.known.is_some() }
     }
@@ -226,8 +254,7 @@ impl Surfaces {
             corner,
             side,
             codes: vec![Cell::Unknown; (side * side) as usize],
-            nearest: vec![None; (side * side) as usize],
-            surfaces: Vec::new(),
+            facing: Default::default(),
         };
         let step = TILE_SIDE as i32;
         let tiles = |from: i32| from.div_euclid(step)..=(from + side - 1).div_euclid(step);
@@ -242,7 +269,7 @@ impl Surfaces {
                 }
             }
         }
-        all.find_surfaces();
+        all.facing = core::array::from_fn(|quarter| all.facing(quarter));
         all
     }
 
@@ -261,14 +288,17 @@ impl Surfaces {
         (cell(point.x), cell(point.y))
     }
 
-    fn find_surfaces(&mut self) {
+    /// The surfaces that are seen by looking into a quarter.
+    fn facing(&self, quarter: usize) -> Facing {
         let (west, south) = self.corner;
+        // From where one looks at a cell.
+        let (aside, below) = (1 - 2 * (quarter as i32 & 1), 1 - 2 * (quarter as i32 >> 1));
         let cells =
             (south..south + self.side).flat_map(|y| (west..west + self.side).map(move |x| (x, y)));
         let cells: Vec<(i32, i32)> = cells
             .filter(|&(x, y)| {
                 self.code((x, y)) == Cell::Occupied
-                    && [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)]
+                    && [(x + aside, y), (x, y + below)]
                         .into_iter()
                         .any(|beside| self.code(beside) == Cell::Free)
             })
@@ -279,22 +309,40 @@ impl Surfaces {
                 is_surface[index] = true;
             }
         }
-        for (surface, &(x, y)) in cells.iter().enumerate() {
-            for (dx, dy) in square(REACH) {
-                let square = dx * dx + dy * dy;
-                let Some(index) = self.index((x + dx, y + dy)) else { continue };
-                let nearest = &mut self.nearest[index];
-                if square <= REACH * REACH && nearest.is_none_or(|it| square < it.square) {
-                    *nearest = Some(Nearest { square, surface });
-                }
-            }
+        let mut facing = Facing { nearest: vec![None; self.codes.len()], surfaces: Vec::new() };
+        for &(x, y) in &cells {
             let beside = square(LINE_REACH).map(|(dx, dy)| (x + dx, y + dy));
             let near: Vec<(i32, i32)> = beside
                 .filter(|&cell| self.index(cell).is_some_and(|index| is_surface[index]))
                 .collect();
-            let surface = self.surface((x, y), &near);
-            self.surfaces.push(surface);
+            let found = self.surface((x, y), &near);
+            if found.normal.is_none() && self.is_where_knowledge_ends((x, y)) {
+                continue;
+            }
+            let surface = facing.surfaces.len();
+            facing.surfaces.push(found);
+            for (dx, dy) in square(REACH) {
+                let square = dx * dx + dy * dy;
+                let Some(index) = self.index((x + dx, y + dy)) else { continue };
+                let nearest = &mut facing.nearest[index];
+                if square <= REACH * REACH && nearest.is_none_or(|it| square < it.square) {
+                    *nearest = Some(Nearest { square, surface });
+                }
+            }
         }
+        facing
+    }
+
+    /// Whether something may go on from a cell where nobody has seen: beside it is an unknown cell
+    /// in front of which is the free. Its end then says nothing of the way along it.
+    fn is_where_knowledge_ends(&self, (x, y): (i32, i32)) -> bool {
+        let is = |cell: (i32, i32), code| self.code(cell) == code;
+        square(1).map(|(dx, dy)| (x + dx, y + dy)).any(|(x, y)| {
+            is((x, y), Cell::Unknown)
+                && [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)]
+                    .into_iter()
+                    .any(|cell| is(cell, Cell::Free))
+        })
     }
 
     /// The surface in a cell, by those near it.
@@ -330,19 +378,15 @@ impl Surfaces {
         let points: Vec<Vector2<f64>> = points.iter().map(|&[x, y]| Vector2::new(x, y)).collect();
         let start = Vector2::new(f64::from(predicted.x.0), f64::from(predicted.y.0));
         let candidates = self.candidates(&points, start, predicted.heading, search);
-        let nearer = |it: &&Candidate| {
-            let (dx, dy) = it.cells;
-            let away = dx * dx + dy * dy + 2 * it.turns * it.turns;
-            i64::from(it.score) - i64::from(away)
-        };
-        let best = *candidates.iter().max_by_key(nearer)?;
+        let best = *candidates.iter().max_by_key(|it| it.score - it.away)?;
         let prior = search.prior(start);
         let (at, heading) = best.pose(self, start, predicted.heading);
         let refined = self.refine(&points, at, heading, prior)?;
 
         let known = points.iter().filter(|point| {
-            let seen = rotated(**point, refined.heading) + refined.at;
-            self.code(self.cell(seen)) != Cell::Unknown || self.nearest_to(seen).is_some()
+            let arm = rotated(**point, refined.heading);
+            let seen = refined.at + arm;
+            self.code(self.cell(seen)) == Cell::Free || self.seen_along(arm, seen).is_some()
         });
         if refined.points < LEAST_POINTS || 100 * refined.points < LEAST_SHARE * known.count() {
             return None;
@@ -394,8 +438,11 @@ impl Surfaces {
         (agree, contradict)
     }
 
-    fn nearest_to(&self, point: Vector2<f64>) -> Option<Nearest> {
-        self.index(self.cell(point)).and_then(|index| self.nearest[index])
+    /// The surface nearest to a point among those that can be seen along an arm.
+    fn seen_along(&self, arm: Vector2<f64>, point: Vector2<f64>) -> Option<&Surface> {
+        let facing = &self.facing[quarter(arm)];
+        let nearest = facing.nearest[self.index(self.cell(point))?]?;
+        facing.surfaces.get(nearest.surface)
     }
 
     /// All poses of the search, scored.
@@ -409,17 +456,24 @@ impl Surfaces {
         let turns = (i32::from(search.turn.0) / TURN_STEP).clamp(0, 32);
         let cells = libm::ceil(f64::from(search.position.0) / self.resolution) as i32;
         let cells = cells.clamp(0, 20);
+        let (far, wide) = search.deviations();
+        let (far, wide) = (far / self.resolution, wide / f64::from(TURN_STEP));
         let mut all = Vec::new();
         for turn in -turns..=turns {
             let turned = (heading + Angle((turn * TURN_STEP) as u16)).radians();
-            let seen: Vec<(i32, i32)> =
-                points.iter().map(|point| self.cell(rotated(*point, turned) + start)).collect();
+            let arms = points.iter().map(|point| rotated(*point, turned));
+            let seen: Vec<(usize, (i32, i32))> =
+                arms.map(|arm| (quarter(arm), self.cell(arm + start))).collect();
             for (dx, dy) in square(cells) {
-                let moved = seen.iter().map(|&(x, y)| (x + dx, y + dy));
-                let nearest = moved.filter_map(|cell| self.nearest[self.index(cell)?]);
+                let nearest = seen.iter().filter_map(|&(quarter, (x, y))| {
+                    self.facing[quarter].nearest[self.index((x + dx, y + dy))?]
+                });
                 // A cell away 230, two cells 92, four cells 9.
-                let score = nearest.map(|it| (2_304 / (9 + it.square * it.square)) as u32).sum();
-                all.push(Candidate { score, turns: turn, cells: (dx, dy) });
+                let score = nearest.map(|it| 2_304 / (9 + it.square * it.square)).sum();
+                let off = f64::from(dx * dx + dy * dy) / (far * far)
+                    + f64::from(turn * turn) / (wide * wide);
+                let away = (DEVIATION_SCORE * off) as i32;
+                all.push(Candidate { score, away, turns: turn, cells: (dx, dy) });
             }
         }
         all
@@ -459,8 +513,9 @@ impl Surfaces {
             let (mut count, mut squares) = (0, 0.0);
             for point in points {
                 let arm = rotated(*point, heading);
-                let Some(nearest) = self.nearest_to(at + arm) else { continue };
-                let Surface { middle, normal } = self.surfaces[nearest.surface];
+                let Some(&Surface { middle, normal }) = self.seen_along(arm, at + arm) else {
+                    continue;
+                };
                 let off = at + arm - middle;
                 let (axes, share): ([Option<Vector2<f64>>; 2], f64) = match normal {
                     Some(normal) => ([Some(normal), None], 1.0),
@@ -669,6 +724,39 @@ mod tests {
         let walls = [[[-9.0, 0.02], [9.0, 0.02]], [[-9.0, 2.04], [9.0, 2.04]]];
         let walls = walls.iter().chain(more).copied().collect();
         Room::new(walls, [[-9.0, 0.05], [9.0, 2.0]])
+    }
+
+    #[test]
+    fn a_thin_wall_is_not_taken_for_its_other_side() {
+        // The end of the corridor is a wall 20 cm thick, of which the map knows the other face.
+        let mut room = corridor(&[[[3.04, 0.0], [3.04, 2.04]]]);
+        for y in 1..40 {
+            (60..63).for_each(|x| room.set((x, y), Cell::Unknown));
+            room.set((63, y), Cell::Occupied);
+        }
+        let truth = Pose::from_metres(0.5, 1.0, 0.0);
+        let found = room.find(truth, truth, WIDE).expect("heading and y are known");
+        let [x, y, _] = found.deviations();
+        assert!(x > 1_000.0 && y < 60.0, "{x} {y}");
+        // The face that it sees.
+        (1..40).for_each(|y| room.set((60, y), Cell::Occupied));
+        let found = room.find(truth, truth, WIDE).expect("all three are known");
+        assert!((found.pose.x - truth.x).0.abs() < 40, "{found:?}");
+    }
+
+    #[test]
+    fn where_knowledge_of_a_wall_ends_is_no_end_of_the_wall() {
+        let mut room = corridor(&[]);
+        for x in 50..80 {
+            (-1..42).for_each(|y| room.set((x, y), Cell::Unknown));
+        }
+        let truth = Pose::from_metres(0.0, 1.0, 0.0);
+        for metres in [-0.3, 0.0, 0.3] {
+            let predicted = Pose::from_metres(metres, 1.0, 0.0);
+            let found = room.find(truth, predicted, WIDE).expect("heading and y are known");
+            let [x, y, _] = found.deviations();
+            assert!(x > 1_000.0 && y < 60.0, "{x} {y}");
+        }
     }
 
     #[test]
