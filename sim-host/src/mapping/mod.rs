@@ -16,7 +16,7 @@ pub use alignment::{Match, Search, Surfaces, points};
 pub use camera_layer::CameraLayer;
 pub use constant_errors::{ConstantErrors, Estimated};
 pub use coverage_layer::CoverageLayer;
-pub use fused_layer::{MapTime, Mask, clear, fuse};
+pub use fused_layer::{MapTime, Mask, clear, fuse, hollow};
 pub use robot_layer::{RobotLayer, SeenTile, TileRecord, Updated};
 pub use ros_merge::RosMerge;
 pub use served_layer::ServedLayer;

@@ -10,6 +10,7 @@ use ubimap_protocol::{
 
 use crate::mapping::{
     Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Weight, clear, fuse,
+    hollow,
 };
 
 /// A robot that no camera has seen for longer may be anywhere.
@@ -26,6 +27,8 @@ pub(super) struct SharedMap {
     /// Tiles of robots that have changed since the weights were found.
     unweighed: BTreeSet<TileId>,
     time: MapTime,
+    /// What all have seen of each tile, with what nobody sees and with the robots upon it.
+    whole: BTreeMap<TileId, Tile>,
     fused: ServedLayer,
     /// Tiles with something movable, which is forgotten in time.
     ageing: BTreeSet<TileId>,
@@ -89,12 +92,25 @@ impl SharedMap {
     }
 
     fn fuse(&mut self, id: TileId) {
-        let mut tile = self.without(None, id);
+        let tile = self.without(None, id);
         set_member(
             &mut self.ageing,
             id,
             (0..).zip(tile.high).any(|(y, high)| high & tile.low[y] != 0),
         );
+        if self.whole.insert(id, tile) == Some(tile) {
+            return;
+        }
+        for (east, north) in (-1..=1).flat_map(|north| (-1..=1).map(move |east| (east, north))) {
+            if let Some(id) = beside(id, east, north).filter(|id| self.whole.contains_key(id)) {
+                self.publish(id);
+            }
+        }
+    }
+
+    fn publish(&mut self, id: TileId) {
+        let Some(&(mut tile)) = self.whole.get(&id) else { return };
+        hollow(&mut tile, |east, north| self.whole.get(&beside(id, east, north)?));
         let hides = clear(&mut tile, &self.under(id));
         set_member(&mut self.hiding, id, hides);
         self.fused.set(id, tile);
@@ -130,7 +146,7 @@ impl SharedMap {
             let hides = mask.iter().zip(tile.high).any(|(mask, high)| mask & high != 0);
             (hides || self.hiding.contains(&id)).then_some(id)
         }));
-        other.into_iter().for_each(|id| self.fuse(id));
+        other.into_iter().for_each(|id| self.publish(id));
     }
 
     /// Takes how many points of a distance vector lie on what cameras see, and how many in the free.
@@ -146,14 +162,16 @@ impl SharedMap {
             return Vec::new();
         }
         self.time = time;
-        let mut other = core::mem::take(&mut self.ageing);
+        let mut bared = BTreeSet::new();
         self.under.retain(|_, (captured, masks)| {
             let stands = now.since(*captured) <= STANDS;
             if !stands {
-                other.extend(masks.keys().filter(|id| self.hiding.contains(id)));
+                bared.extend(masks.keys().copied().filter(|id| self.hiding.contains(id)));
             }
             stands
         });
+        bared.into_iter().for_each(|id| self.publish(id));
+        let mut other = core::mem::take(&mut self.ageing);
         for id in core::mem::take(&mut self.unweighed) {
             let robots = self.layers.iter();
             let robots: Vec<(RobotId, &Tile)> =
@@ -179,6 +197,11 @@ impl SharedMap {
             !(self.unweighed.is_empty() && self.ageing.is_empty() && self.hiding.is_empty());
         waits.then(|| self.time.next())
     }
+}
+
+/// The tile that lies so many tiles to the east and to the north.
+fn beside(id: TileId, east: i16, north: i16) -> Option<TileId> {
+    Some(TileId { x: id.x.checked_add(east)?, y: id.y.checked_add(north)? })
 }
 
 fn set_member(set: &mut BTreeSet<TileId>, id: TileId, is_member: bool) {
