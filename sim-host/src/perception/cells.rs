@@ -7,10 +7,13 @@ use super::{evidence::Evidence, view::View};
 /// Fewer pixels than this prove nothing: mixed pixels at the edges of things lie anywhere between
 /// the edge and what is behind it, yet seldom several over one cell.
 pub(super) const FEWEST: u32 = 4;
+/// So many cells behind what stands on the floor lie in its shadow, however low it is and noise
+/// aside.
+const SHADOW: i32 = 3;
 
 /// The cells that an image shows, in the order of rows from the south-west. `movable` says which
 /// cells something takes up that stands out of the empty room, and cells `under` a robot are left
-/// out. `said` are the cells that were last said to be occupied.
+/// out. `said` is what this camera said of each cell last.
 ///
 /// With `F` pixels that have learnt a cell's floor, `B` that have learnt what is in the way over it,
 /// `f` and `b` that see it now, and `e` that would see its floor if nothing stood in between, the
@@ -20,38 +23,52 @@ pub(super) const FEWEST: u32 = 4;
 ///
 /// 1. movable if something that stands out takes it up;
 /// 2. occupied if it is solid and 2 `b` >= `B`;
-/// 3. free if 2 `f` >= `e` and `f` >= 2;
-/// 4. unknown, which takes back what this camera said, if it was occupied and is no longer solid;
-/// 5. else not seen.
+/// 3. in the shadow of what stands there if one of the three nearest cells before it on the line of
+///    sight is occupied by 2: the foot of a wall whose depth is measured too long seems to be floor
+///    behind it. Then nothing is seen, and what was said to be free is unknown;
+/// 4. free if 2 `f` >= `e` and `f` >= 2;
+/// 5. unknown, which takes back what this camera said, if it was occupied and is no longer solid;
+/// 6. else not seen.
 pub(super) fn cells(
     view: &View,
     totals: &[u32],
     evidence: &Evidence,
     movable: &[bool],
     under: &[bool],
-    said: &mut [bool],
+    said: &mut [Cell],
 ) -> Vec<((i32, i32), Cell)> {
     let foot = view.foot();
+    let is_solid = |cell: usize| {
+        let [floor, solid] = [totals[2 * cell], totals[2 * cell + 1]];
+        solid >= FEWEST && solid >= floor && is_ridge(view, totals, foot, cell)
+    };
+    let stands =
+        |cell: usize| 2 * evidence.pixels(cell).1 >= totals[2 * cell + 1] && is_solid(cell);
+    let is_in_shadow = |cell: usize| {
+        (1..=SHADOW).any(|steps| on_sight(view, foot, cell, -steps).is_some_and(stands))
+    };
     let mut code = |cell: usize| {
-        let (floor, band) = evidence.pixels(cell);
-        let solid = totals[2 * cell + 1];
-        let is_solid =
-            solid >= FEWEST && solid >= totals[2 * cell] && is_ridge(view, totals, foot, cell);
+        let (floor, _) = evidence.pixels(cell);
         if under[cell] {
             return None;
         }
         let code = if movable[cell] {
             return Some(Cell::Movable);
-        } else if is_solid && 2 * band >= solid {
+        } else if stands(cell) {
             Cell::Occupied
+        } else if is_in_shadow(cell) {
+            if said[cell] != Cell::Free {
+                return None;
+            }
+            Cell::Unknown
         } else if floor >= 2 && 2 * floor >= view.expected(cell) {
             Cell::Free
-        } else if said[cell] && !is_solid {
+        } else if said[cell] == Cell::Occupied && !is_solid(cell) {
             Cell::Unknown
         } else {
             return None;
         };
-        said[cell] = code == Cell::Occupied;
+        said[cell] = code;
         Some(code)
     };
     (0..view.cells()).filter_map(|cell| Some((view.in_map(cell), code(cell)?))).collect()
@@ -61,15 +78,18 @@ pub(super) fn cells(
 /// the way.
 fn is_ridge(view: &View, totals: &[u32], foot: (i32, i32), cell: usize) -> bool {
     let band = totals[2 * cell + 1];
+    [-2, -1, 1, 2].into_iter().all(|steps| {
+        on_sight(view, foot, cell, steps).is_none_or(|beside| totals[2 * beside + 1] <= 3 * band)
+    })
+}
+
+/// The cell so many steps behind another one on the line of sight, before it if they are negative.
+fn on_sight(view: &View, foot: (i32, i32), cell: usize, steps: i32) -> Option<usize> {
     let (x, y) = view.in_map(cell);
     let way = (x - foot.0, y - foot.1);
     let longest = way.0.abs().max(way.1.abs()).max(1);
     // To the nearest cell, halves away from zero.
-    let along = |way: i32, steps: i32| {
-        (2 * way * steps + way.signum() * steps.signum() * longest) / (2 * longest)
-    };
-    [-2, -1, 1, 2].into_iter().all(|steps| {
-        let beside = (x + along(way.0, steps), y + along(way.1, steps));
-        view.index(beside).is_none_or(|beside| totals[2 * beside + 1] <= 3 * band)
-    })
+    let along =
+        |way: i32| (2 * way * steps + way.signum() * steps.signum() * longest) / (2 * longest);
+    view.index((x + along(way.0), y + along(way.1)))
 }

@@ -1,6 +1,7 @@
 //! From the depth images of one camera to observations.
 
 use ubimap_protocol::{
+    tile::Cell,
     time::{Duration, Instant},
     units::{Millimetres, Pose},
 };
@@ -75,8 +76,8 @@ pub struct Eye {
     view: View,
     background: Background,
     evidence: Evidence,
-    /// The cells that were said to be occupied, until that is taken back.
-    said: Vec<bool>,
+    /// What was said of each cell last.
+    said: Vec<Cell>,
     /// What it follows itself, so that nobody who has walked is learnt.
     tracks: Tracks,
     /// When the newest frame was captured.
@@ -92,7 +93,7 @@ impl Eye {
         Some(Self {
             camera,
             background: Background::new(&view),
-            said: vec![false; view.cells()],
+            said: vec![Cell::Unknown; view.cells()],
             view,
             evidence: Evidence::default(),
             tracks: Tracks::default(),
