@@ -58,22 +58,32 @@ impl Evidence {
         sightings: impl Iterator<Item = RowSighting>,
         known: Option<&Tile>,
     ) -> bool {
+        if let Some(known) = known {
+            return self.add_beside(first, sightings, known);
+        }
         let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
         let mut news = 0;
-        match known {
-            None => {
-                for (row, sighting) in rows.iter_mut().zip(sightings) {
-                    if sighting.known() != 0 {
-                        news |= count(row, sighting);
-                    }
-                }
+        for (row, sighting) in rows.iter_mut().zip(sightings) {
+            if sighting.known() != 0 {
+                news |= count(row, sighting);
             }
-            Some(known) => {
-                for ((y, row), mut sighting) in (first..).zip(rows).zip(sightings) {
-                    leave_known(row, &mut sighting, known.row(y));
-                    news |= count(row, sighting);
-                }
-            }
+        }
+        news != 0
+    }
+
+    /// The same beside what the server knows. Apart, for either loop needs all registers.
+    #[inline(never)]
+    fn add_beside(
+        &mut self,
+        first: usize,
+        sightings: impl Iterator<Item = RowSighting>,
+        known: &Tile,
+    ) -> bool {
+        let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
+        let mut news = 0;
+        for ((y, row), mut sighting) in (first..).zip(rows).zip(sightings) {
+            leave_known(row, &mut sighting, known.row(y));
+            news |= count(row, sighting);
         }
         news != 0
     }

@@ -392,6 +392,33 @@ mod tests {
     }
 
     #[test]
+    fn a_wall_that_is_in_range_for_a_little_is_drawn() {
+        // Whichever beams are looked at.
+        for shift in 0..70u8 {
+            let mut beams = [Beam::default(); 640];
+            let camera = SensorModel::Pinhole { focal: 343.1, centre: 319.5 + f32::from(shift) };
+            fill_beams(&mut beams, camera, Pose::default());
+            let hit = see(&beams, &[3_990; 640], Pose::default()).hit;
+            // It is 4 m away 283 mm aside.
+            assert!(hit.iter().all(|&(x, y)| x == 79 && (-6..6).contains(&y)), "{shift}: {hit:?}");
+            assert!(hit.len() >= 10, "{shift}: {hit:?}");
+        }
+    }
+
+    #[test]
+    fn a_wall_that_leaves_the_range_is_no_wall_to_the_sensor() {
+        let beams = half_circle(721);
+        for shift in 0..40 {
+            // Every other beam finds nothing.
+            let reading = |beam: u16| if beam % 2 == 1 { 0 } else { 3_200 + 2 * (beam + shift) };
+            let readings: Vec<u16> = (0..721).map(reading).collect();
+            let seen = see(&beams, &readings, Pose::default());
+            let is_near = |&&(x, y): &&(i32, i32)| x * x + y * y < 60 * 60;
+            assert_eq!(seen.hit.iter().find(is_near), None, "{shift}");
+        }
+    }
+
+    #[test]
     fn a_scan_at_the_end_of_the_map_is_refused() {
         let beams = half_circle(5);
         let add = |words: usize, pose: Pose| {

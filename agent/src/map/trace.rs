@@ -136,19 +136,65 @@ impl Grain {
             || u64::from(reading * reading) * u64::from(beam.square()) <= self.range_square
     }
 
-    /// Of two beams that end within the range and beyond it, with others between them: one that ends
-    /// within it beside one that does not.
+    /// The last beam that ends within the range on a surface that leaves it, from a beam within it on.
+    /// So many steps further it is still the surface; the beams in between may look at something else.
     #[inline(never)]
-    fn last_within(&self, beams: &[Beam], readings: &[u16], within: usize, beyond: usize) -> usize {
-        let (mut within, mut beyond) = (within, beyond);
-        while beyond.abs_diff(within) > 1 {
+    fn last_within(
+        &self,
+        beams: &[Beam],
+        readings: &[u16],
+        (from, stride, steps): (usize, usize, usize),
+    ) -> usize {
+        let reading = |index: usize| readings.get(index).copied().unwrap_or(0);
+        let is_within = |index: usize| {
+            beams.get(index).is_some_and(|&beam| self.reaches(beam, reading(index).into()))
+        };
+        let (mut within, mut beyond) = (0, steps + 1);
+        while beyond - within > 1 {
             let middle = (within + beyond) / 2;
-            let both = beams.get(middle).zip(readings.get(middle));
-            let is_within =
-                both.is_some_and(|(&beam, &reading)| self.reaches(beam, reading.into()));
-            *(if is_within { &mut within } else { &mut beyond }) = middle;
+            let place = if is_within(from + middle * stride) { &mut within } else { &mut beyond };
+            *place = middle;
         }
-        within
+        let last = from + within * stride;
+        let is_next = |&index: &usize| {
+            u32::from(reading(index).abs_diff(reading(last))) <= self.tolerance && is_within(index)
+        };
+        last + (last + 1..last + stride).take_while(is_next).count()
+    }
+
+    /// The last beam before `end` up to which nothing is in range, from one on that reaches so far, or
+    /// the next one if a surface comes into it there. One beam in some is looked at, and those after the
+    /// last of them.
+    #[inline(never)]
+    fn nothing_up_to(
+        &self,
+        beams: &[Beam],
+        readings: &[u16],
+        (from, end, stride): (usize, usize, usize),
+        reach: u32,
+    ) -> usize {
+        let mut last = from;
+        let mut stride = stride;
+        loop {
+            let index = last + stride;
+            let Some((&beam, &reading)) = beams.get(index).zip(readings.get(index)) else {
+                return last;
+            };
+            let reading = u32::from(reading);
+            if index < end
+                && reading.wrapping_sub(self.counting.0) <= self.counting.1
+                && !self.reaches(beam, reading)
+            {
+                last = index;
+            } else if stride > 1 {
+                stride = 1;
+            } else {
+                let comes_in = index < end
+                    && reading + JUMP > reach
+                    && self.counts(readings, index, reading as u16);
+                return if comes_in { index } else { last };
+            }
+        }
     }
 }
 
@@ -246,48 +292,43 @@ pub(super) fn trace(
         let ahead = grain.spread.checked_div(reach).unwrap_or(0) as usize;
         if ahead >= 2 * SPAN as usize {
             let stride = ahead / CHECKS + 1;
-            let end = here + ahead - stride;
-            let mut low = reach << 8;
-            let mut span = u32::from(u16::MAX);
             if is_hit {
-                low = reading.saturating_sub(grain.tolerance) << 8;
-                span = 2 * grain.tolerance;
-            } else {
-                slope = 0;
-            }
-            let change = slope.wrapping_mul(stride as i32);
-            let within = readings.get(..end + stride + 1).unwrap_or(readings);
-            let mut next = low.wrapping_add_signed(change);
-            while let Some(&reading) = within.get(index + stride)
-                && u32::from(reading).wrapping_sub(next >> 8) <= span
-            {
-                index += stride;
-                low = next;
-                next = low.wrapping_add_signed(change);
-            }
-            let rest = readings.get(index + 1..readings.len().min(end + 2)).unwrap_or_default();
-            let low = low >> 8;
-            for &next in rest {
-                if u32::from(next).wrapping_sub(low) > span {
-                    break;
+                let mut low = reading.saturating_sub(grain.tolerance) << 8;
+                let span = 2 * grain.tolerance;
+                let change = slope.wrapping_mul(stride as i32);
+                let within = readings.get(..here + ahead + 1).unwrap_or(readings);
+                let mut next = low.wrapping_add_signed(change);
+                while let Some(&reading) = within.get(index + stride)
+                    && u32::from(reading).wrapping_sub(next >> 8) <= span
+                {
+                    index += stride;
+                    low = next;
+                    next = low.wrapping_add_signed(change);
                 }
-                index += 1;
-            }
-            if let Some((&beam, &next)) = beams.get(index).zip(readings.get(index))
-                && grain.reaches(beam, next.into()) != is_hit
-            {
-                // A surface that leaves the range, or comes into it.
-                let (within, beyond) = if is_hit { (here, index) } else { (index, here) };
-                let end = grain.last_within(beams, readings, within, beyond);
-                if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end)) {
-                    let to = projection.point(projection.direction(beam), reading.into());
-                    if let Some(hit) = hit {
-                        window.surface(hit, to, (end - here) as i32);
-                    } else {
-                        hit = Some(to);
+                let low = low >> 8;
+                for &next in within.get(index + 1..).unwrap_or_default() {
+                    if u32::from(next).wrapping_sub(low) > span {
+                        break;
                     }
-                    window.hit(to);
+                    index += 1;
                 }
+                if let Some((&beam, &reading)) = beams.get(index).zip(readings.get(index))
+                    && !grain.reaches(beam, reading.into())
+                {
+                    // A surface that leaves the range.
+                    let way = (here, stride, (index - here) / stride);
+                    let end = grain.last_within(beams, readings, way);
+                    if let Some(((&beam, &reading), from)) =
+                        beams.get(end).zip(readings.get(end)).zip(hit)
+                    {
+                        let to = projection.point(projection.direction(beam), reading.into());
+                        window.surface(from, to, (end - here) as i32);
+                        window.hit(to);
+                    }
+                }
+            } else {
+                let way = (here, here + ahead, stride);
+                index = grain.nothing_up_to(beams, readings, way, reach);
             }
         }
         last = Some(End { index: here, reach, at, hit });
