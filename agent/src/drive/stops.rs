@@ -82,7 +82,7 @@ mod tests {
     #[test]
     fn it_maps_where_it_stands_and_has_been_localised_since() {
         let mut stops = Stops::new(Gate::default());
-        let mut must_stand =
+        let must_stand =
             |stops: &mut Stops, x, now| stops.must_stand(Some(Pose::from_metres(x, 0.0, 0.0)), now);
         assert!(stops.must_stand(None, at(0)), "nobody knows whether it has moved");
         assert!(must_stand(&mut stops, 0.0, at(20)), "the first scan is taken where it stands");

@@ -289,7 +289,9 @@ pub(super) fn trace(
 
         // Where the surface goes on, or nothing is in range, up to some cells further.
         let here = index;
-        let ahead = grain.spread.checked_div(reach).unwrap_or(0) as usize;
+        // Within a radian: who stands before a wall sees it bend.
+        let near = 2 * SPAN * grain.margin;
+        let ahead = grain.spread.checked_div(reach.max(near)).unwrap_or(0) as usize;
         if ahead >= 2 * SPAN as usize {
             let stride = ahead / CHECKS + 1;
             if is_hit {

@@ -1,13 +1,16 @@
 //! What must hold at any moment, and what holds once all is settled.
 
-use std::{collections::BTreeSet, iter, mem};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    iter, mem,
+};
 
 use ubimap_agent::Agent;
 use ubimap_protocol::{
     link::Counters,
     tile::{Layer, Stamp, TILE_SIDE, Tile, TileId, tile_hash},
 };
-use ubimap_sim_host::mapping::{SeenTile, clear, fuse};
+use ubimap_sim_host::mapping::{SeenTile, clear, fuse, hollow};
 
 use super::{Robot, Star};
 
@@ -157,17 +160,29 @@ impl<'b> Star<'b> {
     }
 
     fn check_fused(&self, id: TileId) {
+        let mut expected = self.whole(id);
+        let beside = |east: i16, north: i16| {
+            Some(self.whole(TileId { x: id.x.checked_add(east)?, y: id.y.checked_add(north)? }))
+        };
+        let beside: BTreeMap<(i16, i16), Tile> = (-1..=1)
+            .flat_map(|north| (-1..=1).map(move |east| (east, north)))
+            .filter_map(|at| Some((at, beside(at.0, at.1)?)))
+            .collect();
+        hollow(&mut expected, |east, north| beside.get(&(east, north)));
+        clear(&mut expected, &self.server.under(id));
+        let found = self.server.fused().get(id).map(|(_, tile)| tile);
+        assert!(found == Some(&expected), "{id:?} is not what the layers make");
+    }
+
+    /// What all robots' layers make of a tile. The cameras of these runs see robots, and no cells.
+    fn whole(&self, id: TileId) -> Tile {
         let server = &self.server;
         let layers = self
             .robots
             .iter()
             .filter_map(|robot| Some((server.weight(robot.id), server.layer(robot.id)?.seen(id)?)));
         let layers: Vec<_> = layers.collect();
-        // The cameras of these runs see robots, and no cells.
-        let mut expected = fuse(&SeenTile::NOTHING, &layers, server.map_time());
-        clear(&mut expected, &server.under(id));
-        let found = self.server.fused().get(id).map(|(_, tile)| tile);
-        assert!(found == Some(&expected), "{id:?} is not what the layers make");
+        fuse(&SeenTile::NOTHING, &layers, server.map_time())
     }
 
     /// Every fused tile is what the layers make, and the layers know what is on disk.
