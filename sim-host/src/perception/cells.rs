@@ -7,8 +7,8 @@ use super::{evidence::Evidence, view::View};
 /// Fewer pixels than this prove nothing: mixed pixels at the edges of things lie anywhere between
 /// the edge and what is behind it, yet seldom several over one cell.
 pub(super) const FEWEST: u32 = 4;
-/// So many cells behind what stands on the floor lie in its shadow, however low it is and noise
-/// aside.
+/// So many cells behind what stands on the floor are taken to lie in its shadow: what is 10 cm high
+/// and 5 m away from under a ceiling hides as many.
 const SHADOW: i32 = 3;
 
 /// The cells that an image shows, in the order of rows from the south-west. `movable` says which
@@ -23,9 +23,9 @@ const SHADOW: i32 = 3;
 ///
 /// 1. movable if something that stands out takes it up;
 /// 2. occupied if it is solid and 2 `b` >= `B`;
-/// 3. in the shadow of what stands there if one of the three nearest cells before it on the line of
-///    sight is occupied by 2: the foot of a wall whose depth is measured too long seems to be floor
-///    behind it. Then nothing is seen, and what was said to be free is unknown;
+/// 3. not seen if it is one of the three cells behind one of case 2, on the line of sight: the foot
+///    of a wall whose depth is measured too long seems to be floor behind it. If this camera said
+///    that it is free, it is unknown from now on;
 /// 4. free if 2 `f` >= `e` and `f` >= 2;
 /// 5. unknown, which takes back what this camera said, if it was occupied and is no longer solid;
 /// 6. else not seen.
@@ -43,10 +43,13 @@ pub(super) fn cells(
         solid >= FEWEST && solid >= floor && is_ridge(view, totals, foot, cell)
     };
     let stands =
-        |cell: usize| 2 * evidence.pixels(cell).1 >= totals[2 * cell + 1] && is_solid(cell);
-    let is_in_shadow = |cell: usize| {
-        (1..=SHADOW).any(|steps| on_sight(view, foot, cell, -steps).is_some_and(stands))
-    };
+        |cell: &usize| 2 * evidence.pixels(*cell).1 >= totals[2 * cell + 1] && is_solid(*cell);
+    let mut shadow = vec![false; view.cells()];
+    for cell in (0..view.cells()).filter(stands) {
+        for behind in (1..=SHADOW).filter_map(|steps| on_sight(view, foot, cell, steps)) {
+            shadow[behind] = true;
+        }
+    }
     let mut code = |cell: usize| {
         let (floor, _) = evidence.pixels(cell);
         if under[cell] {
@@ -54,9 +57,9 @@ pub(super) fn cells(
         }
         let code = if movable[cell] {
             return Some(Cell::Movable);
-        } else if stands(cell) {
+        } else if stands(&cell) {
             Cell::Occupied
-        } else if is_in_shadow(cell) {
+        } else if shadow[cell] {
             if said[cell] != Cell::Free {
                 return None;
             }
