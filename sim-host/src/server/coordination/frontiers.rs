@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frontier_is_looked_at_from_the_nearest_place_in_view_that_was_not_tried() {
+    fn a_frontier_is_looked_at_from_the_last_place_on_the_way_that_was_not_tried() {
         let plan = Plan::room(8.0, 6.0);
         let ground = drawn(&plan, |x, _| x > 6.0);
         let terrain = Terrain::new(&ground, 0.3);
@@ -247,7 +247,10 @@ mod tests {
         let off = |it: &Frontier| (it.place.y - 3.0).abs();
         let middle = found.iter().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap();
         let view = middle.view(&ground, &ways, &[]).unwrap();
-        assert!((view.place - middle.place).norm() < 2.1 && view.metres < 4.0, "{view:?}");
+        let away = (view.place - middle.place).norm();
+        assert!((NEAREST_M..NEAREST_M + 0.2).contains(&away), "{view:?}");
+        let straight = (middle.place - Point::new(1.0, 3.0)).norm();
+        assert!(view.metres + away < 1.05 * straight, "{view:?}");
         let tried = Disc { centre: view.place, radius: 0.5 };
         let other = middle.view(&ground, &ways, &[tried]).unwrap();
         assert!((other.place - view.place).norm() > 0.5);
