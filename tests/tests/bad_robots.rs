@@ -231,7 +231,7 @@ fn what_cameras_see_and_cannot_be_a_pose_is_an_event_and_no_pose() {
 fn where_a_robot_stands_nothing_else_does() {
     let mut server = server();
     let mut robot = RawRobot::connect(&mut server, 0, RobotId(1), at(0));
-    let mut chair = Tile::UNKNOWN;
+    let mut chair = Tile { low: [u32::MAX; TILE_SIDE], ..Tile::UNKNOWN };
     chair.set(16, 16, Cell::Occupied);
     robot.draw(&mut server, at(0), BLIND, &chair);
     let code = |server: &Server| server.fused().get(BLIND).unwrap().1.cell(16, 16);

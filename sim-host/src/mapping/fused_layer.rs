@@ -19,8 +19,9 @@ const GRADE_S: u32 = 60;
 /// robot that agrees with the map is silent.
 const MOVABLE_S: u32 = 300;
 /// What is fixed and farther than so many cells from anything free is no surface: nobody can have
-/// seen it but by an error, as the noise of a far look draws it behind a wall, or from above.
-const THICKEST: usize = 2;
+/// seen it but by an error, as the noise of a far look draws it behind a wall, or from above. With
+/// two, walls are lost that a lidar of few beams sees from afar.
+const THICKEST: usize = 3;
 /// A cell keeps changing if free and occupied have followed each other so often, in the order of
 /// time of the last words of all who know it.
 const CHANGES: usize = 3;
@@ -273,7 +274,9 @@ mod tests {
             let mut out = 0;
             for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (x, y))) {
                 let of = |at: i32| i16::from(at >= side) - i16::from(at < 0);
-                let mut near = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (x + dx, y + dy)));
+                let reach = -(THICKEST as i32)..=THICKEST as i32;
+                let mut near =
+                    reach.clone().flat_map(|dy| reach.clone().map(move |dx| (x + dx, y + dy)));
                 let is_seen =
                     near.any(|(x, y)| missing != Some((of(x), of(y))) && code(x, y) == Free);
                 let is_deep = code(x, y) == Occupied && !is_seen;
