@@ -33,9 +33,6 @@ const BOUNDS: [(&str, &str, u64); 24] = [
     ("bytes of a planner", "", 8 * 1_024),
     ("a new tile", "to bytes", 150_000),
     ("its ", "bytes to a tile", 150_000),
-    // 150,000 is wanted: this is what they take today, and may only improve.
-    ("a tile update to a robot to bytes", "the most", 154_400),
-    ("a tile update to a robot from bytes", "the most", 207_900),
     ("a tile update", "the most", 150_000),
     ("a tile update", "", 40_000),
     ("", "bytes of link state", 4_096),
