@@ -1,0 +1,243 @@
+use std::collections::BTreeMap;
+
+use super::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use ubimap_protocol::time::Instant;
+
+const RESOLUTION: Millimetres = Millimetres(50);
+
+/// Walls as line segments, in metres; drawn into cells by stepping along them, and seen by
+/// intersecting rays: nothing of the map is used for what is seen.
+struct Room {
+    walls: Vec<[[f64; 2]; 2]>,
+    tiles: BTreeMap<TileId, Tile>,
+}
+
+impl Room {
+    fn new(walls: Vec<[[f64; 2]; 2]>, inside: [[f64; 2]; 2]) -> Self {
+        let mut room = Self { walls, tiles: BTreeMap::new() };
+        let cell = |metres: f64| (metres / 0.05).floor() as i32;
+        for y in cell(inside[0][1])..=cell(inside[1][1]) {
+            for x in cell(inside[0][0])..=cell(inside[1][0]) {
+                room.set((x, y), Cell::Free);
+            }
+        }
+        for [from, to] in room.walls.clone() {
+            for step in 0..=1_000 {
+                let part = f64::from(step) / 1_000.0;
+                let at = |axis: usize| from[axis] + (to[axis] - from[axis]) * part;
+                room.set((cell(at(0)), cell(at(1))), Cell::Occupied);
+            }
+        }
+        room
+    }
+
+    fn set(&mut self, (x, y): (i32, i32), cell: Cell) {
+        let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
+        let tile = self.tiles.entry(TileId::of_cell(x, y).unwrap()).or_default();
+        tile.set(within(x), within(y), cell);
+    }
+
+    /// A distance vector of 64 columns of four beams over 90 degrees, 4 m far.
+    fn look(&self, pose: Pose) -> DistanceVector {
+        let step = 256;
+        let column = |column: i32| {
+            let beams = (0..4).map(|beam| column * step - 8_192 + (2 * beam + 1) * step / 8);
+            let ranges = beams.filter_map(|beam| {
+                let angle = pose.heading.radians() + f64::from(beam) * TAU / 65_536.0;
+                self.range(pose, angle).filter(|range| *range < 4.0)
+            });
+            let nearest = ranges.reduce(f64::min);
+            nearest.map_or(0, |metres| (metres * 50.0).round() as u8)
+        };
+        DistanceVector {
+            time: Instant(0),
+            pose,
+            first: Angle((-8_192 + step / 2) as u16),
+            step: step as i16,
+            distances: (0..64).map(column).collect(),
+        }
+    }
+
+    fn range(&self, pose: Pose, angle: f64) -> Option<f64> {
+        let (dx, dy) = (angle.cos(), angle.sin());
+        let ranges = self.walls.iter().filter_map(|[from, to]| {
+            let (wx, wy) = (to[0] - from[0], to[1] - from[1]);
+            let (ox, oy) = (from[0] - pose.x.metres(), from[1] - pose.y.metres());
+            let cross = dx * wy - dy * wx;
+            let (range, part) = ((ox * wy - oy * wx) / cross, (ox * dy - oy * dx) / cross);
+            ((0.0..=1.0).contains(&part) && range > 0.0).then_some(range)
+        });
+        ranges.reduce(f64::min)
+    }
+
+    fn find(&self, seen_from: Pose, predicted: Pose, search: Search) -> Option<Match> {
+        let reach = Millimetres(5_000);
+        let tile = |id| self.tiles.get(&id).copied().unwrap_or_default();
+        let surfaces = Surfaces::about(predicted, reach, RESOLUTION, tile);
+        surfaces.find(&points(&self.look(seen_from)), predicted, search)
+    }
+}
+
+const WIDE: Search = Search { position: Millimetres(500), turn: Angle(2_730), known: None };
+
+/// 6 x 4 m with a slanted cupboard and a pillar.
+fn furnished() -> Room {
+    let walls = vec![
+        [[0.02, 0.03], [6.01, 0.03]],
+        [[6.01, 0.03], [6.01, 4.04]],
+        [[6.01, 4.04], [0.02, 4.04]],
+        [[0.02, 4.04], [0.02, 0.03]],
+        [[2.0, 3.2], [3.5, 3.7]],
+        [[4.5, 1.0], [4.8, 1.0]],
+        [[4.5, 1.0], [4.5, 1.3]],
+    ];
+    Room::new(walls, [[0.05, 0.05], [6.0, 4.0]])
+}
+
+/// Where a robot sees too little it may not be found; where it is found it is there, as far as the
+/// match itself claims.
+#[test]
+fn a_robot_is_where_it_is_found_as_far_as_the_match_claims() {
+    let room = furnished();
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let (mut found, mut claimed, mut farthest, mut most_turned) = (0, 0, 0.0f64, 0.0f64);
+    for _ in 0..1_000 {
+        let truth = Pose::from_metres(
+            rng.random_range(1.0..3.5),
+            rng.random_range(1.0..2.6),
+            rng.random_range(-3.1..3.1),
+        );
+        let predicted = Pose {
+            x: truth.x + Millimetres(rng.random_range(-450..450)),
+            y: truth.y + Millimetres(rng.random_range(-450..450)),
+            heading: truth.heading + Angle(rng.random_range(-2_500i16..2_500) as u16),
+        };
+        let Some(match_) = room.find(truth, predicted, WIDE) else { continue };
+        let [sx, sy, sh] = match_.deviations();
+        let off = [match_.pose.x - truth.x, match_.pose.y - truth.y];
+        let off = off.map(|it| f64::from(it.0).abs());
+        let turned = (match_.pose.heading - truth.heading).radians().abs();
+        found += 1;
+        claimed += u32::from(off[0] < 3.0 * sx && off[1] < 3.0 * sy && turned < 3.0 * sh);
+        farthest = off.into_iter().fold(farthest, f64::max);
+        most_turned = most_turned.max(turned.to_degrees());
+    }
+    println!(
+        "{found} of 1000 found, {claimed} within three deviations; at most {farthest:.0} mm and \
+         {most_turned:.2} degrees off"
+    );
+    assert!(found >= 900, "{found}");
+    assert!(100 * claimed >= 99 * found, "{claimed} of {found}");
+}
+
+#[test]
+fn most_places_in_a_room_tell_all_three() {
+    let room = furnished();
+    let (mut found, mut good) = (0, 0);
+    for (x, y) in (2..7).flat_map(|x| (2..6).map(move |y| (f64::from(x) / 2.0, f64::from(y) / 2.0)))
+    {
+        for turn in 0..12 {
+            let truth = Pose::from_metres(x, y, f64::from(turn) * 0.52);
+            let Some(found_there) = room.find(truth, truth, WIDE) else { continue };
+            found += 1;
+            let off = [found_there.pose.x - truth.x, found_there.pose.y - truth.y];
+            let off = f64::from(off[0].0).hypot(f64::from(off[1].0));
+            let turned = found_there.pose.heading.distance(truth.heading);
+            good += u32::from(off < 40.0 && turned < 91);
+        }
+    }
+    println!("{found} of 240 found, {good} within 4 cm and half a degree");
+    assert!(found >= 200 && 4 * good >= 3 * found, "{found} {good}");
+}
+
+fn corridor(more: &[[[f64; 2]; 2]]) -> Room {
+    let walls = [[[-9.0, 0.02], [9.0, 0.02]], [[-9.0, 2.04], [9.0, 2.04]]];
+    let walls = walls.iter().chain(more).copied().collect();
+    Room::new(walls, [[-9.0, 0.05], [9.0, 2.0]])
+}
+
+#[test]
+fn a_thin_wall_is_not_taken_for_its_other_side() {
+    // The end of the corridor is a wall 20 cm thick, of which the map knows the other face.
+    let mut room = corridor(&[[[3.04, 0.0], [3.04, 2.04]]]);
+    for y in 1..40 {
+        (60..63).for_each(|x| room.set((x, y), Cell::Unknown));
+        room.set((63, y), Cell::Occupied);
+    }
+    let truth = Pose::from_metres(0.5, 1.0, 0.0);
+    let found = room.find(truth, truth, WIDE).expect("heading and y are known");
+    let [x, y, _] = found.deviations();
+    assert!(x > 1_000.0 && y < 60.0, "{x} {y}");
+    // The face that it sees.
+    (1..40).for_each(|y| room.set((60, y), Cell::Occupied));
+    let found = room.find(truth, truth, WIDE).expect("all three are known");
+    assert!((found.pose.x - truth.x).0.abs() < 40, "{found:?}");
+}
+
+#[test]
+fn where_knowledge_of_a_wall_ends_is_no_end_of_the_wall() {
+    let mut room = corridor(&[]);
+    for x in 50..80 {
+        (-1..42).for_each(|y| room.set((x, y), Cell::Unknown));
+    }
+    let truth = Pose::from_metres(0.0, 1.0, 0.0);
+    for metres in [-0.3, 0.0, 0.3] {
+        let predicted = Pose::from_metres(metres, 1.0, 0.0);
+        let found = room.find(truth, predicted, WIDE).expect("heading and y are known");
+        let [x, y, _] = found.deviations();
+        assert!(x > 1_000.0 && y < 60.0, "{x} {y}");
+    }
+}
+
+#[test]
+fn a_corridor_says_nothing_of_the_way_along_it() {
+    let truth = Pose::from_metres(0.0, 1.0, 0.1);
+    let predicted = Pose::from_metres(0.3, 1.2, 0.2);
+    let found = corridor(&[]).find(truth, predicted, WIDE).expect("heading and y are known");
+    let [x, y, heading] = found.deviations();
+    assert!(x > 1_000.0 && y < 60.0 && heading.to_degrees() < 1.0, "{x} {y} {heading}");
+    assert!((found.pose.y - truth.y).0.abs() < 40, "{found:?}");
+    assert!(found.pose.heading.distance(truth.heading) < 91, "{found:?}");
+}
+
+#[test]
+fn a_place_that_looks_like_another_is_none() {
+    // Ribs every 40 cm on both sides of the corridor.
+    let ribs: Vec<_> = (-20..=20)
+        .flat_map(|rib| {
+            let x = f64::from(rib) * 0.4;
+            [[[x, 0.02], [x, 0.22]], [[x, 1.84], [x, 2.04]]]
+        })
+        .collect();
+    let truth = Pose::from_metres(0.1, 1.0, 0.0);
+    let predicted = Pose::from_metres(0.3, 1.0, 0.0);
+    assert_eq!(corridor(&ribs).find(truth, predicted, WIDE), None);
+    let near = Search { position: Millimetres(150), turn: Angle(1_000), known: None };
+    let found = corridor(&ribs).find(truth, Pose::from_metres(0.15, 1.0, 0.0), near);
+    let off = found.expect("the others are out of reach").pose.x - truth.x;
+    assert!(off.0.abs() < 40, "{off:?}");
+}
+
+#[test]
+fn what_lies_in_the_free_contradicts() {
+    let room = furnished();
+    let pose = Pose::from_metres(2.0, 1.0, -0.5);
+    let tile = |id| room.tiles.get(&id).copied().unwrap_or_default();
+    let surfaces = Surfaces::about(pose, Millimetres(5_000), RESOLUTION, tile);
+    let seen = points(&room.look(pose));
+    assert!(seen.len() > 40);
+    assert_eq!(surfaces.agreement(&seen, pose), (seen.len() as u32, 0));
+    let before: Vec<[f64; 2]> = seen.iter().map(|point| point.map(|it| it / 2.0)).collect();
+    let (agree, contradict) = surfaces.agreement(&before, pose);
+    assert!(contradict > 10 * agree && contradict > 30, "{agree} {contradict}");
+}
+
+#[test]
+fn an_empty_map_and_an_empty_vector_find_nothing() {
+    let pose = Pose { x: Millimetres(i32::MAX), y: Millimetres(i32::MIN), heading: Angle(7) };
+    let surfaces = Surfaces::about(pose, Millimetres(900), RESOLUTION, |_| Tile::UNKNOWN);
+    assert_eq!(surfaces.find(&[[500.0, 0.0]; 40], pose, WIDE), None);
+    assert_eq!(surfaces.find(&[], pose, WIDE), None);
+}
