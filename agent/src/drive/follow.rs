@@ -143,6 +143,8 @@ const OFF: f32 = 300.0;
 const SAMPLES: usize = 8;
 /// How far ahead people are predicted, in seconds.
 const FORESIGHT: f32 = 2.0;
+/// It turns at its fastest after half a second.
+const TURN_GAIN: f32 = 2.0;
 /// What is slower than this is no drive, in millimetres a second.
 const STANDS: f32 = 20.0;
 /// What it creeps by things it must pass, in millimetres a second, and in which time it would cover
@@ -216,7 +218,7 @@ impl Follower {
         let (sin, cos) = sin_cos(radians(sight.pose.heading));
         let (forward, side) = (target.0 * cos + target.1 * sin, target.1 * cos - target.0 * sin);
         // More than 37 degrees off it turns on the spot, until it is within 8.
-        let enough = if self.turns { 0.14 } else { 0.75 };
+        let enough = if self.turns { 0.27 } else { 0.75 };
         self.turns = side.abs() > enough * forward;
         if self.turns {
             self.speed = 0.0;
@@ -241,10 +243,11 @@ impl Follower {
 
     /// Turns towards a point in `base_link`.
     fn turn_by(&mut self, side: f32, forward: f32, elapsed: f32) -> DriveCommand {
+        // As fast as it can still lose by then; up to 45 degrees the tangent is the angle, about.
         let off = if forward > 0.0 { (side / forward).abs().min(1.0) } else { 1.0 };
-        let wanted = (self.motion.top_turn * off).max(0.3).copysign(side);
-        // To the top in half a second.
-        let most = 2.0 * self.motion.top_turn * elapsed;
+        let gain = TURN_GAIN * self.motion.top_turn;
+        let wanted = root(2.0 * gain * off).min(self.motion.top_turn).max(0.3).copysign(side);
+        let most = gain * elapsed;
         self.turn += (wanted - self.turn).max(-most).min(most);
         self.command()
     }

@@ -24,8 +24,8 @@ use crate::server::Command;
 const INTERVAL: Duration = Duration::from_millis(200);
 /// The ground is drawn anew this often.
 const SURVEY: Duration = Duration::from_secs(1);
-/// From wall to robot, at least, when a route is planned, in metres.
-const CLEARANCE_M: f64 = 0.05;
+/// From wall to robot, at least, when a route is planned, in metres: what robots keep themselves.
+const CLEARANCE_M: f64 = 0.08;
 /// Around a robot unknown ground is passable up to this far from its own edge, in metres.
 const TRODDEN_M: f64 = 0.3;
 /// A robot is granted so much of its route, in metres: it need not brake.
@@ -186,7 +186,11 @@ impl Coordinator {
     pub fn tick(&mut self, situation: &Situation<'_>, now: Instant) {
         self.next_tick = now + INTERVAL;
         self.see(situation, now);
-        let is_surveyed = self.ground.is_none() || now.since(self.surveyed) >= SURVEY;
+        // Nobody who has looked at its frontier is kept waiting.
+        let is_heard_of = |member: &Member| member.target.is_some_and(|it| it.is_heard_of(now));
+        let is_surveyed = self.ground.is_none()
+            || now.since(self.surveyed) >= SURVEY
+            || self.members.iter().any(is_heard_of);
         if is_surveyed {
             self.survey(situation, now);
         }
@@ -269,8 +273,9 @@ impl Coordinator {
 
     fn see_again(&mut self, index: usize, robot: &Whereabouts, now: Instant) {
         let is_back = self.members[index].see(robot, now);
+        let is_busy = self.members[index].explores || self.members[index].goal.is_some();
         let claim = self.reservations.claim_mut(index);
-        claim.set_radius(robot.radius_m());
+        claim.set_radius(robot.radius_m(), !is_busy && claim.is_at_end());
         claim.advance(robot.place());
         if is_back {
             claim.forget_sent();

@@ -3,15 +3,20 @@
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::{
+    approach::{Approach, View},
     assignment::{NEVER, assign},
     coordinator::{Coordinator, Settings},
-    frontiers::{View, frontiers},
+    frontiers::{Frontier, frontiers},
     ground::{Disc, Ground, Point},
     member::Target,
 };
 
 /// A square metre of unknown ground is worth so many metres of way.
-const WORTH_M: f64 = 0.5;
+const WORTH_M: f64 = 0.2;
+/// Frontiers with less way than this between them are better left to one robot, in metres, and how
+/// much dearer each metre of that makes them for another one: two are in each other's way there.
+const NEIGHBOURS_M: f64 = 2.0;
+const NEIGHBOURS_COST: f64 = 2.0;
 /// Two frontiers nearer to each other are one, in metres.
 const APART_M: f64 = 1.0;
 /// The places around this one, in metres, are then not tried for so long.
@@ -19,10 +24,8 @@ const TRIED_M: f64 = 0.3;
 const TRIED: Duration = Duration::from_secs(300);
 /// A frontier that was looked at from so many places and is still there can't be seen.
 const MOST_LOOKS: usize = 3;
-/// Until the server has heard what a robot saw.
-const HEARD: Duration = Duration::from_millis(1_500);
 /// A frontier to which others leave no room is given up after so long, for a while.
-const PATIENCE: Duration = Duration::from_secs(8);
+const PATIENCE: Duration = Duration::from_secs(2);
 const PUT_OFF: Duration = Duration::from_secs(20);
 
 /// A frontier that was looked at in vain, or to which there was no way.
@@ -72,7 +75,7 @@ impl Coordinator {
             let is_left =
                 self.frontiers.iter().any(|it| (it.place - target.frontier).norm() <= APART_M);
             // If it is still there, it can't be seen from here.
-            let is_vain = target.looked.is_some_and(|looked| now.since(looked) >= HEARD)
+            let is_vain = target.is_heard_of(now)
                 || target.reached.is_some_and(|reached| now.since(reached) >= look);
             if is_vain && is_left {
                 self.tried.push(Tried::new(&target, now + TRIED));
@@ -84,12 +87,12 @@ impl Coordinator {
     }
 
     fn assign_targets(&mut self, ground: &Ground, now: Instant) {
-        let taken: Vec<_> =
-            self.members.iter().filter_map(|member| member.target).map(|it| it.frontier).collect();
+        let taken: Vec<_> = self.members.iter().filter_map(|member| member.target).collect();
+        let is_apart = |it: &Frontier, taken: &Target| (it.place - taken.frontier).norm() > APART_M;
         let open: Vec<_> = self
             .frontiers
             .iter()
-            .filter(|it| taken.iter().all(|taken| (it.place - taken).norm() > APART_M))
+            .filter(|it| taken.iter().all(|taken| is_apart(it, taken)))
             .filter(|it| {
                 let looks = self.tried.iter().filter(|tried| tried.is_of(it.place));
                 looks.count() < MOST_LOOKS
@@ -104,42 +107,94 @@ impl Coordinator {
             return;
         }
         let tried: Vec<Disc> = self.tried.iter().map(Tried::views).collect();
-        let views: Vec<Vec<Option<View>>> = idle
-            .iter()
-            .map(|&index| {
-                let terrain = self.terrain(ground, index);
-                let ways = terrain.everywhere(self.reservations.claim(index).granted_end());
-                open.iter().map(|it| it.view(ground, ways.as_ref()?, &tried)).collect()
-            })
-            .collect();
-        let cost = |view: &Option<View>, gain_m2: f64| {
+        let crowding = self.crowding(ground, &open);
+        let views: Vec<Vec<Option<View>>> =
+            idle.iter().map(|&index| self.approach(ground, index, &tried).views(&open)).collect();
+        let cost = |((view, frontier), crowded_m): ((&Option<View>, &&Frontier), &f64)| {
+            let worth_m = WORTH_M * frontier.gain_m2;
             // Millimetres.
-            view.map_or(NEVER, |view| ((view.metres - WORTH_M * gain_m2) * 1000.0) as i64)
+            view.map_or(NEVER, |view| ((view.cost_m + crowded_m - worth_m) * 1000.0) as i64)
         };
         let costs: Vec<Vec<i64>> = views
             .iter()
-            .map(|row| row.iter().zip(&open).map(|(view, it)| cost(view, it.gain_m2)).collect())
+            .map(|row| row.iter().zip(&open).zip(&crowding).map(cost).collect())
             .collect();
         let mut given: Vec<(usize, Target)> = Vec::new();
         for ((column, row), &index) in assign(&costs).into_iter().zip(&views).zip(&idle) {
-            let Some((frontier, view)) = column.and_then(|it| Some((open[it].place, row[it]?)))
-            else {
+            let Some((frontier, view)) = column.and_then(|it| Some((open[it], row[it]?))) else {
                 continue;
             };
             // Of two that are one, one robot gets none until the next time.
-            let is_apart =
-                |(_, other): &(usize, Target)| (other.frontier - frontier).norm() > APART_M;
-            if given.iter().all(is_apart) {
-                given.push((
-                    index,
-                    Target { frontier, view: view.place, reached: None, looked: None },
-                ));
+            if given.iter().all(|(_, other)| is_apart(frontier, other)) {
+                given.push((index, Target::new(frontier.place, view.place)));
             }
+        }
+        if given.is_empty() && taken.is_empty() {
+            given.extend(self.look_again(ground, &open, &idle, &tried));
         }
         for (index, target) in given {
             self.members[index].target = Some(target);
             self.members[index].set_out(now);
             self.reservations.drop_ahead(index);
+        }
+    }
+
+    /// Who looks again at what keeps all robots from a frontier, and from where: somebody may have
+    /// stood there. The nearest that can be reached.
+    fn look_again(
+        &self,
+        ground: &Ground,
+        open: &[&Frontier],
+        idle: &[usize],
+        tried: &[Disc],
+    ) -> Option<(usize, Target)> {
+        let looks = idle.iter().flat_map(|&index| {
+            let approach = self.approach(ground, index, tried);
+            open.iter().filter_map(move |frontier| {
+                let view = approach.before(frontier)?;
+                let away_m = (view.place - frontier.place).norm();
+                Some((view.cost_m + away_m, index, Target::new(frontier.place, view.place)))
+            })
+        });
+        let (_, index, target) = looks.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((index, target))
+    }
+
+    /// What it costs to look at each of these frontiers beside those who go to look near it, in
+    /// metres.
+    fn crowding(&self, ground: &Ground, open: &[&Frontier]) -> Vec<f64> {
+        let mut crowding = vec![0.0_f64; open.len()];
+        for (index, member) in self.members.iter().enumerate() {
+            let Some(target) = member.target else { continue };
+            let terrain = self.terrain(ground, index);
+            let Some(ways) = terrain.everywhere(target.view) else { continue };
+            for (frontier, crowded_m) in open.iter().zip(&mut crowding) {
+                let between_m = frontier.metres(&ways).unwrap_or(f64::INFINITY);
+                let near_m = (NEIGHBOURS_M - between_m).max(0.0);
+                *crowded_m = crowded_m.max(NEIGHBOURS_COST * near_m);
+            }
+        }
+        crowding
+    }
+
+    /// How a robot can come to look at frontiers from where it may drive now.
+    fn approach<'a>(&self, ground: &'a Ground, index: usize, tried: &'a [Disc]) -> Approach<'a> {
+        let me = self.reservations.claim(index);
+        let mut in_the_way = vec![false; ground.len()];
+        let others = self.reservations.claims().iter().enumerate();
+        for (_, claim) in others.filter(|(other, _)| *other != index) {
+            let radius = claim.disc_m() + me.disc_m();
+            for centre in claim.held().chain(claim.ahead().iter().copied()) {
+                ground.within(&Disc { centre, radius }, |at| in_the_way[at] = true);
+            }
+        }
+        Approach {
+            ground,
+            terrain: self.terrain(ground, index),
+            from: me.granted_end(),
+            heading: self.members[index].heading,
+            in_the_way,
+            tried,
         }
     }
 

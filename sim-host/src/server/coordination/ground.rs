@@ -15,6 +15,11 @@ pub(super) type Point = Point2<f64>;
 /// that a stray tile costs no memory.
 const REACH_TILES: i32 = 40;
 
+/// Unknown ground that is no farther than this from free ground may be driven upon, in cells: at
+/// the edge of what is known little is hidden, and a robot stops before what it sees there. Kept
+/// clear of like a wall, the edge would shut every narrow way until all about it is known.
+const EDGE_CELLS: u32 = 2;
+
 /// A disc in `map`, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Disc {
@@ -33,8 +38,8 @@ pub(super) struct Ground {
     cells: Vec<Cell>,
     /// Nobody knows the cell and no camera looks at it.
     blind: Vec<bool>,
-    /// Squared distances in cells to the nearest cell that is occupied for good or unknown, and to
-    /// the nearest movable one.
+    /// Squared distances in cells to the nearest cell that is occupied for good or deep in unknown
+    /// ground, and to the nearest movable one.
     walls: Vec<u32>,
     movable: Vec<u32>,
 }
@@ -90,8 +95,14 @@ impl Ground {
                 }
             }
         }
+        let is_free: Vec<bool> = ground.cells.iter().map(|it| *it == Cell::Free).collect();
+        let is_wall = |(cell, to_free)| match cell {
+            Cell::Unknown => to_free > EDGE_CELLS * EDGE_CELLS,
+            cell => cell == Cell::Occupied,
+        };
+        let to_free = squared_distances(&is_free, width);
         let mut is_wall: Vec<bool> =
-            ground.cells.iter().map(|it| matches!(it, Cell::Unknown | Cell::Occupied)).collect();
+            ground.cells.iter().copied().zip(to_free).map(is_wall).collect();
         for disc in trodden {
             ground.within(disc, |at| is_wall[at] &= ground.cells[at] != Cell::Unknown);
         }
@@ -132,7 +143,7 @@ impl Ground {
         self.blind[at]
     }
 
-    /// The squared distance to the nearest wall or unknown cell, in cells.
+    /// The squared distance to the nearest wall, or cell deep in unknown ground, in cells.
     pub(super) fn to_wall(&self, at: usize) -> u32 {
         self.walls[at]
     }
@@ -142,7 +153,7 @@ impl Ground {
         self.movable[at]
     }
 
-    /// Whether no wall and no unknown cell is nearer to a place, in metres.
+    /// Whether no wall and no cell deep in unknown ground is nearer to a place, in metres.
     pub(super) fn has_room(&self, place: Point, metres: f64) -> bool {
         let cells = metres / self.side_m;
         self.at(place).is_some_and(|at| f64::from(self.walls[at]) >= cells * cells)

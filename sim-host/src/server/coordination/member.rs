@@ -13,6 +13,9 @@ const STILL_M: f64 = 0.03;
 /// The end of a path is reached if a robot stops so near to it, in metres.
 pub(super) const ARRIVED_M: f64 = 0.25;
 
+/// Until the server has heard what a robot saw.
+const HEARD: Duration = Duration::from_secs(1);
+
 /// A frontier that a robot goes to look at.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Target {
@@ -23,6 +26,18 @@ pub(super) struct Target {
     /// Since when the robot stands there, and when it said that it had looked around.
     pub(super) reached: Option<Instant>,
     pub(super) looked: Option<Instant>,
+}
+
+impl Target {
+    /// A frontier to be looked at from a place.
+    pub(super) fn new(frontier: Point, view: Point) -> Self {
+        Self { frontier, view, reached: None, looked: None }
+    }
+
+    /// Whether the robot has looked at it, and the server has heard what it saw.
+    pub(super) fn is_heard_of(&self, now: Instant) -> bool {
+        self.looked.is_some_and(|looked| now.since(looked) >= HEARD)
+    }
 }
 
 /// One robot.
@@ -49,6 +64,8 @@ pub(super) struct Member {
     pub(super) is_told: bool,
     /// When it was sent something last.
     pub(super) sent: Instant,
+    /// Where it looks, in radians in `map`.
+    pub(super) heading: f64,
     still_at: Point,
     still_since: Instant,
     seen: Instant,
@@ -69,6 +86,7 @@ impl Member {
             retry: Instant(0),
             is_told: false,
             sent: Instant(0),
+            heading: robot.pose.heading.radians(),
             still_at: robot.place(),
             still_since: robot.moment,
             seen: robot.moment,
@@ -78,6 +96,7 @@ impl Member {
     /// It was seen. Whether it has come back after it was lost.
     pub(super) fn see(&mut self, robot: &Whereabouts, now: Instant) -> bool {
         self.radius_m = robot.radius_m();
+        self.heading = robot.pose.heading.radians();
         self.seen = self.seen.max(robot.moment);
         if (robot.place() - self.still_at).norm() > STILL_M {
             (self.still_at, self.still_since) = (robot.place(), robot.moment);

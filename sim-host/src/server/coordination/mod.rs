@@ -6,12 +6,14 @@
 //! | `ground` | the fused and the coverage layer | where robots can stand, and what nobody sees |
 //! | `route` | the ground | the cheapest ways |
 //! | `frontiers` | the ground | where there is something to find out |
-//! | `assignment` | frontiers, ways | who goes to which |
+//! | `approach` | frontiers, ways | from where one is looked at, and what that costs |
+//! | `assignment` | those costs | who goes to which |
 //! | `reservation` | routes | who may drive how far: no meeting, no deadlock |
 //! | `evasion` | reservations | standing robots that make way |
 //! | `member` | | what is known of one robot |
 //! | `coordinator` | all of these | commands |
 
+mod approach;
 mod assignment;
 mod coordinator;
 mod evasion;

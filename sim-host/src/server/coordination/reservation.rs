@@ -56,8 +56,9 @@ impl Claim {
         Self { position, disc_m, points, corners, tail: 0, granted: 0, sent: 0 }
     }
 
-    pub(super) fn set_radius(&mut self, radius_m: f64) {
-        self.disc_m = radius_m + MARGIN_M;
+    /// A robot that has nowhere to go is where it is, and takes no more than that.
+    pub(super) fn set_radius(&mut self, radius_m: f64, has_nowhere_to_go: bool) {
+        self.disc_m = if has_nowhere_to_go { radius_m } else { radius_m + MARGIN_M };
     }
 
     pub(super) fn position(&self) -> Point {

@@ -4,7 +4,7 @@ use ubimap_protocol::tile::Cell;
 
 use super::{
     floor::{Floor, RADIUS_M, id},
-    plan::{Plan, middle},
+    plan::{Plan, middle, set},
 };
 use crate::server::coordination::{Notice, ground::Point};
 
@@ -145,4 +145,27 @@ fn ground_out_of_reach_is_left_alone() {
         !floor.is_blocked()
             && floor.bodies.iter().all(|it| floor.plan.room_around(it.place) > RADIUS_M)
     );
+}
+
+/// What a person leaves behind in a doorway when it is drawn as a wall there.
+#[test]
+fn what_shuts_the_only_way_is_looked_at_again() {
+    let mut plan = Plan::room(9.0, 4.0);
+    plan.wall(4.0, 0.0, 4.1, 1.5);
+    plan.wall(4.0, 2.5, 4.1, 4.0);
+    // The frontier is in view from beyond the door alone.
+    let mut floor = Floor::new(plan, &[Point::new(2.6, 2.0)], 1, |place| place.x > 6.6);
+    assert!(floor.coordinator.set_exploring(id(0), true));
+    let ghost = (37..40).map(|y| (80, y));
+    set(&mut floor.fused, ghost.clone().map(|it| (it, Cell::Occupied)));
+    let is_gone = |floor: &Floor| floor.bodies[0].driven > 0.4;
+    let before = floor.bodies[0].place;
+    floor.run(20, |floor| {
+        floor.look_around();
+        is_gone(floor)
+    });
+    assert!(is_gone(&floor), "it stands at {before}");
+    set(&mut floor.fused, ghost.map(|it| (it, Cell::Free)));
+    let (seconds, known, floor) = explore(floor);
+    report(&floor, known, seconds);
 }

@@ -187,9 +187,20 @@ impl Floor {
                         body.path.pop_front();
                         body.blocked_since = None;
                     } else {
-                        body.place += way * (step_m / way.norm()).min(1.0);
-                        body.driven += step_m;
-                        body.blocked_since = None;
+                        let next = body.place + way * (step_m / way.norm()).min(1.0);
+                        // Like people, walls that nobody knew of are stopped for.
+                        let is_nearer = self.plan.room_around(next) < RADIUS_M
+                            && self.plan.room_around(next) < self.plan.room_around(body.place);
+                        if is_nearer {
+                            let since = *body.blocked_since.get_or_insert(now);
+                            if now.since(since) == Duration::from_secs(2) {
+                                event = Some(EventCode::PathBlocked);
+                            }
+                        } else {
+                            body.place = next;
+                            body.driven += step_m;
+                            body.blocked_since = None;
+                        }
                     }
                 }
                 None if !body.is_done => {
