@@ -21,7 +21,7 @@ const SHADOW: i32 = 3;
 /// cells on the line of sight: noise smears a wall along that line, and the wall is where most of it
 /// is. It is
 ///
-/// 1. movable if something that stands out takes it up;
+/// 1. movable if something that stands out takes it up, by the same rule of the pixels that see it;
 /// 2. occupied if it is solid and 2 `b` >= `B`;
 /// 3. not seen if it is one of the three cells behind one of case 2, on the line of sight: the foot
 ///    of a wall whose depth is measured too long seems to be floor behind it. If this camera said
@@ -40,8 +40,10 @@ pub(super) fn cells(
     let foot = view.foot();
     let is_solid = |cell: usize| {
         let [floor, solid] = [totals[2 * cell], totals[2 * cell + 1]];
-        solid >= FEWEST && solid >= floor && is_ridge(view, totals, foot, cell)
+        solid >= FEWEST && solid >= floor && is_ridge(view, |it| totals[2 * it + 1], foot, cell)
     };
+    let is_movable =
+        |cell: usize| movable[cell] && is_ridge(view, |it| evidence.figure_pixels(it), foot, cell);
     let stands =
         |cell: &usize| 2 * evidence.pixels(*cell).1 >= totals[2 * cell + 1] && is_solid(*cell);
     let mut shadow = vec![false; view.cells()];
@@ -55,7 +57,7 @@ pub(super) fn cells(
         if under[cell] {
             return None;
         }
-        let code = if movable[cell] {
+        let code = if is_movable(cell) {
             return Some(Cell::Movable);
         } else if stands(&cell) {
             Cell::Occupied
@@ -77,13 +79,13 @@ pub(super) fn cells(
     (0..view.cells()).filter_map(|cell| Some((view.in_map(cell), code(cell)?))).collect()
 }
 
-/// Whether none of the two cells before and the two behind has more than three times as much in
-/// the way.
-fn is_ridge(view: &View, totals: &[u32], foot: (i32, i32), cell: usize) -> bool {
-    let band = totals[2 * cell + 1];
-    [-2, -1, 1, 2].into_iter().all(|steps| {
-        on_sight(view, foot, cell, steps).is_none_or(|beside| totals[2 * beside + 1] <= 3 * band)
-    })
+/// Whether none of the two cells before and the two behind has more than three times as many pixels
+/// of something in the way.
+fn is_ridge(view: &View, pixels: impl Fn(usize) -> u32, foot: (i32, i32), cell: usize) -> bool {
+    let most = 3 * pixels(cell);
+    [-2, -1, 1, 2]
+        .into_iter()
+        .all(|steps| on_sight(view, foot, cell, steps).is_none_or(|beside| pixels(beside) <= most))
 }
 
 /// The cell so many steps behind another one on the line of sight, before it if they are negative.

@@ -90,6 +90,11 @@ impl Evidence {
         (self.counts[2 * cell], self.counts[2 * cell + 1])
     }
 
+    /// How many pixels see something over a cell that was not there before.
+    pub(super) fn figure_pixels(&self, cell: usize) -> u32 {
+        self.figures.get(cell).map_or(0, |figure| figure.pixels)
+    }
+
     fn clear(&mut self, view: &View) {
         self.figures.resize(view.cells(), Figure::default());
         for cell in self.touched.drain(..) {

@@ -14,7 +14,7 @@ use crate::{
     camera::FrameSource,
     grid::{self, OccupancyGrid},
     report::{self, PoseErrors, TruthScores},
-    world::World,
+    world::{Person, World},
 };
 
 /// Between two entries of a robot's true track.
@@ -25,6 +25,8 @@ const SETTLED: Duration = Duration::from_secs(5);
 /// A robot that is slower stands, in metres a second; one that turns faster drives, in degrees.
 const DRIVES_M_S: f64 = 0.05;
 const DRIVES_DEG_S: f64 = 5.0;
+/// Who walks is seen late: so far behind, in metres, in half a second.
+const TRAIL_M: f64 = 0.6;
 
 /// How far the robots' poses are from the truth, as they know them themselves.
 pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
@@ -115,15 +117,7 @@ impl Ground {
 /// The map against the truth of a world that has run.
 pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError> {
     let Ground { covered, passed, whole, seen } = Ground::of(world)?;
-    // Who stands about is no surface of the room.
-    let mut map = map.clone();
-    for index in 0..map.cells().len() {
-        let (x, y) = (index % map.width(), index / map.width());
-        if map.cell(x, y) == Cell::Movable {
-            map.set(x, y, Cell::Free);
-        }
-    }
-    let map = &map;
+    let map = &without_people(map, world);
     // What the map says must be true; of what is true it must say what has been seen.
     let scores = grid::compare(map, &whole, None);
     let (precision, recall) = (scores.precision, grid::compare(map, &seen, None).recall);
@@ -146,9 +140,36 @@ pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError
     })
 }
 
+/// A map without those who stand or walk about at the end: they are where it says, or were a moment
+/// ago, and no surfaces of the room. What is within a cell of a surface stays.
+fn without_people(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
+    let surfaces: BTreeSet<_> = world.truth().surfaces.iter().copied().collect();
+    let mut map = map.clone();
+    let side_m = map.resolution_m();
+    for index in 0..map.cells().len() {
+        let (column, row) = (index % map.width(), index / map.width());
+        if !matches!(map.cell(column, row), Cell::Occupied | Cell::Movable) {
+            continue;
+        }
+        let [x, y] = map.to_map([column as f64 + 0.5, row as f64 + 0.5]);
+        let is_under = |person: &Person| {
+            let [east, north] = person.position_m();
+            (x - east).hypot(y - north) <= person.radius_m() + TRAIL_M + side_m
+        };
+        let cell = [x, y].map(|metres| (metres / side_m).floor() as i32);
+        let mut about =
+            (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (cell[0] + dx, cell[1] + dy)));
+        if world.people().iter().any(is_under) && !about.any(|it| surfaces.contains(&it)) {
+            map.set(column, row, Cell::Free);
+        }
+    }
+    map
+}
+
 /// A picture of where a map is wrong.
 pub(super) fn error_picture(map: &OccupancyGrid, world: &World) -> Result<RgbImage, RunError> {
     let ground = Ground::of(world)?;
+    let map = &without_people(map, world);
     Ok(report::render_error(map, &ground.whole, &ground.seen))
 }
 
