@@ -155,17 +155,17 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     // Below zero there is 7, which without its highest bit is 3.
     let down = free & !(low & !(middle | high));
     let borrow = down & !low;
-    *row = [low ^ down, middle ^ borrow, high & !(borrow & !middle)];
+    let [low, middle, high] = [low ^ down, middle ^ borrow, high & !(borrow & !middle)];
+    *row = [low, middle, high];
     if hit == 0 {
         return 0;
     }
-    let up = hit & !(low & middle & high);
-    let carry = up & low;
-    let [row_low, row_middle, row_high] = row;
-    *row_low ^= up;
-    *row_middle ^= carry;
-    // An unknown cell has come to 1, and goes to 5.
-    *row_high ^= carry & middle | hit & !(low | middle | high);
+    // Where a beam ended, none of this has changed anything.
+    let both = low & middle;
+    let up = hit & !(both & high);
+    // An unknown cell comes to 1, and goes to 5.
+    let begun = hit & !(low | middle | high);
+    *row = [low ^ up, middle ^ (up & low), high ^ (up & both | begun)];
     up
 }
 
