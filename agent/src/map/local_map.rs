@@ -173,7 +173,7 @@ impl<'b> LocalMap<'b> {
             let nearest = trace(
                 &mut window,
                 &projection,
-                self.grain,
+                &self.grain,
                 part,
                 readings,
                 start > 0,

@@ -18,6 +18,13 @@ pub(super) const CELL: i32 = 1 << FRACTION;
 /// A position, x and y in 1/65,536 cells.
 pub(super) type Point = (i32, i32);
 
+/// A corner of the polygon: the same, counted from the middle of a cell, so that its whole cells are
+/// the first row and column whose middles are at or beyond it.
+pub(super) type Corner = (i32, i32);
+
+/// From the middle of a cell, towards the next one, to its end.
+const TO_MIDDLE: i32 = CELL / 2 - 1;
+
 /// Further bits of a [`Direction`].
 const EXTRA: u32 = 3;
 
@@ -82,6 +89,12 @@ impl Projection {
         self.origin
     }
 
+    /// The sensor, as a corner of the polygon.
+    #[inline(always)]
+    pub(super) fn sensor(&self) -> Corner {
+        (self.origin.0.wrapping_add(TO_MIDDLE), self.origin.1.wrapping_add(TO_MIDDLE))
+    }
+
     /// Where a beam goes.
     #[inline(always)]
     pub(super) fn direction(&self, beam: Beam) -> Direction {
@@ -96,10 +109,23 @@ impl Projection {
     /// What a beam of this direction reaches with a reading of at most 1,000 cells.
     #[inline(always)]
     pub(super) fn point(&self, direction: Direction, reading: u32) -> Point {
+        direction.from(self.origin, reading)
+    }
+
+    /// The same, as a corner of the polygon.
+    #[inline(always)]
+    pub(super) fn corner(&self, direction: Direction, reading: u32) -> Corner {
+        direction.from(self.sensor(), reading)
+    }
+}
+
+impl Direction {
+    #[inline(always)]
+    fn from(self, (x, y): Point, reading: u32) -> Point {
         let reading = reading as i32;
         (
-            self.origin.0.wrapping_add(direction.0.wrapping_mul(reading) >> EXTRA),
-            self.origin.1.wrapping_add(direction.1.wrapping_mul(reading) >> EXTRA),
+            x.wrapping_add(self.0.wrapping_mul(reading) >> EXTRA),
+            y.wrapping_add(self.1.wrapping_mul(reading) >> EXTRA),
         )
     }
 }

@@ -14,7 +14,7 @@ use ubimap_protocol::units::Millimetres;
 
 use super::{
     policy::Policy,
-    projection::{Point, Projection},
+    projection::{Corner, Point, Projection},
     window::Window,
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
@@ -136,6 +136,36 @@ impl Grain {
             || u64::from(reading * reading) * u64::from(beam.square()) <= self.range_square
     }
 
+    /// The last beam before `end` up to which a surface goes on, from one on that ends on it. It
+    /// changes by `slope` from beam to beam, in 1/256 mm. One beam in some is looked at, and those
+    /// after the last of them.
+    #[inline(always)]
+    fn surface_up_to(
+        &self,
+        readings: &[u16],
+        (from, end, stride): (usize, usize, usize),
+        slope: i32,
+    ) -> usize {
+        let within = readings.get(..end + 1).unwrap_or(readings);
+        let reading = within.get(from).copied().unwrap_or(0);
+        let mut low = u32::from(reading).saturating_sub(self.tolerance) << 8;
+        let span = 2 * self.tolerance;
+        let change = slope.wrapping_mul(stride as i32);
+        let mut next = low.wrapping_add_signed(change);
+        let mut last = from;
+        while let Some(&reading) = within.get(last + stride)
+            && u32::from(reading).wrapping_sub(next >> 8) <= span
+        {
+            last += stride;
+            low = next;
+            next = low.wrapping_add_signed(change);
+        }
+        let low = low >> 8;
+        let rest = within.get(last + 1..).unwrap_or_default();
+        let is_next = |&&next: &&u16| u32::from(next).wrapping_sub(low) <= span;
+        last + rest.iter().take_while(is_next).count()
+    }
+
     /// The last beam that ends within the range on a surface that leaves it, from a beam within it on.
     /// So many steps further it is still the surface; the beams in between may look at something else.
     #[inline(never)]
@@ -204,7 +234,7 @@ struct End {
     index: usize,
     /// What of the reading is free.
     reach: u32,
-    at: Point,
+    at: Corner,
     hit: Option<Point>,
 }
 
@@ -214,18 +244,21 @@ struct End {
 pub(super) fn trace(
     window: &mut Window<'_>,
     projection: &Projection,
-    grain: Grain,
+    grain: &Grain,
     beams: &[Beam],
     readings: &[u16],
     continued: bool,
     pixels: &mut PixelCounts,
 ) -> u32 {
-    let sensor = projection.origin();
+    let sensor = projection.sensor();
     let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
     let mut is_first_invalid = false;
-    let mut last: Option<End> = None;
+    // As if an end at the sensor itself came before.
+    let mut last = End { index: 0, reach: 0, at: sensor, hit: None };
     // Whether there is a beam that says nothing behind the last end.
-    let mut is_broken = false;
+    let mut is_broken = true;
+    // Within a radian: who stands before a wall sees it bend.
+    let near = 2 * SPAN * grain.margin;
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
         if !grain.counts(readings, index, reading) || beam == Beam::NONE {
@@ -243,35 +276,31 @@ pub(super) fn trace(
         let reach = if is_hit { reading - grain.margin } else { beam.reading_at(grain.range) };
         kept += 1;
         let direction = projection.direction(beam);
-        let at = projection.point(direction, reach);
+        let at = projection.corner(direction, reach);
         // By how much the reading changes from beam to beam, as far as known: 8 fractional bits.
         let mut slope = 0;
         let mut from = sensor;
         let mut surface = None;
-        let mut passed = 0;
-        if let Some(before) = last {
-            passed = index - before.index;
-            let least = before.reach.min(reach);
-            if is_broken && (passed as u32).wrapping_mul(least) > grain.bridge {
-                window.edge(before.at, sensor);
-            } else {
-                from = before.at;
-                let is_beside = is_broken || passed == 1;
-                if is_beside && before.reach.abs_diff(reach) > JUMP {
-                    // Only the nearer range is claimed between them.
-                    let mut step = direction;
-                    if before.reach >= reach
-                        && let Some(&beam) = beams.get(before.index)
-                    {
-                        step = projection.direction(beam);
-                    }
-                    let step = projection.point(step, least);
-                    window.edge(from, step);
-                    from = step;
-                } else {
-                    surface = before.hit;
-                    slope = ((reach as i32 - before.reach as i32) << 8) / (passed as i32).max(4);
+        let passed = index - last.index;
+        let least = last.reach.min(reach);
+        if is_broken && (passed as u32).wrapping_mul(least) > grain.bridge {
+            window.edge(last.at, sensor);
+        } else {
+            from = last.at;
+            if (is_broken || passed == 1) && last.reach.abs_diff(reach) > JUMP {
+                // Only the nearer range is claimed between them.
+                let mut step = direction;
+                if last.reach >= reach
+                    && let Some(&beam) = beams.get(last.index)
+                {
+                    step = projection.direction(beam);
                 }
+                let step = projection.corner(step, least);
+                window.edge(from, step);
+                from = step;
+            } else {
+                surface = last.hit;
+                slope = ((reach as i32 - last.reach as i32) << 8) / (passed as i32).max(4);
             }
         }
         window.edge(from, at);
@@ -286,59 +315,39 @@ pub(super) fn trace(
             hit = Some(to);
         }
         is_broken = false;
+        last = End { index, reach, at, hit };
 
         // Where the surface goes on, or nothing is in range, up to some cells further.
         let here = index;
-        // Within a radian: who stands before a wall sees it bend.
-        let near = 2 * SPAN * grain.margin;
+        index += 1;
         let ahead = grain.spread.checked_div(reach.max(near)).unwrap_or(0) as usize;
-        if ahead >= 2 * SPAN as usize {
-            let stride = ahead / CHECKS + 1;
-            if is_hit {
-                let mut low = reading.saturating_sub(grain.tolerance) << 8;
-                let span = 2 * grain.tolerance;
-                let change = slope.wrapping_mul(stride as i32);
-                let within = readings.get(..here + ahead + 1).unwrap_or(readings);
-                let mut next = low.wrapping_add_signed(change);
-                while let Some(&reading) = within.get(index + stride)
-                    && u32::from(reading).wrapping_sub(next >> 8) <= span
-                {
-                    index += stride;
-                    low = next;
-                    next = low.wrapping_add_signed(change);
-                }
-                let low = low >> 8;
-                for &next in within.get(index + 1..).unwrap_or_default() {
-                    if u32::from(next).wrapping_sub(low) > span {
-                        break;
-                    }
-                    index += 1;
-                }
-                if let Some((&beam, &reading)) = beams.get(index).zip(readings.get(index))
-                    && !grain.reaches(beam, reading.into())
-                {
-                    // A surface that leaves the range.
-                    let way = (here, stride, (index - here) / stride);
-                    let end = grain.last_within(beams, readings, way);
-                    if let Some(((&beam, &reading), from)) =
-                        beams.get(end).zip(readings.get(end)).zip(hit)
-                    {
-                        let to = projection.point(projection.direction(beam), reading.into());
-                        window.surface(from, to, (end - here) as i32);
-                        window.hit(to);
-                    }
-                }
-            } else {
-                let way = (here, here + ahead, stride);
-                index = grain.nothing_up_to(beams, readings, way, reach);
-            }
+        if ahead < 2 * SPAN as usize {
+            continue;
         }
-        last = Some(End { index: here, reach, at, hit });
-        index = index.max(here + 1);
+        let stride = ahead / CHECKS + 1;
+        if is_hit {
+            let end = grain.surface_up_to(readings, (here, here + ahead, stride), slope);
+            index = index.max(end);
+            if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
+                && !grain.reaches(beam, reading.into())
+            {
+                // A surface that leaves the range.
+                let way = (here, stride, (end - here) / stride);
+                let end = grain.last_within(beams, readings, way);
+                if let Some(((&beam, &reading), from)) =
+                    beams.get(end).zip(readings.get(end)).zip(hit)
+                {
+                    let to = projection.point(projection.direction(beam), reading.into());
+                    window.surface(from, to, (end - here) as i32);
+                    window.hit(to);
+                }
+            }
+        } else {
+            let way = (here, here + ahead, stride);
+            index = index.max(grain.nothing_up_to(beams, readings, way, reach));
+        }
     }
-    if let Some(end) = last {
-        window.edge(end.at, sensor);
-    }
+    window.edge(last.at, sensor);
     let seen = (readings.len() as u32).saturating_sub(u32::from(continued));
     // The first one has been counted with the part before.
     let again = if is_first_invalid { &mut invalid } else { &mut kept };

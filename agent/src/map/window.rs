@@ -9,7 +9,7 @@ use ubimap_protocol::tile::{TILE_SIDE, TileId};
 
 use super::{
     evidence::RowSighting,
-    projection::{CELL, FRACTION, Point, Projection},
+    projection::{Corner, FRACTION, Point, Projection},
 };
 use crate::sense::Beam;
 
@@ -81,17 +81,21 @@ impl<'s> Window<'s> {
 
     /// Marks the cells of a surface as hit between one point and another that is so many beams
     /// further. Points are counted from the corner.
-    #[inline(never)]
+    #[inline(always)]
     pub(super) fn surface(&mut self, from: Point, to: Point, beams: i32) {
         let (run, rise) = (to.0 - from.0, to.1 - from.1);
         let cells = (run.abs().max(rise.abs()) >> FRACTION).min(beams);
         if cells > 1 {
-            let (step_x, step_y) = (run / cells, rise / cells);
-            let mut at = from;
-            for _ in 1..cells {
-                at = (at.0 + step_x, at.1 + step_y);
-                self.hit(at);
-            }
+            self.surface_of(from, (run / cells, rise / cells), cells - 1);
+        }
+    }
+
+    /// Marks so many cells as hit, from one point on by a step each time.
+    #[inline(never)]
+    fn surface_of(&mut self, (mut x, mut y): Point, (step_x, step_y): Point, cells: i32) {
+        for _ in 0..cells {
+            (x, y) = (x + step_x, y + step_y);
+            self.hit((x, y));
         }
     }
 
@@ -121,30 +125,30 @@ impl<'s> Window<'s> {
     /// Flips, in every row whose middle the edge crosses, the first cell whose middle is not to
     /// the west of the crossing.
     #[inline(always)]
-    pub(super) fn edge(&mut self, a: Point, b: Point) {
-        if middle_from(a.1) != middle_from(b.1) {
+    pub(super) fn edge(&mut self, a: Corner, b: Corner) {
+        if (a.1 ^ b.1) >> FRACTION != 0 {
             self.cross(a, b);
         }
     }
 
     #[inline(never)]
-    fn cross(&mut self, a: Point, b: Point) {
+    fn cross(&mut self, a: Corner, b: Corner) {
         let (low, high) = if a.1 <= b.1 { (a, b) } else { (b, a) };
-        let (first, last) = (middle_from(low.1), middle_from(high.1));
-        let up = (first << FRACTION) + CELL / 2 - low.1;
-        let (run, rise) = (high.0 - low.0, high.1 - low.1);
+        let (first, last) = (low.1 >> FRACTION, high.1 >> FRACTION);
         // Up to the first crossing, and from one to the next.
-        let part = (run >> 6).wrapping_mul(up >> 6) / ((rise >> 6) + 1).max(1);
+        let up = !low.1 & ((1 << FRACTION) - 1);
+        let (run, rise) = (high.0 - low.0, (high.1 - low.1) as u32);
+        let part = (run >> 6).wrapping_mul(up >> 6) / ((rise >> 6) as i32 + 1);
         let mut x = low.0.wrapping_add(part << 6);
-        let mut step = 0;
-        if last - first > 1 {
-            step = (((run >> 8) << 12) / (rise >> 8).max(1)) << 4;
+        if last - first == 1 {
+            return self.flip(first as usize, (x >> FRACTION) as u32);
         }
+        let step = (((run >> 8) << 12) / (rise >> 8).max(1) as i32) << 4;
         let end = x.wrapping_add(step.wrapping_mul(last - first - 1));
-        let tile = |x: i32| middle_from(x) as usize / TILE_SIDE;
+        let tile = |x: i32| (x >> FRACTION) as usize / TILE_SIDE;
         if last - first < 6 || tile(x) != tile(end) {
             for row in first..last {
-                self.flip(row as usize, middle_from(x) as u32);
+                self.flip(row as usize, (x >> FRACTION) as u32);
                 x = x.wrapping_add(step);
             }
             return;
@@ -153,7 +157,7 @@ impl<'s> Window<'s> {
         let column = tile(x).wrapping_mul(self.rows);
         let rows = column.wrapping_add(first as usize)..column.wrapping_add(last as usize);
         for cells in self.cells.get_mut(rows).unwrap_or_default() {
-            cells.free ^= 1 << (middle_from(x) as u32 % TILE_SIDE as u32);
+            cells.free ^= 1 << ((x >> FRACTION) as u32 % TILE_SIDE as u32);
             x = x.wrapping_add(step);
         }
     }
@@ -188,12 +192,6 @@ impl<'s> Window<'s> {
 /// Columns of a word, 32 at most, counted from the west.
 pub(super) fn below(columns: u32) -> u32 {
     ((1u64 << columns) - 1) as u32
-}
-
-/// The first row, or column, whose middle is at or beyond a coordinate.
-#[inline(always)]
-fn middle_from(coordinate: i32) -> i32 {
-    (coordinate + CELL / 2 - 1) >> FRACTION
 }
 
 /// The rows of a tile that a window touches.
