@@ -29,8 +29,8 @@ const TO_MIDDLE: i32 = CELL / 2 - 1;
 const EXTRA: u32 = 3;
 
 /// Where one beam goes: 1/524,288 cells for each millimetre of reading, along x and y of the map.
-#[derive(Clone, Copy)]
-pub(super) struct Direction(i32, i32);
+#[derive(Clone, Copy, Default)]
+pub(super) struct Direction(pub(super) i32, pub(super) i32);
 
 /// Places what a sensor sees: where it stands, and how it is turned.
 #[derive(Clone, Copy, Debug)]
@@ -41,6 +41,8 @@ pub(super) struct Projection {
     origin: Point,
     /// Cosine and sine of the heading, in 1/524,288 cells for each millimetre.
     turn: (i32, i32),
+    /// One millimetre, in the same.
+    millimetre: i32,
 }
 
 impl Projection {
@@ -66,6 +68,7 @@ impl Projection {
             cell: (x.div_euclid(side), y.div_euclid(side)),
             origin: (fraction(x), fraction(y)),
             turn: (scale(cos), scale(sin)),
+            millimetre: (CELL << EXTRA) / side,
         }
     }
 
@@ -93,6 +96,11 @@ impl Projection {
     #[inline(always)]
     pub(super) fn sensor(&self) -> Corner {
         (self.origin.0.wrapping_add(TO_MIDDLE), self.origin.1.wrapping_add(TO_MIDDLE))
+    }
+
+    /// How long so many millimetres are, in 1/65,536 cells.
+    pub(super) fn length(&self, millimetres: u16) -> i32 {
+        self.millimetre.wrapping_mul(millimetres.into()) >> EXTRA
     }
 
     /// Where a beam goes.

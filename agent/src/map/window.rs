@@ -9,14 +9,14 @@ use ubimap_protocol::tile::{TILE_SIDE, TileId};
 
 use super::{
     evidence::RowSighting,
-    projection::{Corner, FRACTION, Point, Projection},
+    projection::{Corner, Direction, FRACTION, Point, Projection},
 };
 use crate::sense::Beam;
 
 /// Between the outermost cells that a beam can touch and the side of the window.
 const RIM: i32 = 2;
-/// Beams that are looked at to find out how far a part of a scan can reach.
-const SAMPLES: usize = 8;
+/// Arcs that a part of a scan is divided into to find out how far it can reach.
+const ARCS: usize = 4;
 
 /// What a window must hold for any eighth of a turn of a scan of so many cells: 340 words of
 /// two planes (2.7 kB) for 80.
@@ -47,14 +47,9 @@ impl<'s> Window<'s> {
         projection: &Projection,
         memory: &'s mut [RowSighting],
     ) -> Option<Self> {
-        let at = |(x, y): Point| (x >> FRACTION, y >> FRACTION);
-        let sensor = at(projection.origin());
-        let (mut low, mut high) = (sensor, sensor);
-        for beam in beams.iter().step_by(beams.len() / SAMPLES + 1).chain(beams.last()) {
-            let (x, y) = at(projection.point(projection.direction(*beam), beam.reading_at(range)));
-            low = (low.0.min(x), low.1.min(y));
-            high = (high.0.max(x), high.1.max(y));
-        }
+        let Sector { low, high, .. } = Sector::of(beams, range, projection);
+        let cell = |(x, y): Point| (x >> FRACTION, y >> FRACTION);
+        let (low, high) = (cell(low), cell(high));
         let (cell_x, cell_y) = projection.cell();
         let tile = |x: i32| x.wrapping_add(cell_x) >> TILE_SIDE.ilog2();
         let west = tile(low.0 - RIM);
@@ -189,6 +184,64 @@ impl<'s> Window<'s> {
     }
 }
 
+/// How far some beams can reach.
+struct Sector<'p> {
+    projection: &'p Projection,
+    range: u16,
+    /// The south-western corner and the north-eastern one of all that has been looked at.
+    low: Point,
+    high: Point,
+    /// Where the last beam goes.
+    last: Direction,
+}
+
+impl<'p> Sector<'p> {
+    fn of(beams: &[Beam], range: u16, projection: &'p Projection) -> Self {
+        let (low, high) = (projection.origin(), projection.origin());
+        let mut sector = Self { projection, range, low, high, last: Direction::default() };
+        let is_used = |beam: &&Beam| **beam != Beam::NONE;
+        for arc in 0..=ARCS {
+            let place = beams.len() * arc / ARCS;
+            let Some((before, after)) = beams.split_at_checked(place) else { break };
+            let goes_on = arc > 0 && after.first().is_some_and(|beam| is_used(&beam));
+            if !goes_on && let Some(&beam) = before.iter().rfind(is_used) {
+                sector.turn(beam);
+                sector.end(beam);
+            }
+            match after.iter().find(is_used) {
+                Some(&beam) if goes_on => sector.turn(beam),
+                Some(&beam) => sector.end(beam),
+                None => {}
+            }
+        }
+        sector
+    }
+
+    /// Begins or ends with a beam.
+    #[inline(never)]
+    fn end(&mut self, beam: Beam) {
+        let Self { projection, low, high, .. } = self;
+        self.last = projection.direction(beam);
+        let (x, y) = projection.point(self.last, beam.reading_at(self.range));
+        *low = (low.0.min(x), low.1.min(y));
+        *high = (high.0.max(x), high.1.max(y));
+    }
+
+    /// Turns to a beam less than half a turn away. Where it crosses an axis it reaches farthest.
+    #[inline(never)]
+    fn turn(&mut self, beam: Beam) {
+        let to = self.projection.direction(beam);
+        let from = core::mem::replace(&mut self.last, to);
+        let ((x, y), radius) = (self.projection.origin(), self.projection.length(self.range));
+        if (from.0 ^ to.0) < 0 {
+            if from.1 + to.1 < 0 { self.low.1 = y - radius } else { self.high.1 = y + radius }
+        }
+        if (from.1 ^ to.1) < 0 {
+            if from.0 + to.0 < 0 { self.low.0 = x - radius } else { self.high.0 = x + radius }
+        }
+    }
+}
+
 /// Columns of a word, 32 at most, counted from the west.
 pub(super) fn below(columns: u32) -> u32 {
     ((1u64 << columns) - 1) as u32
@@ -260,5 +313,53 @@ impl<'w> Piece<'w> {
             }
             RowSighting { free: free & !hit, hit }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sense::{SensorModel, fill_beams};
+    use proptest::prelude::*;
+    use std::vec;
+    use ubimap_protocol::units::{Angle, Millimetres, Pose};
+
+    const RANGE: u16 = 4_000;
+    const SIDE: Millimetres = Millimetres(50);
+
+    proptest! {
+        /// Sensors that see little or all around, some of whose beams are taken out at either end and
+        /// in the middle.
+        #[test]
+        fn a_window_holds_all_that_its_beams_reach(
+            count in 2usize..400, angle in 0.1..6.2f32, is_pinhole: bool,
+            heading: u16, x in -9_000i32..9_000, y in -9_000i32..9_000,
+            holes in [0.0..0.3f32, 0.3..0.7, 0.9..1.0], missing in 0.0..0.2f32,
+        ) {
+            let mut beams = vec![Beam::NONE; count];
+            let middle = (count - 1) as f32 / 2.0;
+            let model = if is_pinhole {
+                SensorModel::Pinhole { focal: 0.6 * count as f32, centre: middle }
+            } else {
+                SensorModel::Radial { first: -angle / 2.0, step: angle / count as f32 }
+            };
+            fill_beams(&mut beams, model, Pose::default());
+            for hole in holes {
+                let (from, to) = (hole * count as f32, (hole + missing) * count as f32);
+                beams.iter_mut().take(to as usize).skip(from as usize).for_each(|beam| *beam = Beam::NONE);
+            }
+            let pose = Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) };
+            let projection = Projection::new(pose, Pose::default(), SIDE);
+            let mut memory = vec![RowSighting::default(); 2_000];
+            let window = Window::over(&beams, RANGE, &projection, &mut memory).unwrap();
+            let projection = projection.within(window.corner());
+            let columns = (window.width * TILE_SIDE) as i32;
+            for &beam in beams.iter().filter(|beam| **beam != Beam::NONE) {
+                let (x, y) = projection.point(projection.direction(beam), beam.reading_at(RANGE));
+                let (column, row) = (x >> FRACTION, y >> FRACTION);
+                prop_assert!((1..columns - 1).contains(&column), "column {column} of {columns}");
+                prop_assert!((1..window.rows as i32 - 1).contains(&row), "row {row} of {}", window.rows);
+            }
+        }
     }
 }
