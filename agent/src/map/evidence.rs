@@ -49,21 +49,12 @@ impl Evidence {
     /// Nothing is known of any cell.
     pub const NONE: Self = Self { rows: [[0; 3]; TILE_SIDE] };
 
-    /// Adds what a scan says of some rows from `first` on. `known`: the server's map of the tile.
-    /// Returns whether a hit said something new: was in a cell that was not known, to the server
-    /// or for as certain as can be, to be occupied.
-    pub fn add(
-        &mut self,
-        first: usize,
-        sightings: impl Iterator<Item = RowSighting>,
-        known: Option<&Tile>,
-    ) -> bool {
-        if let Some(known) = known {
-            return self.add_beside(first, sightings, known);
-        }
+    /// Adds what a scan says of some rows from `first` on. Returns whether a hit said something
+    /// new: was in a cell that was not for as certain as can be known to be occupied.
+    pub fn add(&mut self, first: usize, sightings: impl Iterator<Item = RowSighting>) -> bool {
         let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
         let mut news = 0;
-        for (row, sighting) in rows.iter_mut().zip(sightings) {
+        for (sighting, row) in sightings.zip(rows) {
             if sighting.known() != 0 {
                 news |= count(row, sighting);
             }
@@ -71,9 +62,10 @@ impl Evidence {
         news != 0
     }
 
-    /// The same beside what the server knows. Apart, for either loop needs all registers.
+    /// The same beside the server's map of the tile, which may know of a hit as well. Apart, for
+    /// either loop needs all registers.
     #[inline(never)]
-    fn add_beside(
+    pub fn add_beside(
         &mut self,
         first: usize,
         sightings: impl Iterator<Item = RowSighting>,
@@ -226,7 +218,7 @@ mod tests {
                 let mut tile = Tile::UNKNOWN;
                 tile.set_row(y, known);
                 evidence.add_near(y, [hit & near].into_iter(), Some(&tile));
-                evidence.add(y, [sighting].into_iter(), Some(&tile));
+                evidence.add_beside(y, [sighting].into_iter(), &tile);
                 for (bit, value) in plain.iter_mut().enumerate() {
                     *value = plainly(*value, bit, sighting, near, known);
                 }

@@ -99,7 +99,11 @@ pub struct Surround<'m> {
 /// Adds a piece to the evidence of its tile. Apart, so that the loop over its rows has all registers.
 #[inline(never)]
 fn weigh(tile: &mut OwnTile, piece: Piece<'_>, merged: Option<&Tile>) -> bool {
-    tile.evidence.add(piece.first_row, piece.fill(), merged)
+    let first = piece.first_row;
+    match merged {
+        None => tile.evidence.add(first, piece.fill()),
+        Some(merged) => tile.evidence.add_beside(first, piece.fill(), merged),
+    }
 }
 
 /// The map of one robot.

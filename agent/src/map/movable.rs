@@ -111,7 +111,7 @@ mod tests {
         /// Scans of two rows, and then a look. What is published of the cell at (4, 0).
         fn see(&mut self, scans: usize, sightings: [RowSighting; 2]) -> Cell {
             for _ in 0..scans {
-                self.evidence.add(0, sightings.into_iter(), None);
+                self.evidence.add(0, sightings.into_iter());
             }
             self.now += 1;
             self.changes.look(&self.evidence, seconds(self.now));

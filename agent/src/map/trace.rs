@@ -335,7 +335,7 @@ pub(super) fn trace(
                 let way = (here, stride, (end - here) / stride);
                 let end = grain.last_within(beams, readings, way);
                 if let Some(((&beam, &reading), from)) =
-                    beams.get(end).zip(readings.get(end)).zip(hit)
+                    beams.get(end).zip(readings.get(end)).zip(last.hit)
                 {
                     let to = projection.point(projection.direction(beam), reading.into());
                     window.surface(from, to, (end - here) as i32);

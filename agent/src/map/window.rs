@@ -15,6 +15,13 @@ use crate::sense::Beam;
 
 /// Between the outermost cells that a beam can touch and the side of the window.
 const RIM: i32 = 2;
+
+/// Bits of a position within a column of tiles.
+const COLUMN: u32 = FRACTION + TILE_SIDE.ilog2();
+
+/// Edges across fewer rows are sooner drawn row by row.
+const FEW_ROWS: i32 = 8;
+
 /// Arcs that a part of a scan is divided into to find out how far it can reach.
 const ARCS: usize = 4;
 
@@ -139,21 +146,26 @@ impl<'s> Window<'s> {
             return self.flip(first as usize, (x >> FRACTION) as u32);
         }
         let step = (((run >> 8) << 12) / (rise >> 8).max(1) as i32) << 4;
-        let end = x.wrapping_add(step.wrapping_mul(last - first - 1));
-        let tile = |x: i32| (x >> FRACTION) as usize / TILE_SIDE;
-        if last - first < 6 || tile(x) != tile(end) {
-            for row in first..last {
+        let mut row = first;
+        if last - first < FEW_ROWS {
+            while row < last {
                 self.flip(row as usize, (x >> FRACTION) as u32);
                 x = x.wrapping_add(step);
+                row += 1;
             }
-            return;
         }
-        // The same within one column of tiles, as most edges are.
-        let column = tile(x).wrapping_mul(self.rows);
-        let rows = column.wrapping_add(first as usize)..column.wrapping_add(last as usize);
-        for cells in self.cells.get_mut(rows).unwrap_or_default() {
-            cells.free ^= 1 << ((x >> FRACTION) as u32 % TILE_SIDE as u32);
-            x = x.wrapping_add(step);
+        while row < last {
+            // As many rows as it crosses within one column of tiles.
+            let room = (if step < 0 { x } else { !x }) & ((1 << COLUMN) - 1);
+            let rows = (room as u32 / step.unsigned_abs().max(1) + 1).min((last - row) as u32);
+            let column = (x >> COLUMN) as usize;
+            let start = column.wrapping_mul(self.rows).wrapping_add(row as usize);
+            let cells = self.cells.get_mut(start..start.wrapping_add(rows as usize));
+            for cells in cells.unwrap_or_default() {
+                cells.free ^= 1 << ((x >> FRACTION) as u32 % TILE_SIDE as u32);
+                x = x.wrapping_add(step);
+            }
+            row += rows as i32;
         }
     }
 

@@ -311,7 +311,7 @@ mod tests {
         let merged = FusedMap::new(&mut []);
         let mut publisher = Publisher::new(Duration(0));
         let tile = pool.find_or_begin(TileId { x: 0, y: 0 }, 1).unwrap();
-        tile.evidence.add(0, [RowSighting { free: 1, hit: 0 }].into_iter(), None);
+        tile.evidence.add(0, [RowSighting { free: 1, hit: 0 }].into_iter());
         tile.dirty = true;
         publisher.changed(Instant(0), Some(7_000));
         let told = |publisher: &mut Publisher, pool: &mut Pool<'_>| {
