@@ -136,34 +136,35 @@ impl Grain {
             || u64::from(reading * reading) * u64::from(beam.square()) <= self.range_square
     }
 
-    /// The last beam before `end` up to which a surface goes on, from one on that ends on it. It
-    /// changes by `slope` from beam to beam, in 1/256 mm. One beam in some is looked at, and those
-    /// after the last of them.
+    /// How far a surface goes on in a line, to `end` at most, from a beam on that ends on it. One
+    /// beam in some is looked at, and those between the last of them and the next. The first of
+    /// them says how the line goes, if what lies half way is on it too.
     #[inline(always)]
     fn surface_up_to(
         &self,
         readings: &[u16],
         (from, end, stride): (usize, usize, usize),
-        slope: i32,
+        reading: u32,
     ) -> usize {
         let within = readings.get(..end + 1).unwrap_or(readings);
-        let reading = within.get(from).copied().unwrap_or(0);
-        let mut low = u32::from(reading).saturating_sub(self.tolerance) << 8;
         let span = 2 * self.tolerance;
-        let change = slope.wrapping_mul(stride as i32);
-        let mut next = low.wrapping_add_signed(change);
+        let mut low = reading.wrapping_sub(self.tolerance);
         let mut last = from;
+        let at = |index: usize| within.get(index).map_or(0, |&reading| i32::from(reading));
+        let mut change = at(from + stride) - reading as i32;
+        let bend = change + 2 * (reading as i32 - at(from + stride / 2));
+        if change.unsigned_abs() > JUMP || bend.unsigned_abs() > self.tolerance {
+            change = 0;
+        }
         while let Some(&reading) = within.get(last + stride)
-            && u32::from(reading).wrapping_sub(next >> 8) <= span
+            && u32::from(reading).wrapping_sub(low.wrapping_add_signed(change)) <= span
         {
             last += stride;
-            low = next;
-            next = low.wrapping_add_signed(change);
+            low = low.wrapping_add_signed(change);
         }
-        let low = low >> 8;
         let rest = within.get(last + 1..).unwrap_or_default();
         let is_next = |&&next: &&u16| u32::from(next).wrapping_sub(low) <= span;
-        last + rest.iter().take_while(is_next).count()
+        last + rest.iter().take(stride).take_while(is_next).count()
     }
 
     /// The last beam that ends within the range on a surface that leaves it, from a beam within it on.
@@ -277,8 +278,6 @@ pub(super) fn trace(
         kept += 1;
         let direction = projection.direction(beam);
         let at = projection.corner(direction, reach);
-        // By how much the reading changes from beam to beam, as far as known: 8 fractional bits.
-        let mut slope = 0;
         let mut from = sensor;
         let mut surface = None;
         let passed = index - last.index;
@@ -300,7 +299,6 @@ pub(super) fn trace(
                 from = step;
             } else {
                 surface = last.hit;
-                slope = ((reach as i32 - last.reach as i32) << 8) / (passed as i32).max(4);
             }
         }
         window.edge(from, at);
@@ -326,7 +324,7 @@ pub(super) fn trace(
         }
         let stride = ahead / CHECKS + 1;
         if is_hit {
-            let end = grain.surface_up_to(readings, (here, here + ahead, stride), slope);
+            let end = grain.surface_up_to(readings, (here, here + ahead, stride), reading);
             index = index.max(end);
             if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
                 && !grain.reaches(beam, reading.into())
