@@ -194,8 +194,8 @@ impl Grain {
     }
 
     /// The last beam before `end` up to which nothing is in range, from one on that reaches so far, or
-    /// the next one if a surface comes into it there. One beam in some is looked at, and those after the
-    /// last of them.
+    /// the next one if a surface comes into it within a cell. One beam in some is looked at, and those
+    /// after the last of them.
     #[inline(never)]
     fn nothing_up_to(
         &self,
@@ -221,7 +221,7 @@ impl Grain {
                 stride = 1;
             } else {
                 let comes_in = index < end
-                    && reading + JUMP > reach
+                    && reading + self.tolerance > reach
                     && self.counts(readings, index, reading as u16);
                 return if comes_in { index } else { last };
             }
