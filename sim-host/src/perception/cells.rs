@@ -21,7 +21,8 @@ const SHADOW: i32 = 3;
 /// cells on the line of sight: noise smears a wall along that line, and the wall is where most of it
 /// is. It is
 ///
-/// 1. movable if something that stands out takes it up, by the same rule of the pixels that see it;
+/// 1. movable if something that stands out takes it up, but where the same rule of the pixels that see
+///    it does not hold and the floor is seen as in case 4: noise smears it towards the camera;
 /// 2. occupied if it is solid and 2 `b` >= `B`;
 /// 3. not seen if it is one of the three cells behind one of case 2, on the line of sight: the foot
 ///    of a wall whose depth is measured too long seems to be floor behind it. If this camera said
@@ -42,8 +43,14 @@ pub(super) fn cells(
         let [floor, solid] = [totals[2 * cell], totals[2 * cell + 1]];
         solid >= FEWEST && solid >= floor && is_ridge(view, |it| totals[2 * it + 1], foot, cell)
     };
-    let is_movable =
-        |cell: usize| movable[cell] && is_ridge(view, |it| evidence.figure_pixels(it), foot, cell);
+    let is_floor = |cell: usize| {
+        let (floor, _) = evidence.pixels(cell);
+        floor >= 2 && 2 * floor >= view.expected(cell)
+    };
+    let is_movable = |cell: usize| {
+        let is_ridge = || is_ridge(view, |it| evidence.figure_pixels(it), foot, cell);
+        movable[cell] && (!is_floor(cell) || is_ridge())
+    };
     let stands =
         |cell: &usize| 2 * evidence.pixels(*cell).1 >= totals[2 * cell + 1] && is_solid(*cell);
     let mut shadow = vec![false; view.cells()];
@@ -53,7 +60,6 @@ pub(super) fn cells(
         }
     }
     let mut code = |cell: usize| {
-        let (floor, _) = evidence.pixels(cell);
         if under[cell] {
             return None;
         }
@@ -66,7 +72,7 @@ pub(super) fn cells(
                 return None;
             }
             Cell::Unknown
-        } else if floor >= 2 && 2 * floor >= view.expected(cell) {
+        } else if is_floor(cell) {
             Cell::Free
         } else if said[cell] == Cell::Occupied && !is_solid(cell) {
             Cell::Unknown

@@ -14,7 +14,7 @@ use crate::{
     camera::FrameSource,
     grid::{self, OccupancyGrid},
     report::{self, PoseErrors, TruthScores},
-    world::{Person, World},
+    world::World,
 };
 
 /// Between two entries of a robot's true track.
@@ -117,7 +117,7 @@ impl Ground {
 /// The map against the truth of a world that has run.
 pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError> {
     let Ground { covered, passed, whole, seen } = Ground::of(world)?;
-    let map = &without_people(map, world);
+    let map = &without_bodies(map, world);
     // What the map says must be true; of what is true it must say what has been seen.
     let scores = grid::compare(map, &whole, None);
     let (precision, recall) = (scores.precision, grid::compare(map, &seen, None).recall);
@@ -140,26 +140,32 @@ pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError
     })
 }
 
-/// A map without those who stand or walk about at the end: they are where it says, or were a moment
-/// ago, and no surfaces of the room. What is within a cell of a surface stays.
-fn without_people(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
+/// A map without the people and robots that stand or move about at the end: they are where it says,
+/// or were a moment ago, and no surfaces of the room. What is within a cell of a surface stays.
+fn without_bodies(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
     let surfaces: BTreeSet<_> = world.truth().surfaces.iter().copied().collect();
     let mut map = map.clone();
     let side_m = map.resolution_m();
+    let people = world.people().iter();
+    let people = people.map(|person| (person.position_m(), person.radius_m() + TRAIL_M));
+    let robots = world.robots().iter().map(|robot| {
+        let pose = robot.truth();
+        ([pose.x.metres(), pose.y.metres()], robot.radius_m())
+    });
+    let bodies: Vec<([f64; 2], f64)> = people.chain(robots).collect();
     for index in 0..map.cells().len() {
         let (column, row) = (index % map.width(), index / map.width());
         if !matches!(map.cell(column, row), Cell::Occupied | Cell::Movable) {
             continue;
         }
         let [x, y] = map.to_map([column as f64 + 0.5, row as f64 + 0.5]);
-        let is_under = |person: &Person| {
-            let [east, north] = person.position_m();
-            (x - east).hypot(y - north) <= person.radius_m() + TRAIL_M + side_m
+        let is_under = |&([east, north], reach_m): &([f64; 2], f64)| {
+            (x - east).hypot(y - north) <= reach_m + side_m
         };
         let cell = [x, y].map(|metres| (metres / side_m).floor() as i32);
         let mut about =
             (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (cell[0] + dx, cell[1] + dy)));
-        if world.people().iter().any(is_under) && !about.any(|it| surfaces.contains(&it)) {
+        if bodies.iter().any(is_under) && !about.any(|it| surfaces.contains(&it)) {
             map.set(column, row, Cell::Free);
         }
     }
@@ -169,7 +175,7 @@ fn without_people(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
 /// A picture of where a map is wrong.
 pub(super) fn error_picture(map: &OccupancyGrid, world: &World) -> Result<RgbImage, RunError> {
     let ground = Ground::of(world)?;
-    let map = &without_people(map, world);
+    let map = &without_bodies(map, world);
     Ok(report::render_error(map, &ground.whole, &ground.seen))
 }
 

@@ -178,7 +178,11 @@ impl Floor {
                     let ahead = body.place + way * (0.3 / way.norm().max(0.3));
                     let is_near =
                         |(it, _): &(Point, f64)| (it - ahead).norm() < RADIUS_M + 0.25 + 0.1;
-                    if self.people.iter().any(is_near) {
+                    let next = body.place + way * (step_m / way.norm()).min(1.0);
+                    // A wall that nobody knew of is stopped for as well.
+                    let room_m = self.plan.room_around(next);
+                    let is_wall = room_m < RADIUS_M.min(self.plan.room_around(body.place));
+                    if is_wall || self.people.iter().any(is_near) {
                         let since = *body.blocked_since.get_or_insert(now);
                         if now.since(since) == Duration::from_secs(2) {
                             event = Some(EventCode::PathBlocked);
@@ -187,20 +191,9 @@ impl Floor {
                         body.path.pop_front();
                         body.blocked_since = None;
                     } else {
-                        let next = body.place + way * (step_m / way.norm()).min(1.0);
-                        // Like people, walls that nobody knew of are stopped for.
-                        let is_nearer = self.plan.room_around(next) < RADIUS_M
-                            && self.plan.room_around(next) < self.plan.room_around(body.place);
-                        if is_nearer {
-                            let since = *body.blocked_since.get_or_insert(now);
-                            if now.since(since) == Duration::from_secs(2) {
-                                event = Some(EventCode::PathBlocked);
-                            }
-                        } else {
-                            body.place = next;
-                            body.driven += step_m;
-                            body.blocked_since = None;
-                        }
+                        body.place = next;
+                        body.driven += step_m;
+                        body.blocked_since = None;
                     }
                 }
                 None if !body.is_done => {
