@@ -254,10 +254,23 @@ fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
     assert!(!prints_tables() || f1[0] >= f1[1], "{f1:?}");
 }
 
+/// By odometry alone walls come to lie some cells off, and what is known with them.
 #[test]
 fn without_a_server_a_robot_explores_by_its_own_odometry_and_comes_home() {
+    let mut sum = 0.0;
+    for seed in 1..=5 {
+        let (known, away_m) = explored_alone(seed);
+        assert!(known >= 0.85 && away_m < 0.6, "seed {seed}: {known}, {away_m} m");
+        sum += known;
+    }
+    assert!(sum >= 5.0 * 0.9, "{sum} of 5");
+}
+
+/// Lets a robot explore two rooms alone: how much of them it knows in the end, and how far it is
+/// from home then, in metres.
+fn explored_alone(seed: u64) -> (f64, f64) {
     let scenario = Scenario::from_toml(TWO_ROOMS, "two_rooms.toml").unwrap();
-    let mut world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
+    let mut world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
     world.tell_wheels(1, 0.0, 0.0);
     let robot = &world.robots()[0];
     let home = robot.truth();
@@ -298,6 +311,6 @@ fn without_a_server_a_robot_explores_by_its_own_odometry_and_comes_home() {
     let (known, all) = (known.count(), reached.len());
     let truth = world.robots()[0].truth();
     let away = (truth.x - home.x).metres().hypot((truth.y - home.y).metres());
-    println!("alone: {known} of {all} cells in {:?}, {away:.2} m from home", now);
-    assert!(known * 100 >= all * 97 && away < 0.5, "{known} of {all}, {away} m");
+    println!("alone, seed {seed}: {known} of {all} cells in {now:?}, {away:.2} m from home");
+    (known as f64 / all as f64, away)
 }

@@ -217,7 +217,7 @@ impl Follower {
         }
         let (sin, cos) = sin_cos(radians(sight.pose.heading));
         let (forward, side) = (target.0 * cos + target.1 * sin, target.1 * cos - target.0 * sin);
-        // More than 37 degrees off it turns on the spot, until it is within 8.
+        // More than 37 degrees off it turns on the spot, until it is within 15.
         let enough = if self.turns { 0.27 } else { 0.75 };
         self.turns = side.abs() > enough * forward;
         if self.turns {
