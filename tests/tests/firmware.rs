@@ -77,7 +77,7 @@ fn a_robot_gets_a_session_the_time_and_its_pose_and_all_again_from_the_next_serv
 fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> Station {
     let mut port = SerialPort::open(emulator.port(), 115_200).unwrap();
     port.write(&noise.bytes(700)).unwrap();
-    let wire = NoisyWire { port, noise: Noise(noise.next()), reads: 0, writes: 0 };
+    let wire = NoisyWire { port, noise: Noise(noise.next()), quiet: 0, writes: 0 };
     let attached = Attached::new("the firmware".into(), Box::new(wire), Some(pose));
     Station::new(RESOLUTION, Epoch(epoch), vec![attached], None).unwrap()
 }
@@ -114,24 +114,30 @@ fn turn_until(
     }
 }
 
-/// A port on which noise comes before every fifth piece, both ways, and spoils what follows it.
+/// A port on which noise comes to the robot before every fifth piece, and from it after so many bytes,
+/// in whatever pieces they are read; it spoils what follows it.
 struct NoisyWire {
     port: SerialPort,
     noise: Noise,
-    reads: u32,
+    /// Bytes read since the last noise.
+    quiet: usize,
     writes: u32,
 }
+
+/// A hello is a fifth as long: most get through.
+const QUIET_BYTES: usize = 150;
 
 impl Wire for NoisyWire {
     fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
         let noise = self.noise.bytes(5);
         let (head, rest) = buffer.split_at_mut(noise.len());
         let count = self.port.read_within(rest, wait)?;
-        self.reads += u32::from(count > 0);
-        if count == 0 || !self.reads.is_multiple_of(5) {
+        self.quiet += count;
+        if count == 0 || self.quiet < QUIET_BYTES {
             buffer.copy_within(noise.len()..noise.len() + count, 0);
             return Ok(count);
         }
+        self.quiet = 0;
         head.copy_from_slice(&noise);
         Ok(noise.len() + count)
     }
