@@ -17,7 +17,6 @@ const TURN_M: f64 = 0.35;
 const WAIT_M: f64 = 3.0;
 /// A place so near to the robot lies in no direction, in metres.
 const HERE_M: f64 = 0.1;
-
 /// Who goes so far sees afresh what it has before it, in metres.
 const AFRESH_M: f64 = 0.5;
 
@@ -51,18 +50,28 @@ impl Approach<'_> {
         frontiers.iter().map(|frontier| self.view(frontier, ways.as_ref()?)).collect()
     }
 
-    /// Where to look again at what keeps robots from a frontier: of all places that it can go to,
-    /// but those near itself and those tried in vain, the nearest to the frontier. One search.
-    pub(super) fn before(&self, frontier: &Frontier) -> Option<View> {
-        let ways = self.terrain.everywhere(self.from)?;
-        let away = |view: &View| (view.place - frontier.place).norm();
-        let is_new = |view: &View| {
-            (view.place - self.from).norm() >= AFRESH_M
-                && self.tried.iter().all(|disc| (view.place - disc.centre).norm() > disc.radius)
+    /// For each of these frontiers where to look again at what keeps robots from it: of all places
+    /// that it can go to, but those near itself and those tried in vain, the nearest to the
+    /// frontier. One search.
+    pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<View>> {
+        let ways = self.terrain.everywhere(self.from);
+        let view = |at| {
+            let cost_m = ways.as_ref()?.metres(at)?;
+            Some(View { place: self.ground.place(at), cost_m })
         };
-        let view = |at| Some(View { place: self.ground.place(at), cost_m: ways.metres(at)? });
-        let views = (0..self.ground.len()).filter(|&at| !self.in_the_way[at]).filter_map(view);
-        views.filter(is_new).min_by(|a, b| away(a).total_cmp(&away(b)))
+        let is_afresh = |view: &View| (view.place - self.from).norm() >= AFRESH_M;
+        let places = (0..self.ground.len()).filter(|&at| !self.in_the_way[at]).filter_map(view);
+        let places: Vec<View> =
+            places.filter(|view| is_afresh(view) && self.is_untried(view)).collect();
+        let nearest = |frontier: &&Frontier| {
+            let away = |view: &View| (view.place - frontier.place).norm();
+            places.iter().copied().min_by(|a, b| away(a).total_cmp(&away(b)))
+        };
+        frontiers.iter().map(nearest).collect()
+    }
+
+    fn is_untried(&self, view: &View) -> bool {
+        self.tried.iter().all(|disc| (view.place - disc.centre).norm() > disc.radius)
     }
 
     fn view(&self, frontier: &Frontier, ways: &Ways<'_>) -> Option<View> {
@@ -73,10 +82,8 @@ impl Approach<'_> {
             let doubt = if is_backed { 0.0 } else { UNBACKED_M };
             Some((cost_m + LAST * away_m + doubt, View { place, cost_m }))
         };
-        let is_new = |(_, view): &(f64, View)| {
-            self.tried.iter().all(|disc| (view.place - disc.centre).norm() > disc.radius)
-        };
-        let views = frontier.sights.iter().filter_map(view).filter(is_new);
+        let views = frontier.sights.iter().filter_map(view);
+        let views = views.filter(|(_, view)| self.is_untried(view));
         views.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, view)| view)
     }
 

@@ -149,9 +149,9 @@ impl Coordinator {
         tried: &[Disc],
     ) -> Option<(usize, Target)> {
         let looks = idle.iter().flat_map(|&index| {
-            let approach = self.approach(ground, index, tried);
-            open.iter().filter_map(move |frontier| {
-                let view = approach.before(frontier)?;
+            let views = self.approach(ground, index, tried).before(open);
+            open.iter().zip(views).filter_map(move |(frontier, view)| {
+                let view = view?;
                 let away_m = (view.place - frontier.place).norm();
                 Some((view.cost_m + away_m, index, Target::new(frontier.place, view.place)))
             })
