@@ -216,7 +216,7 @@ impl SimRobot {
         let Wheels { speed, turn } = self.wheels.unwrap_or_default();
         let gained = self.acceleration * seconds;
         self.speed += (speed - self.speed).clamp(-BRAKE * gained, gained);
-        let most = self.turn_rate / TURN_RISE * seconds;
+        let most = self.turn_acceleration() * seconds;
         self.turning += (turn - self.turning).clamp(-most, most);
         let angle = self.turning * seconds;
         let middle = self.truth.heading + angle / 2.0;
@@ -247,8 +247,7 @@ impl SimRobot {
         let way = target - self.truth.position;
         let turn = wrap(atan2(way.y, way.x) - self.truth.heading);
         if turn.abs() > 1e-9 && self.speed == 0.0 {
-            let most = self.turn_rate * seconds;
-            self.turn(turn.clamp(-most, most));
+            self.turn_towards(turn, seconds);
             return;
         }
         let heading = way.normalize_or_zero();
@@ -290,7 +289,18 @@ impl SimRobot {
         }
     }
 
-    fn turn(&mut self, angle: f64) {
+    /// Radians a second, each second.
+    fn turn_acceleration(&self) -> f64 {
+        self.turn_rate / TURN_RISE
+    }
+
+    /// Turns in place for a moment, slow enough to look that way when it stops.
+    fn turn_towards(&mut self, left: f64, seconds: f64) {
+        let gained = self.turn_acceleration() * seconds;
+        let stopping = (2.0 * self.turn_acceleration() * left.abs()).sqrt().max(gained);
+        let rate = (self.turning.abs() + gained).min(self.turn_rate).min(stopping);
+        let angle = (rate * seconds).min(left.abs()).copysign(left);
+        self.turning = if angle == left { 0.0 } else { rate };
         self.truth.heading = wrap(self.truth.heading + angle);
         self.measure(0.0, angle);
     }
