@@ -146,7 +146,8 @@ impl World {
             places::check(scenario, &room?)?;
         }
         let starts: Vec<DVec2> = scenario.robots.iter().map(places::start).collect();
-        let truth = truth::truth(&room, cells, scenario.slice_height_m, &starts);
+        let before = Truth::default();
+        let truth = truth::truth(&room, cells, scenario.slice_height_m, &starts, &before);
         let dice = |who: Dice, number: usize| {
             let mut dice = ChaCha8Rng::seed_from_u64(seed);
             dice.set_stream((who as u64) << 32 | number as u64);
@@ -284,7 +285,8 @@ impl World {
         let seconds = STEP.micros() as f64 / 1e6;
         if let Some(room) = self.changes.make(self.now, &self.bodies(None, None)) {
             self.room = Arc::new(room);
-            self.truth = truth::truth(&self.room, self.cells, self.slice_height, &self.starts);
+            self.truth =
+                truth::truth(&self.room, self.cells, self.slice_height, &self.starts, &self.truth);
             for ideal in &mut self.cameras {
                 ideal.camera.look_again(&self.room);
             }

@@ -23,9 +23,17 @@ pub struct Truth {
     pub free: Vec<(i32, i32)>,
 }
 
-/// The truth as seen from these starts; from anywhere in the room if there are none.
-pub(super) fn truth(room: &Room, cells: Cells, height: f64, starts: &[DVec2]) -> Truth {
-    let reached = reach(room, cells, height, starts);
+/// The truth as seen from these starts and from what was free `before` the room changed: who has
+/// looked into a closet knows it when its door is shut again. From anywhere in the room if there are
+/// no starts.
+pub(super) fn truth(
+    room: &Room,
+    cells: Cells,
+    height: f64,
+    starts: &[DVec2],
+    before: &Truth,
+) -> Truth {
+    let reached = reach(room, cells, height, starts, &before.free);
     let surfaces = surfaces(room, cells, height, &reached);
     let free = (0..cells.count())
         .filter(|&index| reached[index])
@@ -35,8 +43,15 @@ pub(super) fn truth(room: &Room, cells: Cells, height: f64, starts: &[DVec2]) ->
     Truth { surfaces: surfaces.into_iter().collect(), free: free.into_iter().collect() }
 }
 
-/// The cells whose centres are joined to a start by steps that nothing blocks.
-fn reach(room: &Room, cells: Cells, height: f64, starts: &[DVec2]) -> Vec<bool> {
+/// The cells whose centres are joined to a start, or to a cell that was free before, by steps that
+/// nothing blocks.
+fn reach(
+    room: &Room,
+    cells: Cells,
+    height: f64,
+    starts: &[DVec2],
+    before: &[(i32, i32)],
+) -> Vec<bool> {
     let open = |cell: (i32, i32)| {
         let centre = cells.centre(cell);
         room.encloses(centre) && !is_solid(room, centre, height)
@@ -48,7 +63,7 @@ fn reach(room: &Room, cells: Cells, height: f64, starts: &[DVec2]) -> Vec<bool> 
         }
         return reached;
     }
-    let mut queue: Vec<(i32, i32)> = Vec::new();
+    let mut queue: Vec<(i32, i32)> = before.iter().copied().filter(|cell| open(*cell)).collect();
     for &start in starts {
         // The centre of a start's cell may be solid where the start itself is not.
         let (x, y) = cells.cell_at(start);
