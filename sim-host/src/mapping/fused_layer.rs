@@ -59,6 +59,7 @@ type Word = (i64, bool, u8);
 /// | the cameras | the robots | fused |
 /// |---|---|---|
 /// | have seen it | anything, no later than two seconds after | the cameras' code |
+/// | have taken back what they said | one said that it is free, no later than that | does not count |
 /// | have seen it, or never | one said something new of it last, and later than that | what it said |
 /// | as before | several did, within the same second | occupied if any of them says so |
 /// | as before | one of a lesser weight | what it said counts as a minute older for each grade |
@@ -84,7 +85,13 @@ pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -
         }
         for (weight, robot) in robots {
             let (code, second) = (robot.tile.cell(x, y), robot.seconds[cell]);
-            let is_forgotten = code == Cell::Movable && time.0.saturating_sub(second) >= MOVABLE_S;
+            let is_forgotten = match code {
+                Cell::Movable => time.0.saturating_sub(second) >= MOVABLE_S,
+                Cell::Free if camera == Cell::Unknown => {
+                    second <= cameras.seconds[cell] && cameras.seconds[cell] > 0
+                }
+                _ => false,
+            };
             if code != Cell::Unknown && *weight != Weight::NONE && !is_forgotten {
                 let later = i64::from(weight.short_of_full()) * i64::from(GRADE_S);
                 words.push((i64::from(second) - later, false, code.code()));
@@ -208,7 +215,7 @@ mod tests {
     #[test]
     fn the_table_of_cases() {
         let never = (Unknown, 0);
-        let cases: [(_, &[_], _); 18] = [
+        let cases: [(_, &[_], _); 22] = [
             (never, &[], Unknown),
             (never, &[(Unknown, 3), (Unknown, 4)], Unknown),
             (never, &[(Free, 3), (Unknown, 4)], Free),
@@ -223,6 +230,11 @@ mod tests {
             // Out of view, and a robot has been there since.
             ((Free, 4), &[(Occupied, 7)], Occupied),
             ((Occupied, 4), &[(Free, 7), (Occupied, 3)], Free),
+            // Taken back by the cameras.
+            ((Unknown, 4), &[(Free, 4)], Unknown),
+            ((Unknown, 4), &[(Free, 5)], Free),
+            ((Unknown, 4), &[(Free, 3), (Occupied, 2)], Occupied),
+            ((Unknown, 4), &[(Free, 3), (Movable, 4)], Movable),
             // Keeps changing.
             (never, &[(Free, 3), (Occupied, 13), (Free, 23), (Occupied, 33)], Movable),
             (never, &[(Occupied, 3), (Free, 13), (Occupied, 23), (Free, 33)], Free),
