@@ -28,10 +28,8 @@ const ROWS_BETWEEN: u32 = 8;
 /// What is nearer than the background becomes background after so many looks and seconds without a
 /// change, for it may be somebody; so does what stands where there was no background. Floor, and
 /// what is farther than the background, was hidden until now, and becomes it sooner.
-const STAY: (u8, u32) = (6, 20);
+const STAY: (u8, u32) = (6, 10);
 const UNCOVERED: (u8, u32) = (2, 1);
-/// The mean of so many depths tells whether something else is there now.
-const FEWEST_FRESH: u32 = 5;
 /// When so many depths have agreed, half of them are forgotten: a drift is followed.
 const MOST_AGREED: u32 = 256;
 
@@ -204,14 +202,8 @@ impl Background {
     fn settle_again(&mut self, view: &View, pixel: usize) {
         let agreed = &mut self.agreed[pixel];
         let fresh = core::mem::take(&mut self.fresh[pixel]);
-        let Some(before) = agreed.mean() else { return };
-        let mean_of_fresh = fresh.mean().filter(|_| fresh.count >= FEWEST_FRESH);
-        if mean_of_fresh.is_some_and(|mean| mean.abs_diff(before) > shift(before)) {
-            *agreed = fresh;
-        } else {
-            agreed.sum += fresh.sum;
-            agreed.count += fresh.count;
-        }
+        agreed.sum += fresh.sum;
+        agreed.count += fresh.count;
         let Some(mean) = agreed.mean() else { return };
         if agreed.count >= MOST_AGREED {
             *agreed = Agreed { sum: agreed.sum / 2, count: agreed.count / 2 };
@@ -249,10 +241,15 @@ impl Background {
         let rows = depths.chunks(width).enumerate().skip(self.turn as usize);
         for (row, depths) in rows.step_by(ROWS_BETWEEN as usize) {
             for (pixel, &depth) in (row * width..).zip(depths) {
-                if depth > 0 && self.agrees(pixel, depth) {
-                    self.candidates[pixel].looks = 0;
-                } else if depth > 0 && !is_taken(view, pixel, depth, taken) {
-                    self.consider(view, pixel, depth, now_s);
+                if is_taken(view, pixel, depth, taken) {
+                    // Those that agreed may have been of somebody's legs.
+                    self.fresh[pixel] = Agreed::default();
+                } else if let Some(other) = self.sees_other(pixel, depth) {
+                    self.consider(view, pixel, other, now_s);
+                } else if depth > 0 {
+                    let candidate = &mut self.candidates[pixel];
+                    let may_be = depth.abs_diff(candidate.depth) <= spread(depth);
+                    candidate.looks = if may_be { candidate.looks.saturating_sub(1) } else { 0 };
                 }
                 self.settle_again(view, pixel);
             }
@@ -260,13 +257,33 @@ impl Background {
         self.turn = (self.turn + 1) % ROWS_BETWEEN;
     }
 
+    /// How deep what a pixel sees is if it is not the background: the depth if that is out of the
+    /// window, or nearer to the candidate than to the background, for noise makes what stands a
+    /// little before that agree with it now and then; and the mean of those that have agreed of late,
+    /// which then do not count, if it lies off.
+    fn sees_other(&mut self, pixel: usize, depth: u16) -> Option<u16> {
+        let fresh = &mut self.fresh[pixel];
+        if let Some((before, mean)) = self.agreed[pixel].mean().zip(fresh.mean())
+            && is_other(mean, fresh.count, before)
+        {
+            *fresh = Agreed::default();
+            return Some(mean);
+        }
+        if depth == 0 || !self.agrees(pixel, depth) {
+            return (depth > 0).then_some(depth);
+        }
+        let candidate = &self.candidates[pixel];
+        let mean = self.low[pixel] + self.span[pixel] / 2;
+        let is_nearer = candidate.looks > 0
+            && !self.agrees(pixel, candidate.depth)
+            && depth.abs_diff(candidate.depth) < depth.abs_diff(mean);
+        is_nearer.then_some(depth)
+    }
+
     /// A pixel sees something else than its background.
     fn consider(&mut self, view: &View, pixel: usize, depth: u16, now_s: u32) {
-        let is_nearer = self.is_nearer(pixel, depth);
-        let is_floor = matches!(view.place(pixel, depth, Allowance::Measured), Place::Floor(_));
         let candidate = &mut self.candidates[pixel];
-        let spread = (SLACK_MM + 3 * noise_mm(i64::from(depth))) as u16;
-        if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread {
+        if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread(depth) {
             *candidate = Candidate { depth, looks: 1, since_s: now_s, ..*candidate };
             return;
         }
@@ -275,28 +292,36 @@ impl Background {
         let sum = u32::from(candidate.depth) * looks + u32::from(depth);
         candidate.depth = (sum / (looks + 1)) as u16;
         candidate.looks = candidate.looks.saturating_add(1);
+        let Candidate { depth, looks, since_s, .. } = *candidate;
+        let is_nearer = depth < self.low[pixel] + self.span[pixel] / 2;
+        let is_floor = matches!(view.place(pixel, depth, Allowance::Measured), Place::Floor(_));
         let may_be_somebody = if self.low[pixel] > 0 { is_nearer } else { !is_floor };
         let (enough, seconds) = if may_be_somebody { STAY } else { UNCOVERED };
-        if candidate.looks >= enough && now_s.saturating_sub(candidate.since_s) >= seconds {
-            candidate.looks = 0;
-            candidate.has_come = is_nearer;
-            let depth = candidate.depth;
-            self.agreed[pixel] = Agreed { sum: u32::from(depth), count: 1 };
+        if looks >= enough && now_s.saturating_sub(since_s) >= seconds {
+            self.candidates[pixel] = Candidate { has_come: is_nearer, ..Candidate::default() };
+            let looks = u32::from(looks);
+            self.agreed[pixel] = Agreed { sum: u32::from(depth) * looks, count: looks };
             self.settle_again(view, pixel);
         }
     }
 }
 
-/// What the mean of [`FEWEST_FRESH`] depths is never off by, unless something else is there that is
-/// in the window as well: three sigmas of that mean and a half.
-fn shift(depth: u16) -> u16 {
-    margin(depth) / 2
+/// Whether the mean of so many depths is of something else than the background of a depth, although
+/// they are in its window: it is farther off than three of its sigmas. Of two things in one window, as
+/// the floor and the feet of who stands on it now and then, this lets neither draw the mean to it.
+fn is_other(mean: u16, count: u32, background: u16) -> bool {
+    let off = u32::from(mean.abs_diff(background));
+    off * off * count > u32::from(margin(background)).pow(2)
+}
+
+/// Depths that differ by no more may be of one thing: three sigmas.
+fn spread(depth: u16) -> u16 {
+    (SLACK_MM + 3 * noise_mm(i64::from(depth))) as u16
 }
 
 /// Half the width of the window about a depth: three sigmas, and never all of the depth.
 fn margin(depth: u16) -> u16 {
-    let noise = SLACK_MM + 3 * noise_mm(i64::from(depth));
-    noise.min(i64::from(depth / 2)) as u16
+    spread(depth).min(depth / 2)
 }
 
 /// Whether a pixel sees something over a cell that is taken.
@@ -304,5 +329,43 @@ fn is_taken(view: &View, pixel: usize, depth: u16, taken: &[bool]) -> bool {
     match view.place(pixel, depth, Allowance::Measured) {
         Place::Band(cell, _) | Place::Above(cell, _) => taken[cell as usize],
         Place::Floor(_) | Place::Nowhere => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::perception::{
+        testing::{lens, noisy, render},
+        view::Survey,
+    };
+
+    /// Five metres off the noise is so large that legs agree with the floor behind them.
+    #[test]
+    fn who_stands_on_it_now_and_then_does_not_draw_the_floor_towards_the_camera() {
+        let lens = lens(160, 60, [0.0, 0.0, 2.8], [4.0, 3.0, 0.0]);
+        let view = View::new(&lens, Survey::default());
+        let floor = render(&lens, 0.0, &[]);
+        let legs = image::ImageBuffer::from_fn(160, 60, |x, y| {
+            let depth = floor.get_pixel(x, y)[0];
+            image::Luma([depth - 2 * noise_mm(i64::from(depth)) as u16])
+        });
+        let taken = vec![false; view.cells()];
+        let mut background = Background::new(&view);
+        // Five images a second; two seconds of six somebody stands there.
+        for frame in 0..450 {
+            let is_there = frame % 30 < 10;
+            let image = noisy(if is_there { &legs } else { &floor }, frame, 980);
+            background.learn(&view, &image, Instant(frame * 200_000), &taken);
+        }
+        let depths = floor.iter().zip(&background.depth);
+        let far = depths.filter(|(floor, learnt)| (4_500..6_000).contains(*floor) && **learnt > 0);
+        let off = far.map(|(floor, learnt)| {
+            (i64::from(*floor) - i64::from(*learnt)) as f64 / noise_mm(i64::from(*floor)) as f64
+        });
+        let off: Vec<f64> = off.collect();
+        let mean = off.iter().sum::<f64>() / off.len() as f64;
+        let many = off.iter().filter(|off| **off > 1.0).count();
+        assert!(off.len() > 2_000 && mean < 0.4 && many < 10, "{mean} sigmas, {many} over one");
     }
 }
