@@ -85,6 +85,8 @@ impl<'b> Agent<'b> {
     ///
     /// # Errors
     /// Every [`ConfigError`].
+    // This, and the others below: not inlined, or what one needs of the stack lies under all others.
+    #[inline(never)]
     pub fn new(config: Config, memory: Memory<'b>) -> Result<Self, ConfigError> {
         if config.resolution < MIN_RESOLUTION {
             return Err(ConfigError::Resolution);
@@ -211,50 +213,58 @@ impl<'b> Agent<'b> {
 
     /// Takes bytes from the server, in pieces of any size.
     pub fn receive(&mut self, mut bytes: &[u8], now: Instant) {
-        while let Some(received) = self.link.receive(&mut bytes, now) {
-            match received {
-                Received::Bad => {}
-                Received::Handshake(message) => {
-                    // Copied: what follows changes the link that the body is borrowed from.
-                    match Knock::parse(message) {
-                        Some(Knock::Welcome(welcome)) => self.welcomed(&welcome, now),
-                        Some(Knock::Refusal(refusal)) => self.refused(&refusal, now),
-                        Some(Knock::Reset) => self.reset(now),
-                        None => {
-                            self.statistics.malformed_messages =
-                                self.statistics.malformed_messages.wrapping_add(1);
-                        }
-                    }
-                }
-                Received::Session(messages) => {
-                    self.heard = now;
-                    let mut command = None;
-                    Inbox {
-                        clock: &mut self.clock,
-                        locator: &mut self.locator,
-                        latest_pose: &mut self.latest_pose,
-                        fused: &mut self.fused,
-                        commands: &mut self.commands,
-                        command: &mut command,
-                        map: &mut self.map,
-                        publisher: &mut self.publisher,
-                        events: &mut self.events,
-                        statistics: &mut self.statistics,
-                    }
-                    .take(messages, now);
-                    if let Some(command) = command {
-                        self.configure(&command);
-                    }
-                }
-            }
+        while self.receive_frame(&mut bytes, now) {
             self.settle(now);
         }
         self.map_waiting(now);
     }
 
+    /// Takes the next frame of some bytes; `false` if they are used up before its end.
+    #[inline(never)]
+    fn receive_frame(&mut self, bytes: &mut &[u8], now: Instant) -> bool {
+        let Some(received) = self.link.receive(bytes, now) else { return false };
+        match received {
+            Received::Bad => {}
+            Received::Handshake(message) => {
+                // Copied: what follows changes the link that the body is borrowed from.
+                match Knock::parse(message) {
+                    Some(Knock::Welcome(welcome)) => self.welcomed(&welcome, now),
+                    Some(Knock::Refusal(refusal)) => self.refused(&refusal, now),
+                    Some(Knock::Reset) => self.reset(now),
+                    None => {
+                        self.statistics.malformed_messages =
+                            self.statistics.malformed_messages.wrapping_add(1);
+                    }
+                }
+            }
+            Received::Session(messages) => {
+                self.heard = now;
+                let mut command = None;
+                Inbox {
+                    clock: &mut self.clock,
+                    locator: &mut self.locator,
+                    latest_pose: &mut self.latest_pose,
+                    fused: &mut self.fused,
+                    commands: &mut self.commands,
+                    command: &mut command,
+                    map: &mut self.map,
+                    publisher: &mut self.publisher,
+                    events: &mut self.events,
+                    statistics: &mut self.statistics,
+                }
+                .take(messages, now);
+                if let Some(command) = command {
+                    self.configure(&command);
+                }
+            }
+        }
+        true
+    }
+
     /// Writes the next frame that is due into `out`, which should have 250 bytes. Returns its
     /// length. Call it until it returns `None`.
     #[must_use]
+    #[inline(never)]
     pub fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
         if self.link.session() == SessionId::NONE {
             return self.knock(now, out);
@@ -542,6 +552,7 @@ impl<'b> Agent<'b> {
     }
 
     /// Maps the scans whose poses are known, and gives up those whose time is over.
+    #[inline(never)]
     fn map_waiting(&mut self, now: Instant) {
         while let Some(taken) = self.waiting.oldest() {
             let last_chance = now >= taken + self.config.scan_deadline;

@@ -90,10 +90,9 @@ impl Inbox<'_, '_> {
                     self.publisher.requested(pool, Some(tile), now);
                 }
             }
-            ToRobotKind::Peers => self.commands.take_peers(decode(body).ok()?.0),
-            ToRobotKind::Obstacles => self.commands.take_obstacles(decode(body).ok()?.0),
-            ToRobotKind::Path => self.commands.take_path(decode(body).ok()?.0),
-            ToRobotKind::Stop => self.commands.take_stop(decode(body).ok()?.0),
+            ToRobotKind::Peers | ToRobotKind::Obstacles | ToRobotKind::Path | ToRobotKind::Stop => {
+                self.commands.take(kind, body)?
+            }
             ToRobotKind::Parameter => *self.command = Some(decode(body).ok()?.0),
             ToRobotKind::Stored => {
                 for &(id, stamp) in &decode::<Stored>(body).ok()?.0.tiles {

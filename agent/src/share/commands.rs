@@ -1,7 +1,8 @@
 //! What the server wants of the robot, and what it tells of its surroundings: the newest of each
 //! kind.
 
-use ubimap_protocol::message::{Obstacles, Path, Peers, Stop};
+use serde::de::DeserializeOwned;
+use ubimap_protocol::message::{Obstacles, Path, Peers, Stop, ToRobotKind, decode};
 
 /// The newest commands and surroundings.
 #[derive(Clone, Debug, Default)]
@@ -13,31 +14,25 @@ pub struct Commands {
 }
 
 impl Commands {
-    /// Takes a stop; an older one than is known is passed over.
-    pub(crate) fn take_stop(&mut self, stop: Stop) {
-        if self.stop.is_none_or(|known| known.number < stop.number) {
-            self.stop = Some(stop);
-        }
-    }
-
-    /// Takes a path; an older one than is known is passed over.
-    pub(crate) fn take_path(&mut self, path: Path) {
-        if self.path.as_ref().is_none_or(|known| known.number < path.number) {
-            self.path = Some(path);
-        }
-    }
-
-    /// Takes the other robots; older ones than are known are passed over.
-    pub(crate) fn take_peers(&mut self, peers: Peers) {
-        if self.peers.as_ref().is_none_or(|known| known.time < peers.time) {
-            self.peers = Some(peers);
-        }
-    }
-
-    /// Takes obstacles; older ones than are known are passed over.
-    pub(crate) fn take_obstacles(&mut self, obstacles: Obstacles) {
-        if self.obstacles.as_ref().is_none_or(|known| known.time < obstacles.time) {
-            self.obstacles = Some(obstacles);
+    /// Takes a message of these kinds; one that is older than what is known is passed over. `None`
+    /// if it cannot be read.
+    // Apart from other messages: read, these are the longest, and would be on the stack below all.
+    #[inline(never)]
+    pub(crate) fn take(&mut self, kind: ToRobotKind, body: &[u8]) -> Option<()> {
+        match kind {
+            ToRobotKind::Stop => {
+                keep(&mut self.stop, body, |known, stop| known.number < stop.number)
+            }
+            ToRobotKind::Path => {
+                keep(&mut self.path, body, |known, path| known.number < path.number)
+            }
+            ToRobotKind::Peers => {
+                keep(&mut self.peers, body, |known, peers| known.time < peers.time)
+            }
+            ToRobotKind::Obstacles => {
+                keep(&mut self.obstacles, body, |known, obstacles| known.time < obstacles.time)
+            }
+            _ => None,
         }
     }
 
@@ -67,17 +62,37 @@ impl Commands {
     }
 }
 
+/// Keeps a message if it is newer than the one that is known.
+fn keep<T: DeserializeOwned>(
+    known: &mut Option<T>,
+    body: &[u8],
+    is_newer: impl FnOnce(&T, &T) -> bool,
+) -> Option<()> {
+    let (told, _) = decode(body).ok()?;
+    if known.as_ref().is_none_or(|known| is_newer(known, &told)) {
+        *known = Some(told);
+    }
+    Some(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ubimap_protocol::message::{Messages, Writer};
 
     #[test]
     fn the_highest_number_holds_in_any_order() {
         let mut commands = Commands::default();
-        commands.take_stop(Stop { number: 2, stop: true });
-        commands.take_stop(Stop { number: 1, stop: false });
-        assert!(commands.must_stop());
-        commands.take_stop(Stop { number: 3, stop: false });
-        assert!(!commands.must_stop());
+        let mut take = |number, stop| {
+            let mut buffer = [0; 16];
+            let mut writer = Writer::new(&mut buffer);
+            assert!(writer.push(ToRobotKind::Stop as u8, &Stop { number, stop }));
+            let message = Messages::new(&buffer).next().unwrap().unwrap();
+            assert_eq!(commands.take(ToRobotKind::Stop, message.body), Some(()));
+            commands.must_stop()
+        };
+        assert!(take(2, true));
+        assert!(take(1, false));
+        assert!(!take(3, false));
     }
 }

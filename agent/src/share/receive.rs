@@ -276,23 +276,18 @@ impl<'b> FusedMap<'b> {
         let mut decoder = TileDecoder::new(coded);
         let epoch = self.epoch;
         while let Some(header) = decoder.header()? {
-            let Some(place) = self.place_mut(header.id).filter(|_| header.stamp.epoch == epoch)
-            else {
-                // It was sent before the window moved. A whole tile is read past; else the rest
-                // of the message is lost, and asking for the tile brings back what it held.
-                if header.base.is_some() || header.start != 0 {
-                    self.request(layer, header.id);
-                    return Ok(());
-                }
-                decoder.cells(&header, &mut Tile::default());
-                continue;
-            };
-            let mut replica = place.replica(layer, epoch);
+            // One outside the window was sent before that moved: it is read past if it is whole.
+            // Else the rest of the message is lost, and asking for the tile brings back what it held.
+            let place = self.place(header.id).filter(|_| header.stamp.epoch == epoch);
+            let mut replica = place.map_or(Replica::NOTHING, |place| place.replica(layer, epoch));
+            let is_held = place.is_some();
             if replica.apply(&header, &mut decoder) == Err(BaseMissing) {
                 self.request(layer, header.id);
                 return Ok(());
             }
-            place.keep(layer, &replica);
+            if let Some(place) = self.place_mut(header.id).filter(|_| is_held) {
+                place.keep(layer, &replica);
+            }
         }
         Ok(())
     }

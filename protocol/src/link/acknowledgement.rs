@@ -129,6 +129,15 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> Default
 }
 
 impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, CONTENTS> {
+    /// Forgets everything, where it is: a new one would take as much of the stack as it is large.
+    pub(super) fn clear(&mut self) {
+        self.next = 0;
+        self.outstanding.iter_mut().for_each(|frame| *frame = None);
+        self.acknowledged.clear();
+        self.newest_acknowledged = None;
+        self.round_trip = RoundTrip::default();
+    }
+
     /// The sequence number of the next reliable frame, or `None` if none may be sent now.
     pub(super) fn next_sequence(&self) -> Option<u16> {
         let frames = || self.outstanding.iter().flatten();

@@ -104,7 +104,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         self.session = session;
         self.frame = frame.min(FRAME);
         self.receiving = ReceiveWindow::default();
-        self.sending = SendWindow::default();
+        self.sending.clear();
         self.datagrams = 0;
     }
 

@@ -70,22 +70,18 @@ impl Replica {
         header: &TileHeader,
         decoder: &mut TileDecoder<'_>,
     ) -> Result<Applied, BaseMissing> {
+        let held = header.stamp == self.stamp && !self.is_partial();
         match (header.start, header.base) {
-            // One that was given up by its sender may still come, after the one that was sent in
-            // its stead.
-            (0, None)
-                if header.stamp < self.stamp
-                    || header.stamp == self.stamp && !self.is_partial() =>
-            {
-                decoder.cells(header, &mut Tile::default());
-                return Ok(Applied::Old);
-            }
-            (start, None) if start != 0 && !self.is_partial() && self.stamp == header.stamp => {
-                // The sender does not know that the tile is held, and its parts before this one
-                // were read past. What it adds may be newer than the first of them.
+            // Either one that was given up by its sender and comes after the one that was sent in
+            // its stead, or a part of one that is held: its sender does not know that, and what
+            // came before was read past. Parts after the first may be newer than that.
+            (start, None) if held || start == 0 && header.stamp < self.stamp => {
                 let mut part = self.tile;
                 copy_cells(&Tile::UNKNOWN, &mut part, start, TILE_CELLS);
                 decoder.cells(header, &mut part);
+                if start == 0 {
+                    return Ok(Applied::Old);
+                }
                 copy_cells(&part, &mut self.tile, start, header.end);
                 return Ok(Applied::Complete);
             }
