@@ -37,6 +37,11 @@ impl Bounds {
         resolution: Millimetres(50),
     };
 
+    /// A row of 100 pixels, and the firmware of the reference board: as far as a pool of eight
+    /// tiles holds, in a window of 4 x 4.
+    pub const REFERENCE: Self =
+        Self { readings: 100, own_tiles: 8, fused_tiles: 16, max_range: 2_000, ..Self::DEFAULT };
+
     /// A row of 64 pixels, and a Cortex-M0+.
     pub const SMALL: Self =
         Self { readings: 64, own_tiles: 8, fused_tiles: 12, max_range: 2_000, ..Self::DEFAULT };

@@ -43,6 +43,13 @@ impl Image {
         }
         Some(image)
     }
+
+    /// The symbols of panics and of a heap: a robot's image holds none.
+    pub fn panics_and_heap(&self) -> Vec<&str> {
+        let unwanted = ["panic", "_fail", "__rust_alloc"];
+        let symbols = self.symbols.iter().map(String::as_str);
+        symbols.filter(|name| unwanted.iter().any(|part| name.contains(part))).collect()
+    }
 }
 
 struct Section {

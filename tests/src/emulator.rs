@@ -14,8 +14,32 @@ use std::{
     time::Duration,
 };
 
-/// What the reference board's core is to the compiler.
-const TARGET: &str = "thumbv7em-none-eabihf";
+/// Whose instructions an image is made of; the emulator's core runs both.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Core {
+    /// That of the reference board: a Cortex-M4 with its floating point.
+    M4,
+    /// A Cortex-M0+, which divides by no instruction, and has no floating point.
+    M0,
+}
+
+impl Core {
+    /// What it is to the compiler.
+    fn target(self) -> &'static str {
+        match self {
+            Self::M4 => "thumbv7em-none-eabihf",
+            Self::M0 => "thumbv6m-none-eabi",
+        }
+    }
+
+    /// The features of the agent that an image needs.
+    fn features(self) -> &'static str {
+        match self {
+            Self::M4 => "firmware",
+            Self::M0 => "cortex",
+        }
+    }
+}
 
 /// The emulator.
 const QEMU: &str = "qemu-system-arm";
@@ -58,7 +82,7 @@ pub fn leave_out(test: &str, error: &EmulatorError) {
 /// The firmware image, built when first asked for.
 pub fn firmware() -> Result<PathBuf, EmulatorError> {
     static IMAGE: OnceLock<Result<PathBuf, EmulatorError>> = OnceLock::new();
-    IMAGE.get_or_init(|| image("firmware")).clone()
+    IMAGE.get_or_init(|| image("firmware", Core::M4)).clone()
 }
 
 /// Runs an image that counts instructions, one in a nanosecond of its clock, to its end. From its
@@ -83,6 +107,14 @@ pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
     let output = qemu.wait_with_output().map_err(missing_or_failed)?;
     said.push_str(&String::from_utf8_lossy(&output.stderr));
     if output.status.success() { Ok(said) } else { Err(EmulatorError::Failed(said)) }
+}
+
+/// The lines of a table that an image printed: what they count, and their names.
+pub fn lines(table: &str) -> impl Iterator<Item = (u64, &str)> {
+    table.lines().filter_map(|line| {
+        let (number, name) = line.trim().split_once("  ")?;
+        Some((number.parse().ok()?, name))
+    })
 }
 
 /// A running firmware; it ends with this value.
@@ -164,11 +196,12 @@ fn pseudo_terminal(line: &str) -> Option<&str> {
 }
 
 /// Builds one of the agent's images.
-pub fn image(name: &str) -> Result<PathBuf, EmulatorError> {
-    let mut cargo = compiler()?;
+pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
+    let target = core.target();
+    let mut cargo = compiler(target)?;
     let output = cargo
         .args(["--locked", "--package", "ubimap-agent", "--bin", name])
-        .args(["--features", "firmware", "--target", TARGET, "--profile", "firmware"])
+        .args(["--features", core.features(), "--target", target, "--profile", "firmware"])
         .arg("--message-format=json-render-diagnostics")
         .current_dir(workspace())
         // The host's flags are not for the board, and would replace those of `.cargo/config.toml`.
@@ -190,9 +223,9 @@ pub fn image(name: &str) -> Result<PathBuf, EmulatorError> {
 
 /// A `cargo build` that can build for the board: the toolchain at hand if it has the target, else
 /// Debian's, which has the sources of `core`.
-fn compiler() -> Result<Command, EmulatorError> {
+fn compiler(target: &'static str) -> Result<Command, EmulatorError> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
-    if printed(Path::new(&rustc), &["--print", "target-libdir", "--target", TARGET])
+    if printed(Path::new(&rustc), &["--print", "target-libdir", "--target", target])
         .is_some_and(|folder| Path::new(&folder).is_dir())
     {
         let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
@@ -204,7 +237,7 @@ fn compiler() -> Result<Command, EmulatorError> {
     let has_sources = printed(rustc, &["--print", "sysroot"])
         .is_some_and(|root| Path::new(&root).join("lib/rustlib/src/rust/library/core").is_dir());
     if !has_sources || !cargo.is_file() {
-        return Err(EmulatorError::Missing("the target thumbv7em-none-eabihf"));
+        return Err(EmulatorError::Missing(target));
     }
     let linker = ["rust-lld", "ld.lld"]
         .into_iter()
@@ -217,7 +250,8 @@ fn compiler() -> Result<Command, EmulatorError> {
         .arg(workspace().join("target/firmware-debian"))
         .env("RUSTC", rustc)
         .env("RUSTC_BOOTSTRAP", "1")
-        .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
+        .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker)
+        .env("CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER", linker);
     Ok(command)
 }
 

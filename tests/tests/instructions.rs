@@ -11,7 +11,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{
     data,
-    emulator::{EmulatorError, count, image, leave_out},
+    emulator::{Core, EmulatorError, count, image, leave_out, lines},
     updates::{Gathering, Update},
 };
 
@@ -60,7 +60,7 @@ struct CommandLine {
 
 #[test]
 fn no_stage_takes_more_than_its_bound() {
-    match image("bench").and_then(|image| count(&image, Vec::new())) {
+    match image("bench", Core::M4).and_then(|image| count(&image, Vec::new())) {
         Ok(table) => assert_eq!(bounded(&table), 29, "{table}"),
         Err(error) => leave_out("the stages' instruction counts", &error),
     }
@@ -92,7 +92,7 @@ fn no_row_of_a_recorded_frame_takes_more_than_its_bound() {
         }
     }
     input.push(END);
-    let table = match image("recorded").and_then(|image| count(&image, input)) {
+    let table = match image("recorded", Core::M4).and_then(|image| count(&image, input)) {
         Ok(table) => table,
         Err(error) => return leave_out("the instruction counts of recorded rows", &error),
     };
@@ -105,7 +105,7 @@ fn no_row_of_a_recorded_frame_takes_more_than_its_bound() {
 }
 
 fn updates_table(log: &std::path::Path) -> Result<String, EmulatorError> {
-    let image = image("updates")?;
+    let image = image("updates", Core::M4)?;
     let mut input = Vec::new();
     updates(log).iter().step_by(SAMPLE).for_each(|update| update.write(&mut input));
     input.push(END);
@@ -133,12 +133,4 @@ fn bounded(table: &str) -> usize {
     };
     let bounded = lines(table).filter_map(|(number, name)| Some((number, name, bound(name)?.2)));
     bounded.inspect(|(number, name, bound)| assert!(number <= bound, "{name}: {number}")).count()
-}
-
-/// The lines of a table: what they count, and their names.
-fn lines(table: &str) -> impl Iterator<Item = (u64, &str)> {
-    table.lines().filter_map(|line| {
-        let (number, name) = line.trim().split_once("  ")?;
-        Some((number.parse().ok()?, name))
-    })
 }

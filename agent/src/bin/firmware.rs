@@ -12,16 +12,12 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::entry;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
 use ubimap_agent::{
-    Agent, Config, ConfigError, Memory,
-    map::{OwnTile, RowSighting, scratch_words},
+    Agent, Bounds, Config, ConfigError, Memory,
+    map::{OwnTile, RowSighting},
     sense::{Beam, SensorModel},
     share::FusedTile,
 };
-use ubimap_protocol::{
-    frame::DEFAULT_FRAME,
-    time::Instant,
-    units::{Millimetres, RobotId},
-};
+use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant, units::RobotId};
 
 /// Which robot this is: unique in one deployment.
 const ROBOT: RobotId = RobotId(1);
@@ -29,26 +25,12 @@ const ROBOT: RobotId = RobotId(1);
 /// The speed of the port to the server.
 const BAUD: u32 = 115_200;
 
-/// The side of the map's cells; the server's must be the same.
-const RESOLUTION: Millimetres = Millimetres(50);
-
-/// Beyond it nothing is mapped: as far as a pool of eight tiles holds, in millimetres.
-const MAX_RANGE: u16 = 2_000;
-
-/// Pixels in the row of the depth sensor, which looks forward.
-const PIXELS: usize = 100;
+/// What the robot keeps; the side of its map's cells must be the server's. The row is that of a
+/// depth sensor that looks forward.
+const BOUNDS: Bounds = Bounds::REFERENCE;
 
 /// The focal length in pixels: 100 of them see 78 degrees.
 const FOCAL: f32 = 61.7;
-
-/// Scans that can wait for their poses.
-const WAITING_SCANS: usize = 2;
-
-/// Tiles of its own that the robot keeps.
-const OWN_TILES: usize = 8;
-
-/// Fused tiles that the robot keeps: a window of 4 x 4.
-const FUSED_TILES: usize = 16;
 
 /// How long the status LED is on, and off, while there is no session: 2^18 us, a quarter of a
 /// second.
@@ -57,17 +39,16 @@ const BLINK: u32 = 18;
 #[entry]
 fn main() -> ! {
     // Here, and not on the stack, so that the image tells how much memory there must be.
-    static mut BEAMS: [Beam; PIXELS] = [Beam::NONE; PIXELS];
-    static mut WAITING: [u16; PIXELS * WAITING_SCANS] = [0; _];
-    static mut SCRATCH: [RowSighting; scratch_words(MAX_RANGE, RESOLUTION)] =
-        [RowSighting { free: 0, hit: 0 }; _];
-    static mut OWN: [OwnTile; OWN_TILES] = [OwnTile::FREE; _];
-    static mut FUSED: [FusedTile; FUSED_TILES] = [FusedTile::FREE; _];
+    static mut BEAMS: [Beam; BOUNDS.readings] = [Beam::NONE; _];
+    static mut WAITING: [u16; BOUNDS.readings * BOUNDS.waiting] = [0; _];
+    static mut SCRATCH: [RowSighting; BOUNDS.scratch()] = [RowSighting { free: 0, hit: 0 }; _];
+    static mut OWN: [OwnTile; BOUNDS.own_tiles] = [OwnTile::FREE; _];
+    static mut FUSED: [FusedTile; BOUNDS.fused_tiles] = [FusedTile::FREE; _];
 
     let memory =
         Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: FUSED };
     let Some(board) = Board::take(BAUD) else { SCB::sys_reset() };
-    match agent(board.nonce, memory) {
+    match &mut agent(board.nonce, memory) {
         Ok(agent) => run(board, agent),
         // The constants above are at odds.
         Err(_) => SCB::sys_reset(),
@@ -75,11 +56,11 @@ fn main() -> ! {
 }
 
 fn agent(nonce: u64, memory: Memory<'_>) -> Result<Agent<'_>, ConfigError> {
-    let centre = (PIXELS - 1) as f32 / 2.0;
+    let centre = (BOUNDS.readings - 1) as f32 / 2.0;
     let config = Config {
         boot_nonce: (nonce ^ nonce >> 32) as u32,
-        resolution: RESOLUTION,
-        max_range: MAX_RANGE,
+        resolution: BOUNDS.resolution,
+        max_range: BOUNDS.max_range,
         ..Config::new(ROBOT, SensorModel::Pinhole { focal: FOCAL, centre })
     };
     Agent::new(config, memory)
@@ -87,7 +68,7 @@ fn agent(nonce: u64, memory: Memory<'_>) -> Result<Agent<'_>, ConfigError> {
 
 /// Joins the port and the agent for ever: after every input, drain the outputs until none is left,
 /// then come back at the next deadline or with the next byte.
-fn run(mut board: Board, mut agent: Agent<'_>) -> ! {
+fn run(mut board: Board, agent: &mut Agent<'_>) -> ! {
     flash(&mut board.led, &mut board.clock);
     let mut bytes = [0; DEFAULT_FRAME];
     loop {

@@ -1,0 +1,262 @@
+//! Bytes of the stack that an agent takes, itself included: `cargo stack`, and on a Cortex-M0+
+//! `cargo stack-m0`. It is painted before each stage of a drive with a scripted server.
+//!
+//! Nothing is formatted here, so that the image holds no panic but those of the agent.
+#![no_std]
+#![no_main]
+
+mod ending;
+mod paint;
+mod server;
+
+use cortex_m_rt::entry;
+use cortex_m_semihosting::hio;
+use ending::end;
+use paint::{depth, paint};
+use server::Server;
+// For its table of interrupt vectors.
+#[cfg(feature = "firmware")]
+use stm32f4xx_hal as _;
+use ubimap_agent::{
+    Agent, Bounds, Config, Memory,
+    map::{OwnTile, RowSighting},
+    sense::{Beam, SensorModel},
+    share::FusedTile,
+};
+use ubimap_protocol::{
+    frame::DEFAULT_FRAME,
+    message::ToRobotKind,
+    tile::Layer,
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose, RobotId},
+};
+
+/// Those of the firmware; on the core that has no more, the smallest.
+const BOUNDS: Bounds = if cfg!(feature = "firmware") { Bounds::REFERENCE } else { Bounds::SMALL };
+
+/// Between two scans.
+const INTERVAL: Duration = Duration(66_667);
+
+/// Scans of the drive: in 12 m the pool of tiles is full, and tiles make room.
+const SCANS: u64 = 200;
+
+/// What the stack is measured of.
+#[derive(Clone, Copy)]
+enum Stage {
+    Made,
+    Sent,
+    Mapped,
+    Welcomed,
+    Told(ToRobotKind),
+}
+
+/// The names of the stages, by their index.
+const NAMES: [&str; 15] = [
+    "a new agent",
+    "a frame to send",
+    "odometry and a scan",
+    "a welcome",
+    "the server's time",
+    "a pose fix, and the scan that waits for it to tiles",
+    "fused tiles and coverage",
+    "their digests",
+    "what cameras see now",
+    "a request for its tiles",
+    "what is on disk",
+    "other robots",
+    "obstacles",
+    "a path",
+    "a parameter",
+];
+
+impl Stage {
+    fn index(self) -> usize {
+        match self {
+            Self::Made => 0,
+            Self::Sent => 1,
+            Self::Mapped => 2,
+            Self::Welcomed => 3,
+            Self::Told(kind) => match kind {
+                ToRobotKind::TimeReply => 4,
+                ToRobotKind::PoseFix => 5,
+                ToRobotKind::TileUpdate => 6,
+                ToRobotKind::Digests => 7,
+                ToRobotKind::Freshness => 8,
+                ToRobotKind::Request => 9,
+                ToRobotKind::Stored => 10,
+                ToRobotKind::Peers => 11,
+                ToRobotKind::Obstacles => 12,
+                ToRobotKind::Path => 13,
+                _ => 14,
+            },
+        }
+    }
+}
+
+/// The deepest of each stage.
+#[derive(Default)]
+struct Depths([usize; NAMES.len()]);
+
+impl Depths {
+    fn measure<T>(&mut self, stage: Stage, work: impl FnOnce() -> T) -> T {
+        paint();
+        let result = work();
+        self.note(stage);
+        result
+    }
+
+    /// A stage is over, before which the stack was painted.
+    fn note(&mut self, stage: Stage) {
+        if let Some(deepest) = self.0.get_mut(stage.index()) {
+            *deepest = depth().max(*deepest);
+        }
+    }
+
+    fn print(&self) -> Option<()> {
+        for (depth, name) in self.0.into_iter().zip(NAMES) {
+            line(depth, "bytes of stack: ", name)?;
+        }
+        line(self.0.into_iter().max()?, "bytes of stack at the most", "")
+    }
+}
+
+#[entry]
+fn main() -> ! {
+    static mut BEAMS: [Beam; BOUNDS.readings] = [Beam::NONE; _];
+    static mut WAITING: [u16; BOUNDS.readings * BOUNDS.waiting] = [0; _];
+    static mut SCRATCH: [RowSighting; BOUNDS.scratch()] = [RowSighting { free: 0, hit: 0 }; _];
+    static mut OWN: [OwnTile; BOUNDS.own_tiles] = [OwnTile::FREE; _];
+    static mut FUSED: [FusedTile; BOUNDS.fused_tiles] = [FusedTile::FREE; _];
+    // What is measured with, and not to be measured.
+    static mut SERVER: Option<Server> = None;
+    static mut DEPTHS: Depths = Depths([0; _]);
+
+    let memory =
+        Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: FUSED };
+    paint();
+    match &mut Agent::new(config(), memory) {
+        Ok(agent) => {
+            DEPTHS.note(Stage::Made);
+            end(drive(agent, Server::begin(SERVER), DEPTHS).and_then(|()| DEPTHS.print()))
+        }
+        Err(_) => end(None),
+    }
+}
+
+fn config() -> Config {
+    let centre = (BOUNDS.readings - 1) as f32 / 2.0;
+    let focal = BOUNDS.readings as f32 * 0.617;
+    Config {
+        resolution: BOUNDS.resolution,
+        max_range: BOUNDS.max_range,
+        ..Config::new(RobotId(1), SensorModel::Pinhole { focal, centre })
+    }
+}
+
+/// Drives along a hall, with fixes at 15 Hz. `None` if the agent did not do what it should.
+#[inline(never)]
+fn drive(agent: &mut Agent<'_>, server: &mut Server, depths: &mut Depths) -> Option<()> {
+    let mut readings = [0; BOUNDS.readings];
+    for count in 1..=SCANS {
+        let now = Instant(count * INTERVAL.0);
+        if count == SCANS / 2 {
+            server.forget();
+        }
+        if let Some(reset) = server.reset() {
+            depths.measure(Stage::Welcomed, || agent.receive(reset, now));
+        }
+        talk(agent, server, depths, now)?;
+        let pose = pose(count);
+        look(&mut readings, count);
+        depths.measure(Stage::Mapped, || {
+            agent.odometry(now, pose, now);
+            // Where there is no session, scans wait in vain and there is no room for more.
+            let _ = agent.scan(now, &readings, now);
+        });
+        for kind in told(count) {
+            let interest = agent.fused_tiles().interest();
+            let Some(frame) = server.say(kind, count, pose, interest, now) else { continue };
+            depths.measure(Stage::Told(kind), || agent.receive(frame, now));
+        }
+    }
+    let done = agent.statistics();
+    let held = agent.fused_tiles().tiles(Layer::Fused).count();
+    let well = done.mapped > 100 && done.sessions == 2 && held > 0 && done.malformed_messages == 0;
+    (well && agent.link_counters().retransmissions > 0).then_some(())
+}
+
+/// All that the agent has to send, and the answers to it.
+#[inline(never)]
+fn talk(
+    agent: &mut Agent<'_>,
+    server: &mut Server,
+    depths: &mut Depths,
+    now: Instant,
+) -> Option<()> {
+    let mut frame = [0; DEFAULT_FRAME];
+    while let Some(len) = depths.measure(Stage::Sent, || agent.poll_transmit(now, &mut frame)) {
+        server.hear(frame.get(..len)?, now);
+        if let Some(welcome) = server.welcome() {
+            depths.measure(Stage::Welcomed, || agent.receive(welcome, now));
+        }
+        if let Some(reply) = server.reply(now) {
+            let told = Stage::Told(ToRobotKind::TimeReply);
+            depths.measure(told, || agent.receive(reply, now));
+        }
+    }
+    Some(())
+}
+
+/// What the server says after a scan: a fix, and one of all others.
+fn told(count: u64) -> [ToRobotKind; 3] {
+    let other = match count % 9 {
+        0 => ToRobotKind::Digests,
+        1 => ToRobotKind::Freshness,
+        2 => ToRobotKind::Request,
+        3 => ToRobotKind::Stored,
+        4 => ToRobotKind::Obstacles,
+        5 => ToRobotKind::Path,
+        6 => ToRobotKind::Parameter,
+        7 => ToRobotKind::Stop,
+        _ => ToRobotKind::Peers,
+    };
+    [other, ToRobotKind::TileUpdate, ToRobotKind::PoseFix]
+}
+
+/// Along the hall, turning.
+fn pose(count: u64) -> Pose {
+    let along = 60 * count as i32;
+    let heading = Angle((count * 700) as u16);
+    Pose { x: Millimetres(along), y: Millimetres(along / 7), heading }
+}
+
+/// Walls, boxes and noise, some of it lost, now and then nothing new.
+fn look(readings: &mut [u16], count: u64) {
+    if count.is_multiple_of(8) {
+        return;
+    }
+    for (column, reading) in (0u16..).zip(readings) {
+        let noise = column.wrapping_mul(37).wrapping_add(count as u16 * 91) % 50;
+        let is_box = column.wrapping_add(count as u16 * 3) % 29 < 9;
+        let is_lost = column.wrapping_add(count as u16 * 7) % 41 == 7;
+        *reading = if is_lost { 0 } else { noise + if is_box { 700 } else { 1_500 } };
+    }
+}
+
+/// Prints a line of the table.
+fn line(number: usize, what: &str, of: &str) -> Option<()> {
+    let mut out = hio::hstdout().ok()?;
+    let mut digits = [b' '; 12];
+    let mut rest = number;
+    for digit in digits.iter_mut().rev() {
+        *digit = b'0' + (rest % 10) as u8;
+        rest /= 10;
+        if rest == 0 {
+            break;
+        }
+    }
+    for part in [&digits, &b"  "[..], what.as_bytes(), of.as_bytes(), b"\n"] {
+        out.write_all(part).ok()?;
+    }
+    Some(())
+}
