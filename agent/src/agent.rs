@@ -17,8 +17,8 @@ use crate::{
     inbox::{Inbox, Knock},
     locate::{Located, Locator},
     map::{
-        LocalMap, MAX_RADIUS, MIN_RESOLUTION, MappingConfig, PeerMasks, Pool, Selected, Selection,
-        Surround, View, scratch_words,
+        LocalMap, MAX_RADIUS, MIN_RESOLUTION, PeerMasks, Pool, Selected, Selection, Surround, View,
+        scratch_words,
     },
     parameters::{Answer, carry_out, push_report},
     sense::{Beam, Columns, ScanError, Steadiness, WaitingScans, fill_beams, remove_beams},
@@ -106,15 +106,9 @@ impl<'b> Agent<'b> {
             return Err(ConfigError::Memory);
         }
         point_beams(memory.beams, &config);
-        let mapping = MappingConfig {
-            resolution: config.resolution,
-            max_range: config.max_range,
-            mounting: config.mounting,
-            validity: config.validity,
-            policy: config.policy,
-        };
-        let selection = Selection::new(config.gate, config.policy, memory.beams);
-        let map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
+        let selection = Selection::new(config.policy, memory.beams);
+        let map =
+            LocalMap::new((&config).into(), memory.beams, memory.scratch, Pool::new(memory.own));
         let width = memory.beams.len();
         Ok(Self {
             config,
@@ -163,6 +157,7 @@ impl<'b> Agent<'b> {
         if !speaks
             && self.waiting.check(taken, readings).is_ok()
             && self.selection.stands(
+                self.config.gate,
                 self.latest_pose.map(|(_, pose)| pose),
                 self.locator.newest_odometry(),
                 readings,
@@ -527,7 +522,6 @@ impl<'b> Agent<'b> {
         let Config { mounting, first_epoch, .. } = self.config;
         self.answer = Some(carry_out(command, &mut self.config));
         self.publisher.set_hold(self.config.hold);
-        self.selection.set_gate(self.config.gate);
         if self.config.mounting != mounting {
             point_beams(self.beams, &self.config);
             self.map.remount(self.config.mounting, self.beams);
@@ -587,8 +581,11 @@ impl<'b> Agent<'b> {
                 continue;
             }
             // What an unsure robot sees is not mapped, but may tell the server where it is.
-            let selected =
-                if unsure { Selected::Nothing } else { self.selection.select(pose, readings) };
+            let selected = if unsure {
+                Selected::Nothing
+            } else {
+                self.selection.select(self.config.gate, pose, readings)
+            };
             let moves = unsure || matches!(selected, Selected::Moved(_));
             let blind = self.locator.is_blind(taken);
             let vector_time = server_moment.filter(|_| {
@@ -604,16 +601,8 @@ impl<'b> Agent<'b> {
             }
             if let Some(time) = vector_time {
                 let most = self.link.room().saturating_sub(DistanceVector::OVERHEAD);
-                let mounting = self.config.mounting;
-                let columns = Columns::of_scan(self.beams, readings, mounting, most);
-                let vector = columns.map(|Columns { first, step, distances }| DistanceVector {
-                    time,
-                    pose,
-                    first,
-                    step,
-                    distances,
-                });
-                self.vectors.take(taken, vector);
+                let columns = || Columns::of_scan(self.beams, readings, self.config.mounting, most);
+                tell(&mut self.vectors, taken, time, pose, columns);
             }
             let part = match selected {
                 Selected::Nothing => {
@@ -647,6 +636,25 @@ impl<'b> Agent<'b> {
             self.publisher.changed(now, seconds);
         }
     }
+}
+
+/// Takes the distance vector of a scan, to be sent. Apart from mapping, which needs the stack.
+#[inline(never)]
+fn tell(
+    vectors: &mut DistanceVectors,
+    taken: Instant,
+    time: Instant,
+    pose: Pose,
+    columns: impl FnOnce() -> Option<Columns>,
+) {
+    let vector = columns().map(|Columns { first, step, distances }| DistanceVector {
+        time,
+        pose,
+        first,
+        step,
+        distances,
+    });
+    vectors.take(taken, vector);
 }
 
 /// Fills the table of the sensor's beams, without those that are never mapped.

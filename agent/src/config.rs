@@ -1,5 +1,7 @@
 //! What an agent is made from: its configuration and the caller's memory.
 
+use core::num::NonZero;
+
 use ubimap_protocol::{
     tile::Epoch,
     time::Duration,
@@ -8,7 +10,7 @@ use ubimap_protocol::{
 
 use crate::{
     locate::{OdometryNoise, PoseSource, UncertaintyLimit},
-    map::{Gate, OwnTile, PeerMask, Policy, RowSighting},
+    map::{Gate, MappingConfig, OwnTile, PeerMask, Policy, RowSighting},
     sense::{Beam, Removal, SensorModel, SteadyLimits, Validity},
     share::FusedTile,
 };
@@ -24,6 +26,10 @@ pub struct Config {
     pub resolution: Millimetres,
     /// Beyond it nothing is mapped: millimetres, radial.
     pub max_range: u16,
+    /// Hits this near along x and along y of the map count twice, in millimetres: for a grey camera
+    /// what [`ScaleCurve::near`](crate::sense::ScaleCurve::near) says. `None` is the square within a
+    /// quarter of the range, where beams are closer than cells.
+    pub near: Option<NonZero<u16>>,
     /// What the sensor's readings mean.
     pub sensor: SensorModel,
     /// The sensor in `base_link`.
@@ -66,6 +72,7 @@ impl Config {
             boot_nonce: 0,
             resolution: Millimetres(50),
             max_range: 4_000,
+            near: None,
             sensor,
             mounting: Pose::default(),
             validity: Validity::of(sensor),
@@ -82,6 +89,14 @@ impl Config {
             vector_interval: Duration::from_secs(5),
             first_epoch: Epoch(0),
         }
+    }
+}
+
+impl From<&Config> for MappingConfig {
+    fn from(config: &Config) -> Self {
+        let &Config { resolution, max_range, near, mounting, validity, policy, .. } = config;
+        let near = near.map_or((u32::from(max_range) * 45 / 256) as u16, NonZero::get);
+        Self { resolution, max_range, near, mounting, validity, policy }
     }
 }
 

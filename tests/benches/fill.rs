@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::{
     Config,
-    map::{LocalMap, MappingConfig, Pool, Surround},
+    map::{LocalMap, Pool, Surround},
     sense::fill_beams,
 };
 use ubimap_protocol::{
@@ -33,9 +33,8 @@ fn fill(criterion: &mut Criterion) {
     let mut memory = AgentMemory::new(&config, FAN.beams, OWN_TILES, 1);
     let memory = memory.lend();
     fill_beams(memory.beams, config.sensor, config.mounting);
-    let Config { resolution, max_range, mounting, validity, policy, .. } = config;
-    let mapping = MappingConfig { resolution, max_range, mounting, validity, policy };
-    let mut map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
+    let mut map =
+        LocalMap::new((&config).into(), memory.beams, memory.scratch, Pool::new(memory.own));
 
     let mut group = criterion.benchmark_group("a scan of 640 beams");
     group.bench_function("the polygon, into evidence planes", |bench| {

@@ -1,8 +1,10 @@
 //! A robot whose only sensor is a grey camera: from images of a floor to tiles (Ahmed 2.1, 2.3).
 
+use std::num::NonZero;
+
 use nalgebra::Point2;
 use ubimap_agent::{
-    Config,
+    Agent, Config,
     locate::PoseSource,
     sense::{
         COLUMNS, FloorConfig, GroundClearance, ScaleCurve, SensorModel, boundary_point,
@@ -10,7 +12,7 @@ use ubimap_agent::{
     },
 };
 use ubimap_protocol::{
-    tile::{Cell, TILE_SIDE},
+    tile::{Cell, TILE_SIDE, TileId},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -181,6 +183,43 @@ fn boundaries_lie_on_the_walls_whichever_way_the_robot_looks() {
     assert!(off_as_ranges * 2 > found, "{off_as_ranges} of {found}");
 }
 
+/// What is seen before the robot and then, from a little further on, seen through as often: whether
+/// it is in the map still.
+fn stays(depth: f64, near: Option<NonZero<u16>>) -> bool {
+    let model = SensorModel::Pinhole { focal: VIEW.focal as f32, centre: 159.5 };
+    let pose_source = PoseSource::Odometry(Pose::default());
+    let config = Config { pose_source, near, ..Config::new(RobotId(1), model) };
+    let mut memory = AgentMemory::new(&config, COLUMNS, 8, 4);
+    let mut agent = Agent::new(config, memory.lend()).unwrap();
+    let curve = calibrated();
+    for (count, depth) in (1..).zip([depth, 1_000.0, 1_000.0]) {
+        let now = Instant(0) + Duration::from_secs(count);
+        let pose = Pose::from_metres(0.0, 0.04 * count as f64, 0.0);
+        agent.odometry(now, pose, now);
+        let image = VIEW.render(OBJECT, |_| depth, CLEAN);
+        agent.scan(now, &floor_readings(&distances(&image), &curve), now).unwrap();
+    }
+    assert_eq!(agent.statistics().mapped, 3);
+    let (x, y) = ((depth / 50.0) as i32, 1);
+    let id = TileId { x: (x / 32) as i16, y: 0 };
+    let tile = agent.own_tiles().tiles().find(|tile| tile.id() == Some(id)).unwrap();
+    tile.cells().cell(x as usize % 32, y as usize) == Cell::Occupied
+}
+
+#[test]
+fn what_a_pixel_moves_far_is_given_up_sooner_than_what_it_does_not() {
+    // Here a pixel is as much as the square of the distance: half the weight is at 1.4 times the
+    // nearest distance, which is 24,000 / (144 - 62) mm: at 414 mm. The slope of a fit is less
+    // certain at its end.
+    let near = calibrated().near();
+    assert!((near - 414.0).abs() < 50.0, "{near}");
+    let near = NonZero::new(near as u16);
+    assert!(stays(320.0, near), "near");
+    assert!(!stays(620.0, near), "far");
+    // The range alone does not tell: at 4 m a quarter of it is more than this camera sees.
+    assert!(stays(320.0, None) && stays(620.0, None));
+}
+
 /// The robot's odometry and scans, one after the other.
 struct Script {
     events: Vec<(Instant, Event)>,
@@ -213,7 +252,8 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
 
     let model = SensorModel::Pinhole { focal: VIEW.focal as f32, centre: 159.5 };
     let pose_source = PoseSource::Odometry(Pose::default());
-    let config = Config { pose_source, max_range: 2_000, ..Config::new(RobotId(1), model) };
+    let near = NonZero::new(curve.near() as u16);
+    let config = Config { pose_source, max_range: 2_000, near, ..Config::new(RobotId(1), model) };
     let mut memory = [AgentMemory::new(&config, COLUMNS, OWN_TILES, FUSED_TILES)];
     let mut fleet =
         Fleet::new(&[config], &mut memory, Faults::default(), Millimetres(50), 1, None).unwrap();

@@ -45,13 +45,8 @@ fn filled(pose: Pose, readings: &[u16], policy: Policy) -> (Cells, Cells) {
     let mut memory = AgentMemory::new(&config, FAN.beams, 40, 1);
     let memory = memory.lend();
     fill_beams(memory.beams, config.sensor, config.mounting);
-    let mapping = MappingConfig {
-        resolution: config.resolution,
-        max_range: config.max_range,
-        mounting: config.mounting,
-        validity: Validity::default(),
-        policy,
-    };
+    let validity = Validity::default();
+    let mapping = MappingConfig { validity, policy, ..(&config).into() };
     let mut map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
     let mapped = map.add(memory.beams, readings, pose, |_| Surround::default()).unwrap();
     assert_eq!(mapped.cells_refused, 0);

@@ -33,6 +33,8 @@ pub struct MappingConfig {
     pub resolution: Millimetres,
     /// Beyond it nothing is mapped: millimetres, radial.
     pub max_range: u16,
+    /// Hits this near along x and along y of the map count twice, in millimetres.
+    pub near: u16,
     /// The sensor in `base_link`.
     pub mounting: Pose,
     /// Which readings count.
@@ -41,16 +43,15 @@ pub struct MappingConfig {
     pub policy: Policy,
 }
 
-/// The cells in which a hit is near: the square within a quarter of the range of the sensor, where
-/// the beams are closer than cells.
+/// The cells in which a hit is near: a square about the sensor.
 struct Near {
     low: (i32, i32),
     high: (i32, i32),
 }
 
 impl Near {
-    fn new(projection: &Projection, max_range: u16, resolution: Millimetres) -> Self {
-        let radius = i32::from(max_range) * 45 / 256 / resolution.0.max(1);
+    fn new(projection: &Projection, near: u16, resolution: Millimetres) -> Self {
+        let radius = i32::from(near) / resolution.0.max(1);
         let (x, y) = projection.cell();
         Self {
             low: (x.wrapping_sub(radius), y.wrapping_sub(radius)),
@@ -148,10 +149,10 @@ impl<'b> LocalMap<'b> {
         pose: Pose,
         around: impl Fn(TileId) -> Surround<'m>,
     ) -> Option<Mapped> {
-        let MappingConfig { resolution, max_range, mounting, policy, .. } = self.config;
+        let MappingConfig { resolution, max_range, near, mounting, policy, .. } = self.config;
         self.scans = self.scans.wrapping_add(1);
         let projection = Projection::new(pose, mounting, resolution);
-        let near = Near::new(&projection, max_range, resolution);
+        let near_cells = Near::new(&projection, near, resolution);
         let mut mapped = Mapped::default();
         // Whether there were hits that were not known.
         let mut news = false;
@@ -183,7 +184,8 @@ impl<'b> LocalMap<'b> {
                 start > 0,
                 &mut mapped.pixels,
             );
-            let any_near = nearest <= u32::from(max_range) / 4;
+            // In a corner of the square, at the farthest.
+            let any_near = nearest <= u32::from(near) * 91 / 64;
             let Self { pool, scans, .. } = self;
             window.for_each_piece(|piece| {
                 let Surround { merged, covered, mut masked } = around(piece.id);
@@ -214,7 +216,7 @@ impl<'b> LocalMap<'b> {
                 tile.dirty = true;
                 let first = piece.first_row;
                 if any_near {
-                    let near = near.within(piece.id);
+                    let near = near_cells.within(piece.id);
                     let end = near.rows.end.min(first + piece.len());
                     let rows = near.rows.start.max(first)..end;
                     let hits = piece.hits(rows.start.wrapping_sub(first)..end.wrapping_sub(first));
@@ -251,6 +253,7 @@ mod tests {
     const CONFIG: MappingConfig = MappingConfig {
         resolution: Millimetres(50),
         max_range: 4_000,
+        near: 703,
         mounting: Pose { x: Millimetres(0), y: Millimetres(0), heading: Angle(0) },
         validity: Validity { nearest: 1, farthest: u16::MAX, removed: (0, 0), flying: 0 },
         policy: Policy::Full,

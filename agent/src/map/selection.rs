@@ -26,7 +26,6 @@ pub enum Selected {
 /// Chooses from scan to scan.
 #[derive(Debug)]
 pub struct Selection {
-    gate: Gate,
     policy: Policy,
     sweep: Sweep,
     mapped_at: Option<Pose>,
@@ -39,9 +38,8 @@ pub struct Selection {
 
 impl Selection {
     /// For a sensor; nothing has been mapped.
-    pub fn new(gate: Gate, policy: Policy, beams: &[Beam]) -> Self {
+    pub fn new(policy: Policy, beams: &[Beam]) -> Self {
         Self {
-            gate,
             policy,
             sweep: Sweep::of(beams),
             mapped_at: None,
@@ -51,11 +49,6 @@ impl Selection {
         }
     }
 
-    /// The robot must have moved so far from now on.
-    pub fn set_gate(&mut self, gate: Gate) {
-        self.gate = gate;
-    }
-
     /// Nothing of what has been mapped is left.
     pub fn begin_anew(&mut self) {
         self.mapped_at = None;
@@ -63,9 +56,15 @@ impl Selection {
 
     /// Whether a scan says nothing, without its pose: the robot stands where it mapped last, by its
     /// odometry and by the newest pose that is known, and it sees what it saw.
-    pub fn stands(&self, pose: Option<Pose>, odometry: Option<Pose>, readings: &[u16]) -> bool {
+    pub fn stands(
+        &self,
+        gate: Gate,
+        pose: Option<Pose>,
+        odometry: Option<Pose>,
+        readings: &[u16],
+    ) -> bool {
         let stays = |then: Option<Pose>, now: Option<Pose>| {
-            then.is_some() && now.is_some_and(|now| !self.gate.opens(then, now))
+            then.is_some() && now.is_some_and(|now| !gate.opens(then, now))
         };
         self.policy == Policy::Full
             && stays(self.odometry_then, odometry)
@@ -74,8 +73,8 @@ impl Selection {
     }
 
     /// Which readings of a scan that was taken at `pose` (`base_link` in `map`) say something new.
-    pub fn select(&self, pose: Pose, readings: &[u16]) -> Selected {
-        if self.policy == Policy::Pilot || self.gate.opens(self.mapped_at, pose) {
+    pub fn select(&self, gate: Gate, pose: Pose, readings: &[u16]) -> Selected {
+        if self.policy == Policy::Pilot || gate.opens(self.mapped_at, pose) {
             let all = 0..readings.len();
             return Selected::Moved(match (self.policy, self.mapped_at) {
                 (Policy::Omission, Some(before)) => {

@@ -172,6 +172,14 @@ impl ScaleCurve {
         Some((self.reach(self.first)? / self.reach(pixels)?).min(1.0))
     }
 
+    /// How far boundaries are worth at least half, in the unit of the table: beyond, a pixel more or
+    /// less changes the distance more than twice as much as at the near end of the curve.
+    pub fn near(&self) -> f32 {
+        let is_near = |&pixels: &u8| self.weight(pixels).is_some_and(|weight| weight >= 0.5);
+        let near = (self.first..=self.last).take_while(is_near);
+        near.last().and_then(|pixels| self.distance(pixels)).unwrap_or(0.0)
+    }
+
     fn x(&self, pixels: u8) -> Option<f32> {
         let measured = (self.first..=self.last).contains(&pixels);
         measured.then(|| (f32::from(pixels) - self.centre) / self.spread)
@@ -254,6 +262,9 @@ mod tests {
             }
             let far: Vec<_> = (95..=121).map(|pixels| curve.weight(pixels).unwrap()).collect();
             assert!(far.is_sorted_by(|near, far| near > far), "{far:?}");
+            let near = (62..=121).find(|&pixels| curve.distance(pixels) == Some(curve.near()));
+            let weights = near.map(|near| [near, near + 1].map(|it| curve.weight(it).unwrap()));
+            assert!(weights.is_some_and(|[near, far]| near >= 0.5 && far < 0.5), "{weights:?}");
         }
     }
 

@@ -45,14 +45,17 @@ impl FusedTile {
 
     /// The tile of one layer.
     fn replica(&self, layer: Layer, epoch: Epoch) -> Replica {
-        let (tile, version, next) = match layer {
+        match layer {
             Layer::Coverage => {
                 let tile = Tile { low: self.covered, ..Tile::UNKNOWN };
-                (tile, self.coverage_version, self.coverage_next)
+                let stamp = Stamp { epoch, version: self.coverage_version };
+                Replica::restored(tile, stamp, self.coverage_next)
             }
-            _ => (self.cells, self.fused_version, self.fused_next),
-        };
-        Replica::restored(tile, Stamp { epoch, version }, next)
+            _ => {
+                let stamp = Stamp { epoch, version: self.fused_version };
+                Replica::restored(self.cells, stamp, self.fused_next)
+            }
+        }
     }
 
     /// Nothing is held of one layer any more: its cells mean nothing.

@@ -32,7 +32,9 @@ pub(crate) fn local_map<'m>(
 ) -> LocalMap<'m> {
     let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
     let (validity, policy) = (Validity::of(sensor), Policy::default());
-    let config = MappingConfig { resolution, max_range, mounting, validity, policy };
+    // In a square within a quarter of the range.
+    let near = 703;
+    let config = MappingConfig { resolution, max_range, near, mounting, validity, policy };
     LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 
