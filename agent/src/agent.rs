@@ -4,8 +4,8 @@ use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MIN_VERSION, SessionId, VERSION},
     link::{ClockSync, Counters, Endpoint, Fill, Knocking, Received},
     message::{
-        DistanceVector, EventCode, Hello, ParameterCommand, Refusal, RefusalReason, State,
-        ToServerKind, Welcome,
+        DistanceVector, EventCode, Hello, ParameterAction, ParameterCommand, Refusal,
+        RefusalReason, State, ToServerKind, Welcome,
     },
     tile::Epoch,
     time::{Duration, Instant},
@@ -519,12 +519,13 @@ impl<'b> Agent<'b> {
 
     /// Carries out a command about parameters.
     fn configure(&mut self, command: &ParameterCommand) {
-        let Config { mounting, first_epoch, .. } = self.config;
+        let Config { first_epoch, .. } = self.config;
         self.answer = Some(carry_out(command, &mut self.config));
         self.publisher.set_hold(self.config.hold);
-        if self.config.mounting != mounting {
+        if let ParameterAction::Set(_) = command.action {
+            // Whatever it was: commands are rare, and the table is soon filled.
             point_beams(self.beams, &self.config);
-            self.map.remount(self.config.mounting, self.beams);
+            self.map.configure((&self.config).into(), self.beams);
         }
         if self.config.first_epoch != first_epoch {
             self.map.pool.begin_anew(self.config.first_epoch);
@@ -598,6 +599,13 @@ impl<'b> Agent<'b> {
             // taken out for certain.
             if vector_time.is_some() || self.config.validity.removes() {
                 self.config.validity.clean(readings);
+            }
+            if self.config.removed.iter().any(Option::is_some) {
+                // Amid a surface no beam would be asked.
+                let beams = readings.iter_mut().zip(&*self.beams);
+                beams
+                    .filter(|(_, beam)| **beam == Beam::NONE)
+                    .for_each(|(reading, _)| *reading = 0);
             }
             if let Some(time) = vector_time {
                 let most = self.link.room().saturating_sub(DistanceVector::OVERHEAD);

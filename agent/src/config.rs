@@ -11,7 +11,7 @@ use ubimap_protocol::{
 use crate::{
     locate::{OdometryNoise, PoseSource, UncertaintyLimit},
     map::{Gate, MappingConfig, OwnTile, PeerMask, Policy, RowSighting},
-    sense::{Beam, Removal, SensorModel, SteadyLimits, Validity},
+    sense::{Beam, Exposure, Removal, SensorModel, SteadyLimits, Validity},
     share::FusedTile,
 };
 
@@ -36,7 +36,11 @@ pub struct Config {
     pub mounting: Pose,
     /// Which readings count.
     pub validity: Validity,
-    /// Readings that are never mapped.
+    /// The light of pixels whose depths count, for who has an intensity image beside its depths:
+    /// by it the caller masks a row before the agent gets it ([`Exposure::mask`]).
+    pub exposure: Exposure,
+    /// Readings that are never mapped. The last two are the server's to set
+    /// ([`Parameter`](crate::Parameter)): pixels, and bearings.
     pub removed: [Option<Removal>; 4],
     /// How fast the robot may turn and gain speed for a scan to be mapped.
     pub steady: SteadyLimits,
@@ -76,6 +80,7 @@ impl Config {
             sensor,
             mounting: Pose::default(),
             validity: Validity::of(sensor),
+            exposure: Exposure::ANY,
             removed: [None; 4],
             steady: SteadyLimits::default(),
             pose_source: PoseSource::Fixes,

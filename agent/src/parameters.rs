@@ -11,7 +11,10 @@ use ubimap_protocol::{
     units::{Angle, Millimetres},
 };
 
-use crate::config::Config;
+use crate::{
+    config::Config,
+    sense::{Exposure, Removal},
+};
 
 /// The parameters by number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +37,31 @@ pub enum Parameter {
     /// The epoch from which tiles are begun, 0 to 1,073,741,824. Setting it to another value gives
     /// up all tiles of the robot's own: the server has corrected its pose or mounting.
     FirstEpoch = 8,
+    /// Readings that are never mapped, by their places in a scan: from the first to the last, as
+    /// two halves of the value. -1 is none, here and of the bearings.
+    RemovedPixels = 9,
+    /// Readings that are never mapped, by where they point in `base_link`: counter-clockwise from
+    /// one bearing to another, in binary angle units.
+    RemovedBearings = 10,
+    /// Readings that are never mapped, by what they say: from one to another, in millimetres; 0 is
+    /// none.
+    RemovedDistances = 11,
+    /// The darkest and the brightest pixel whose depth counts.
+    Exposure = 12,
 }
+
+/// Two numbers as one value: its upper half and its lower one.
+fn value_of(upper: u16, lower: u16) -> i32 {
+    (u32::from(upper) << 16 | u32::from(lower)) as i32
+}
+
+/// The upper half of a value, and the lower one.
+fn halves(value: i32) -> (u16, u16) {
+    ((value >> 16) as u16, value as u16)
+}
+
+/// The value by which nothing is removed.
+const NONE: i32 = -1;
 
 impl Parameter {
     const ALL: &[Self] = &[
@@ -46,6 +73,10 @@ impl Parameter {
         Self::Hold,
         Self::ScanDeadline,
         Self::FirstEpoch,
+        Self::RemovedPixels,
+        Self::RemovedBearings,
+        Self::RemovedDistances,
+        Self::Exposure,
     ];
 
     /// The one of this number, or none.
@@ -62,11 +93,16 @@ impl Parameter {
             Self::GateTurn => (0, 32_767),
             Self::Hold | Self::ScanDeadline => (0, 60_000),
             Self::FirstEpoch => (0, 1 << 30),
+            Self::RemovedPixels
+            | Self::RemovedBearings
+            | Self::RemovedDistances
+            | Self::Exposure => (i32::MIN, i32::MAX),
         }
     }
 
     fn value(self, config: &Config) -> ParameterValue {
         let millis = |span: Duration| (span.micros().min(60_000_000) as u32 / 1_000) as i32;
+        let [.., pixels, bearings] = config.removed;
         let value = match self {
             Self::MountingX => config.mounting.x.0,
             Self::MountingY => config.mounting.y.0,
@@ -76,12 +112,28 @@ impl Parameter {
             Self::Hold => millis(config.hold),
             Self::ScanDeadline => millis(config.scan_deadline),
             Self::FirstEpoch => config.first_epoch.0 as i32,
+            Self::RemovedPixels => match pixels {
+                Some(Removal::Pixels { first, last }) => value_of(first, last),
+                _ => NONE,
+            },
+            Self::RemovedBearings => match bearings {
+                Some(Removal::Bearings { from, to }) => value_of(from.0, to.0),
+                _ => NONE,
+            },
+            Self::RemovedDistances => {
+                let (from, to) = config.validity.removed;
+                value_of(from, to)
+            }
+            Self::Exposure => value_of(config.exposure.darkest, config.exposure.brightest),
         };
         ParameterValue { parameter: self as u16, value }
     }
 
     fn set(self, config: &mut Config, value: i32) {
         let span = Duration::from_millis(value.max(0) as u64);
+        let (upper, lower) = halves(value);
+        let removed = |removal| (value != NONE).then_some(removal);
+        let [.., pixels, bearings] = &mut config.removed;
         match self {
             Self::MountingX => config.mounting.x = Millimetres(value),
             Self::MountingY => config.mounting.y = Millimetres(value),
@@ -91,6 +143,14 @@ impl Parameter {
             Self::Hold => config.hold = span,
             Self::ScanDeadline => config.scan_deadline = span,
             Self::FirstEpoch => config.first_epoch = Epoch(value as u32),
+            Self::RemovedPixels => {
+                *pixels = removed(Removal::Pixels { first: upper, last: lower });
+            }
+            Self::RemovedBearings => {
+                *bearings = removed(Removal::Bearings { from: Angle(upper), to: Angle(lower) });
+            }
+            Self::RemovedDistances => config.validity.removed = (upper, lower),
+            Self::Exposure => config.exposure = Exposure { darkest: upper, brightest: lower },
         }
     }
 }
@@ -176,14 +236,35 @@ mod tests {
     fn every_parameter_reads_back_what_was_set() {
         let mut config = config();
         for &parameter in Parameter::ALL {
-            let (_, most) = parameter.range();
-            let answer = carry_out(&set(parameter as u16, most), &mut config);
-            let value = ParameterValue { parameter: parameter as u16, value: most };
-            assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Done, &[parameter][..]));
-            assert_eq!(parameter.value(&config), value);
+            let (least, most) = parameter.range();
+            for value in [most, least.max(0), most / 3] {
+                let answer = carry_out(&set(parameter as u16, value), &mut config);
+                let told = (answer.outcome, answer.untold);
+                assert_eq!(told, (ParameterOutcome::Done, &[parameter][..]));
+                assert_eq!(
+                    parameter.value(&config),
+                    ParameterValue { parameter: parameter as u16, value }
+                );
+            }
         }
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
         assert_eq!(carry_out(&list, &mut config).untold, Parameter::ALL);
+    }
+
+    #[test]
+    fn what_was_removed_comes_back_and_what_the_robot_removes_itself_stays() {
+        let mut config = config();
+        let own = Some(Removal::Pixels { first: 3, last: 4 });
+        config.removed[0] = own;
+        for (parameter, value) in [(9, 0x0007_0009), (10, -0x0007_0009), (9, -1), (10, -1)] {
+            carry_out(&set(parameter, value), &mut config);
+        }
+        assert_eq!(config.removed, [own, None, None, None]);
+        carry_out(&set(9, 0x0007_0009), &mut config);
+        carry_out(&set(10, 0xFFF0_0010u32 as i32), &mut config);
+        let pixels = Removal::Pixels { first: 7, last: 9 };
+        let bearings = Removal::Bearings { from: Angle(0xFFF0), to: Angle(0x10) };
+        assert_eq!(config.removed, [own, None, Some(pixels), Some(bearings)]);
     }
 
     #[test]
@@ -205,7 +286,7 @@ mod tests {
             numbers.extend(part.values.iter().map(|value| value.parameter));
         }
         assert_eq!(answer, None);
-        assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12]);
     }
 
     #[test]
@@ -213,7 +294,8 @@ mod tests {
         let mut changed = config();
         for &parameter in Parameter::ALL {
             let (least, most) = parameter.range();
-            for value in [least - 1, most + 1, i32::MIN, i32::MAX] {
+            let beyond = [least.wrapping_sub(1), most.wrapping_add(1), i32::MIN, i32::MAX];
+            for value in beyond.into_iter().filter(|value| !(least..=most).contains(value)) {
                 let report = carry_out(&set(parameter as u16, value), &mut changed);
                 assert_eq!(report.outcome, ParameterOutcome::OutOfRange);
             }

@@ -1,6 +1,10 @@
 //! What the server wants of a robot arrives over a bad link, and is answered.
 
-use ubimap_agent::{Config, Parameter, sense::SensorModel};
+use ubimap_agent::{
+    Config, Parameter,
+    locate::PoseSource,
+    sense::{Exposure, SensorModel},
+};
 use ubimap_protocol::{
     link::Terms,
     message::{
@@ -8,7 +12,7 @@ use ubimap_protocol::{
         Waypoint,
     },
     time::{Duration, Instant},
-    units::{Millimetres, RobotId},
+    units::{Angle, Millimetres, Pose, RobotId},
 };
 use ubimap_sim_host::{
     channel::fault::Faults,
@@ -86,6 +90,51 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
         star.run_until(seconds(100));
         assert!(!star.robots[0].agent().unwrap().commands().must_stop(), "seed {seed}");
     }
+}
+
+#[test]
+fn what_is_never_to_be_mapped_can_be_told_from_afar() {
+    let sensor = SensorModel::Radial { first: -0.5, step: 0.01 };
+    let pose_source = PoseSource::Odometry(Pose::default());
+    let mut config = Config { pose_source, ..Config::new(RobotId(7), sensor) };
+    // Every scan is mapped anew.
+    config.gate.distance = Millimetres(0);
+    let mut memory = AgentMemory::new(&config, 100, 12, 4);
+    let terms = Terms { resolution: config.resolution, frame: 250, server_epoch: 1, stores: false };
+    let mut star = Star::new(terms, 1, 5);
+    star.robots.push(Robot::new(config.robot, 0));
+    star.boot(0, config, &mut memory);
+    star.run_until(seconds(5));
+    let mut readings = [1_500; 100];
+    readings[50..].fill(1_800);
+    let mut invalid = |command: Option<(Parameter, i32)>| {
+        if let Some((parameter, value)) = command {
+            let value = ParameterValue { parameter: parameter as u16, value };
+            let set = ParameterCommand { number: 1, action: ParameterAction::Set(value) };
+            star.command(0, Command::Parameter(set)).unwrap();
+        }
+        star.run_until(star.now() + Duration::from_secs(2));
+        let pixels = |star: &Star<'_>| star.robots[0].agent().unwrap().statistics().pixels;
+        let before = pixels(&star);
+        let x = Millimetres(star.now().micros() as i32 / 100_000);
+        star.scan(0, Some(Pose { x, ..Pose::default() }), &readings);
+        let after = pixels(&star);
+        assert_eq!(after.seen - before.seen, 100);
+        after.invalid - before.invalid
+    };
+    assert_eq!(invalid(None), 0);
+    assert_eq!(invalid(Some((Parameter::RemovedPixels, 10 << 16 | 14))), 5);
+    // From 28.6 degrees to the right to straight ahead: beams 0 to 50.
+    let bearings = (Angle::from_radians(-0.505).0 as i32) << 16 | 5;
+    assert_eq!(invalid(Some((Parameter::RemovedBearings, bearings))), 51);
+    assert_eq!(invalid(Some((Parameter::RemovedPixels, -1))), 51);
+    assert_eq!(invalid(Some((Parameter::RemovedDistances, 1_700 << 16 | 1_900))), 100);
+    assert_eq!(invalid(Some((Parameter::RemovedBearings, -1))), 50);
+    assert_eq!(invalid(Some((Parameter::RemovedDistances, 0))), 0);
+    // For who masks rows by their light.
+    assert_eq!(invalid(Some((Parameter::Exposure, 10 << 16 | 240))), 0);
+    let exposure = star.robots[0].agent().unwrap().config().exposure;
+    assert_eq!(exposure, Exposure { darkest: 10, brightest: 240 });
 }
 
 #[test]

@@ -107,6 +107,10 @@ fn weigh(tile: &mut OwnTile, piece: Piece<'_>, merged: Option<&Tile>) -> bool {
     }
 }
 
+fn grain(config: &MappingConfig, beams: &[Beam]) -> Grain {
+    Grain::new(beams, config.resolution, config.max_range, config.validity, config.policy)
+}
+
 /// The map of one robot.
 #[derive(Debug)]
 pub struct LocalMap<'b> {
@@ -128,16 +132,14 @@ impl<'b> LocalMap<'b> {
         pool: Pool<'b>,
     ) -> Self {
         scratch.fill(RowSighting::default());
-        let grain =
-            Grain::new(beams, config.resolution, config.max_range, config.validity, config.policy);
+        let grain = grain(&config, beams);
         Self { config, grain, scratch, pool, scans: 0 }
     }
 
-    /// The sensor is mounted otherwise from now on, and this is its new table.
-    pub(crate) fn remount(&mut self, mounting: Pose, beams: &[Beam]) {
-        self.config.mounting = mounting;
-        let MappingConfig { resolution, max_range, validity, policy, .. } = self.config;
-        self.grain = Grain::new(beams, resolution, max_range, validity, policy);
+    /// From now on the sensor is mounted otherwise, or other readings count; this is its new table.
+    pub(crate) fn configure(&mut self, config: MappingConfig, beams: &[Beam]) {
+        self.config = config;
+        self.grain = grain(&config, beams);
     }
 
     /// Adds a scan that was taken at `pose` (`base_link` in `map`). `around` gives what the server

@@ -13,6 +13,9 @@ pub struct Exposure {
 }
 
 impl Exposure {
+    /// All pixels count.
+    pub const ANY: Self = Self { darkest: 0, brightest: u16::MAX };
+
     /// Sets to 0 the readings of a line whose light, in the line of the intensity image (`u8` or
     /// `u16`) beside it, is out of the limits.
     ///
