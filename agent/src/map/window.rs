@@ -141,29 +141,32 @@ impl<'s> Window<'s> {
         let up = !low.1 & ((1 << FRACTION) - 1);
         let (run, rise) = (high.0 - low.0, (high.1 - low.1) as u32);
         let part = (run >> 6).wrapping_mul(up >> 6) / ((rise >> 6) as i32 + 1);
-        let mut x = low.0.wrapping_add(part << 6);
+        let x = low.0.wrapping_add(part << 6);
         if last - first == 1 {
             return self.flip(first as usize, (x >> FRACTION) as u32);
         }
         let step = (((run >> 8) << 12) / (rise >> 8).max(1) as i32) << 4;
-        let mut row = first;
+        // Counted from the east, a column is how far its bit is turned from the last one.
+        let mut from_east = !x;
         if last - first < FEW_ROWS {
-            while row < last {
-                self.flip(row as usize, (x >> FRACTION) as u32);
-                x = x.wrapping_add(step);
-                row += 1;
+            for row in first..last {
+                self.flip(row as usize, (!from_east >> FRACTION) as u32);
+                from_east = from_east.wrapping_sub(step);
             }
+            return;
         }
+        let mut row = first;
         while row < last {
             // As many rows as it crosses within one column of tiles.
-            let room = (if step < 0 { x } else { !x }) & ((1 << COLUMN) - 1);
+            let room = (if step < 0 { !from_east } else { from_east }) & ((1 << COLUMN) - 1);
             let rows = (room as u32 / step.unsigned_abs().max(1) + 1).min((last - row) as u32);
-            let column = (x >> COLUMN) as usize;
+            let column = !(from_east >> COLUMN) as usize;
             let start = column.wrapping_mul(self.rows).wrapping_add(row as usize);
-            let cells = self.cells.get_mut(start..start.wrapping_add(rows as usize));
+            let cells =
+                self.cells.get_mut(start..).and_then(|cells| cells.get_mut(..rows as usize));
             for cells in cells.unwrap_or_default() {
-                cells.free ^= 1 << ((x >> FRACTION) as u32 % TILE_SIDE as u32);
-                x = x.wrapping_add(step);
+                cells.free ^= (1u32 << 31).rotate_right((from_east >> FRACTION) as u32);
+                from_east = from_east.wrapping_sub(step);
             }
             row += rows as i32;
         }
