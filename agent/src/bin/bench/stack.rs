@@ -66,7 +66,7 @@ const NAMES: [&str; 15] = [
     "other robots",
     "obstacles",
     "a path",
-    "a parameter",
+    "a parameter, or a stop",
 ];
 
 impl Stage {
