@@ -567,7 +567,11 @@ impl<'b> Agent<'b> {
                 self.events.raise(EventCode::PoseFound, now);
             }
             let moment = server_moment.unwrap_or(taken);
-            if self.latest_pose.is_none_or(|(newest, _)| newest < moment) {
+            // One of much later was told before the clocks agreed, in the robot's.
+            let is_newer = |(newest, _): (Instant, _)| {
+                newest < moment || newest.since(moment) > Duration::from_secs(10)
+            };
+            if self.latest_pose.is_none_or(is_newer) {
                 self.latest_pose = Some((moment, pose));
             }
             self.fused.follow(pose, self.config.resolution);
