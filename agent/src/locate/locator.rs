@@ -14,9 +14,10 @@ use super::{
     systematic::SystematicErrors,
 };
 
-/// Fixes that are further apart have stopped. Shorter than the interval of distance vectors, which
-/// are answered by a fix each.
-const BLIND_AFTER: Duration = Duration::from_millis(900);
+/// Fixes that are further apart have stopped. Soon after the last one the robot still knows well
+/// where it is, and what it then sees tells where it goes on to. Shorter than the interval of
+/// distance vectors, which are answered by a fix each.
+const BLIND_AFTER: Duration = Duration::from_millis(350);
 
 /// Where the poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -133,7 +134,7 @@ impl Locator {
         self.filter.newest_fix()
     }
 
-    /// Whether the fixes have stopped: there was none in the second before `moment`.
+    /// Whether the fixes have stopped: there was none in the third of a second before `moment`.
     pub fn is_blind(&self, moment: Instant) -> bool {
         let newest = self.filter.newest_fix();
         self.takes_fixes && newest.is_none_or(|newest| moment.since(newest) >= BLIND_AFTER)
