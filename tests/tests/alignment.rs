@@ -144,7 +144,5 @@ fn askew_sensors_and_identifiers_are_told_apart_and_cured() {
         "F1 falls by {:.4} if they are left, and by {:.4} if they are cured",
         falls[0], falls[1]
     );
-    // The bound for the second is 0.01, which the mean of these seeds misses by 0.0001; from run to
-    // run it differs by more, for people are drawn where no camera sees them go.
-    assert!(falls[0] > 0.05 && falls[1] < falls[0] / 5.0, "{falls:?}");
+    assert!(falls[0] > 0.05 && falls[1] <= 0.01, "{falls:?}");
 }

@@ -6,19 +6,30 @@
 //! nearly as good is noticed. Then the best is refined by least squares of the distances between
 //! points and lines along the surfaces (Censi's PL-ICP, ICRA 2008). Their normal equations tell
 //! what the surfaces say of x, y and heading: in a corridor nothing of the way along it.
+//!
+//! Where the map says nothing, what the robot has seen from its last places stands for it: so each
+//! place is found from those before it, and errors grow with the surfaces that come into view, not
+//! with the way of the wheels.
 
-use core::f64::consts::{FRAC_PI_2, TAU};
+mod points;
+mod trail;
+
+use core::f64::consts::FRAC_PI_2;
 
 use libm::{atan2, cos, sin};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use ubimap_protocol::{
-    message::{DistanceVector, MAX_COLUMNS},
     tile::{Cell, TILE_SIDE, Tile, TileId, cell_of},
     units::{Angle, Millimetres, Pose},
 };
 
+pub use {points::points, trail::Trail};
+
 /// A surface farther from a point than so many cells is not what the point shows.
 const REACH: i32 = 8;
+/// One that was seen on the way reaches so far, and is not told from one that is drawn so near.
+const TRAIL_REACH: i32 = 4;
+const BESIDE: i32 = 2;
 /// A line is fitted to the surfaces within so many cells, if there are so many of them, and none is
 /// off it by more than a tenth of its length.
 const LINE_REACH: i32 = 4;
@@ -59,38 +70,6 @@ const CELL_DEVIATION: f64 = 0.004;
 /// A point stands for less than a measurement of its own, for its neighbours hit the same cells.
 const CORRELATION: f64 = 2.0;
 
-/// The points that a distance vector shows, in millimetres in `base_link`.
-///
-/// A column of several beams holds the nearest of their readings, which is that of a beam at the
-/// column's side where the surface is nearer. Sensors with more beams than columns are taken to
-/// have a few for each: the point is moved to that side by 0.3 of a column (0.45 would be right for
-/// very many beams, 0.3 for two and a half).
-pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
-    let merged = vector.distances.len() == MAX_COLUMNS;
-    let reading = |column: usize| match vector.distances.get(column) {
-        None | Some(0 | 255) => None,
-        Some(&units) => Some(i32::from(units)),
-    };
-    let columns = 0..vector.distances.len();
-    let found = columns.filter_map(|column| {
-        let here = reading(column)?;
-        let (before, after) = (column.checked_sub(1).and_then(reading), reading(column + 1));
-        // In units of 2 cm for two columns; a jump is no slope.
-        let slope = match before.zip(after) {
-            Some((before, after)) if (before - here).abs().max((after - here).abs()) < 15 => {
-                after - before
-            }
-            _ => 0,
-        };
-        let side = if merged { -0.3 * f64::from(slope.clamp(-4, 4)) / 4.0 } else { 0.0 };
-        let bearing = vector.first.radians()
-            + (column as f64 + side) * f64::from(vector.step) * TAU / 65_536.0;
-        let distance = f64::from(here) * 20.0;
-        Some([distance * cos(bearing), distance * sin(bearing)])
-    });
-    found.collect()
-}
-
 /// How far from the predicted pose to look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Search {
@@ -98,15 +77,29 @@ pub struct Search {
     pub position: Millimetres,
     /// Either way round.
     pub turn: Angle,
-    /// The standard deviation of x and of y, if the predicted position counts as measured.
-    pub known: Option<Millimetres>,
+    /// How sure the predicted pose is.
+    pub prior: Prior,
 }
 
-/// What is known of the position beforehand.
+/// How sure a predicted pose is: standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Prior {
+    /// It says no more than where to look.
+    Nothing,
+    /// Of x and of y. It is a measurement, which counts for how sure the match is.
+    Measured(Millimetres),
+    /// Of x and of y, and of the heading. What says so is known to whom the match is for, and does
+    /// not count.
+    Carried(Millimetres, Angle),
+}
+
+/// What holds a match to the predicted pose.
 #[derive(Clone, Copy, Debug)]
-struct Prior {
-    position: Vector2<f64>,
-    information: f64,
+struct Hold {
+    at: Vector2<f64>,
+    heading: f64,
+    /// Of x, y and heading, for deviations of a millimetre.
+    information: Vector3<f64>,
     /// Whether it is part of the result's certainty.
     counts: bool,
 }
@@ -197,16 +190,30 @@ impl Search {
     /// Standard deviations of x and of y in millimetres, and of the heading in binary angle units,
     /// about the predicted pose: the search goes four of them far.
     fn deviations(&self) -> (f64, f64) {
-        let position = f64::from(self.position.0) / 4.0;
-        let known = self.known.map_or(position, |known| f64::from(known.0));
-        (known.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))
+        let position = match self.prior {
+            Prior::Measured(deviation) => deviation.0.into(),
+            _ => f64::from(self.position.0) / 4.0,
+        };
+        (position.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))
     }
 
-    /// What the start says of the position, as information for deviations of a millimetre.
-    fn prior(&self, start: Vector2<f64>) -> Prior {
-        let (deviation, _) = self.deviations();
-        let ratio = CELL_DEVIATION_MM / deviation.max(1.0);
-        Prior { position: start, information: ratio * ratio, counts: self.known.is_some() }
+    /// A pose is never surer than 5 mm and 0.1 degrees.
+    fn hold(&self, predicted: Pose) -> Hold {
+        let information = |deviation: f64| (CELL_DEVIATION_MM / deviation).powi(2);
+        let position = match self.prior {
+            Prior::Carried(deviation, _) => f64::from(deviation.0).max(5.0),
+            _ => self.deviations().0,
+        };
+        let heading = match self.prior {
+            Prior::Carried(_, deviation) => information(deviation.radians().max(2e-3)),
+            _ => 0.0,
+        };
+        Hold {
+            at: self::position(predicted),
+            heading: predicted.heading.radians(),
+            information: Vector3::new(information(position), information(position), heading),
+            counts: matches!(self.prior, Prior::Measured(_)),
+        }
     }
 }
 
@@ -238,13 +245,14 @@ impl Refined {
 }
 
 impl Surfaces {
-    /// Those within `reach` of a pose along x and along y; `tile` is what the map says of a tile.
-    /// About a millisecond for 5 m of 5 cm cells.
+    /// Those within `reach` of a pose along x and along y; `tile` is what the map says of a tile,
+    /// and `trail` is for where it says nothing. About a millisecond for 5 m of 5 cm cells.
     pub fn about(
         pose: Pose,
         reach: Millimetres,
         resolution: Millimetres,
         mut tile: impl FnMut(TileId) -> Tile,
+        trail: &Trail,
     ) -> Self {
         let half = (reach.0 / resolution.0.max(1)).clamp(1, 1_000);
         let corner = (cell_of(pose.x, resolution) - half, cell_of(pose.y, resolution) - half);
@@ -269,7 +277,7 @@ impl Surfaces {
                 }
             }
         }
-        all.facing = core::array::from_fn(|quarter| all.facing(quarter));
+        all.facing = core::array::from_fn(|quarter| all.facing(quarter, trail));
         all
     }
 
@@ -284,12 +292,11 @@ impl Surfaces {
     }
 
     fn cell(&self, point: Vector2<f64>) -> (i32, i32) {
-        let cell = |millimetres: f64| libm::floor(millimetres / self.resolution) as i32;
-        (cell(point.x), cell(point.y))
+        cell_at(point, self.resolution)
     }
 
     /// The surfaces that are seen by looking into a quarter.
-    fn facing(&self, quarter: usize) -> Facing {
+    fn facing(&self, quarter: usize, trail: &Trail) -> Facing {
         let (west, south) = self.corner;
         // From where one looks at a cell.
         let (aside, below) = (1 - 2 * (quarter as i32 & 1), 1 - 2 * (quarter as i32 >> 1));
@@ -319,18 +326,31 @@ impl Surfaces {
             if found.normal.is_none() && self.is_where_knowledge_ends((x, y)) {
                 continue;
             }
-            let surface = facing.surfaces.len();
-            facing.surfaces.push(found);
-            for (dx, dy) in square(REACH) {
-                let square = dx * dx + dy * dy;
-                let Some(index) = self.index((x + dx, y + dy)) else { continue };
-                let nearest = &mut facing.nearest[index];
-                if square <= REACH * REACH && nearest.is_none_or(|it| square < it.square) {
-                    *nearest = Some(Nearest { square, surface });
-                }
+            self.place(&mut facing, (x, y), found, REACH);
+        }
+        for ((x, y), middle, normal) in trail.seen(quarter) {
+            let is_drawn =
+                |(dx, dy)| self.index((x + dx, y + dy)).is_some_and(|index| is_surface[index]);
+            if !square(BESIDE).any(is_drawn) {
+                let seen = Surface { middle, normal: Some(normal) };
+                self.place(&mut facing, (x, y), seen, TRAIL_REACH);
             }
         }
         facing
+    }
+
+    /// Lets a surface in a cell be the nearest to all cells that it is the nearest to.
+    fn place(&self, facing: &mut Facing, (x, y): (i32, i32), it: Surface, reach: i32) {
+        let surface = facing.surfaces.len();
+        facing.surfaces.push(it);
+        for (dx, dy) in square(reach) {
+            let square = dx * dx + dy * dy;
+            let Some(index) = self.index((x + dx, y + dy)) else { continue };
+            let nearest = &mut facing.nearest[index];
+            if square <= reach * reach && nearest.is_none_or(|it| square < it.square) {
+                *nearest = Some(Nearest { square, surface });
+            }
+        }
     }
 
     /// Whether something may go on from a cell where nobody has seen: beside it is an unknown cell
@@ -350,24 +370,13 @@ impl Surfaces {
         let middle = |(x, y): (i32, i32)| {
             Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5) * self.resolution
         };
-        let alone = Surface { middle: middle(cell), normal: None };
-        if near.len() < LINE_CELLS {
-            return alone;
+        let near: Vec<Vector2<f64>> = near.iter().map(|&cell| middle(cell)).collect();
+        match line(&near) {
+            Some((middle, normal)) if near.len() >= LINE_CELLS => {
+                Surface { middle, normal: Some(normal) }
+            }
+            _ => Surface { middle: middle(cell), normal: None },
         }
-        let mean = near.iter().map(|&cell| middle(cell)).sum::<Vector2<f64>>() / near.len() as f64;
-        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-        for &cell in near {
-            let off = middle(cell) - mean;
-            xx += off.x * off.x;
-            xy += off.x * off.y;
-            yy += off.y * off.y;
-        }
-        let spread = ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt();
-        if xx + yy - spread > LINE_WIDTH * (xx + yy + spread) {
-            return alone;
-        }
-        let across = 0.5 * atan2(2.0 * xy, xx - yy) + FRAC_PI_2;
-        Surface { middle: mean, normal: Some(Vector2::new(cos(across), sin(across))) }
     }
 
     /// The pose about the predicted one from which the points (as of [`points`]) were seen. `None`
@@ -376,12 +385,12 @@ impl Surfaces {
     /// milliseconds.
     pub fn find(&self, points: &[[f64; 2]], predicted: Pose, search: Search) -> Option<Match> {
         let points: Vec<Vector2<f64>> = points.iter().map(|&[x, y]| Vector2::new(x, y)).collect();
-        let start = Vector2::new(f64::from(predicted.x.0), f64::from(predicted.y.0));
+        let start = position(predicted);
         let candidates = self.candidates(&points, start, predicted.heading, search);
         let best = *candidates.iter().max_by_key(|it| it.score - it.away)?;
-        let prior = search.prior(start);
+        let hold = search.hold(predicted);
         let (at, heading) = best.pose(self, start, predicted.heading);
-        let refined = self.refine(&points, at, heading, prior)?;
+        let refined = self.refine(&points, at, heading, hold)?;
 
         let known = points.iter().filter(|point| {
             let arm = rotated(**point, refined.heading);
@@ -402,7 +411,7 @@ impl Surfaces {
         let rivals = self.rivals(&candidates, &best);
         let ambiguous = rivals.iter().any(|rival| {
             let (at, heading) = rival.pose(self, start, predicted.heading);
-            let other = self.refine(&points, at, heading, prior);
+            let other = self.refine(&points, at, heading, hold);
             other.is_some_and(|other| other.is_elsewhere_and_as_good(&refined, &covariance))
         });
         if ambiguous {
@@ -419,7 +428,7 @@ impl Surfaces {
     /// How many of the points, seen from a pose, lie on surfaces, and how many in the free: more
     /// than three cells before or behind anything.
     pub fn agreement(&self, points: &[[f64; 2]], pose: Pose) -> (u32, u32) {
-        let at = Vector2::new(f64::from(pose.x.0), f64::from(pose.y.0));
+        let at = position(pose);
         let (mut agree, mut contradict) = (0, 0);
         for &[x, y] in points {
             let seen = rotated(Vector2::new(x, y), pose.heading.radians()) + at;
@@ -504,7 +513,7 @@ impl Surfaces {
         points: &[Vector2<f64>],
         mut at: Vector2<f64>,
         mut heading: f64,
-        prior: Prior,
+        hold: Hold,
     ) -> Option<Refined> {
         let mut refined = None;
         for round in 0..ROUNDS {
@@ -538,12 +547,13 @@ impl Surfaces {
                 count += usize::from(counts);
             }
             // The start holds it where nothing else does.
-            let from = at - prior.position;
-            let hold = Vector3::new(prior.information, prior.information, 1.0);
-            let held = information + Matrix3::from_diagonal(&hold);
-            gradient += Vector3::new(from.x, from.y, 0.0) * prior.information;
-            let step = held.try_inverse()? * gradient;
-            let information = if prior.counts { held } else { information };
+            let back = hold.at - at;
+            let turn = Angle::from_radians(hold.heading - heading).radians();
+            let held = information + Matrix3::from_diagonal(&hold.information);
+            gradient -= hold.information.component_mul(&Vector3::new(back.x, back.y, turn));
+            let regular = held + Matrix3::from_diagonal(&Vector3::z());
+            let step = regular.try_inverse()? * gradient;
+            let information = if hold.counts { held } else { information };
             at -= Vector2::new(step.x, step.y);
             heading -= step.z;
             let square = squares / f64::from(count.max(1) as u32);
@@ -551,6 +561,35 @@ impl Surfaces {
         }
         refined
     }
+}
+
+/// The line through points, if they lie on one: their mean, and the direction across.
+fn line(points: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64>)> {
+    let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for point in points {
+        let off = point - mean;
+        xx += off.x * off.x;
+        xy += off.x * off.y;
+        yy += off.y * off.y;
+    }
+    let spread = ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt();
+    if xx + yy - spread > LINE_WIDTH * (xx + yy + spread) {
+        return None;
+    }
+    let across = 0.5 * atan2(2.0 * xy, xx - yy) + FRAC_PI_2;
+    Some((mean, Vector2::new(cos(across), sin(across))))
+}
+
+/// The cell in which a point lies; in millimetres.
+fn cell_at(point: Vector2<f64>, resolution: f64) -> (i32, i32) {
+    let cell = |millimetres: f64| libm::floor(millimetres / resolution) as i32;
+    (cell(point.x), cell(point.y))
+}
+
+/// In millimetres.
+fn position(pose: Pose) -> Vector2<f64> {
+    Vector2::new(f64::from(pose.x.0), f64::from(pose.y.0))
 }
 
 /// The cells within so many of one, along x and along y.

@@ -12,7 +12,7 @@ mod runs;
 mod served_layer;
 
 pub use agreement::{Agreements, Weight};
-pub use alignment::{Match, Search, Surfaces, points};
+pub use alignment::{Match, Prior, Search, Surfaces, Trail, points};
 pub use camera_layer::CameraLayer;
 pub use constant_errors::{ConstantErrors, Estimated};
 pub use coverage_layer::CoverageLayer;

@@ -1,7 +1,7 @@
 //! What the server makes of a robot's fixes and distance vectors: from covered ground its constant
 //! errors, which are cured; from blind ground fixes, by a match with the map.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use ubimap_agent::Parameter;
 use ubimap_protocol::{
@@ -9,13 +9,13 @@ use ubimap_protocol::{
         Certainty, DistanceVector, FixSource, ParameterAction, ParameterCommand, ParameterOutcome,
         ParameterReport, ParameterValue, PoseFix,
     },
-    tile::{Epoch, Tile, TileId},
+    tile::Epoch,
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
 };
 
 use super::shared_map::SharedMap;
-use crate::mapping::{ConstantErrors, Match, Search, Surfaces, points};
+use crate::mapping::{ConstantErrors, Match, Prior, Search, Surfaces, Trail, points};
 
 /// Fixes are remembered for so long: a scan may wait for its pose, and a frame for its way.
 const MEMORY: Duration = Duration::from_secs(4);
@@ -23,12 +23,21 @@ const MEMORY: Duration = Duration::from_secs(4);
 const WIDEST_GAP: Duration = Duration::from_millis(400);
 /// A robot without a fix for so long is in blind ground.
 const BLIND_AFTER: Duration = Duration::from_millis(700);
-/// What a robot draws in blind ground counts for its own fixes after so many seconds: what it has
-/// just drawn can't but agree with where it believes to be.
+/// What a robot draws counts for its own fixes after so many seconds: what it has just drawn can't
+/// but agree with where it believes to be.
 const OWN_AGE: u32 = 30;
 /// Where a robot in view is looked for: at most so far from where cameras see it.
-const IN_VIEW: Search =
-    Search { position: Millimetres(100), turn: Angle(2_600), known: Some(Millimetres(25)) };
+const IN_VIEW: Search = Search {
+    position: Millimetres(100),
+    turn: Angle(2_600),
+    prior: Prior::Measured(Millimetres(25)),
+};
+/// How far a robot strays from what its odometry says after a metre or a radian, in millimetres and
+/// radians: standard deviations, whose squares grow with the way.
+const STRAYS: (f64, f64) = (20.0, 0.0175);
+/// Nobody knows how far it has come before it is first heard of in blind ground: a metre in a
+/// second, up to so many metres.
+const UNHEARD: f64 = 6.0;
 /// After a correction of fixes it takes a robot's filter so long to follow.
 const SETTLING: Duration = Duration::from_secs(3);
 /// Numbers of the server's own commands about parameters: this one and above.
@@ -63,13 +72,68 @@ pub(super) struct Aligning {
 /// A robot's time out of view.
 #[derive(Debug)]
 struct Blind {
-    /// The second of its last fix: what the robot had drawn by then it drew where it was.
-    since: u32,
-    /// That, and what it has drawn since and some time ago. What it draws over it does not count.
-    own: BTreeMap<TileId, Tile>,
-    /// Where it said to be last, and how far it has come since its pose was known.
+    /// What it has seen since.
+    trail: Trail,
+    /// Where it said to be last, and how far it has come and turned since its pose was known.
     last: Pose,
     way_mm: f64,
+    turned: f64,
+}
+
+impl Blind {
+    /// It says to be somewhere, so long after its last fix.
+    fn after(unseen: Duration, last: Pose) -> Self {
+        let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD);
+        Self { trail: Trail::default(), last, way_mm: 1_000.0 * metres, turned: 0.0 }
+    }
+
+    /// It says to be somewhere else. Where to look for it.
+    fn go(&mut self, to: Pose) -> Search {
+        let (x, y) = (to.x - self.last.x, to.y - self.last.y);
+        self.way_mm += f64::from(x.0).hypot(f64::from(y.0));
+        self.turned += (to.heading - self.last.heading).radians().abs();
+        self.last = to;
+        let (way, turned) = (self.way_mm / 1_000.0, self.turned);
+        // A robot of 10 % slip that turns by 3 degrees on each metre is found again.
+        Search {
+            position: Millimetres((200.0 + 100.0 * way).min(800.0) as i32),
+            turn: Angle((800.0 + 500.0 * way).min(4_000.0) as u16),
+            prior: Prior::Carried(
+                Millimetres((STRAYS.0 * way.sqrt()) as i32),
+                Angle::from_radians((STRAYS.1 * (way + turned).sqrt()).min(1.0)),
+            ),
+        }
+    }
+
+    /// Where it must be to see what it sees in blind ground.
+    fn place(
+        &mut self,
+        robot: RobotId,
+        vector: &DistanceVector,
+        points: &[[f64; 2]],
+        (map, resolution): (&SharedMap, Millimetres),
+    ) -> Option<Match> {
+        let search = self.go(vector.pose);
+        let settled = ((vector.time.micros() / 1_000_000) as u32).saturating_sub(OWN_AGE);
+        let own = map.layers.get(&robot);
+        let reach = reach(points, search);
+        let drawn = |id| {
+            let mut tile = map.without(Some(robot), id);
+            // What it has seen on its way is finer than what it drew, and goes before.
+            if let Some(own) = own.filter(|_| !self.trail.has(id)) {
+                tile.fill_unknown_from(&own.drawn_by(id, settled));
+            }
+            tile
+        };
+        let surfaces = Surfaces::about(vector.pose, reach, resolution, drawn, &self.trail);
+        let found = surfaces.find(points, vector.pose, search);
+        let pose = found.map_or(vector.pose, |found| found.pose);
+        self.trail.add(pose, points, resolution);
+        if found.is_some() {
+            (self.way_mm, self.turned) = (0.0, 0.0);
+        }
+        found
+    }
 }
 
 /// How far a cure has come.
@@ -123,10 +187,17 @@ impl Aligning {
             return is_of_now.then(|| self.compare(&points, pose, map, resolution));
         }
         let newest = self.fixes.back().map_or(Instant(0), |&(newest, _)| newest);
-        if vector.time < newest || vector.time.since(newest) < BLIND_AFTER {
+        if vector.time < newest {
             return None;
         }
-        let found = self.place(robot, vector, &points, newest, map, resolution)?;
+        let unseen = vector.time.since(newest);
+        let blind = self.blind.get_or_insert_with(|| Blind::after(unseen, vector.pose));
+        if unseen < BLIND_AFTER {
+            // It has just left the view, and knows well where it is.
+            blind.trail.add(vector.pose, &points, resolution);
+            return None;
+        }
+        let found = blind.place(robot, vector, &points, (map, resolution))?;
         // What they have to do with each other is left out: the deviations are on the wide side.
         let [x, y, heading] = found.deviations();
         // The casts saturate.
@@ -171,7 +242,8 @@ impl Aligning {
         resolution: Millimetres,
     ) -> Looked {
         let reach = reach(points, IN_VIEW);
-        let surfaces = Surfaces::about(pose, reach, resolution, |id| map.in_view(id));
+        let surfaces =
+            Surfaces::about(pose, reach, resolution, |id| map.in_view(id), &Trail::default());
         let found = surfaces.find(points, pose, IN_VIEW);
         if let Some(found) = found {
             let [.., deviation] = found.deviations();
@@ -181,49 +253,6 @@ impl Aligning {
         let (agree, contradict) =
             surfaces.agreement(points, found.map_or(pose, |found| found.pose));
         Looked::Agreement(agree, contradict)
-    }
-
-    /// Where it must be to see what it sees in blind ground.
-    fn place(
-        &mut self,
-        robot: RobotId,
-        vector: &DistanceVector,
-        points: &[[f64; 2]],
-        newest: Instant,
-        map: &SharedMap,
-        resolution: Millimetres,
-    ) -> Option<Match> {
-        let second = |moment: Instant| (moment.micros() / 1_000_000) as u32;
-        let blind = self.blind.get_or_insert_with(|| Blind {
-            since: second(newest),
-            own: BTreeMap::new(),
-            last: vector.pose,
-            way_mm: 0.0,
-        });
-        let step = [vector.pose.x - blind.last.x, vector.pose.y - blind.last.y];
-        blind.way_mm += f64::from(step[0].0).hypot(f64::from(step[1].0));
-        blind.last = vector.pose;
-        // A robot of 10 % slip that turns by 3 degrees on each metre is found again.
-        let search = Search {
-            position: Millimetres((200.0 + 0.1 * blind.way_mm).min(800.0) as i32),
-            turn: Angle((800.0 + 0.5 * blind.way_mm).min(4_000.0) as u16),
-            known: None,
-        };
-        let settled = second(vector.time).saturating_sub(OWN_AGE);
-        let own = map.layers.get(&robot);
-        let reach = reach(points, search);
-        let surfaces = Surfaces::about(vector.pose, reach, resolution, |id| {
-            let mut tile = map.without(Some(robot), id);
-            if let Some(own) = own {
-                let known = blind.own.entry(id).or_insert_with(|| own.drawn_by(id, blind.since));
-                known.fill_unknown_from(&own.drawn_by(id, settled));
-                tile.fill_unknown_from(known);
-            }
-            tile
-        });
-        let found = surfaces.find(points, vector.pose, search)?;
-        blind.way_mm = 0.0;
-        Some(found)
     }
 
     /// The next command of a cure. `next` is the first epoch that the robot is not known to have

@@ -1,9 +1,10 @@
+use core::f64::consts::TAU;
 use std::collections::BTreeMap;
 
 use super::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_protocol::time::Instant;
+use ubimap_protocol::{message::DistanceVector, time::Instant};
 
 const RESOLUTION: Millimetres = Millimetres(50);
 
@@ -75,12 +76,13 @@ impl Room {
     fn find(&self, seen_from: Pose, predicted: Pose, search: Search) -> Option<Match> {
         let reach = Millimetres(5_000);
         let tile = |id| self.tiles.get(&id).copied().unwrap_or_default();
-        let surfaces = Surfaces::about(predicted, reach, RESOLUTION, tile);
+        let surfaces = Surfaces::about(predicted, reach, RESOLUTION, tile, &Trail::default());
         surfaces.find(&points(&self.look(seen_from)), predicted, search)
     }
 }
 
-const WIDE: Search = Search { position: Millimetres(500), turn: Angle(2_730), known: None };
+const WIDE: Search =
+    Search { position: Millimetres(500), turn: Angle(2_730), prior: Prior::Nothing };
 
 /// 6 x 4 m with a slanted cupboard and a pillar.
 fn furnished() -> Room {
@@ -214,10 +216,85 @@ fn a_place_that_looks_like_another_is_none() {
     let truth = Pose::from_metres(0.1, 1.0, 0.0);
     let predicted = Pose::from_metres(0.3, 1.0, 0.0);
     assert_eq!(corridor(&ribs).find(truth, predicted, WIDE), None);
-    let near = Search { position: Millimetres(150), turn: Angle(1_000), known: None };
+    let near = Search { position: Millimetres(150), turn: Angle(1_000), prior: Prior::Nothing };
     let found = corridor(&ribs).find(truth, Pose::from_metres(0.15, 1.0, 0.0), near);
     let off = found.expect("the others are out of reach").pose.x - truth.x;
     assert!(off.0.abs() < 40, "{off:?}");
+}
+
+/// 3.6 m wide.
+fn hall(more: &[[[f64; 2]; 2]]) -> Room {
+    let walls = [[[-9.0, -0.78], [19.0, -0.78]], [[-9.0, 2.82], [19.0, 2.82]]];
+    let walls = walls.iter().chain(more).copied().collect();
+    Room::new(walls, [[-9.0, -0.75], [19.0, 2.8]])
+}
+
+#[test]
+fn what_ends_out_of_range_lies_where_it_is() {
+    // Walls on both sides that go on; the last column of each has one neighbour.
+    let room = hall(&[]);
+    for degrees in [-3.0f64, 0.0, 3.0] {
+        let pose = Pose::from_metres(0.0, 1.0, degrees.to_radians());
+        for [x, y] in points(&room.look(pose)) {
+            let seen = rotated(Vector2::new(x, y), pose.heading.radians()).y + 1_000.0;
+            let off = (seen + 780.0).abs().min((seen - 2_820.0).abs());
+            assert!(off <= 20.0, "{off} mm off at {x} {y}");
+        }
+    }
+}
+
+/// 10 m through a hall of which the map says nothing, by odometry that turns too far by 0.2 and by
+/// up to a degree at each look.
+#[test]
+fn a_robot_finds_its_way_by_what_it_has_seen() {
+    let room = hall(&[
+        [[1.0, -0.78], [1.0, -0.1]],
+        [[3.3, 2.0], [4.0, 2.2]],
+        [[5.5, -0.3], [6.3, -0.3]],
+        [[7.0, 2.1], [7.0, 2.82]],
+        [[9.5, -0.78], [9.5, 2.82]],
+    ]);
+    let at = |step: i32| {
+        let way = f64::from(step) * 0.4;
+        Pose::from_metres(way - 3.0, 1.0 + 0.2 * way.sin(), 0.2 * way.cos())
+    };
+    for seed in 1..=5 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut trail = Trail::default();
+        let (mut believed, mut wheels) = (at(0), at(0));
+        for step in 0..=25 {
+            let seen = points(&room.look(at(step)));
+            if step > 0 {
+                let turned = Angle::from_degrees(0.2 + rng.random_range(-1.0..1.0));
+                let strayed = [0; 2].map(|_| Millimetres(rng.random_range(-10..=10)));
+                let carried = |from: Pose| {
+                    let (was, is) = (at(step - 1), at(step));
+                    let bend = (from.heading - was.heading).radians();
+                    let way = rotated(position(is) - position(was), bend);
+                    Pose {
+                        x: from.x + Millimetres(way.x as i32) + strayed[0],
+                        y: from.y + Millimetres(way.y as i32) + strayed[1],
+                        heading: from.heading + (is.heading - was.heading) + turned,
+                    }
+                };
+                wheels = carried(wheels);
+                let predicted = carried(believed);
+                let prior = Prior::Carried(Millimetres(13), Angle(115));
+                let (reach, nothing) = (Millimetres(5_000), |_| Tile::UNKNOWN);
+                let surfaces = Surfaces::about(predicted, reach, RESOLUTION, nothing, &trail);
+                let found = surfaces.find(&seen, predicted, Search { prior, ..WIDE });
+                believed = found.map_or(predicted, |it| it.pose);
+            }
+            trail.add(believed, &seen, RESOLUTION);
+        }
+        let off = |pose: Pose| {
+            let turned = (pose.heading - at(25).heading).degrees().abs();
+            ((position(pose) - position(at(25))).norm(), turned)
+        };
+        let ((far, turned), (strayed, _)) = (off(believed), off(wheels));
+        println!("seed {seed}: {far:.0} mm and {turned:.2} degrees, wheels {strayed:.0} mm");
+        assert!(far <= 100.0 && turned <= 2.0 && far < strayed / 3.0, "seed {seed}");
+    }
 }
 
 #[test]
@@ -225,7 +302,7 @@ fn what_lies_in_the_free_contradicts() {
     let room = furnished();
     let pose = Pose::from_metres(2.0, 1.0, -0.5);
     let tile = |id| room.tiles.get(&id).copied().unwrap_or_default();
-    let surfaces = Surfaces::about(pose, Millimetres(5_000), RESOLUTION, tile);
+    let surfaces = Surfaces::about(pose, Millimetres(5_000), RESOLUTION, tile, &Trail::default());
     let seen = points(&room.look(pose));
     assert!(seen.len() > 40);
     assert_eq!(surfaces.agreement(&seen, pose), (seen.len() as u32, 0));
@@ -237,7 +314,8 @@ fn what_lies_in_the_free_contradicts() {
 #[test]
 fn an_empty_map_and_an_empty_vector_find_nothing() {
     let pose = Pose { x: Millimetres(i32::MAX), y: Millimetres(i32::MIN), heading: Angle(7) };
-    let surfaces = Surfaces::about(pose, Millimetres(900), RESOLUTION, |_| Tile::UNKNOWN);
+    let surfaces =
+        Surfaces::about(pose, Millimetres(900), RESOLUTION, |_| Tile::UNKNOWN, &Trail::default());
     assert_eq!(surfaces.find(&[[500.0, 0.0]; 40], pose, WIDE), None);
     assert_eq!(surfaces.find(&[], pose, WIDE), None);
 }
