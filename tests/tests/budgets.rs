@@ -216,7 +216,8 @@ fn cross(faults: Faults) -> Seen {
     // The cameras fall silent: nothing is covered any more, and the robot knows.
     fleet.run(&mut Idle(Some(fleet.now() + Duration::from_secs(10))), |_| {}).unwrap();
     let held: Vec<_> = fleet.robots()[0].agent().fused_tiles().tiles(Layer::Coverage).collect();
-    assert!(held.len() > 30);
+    // In a corner of the hall, a good half of its window lies outside.
+    assert!(held.len() >= 20, "{}", held.len());
     for (id, replica) in held {
         let (version, tile) = fleet.server().coverage().get(id).unwrap();
         assert_eq!((replica.stamp().version, replica.tile()), (version, tile), "{id:?}");
