@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
-    tile::{Tile, TileId},
+    tile::{Epoch, Tile, TileId},
     time::{Duration, Instant},
     units::RobotId,
 };
@@ -50,6 +50,11 @@ impl SharedMap {
     /// What a robot's word counts for.
     pub(super) fn weight(&self, robot: RobotId) -> Weight {
         self.weights.get(&robot).copied().unwrap_or(Weight::FULL)
+    }
+
+    /// The first epoch that a robot is not known to have used for its own tiles.
+    pub(super) fn next_epoch(&self, robot: RobotId) -> Epoch {
+        self.layers.get(&robot).map_or(Epoch(1), RobotLayer::next_epoch)
     }
 
     /// The cells of a tile that robots take up, as cameras saw them last.

@@ -1,0 +1,76 @@
+//! The alignment of every robot: from its session to the map, and back.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    tile::Epoch,
+    time::Instant,
+    units::{Millimetres, Pose, RobotId},
+};
+
+use super::{
+    aligning::{Aligning, Answered, Looked},
+    command::Command,
+    session::Session,
+    shared_map::SharedMap,
+};
+use crate::mapping::ConstantErrors;
+
+/// By robot.
+#[derive(Debug, Default)]
+pub(super) struct Alignments {
+    robots: BTreeMap<RobotId, Aligning>,
+    /// Whether constant errors are left as they are, and robots in blind ground not told where they
+    /// are.
+    leaves_errors: bool,
+}
+
+impl Alignments {
+    pub(super) fn leave_errors(&mut self) {
+        self.leaves_errors = true;
+    }
+
+    /// What has been found of a robot's constant errors.
+    pub(super) fn errors(&self, robot: RobotId) -> Option<&ConstantErrors> {
+        self.robots.get(&robot).map(Aligning::errors)
+    }
+
+    /// Takes where a camera saw a robot, and returns where it was.
+    pub(super) fn fix(&mut self, robot: RobotId, captured: Instant, seen: Pose) -> Pose {
+        self.robots.entry(robot).or_default().fix(captured, seen)
+    }
+
+    /// Goes on with what a robot's distance vectors and reports are for. Returns an epoch if the
+    /// robot has begun its tiles anew: those of epochs below are void.
+    pub(super) fn go_on(
+        &mut self,
+        session: &mut Session,
+        map: &mut SharedMap,
+        resolution: Millimetres,
+        now: Instant,
+    ) -> Option<Epoch> {
+        let robot = session.robot;
+        let aligning = self.robots.entry(robot).or_default();
+        if let Some(vector) = session.new_vector.take() {
+            match aligning.looked(robot, &vector, (map, resolution), now) {
+                Some(Looked::Fix(_)) if self.leaves_errors => {}
+                Some(Looked::Fix(fix)) => session.matched(fix),
+                Some(Looked::Agreement(agree, contradict)) => {
+                    map.looked(robot, agree, contradict);
+                }
+                None => {}
+            }
+        }
+        let report = session.own_report.take();
+        let next = match report.and_then(|report| aligning.reported(&report, now)) {
+            Some(Answered::Retired(epoch)) => return Some(epoch),
+            Some(Answered::Next(command)) => Some(command),
+            None if self.leaves_errors => None,
+            None => aligning.poll_command(map.next_epoch(robot), now),
+        };
+        if let Some(command) = next {
+            session.command(Command::Parameter(command));
+        }
+        None
+    }
+}

@@ -1,0 +1,303 @@
+//! One way in, and the session there.
+
+use ubimap_protocol::{
+    frame::{Direction, SessionId},
+    link::{Answer, Counters, Received},
+    message::{Hello, Message, Messages, ToRobotKind, ToServerKind, Writer, decode},
+    time::{Duration, Instant},
+    units::RobotId,
+};
+
+use super::{
+    command::Command,
+    inflow::Inflow,
+    scene::Scene,
+    session::{Link, Session},
+};
+
+/// At most this often a robot is told that it has no session here.
+const RESET_INTERVAL: Duration = Duration::from_millis(200);
+/// A robot states how it fares every two seconds. A session of which nothing has been heard for so
+/// long (not even seven states on a bad link), where frames of something else come in, is not the one
+/// that the robot has: an old hello may have opened it.
+const SILENCE: Duration = Duration::from_secs(15);
+
+/// A serial port, a simulated channel. At most one robot is behind it.
+#[derive(Debug)]
+pub(super) struct Port {
+    link: Link,
+    inflow: Inflow,
+    session: Option<Session>,
+    /// A frame of the handshake that is due.
+    answer: Option<Answer>,
+    reset: Reset,
+    /// Messages of unknown kinds, and such that could not be read.
+    unknown: u32,
+    malformed: u32,
+    bytes_sent: u64,
+}
+
+#[derive(Debug, Default)]
+struct Reset {
+    due: bool,
+    last: Option<Instant>,
+}
+
+/// What a frame brings.
+pub(super) enum Brought<'p> {
+    /// Nothing for anybody but the port.
+    Nothing,
+    Hello(Hello),
+    /// What the robot of the session says. [`Port::taken`] is to be called afterwards.
+    Messages(&'p mut Session, Messages<'p>),
+}
+
+impl Default for Port {
+    fn default() -> Self {
+        Self {
+            link: Link::new(Direction::ToRobot),
+            inflow: Inflow::default(),
+            session: None,
+            answer: None,
+            reset: Reset::default(),
+            unknown: 0,
+            malformed: 0,
+            bytes_sent: 0,
+        }
+    }
+}
+
+impl Port {
+    /// What is read of bytes that come in, and whether it is now that more comes than is read.
+    pub(super) fn admit<'b>(&mut self, bytes: &'b [u8], now: Instant) -> (&'b [u8], bool) {
+        let was_flooded = self.inflow.floods();
+        let admitted = self.inflow.admit(bytes.len(), now);
+        (bytes.get(..admitted).unwrap_or_default(), !was_flooded && self.inflow.floods())
+    }
+
+    /// Takes a frame from the front of `bytes`. `None` if they are used up.
+    pub(super) fn receive(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Brought<'_>> {
+        let Self { link, session, reset, malformed, .. } = self;
+        Some(match (link.receive(bytes, now)?, session) {
+            (Received::Bad, session) => {
+                let heard = session.as_ref().map(|session| session.heard);
+                reset.due |= heard.is_none_or(|heard| now.since(heard) >= SILENCE);
+                Brought::Nothing
+            }
+            (Received::Handshake(message), _) => match parse_hello(message) {
+                Some(hello) => Brought::Hello(hello),
+                None => {
+                    *malformed += 1;
+                    Brought::Nothing
+                }
+            },
+            (Received::Session(messages), Some(session)) => {
+                session.heard = now;
+                Brought::Messages(session, messages)
+            }
+            (Received::Session(_), None) => Brought::Nothing,
+        })
+    }
+
+    /// The messages of a frame have been taken: so many were of an unknown kind, and so many could
+    /// not be read.
+    pub(super) fn taken(&mut self, unknown: u32, malformed: u32) {
+        self.unknown += unknown;
+        self.malformed += malformed;
+        while let Some(frame) = self.link.poll_acknowledged() {
+            if let Some(session) = &mut self.session {
+                session.acknowledged(frame);
+            }
+        }
+    }
+
+    /// The session that a hello has been answered with, if it goes on.
+    pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
+        let session = self.session.as_ref()?;
+        let is_answered = session.robot == hello.robot && session.nonce == hello.nonce;
+        is_answered.then(|| self.link.session())
+    }
+
+    /// Begins a session with frames of so many bytes.
+    pub(super) fn begin(&mut self, id: SessionId, frame: u16, session: Session) {
+        self.link.begin(id, usize::from(frame));
+        // A reset that was due was for what came before.
+        self.reset.due = false;
+        self.session = Some(session);
+    }
+
+    /// Ends the session.
+    pub(super) fn end(&mut self) -> Option<Session> {
+        self.link.end();
+        self.session.take()
+    }
+
+    /// The answer to a hello is to be sent.
+    pub(super) fn answer(&mut self, answer: Answer) {
+        self.answer = Some(answer);
+    }
+
+    pub(super) fn session(&self) -> Option<&Session> {
+        self.session.as_ref()
+    }
+
+    pub(super) fn session_mut(&mut self) -> Option<&mut Session> {
+        self.session.as_mut()
+    }
+
+    /// The robot of the session.
+    pub(super) fn robot(&self) -> Option<RobotId> {
+        self.session().map(|session| session.robot)
+    }
+
+    /// Whether a command fits the frames that were agreed on.
+    pub(super) fn has_room_for(&self, command: &Command) -> bool {
+        command.write(&mut Writer::new(&mut vec![0; self.link.room()]))
+    }
+
+    /// Writes the next frame that is due. Returns its length.
+    pub(super) fn poll_transmit(
+        &mut self,
+        scene: &Scene<'_>,
+        now: Instant,
+        out: &mut [u8],
+    ) -> Option<usize> {
+        let len = self.poll_handshake(now, out).or_else(|| self.poll_session(scene, now, out))?;
+        self.bytes_sent += len as u64;
+        Some(len)
+    }
+
+    fn poll_handshake(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
+        match self.answer.take() {
+            Some(Answer::Welcome(welcome)) => {
+                return self.link.handshake(ToRobotKind::Welcome as u8, &welcome, out);
+            }
+            Some(Answer::Refusal(refusal)) => {
+                return self.link.handshake(ToRobotKind::Refusal as u8, &refusal, out);
+            }
+            None => {}
+        }
+        if !self.reset.due || self.reset.ready_at() > now {
+            return None;
+        }
+        self.reset = Reset { due: false, last: Some(now) };
+        self.link.handshake(ToRobotKind::Reset as u8, &(), out)
+    }
+
+    fn poll_session(&mut self, scene: &Scene<'_>, now: Instant, out: &mut [u8]) -> Option<usize> {
+        let session = self.session.as_mut()?;
+        let urgent = session.is_urgent(now);
+        let sent = self.link.poll_transmit(now, out, urgent, |writer, reliable| {
+            session.fill(scene, now, writer, reliable)
+        })?;
+        session.budget.spend(sent.len as u64, now);
+        Some(sent.len)
+    }
+
+    /// When there is something to send.
+    pub(super) fn poll_timeout(&self, scene: &Scene<'_>, now: Instant) -> Option<Instant> {
+        if self.answer.is_some() {
+            return Some(now);
+        }
+        let reset = self.reset.due.then(|| self.reset.ready_at());
+        let reliable = self.link.can_send_reliable();
+        let session = self.session();
+        let messages = session.and_then(|session| session.poll_timeout(scene, reliable, now));
+        [reset, self.link.poll_timeout(), messages].into_iter().flatten().min()
+    }
+
+    /// Bytes sent, framing and retransmissions included.
+    pub(super) fn bytes_sent(&self) -> u64 {
+        self.bytes_sent
+    }
+
+    /// What the link has counted.
+    pub(super) fn counters(&self) -> Counters {
+        self.link.counters()
+    }
+
+    /// Messages of unknown kinds, and such that could not be read.
+    pub(super) fn unread(&self) -> (u32, u32) {
+        (self.unknown, self.malformed)
+    }
+}
+
+impl Reset {
+    fn ready_at(&self) -> Instant {
+        self.last.map_or(Instant(0), |last| last + RESET_INTERVAL)
+    }
+}
+
+fn parse_hello(message: Message<'_>) -> Option<Hello> {
+    match ToServerKind::from_number(message.kind)? {
+        ToServerKind::Hello => Some(decode(message.body).ok()?.0),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::server::Server;
+    use ubimap_protocol::{
+        frame::{MAX_FRAME, MIN_VERSION, VERSION},
+        link::Terms,
+        units::Millimetres,
+    };
+
+    const TERMS: Terms =
+        Terms { resolution: Millimetres(50), frame: 250, server_epoch: 1, stores: false };
+
+    fn hello(nonce: u32) -> Vec<u8> {
+        let hello = Hello {
+            version: VERSION,
+            min_version: MIN_VERSION,
+            robot: RobotId(1),
+            nonce,
+            frame: 250,
+            resolution: Millimetres(50),
+            fused_tiles: 16,
+        };
+        let mut out = [0u8; 250];
+        let len = Link::new(Direction::ToServer)
+            .handshake(ToServerKind::Hello as u8, &hello, &mut out)
+            .unwrap();
+        out[..len].to_vec()
+    }
+
+    /// The frames that the server has for port 0.
+    fn drain(server: &mut Server, now: Instant) -> usize {
+        let mut out = [0u8; MAX_FRAME];
+        std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
+    }
+
+    /// An old hello must not shut the robot out whose session it has ended.
+    #[test]
+    fn a_session_that_only_an_old_hello_speaks_for_is_reset() {
+        let mut server = Server::new(TERMS, 1);
+        server.receive(0, &hello(5), Instant(0)).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        let of_the_session_before = [7u8, 7, 0];
+        let soon = Instant(0) + Duration::from_secs(1);
+        server.receive(0, &of_the_session_before, soon).unwrap();
+        assert_eq!(drain(&mut server, soon), 0, "a frame may be damaged");
+        let later = Instant(0) + SILENCE;
+        server.receive(0, &of_the_session_before, later).unwrap();
+        assert_eq!(drain(&mut server, later), 1);
+        assert_eq!(server.robot_at(0), Some(RobotId(1)));
+    }
+
+    #[test]
+    fn a_reset_that_was_due_is_forgotten_with_the_session_that_begins() {
+        let mut server = Server::new(TERMS, 1);
+        let garbage = [7u8, 7, 0];
+        server.receive(0, &garbage, Instant(0)).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        // The next one must wait for a while, and a hello comes before.
+        server.receive(0, &garbage, Instant(1)).unwrap();
+        assert_eq!(drain(&mut server, Instant(1)), 0);
+        server.receive(0, &hello(5), Instant(2)).unwrap();
+        assert_eq!(drain(&mut server, Instant(2)), 1);
+        assert_eq!(server.poll_timeout(0, Instant(2)), None);
+    }
+}

@@ -1,0 +1,71 @@
+//! What the disk has not been told.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use ubimap_protocol::{
+    tile::{Epoch, TileId},
+    units::RobotId,
+};
+
+use super::session::Session;
+use crate::mapping::{RobotLayer, TileRecord};
+
+/// Of all robots.
+#[derive(Debug)]
+pub(super) struct Unsaved {
+    /// Whether there is a disk.
+    stores: bool,
+    /// Tiles that have changed since they were kept.
+    changed: BTreeSet<(RobotId, TileId, Epoch)>,
+    /// Robots whose epochs below some are void.
+    retired: Vec<(RobotId, Epoch)>,
+}
+
+impl Unsaved {
+    pub(super) fn new(stores: bool) -> Self {
+        Self { stores, changed: BTreeSet::new(), retired: Vec::new() }
+    }
+
+    /// Of these tiles and epochs all of a state has come. The robot is told which it need not keep.
+    pub(super) fn came(
+        &mut self,
+        session: &mut Session,
+        layer: &RobotLayer,
+        complete: &BTreeSet<(TileId, Epoch)>,
+    ) {
+        for &(id, epoch) in complete.iter().filter(|_| self.stores) {
+            match layer.on_disk(id, epoch) {
+                Some(stamp) => session.stored(id, stamp),
+                None => drop(self.changed.insert((session.robot, id, epoch))),
+            }
+        }
+    }
+
+    /// The epochs of a robot below this one are void.
+    pub(super) fn retire(&mut self, robot: RobotId, epoch: Epoch) {
+        self.retired.extend(self.stores.then_some((robot, epoch)));
+    }
+
+    /// A state to be kept.
+    pub(super) fn poll_store(
+        &mut self,
+        layers: &BTreeMap<RobotId, RobotLayer>,
+    ) -> Option<(RobotId, TileRecord)> {
+        while let Some((robot, id, epoch)) = self.changed.pop_first() {
+            // A state of which only parts have arrived comes back when it is complete.
+            if let Some(record) = layers.get(&robot).and_then(|it| it.record(id, epoch)) {
+                return Some((robot, record));
+            }
+        }
+        None
+    }
+
+    /// A robot, and the epoch below which all are void.
+    pub(super) fn poll_retired(&mut self) -> Option<(RobotId, Epoch)> {
+        self.retired.pop()
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.changed.is_empty() && self.retired.is_empty()
+    }
+}
