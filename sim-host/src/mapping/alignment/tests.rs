@@ -4,7 +4,11 @@ use std::collections::BTreeMap;
 use super::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_protocol::{message::DistanceVector, time::Instant};
+use ubimap_protocol::{
+    message::DistanceVector,
+    tile::{TILE_SIDE, Tile, TileId},
+    time::Instant,
+};
 
 const RESOLUTION: Millimetres = Millimetres(50);
 

@@ -8,7 +8,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
-use super::{cell_at, line, position, quarter, rotated};
+use super::geometry::{cell_at, line, position, quarter, rotated};
 
 /// Points of neighbouring columns that are farther apart, in millimetres, are of two surfaces.
 const GAP_MM: f64 = 200.0;

@@ -1,0 +1,54 @@
+//! Points, lines and cells of the plane; in millimetres.
+
+use core::f64::consts::FRAC_PI_2;
+
+use libm::{atan2, cos, sin};
+use nalgebra::Vector2;
+use ubimap_protocol::units::Pose;
+
+/// Points lie on a line if none is off it by more than a tenth of its length.
+const LINE_WIDTH: f64 = 0.1;
+
+/// The quarter into which one looks along an arm.
+pub(super) fn quarter(arm: Vector2<f64>) -> usize {
+    usize::from(arm.x > 0.0) | usize::from(arm.y > 0.0) << 1
+}
+
+/// The line through points, if they lie on one: their mean, and the direction across.
+pub(super) fn line(points: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64>)> {
+    let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for point in points {
+        let off = point - mean;
+        xx += off.x * off.x;
+        xy += off.x * off.y;
+        yy += off.y * off.y;
+    }
+    let spread = ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt();
+    if xx + yy - spread > LINE_WIDTH * (xx + yy + spread) {
+        return None;
+    }
+    let across = 0.5 * atan2(2.0 * xy, xx - yy) + FRAC_PI_2;
+    Some((mean, Vector2::new(cos(across), sin(across))))
+}
+
+/// The cell in which a point lies; in millimetres.
+pub(super) fn cell_at(point: Vector2<f64>, resolution: f64) -> (i32, i32) {
+    let cell = |millimetres: f64| libm::floor(millimetres / resolution) as i32;
+    (cell(point.x), cell(point.y))
+}
+
+/// In millimetres.
+pub(super) fn position(pose: Pose) -> Vector2<f64> {
+    Vector2::new(f64::from(pose.x.0), f64::from(pose.y.0))
+}
+
+/// The cells within so many of one, along x and along y.
+pub(super) fn square(reach: i32) -> impl Iterator<Item = (i32, i32)> + Clone {
+    (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)))
+}
+
+pub(super) fn rotated(point: Vector2<f64>, angle: f64) -> Vector2<f64> {
+    let (sin, cos) = (sin(angle), cos(angle));
+    Vector2::new(cos * point.x - sin * point.y, sin * point.x + cos * point.y)
+}

@@ -1,0 +1,137 @@
+//! The least squares of the distances between points and the lines along surfaces.
+
+use nalgebra::{Matrix3, Vector2, Vector3};
+use ubimap_protocol::units::{Angle, Pose};
+
+use super::{
+    geometry::{self, rotated},
+    search::{Prior, RIVAL_SCORE, Search},
+    surfaces::{Surface, Surfaces},
+};
+
+/// Two places are not one if they are so far from each other: the square of the distance in
+/// standard deviations, as chi-squared with three degrees of freedom has it in one of 10,000 cases.
+const ELSEWHERE: f64 = 21.1;
+/// Points farther from their surface than this do not count, in millimetres: at first, and once the
+/// pose is nearly right.
+const FIRST_REACH_MM: f64 = 250.0;
+const LAST_REACH_MM: f64 = 100.0;
+/// Rounds of refinement; so many of them with the first reach.
+const ROUNDS: usize = 14;
+const FIRST_ROUNDS: usize = 6;
+/// What a surface is at odds with the cells that stand for it, in millimetres and radians: it does
+/// not average out over the points.
+pub(super) const CELL_DEVIATION_MM: f64 = 15.0;
+pub(super) const CELL_DEVIATION: f64 = 0.004;
+
+/// What holds a match to the predicted pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hold {
+    at: Vector2<f64>,
+    heading: f64,
+    /// Of x, y and heading, for deviations of a millimetre.
+    information: Vector3<f64>,
+    /// Whether it is part of the result's certainty.
+    counts: bool,
+}
+
+/// Where a refinement came to.
+pub(super) struct Refined {
+    pub(super) at: Vector2<f64>,
+    pub(super) heading: f64,
+    /// The normal equations, for deviations of a millimetre.
+    pub(super) information: Matrix3<f64>,
+    pub(super) points: usize,
+    /// The mean square of the points' distances, in square millimetres.
+    pub(super) square: f64,
+}
+
+impl Hold {
+    /// A pose is never surer than 5 mm and 0.1 degrees.
+    pub(super) fn new(search: &Search, predicted: Pose) -> Self {
+        let information = |deviation: f64| (CELL_DEVIATION_MM / deviation).powi(2);
+        let position = match search.prior {
+            Prior::Carried(deviation, _) => f64::from(deviation.0).max(5.0),
+            _ => search.deviations().0,
+        };
+        let heading = match search.prior {
+            Prior::Carried(_, deviation) => information(deviation.radians().max(2e-3)),
+            _ => 0.0,
+        };
+        Self {
+            at: geometry::position(predicted),
+            heading: predicted.heading.radians(),
+            information: Vector3::new(information(position), information(position), heading),
+            counts: matches!(search.prior, Prior::Measured(_)),
+        }
+    }
+}
+
+impl Refined {
+    /// Whether it is another place than `best`, whose covariance is given, and explains what was
+    /// seen nearly as well.
+    pub(super) fn is_elsewhere_and_as_good(&self, best: &Self, covariance: &Matrix3<f64>) -> bool {
+        let (dx, dy) = (self.at.x - best.at.x, self.at.y - best.at.y);
+        let off = Vector3::new(dx, dy, self.heading - best.heading);
+        // Along a direction of which the surfaces say nothing, all places are one.
+        let distance = covariance.try_inverse().map_or(0.0, |inverse| off.dot(&(inverse * off)));
+        let as_good = 100 * self.points >= RIVAL_SCORE as usize * best.points
+            && self.square <= 2.0 * best.square.max(CELL_DEVIATION_MM * CELL_DEVIATION_MM);
+        as_good && distance > ELSEWHERE
+    }
+}
+
+/// The pose near one from which the points lie best on the surfaces.
+pub(super) fn refine(
+    surfaces: &Surfaces,
+    points: &[Vector2<f64>],
+    mut at: Vector2<f64>,
+    mut heading: f64,
+    hold: Hold,
+) -> Option<Refined> {
+    let mut refined = None;
+    for round in 0..ROUNDS {
+        let reach = if round < FIRST_ROUNDS { FIRST_REACH_MM } else { LAST_REACH_MM };
+        let (mut information, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
+        let (mut count, mut squares) = (0, 0.0);
+        for point in points {
+            let arm = rotated(*point, heading);
+            let Some(&Surface { middle, normal }) = surfaces.seen_along(arm, at + arm) else {
+                continue;
+            };
+            let off = at + arm - middle;
+            let (axes, share): ([Option<Vector2<f64>>; 2], f64) = match normal {
+                Some(normal) => ([Some(normal), None], 1.0),
+                None => ([Some(Vector2::x()), Some(Vector2::y())], 0.25),
+            };
+            let mut counts = true;
+            for axis in axes.into_iter().flatten() {
+                let distance = axis.dot(&off);
+                let part = distance / reach;
+                if part.abs() >= 1.0 {
+                    counts = false;
+                    continue;
+                }
+                let weight = (1.0 - part * part).powi(2) * share;
+                let row = Vector3::new(axis.x, axis.y, axis.dot(&Vector2::new(-arm.y, arm.x)));
+                information += row * row.transpose() * weight;
+                gradient += row * (distance * weight);
+                squares += distance * distance * share;
+            }
+            count += usize::from(counts);
+        }
+        // The start holds it where nothing else does.
+        let back = hold.at - at;
+        let turn = Angle::from_radians(hold.heading - heading).radians();
+        let held = information + Matrix3::from_diagonal(&hold.information);
+        gradient -= hold.information.component_mul(&Vector3::new(back.x, back.y, turn));
+        let regular = held + Matrix3::from_diagonal(&Vector3::z());
+        let step = regular.try_inverse()? * gradient;
+        let information = if hold.counts { held } else { information };
+        at -= Vector2::new(step.x, step.y);
+        heading -= step.z;
+        let square = squares / f64::from(count.max(1) as u32);
+        refined = Some(Refined { at, heading, information, points: count, square });
+    }
+    refined
+}
