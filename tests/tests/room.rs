@@ -34,19 +34,29 @@ const NEAR_M: f64 = 0.45;
 /// Somebody who is there now is seen as far about: three sigmas of a depth of 5 m more.
 const NOISE_M: f64 = 0.3;
 
-/// How many seeds, and how long a scenario runs.
-fn extent() -> (u64, Duration) {
-    let seeds = std::env::var("UBIMAP_SEEDS").ok().and_then(|it| it.parse().ok());
-    seeds.map_or((1, Duration::from_secs(20)), |seeds| (seeds, Duration::from_secs(60)))
+/// How long a scenario runs: each robot has been round once.
+const ROUND: Duration = Duration::from_secs(60);
+/// Long enough to lose a camera in.
+const SHORT: Duration = Duration::from_secs(15);
+
+fn seeds() -> u64 {
+    std::env::var("UBIMAP_SEEDS").ok().and_then(|it| it.parse().ok()).unwrap_or(1)
 }
 
-/// The people's ways, as a stage goes on.
-type People = Rc<RefCell<Vec<(Instant, Vec<[f64; 2]>)>>>;
+/// Where people and robots are at a moment, in metres.
+struct Bodies {
+    moment: Instant,
+    people: Vec<[f64; 2]>,
+    robots: Vec<[f64; 2]>,
+}
 
-/// A room of which somebody writes down where the people are.
+/// Their ways, as a stage goes on.
+type Ways = Rc<RefCell<Vec<Bodies>>>;
+
+/// A room of which somebody writes down where everybody is.
 struct Watched {
     room: Room,
-    people: People,
+    ways: Ways,
 }
 
 impl Stage for Watched {
@@ -56,10 +66,15 @@ impl Stage for Watched {
 
     fn poll(&mut self, now: Instant) -> Option<Event> {
         let event = self.room.poll(now);
-        let mut people = self.people.borrow_mut();
-        if people.last().is_none_or(|(last, _)| now.since(*last) >= Duration::from_millis(200)) {
+        let mut ways = self.ways.borrow_mut();
+        if ways.last().is_none_or(|last| now.since(last.moment) >= Duration::from_millis(200)) {
             let world = self.room.world();
-            people.push((now, world.people().iter().map(|it| it.position_m()).collect()));
+            let robots = world.robots().iter().map(|it| it.truth());
+            ways.push(Bodies {
+                moment: now,
+                people: world.people().iter().map(|it| it.position_m()).collect(),
+                robots: robots.map(|it| [it.x.metres(), it.y.metres()]).collect(),
+            });
         }
         event
     }
@@ -85,11 +100,11 @@ impl Ghosts {
     fn look(
         &mut self,
         fleet: &Fleet<'_>,
-        people: &People,
+        ways: &Ways,
         solid: &BTreeSet<(i32, i32)>,
         ros: &mut RosMerge,
     ) {
-        for (moment, people) in &people.borrow()[self.noted..] {
+        for Bodies { moment, people, .. } in &ways.borrow()[self.noted..] {
             for &[x, y] in people {
                 let reach = (NEAR_M / RESOLUTION.metres()).ceil() as i32;
                 let cell = [x, y].map(|it| (it / RESOLUTION.metres()).floor() as i32);
@@ -120,10 +135,11 @@ impl Ghosts {
         });
         let left: Vec<(i32, i32)> = left.map(|(at, _)| *at).collect();
         let stands = |cell: Option<Cell>| matches!(cell, Some(Cell::Occupied | Cell::Movable));
-        let now = people.borrow().last().map_or(Vec::new(), |(_, people)| people.clone());
+        let ways = ways.borrow();
         let is_about = |&&(x, y): &&(i32, i32)| {
             let [x, y] = [x, y].map(|it| (f64::from(it) + 0.5) * RESOLUTION.metres());
-            now.iter().any(|it| (it[0] - x).hypot(it[1] - y) <= NEAR_M + NOISE_M)
+            let mut now = ways.last().into_iter().flat_map(|it| it.people.iter().chain(&it.robots));
+            now.any(|it| (it[0] - x).hypot(it[1] - y) <= NEAR_M + NOISE_M)
         };
         let ghosts = left.iter().filter(|at| stands(cell(server.fused(), **at)));
         let (about, ghosts): (Vec<&(i32, i32)>, Vec<_>) = ghosts.partition(is_about);
@@ -202,7 +218,7 @@ struct Run {
 }
 
 /// Runs a built-in scenario, changed a little.
-fn run(name: &str, seed: u64, change: impl FnOnce(&mut Scenario)) -> Run {
+fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)) -> Run {
     let mut scenario = Scenario::read_with(name.as_ref(), None).unwrap();
     change(&mut scenario);
     let started = std::time::Instant::now();
@@ -230,12 +246,12 @@ fn run(name: &str, seed: u64, change: impl FnOnce(&mut Scenario)) -> Run {
             watch.1.borrow_mut().observe(observation);
         }
     }));
-    let people = People::default();
+    let ways = Ways::default();
     let (mut ghosts, mut lost) = (Ghosts::default(), None);
-    let room = Room::filmed(world, Instant(0) + extent().1);
-    let mut stage = Watched { room, people: people.clone() };
+    let room = Room::filmed(world, Instant(0) + long);
+    let mut stage = Watched { room, ways: ways.clone() };
     let converged = fleet.run(&mut stage, |fleet| {
-        ghosts.look(fleet, &people, &solid, &mut ros.borrow_mut());
+        ghosts.look(fleet, &ways, &solid, &mut ros.borrow_mut());
         let late = failed.filter(|&it| fleet.now() >= it + Duration::from_secs(1));
         if let Some(failed) = late.filter(|_| lost.is_none()) {
             lost = Some(ground.borrow().still_covered(failed, fleet));
@@ -260,8 +276,8 @@ fn run(name: &str, seed: u64, change: impl FnOnce(&mut Scenario)) -> Run {
 #[test]
 fn cameras_and_robots_draw_the_room() {
     for name in ["room", "changing"] {
-        for seed in 1..=extent().0 {
-            let run = run(name, seed, |_| {});
+        for seed in 1..=seeds() {
+            let run = run(name, seed, ROUND, |_| {});
             let Run { truth, sighted, believed, ghosts, .. } = &run;
             println!(
                 "{name}, seed {seed}: F1 {:.3}, {:.1} % of the blind ground that was passed known; \
@@ -286,6 +302,9 @@ fn cameras_and_robots_draw_the_room() {
             assert!(sighted.count > 100, "{sighted:?}");
             assert!(sighted.rmse_m <= 0.01 && sighted.rmse_deg <= 0.5, "{sighted:?}");
             assert!(truth.passed_known >= 0.99, "{truth:?}");
+            assert!(name != "room" || truth.f1_occupied >= 0.97, "{truth:?}");
+            // None is wanted; the first seconds, in which the room is learnt, leave one now and then.
+            assert!(ghosts.most <= 1, "{name}, seed {seed}: {}", ghosts.most);
         }
     }
 }
@@ -293,10 +312,10 @@ fn cameras_and_robots_draw_the_room() {
 /// A camera that is lost: its ground is blind within a second, and the map stays as good.
 #[test]
 fn a_camera_is_lost() {
-    for seed in 1..=extent().0 {
-        let all = run("room", seed, |_| {});
-        let lost = run("room", seed, |scenario| {
-            scenario.cameras[0].fails_at_s = Some(extent().1.micros() as f64 / 2e6)
+    for seed in 1..=seeds() {
+        let all = run("room", seed, SHORT, |_| {});
+        let lost = run("room", seed, SHORT, |scenario| {
+            scenario.cameras[0].fails_at_s = Some(SHORT.micros() as f64 / 2e6)
         });
         let (alone, covered) = lost.lost.unwrap();
         println!(
