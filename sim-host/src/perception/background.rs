@@ -190,7 +190,7 @@ impl Background {
             }
             seen.sort_unstable();
             let far = seen[seen.len() - 1 - seen.len() / TRIM];
-            let room = &seen[seen.partition_point(|depth| *depth < far - margin(far) / 2)..];
+            let room = &seen[seen.partition_point(|depth| *depth < far - margin(far))..];
             let sum = room.iter().map(|depth| u32::from(*depth)).sum();
             self.agreed[pixel] = Agreed { sum, count: room.len() as u32 };
             self.settle_again(view, pixel);
