@@ -20,10 +20,10 @@ const GRADE_S: u32 = 60;
 const MOVABLE_S: u32 = 300;
 /// What is fixed and farther than so many cells from anything free is no surface: nobody can have
 /// seen it but by an error, as the noise of a far look draws it behind a wall, or from above.
-///
-/// Nor is what touches nothing free if all up to the free is fixed: the first of it is the surface.
-/// Alone it stays: a lidar of few beams draws walls from afar that nothing free touches.
 const THICKEST: usize = 3;
+/// Nor is what is farther than so many if all up to the free is fixed. Alone it stays: a lidar of few
+/// beams draws walls from afar that nothing free touches.
+const THICK: usize = 2;
 /// A cell keeps changing if free and occupied have followed each other so often, in the order of
 /// time of the last words of all who know it.
 const CHANGES: usize = 3;
@@ -127,20 +127,20 @@ fn keeps_changing(words: &mut [Word]) -> bool {
 pub fn hollow<'t>(tile: &mut Tile, beside: impl Fn(i16, i16) -> Option<&'t Tile>) {
     let free = about(tile, &beside, |tile, y| tile.low[y] & !tile.high[y]);
     let fixed = about(tile, &beside, |tile, y| tile.high[y] & !tile.low[y]);
-    let mut surface = [0_u64; ROWS];
+    // What is fixed from the free on, a cell and two cells deep.
+    let mut deep = [[0_u64; ROWS]; THICK];
     for at in 1..ROWS - 1 {
-        surface[at] = fixed[at] & spread(&free[at - 1..=at + 1], 1);
+        deep[0][at] = fixed[at] & spread(&free[at - 1..=at + 1], 1);
     }
-    let mut second = [0_u64; ROWS];
     for at in 2..ROWS - 2 {
-        second[at] = fixed[at] & spread(&surface[at - 1..=at + 1], 1);
+        deep[1][at] = fixed[at] & spread(&deep[0][at - 1..=at + 1], 1);
     }
     for y in 0..TILE_SIDE {
         let near = |rows: &[u64; ROWS], steps: usize| {
             let at = y + THICKEST;
             (spread(&rows[at - steps..=at + steps], steps) >> THICKEST) as u32
         };
-        let kept = near(&free, 1) | near(&free, THICKEST) & !near(&second, 1);
+        let kept = near(&free, THICK) | near(&free, THICKEST) & !near(&deep[1], 1);
         let mut row = tile.row(y);
         row.high &= row.low | kept;
         tile.set_row(y, row);
@@ -330,7 +330,7 @@ mod tests {
                     is_fixed(&at) && about(at.0, at.1, 1).any(|it| is_surface(&it))
                 };
                 let is_behind = about(x, y, 1).any(is_second);
-                let is_seen = is_near(x, y, 1) || is_near(x, y, THICKEST) && !is_behind;
+                let is_seen = is_near(x, y, THICK) || is_near(x, y, THICKEST) && !is_behind;
                 let is_deep = code(x, y) == Occupied && !is_seen;
                 let expected = if is_deep { Unknown } else { code(x, y) };
                 assert_eq!(hollowed.cell(x as usize, y as usize), expected, "{x} {y}");
