@@ -18,8 +18,8 @@ pub struct Truth {
     /// The cells that contain a surface which can be seen from the reachable floor; sorted. The
     /// insides of walls and their far sides are not among them.
     pub surfaces: Vec<(i32, i32)>,
-    /// The cells whose centres can be reached from a robot's start at slice height and that
-    /// contain no surface; sorted.
+    /// The cells whose centres can be reached from a robot's start at slice height, now or before
+    /// the room changed, and that contain no surface; sorted.
     pub free: Vec<(i32, i32)>,
 }
 
