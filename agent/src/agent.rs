@@ -30,6 +30,8 @@ use crate::{
 const WINDOW: usize = 3;
 /// Between two states; what keeps an idle session alive.
 const STATE_INTERVAL: Duration = Duration::from_secs(2);
+/// By then the scans taken up to an event are in the map.
+const HURRY: Duration = Duration::from_millis(300);
 
 /// What a reliable frame carries, to be told apart when it is acknowledged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -407,8 +409,11 @@ impl<'b> Agent<'b> {
         (self.statistics.sessions > 0).then_some(self.heard)
     }
 
-    /// Tells the server that something has happened.
+    /// Tells the server that something has happened; and where, and at once what the robot has seen
+    /// by then, for somebody may have to decide what it is to do next.
     pub fn raise(&mut self, code: EventCode, now: Instant) {
+        self.next_state = now;
+        self.publisher.hurry(now + HURRY);
         self.events.raise(code, now);
     }
 

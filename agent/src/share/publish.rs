@@ -25,6 +25,8 @@ pub struct Publisher {
     hold: Duration,
     /// Since when something is waiting.
     waiting_since: Option<Instant>,
+    /// What has changed before that is not held.
+    hurries_until: Instant,
     /// When the newest scan in the map was taken: seconds of the server's clock.
     newest_scan: u32,
     frame: u16,
@@ -39,6 +41,7 @@ impl Publisher {
         Self {
             hold,
             waiting_since: None,
+            hurries_until: Instant(0),
             newest_scan: 0,
             frame: 0,
             digested: None,
@@ -49,6 +52,11 @@ impl Publisher {
     /// Changes are gathered this long from now on.
     pub(crate) fn set_hold(&mut self, hold: Duration) {
         self.hold = hold;
+    }
+
+    /// What has changed, or does before this moment, is sent at once.
+    pub(crate) fn hurry(&mut self, until: Instant) {
+        self.hurries_until = until;
     }
 
     /// Adds the states of the next few tiles that the server should hold, if it is time. What finds
@@ -100,7 +108,8 @@ impl Publisher {
 
     /// When there is something to send.
     pub fn poll_timeout(&self) -> Option<Instant> {
-        Some(self.waiting_since? + self.hold)
+        let since = self.waiting_since?;
+        Some(if since < self.hurries_until { since } else { since + self.hold })
     }
 
     /// Adds a tile update of as many tiles as fit, if it is time. Returns the number of the

@@ -14,7 +14,7 @@ const STILL_M: f64 = 0.03;
 pub(super) const ARRIVED_M: f64 = 0.25;
 
 /// Until the server has heard what a robot saw.
-const HEARD: Duration = Duration::from_secs(1);
+const HEARD: Duration = Duration::from_millis(500);
 
 /// A frontier that a robot goes to look at.
 #[derive(Clone, Copy, Debug)]
