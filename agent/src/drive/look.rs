@@ -8,7 +8,7 @@ use ubimap_protocol::{
 };
 
 use super::window::GroundRow;
-use crate::trigonometry::{radians, sin_cos};
+use crate::trigonometry::{angle, radians, sin_cos};
 
 /// Rays that are looked along.
 const RAYS: u32 = 32;
@@ -85,16 +85,15 @@ pub(super) struct LookAround {
     turned: f32,
     least: f32,
     most: f32,
-    /// The rays of blind ground, and which way it turns; none before the first look.
+    /// The rays of blind ground; none before the first look.
     rays: u32,
-    left: Option<bool>,
 }
 
 impl LookAround {
     /// From here.
     pub(super) fn new(heading: Angle) -> Self {
         let (turned, least, most) = (0.0, 0.0, 0.0);
-        Self { first: heading, last: heading, turned, least, most, rays: 0, left: None }
+        Self { first: heading, last: heading, turned, least, most, rays: 0 }
     }
 
     /// Looks at the map.
@@ -109,32 +108,41 @@ impl LookAround {
         self.rays = gaze.blind_rays(pose, resolution, explore_covered, ground);
     }
 
-    /// Which way to turn on, to the left or not; `None` when nothing is left to be seen. It goes on
-    /// as it has begun: the nearer way.
+    /// Which way to turn on, to the left or not, to have seen all with the least turning, be it to
+    /// one side or to one and then to the other; `None` when nothing is left to be seen.
     pub(super) fn turn(&mut self, heading: Angle, half_view: f32) -> Option<bool> {
         self.turned += radians(heading - self.last);
         self.last = heading;
         (self.least, self.most) = (self.least.min(self.turned), self.most.max(self.turned));
         let sure = half_view * SURE;
         let (right, left) = (self.least - sure, self.most + sure);
-        if left - right >= TAU {
-            return None;
-        }
-        // How far beyond what it has seen each ray is, on both sides.
-        let (mut to_left, mut to_right) = (f32::MAX, f32::MAX);
-        for ray in (0..RAYS).filter(|ray| self.rays >> ray & 1 != 0) {
+        let gap = TAU - (left - right);
+        // From here to what it has seen last on either side.
+        let (to_left, to_right) = (self.most - self.turned, self.turned - self.least);
+        let (mut best, mut is_left) = (f32::MAX, None);
+        // Of what has not been seen, that up to a ray is seen to the left, and the rest to the right.
+        let mut turn = |on_the_left: Option<f32>, on_the_right: Option<f32>| {
+            let left = on_the_left.map_or(0.0, |beyond| to_left + beyond);
+            let right = on_the_right.map_or(0.0, |beyond| to_right + gap - beyond);
+            let all = left + right + left.min(right);
+            if all < best {
+                (best, is_left) = (all, Some(left > 0.0 && (right == 0.0 || left <= right)));
+            }
+        };
+        let mut last = None;
+        let edge = (self.first + angle(left)).0 >> 11;
+        for ray in (1..=RAYS).map(|ray| (u32::from(edge) + ray) % RAYS) {
             let bearing = Angle((ray << 11) as u16) - self.first;
-            let beyond = libm::fmodf(radians(bearing) - right + 2.0 * TAU, TAU);
-            let unseen = beyond - (left - right);
-            if unseen > 0.0 {
-                to_left = to_left.min(unseen);
-                to_right = to_right.min(TAU - beyond);
+            let beyond = libm::fmodf(radians(bearing) - left + 2.0 * TAU, TAU);
+            if self.rays >> ray & 1 != 0 && beyond < gap {
+                turn(last, Some(beyond));
+                last = Some(beyond);
             }
         }
-        if to_left == f32::MAX {
-            return None;
+        if last.is_some() {
+            turn(last, None);
         }
-        Some(*self.left.get_or_insert(to_left <= to_right))
+        is_left
     }
 }
 
@@ -142,11 +150,19 @@ impl LookAround {
 mod tests {
     use super::*;
 
-    /// Turns by the looks until nothing is left: by how much, in degrees, to the left.
-    fn turned(mut known: impl FnMut(f64, f64) -> bool, occupied: impl Fn(f64, f64) -> bool) -> f64 {
+    fn turned(known: impl FnMut(f64, f64) -> bool, occupied: impl Fn(f64, f64) -> bool) -> f64 {
+        sweep(known, occupied).0
+    }
+
+    /// Turns by the looks until nothing is left: how far to the left it ends, and how far it has
+    /// turned in all, in degrees.
+    fn sweep(
+        mut known: impl FnMut(f64, f64) -> bool,
+        occupied: impl Fn(f64, f64) -> bool,
+    ) -> (f64, f64) {
         let gaze = Gaze::default();
         let mut look = LookAround::new(Angle(0));
-        let mut degrees = 0.0;
+        let (mut degrees, mut all) = (0.0, 0.0);
         let known = core::cell::RefCell::new(&mut known);
         loop {
             let heading = Angle::from_degrees(degrees);
@@ -166,14 +182,15 @@ mod tests {
             });
             match look.turn(heading, gaze.half_view) {
                 Some(left) => degrees += if left { 5.0 } else { -5.0 },
-                None => return degrees,
+                None => return (degrees, all),
             }
-            assert!(degrees.abs() < 360.0);
+            all += 5.0;
+            assert!(all < 360.0);
         }
     }
 
     #[test]
-    fn it_turns_as_far_as_there_is_something_to_see_and_the_nearer_way() {
+    fn it_turns_as_far_as_there_is_something_to_see_and_no_farther() {
         let nowhere = |_, _| false;
         assert_eq!(turned(|_, _| true, nowhere), 0.0, "all is known");
         assert_eq!(turned(|x, y| x.hypot(y) < 2.6, nowhere), 0.0, "or far away");
@@ -185,6 +202,16 @@ mod tests {
         assert!((-130.0..=-85.0).contains(&right), "{right}");
         let round = turned(|x, y| x.hypot(y) < 1.0, nowhere);
         assert!((270.0..300.0).contains(&round.abs()), "{round}");
+        // A little on either side: first to the nearer, then to the other.
+        let towards = |x: f64, y: f64, degrees: f64| {
+            (libm::atan2(y, x).to_degrees() - degrees).abs() < 12.0 && x.hypot(y) > 1.0
+        };
+        for side in [1.0, -1.0] {
+            let (end, all) =
+                sweep(|x, y| !towards(x, y, side * 100.0) && !towards(x, y, side * -60.0), nowhere);
+            assert!((60.0..90.0).contains(&(side * end)), "{end}");
+            assert!((110.0..160.0).contains(&all), "{all}");
+        }
         // Behind a wall it is out of sight, and a speck is nothing.
         assert_eq!(turned(|_, y| y < 1.0, |_, y| y > 0.9 && y < 1.0), 0.0);
         assert_eq!(turned(|x, y| !(y > 1.0 && y < 1.1 && x.abs() < 0.05), nowhere), 0.0);
