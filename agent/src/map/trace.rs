@@ -60,6 +60,8 @@ pub(super) struct Grain {
     range_square: u64,
     /// Readings up to this one are within it, whatever their beam.
     surely: u32,
+    /// Readings from the first on, so many more, are beyond it, whatever their beam, and may count.
+    beyond: (u32, u32),
     /// Millimetres of reading times beams that fit half a cell.
     bridge: u32,
     /// Readings from the first on, so many more, may count.
@@ -93,13 +95,19 @@ impl Grain {
         });
         let widest = apart.max().unwrap_or(0).max(1);
         let used = beams.iter().filter(|beam| **beam != Beam::NONE);
-        let surely = used.map(|beam| beam.reading_at(range)).min().unwrap_or(0).saturating_sub(1);
+        let reaches = used.map(|beam| beam.reading_at(range));
+        let (low, high) =
+            reaches.fold((u32::MAX, 0), |(low, high), it| (low.min(it), high.max(it)));
+        let surely = low.min(high).saturating_sub(1);
         let side = side.0.clamp(0, 10_000) as u32;
         let span = if policy == Policy::Full { SPAN } else { 0 };
         let spread = ((span * side) << DIRECTION_BITS) / widest;
         let margin = side / 2;
         let first = u32::from(validity.nearest).max(margin + 1);
-        let more = u32::from(validity.farthest).checked_sub(first);
+        let from = |first: u32| {
+            let more = u32::from(validity.farthest).checked_sub(first);
+            more.map_or((u32::MAX, 0), |more| (first, more))
+        };
         let touch = match validity {
             _ if validity.removes() => -1,
             Validity { flying: 0, .. } => i32::MAX,
@@ -113,7 +121,8 @@ impl Grain {
             range_square: u64::from(range).pow(2) << (2 * DIRECTION_BITS),
             surely,
             bridge: spread / (2 * SPAN),
-            counting: more.map_or((u32::MAX, 0), |more| (first, more)),
+            counting: from(first),
+            beyond: from(first.max(high + high / 1_000 + 2)),
             touch,
             validity,
         }
@@ -213,8 +222,9 @@ impl Grain {
             };
             let reading = u32::from(reading);
             if index < end
-                && reading.wrapping_sub(self.counting.0) <= self.counting.1
-                && !self.reaches(beam, reading)
+                && (reading.wrapping_sub(self.beyond.0) <= self.beyond.1
+                    || reading.wrapping_sub(self.counting.0) <= self.counting.1
+                        && !self.reaches(beam, reading))
             {
                 last = index;
             } else if stride > 1 {
@@ -265,7 +275,10 @@ pub(super) fn trace(
         if !grain.counts(readings, index, reading) || beam == Beam::NONE {
             // Where nothing comes back, often much does not.
             let rest = readings.get(index + 1..).unwrap_or_default();
-            let gap = 1 + rest.iter().take_while(|&&reading| reading == 0).count();
+            let (fours, _) = rest.as_chunks();
+            let gap = 4 * fours.iter().take_while(|four| **four == [0; 4]).count();
+            let rest = rest.get(gap..).unwrap_or_default();
+            let gap = gap + 1 + rest.iter().take_while(|&&reading| reading == 0).count();
             invalid += gap as u32;
             is_first_invalid |= index == 0;
             index += gap;
