@@ -428,6 +428,26 @@ mod tests {
     }
 
     #[test]
+    fn a_gap_narrower_than_a_cell_is_none() {
+        let mut beams = [Beam::default(); 640];
+        let camera = SensorModel::Pinhole { focal: 343.1, centre: 319.5 };
+        fill_beams(&mut beams, camera, Pose::default());
+        let whole = see(&beams, &[2_000; 640], Pose::default());
+        // Between two columns there are 5.8 mm.
+        let with_gap = |from: usize, columns: usize| {
+            let mut readings = [2_000; 640];
+            readings[from..from + columns].fill(0);
+            see(&beams, &readings, Pose::default())
+        };
+        for from in (1..600).step_by(37) {
+            let (narrow, wide) = (with_gap(from, 6), with_gap(from, 30));
+            assert_eq!((narrow.counts.invalid, wide.counts.invalid), (6, 30));
+            assert!(narrow.free == whole.free, "{from}");
+            assert!(wide.free.len() + 50 < whole.free.len(), "{from}");
+        }
+    }
+
+    #[test]
     fn a_scan_at_the_end_of_the_map_is_refused() {
         let beams = half_circle(5);
         let add = |words: usize, pose: Pose| {

@@ -1,8 +1,9 @@
 //! The outline of what a scan saw, drawn on a window.
 //!
 //! The ends of the beams, in order of bearing, close a polygon with the sensor; what is inside,
-//! minus the hits, is free. Invalid beams break the polygon, and where the range jumps between two
-//! beams only the nearer range is claimed between them: nothing is free that no beam crossed.
+//! minus the hits, is free. Invalid beams break the polygon where they leave room for a cell, and
+//! where the range jumps between two beams only the nearer range is claimed between them: nothing is
+//! free that no beam crossed.
 //!
 //! Where there are several beams to a cell, most of them end on a surface that others have shown
 //! already. From each beam that is drawn on, those are passed over that end where the surface goes
@@ -295,7 +296,10 @@ pub(super) fn trace(
         let mut surface = None;
         let passed = index - last.index;
         let least = last.reach.min(reach);
-        if is_broken && (passed as u32).wrapping_mul(least) > grain.bridge {
+        // A gap narrower than a cell holds none that no beam crosses. Close by, where the robot goes
+        // next, half of that.
+        let bridge = if least > near { 2 * grain.bridge } else { grain.bridge };
+        if is_broken && (passed as u32).wrapping_mul(least) > bridge {
             window.edge(last.at, sensor);
         } else {
             from = last.at;
