@@ -17,7 +17,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose, RobotId},
 };
 use ubimap_sim_host::{
-    mapping::{MapTime, RobotLayer, SeenTile, Weight, fuse, hollow},
+    mapping::{MapTime, RobotLayer, SeenTile, Sight, Weight, fuse, hollow},
     run::fleet::AgentMemory,
     store::Store,
 };
@@ -207,8 +207,12 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
             let beside: [[Tile; 3]; 3] =
                 [-1, 0, 1].map(|north| [-1, 0, 1].map(|east| beside(east, north)));
             let mut expected = whole(id);
-            let tile = |east, north| beside.get((north + 1) as usize)?.get((east + 1) as usize);
-            hollow(&mut expected, tile);
+            let unseen = Sight::default();
+            let tile = |east, north| {
+                let tile = beside.get((north + 1) as usize)?.get((east + 1) as usize)?;
+                Some((tile, &unseen))
+            };
+            hollow(&mut expected, &unseen, tile);
             assert_eq!(*replica.tile(), expected, "{id:?}");
         }
     }

@@ -18,12 +18,6 @@ const GRADE_S: u32 = 60;
 /// Something movable that a robot saw so many seconds ago is forgotten. What is fixed never is: a
 /// robot that agrees with the map is silent.
 const MOVABLE_S: u32 = 300;
-/// What is fixed and farther than so many cells from anything free is no surface: nobody can have
-/// seen it but by an error, as the noise of a far look draws it behind a wall, or from above.
-const THICKEST: usize = 3;
-/// Nor is what is farther than so many if all up to the free is fixed. Alone it stays: a lidar of few
-/// beams draws walls from afar that nothing free touches.
-const THICK: usize = 2;
 /// A cell keeps changing if free and occupied have followed each other so often, in the order of
 /// time of the last words of all who know it.
 const CHANGES: usize = 3;
@@ -40,6 +34,11 @@ impl MapTime {
     pub fn at(moment: Instant) -> Self {
         // The seconds of 136 years fit.
         Self((moment.micros() / 1_000_000) as u32 / STEP_S * STEP_S)
+    }
+
+    /// Whether a second is in the step or in the one before it.
+    pub(super) fn is_recent(self, second: u32) -> bool {
+        second.saturating_add(STEP_S) >= self.0
     }
 
     /// When the next step begins.
@@ -119,58 +118,6 @@ fn keeps_changing(words: &mut [Word]) -> bool {
         .windows(2)
         .filter(|pair| pair[0].0 < pair[1].0 && is_free(&pair[0]) != is_free(&pair[1]));
     follow.count() >= CHANGES
-}
-
-/// Takes out of a fused tile what is fixed and lies so deep within something that nobody sees it.
-/// `beside` is the fused tile that lies so many tiles to the east and to the north. What is free has
-/// the same border as before. Word by word, a few dozen steps for each row.
-pub fn hollow<'t>(tile: &mut Tile, beside: impl Fn(i16, i16) -> Option<&'t Tile>) {
-    let free = about(tile, &beside, |tile, y| tile.low[y] & !tile.high[y]);
-    let fixed = about(tile, &beside, |tile, y| tile.high[y] & !tile.low[y]);
-    // What is fixed from the free on, a cell and two cells deep.
-    let mut deep = [[0_u64; ROWS]; THICK];
-    for at in 1..ROWS - 1 {
-        deep[0][at] = fixed[at] & spread(&free[at - 1..=at + 1], 1);
-    }
-    for at in 2..ROWS - 2 {
-        deep[1][at] = fixed[at] & spread(&deep[0][at - 1..=at + 1], 1);
-    }
-    for y in 0..TILE_SIDE {
-        let near = |rows: &[u64; ROWS], steps: usize| {
-            let at = y + THICKEST;
-            (spread(&rows[at - steps..=at + steps], steps) >> THICKEST) as u32
-        };
-        let kept = near(&free, THICK) | near(&free, THICKEST) & !near(&deep[1], 1);
-        let mut row = tile.row(y);
-        row.high &= row.low | kept;
-        tile.set_row(y, row);
-    }
-}
-
-/// Rows of a tile and of those about it that are looked at.
-const ROWS: usize = TILE_SIDE + 2 * THICKEST;
-
-/// The rows of a tile and about it, each from [`THICKEST`] cells to the west of it on.
-fn about<'t>(
-    tile: &Tile,
-    beside: &impl Fn(i16, i16) -> Option<&'t Tile>,
-    row: impl Fn(&Tile, usize) -> u32,
-) -> [u64; ROWS] {
-    core::array::from_fn(|index| {
-        let y = (index + TILE_SIDE - THICKEST) % TILE_SIDE;
-        let north = i16::from(index >= TILE_SIDE + THICKEST) - i16::from(index < THICKEST);
-        let of = |east: i16| match (east, north) {
-            (0, 0) => u64::from(row(tile, y)),
-            _ => beside(east, north).map_or(0, |tile| u64::from(row(tile, y))),
-        };
-        of(-1) >> (TILE_SIDE - THICKEST) | of(0) << THICKEST | of(1) << (TILE_SIDE + THICKEST)
-    })
-}
-
-/// The columns that are within so many steps of a cell of these rows.
-fn spread(rows: &[u64], steps: usize) -> u64 {
-    let columns = rows.iter().fold(0, |sum, row| sum | row);
-    (0..=2 * steps).fold(0, |sum, step| sum | columns << steps >> step)
 }
 
 /// Cells under a localised robot are not occupied. Whether any was.
@@ -284,59 +231,6 @@ mod tests {
             assert_eq!(clear(&mut tile, &under), cell != expected);
             assert_eq!((tile.cell(7, 9), tile.cell(8, 9)), (expected, Unknown));
             assert_eq!(tile.cell(9, 9), Occupied);
-        }
-    }
-
-    #[test]
-    fn what_lies_deep_within_something_is_not_published() {
-        // Three by three tiles of thirds, cell by cell.
-        let code = |x: i32, y: i32| match (x * 73 + y * 151 + x * y * 31).rem_euclid(97) {
-            0..=1 => Free,
-            2 => Movable,
-            3..=9 => Unknown,
-            _ => Occupied,
-        };
-        let side = TILE_SIDE as i32;
-        let tile = |east: i32, north: i32| {
-            let mut tile = Tile::UNKNOWN;
-            for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (x, y))) {
-                tile.set(x as usize, y as usize, code(east * side + x, north * side + y));
-            }
-            tile
-        };
-        let tiles: Vec<Tile> = (0..9).map(|at| tile(at % 3 - 1, at / 3 - 1)).collect();
-        for missing in [None, Some((1, 0)), Some((-1, -1))] {
-            let mut hollowed = tiles[4];
-            hollow(&mut hollowed, |east, north| {
-                let is_there = missing != Some((east, north));
-                is_there.then(|| &tiles[(4 + east + 3 * north) as usize])
-            });
-            let mut out = 0;
-            for (x, y) in (0..side).flat_map(|y| (0..side).map(move |x| (x, y))) {
-                let of = |at: i32| i16::from(at >= side) - i16::from(at < 0);
-                let cell = |x: i32, y: i32| {
-                    if missing == Some((of(x), of(y))) { Unknown } else { code(x, y) }
-                };
-                let about = |x: i32, y: i32, steps: usize| {
-                    let reach = -(steps as i32)..=steps as i32;
-                    reach.clone().flat_map(move |dy| reach.clone().map(move |dx| (x + dx, y + dy)))
-                };
-                let is_near = |x: i32, y: i32, steps: usize| {
-                    about(x, y, steps).any(|(x, y)| cell(x, y) == Free)
-                };
-                let is_fixed = |(x, y): &(i32, i32)| cell(*x, *y) == Occupied;
-                let is_surface = |at: &(i32, i32)| is_fixed(at) && is_near(at.0, at.1, 1);
-                let is_second = |at: (i32, i32)| {
-                    is_fixed(&at) && about(at.0, at.1, 1).any(|it| is_surface(&it))
-                };
-                let is_behind = about(x, y, 1).any(is_second);
-                let is_seen = is_near(x, y, THICK) || is_near(x, y, THICKEST) && !is_behind;
-                let is_deep = code(x, y) == Occupied && !is_seen;
-                let expected = if is_deep { Unknown } else { code(x, y) };
-                assert_eq!(hollowed.cell(x as usize, y as usize), expected, "{x} {y}");
-                out += u32::from(is_deep);
-            }
-            assert!((100..900).contains(&out), "{out}");
         }
     }
 

@@ -9,8 +9,8 @@ use ubimap_protocol::{
 };
 
 use crate::mapping::{
-    Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Weight, clear, fuse,
-    hollow,
+    Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Sight, Weight,
+    clear, fuse, hollow,
 };
 
 /// A robot that no camera has seen for longer may be anywhere.
@@ -27,10 +27,11 @@ pub(super) struct SharedMap {
     /// Tiles of robots that have changed since the weights were found.
     unweighed: BTreeSet<TileId>,
     time: MapTime,
-    /// What all have seen of each tile, with what nobody sees and with the robots upon it.
-    whole: BTreeMap<TileId, Tile>,
+    /// What all have seen of each tile, with what nobody sees and with the robots upon it, and what
+    /// of that cameras see.
+    whole: BTreeMap<TileId, (Tile, Sight)>,
     fused: ServedLayer,
-    /// Tiles with something movable, which is forgotten in time.
+    /// Tiles with something movable, which is forgotten in time, or with something in sight.
     ageing: BTreeSet<TileId>,
     /// The cells that each robot takes up, and when cameras saw it there.
     under: BTreeMap<RobotId, (Instant, BTreeMap<TileId, Mask>)>,
@@ -68,11 +69,15 @@ impl SharedMap {
 
     /// What all have seen of a tile but one robot.
     pub(super) fn without(&self, robot: Option<RobotId>, id: TileId) -> Tile {
+        self.fused_with(&self.cameras.seen(id), robot, id)
+    }
+
+    fn fused_with(&self, cameras: &SeenTile, robot: Option<RobotId>, id: TileId) -> Tile {
         let others = self.layers.iter().filter(|(other, _)| Some(**other) != robot);
         let others: Vec<(Weight, &SeenTile)> = others
             .filter_map(|(&other, layer)| Some((self.weight(other), layer.seen(id)?)))
             .collect();
-        fuse(&self.cameras.seen(id), &others, self.time)
+        fuse(cameras, &others, self.time)
     }
 
     /// What the cameras know of a tile; the robots upon it are movable.
@@ -97,13 +102,12 @@ impl SharedMap {
     }
 
     fn fuse(&mut self, id: TileId) {
-        let tile = self.without(None, id);
-        set_member(
-            &mut self.ageing,
-            id,
-            (0..).zip(tile.high).any(|(y, high)| high & tile.low[y] != 0),
-        );
-        if self.whole.insert(id, tile) == Some(tile) {
+        let cameras = self.cameras.seen(id);
+        let tile = self.fused_with(&cameras, None, id);
+        let sight = Sight::of(&tile, &cameras, self.time);
+        let has_movable = (0..).zip(tile.high).any(|(y, high)| high & tile.low[y] != 0);
+        set_member(&mut self.ageing, id, has_movable || !sight.is_empty());
+        if self.whole.insert(id, (tile, sight)) == Some((tile, sight)) {
             return;
         }
         for (east, north) in (-1..=1).flat_map(|north| (-1..=1).map(move |east| (east, north))) {
@@ -114,8 +118,11 @@ impl SharedMap {
     }
 
     fn publish(&mut self, id: TileId) {
-        let Some(&(mut tile)) = self.whole.get(&id) else { return };
-        hollow(&mut tile, |east, north| self.whole.get(&beside(id, east, north)?));
+        let Some(&(mut tile, sight)) = self.whole.get(&id) else { return };
+        hollow(&mut tile, &sight, |east, north| {
+            let (tile, sight) = self.whole.get(&beside(id, east, north)?)?;
+            Some((tile, sight))
+        });
         let hides = clear(&mut tile, &self.under(id));
         set_member(&mut self.hiding, id, hides);
         self.fused.set(id, tile);

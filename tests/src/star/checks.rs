@@ -10,7 +10,7 @@ use ubimap_protocol::{
     link::Counters,
     tile::{Layer, Stamp, TILE_SIDE, Tile, TileId, tile_hash},
 };
-use ubimap_sim_host::mapping::{SeenTile, clear, fuse, hollow};
+use ubimap_sim_host::mapping::{SeenTile, Sight, clear, fuse, hollow};
 
 use super::{Robot, Star};
 
@@ -168,7 +168,8 @@ impl<'b> Star<'b> {
             .flat_map(|north| (-1..=1).map(move |east| (east, north)))
             .filter_map(|at| Some((at, beside(at.0, at.1)?)))
             .collect();
-        hollow(&mut expected, |east, north| beside.get(&(east, north)));
+        let unseen = Sight::default();
+        hollow(&mut expected, &unseen, |east, north| Some((beside.get(&(east, north))?, &unseen)));
         clear(&mut expected, &self.server.under(id));
         let found = self.server.fused().get(id).map(|(_, tile)| tile);
         assert!(found == Some(&expected), "{id:?} is not what the layers make");

@@ -1,0 +1,282 @@
+//! The surfaces of what is fixed: of a wall or a cupboard only what somebody can have seen is
+//! published.
+
+use ubimap_protocol::tile::{Cell, TILE_CELLS, TILE_SIDE, Tile};
+
+use super::{
+    fused_layer::{MapTime, Mask},
+    robot_layer::SeenTile,
+};
+
+/// What is farther than so many cells from anything free is no surface: nobody can have seen it but
+/// by an error, as the noise of a far look draws it behind a wall, or from above.
+const THICKEST: usize = 3;
+/// Nor is what is farther than so many if all up to the free is fixed. Alone it stays: a lidar of few
+/// beams draws walls from afar that nothing free touches.
+const THICK: usize = 2;
+
+/// What of a fused tile is what cameras have seen of late: in the present step of the map's time or
+/// in the one before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sight {
+    /// Free, and in sight.
+    free: Mask,
+    /// Free when it was in sight, which it is no longer.
+    lost: Mask,
+    /// Fixed, and in sight.
+    fixed: Mask,
+}
+
+impl Sight {
+    /// Of a tile that was fused with what these cameras saw.
+    pub fn of(fused: &Tile, cameras: &SeenTile, time: MapTime) -> Self {
+        let mut sight = Self::default();
+        for cell in 0..usize::from(TILE_CELLS) {
+            let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+            let code = fused.cell(x, y);
+            let mask = match (code, time.is_recent(cameras.seconds[cell])) {
+                _ if cameras.tile.cell(x, y) != code => continue,
+                (Cell::Free, true) => &mut sight.free,
+                (Cell::Free, false) => &mut sight.lost,
+                (Cell::Occupied, true) => &mut sight.fixed,
+                _ => continue,
+            };
+            mask[y] |= 1 << x;
+        }
+        sight
+    }
+
+    /// Whether there is anything that goes out of sight some day.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Takes out of a fused tile what is fixed and lies so deep within something that nobody sees it.
+/// `beside` is the fused tile that lies so many tiles to the east and to the north, and what of it
+/// is in sight. What is free has the same border as before. What is fixed stays
+///
+/// 1. beside what is free;
+/// 2. a cell behind that, but where cameras see the free up to its end: they tell where the surface
+///    is, and what is behind it is the noise of somebody else's look;
+/// 3. three cells from what is free, if nothing fixed is in between.
+///
+/// Nothing that is free counts for what cameras see to be fixed if it is out of their sight: it was
+/// seen before the thing came, and is under or behind it. Word by word, some dozens of steps for each
+/// row.
+pub fn hollow<'t>(
+    tile: &mut Tile,
+    sight: &Sight,
+    beside: impl Fn(i16, i16) -> Option<(&'t Tile, &'t Sight)>,
+) {
+    let of = |row: fn(&Tile, &Sight, usize) -> u32| about(tile, sight, &beside, row);
+    let free = of(|tile, _, y| tile.low[y] & !tile.high[y]);
+    let front = of(|tile, sight, y| tile.low[y] & !tile.high[y] & !sight.lost[y]);
+    let bounds = of(|_, sight, y| sight.free[y]);
+    let fixed = of(|tile, _, y| tile.high[y] & !tile.low[y]);
+    let seen = of(|_, sight, y| sight.fixed[y]);
+    // What is fixed within so many cells of what is free before it.
+    let within = |at: usize, steps: usize| {
+        let near = |rows: &Rows| spread(&rows[at - steps..=at + steps], steps);
+        fixed[at] & (near(&free) & !seen[at] | near(&front) & seen[at])
+    };
+    let (mut first, mut bounded) = ([0; ROWS], [0; ROWS]);
+    for at in 1..ROWS - 1 {
+        first[at] = within(at, 1);
+        bounded[at] = first[at] & spread(&bounds[at - 1..=at + 1], 1);
+    }
+    // The second layer, as far as it is behind a first one, and what of it may stay.
+    let (mut second, mut kept) = ([0; ROWS], [0; ROWS]);
+    for at in 2..ROWS - 2 {
+        let behind = |open: fn(u64, u64) -> u64| {
+            let rows: [u64; 3] =
+                core::array::from_fn(|row| open(first[at + row - 1], bounded[at + row - 1]));
+            spread(&rows, 1)
+        };
+        second[at] = fixed[at] & behind(|first, _| first);
+        let open = behind(|first, bounded| first & !bounded) | !second[at];
+        kept[at] = first[at] | within(at, THICK) & open;
+    }
+    for y in 0..TILE_SIDE {
+        let at = y + THICKEST;
+        let alone = within(at, THICKEST) & !spread(&second[at - 1..=at + 1], 1);
+        let mut row = tile.row(y);
+        row.high &= row.low | ((kept[at] | alone) >> THICKEST) as u32;
+        tile.set_row(y, row);
+    }
+}
+
+/// Rows of a tile and of those about it that are looked at.
+const ROWS: usize = TILE_SIDE + 2 * THICKEST;
+
+/// These rows, each from [`THICKEST`] cells to the west of the tile on.
+type Rows = [u64; ROWS];
+
+fn about<'t>(
+    tile: &Tile,
+    sight: &Sight,
+    beside: &impl Fn(i16, i16) -> Option<(&'t Tile, &'t Sight)>,
+    row: fn(&Tile, &Sight, usize) -> u32,
+) -> Rows {
+    core::array::from_fn(|index| {
+        let y = (index + TILE_SIDE - THICKEST) % TILE_SIDE;
+        let north = i16::from(index >= TILE_SIDE + THICKEST) - i16::from(index < THICKEST);
+        let of = |east: i16| match (east, north) {
+            (0, 0) => u64::from(row(tile, sight, y)),
+            _ => beside(east, north).map_or(0, |(tile, sight)| u64::from(row(tile, sight, y))),
+        };
+        of(-1) >> (TILE_SIDE - THICKEST) | of(0) << THICKEST | of(1) << (TILE_SIDE + THICKEST)
+    })
+}
+
+/// The columns that are within so many steps of a cell of these rows.
+fn spread(rows: &[u64], steps: usize) -> u64 {
+    let columns = rows.iter().fold(0, |sum, row| sum | row);
+    (0..=2 * steps).fold(0, |sum, step| sum | columns << steps >> step)
+}
+
+#[cfg(test)]
+mod tests {
+    use ubimap_protocol::time::Instant;
+
+    use super::*;
+    use Cell::{Free, Movable, Occupied, Unknown};
+
+    const SIDE: i32 = TILE_SIDE as i32;
+
+    /// The tile that lies so many to the east and to the north, of these cells.
+    fn tile(east: i32, north: i32, code: impl Fn(i32, i32) -> Cell) -> Tile {
+        let mut tile = Tile::UNKNOWN;
+        for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+            tile.set(x as usize, y as usize, code(east * SIDE + x, north * SIDE + y));
+        }
+        tile
+    }
+
+    fn about(x: i32, y: i32, steps: usize) -> impl Iterator<Item = (i32, i32)> {
+        let reach = -(steps as i32)..=steps as i32;
+        reach.clone().flat_map(move |dy| reach.clone().map(move |dx| (x + dx, y + dy)))
+    }
+
+    /// What is said of a cell, by whom, and whether that is in sight.
+    #[derive(Clone, Copy, PartialEq, Eq)]
+    struct Said {
+        code: Cell,
+        by_cameras: bool,
+        in_sight: bool,
+    }
+
+    /// The rules, cell by cell.
+    fn stays(of: impl Fn(i32, i32) -> Said, x: i32, y: i32) -> bool {
+        let is_fixed = |x, y| of(x, y).code == Occupied;
+        let is_seen = |x, y| of(x, y).by_cameras && of(x, y).in_sight;
+        let is_near = |x, y, steps| {
+            about(x, y, steps).any(|(east, north)| {
+                let Said { code, by_cameras, in_sight } = of(east, north);
+                code == Free && !(is_seen(x, y) && by_cameras && !in_sight)
+            })
+        };
+        let is_first = |x, y| is_fixed(x, y) && is_near(x, y, 1);
+        let is_bounded = |x, y| about(x, y, 1).any(|(x, y)| of(x, y).code == Free && is_seen(x, y));
+        let is_second =
+            |x: i32, y: i32| is_fixed(x, y) && about(x, y, 1).any(|(x, y)| is_first(x, y));
+        let mut firsts = about(x, y, 1).filter(|&(x, y)| is_first(x, y)).peekable();
+        let may_stay = firsts.peek().is_none() || firsts.any(|(x, y)| !is_bounded(x, y));
+        is_near(x, y, 1)
+            || is_near(x, y, THICK) && may_stay
+            || is_near(x, y, THICKEST) && !about(x, y, 1).any(|(x, y)| is_second(x, y))
+    }
+
+    #[test]
+    fn what_lies_deep_within_something_is_no_surface() {
+        // Three by three tiles of thirds, cell by cell.
+        let hash = |x: i32, y: i32, of: i32| (x * 73 + y * 151 + x * y * 31).rem_euclid(of);
+        let code = |x: i32, y: i32| match hash(x, y, 97) {
+            0..=1 => Free,
+            2 => Movable,
+            3..=9 => Unknown,
+            _ => Occupied,
+        };
+        let now = MapTime::at(Instant(60_000_000));
+        for (by_some, missing) in
+            [(1, None), (7, None), (3, Some((1, 0))), (2, Some((-1, -1))), (1, Some((0, 1)))]
+        {
+            let said = |x: i32, y: i32| Said {
+                code: code(x, y),
+                by_cameras: hash(y, x, 101) % by_some == 0,
+                in_sight: hash(x, y, 5) > 1,
+            };
+            let tiles: Vec<(Tile, Sight)> = (0..9)
+                .map(|at| {
+                    let (east, north) = (at % 3 - 1, at / 3 - 1);
+                    let cameras = |x, y| {
+                        let said = said(x, y);
+                        if said.by_cameras { said.code } else { Unknown }
+                    };
+                    let mut seen =
+                        SeenTile { tile: tile(east, north, cameras), ..SeenTile::NOTHING };
+                    for (cell, second) in (0..).zip(&mut seen.seconds) {
+                        let (x, y) = (east * SIDE + cell % SIDE, north * SIDE + cell / SIDE);
+                        *second = if said(x, y).in_sight { 50 } else { 49 };
+                    }
+                    let whole = tile(east, north, code);
+                    (whole, Sight::of(&whole, &seen, now))
+                })
+                .collect();
+            let (mut hollowed, sight) = tiles[4];
+            hollow(&mut hollowed, &sight, |east, north| {
+                let (tile, sight) = &tiles[(4 + east + 3 * north) as usize];
+                (missing != Some((east, north))).then_some((tile, sight))
+            });
+            let of = |at: i32| i16::from(at >= SIDE) - i16::from(at < 0);
+            let there = |x: i32, y: i32| match said(x, y) {
+                said if missing != Some((of(x), of(y))) => said,
+                said => Said { code: Unknown, ..said },
+            };
+            let mut out = 0;
+            for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+                let is_deep = code(x, y) == Occupied && !stays(there, x, y);
+                let expected = if is_deep { Unknown } else { code(x, y) };
+                assert_eq!(hollowed.cell(x as usize, y as usize), expected, "{x} {y}");
+                out += u32::from(is_deep);
+            }
+            assert!((100..900).contains(&out), "{out}");
+        }
+    }
+
+    /// A tile whose columns all robots say to be these, from the west on, and what of them cameras
+    /// saw at which second, hollowed.
+    fn columns(robots: &[Cell], cameras: &[(Cell, u32)]) -> Vec<Cell> {
+        let of = |x: i32| cameras.get(x as usize).copied().unwrap_or((Unknown, 0));
+        let mut seen = SeenTile { tile: tile(0, 0, |x, _| of(x).0), ..SeenTile::NOTHING };
+        for (cell, second) in (0..).zip(&mut seen.seconds) {
+            *second = of(cell % SIDE).1;
+        }
+        let mut whole = seen.tile;
+        let drawn = tile(0, 0, |x, _| robots.get(x as usize).copied().unwrap_or_default());
+        whole.fill_unknown_from(&drawn);
+        let sight = Sight::of(&whole, &seen, MapTime::at(Instant(60_000_000)));
+        hollow(&mut whole, &sight, |_, _| None);
+        (0..robots.len()).map(|x| whole.cell(x, 9)).collect()
+    }
+
+    #[test]
+    fn behind_floor_that_cameras_see_a_wall_has_one_cell() {
+        let drawn = [Free, Free, Occupied, Occupied, Occupied];
+        assert_eq!(columns(&drawn, &[]), [Free, Free, Occupied, Occupied, Unknown]);
+        let floor = [(Free, 59), (Free, 59)];
+        assert_eq!(columns(&drawn, &floor), [Free, Free, Occupied, Unknown, Unknown]);
+        // The cameras are gone.
+        let floor = [(Free, 40), (Free, 40)];
+        assert_eq!(columns(&drawn, &floor), [Free, Free, Occupied, Occupied, Unknown]);
+    }
+
+    #[test]
+    fn floor_under_what_has_come_makes_no_surfaces_of_its_top() {
+        let drawn = [Free; 5];
+        let top =
+            |second| [(Free, 59), (Occupied, 59), (Occupied, 59), (Occupied, 59), (Free, second)];
+        assert_eq!(columns(&drawn, &top(59))[1..4], [Occupied, Unknown, Occupied]);
+        assert_eq!(columns(&drawn, &top(49))[1..4], [Occupied, Unknown, Unknown]);
+    }
+}
