@@ -17,9 +17,10 @@ const SHADOW: i32 = 3;
 ///
 /// With `F` pixels that have learnt a cell's floor, `B` that have learnt what is in the way over it,
 /// `f` and `b` that see it now, and `e` that would see its floor if nothing stood in between, the
-/// cell is solid if `B` >= 4, `B` >= `F`, and 3 `B` >= the same number of each of the four nearest
-/// cells on the line of sight: noise smears a wall along that line, and the wall is where most of it
-/// is. It is
+/// cell is solid if `B` >= 4, 3 `B` >= the same number of each of the four nearest cells on the line
+/// of sight (noise smears a wall along that line, and the wall is where most of it is), and `B` >= `F`
+/// or it hides a cell next to it, of which nothing has been learnt though `e` >= 4: of a wall that is
+/// seen edge on there are few pixels, and floor before it may take up most of its cell. It is
 ///
 /// 1. movable if something that stands out takes it up, but where the same rule of the pixels that see
 ///    it does not hold and the floor is seen as in case 4: noise smears it towards the camera;
@@ -41,7 +42,9 @@ pub(super) fn cells(
     let foot = view.foot();
     let is_solid = |cell: usize| {
         let [floor, solid] = [totals[2 * cell], totals[2 * cell + 1]];
-        solid >= FEWEST && solid >= floor && is_ridge(view, |it| totals[2 * it + 1], foot, cell)
+        solid >= FEWEST
+            && (solid >= floor || is_edge(view, totals, cell))
+            && is_ridge(view, |it| totals[2 * it + 1], foot, cell)
     };
     let is_floor = |cell: usize| {
         let (floor, _) = evidence.pixels(cell);
@@ -85,6 +88,16 @@ pub(super) fn cells(
     (0..view.cells()).filter_map(|cell| Some((view.in_map(cell), code(cell)?))).collect()
 }
 
+/// Whether nothing has been learnt of a cell next to one, although its floor would be seen if what is
+/// in the way over the one did not hide it: a wall that is seen edge on, with floor before it.
+fn is_edge(view: &View, totals: &[u32], cell: usize) -> bool {
+    let (x, y) = view.in_map(cell);
+    [(1, 0), (0, 1), (-1, 0), (0, -1)]
+        .into_iter()
+        .filter_map(|(east, north)| view.index((x + east, y + north)))
+        .any(|it| view.expected(it) >= FEWEST && totals[2 * it] == 0 && totals[2 * it + 1] == 0)
+}
+
 /// Whether none of the two cells before and the two behind has more than three times as many pixels
 /// of something in the way.
 fn is_ridge(view: &View, pixels: impl Fn(usize) -> u32, foot: (i32, i32), cell: usize) -> bool {
@@ -103,4 +116,42 @@ fn on_sight(view: &View, foot: (i32, i32), cell: usize, steps: i32) -> Option<us
     let along =
         |way: i32| (2 * way * steps + way.signum() * steps.signum() * longest) / (2 * longest);
     view.index((x + along(way.0), y + along(way.1)))
+}
+
+#[cfg(test)]
+mod tests {
+    use ubimap_protocol::time::Instant;
+
+    use super::*;
+    use crate::perception::{
+        background::Background,
+        testing::{lens, noisy, render},
+        view::Survey,
+    };
+
+    #[test]
+    fn a_wall_that_is_seen_edge_on_is_no_floor() {
+        let lens = lens(640, 480, [0.2, 0.2, 2.8], [3.0, 2.7, 0.0]);
+        let view = View::new(&lens, Survey::default());
+        // Its face takes up a fifth of its cells.
+        let wall = [[-1.0, -0.2, 0.0], [6.0, 0.06, 3.0]];
+        let image = render(&lens, 0.0, &[wall]);
+        let mut background = Background::new(&view);
+        let free = vec![false; view.cells()];
+        for frame in 0..30 {
+            let captured = Instant(frame * 300_000);
+            background.learn(&view, &noisy(&image, frame, 980), captured, &free);
+        }
+        let mut said = vec![Cell::Unknown; view.cells()];
+        let mut evidence = Evidence::default();
+        evidence.fuse(&view, &background, &noisy(&image, 99, 980));
+        let cells = cells(&view, background.totals(), &evidence, &free, &free, &mut said);
+        let mut walls = 0;
+        for ((x, y), cell) in cells.into_iter().filter(|((x, _), _)| (45..60).contains(x)) {
+            walls += usize::from(y == 1);
+            let expected = if y > 1 { Cell::Free } else { Cell::Occupied };
+            assert!(y >= 1 && cell == expected, "{cell:?} at {x}, {y}");
+        }
+        assert_eq!(walls, 15);
+    }
 }
