@@ -20,6 +20,10 @@ use super::{
 /// The points of a way.
 pub(super) type Route = Vec<Waypoint, MAX_POINTS>;
 
+/// A goal without the room that the robot needs is approached within so many cells: less than from
+/// a wall to where the robot has room.
+const BESIDE: u8 = 3;
+
 /// The most places from which blind ground is given up.
 const MOST_GIVEN_UP: usize = 48;
 
@@ -169,9 +173,14 @@ impl Search {
             let far = |it: i32| it.clamp(-1_000, 1_000) as i16;
             return Target::Beyond(far(x), far(y));
         };
-        // Another window has it for free, or will; the goal itself must be.
+        // Another window has it for free, or will; of the goal itself a cell beside it must be. What
+        // is farther is within something, or beyond it.
         let is_rough = self.attempt.via.is_some() || self.attempt.level > 0;
-        let near = self.window.nearest_free(place).filter(|_| is_rough);
+        let is_beside = |near: &Place| {
+            let (across, up) = (near.x.abs_diff(place.x), near.y.abs_diff(place.y));
+            across.max(up) <= BESIDE
+        };
+        let near = self.window.nearest_free(place).filter(|near| is_rough || is_beside(near));
         Target::Place(near.unwrap_or(place))
     }
 
