@@ -35,13 +35,14 @@ pub struct Events {
 
 impl Events {
     /// Something happened at `at` (robot's clock). It is passed over if the last event of this code
-    /// has not arrived, or is not old enough; but the end of a path, for which the server waits, is
-    /// news each time.
+    /// has not arrived, or is not old enough; but that a path ends, or leads nowhere, for which the
+    /// server waits, is news each time.
     pub fn raise(&mut self, code: EventCode, at: Instant) {
         let new = Raised { code, at, progress: Progress::Waiting };
         match self.raised.iter_mut().find(|raised| raised.code == code) {
             Some(last) => {
-                let is_news = code == EventCode::PathDone || at >= last.at + INTERVAL;
+                let is_awaited = matches!(code, EventCode::PathDone | EventCode::PathBlocked);
+                let is_news = is_awaited || at >= last.at + INTERVAL;
                 if last.progress == Progress::Arrived && is_news {
                     *last = new;
                 }
@@ -117,6 +118,18 @@ mod tests {
         for (at, told) in [(10, None), (11, Some(code)), (40, None)] {
             events.raise(code, second(at));
             assert_eq!(sent(&mut events), told, "at {at}");
+        }
+    }
+
+    #[test]
+    fn what_the_server_waits_for_is_told_each_time() {
+        let mut events = Events::default();
+        for code in [EventCode::PathDone, EventCode::PathBlocked] {
+            for second in 1..3 {
+                events.raise(code, Instant(second * 1_000_000));
+                assert_eq!(sent(&mut events), Some(code));
+                events.acknowledged(code);
+            }
         }
     }
 
