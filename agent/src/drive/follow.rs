@@ -320,7 +320,8 @@ impl Follower {
         let bend = curvature.abs().max(1.0e-6);
         let in_curve = (motion.top_turn / bend).min(root(motion.side_acceleration / bend));
         let to_end = root(2.0 * motion.acceleration * left);
-        let sure = 1.0 - sight.unsure / motion.most_unsure.max(1.0);
+        // At full speed as long as half of that is left.
+        let sure = (2.0 - 2.0 * sight.unsure / motion.most_unsure.max(1.0)).min(1.0);
         let room = sight.near.nearest().unwrap_or(f32::MAX) - f32::from(motion.radius);
         let beside = (room / ROOM_TIME).max(CREEP);
         let sure = (motion.top_speed * sure).max(0.0);
