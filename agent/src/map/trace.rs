@@ -61,8 +61,8 @@ pub(super) struct Grain {
     range_square: u64,
     /// Readings up to this one are within it, whatever their beam.
     surely: u32,
-    /// Readings from the first on, so many more, are beyond it, whatever their beam, and may count.
-    beyond: (u32, u32),
+    /// Those from this one on are beyond it, whatever their beam.
+    beyond: u32,
     /// Millimetres of reading times beams that fit half a cell.
     bridge: u32,
     /// Readings from the first on, so many more, may count.
@@ -105,10 +105,7 @@ impl Grain {
         let spread = ((span * side) << DIRECTION_BITS) / widest;
         let margin = side / 2;
         let first = u32::from(validity.nearest).max(margin + 1);
-        let from = |first: u32| {
-            let more = u32::from(validity.farthest).checked_sub(first);
-            more.map_or((u32::MAX, 0), |more| (first, more))
-        };
+        let more = u32::from(validity.farthest).checked_sub(first);
         let touch = match validity {
             _ if validity.removes() => -1,
             Validity { flying: 0, .. } => i32::MAX,
@@ -122,8 +119,8 @@ impl Grain {
             range_square: u64::from(range).pow(2) << (2 * DIRECTION_BITS),
             surely,
             bridge: spread / (2 * SPAN),
-            counting: from(first),
-            beyond: from(first.max(high + high / 1_000 + 2)),
+            counting: more.map_or((u32::MAX, 0), |more| (first, more)),
+            beyond: high.saturating_add(high / 1_000 + 2),
             touch,
             validity,
         }
@@ -223,9 +220,8 @@ impl Grain {
             };
             let reading = u32::from(reading);
             if index < end
-                && (reading.wrapping_sub(self.beyond.0) <= self.beyond.1
-                    || reading.wrapping_sub(self.counting.0) <= self.counting.1
-                        && !self.reaches(beam, reading))
+                && reading.wrapping_sub(self.counting.0) <= self.counting.1
+                && (reading >= self.beyond || !self.reaches(beam, reading))
             {
                 last = index;
             } else if stride > 1 {

@@ -136,7 +136,7 @@ fn people_who_cross_are_waited_for_and_not_touched() {
             let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
             it.is_told = is_told;
             let person = Person {
-                from: (1_900.0, 4_000.0),
+                from: (1_900.0, 4_600.0),
                 to: (1_900.0, -2_000.0),
                 walked: 0.0,
                 back: false,
