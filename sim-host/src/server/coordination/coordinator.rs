@@ -186,13 +186,10 @@ impl Coordinator {
     pub fn tick(&mut self, situation: &Situation<'_>, now: Instant) {
         self.next_tick = now + INTERVAL;
         self.see(situation, now);
-        // Nobody is kept waiting who has looked at its frontier, or before all set out.
+        // Nobody who has looked at its frontier is kept waiting.
         let is_heard_of = |member: &Member| member.target.is_some_and(|it| it.is_heard_of(now));
-        let is_before_all = self.next_path == self.settings.first_path
-            && self.members.iter().any(|member| member.explores);
         let is_surveyed = self.ground.is_none()
             || now.since(self.surveyed) >= SURVEY
-            || is_before_all
             || self.members.iter().any(is_heard_of);
         if is_surveyed {
             self.survey(situation, now);
