@@ -1,8 +1,9 @@
 //! The robot's surface: scans, odometry and bytes in; bytes out.
 //!
 //! Here is what an agent is made of and what it tells of itself. `scanning` is the way of a scan into
-//! the map, `linking` the link with the server.
+//! the map, `linking` the link with the server, whose messages `inbox` takes.
 
+mod inbox;
 mod linking;
 mod scanning;
 

@@ -27,7 +27,6 @@ mod agent;
 mod bounds;
 mod config;
 pub mod drive;
-mod inbox;
 pub mod locate;
 pub mod map;
 mod parameters;

@@ -10,10 +10,13 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::{Agent, Token, point_beams};
+use super::{
+    Agent, Token,
+    inbox::{Inbox, Knock},
+    point_beams,
+};
 use crate::{
     config::Config,
-    inbox::{Inbox, Knock},
     parameters::{carry_out, push_report},
 };
 

@@ -19,14 +19,14 @@ use crate::{
 };
 
 /// A message of the handshake.
-pub(crate) enum Knock {
+pub(super) enum Knock {
     Welcome(Welcome),
     Refusal(Refusal),
     Reset,
 }
 
 impl Knock {
-    pub(crate) fn parse(message: Message<'_>) -> Option<Self> {
+    pub(super) fn parse(message: Message<'_>) -> Option<Self> {
         match ToRobotKind::from_number(message.kind)? {
             ToRobotKind::Welcome => Some(Self::Welcome(decode(message.body).ok()?.0)),
             ToRobotKind::Refusal => Some(Self::Refusal(decode(message.body).ok()?.0)),
@@ -37,22 +37,22 @@ impl Knock {
 }
 
 /// The parts of an agent that messages of a session go to.
-pub(crate) struct Inbox<'a, 'b> {
-    pub(crate) clock: &'a mut ClockSync,
-    pub(crate) locator: &'a mut Locator,
-    pub(crate) latest_pose: &'a mut Option<(Instant, Pose)>,
-    pub(crate) fused: &'a mut FusedMap<'b>,
-    pub(crate) commands: &'a mut Commands,
+pub(super) struct Inbox<'a, 'b> {
+    pub(super) clock: &'a mut ClockSync,
+    pub(super) locator: &'a mut Locator,
+    pub(super) latest_pose: &'a mut Option<(Instant, Pose)>,
+    pub(super) fused: &'a mut FusedMap<'b>,
+    pub(super) commands: &'a mut Commands,
     /// A command about parameters, to be carried out when the frame has been read.
-    pub(crate) command: &'a mut Option<ParameterCommand>,
-    pub(crate) map: &'a mut LocalMap<'b>,
-    pub(crate) publisher: &'a mut Publisher,
-    pub(crate) events: &'a mut Events,
-    pub(crate) statistics: &'a mut Statistics,
+    pub(super) command: &'a mut Option<ParameterCommand>,
+    pub(super) map: &'a mut LocalMap<'b>,
+    pub(super) publisher: &'a mut Publisher,
+    pub(super) events: &'a mut Events,
+    pub(super) statistics: &'a mut Statistics,
 }
 
 impl Inbox<'_, '_> {
-    pub(crate) fn take(&mut self, messages: Messages<'_>, now: Instant) {
+    pub(super) fn take(&mut self, messages: Messages<'_>, now: Instant) {
         for message in messages.map_while(Result::ok) {
             if message.kind == Ack::KIND {
                 continue;
