@@ -69,16 +69,20 @@ pub fn hollow<'t>(
     sight: &Sight,
     beside: impl Fn(i16, i16) -> Option<(&'t Tile, &'t Sight)>,
 ) {
-    let of = |row: fn(&Tile, &Sight, usize) -> u32| about(tile, sight, &beside, row);
-    let free = of(|tile, _, y| tile.low[y] & !tile.high[y]);
-    let front = of(|tile, sight, y| tile.low[y] & !tile.high[y] & !sight.lost[y]);
-    let bounds = of(|_, sight, y| sight.free[y]);
-    let fixed = of(|tile, _, y| tile.high[y] & !tile.low[y]);
-    let seen = of(|_, sight, y| sight.fixed[y]);
+    let whole = *tile;
+    let near: [Option<(&Tile, &Sight)>; 9] = core::array::from_fn(|at| match at as i16 {
+        4 => Some((&whole, sight)),
+        at => beside(at % 3 - 1, at / 3 - 1),
+    });
+    let free = about(&near, |tile, _, y| tile.low[y] & !tile.high[y]);
+    let front = about(&near, |tile, sight, y| tile.low[y] & !tile.high[y] & !sight.lost[y]);
+    let bounds = about(&near, |_, sight, y| sight.free[y]);
+    let fixed = about(&near, |tile, _, y| tile.high[y] & !tile.low[y]);
+    let seen = about(&near, |_, sight, y| sight.fixed[y]);
     // What is fixed within so many cells of what is free before it.
     let within = |at: usize, steps: usize| {
-        let near = |rows: &Rows| spread(&rows[at - steps..=at + steps], steps);
-        fixed[at] & (near(&free) & !seen[at] | near(&front) & seen[at])
+        let close = |rows: &Rows| spread(&rows[at - steps..=at + steps], steps);
+        fixed[at] & (close(&free) & !seen[at] | close(&front) & seen[at])
     };
     let (mut first, mut bounded) = ([0; ROWS], [0; ROWS]);
     for at in 1..ROWS - 1 {
@@ -112,20 +116,15 @@ const ROWS: usize = TILE_SIDE + 2 * THICKEST;
 /// These rows, each from [`THICKEST`] cells to the west of the tile on.
 type Rows = [u64; ROWS];
 
-fn about<'t>(
-    tile: &Tile,
-    sight: &Sight,
-    beside: &impl Fn(i16, i16) -> Option<(&'t Tile, &'t Sight)>,
-    row: fn(&Tile, &Sight, usize) -> u32,
-) -> Rows {
+/// Of three by three tiles, from the south-western one on.
+fn about(near: &[Option<(&Tile, &Sight)>; 9], row: impl Fn(&Tile, &Sight, usize) -> u32) -> Rows {
     core::array::from_fn(|index| {
         let y = (index + TILE_SIDE - THICKEST) % TILE_SIDE;
-        let north = i16::from(index >= TILE_SIDE + THICKEST) - i16::from(index < THICKEST);
-        let of = |east: i16| match (east, north) {
-            (0, 0) => u64::from(row(tile, sight, y)),
-            _ => beside(east, north).map_or(0, |(tile, sight)| u64::from(row(tile, sight, y))),
+        let north = usize::from(index >= THICKEST) + usize::from(index >= TILE_SIDE + THICKEST);
+        let of = |east: usize| {
+            near[3 * north + east].map_or(0, |(tile, sight)| u64::from(row(tile, sight, y)))
         };
-        of(-1) >> (TILE_SIDE - THICKEST) | of(0) << THICKEST | of(1) << (TILE_SIDE + THICKEST)
+        of(0) >> (TILE_SIDE - THICKEST) | of(1) << THICKEST | of(2) << (TILE_SIDE + THICKEST)
     })
 }
 

@@ -33,8 +33,8 @@ pub(super) struct Surface {
 #[derive(Clone, Copy, Debug)]
 struct Nearest {
     /// The square of the distance, in cells.
-    square: i32,
-    surface: usize,
+    square: u16,
+    surface: u32,
 }
 
 /// The surfaces that one can see when one looks into one of four quarters: whoever looks to the
@@ -156,13 +156,13 @@ impl Surfaces {
 
     /// Lets a surface in a cell be the nearest to all cells that it is the nearest to.
     fn place(&self, facing: &mut Facing, (x, y): (i32, i32), it: Surface, reach: i32) {
-        let surface = facing.surfaces.len();
+        let surface = facing.surfaces.len() as u32;
         facing.surfaces.push(it);
         for (dx, dy) in square(reach) {
-            let square = dx * dx + dy * dy;
+            let square = (dx * dx + dy * dy) as u16;
             let Some(index) = self.index((x + dx, y + dy)) else { continue };
             let nearest = &mut facing.nearest[index];
-            if square <= reach * reach && nearest.is_none_or(|it| square < it.square) {
+            if i32::from(square) <= reach * reach && nearest.is_none_or(|it| square < it.square) {
                 *nearest = Some(Nearest { square, surface });
             }
         }
@@ -220,13 +220,13 @@ impl Surfaces {
     pub(super) fn seen_along(&self, arm: Vector2<f64>, point: Vector2<f64>) -> Option<&Surface> {
         let facing = &self.facing[quarter(arm)];
         let nearest = facing.nearest[self.index(self.cell(point))?]?;
-        facing.surfaces.get(nearest.surface)
+        facing.surfaces.get(nearest.surface as usize)
     }
 
     /// How far from a cell, in cells, the surface nearest to it is among those that are seen by
     /// looking into a quarter: the square.
     pub(super) fn nearest_square(&self, quarter: usize, cell: (i32, i32)) -> Option<i32> {
-        self.facing[quarter].nearest[self.index(cell)?].map(|it| it.square)
+        self.facing[quarter].nearest[self.index(cell)?].map(|it| it.square.into())
     }
 
     /// The side of a cell, in millimetres.
