@@ -31,8 +31,10 @@ pub(super) struct SharedMap {
     /// of that cameras see.
     whole: BTreeMap<TileId, (Tile, Sight)>,
     fused: ServedLayer,
-    /// Tiles with something movable, which is forgotten in time, or with something in sight.
+    /// Tiles with something movable, which is forgotten in time.
     ageing: BTreeSet<TileId>,
+    /// Tiles with something in sight, which goes out of it in time.
+    in_sight: BTreeSet<TileId>,
     /// The cells that each robot takes up, and when cameras saw it there.
     under: BTreeMap<RobotId, (Instant, BTreeMap<TileId, Mask>)>,
     /// Tiles that would be other ones without the robots upon them.
@@ -104,9 +106,15 @@ impl SharedMap {
     fn fuse(&mut self, id: TileId) {
         let cameras = self.cameras.seen(id);
         let tile = self.fused_with(&cameras, None, id);
-        let sight = Sight::of(&tile, &cameras, self.time);
         let has_movable = (0..).zip(tile.high).any(|(y, high)| high & tile.low[y] != 0);
-        set_member(&mut self.ageing, id, has_movable || !sight.is_empty());
+        set_member(&mut self.ageing, id, has_movable);
+        self.look(id, tile, &cameras);
+    }
+
+    /// Takes what all have seen of a tile, and what of that these cameras see now.
+    fn look(&mut self, id: TileId, tile: Tile, cameras: &SeenTile) {
+        let sight = Sight::of(&tile, cameras, self.time);
+        set_member(&mut self.in_sight, id, !sight.is_empty());
         if self.whole.insert(id, (tile, sight)) == Some((tile, sight)) {
             return;
         }
@@ -199,14 +207,22 @@ impl SharedMap {
                 disagree.extend((last == Weight::FULL).then_some(robot));
             }
         }
+        // What is not fused anew is as it was, but may be out of sight: that costs little.
+        for id in self.in_sight.difference(&other).copied().collect::<Vec<_>>() {
+            if let Some(&(tile, _)) = self.whole.get(&id) {
+                self.look(id, tile, &self.cameras.seen(id));
+            }
+        }
         other.into_iter().for_each(|id| self.fuse(id));
         disagree
     }
 
     /// When to call [`SharedMap::age`].
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        let waits =
-            !(self.unweighed.is_empty() && self.ageing.is_empty() && self.hiding.is_empty());
+        let waits = !(self.unweighed.is_empty()
+            && self.ageing.is_empty()
+            && self.hiding.is_empty()
+            && self.in_sight.is_empty());
         waits.then(|| self.time.next())
     }
 }
