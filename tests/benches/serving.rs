@@ -117,7 +117,9 @@ fn serve(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>
     let mut frames = 0_u64;
     while began.elapsed() < LASTS {
         let captured = Instant(frames * INTERVAL.micros() / CAMERAS as u64);
-        let wait = Span::from_micros(captured.0).saturating_sub(began.elapsed());
+        let moment = now(began);
+        let back = server.poll_timeout(0, moment).map_or(captured, |back| back.min(captured));
+        let wait = Span::from_micros(back.since(moment).micros());
         let first = from.recv_timeout(wait.min(Span::from_millis(5)));
         for (port, bytes) in first.into_iter().chain(from.try_iter()) {
             server.receive(port, &bytes, now(began)).unwrap();
@@ -139,6 +141,7 @@ fn serve(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>
             seen.for_each(|robot| due[robot] = Some(captured));
             frames += 1;
         }
+        server.timeout(now(began));
         for (port, due) in due.iter_mut().enumerate() {
             while let Some(len) = server.poll_transmit(port, now(began), &mut frame) {
                 if let Some(captured) = due.take().filter(|_| began.elapsed() > SETTLES) {

@@ -52,6 +52,7 @@ fn look(captured: Instant, robots: Vec<Sighting>) -> Observation {
 
 /// Lets the server send what it has, and returns how many bytes that is at each port.
 fn drain(server: &mut Server, now: Instant) -> [usize; 3] {
+    server.timeout(now);
     let mut out = [0; MAX_FRAME];
     [0, 1, 2].map(|port| std::iter::from_fn(|| server.poll_transmit(port, now, &mut out)).sum())
 }

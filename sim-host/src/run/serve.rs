@@ -210,6 +210,7 @@ impl Station {
             self.receive(port, time::Duration::from_micros(wait.micros()));
         }
         let now = self.now();
+        self.server.timeout(now);
         match &mut self.keeper {
             Some(keeper) => keeper.keep(&mut self.server, now),
             None => Ok(()),

@@ -36,7 +36,7 @@ use crate::{
 
 /// The camera server's sans-IO core. The law is the agent's: after every input call
 /// [`Server::poll_transmit`] for each port until it has nothing more, then come back at
-/// [`Server::poll_timeout`].
+/// [`Server::poll_timeout`] and call [`Server::timeout`].
 #[derive(Debug)]
 pub struct Server {
     terms: Terms,
@@ -125,8 +125,7 @@ impl Server {
             happened.into_iter().for_each(|code| coordinating.event(robot, code, now));
         }
         let Some(session) = self.ports.session_mut(robot) else { return };
-        let resolution = self.terms.resolution;
-        if let Some(epoch) = self.alignments.go_on(session, &mut self.map, resolution, now) {
+        if let Some(epoch) = self.alignments.go_on(session, &self.map, now) {
             self.unsaved.retire(robot, epoch);
             let void = self.map.layers.entry(robot).or_default().retire(epoch);
             self.map.changed(&void);
@@ -222,7 +221,7 @@ impl Server {
     }
 
     /// Lets a coordinator say from now on where robots drive. Its paths have higher numbers than
-    /// those of the server's earlier lives. Call [`Server::timeout`] at the timeouts.
+    /// those of the server's earlier lives.
     pub fn coordinate(&mut self, view_m: f64, range_m: f64, look: Duration) {
         let Terms { resolution, server_epoch, .. } = self.terms;
         let first_path = server_epoch.wrapping_shl(20);
@@ -242,8 +241,18 @@ impl Server {
         self.coordinating.as_mut().map(Coordinating::coordinator)
     }
 
-    /// Does what is due at `now` and has nothing to do with sending.
+    /// Does what is due at `now` and has nothing to do with sending, or a piece of it that takes
+    /// some milliseconds: then [`Server::poll_timeout`] is `now`, and messages need not wait for
+    /// the whole.
     pub fn timeout(&mut self, now: Instant) {
+        let waiting = self.alignments.poll_waiting();
+        if let Some(session) = waiting.and_then(|robot| self.ports.session_mut(robot)) {
+            self.alignments.look(session, &mut self.map, self.terms.resolution, now);
+        }
+        self.coordinate_now(now);
+    }
+
+    fn coordinate_now(&mut self, now: Instant) {
         let Some(mut coordinating) = self.coordinating.take() else { return };
         let sessions = self.ports.sessions();
         let heard: Vec<_> = sessions.map(|session| (session.robot, session.heard)).collect();
@@ -286,7 +295,9 @@ impl Server {
     pub fn poll_timeout(&self, port: usize, now: Instant) -> Option<Instant> {
         let port = self.ports.get(port).ok()?.poll_timeout(&self.scene(), now);
         let coordinating = self.coordinating.as_ref().map(Coordinating::poll_timeout);
-        let all = [port, self.coverage.poll_timeout(), self.map.poll_timeout(), coordinating];
+        let waiting = self.alignments.has_waiting().then_some(now);
+        let all =
+            [port, self.coverage.poll_timeout(), self.map.poll_timeout(), coordinating, waiting];
         all.into_iter().flatten().min()
     }
 

@@ -324,6 +324,7 @@ impl<'b> Star<'b> {
                 agent.timeout(local);
             }
         }
+        self.server.timeout(server_now);
     }
 
     fn drain(&mut self) {
