@@ -97,8 +97,8 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
                     of.insert(robot, (degrees, first));
                 }
             };
-            note(&mut identifiers, errors.taken_out());
-            note(&mut sensors, errors.added());
+            note(&mut identifiers, errors.cured().taken_out);
+            note(&mut sensors, errors.cured().added);
         }
     });
     assert!(converged.unwrap());

@@ -34,6 +34,19 @@ struct Still {
     tile: Tile,
     /// For each cell, row by row, when the frame was captured that it comes from, and by whom.
     seen: Box<[(Instant, usize); TILE_CELLS as usize]>,
+    /// Whether any of it was seen since the disk was told.
+    is_unkept: bool,
+}
+
+/// What cameras have seen of a tile and does not move, to be kept on disk.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CameraTile {
+    /// Which tile.
+    pub id: TileId,
+    /// Its cells, and when each was seen.
+    pub seen: SeenTile,
+    /// By which camera, in the order of [`SeenTile::seconds`].
+    pub cameras: [u32; TILE_CELLS as usize],
 }
 
 impl CameraLayer {
@@ -72,10 +85,39 @@ impl CameraLayer {
         changed
     }
 
+    /// All tiles of which anything was seen since this was last called, without what moves.
+    pub fn take_unkept(&mut self) -> Vec<CameraTile> {
+        let unkept = self.still.iter_mut().filter(|(_, still)| still.is_unkept);
+        let tiles = unkept.map(|(&id, still)| {
+            still.is_unkept = false;
+            let seconds = core::array::from_fn(|cell| second(still.seen[cell].0));
+            let cameras = core::array::from_fn(|cell| still.seen[cell].1 as u32);
+            CameraTile { id, seen: SeenTile { tile: still.tile, seconds }, cameras }
+        });
+        tiles.collect()
+    }
+
+    /// Whether [`CameraLayer::take_unkept`] has something.
+    pub fn has_unkept(&self) -> bool {
+        self.still.values().any(|still| still.is_unkept)
+    }
+
+    /// Takes back what was kept. What has been seen since stays.
+    pub fn restore(&mut self, kept: &CameraTile) {
+        let still = self.still.entry(kept.id).or_default();
+        for (cell, (&second, &camera)) in kept.seen.seconds.iter().zip(&kept.cameras).enumerate() {
+            let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+            let moment = Instant(u64::from(second) * 1_000_000);
+            if still.seen[cell].0 <= moment {
+                still.seen[cell] = (moment, camera as usize);
+                still.tile.set(x, y, kept.seen.tile.cell(x, y));
+            }
+        }
+    }
+
     /// What the cameras know of a tile, and when they last saw each cell.
     pub fn seen(&self, id: TileId) -> SeenTile {
         let mut seen = SeenTile { tile: self.tile(id), ..SeenTile::NOTHING };
-        let second = |moment: Instant| (moment.micros() / 1_000_000) as u32;
         if let Some(still) = self.still.get(&id) {
             seen.seconds = core::array::from_fn(|cell| second(still.seen[cell].0));
         }
@@ -104,9 +146,14 @@ impl CameraLayer {
     }
 }
 
+fn second(moment: Instant) -> u32 {
+    (moment.micros() / 1_000_000) as u32
+}
+
 impl Default for Still {
     fn default() -> Self {
-        Self { tile: Tile::UNKNOWN, seen: Box::new([(Instant::default(), 0); TILE_CELLS as usize]) }
+        let seen = Box::new([(Instant::default(), 0); TILE_CELLS as usize]);
+        Self { tile: Tile::UNKNOWN, seen, is_unkept: false }
     }
 }
 
@@ -127,6 +174,7 @@ impl Still {
             return false;
         }
         *seen = (captured, camera);
+        self.is_unkept = true;
         self.tile.set(x, y, cell);
         known != cell || captured.since(when) > AWAY
     }

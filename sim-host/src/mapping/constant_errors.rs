@@ -52,6 +52,15 @@ impl Estimated {
     }
 }
 
+/// What has been done about the constant errors of a robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Cured {
+    /// What is taken out of the fixes, in degrees.
+    pub taken_out: f64,
+    /// What the robot has been told to add to its sensor's heading, in degrees.
+    pub added: f64,
+}
+
 /// The constant errors of one robot.
 #[derive(Clone, Debug, Default)]
 pub struct ConstantErrors {
@@ -61,10 +70,7 @@ pub struct ConstantErrors {
     /// How far the distance vectors are turned against the map from headings as the cameras see
     /// them, in degrees.
     turned: VecDeque<(f64, f64)>,
-    /// What is taken out of the fixes, in degrees.
-    taken_out: f64,
-    /// What the robot has been told to add to its sensor's heading, in degrees.
-    added: f64,
+    cured: Cured,
 }
 
 impl ConstantErrors {
@@ -78,13 +84,13 @@ impl ConstantErrors {
 
     /// A pose without the identifier's error, as far as it is taken out.
     pub fn corrected(&self, seen: Pose) -> Pose {
-        Pose { heading: seen.heading - Angle::from_degrees(self.taken_out), ..seen }
+        Pose { heading: seen.heading - Angle::from_degrees(self.cured.taken_out), ..seen }
     }
 
     /// Takes how far a distance vector was turned against the map, from a corrected pose, and how
     /// sure that is: degrees.
     pub fn turned(&mut self, degrees: f64, deviation: f64) {
-        push(&mut self.turned, (degrees - self.taken_out, deviation));
+        push(&mut self.turned, (degrees - self.cured.taken_out, deviation));
     }
 
     /// How far the identifier is glued on askew.
@@ -101,18 +107,23 @@ impl ConstantErrors {
         })
     }
 
-    /// What is taken out of the fixes, in degrees.
-    pub fn taken_out(&self) -> f64 {
-        self.taken_out
+    /// What has been done about them.
+    pub fn cured(&self) -> Cured {
+        self.cured
+    }
+
+    /// The errors of a robot of which no more is known than what was done about them.
+    pub fn of(cured: Cured) -> Self {
+        Self { cured, ..Self::default() }
     }
 
     /// Takes the identifier's error out of the fixes from now on, if it is sure and not taken out
     /// already. Whether it does.
     pub fn cure_identifier(&mut self) -> bool {
         let Some(found) = self.identifier() else { return false };
-        let left = Estimated { degrees: found.degrees - self.taken_out, ..found };
+        let left = Estimated { degrees: found.degrees - self.cured.taken_out, ..found };
         if left.is_worth_a_cure() {
-            self.taken_out = found.degrees;
+            self.cured.taken_out = found.degrees;
         }
         left.is_worth_a_cure()
     }
@@ -124,15 +135,10 @@ impl ConstantErrors {
         Some(Angle::from_degrees(found.degrees))
     }
 
-    /// What the robot has been told to add to its sensor's heading, in degrees.
-    pub fn added(&self) -> f64 {
-        self.added
-    }
-
     /// The robot believes its sensor turned by this much more from now on.
     pub fn remounted(&mut self, turn: Angle) {
         self.turned.clear();
-        self.added += turn.degrees();
+        self.cured.added += turn.degrees();
     }
 }
 
@@ -294,10 +300,10 @@ mod tests {
             let off = found.degrees - askew;
             prop_assert!(off.abs() < 0.5 && off.abs() < 4.0 * found.deviation, "{off} {found:?}");
             // Cured once, and for good.
-            prop_assert_eq!(errors.cure_identifier(), askew.abs() > 0.5 || errors.taken_out() != 0.0);
+            prop_assert_eq!(errors.cure_identifier(), askew.abs() > 0.5 || errors.cured().taken_out != 0.0);
             prop_assert!(!errors.cure_identifier());
             let seen = Pose { heading: Angle::from_degrees(40.0 + askew), ..Pose::default() };
-            if errors.taken_out() != 0.0 {
+            if errors.cured().taken_out != 0.0 {
                 prop_assert!((errors.corrected(seen).heading.degrees() - 40.0).abs() < 0.5);
             }
         }
@@ -310,7 +316,7 @@ mod tests {
             let vectors = |errors: &mut ConstantErrors| {
                 for vector in 0..10 {
                     let noise = [0.3, -0.2, -0.1][vector % 3];
-                    let turned = sensor - (identifier - errors.taken_out()) + noise;
+                    let turned = sensor - (identifier - errors.cured().taken_out) + noise;
                     errors.turned(turned, 0.4);
                 }
             };

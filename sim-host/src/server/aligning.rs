@@ -15,7 +15,7 @@ use ubimap_protocol::{
 };
 
 use super::shared_map::SharedMap;
-use crate::mapping::{ConstantErrors, Match, Prior, Search, Surfaces, Trail, points};
+use crate::mapping::{ConstantErrors, Cured, Match, Prior, Search, Surfaces, Trail, points};
 
 /// Fixes are remembered for so long: a scan may wait for its pose, and a frame for its way.
 const MEMORY: Duration = Duration::from_secs(4);
@@ -152,6 +152,11 @@ enum Cure {
 }
 
 impl Aligning {
+    /// Of a robot of whom no more is known than what was done about its errors.
+    pub(super) fn of(cured: Cured) -> Self {
+        Self { errors: ConstantErrors::of(cured), ..Self::default() }
+    }
+
     /// What has been found of the robot's constant errors.
     pub(super) fn errors(&self) -> &ConstantErrors {
         &self.errors

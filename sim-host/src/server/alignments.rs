@@ -14,7 +14,7 @@ use super::{
     session::Session,
     shared_map::SharedMap,
 };
-use crate::mapping::ConstantErrors;
+use crate::mapping::{ConstantErrors, Cured};
 
 /// By robot.
 #[derive(Debug, Default)]
@@ -35,6 +35,11 @@ impl Alignments {
     /// What has been found of a robot's constant errors.
     pub(super) fn errors(&self, robot: RobotId) -> Option<&ConstantErrors> {
         self.robots.get(&robot).map(Aligning::errors)
+    }
+
+    /// Takes back what an earlier life of the server has done about a robot's errors.
+    pub(super) fn restore(&mut self, robot: RobotId, cured: Cured) {
+        self.robots.insert(robot, Aligning::of(cured));
     }
 
     /// Takes where a camera saw a robot, and returns where it was.

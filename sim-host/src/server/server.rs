@@ -28,8 +28,8 @@ use super::{
 use crate::{
     camera::{Observation, Sighting},
     mapping::{
-        ConstantErrors, CoverageLayer, MapTime, Mask, RobotLayer, ServedLayer, TileRecord, Updated,
-        Weight,
+        CameraTile, ConstantErrors, CoverageLayer, Cured, MapTime, Mask, RobotLayer, ServedLayer,
+        TileRecord, Updated, Weight,
     },
     perception::{Footprint, robots::SightingEvent},
 };
@@ -126,7 +126,8 @@ impl Server {
         }
         let Some(session) = self.ports.session_mut(robot) else { return };
         if let Some(epoch) = self.alignments.go_on(session, &self.map, now) {
-            self.unsaved.retire(robot, epoch);
+            let cured = self.alignments.errors(robot).map(ConstantErrors::cured);
+            self.unsaved.cured(robot, epoch, cured.unwrap_or_default());
             let void = self.map.layers.entry(robot).or_default().retire(epoch);
             self.map.changed(&void);
         }
@@ -182,16 +183,28 @@ impl Server {
         self.unsaved.poll_store(&self.map.layers)
     }
 
-    /// A robot, and an epoch: its tiles of epochs below are void, and are to be deleted where they
-    /// are kept.
+    /// A robot whose constant errors are cured, to be kept on disk, and an epoch: its tiles of epochs
+    /// below are void, and are to be deleted there.
     #[must_use]
-    pub fn poll_retired(&mut self) -> Option<(RobotId, Epoch)> {
-        self.unsaved.poll_retired()
+    pub fn poll_cured(&mut self) -> Option<(RobotId, Epoch, Cured)> {
+        self.unsaved.poll_cured()
     }
 
-    /// Whether [`Server::poll_store`] or [`Server::poll_retired`] has something.
+    /// Whether [`Server::poll_store`] or [`Server::poll_cured`] has something.
     pub fn has_unsaved(&self) -> bool {
         !self.unsaved.is_empty()
+    }
+
+    /// The tiles of which cameras have seen something since this was last called, to be kept on disk.
+    /// Nobody waits for that: every few seconds is enough.
+    #[must_use]
+    pub fn take_camera_tiles(&mut self) -> Vec<CameraTile> {
+        self.map.cameras.take_unkept()
+    }
+
+    /// Whether [`Server::take_camera_tiles`] has something.
+    pub fn has_camera_tiles(&self) -> bool {
+        self.terms.stores && self.map.cameras.has_unkept()
     }
 
     /// A record is on disk, for good: the robot may give the tile up.
@@ -210,6 +223,19 @@ impl Server {
         if self.map.layers.entry(robot).or_default().restore(record) {
             self.map.changed(&BTreeSet::from([record.id]));
         }
+    }
+
+    /// Takes back what cameras had seen in an earlier life, as [`Server::restore`] does.
+    pub fn restore_camera_tile(&mut self, tile: &CameraTile) {
+        self.map.cameras.restore(tile);
+        self.map.changed(&BTreeSet::from([tile.id]));
+    }
+
+    /// Takes back that a robot was cured in an earlier life.
+    pub fn restore_cured(&mut self, robot: RobotId, epoch: Epoch, cured: Cured) {
+        self.alignments.restore(robot, cured);
+        let void = self.map.layers.entry(robot).or_default().retire(epoch);
+        self.map.changed(&void);
     }
 
     /// A command for a robot.

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 };
 
 use super::session::Session;
-use crate::mapping::{RobotLayer, TileRecord};
+use crate::mapping::{Cured, RobotLayer, TileRecord};
 
 /// Of all robots.
 #[derive(Debug)]
@@ -17,13 +17,13 @@ pub(super) struct Unsaved {
     stores: bool,
     /// Tiles that have changed since they were kept.
     changed: BTreeSet<(RobotId, TileId, Epoch)>,
-    /// Robots whose epochs below some are void.
-    retired: Vec<(RobotId, Epoch)>,
+    /// Robots that were cured, and whose epochs below some are void.
+    cured: Vec<(RobotId, Epoch, Cured)>,
 }
 
 impl Unsaved {
     pub(super) fn new(stores: bool) -> Self {
-        Self { stores, changed: BTreeSet::new(), retired: Vec::new() }
+        Self { stores, changed: BTreeSet::new(), cured: Vec::new() }
     }
 
     /// Of these tiles and epochs all of a state has come. The robot is told which it need not keep.
@@ -41,9 +41,9 @@ impl Unsaved {
         }
     }
 
-    /// The epochs of a robot below this one are void.
-    pub(super) fn retire(&mut self, robot: RobotId, epoch: Epoch) {
-        self.retired.extend(self.stores.then_some((robot, epoch)));
+    /// A robot is cured, and its epochs below this one are void.
+    pub(super) fn cured(&mut self, robot: RobotId, epoch: Epoch, cured: Cured) {
+        self.cured.extend(self.stores.then_some((robot, epoch, cured)));
     }
 
     /// A state to be kept.
@@ -60,12 +60,13 @@ impl Unsaved {
         None
     }
 
-    /// A robot, and the epoch below which all are void.
-    pub(super) fn poll_retired(&mut self) -> Option<(RobotId, Epoch)> {
-        self.retired.pop()
+    /// A robot, the epoch below which all are void, and what is done about its errors; the oldest
+    /// first.
+    pub(super) fn poll_cured(&mut self) -> Option<(RobotId, Epoch, Cured)> {
+        (!self.cured.is_empty()).then(|| self.cured.remove(0))
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.changed.is_empty() && self.retired.is_empty()
+        self.changed.is_empty() && self.cured.is_empty()
     }
 }

@@ -1,8 +1,9 @@
-//! What the server must not lose, in one SQLite file: its epoch, its clock, and all that robots have
-//! told.
+//! What the server must not lose, in one SQLite file: its epoch, its clock, all that robots have told,
+//! what cameras have seen, and which robots' constant errors are cured.
 //!
-//! The file has one row about the server, one for each epoch of each tile of a robot, and one for
-//! each tile with the times at which its cells were seen. It belongs to one process at a time.
+//! The file has one row about the server, one for each epoch of each tile of a robot, one for each of
+//! those tiles with the times at which its cells were seen, one for each tile that cameras have seen,
+//! and one for each robot that was cured. It belongs to one process at a time.
 
 mod error;
 
@@ -17,12 +18,12 @@ use ubimap_protocol::{
 
 pub use error::{StoreError, Trouble};
 
-use crate::mapping::TileRecord;
+use crate::mapping::{CameraTile, Cured, SeenTile, TileRecord};
 
 /// Tells a file of ours from those of other programs: "ubim".
 const APPLICATION_ID: i32 = 0x7562_696D;
 /// The version of the tables.
-const SCHEMA: i32 = 1;
+const SCHEMA: i32 = 2;
 /// A tile as it lies in the file: its low plane's rows and then its high plane's, little-endian.
 const TILE_LEN: usize = 8 * TILE_SIDE;
 
@@ -45,6 +46,23 @@ const TABLES: &str = "
         seconds BLOB NOT NULL,
         PRIMARY KEY (robot, x, y)
     ) STRICT, WITHOUT ROWID;
+";
+
+/// What the second schema has besides: a file of the first one gets it when it is opened.
+const TABLES_2: &str = "
+    CREATE TABLE camera (
+        x INTEGER, y INTEGER,
+        cells BLOB NOT NULL,
+        seconds BLOB NOT NULL,
+        cameras BLOB NOT NULL,
+        PRIMARY KEY (x, y)
+    ) STRICT, WITHOUT ROWID;
+    CREATE TABLE cured (
+        robot INTEGER PRIMARY KEY,
+        first_epoch INTEGER NOT NULL,
+        identifier_deg REAL NOT NULL,
+        sensor_deg REAL NOT NULL
+    ) STRICT;
 ";
 
 /// The open file.
@@ -95,15 +113,45 @@ impl Store {
     pub fn records(&self) -> Result<Vec<(RobotId, TileRecord)>, StoreError> {
         let select = "SELECT robot, x, y, epoch, version, cells, known, seconds
                       FROM tile LEFT JOIN seen USING (robot, x, y) ORDER BY robot, x, y, epoch";
-        let read = self.connection.prepare(select).map_err(Trouble::from).and_then(|mut all| {
-            let mut rows = all.query([])?;
-            let mut records = Vec::new();
+        self.select(select, record)
+    }
+
+    /// All that cameras have seen, by tile.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn camera_tiles(&self) -> Result<Vec<CameraTile>, StoreError> {
+        self.select("SELECT x, y, cells, seconds, cameras FROM camera ORDER BY x, y", camera_tile)
+    }
+
+    /// The robots that were cured, the first of their epochs that is not void, and what was done.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn cured(&self) -> Result<Vec<(RobotId, Epoch, Cured)>, StoreError> {
+        let select =
+            "SELECT robot, first_epoch, identifier_deg, sensor_deg FROM cured ORDER BY robot";
+        self.select(select, |row| {
+            let cured = Cured { taken_out: row.get(2)?, added: row.get(3)? };
+            Ok((RobotId(row.get(0)?), Epoch(row.get(1)?), cured))
+        })
+    }
+
+    fn select<T>(
+        &self,
+        statement: &str,
+        read: impl Fn(&Row<'_>) -> Result<T, Trouble>,
+    ) -> Result<Vec<T>, StoreError> {
+        let all = self.connection.prepare(statement).map_err(Trouble::from);
+        let all = all.and_then(|mut statement| {
+            let mut rows = statement.query([])?;
+            let mut all = Vec::new();
             while let Some(row) = rows.next()? {
-                records.push(record(row)?);
+                all.push(read(row)?);
             }
-            Ok(records)
+            Ok(all)
         });
-        read.map_err(|trouble| self.error(trouble))
+        all.map_err(|trouble| self.error(trouble))
     }
 
     /// Keeps records, all or none: they are on disk, for good, when this returns. `now` is by the
@@ -117,23 +165,48 @@ impl Store {
         now: Instant,
     ) -> Result<(), StoreError> {
         let clock = self.clock.max(now);
-        let kept = self.connection.transaction().map_err(Trouble::from).and_then(|transaction| {
-            write(&transaction, records, clock)?;
-            Ok(transaction.commit()?)
-        });
-        kept.map_err(|trouble| self.error(trouble))?;
+        self.write(|transaction| write(transaction, records, clock))?;
         self.clock = clock;
         Ok(())
     }
 
-    /// Deletes the tiles of a robot of epochs below this one.
+    /// Keeps what cameras have seen of tiles, all or none, in the place of what is kept of them.
     ///
     /// # Errors
     /// [`StoreError`]; the file is as it was.
-    pub fn retire(&mut self, robot: RobotId, first: Epoch) -> Result<(), StoreError> {
-        let delete = "DELETE FROM tile WHERE robot = ? AND epoch < ?";
-        let deleted = self.connection.execute(delete, params![robot.0, first.0]);
-        deleted.map(drop).map_err(|trouble| self.error(trouble.into()))
+    pub fn keep_camera_tiles(
+        &mut self,
+        tiles: &[CameraTile],
+        now: Instant,
+    ) -> Result<(), StoreError> {
+        let clock = self.clock.max(now);
+        self.write(|transaction| write_camera_tiles(transaction, tiles, clock))?;
+        self.clock = clock;
+        Ok(())
+    }
+
+    /// Keeps that a robot was cured, and deletes its tiles of epochs below this one.
+    ///
+    /// # Errors
+    /// [`StoreError`]; the file is as it was.
+    pub fn cure(&mut self, robot: RobotId, first: Epoch, done: Cured) -> Result<(), StoreError> {
+        self.write(|transaction| {
+            let delete = "DELETE FROM tile WHERE robot = ? AND epoch < ?";
+            execute(transaction, delete, params![robot.0, first.0])?;
+            let row = params![robot.0, first.0, done.taken_out, done.added];
+            execute(transaction, "REPLACE INTO cured VALUES (?, ?, ?, ?)", row)
+        })
+    }
+
+    fn write(
+        &mut self,
+        all: impl FnOnce(&Transaction<'_>) -> Result<(), Trouble>,
+    ) -> Result<(), StoreError> {
+        let kept = self.connection.transaction().map_err(Trouble::from).and_then(|transaction| {
+            all(&transaction)?;
+            Ok(transaction.commit()?)
+        });
+        kept.map_err(|trouble| self.error(trouble))
     }
 
     fn error(&self, trouble: Trouble) -> StoreError {
@@ -157,14 +230,18 @@ fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Inst
     if tables == 0 {
         transaction.execute_batch(TABLES)?;
         transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
-        transaction.pragma_update(None, "user_version", SCHEMA)?;
+        transaction.pragma_update(None, "user_version", 1)?;
         execute(&transaction, "INSERT INTO server VALUES (1, ?, 0, 0)", [resolution.0])?;
     } else if number("application_id")? != APPLICATION_ID {
         return Err(Trouble::Foreign);
     }
-    let schema = number("user_version")?;
-    if schema != SCHEMA {
-        return Err(Trouble::Schema(schema));
+    match number("user_version")? {
+        SCHEMA => {}
+        1 => {
+            transaction.execute_batch(TABLES_2)?;
+            transaction.pragma_update(None, "user_version", SCHEMA)?;
+        }
+        schema => return Err(Trouble::Schema(schema)),
     }
     let server = transaction
         .query_row("SELECT resolution_mm, epoch, clock_us FROM server", [], |row| {
@@ -187,8 +264,7 @@ fn write(
     records: &[(RobotId, TileRecord)],
     clock: Instant,
 ) -> Result<(), Trouble> {
-    let clock = i64::try_from(clock.micros()).unwrap_or(i64::MAX);
-    execute(transaction, "UPDATE server SET clock_us = ?", [clock])?;
+    write_clock(transaction, clock)?;
     let mut tile = transaction.prepare("REPLACE INTO tile VALUES (?, ?, ?, ?, ?, ?, ?)")?;
     let mut seen = transaction.prepare("REPLACE INTO seen VALUES (?, ?, ?, ?)")?;
     for (robot, record) in records {
@@ -201,6 +277,25 @@ fn write(
     Ok(())
 }
 
+fn write_camera_tiles(
+    transaction: &Transaction<'_>,
+    tiles: &[CameraTile],
+    clock: Instant,
+) -> Result<(), Trouble> {
+    write_clock(transaction, clock)?;
+    let mut row = transaction.prepare("REPLACE INTO camera VALUES (?, ?, ?, ?, ?)")?;
+    for CameraTile { id, seen, cameras } in tiles {
+        let cells = tile_bytes(&seen.tile);
+        row.execute(params![id.x, id.y, cells, bytes(&seen.seconds), bytes(cameras)])?;
+    }
+    Ok(())
+}
+
+fn write_clock(transaction: &Transaction<'_>, clock: Instant) -> Result<(), Trouble> {
+    let clock = i64::try_from(clock.micros()).unwrap_or(i64::MAX);
+    execute(transaction, "UPDATE server SET clock_us = ?", [clock])
+}
+
 fn execute(
     transaction: &Transaction<'_>,
     statement: &str,
@@ -211,15 +306,28 @@ fn execute(
 }
 
 fn record(row: &Row<'_>) -> Result<(RobotId, TileRecord), Trouble> {
-    let seconds = row.get_ref(7)?.as_blob().ok().and_then(words::<{ TILE_CELLS as usize }>);
     let record = TileRecord {
         id: TileId { x: row.get(1)?, y: row.get(2)? },
         stamp: Stamp { epoch: Epoch(row.get(3)?), version: Version(row.get(4)?) },
         cells: tile(row, 5)?,
         known: tile(row, 6)?,
-        seconds: seconds.ok_or(Trouble::Damaged("the times of a tile are not 4,096 bytes"))?,
+        seconds: cells(row, 7)?,
     };
     Ok((RobotId(row.get(0)?), record))
+}
+
+fn camera_tile(row: &Row<'_>) -> Result<CameraTile, Trouble> {
+    Ok(CameraTile {
+        id: TileId { x: row.get(0)?, y: row.get(1)? },
+        seen: SeenTile { tile: tile(row, 2)?, seconds: cells(row, 3)? },
+        cameras: cells(row, 4)?,
+    })
+}
+
+/// A number for each cell of a tile.
+fn cells(row: &Row<'_>, column: usize) -> Result<[u32; TILE_CELLS as usize], Trouble> {
+    let numbers = row.get_ref(column)?.as_blob().ok().and_then(words);
+    numbers.ok_or(Trouble::Damaged("the times of a tile, or its cameras, are not 4,096 bytes"))
 }
 
 fn tile(row: &Row<'_>, column: usize) -> Result<Tile, Trouble> {

@@ -48,6 +48,48 @@ fn what_was_kept_is_there_in_the_next_life() {
     assert_eq!(store.begin_life(Epoch(70)).unwrap(), Epoch(70));
 }
 
+fn seen(x: i16, seed: u32) -> CameraTile {
+    let TileRecord { id, cells, seconds, .. } = record(x, seed, seed);
+    CameraTile { id, seen: SeenTile { tile: cells, seconds }, cameras: seconds.map(|it| it % 7) }
+}
+
+#[test]
+fn what_cameras_have_seen_and_who_is_cured_is_there_as_well() {
+    let folder = Folder::new("store-cameras");
+    let path = folder.path().join("map.db");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    let cured = |taken_out| Cured { taken_out, added: -2.5 };
+    let robot = RobotId(7);
+    store.keep(&[(robot, record(0, 4, 1)), (robot, record(0, 5, 1))], Instant(0)).unwrap();
+    store.cure(robot, Epoch(3), cured(1.25)).unwrap();
+    store.cure(robot, Epoch(5), cured(3.0)).unwrap();
+    store.keep_camera_tiles(&[seen(2, 1), seen(-1, 2)], Instant(8)).unwrap();
+    store.keep_camera_tiles(&[seen(2, 3)], Instant(9)).unwrap();
+    drop(store);
+
+    let store = Store::open(&path, CELLS).unwrap();
+    assert_eq!(store.clock(), Instant(9));
+    assert_eq!(store.camera_tiles().unwrap(), [seen(-1, 2), seen(2, 3)]);
+    assert_eq!(store.cured().unwrap(), [(robot, Epoch(5), cured(3.0))]);
+    assert_eq!(store.records().unwrap(), [(robot, record(0, 5, 1))]);
+}
+
+#[test]
+fn a_file_of_the_first_schema_is_carried_over() {
+    let folder = Folder::new("store-first");
+    let path = folder.path().join("map.db");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(3)).unwrap();
+    let first = "DROP TABLE camera; DROP TABLE cured; PRAGMA user_version = 1";
+    store.connection.execute_batch(first).unwrap();
+    drop(store);
+    let mut store = Store::open(&path, CELLS).unwrap();
+    assert_eq!(store.records().unwrap(), [(RobotId(1), record(0, 1, 1))]);
+    store.keep_camera_tiles(&[seen(2, 1)], Instant(8)).unwrap();
+    drop(store);
+    assert_eq!(Store::open(&path, CELLS).unwrap().camera_tiles().unwrap(), [seen(2, 1)]);
+}
+
 #[test]
 fn a_file_has_one_owner() {
     let folder = Folder::new("store-owner");
@@ -76,8 +118,8 @@ fn what_is_no_map_of_ours_is_refused_and_left_as_it_is() {
     drop(Store::open(&path, CELLS).unwrap());
     let cells = refused(&path, Millimetres(100));
     assert!(cells.contains("cells of 0.05 m, and this run has 0.1 m"), "{cells}");
-    Connection::open(&path).unwrap().pragma_update(None, "user_version", 2).unwrap();
-    assert!(refused(&path, CELLS).contains("schema 2, this one has 1"));
+    Connection::open(&path).unwrap().pragma_update(None, "user_version", 3).unwrap();
+    assert!(refused(&path, CELLS).contains("schema 3, this one has 2"));
 
     assert!(refused(folder.path(), CELLS).contains("can't be opened"));
     assert!(refused(&folder.path().join("no/map.db"), CELLS).contains("folder"));
@@ -91,10 +133,15 @@ fn damage_is_told() {
         let _ = std::fs::remove_file(&path);
         let mut store = Store::open(&path, CELLS).unwrap();
         store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(0)).unwrap();
+        store.keep_camera_tiles(&[seen(0, 1)], Instant(0)).unwrap();
+        store.cure(RobotId(1), Epoch(1), Cured::default()).unwrap();
         store.connection.execute_batch(statement).unwrap();
         drop(store);
         match Store::open(&path, CELLS) {
-            Ok(store) => store.records().unwrap_err().to_string(),
+            Ok(store) => {
+                let all = [store.records().err(), store.camera_tiles().err(), store.cured().err()];
+                all.into_iter().flatten().next().expect("something is damaged").to_string()
+            }
             Err(error) => error.to_string(),
         }
     };
@@ -103,6 +150,10 @@ fn damage_is_told() {
         "UPDATE seen SET seconds = zeroblob(4095)",
         "UPDATE tile SET robot = 65536",
         "UPDATE tile SET epoch = -1",
+        "UPDATE camera SET cells = zeroblob(257)",
+        "UPDATE camera SET cameras = x''",
+        "UPDATE camera SET x = 32768",
+        "UPDATE cured SET first_epoch = -1",
         "UPDATE server SET clock_us = -1",
         "UPDATE server SET epoch = 4294967296",
         "DELETE FROM server",
