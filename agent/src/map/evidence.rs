@@ -7,7 +7,8 @@
 //!
 //! What the server's map says already is not counted again: where it agrees with what is seen,
 //! the cell stays unknown here; where it does not, the cell starts from what the map says, 5 or
-//! 1, and must be seen otherwise a few times before this robot contradicts.
+//! 1, and must be seen otherwise a few times before this robot contradicts. Where it is seen so too
+//! seldom for that, the cell soon starts from there again.
 
 use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 
@@ -95,6 +96,19 @@ impl Evidence {
                 leave_known(row, &mut sighting, known.map_or(Row::default(), |tile| tile.row(y)));
                 count(row, sighting);
             }
+        }
+    }
+
+    /// Free cells that the server's map says to be free, and that this robot has not `told`, start
+    /// again from what the map says. What spoke against it was not enough: hits that are minutes
+    /// apart are noise at the edge of a surface, and no change.
+    pub(crate) fn settle(&mut self, known: &Tile, told: &Tile) {
+        let known = known.low.iter().zip(&known.high);
+        let told = told.low.iter().zip(&told.high);
+        for (([low, middle, high], known), told) in self.rows.iter_mut().zip(known).zip(told) {
+            let free = (*low | *middle) & known.0 & !(*high | known.1 | told.0 | told.1);
+            *low |= free;
+            *middle &= !free;
         }
     }
 
@@ -233,6 +247,28 @@ mod tests {
                 prop_assert_eq!(cells.cell(x, y), expected);
                 let [low, middle, high] = evidence.rows[y].map(|word| (word >> x & 1) as u8);
                 prop_assert_eq!(low | middle << 1 | high << 2, value);
+            }
+        }
+    }
+    #[test]
+    fn what_the_map_says_to_be_free_and_was_not_told_starts_from_there_again() {
+        let cells = [Cell::Unknown, Cell::Free, Cell::Occupied, Cell::Movable];
+        for (known_as, told_as) in cells.iter().flat_map(|known| cells.map(|told| (*known, told))) {
+            // The cell at x has the value x.
+            let mut evidence = Evidence::NONE;
+            evidence.rows[5] = [0xAA, 0xCC, 0xF0];
+            let (mut known, mut told) = (Tile::UNKNOWN, Tile::UNKNOWN);
+            for x in 0..8 {
+                known.set(x, 5, known_as);
+                told.set(x, 5, told_as);
+            }
+            let before = evidence.clone();
+            evidence.settle(&known, &told);
+            if (known_as, told_as) == (Cell::Free, Cell::Unknown) {
+                // Those of 2 and 3 have 1 now.
+                assert_eq!(evidence.rows[5], [0xAE, 0xC0, 0xF0]);
+            } else {
+                assert_eq!(evidence, before, "{known_as:?} {told_as:?}");
             }
         }
     }
