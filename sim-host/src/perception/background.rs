@@ -146,8 +146,9 @@ impl Background {
         &self.totals
     }
 
-    pub(super) fn home(&self, pixel: usize) -> usize {
-        self.home[pixel] as usize
+    /// For each pixel the place in [`Background::totals`] that it counts for where it agrees.
+    pub(super) fn homes(&self) -> &[u32] {
+        &self.home
     }
 
     pub(super) fn agrees(&self, pixel: usize, depth: u16) -> bool {
@@ -165,7 +166,7 @@ impl Background {
         depth > 0 && depth < self.low[pixel]
     }
 
-    /// What a pixel counts for where it agrees, as [`Background::home`] has it, found anew.
+    /// What a pixel counts for where it agrees, as [`Background::homes`] has it, found anew.
     pub(super) fn settle(&self, view: &View, pixel: usize) -> u32 {
         let slot = match view.place(pixel, self.depth[pixel], Allowance::Learnt) {
             Place::Floor(cell) => 2 * cell as usize,

@@ -10,11 +10,10 @@ use crate::camera::LAYERS;
 
 use super::{
     background::Background,
+    changes::{Changes, WORD, ones},
     view::{Allowance, Place, View},
 };
 
-/// Pixels that are compared before those that differ are looked at.
-const BLOCK: usize = 512;
 /// A layer of a height profile is 128 mm high.
 pub(super) const LAYER_SHIFT: u32 = 7;
 
@@ -46,19 +45,23 @@ impl Evidence {
         self.clear(view);
         self.counts.clear();
         self.counts.extend_from_slice(background.totals());
-        let (low, span) = background.windows();
-        let mut differs = [0; BLOCK];
-        let blocks = depths.chunks(BLOCK).zip(low.chunks(BLOCK)).zip(span.chunks(BLOCK));
-        for (block, ((depth, low), span)) in blocks.enumerate() {
-            // Of the last block, which may be shorter, nothing old may be left.
-            differs[depth.len()..].fill(0);
-            compare(depth, low, span, &mut differs);
-            for (word, lanes) in differs.as_chunks().0.iter().enumerate() {
-                let mut lanes = u64::from_le_bytes(*lanes);
-                while lanes != 0 {
-                    let lane = lanes.trailing_zeros() as usize / 8;
-                    lanes &= lanes - 1;
-                    self.correct(view, background, depths, block * BLOCK + word * 8 + lane);
+        let homes = background.homes();
+        let counts = self.counts.as_mut_slice();
+        let nowhere = counts.len() - 1;
+        let changes = Changes::of(background, depths, view.size().0 as usize, |blank| {
+            for &pixel in blank {
+                counts[homes[pixel] as usize] -= 1;
+            }
+            counts[nowhere] += blank.len() as u32;
+        });
+        for (first, word) in (0..).step_by(WORD).zip(changes.words()) {
+            for at in ones(word.nearer | word.farther) {
+                let (pixel, is) = (first + at, |word: u64| word >> at & 1 > 0);
+                self.counts[homes[pixel] as usize] -= 1;
+                if is(word.backed) {
+                    self.add(view, pixel, depths[pixel], is(word.nearer));
+                } else {
+                    self.counts[nowhere] += 1;
                 }
             }
         }
@@ -73,8 +76,10 @@ impl Evidence {
         for (pixel, &depth) in depths.iter().enumerate() {
             if background.agrees(pixel, depth) {
                 self.counts[background.settle(view, pixel) as usize] += 1;
+            } else if depth > 0 && is_backed(view, background, depths, pixel) {
+                self.add(view, pixel, depth, background.is_nearer(pixel, depth));
             } else {
-                self.add(view, background, depths, pixel);
+                *self.nowhere() += 1;
             }
         }
     }
@@ -102,28 +107,12 @@ impl Evidence {
         }
     }
 
-    /// A pixel does not see what it was counted for.
-    fn correct(&mut self, view: &View, background: &Background, depths: &[u16], pixel: usize) {
-        self.counts[background.home(pixel)] -= 1;
-        self.add(view, background, depths, pixel);
-    }
-
-    fn add(&mut self, view: &View, background: &Background, depths: &[u16], pixel: usize) {
-        let depth = depths[pixel];
-        let nowhere = self.counts.len() - 1;
-        if depth == 0 {
-            self.counts[nowhere] += 1;
-            return;
-        }
-        let is_nearer = background.is_nearer(pixel, depth);
+    /// Counts a pixel that sees something else than its background, nearer or farther than that.
+    #[inline]
+    fn add(&mut self, view: &View, pixel: usize, depth: u16, is_nearer: bool) {
         // The window has the noise in it already.
         let allowance = if is_nearer { Allowance::None } else { Allowance::Measured };
-        let place = view.place(pixel, depth, allowance);
-        if place == Place::Nowhere || !is_backed(view, background, depths, pixel) {
-            self.counts[nowhere] += 1;
-            return;
-        }
-        match place {
+        match view.place(pixel, depth, allowance) {
             // Behind the background is what it hid.
             Place::Floor(cell) => self.counts[2 * cell as usize] += 1,
             Place::Band(cell, height) | Place::Above(cell, height) if is_nearer => {
@@ -137,17 +126,14 @@ impl Evidence {
                 *layer = layer.saturating_add(1);
             }
             // What stands behind has to be learnt first.
-            Place::Band(..) | Place::Above(..) | Place::Nowhere => self.counts[nowhere] += 1,
+            Place::Band(..) | Place::Above(..) | Place::Nowhere => *self.nowhere() += 1,
         }
     }
-}
 
-/// Which depths are outside of their windows: one for those that are, else zero. Kept by itself and
-/// without a branch, so that it is compiled to vectors.
-#[inline(never)]
-fn compare(depths: &[u16], low: &[u16], span: &[u16], differs: &mut [u8; BLOCK]) {
-    for (((depth, low), span), differs) in depths.iter().zip(low).zip(span).zip(differs) {
-        *differs = u8::from(depth.wrapping_sub(*low) > *span);
+    /// The pixels that say nothing of any cell.
+    fn nowhere(&mut self) -> &mut u32 {
+        let last = self.counts.len() - 1;
+        &mut self.counts[last]
     }
 }
 

@@ -7,6 +7,7 @@
 
 mod background;
 mod cells;
+mod changes;
 mod detector;
 mod evidence;
 mod eye;
