@@ -246,7 +246,11 @@ impl Background {
                     // Those that agreed may have been of somebody's legs.
                     self.fresh[pixel] = Agreed::default();
                 } else if let Some(other) = self.sees_other(pixel, depth) {
-                    self.consider(view, pixel, other, now_s);
+                    if self.uncovers(view, pixel, other) {
+                        self.replace(view, pixel, other, false);
+                    } else if let Some(depth) = other.mean() {
+                        self.consider(view, pixel, depth, now_s);
+                    }
                 } else if depth > 0 {
                     let candidate = &mut self.candidates[pixel];
                     let may_be = depth.abs_diff(candidate.depth) <= spread(depth);
@@ -258,27 +262,43 @@ impl Background {
         self.turn = (self.turn + 1) % ROWS_BETWEEN;
     }
 
-    /// How deep what a pixel sees is if it is not the background: the depth if that is out of the
-    /// window, or nearer to the candidate than to the background, for noise makes what stands a
-    /// little before that agree with it now and then; and the mean of those that have agreed of late,
-    /// which then do not count, if it lies off.
-    fn sees_other(&mut self, pixel: usize, depth: u16) -> Option<u16> {
+    /// What a pixel sees if it is not the background: the depth if that is out of the window, or
+    /// nearer to the candidate than to the background, for noise makes what stands a little before
+    /// that agree with it now and then; and those that have agreed of late, which then do not count,
+    /// if their mean lies off.
+    fn sees_other(&mut self, pixel: usize, depth: u16) -> Option<Agreed> {
         let fresh = &mut self.fresh[pixel];
         if let Some((before, mean)) = self.agreed[pixel].mean().zip(fresh.mean())
             && is_other(mean, fresh.count, before)
         {
-            *fresh = Agreed::default();
-            return Some(mean);
+            return Some(core::mem::take(fresh));
         }
+        let one = Agreed { sum: u32::from(depth), count: 1 };
         if depth == 0 || !self.agrees(pixel, depth) {
-            return (depth > 0).then_some(depth);
+            return (depth > 0).then_some(one);
         }
         let candidate = &self.candidates[pixel];
         let mean = self.low[pixel] + self.span[pixel] / 2;
         let is_nearer = candidate.looks > 0
             && !self.agrees(pixel, candidate.depth)
             && depth.abs_diff(candidate.depth) < depth.abs_diff(mean);
-        is_nearer.then_some(depth)
+        is_nearer.then_some(one)
+    }
+
+    /// Whether several depths, which agreed, show what was hidden by something that is in the way of
+    /// the robots: who stood in view as long as the room was learnt, so little before the floor that
+    /// this is in the window, has left. The floor itself hides nothing.
+    fn uncovers(&self, view: &View, pixel: usize, seen: Agreed) -> bool {
+        let is_farther = self.agreed[pixel].mean() < seen.mean();
+        let home = self.home[pixel] as usize;
+        seen.count > 1 && is_farther && home < 2 * view.cells() && home % 2 == 1
+    }
+
+    /// Takes something else for the background of a pixel.
+    fn replace(&mut self, view: &View, pixel: usize, seen: Agreed, has_come: bool) {
+        self.candidates[pixel] = Candidate { has_come, ..Candidate::default() };
+        self.agreed[pixel] = seen;
+        self.settle_again(view, pixel);
     }
 
     /// A pixel sees something else than its background.
@@ -299,10 +319,9 @@ impl Background {
         let may_be_somebody = if self.low[pixel] > 0 { is_nearer } else { !is_floor };
         let (enough, seconds) = if may_be_somebody { STAY } else { UNCOVERED };
         if looks >= enough && now_s.saturating_sub(since_s) >= seconds {
-            self.candidates[pixel] = Candidate { has_come: is_nearer, ..Candidate::default() };
             let looks = u32::from(looks);
-            self.agreed[pixel] = Agreed { sum: u32::from(depth) * looks, count: looks };
-            self.settle_again(view, pixel);
+            let seen = Agreed { sum: u32::from(depth) * looks, count: looks };
+            self.replace(view, pixel, seen, is_nearer);
         }
     }
 }
@@ -336,21 +355,26 @@ fn is_taken(view: &View, pixel: usize, depth: u16, taken: &[bool]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::perception::{
-        testing::{lens, noisy, render},
-        view::Survey,
+    use crate::{
+        camera::DepthImage,
+        perception::testing::{lens, noisy, render},
     };
 
-    /// Five metres off the noise is so large that legs agree with the floor behind them.
-    #[test]
-    fn who_stands_on_it_now_and_then_does_not_draw_the_floor_towards_the_camera() {
+    /// A floor, and legs on it all over, so little before it that at five metres their noise is in the
+    /// window of the floor.
+    fn floor_and_legs() -> (View, DepthImage, DepthImage) {
         let lens = lens(160, 60, [0.0, 0.0, 2.8], [4.0, 3.0, 0.0]);
-        let view = View::new(&lens, Survey::default());
         let floor = render(&lens, 0.0, &[]);
-        let legs = image::ImageBuffer::from_fn(160, 60, |x, y| {
+        let legs = DepthImage::from_fn(160, 60, |x, y| {
             let depth = floor.get_pixel(x, y)[0];
             image::Luma([depth - 2 * noise_mm(i64::from(depth)) as u16])
         });
+        (View::new(&lens, Survey::default()), floor, legs)
+    }
+
+    #[test]
+    fn who_stands_on_it_now_and_then_does_not_draw_the_floor_towards_the_camera() {
+        let (view, floor, legs) = floor_and_legs();
         let taken = vec![false; view.cells()];
         let mut background = Background::new(&view);
         // Five images a second; two seconds of six somebody stands there.
@@ -368,5 +392,28 @@ mod tests {
         let mean = off.iter().sum::<f64>() / off.len() as f64;
         let many = off.iter().filter(|off| **off > 1.0).count();
         assert!(off.len() > 2_000 && mean < 0.4 && many < 10, "{mean} sigmas, {many} over one");
+    }
+
+    #[test]
+    fn who_stood_in_view_while_the_room_was_learnt_leaves_nothing_behind() {
+        let (view, floor, legs) = floor_and_legs();
+        let taken = vec![false; view.cells()];
+        let mut background = Background::new(&view);
+        let in_the_way = |background: &Background| {
+            let homes = floor.iter().zip(background.homes());
+            let far = homes.filter(|(floor, _)| (4_500..5_500).contains(*floor));
+            far.filter(|&(_, &home)| home % 2 == 1 && (home as usize) < 2 * view.cells()).count()
+        };
+        // Five images a second, the last as late as each pixel has been looked at twice.
+        let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
+        for frame in 0..leaves {
+            background.learn(&view, &noisy(&legs, frame, 980), Instant(frame * 200_000), &taken);
+        }
+        let before = in_the_way(&background);
+        for frame in leaves..ends {
+            background.learn(&view, &noisy(&floor, frame, 980), Instant(frame * 200_000), &taken);
+        }
+        let after = in_the_way(&background);
+        assert!(before > 1_000 && 10 * after < before, "{before} pixels, then {after}");
     }
 }
