@@ -20,6 +20,9 @@ use ubimap_tests::data;
 /// A tag's number and the middle of its corners.
 type Tag = (u16, [f64; 2]);
 
+/// The tags of a picture.
+type Detect = fn(&Picture) -> Vec<Tag>;
+
 /// The photographs' tags: file, number and middle, as OpenCV sees them.
 fn listed(folder: &Path) -> BTreeMap<String, Vec<Tag>> {
     let list = std::fs::read_to_string(folder.join("IDS_opencv5.txt")).unwrap();
@@ -80,8 +83,7 @@ fn compare(expected: &[Tag], found: &[Tag], within: f64) -> (usize, usize) {
 #[test]
 fn ours_finds_the_tags_of_the_photographs_that_the_other_one_finds() {
     let Some(folder) = data::file("fiducials/apriltag") else { return };
-    let detectors: [(&str, fn(&Picture) -> Vec<Tag>); 2] =
-        [("apriltag", ours), ("kornia-apriltag", theirs)];
+    let detectors: [(&str, Detect); 2] = [("apriltag", ours), ("kornia-apriltag", theirs)];
     let (mut expected, mut hits) = (0, [0; 2]);
     let (mut more, mut took) = ([0; 2], [time::Duration::ZERO; 2]);
     for (name, tags) in listed(&folder) {
