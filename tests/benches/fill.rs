@@ -39,7 +39,9 @@ fn fill(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("a scan of 640 beams");
     group.bench_function("the polygon, into evidence planes", |bench| {
         bench.iter(|| {
-            map.add(memory.beams, black_box(&readings), black_box(pose), |_| Surround::default())
+            map.add(memory.beams, black_box(&readings), (black_box(pose), u16::MAX), |_| {
+                Surround::default()
+            })
         });
     });
     group.bench_function("a line of cells for each beam, into sets", |bench| {

@@ -41,14 +41,25 @@ const MAX_RANGE: u16 = 4_000;
 
 /// What the agent's map says after one scan: free, and occupied.
 fn filled(pose: Pose, readings: &[u16], policy: Policy) -> (Cells, Cells) {
-    let config = Config { max_range: MAX_RANGE, ..Config::new(RobotId(1), FAN.model()) };
+    filled_within(MAX_RANGE, MAX_RANGE, pose, readings, policy)
+}
+
+/// The same of a map of this range, of which no more than so much is asked for.
+fn filled_within(
+    max_range: u16,
+    range: u16,
+    pose: Pose,
+    readings: &[u16],
+    policy: Policy,
+) -> (Cells, Cells) {
+    let config = Config { max_range, ..Config::new(RobotId(1), FAN.model()) };
     let mut memory = AgentMemory::new(&config, FAN.beams, 40, 1);
     let memory = memory.lend();
     fill_beams(memory.beams, config.sensor, config.mounting);
     let validity = Validity::default();
-    let mapping = MappingConfig { validity, policy, ..(&config).into() };
+    let mapping = MappingConfig { validity, policy, near: MAX_RANGE / 8, ..(&config).into() };
     let mut map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
-    let mapped = map.add(memory.beams, readings, pose, |_| Surround::default()).unwrap();
+    let mapped = map.add(memory.beams, readings, (pose, range), |_| Surround::default()).unwrap();
     assert_eq!(mapped.cells_refused, 0);
     let (mut free, mut hit) = (Cells::new(), Cells::new());
     for tile in map.pool.tiles() {
@@ -168,6 +179,29 @@ proptest! {
                 prop_assert!(free.contains(&cell), "{cell:?} was crossed, and is not free");
             }
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn a_scan_of_an_unsure_robot_is_mapped_as_if_its_map_reached_less_far(
+        seed: u64, heading: u16, range in 60..MAX_RANGE,
+    ) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let room = Boxes::random(&mut rng);
+        let [x, y] = room.point(&mut rng);
+        let pose = Pose { heading: Angle(heading), ..Pose::from_metres(x, y, 0.0) };
+        let readings = room.scan(FAN, pose, Instant(0));
+        let of = |max_range, policy| filled_within(max_range, range, pose, &readings, policy);
+        prop_assert!(of(MAX_RANGE, Policy::Threshold) == of(range, Policy::Threshold));
+        // Where it need not look at all beams it may choose others.
+        let (cut, less) = (of(MAX_RANGE, Policy::Full), of(range, Policy::Full));
+        prop_assert!(cut.0.iter().all(|&cell| beside(&less.0, cell, 1)));
+        prop_assert!(less.0.iter().all(|&cell| beside(&cut.0, cell, 1)));
+        prop_assert!(cut.1.iter().all(|&cell| beside(&less.1, cell, 2)));
+        prop_assert!(less.1.iter().all(|&cell| beside(&cut.1, cell, 2)));
     }
 }
 

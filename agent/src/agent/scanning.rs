@@ -93,11 +93,15 @@ impl Agent<'_> {
                 return;
             }
             let Some(readings) = self.waiting.pop() else { return };
-            let (Located::At(pose) | Located::Unsure(pose)) = located else {
-                self.statistics.expired = self.statistics.expired.wrapping_add(1);
-                self.events.raise(EventCode::PoseLost, now);
-                self.lost = true;
-                continue;
+            let (pose, variances) = match located {
+                Located::At(pose, variances) => (pose, Some(variances)),
+                Located::Unsure(pose) => (pose, None),
+                Located::NotYet | Located::Never => {
+                    self.statistics.expired = self.statistics.expired.wrapping_add(1);
+                    self.events.raise(EventCode::PoseLost, now);
+                    self.lost = true;
+                    continue;
+                }
             };
             if core::mem::take(&mut self.lost) {
                 self.events.raise(EventCode::PoseFound, now);
@@ -111,8 +115,7 @@ impl Agent<'_> {
                 self.latest_pose = Some((moment, pose));
             }
             self.fused.follow(pose, self.config.resolution);
-            let (unsure, shaken) =
-                (located == Located::Unsure(pose), self.steadiness.is_shaken(taken));
+            let (unsure, shaken) = (variances.is_none(), self.steadiness.is_shaken(taken));
             if unsure {
                 self.statistics.unsure = self.statistics.unsure.wrapping_add(1);
             } else if shaken {
@@ -160,16 +163,19 @@ impl Agent<'_> {
                 }
                 Selected::Moved(part) | Selected::Changed(part) => part,
             };
-            let (fused, locator) = (&self.fused, &self.locator);
-            let Config { max_range: range, resolution, peer_mask: mask, .. } = self.config;
+            let fused = &self.fused;
+            let Config { max_range, resolution, peer_mask: mask, .. } = self.config;
+            let variances = variances.unwrap_or_default();
+            // What an unseen robot draws a cell to the side becomes a second wall.
+            let range = if blind { variances.reach(resolution, max_range) } else { max_range };
             let view = View { pose, moment, range, resolution, mask };
             // Without the server's time they mean nothing.
             let peers = self.commands.peers().filter(|_| server_moment.is_some());
-            let peers = PeerMasks::new(peers, &view, || locator.variances(taken));
+            let peers = PeerMasks::new(peers, &view, variances);
             let around = |id| Surround { masked: peers.cells(id), ..fused.around(id, now) };
             let beams = self.beams.get(part.clone()).unwrap_or_default();
             let seen = readings.get(part).unwrap_or_default();
-            let Some(mapped) = self.map.add(beams, seen, pose, around) else {
+            let Some(mapped) = self.map.add(beams, seen, (pose, range), around) else {
                 self.statistics.expired = self.statistics.expired.wrapping_add(1);
                 continue;
             };

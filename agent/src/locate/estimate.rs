@@ -53,14 +53,25 @@ impl Fix {
 
 /// How unsure a pose is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Variances {
+pub struct Variances {
     /// Of the distance from the true position: mm^2.
-    pub(crate) position: f32,
+    pub position: f32,
     /// Of the heading: rad^2.
-    pub(crate) heading: f32,
+    pub heading: f32,
 }
 
 impl Variances {
+    /// How far away, up to `most` mm, the heading leaves what is seen within `side` of where it is:
+    /// one standard deviation.
+    pub(crate) fn reach(self, side: Millimetres, most: u16) -> u16 {
+        let (side, far) = (side.0 as f32, f32::from(most));
+        if self.heading * far * far <= side * side {
+            return most;
+        }
+        // The heading is not certain here; the cast saturates.
+        (side / libm::sqrtf(self.heading)) as u16
+    }
+
     /// After some seconds of which nothing is known.
     pub(super) fn after(self, seconds: f32) -> Self {
         Self {
@@ -375,5 +386,16 @@ mod tests {
         estimate.drive(Pose::default(), to, 1.0, &noise);
         let Covariance { xx, yy, .. } = estimate.covariance;
         assert!((xx.sqrt() - 174.5).abs() < 0.1 && yy < 2.0, "{xx} {yy}");
+    }
+
+    #[test]
+    fn what_is_seen_a_cell_to_the_side_is_out_of_reach() {
+        let reach = |degrees: f32| {
+            let heading = degrees.to_radians().powi(2);
+            Variances { position: 0.0, heading }.reach(Millimetres(50), 4_000)
+        };
+        // 50 mm are 1 degree of 2.865 m, and 0.716 degrees of 4 m.
+        assert_eq!([0.0, 0.7, 0.72].map(reach), [4_000, 4_000, 3_978]);
+        assert_eq!([1.0, 3.0, 60.0].map(reach), [2_864, 954, 47]);
     }
 }

@@ -10,7 +10,7 @@ mod systematic;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use estimate::Variances;
+pub use estimate::Variances;
 pub use filter::{Backwards, FixError, FixOutcome};
 pub use locator::{Located, Locator, PoseSource, UncertaintyLimit};
 pub use odometry::OdometryNoise;

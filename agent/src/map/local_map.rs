@@ -142,16 +142,31 @@ impl<'b> LocalMap<'b> {
         self.grain = grain(&config, beams);
     }
 
-    /// Adds a scan that was taken at `pose` (`base_link` in `map`). `around` gives what the server
-    /// says of a tile. `None` if the map does not reach there.
+    /// Adds a scan that was taken at a pose (`base_link` in `map`), as far as up to so many mm.
+    /// `around` gives what the server says of a tile. `None` if the map does not reach there.
     pub fn add<'m>(
         &mut self,
         beams: &[Beam],
         readings: &[u16],
-        pose: Pose,
+        (pose, range): (Pose, u16),
         around: impl Fn(TileId) -> Surround<'m>,
     ) -> Option<Mapped> {
-        let MappingConfig { resolution, max_range, near, mounting, policy, .. } = self.config;
+        let whole = self.grain.reach;
+        self.grain.reach = whole.within(range);
+        let mapped = self.draw(beams, readings, (pose, range.min(self.config.max_range)), around);
+        self.grain.reach = whole;
+        mapped
+    }
+
+    #[inline(always)]
+    fn draw<'m>(
+        &mut self,
+        beams: &[Beam],
+        readings: &[u16],
+        (pose, range): (Pose, u16),
+        around: impl Fn(TileId) -> Surround<'m>,
+    ) -> Option<Mapped> {
+        let MappingConfig { resolution, near, mounting, policy, .. } = self.config;
         self.scans = self.scans.wrapping_add(1);
         let projection = Projection::new(pose, mounting, resolution);
         let near_cells = Near::new(&projection, near, resolution);
@@ -164,7 +179,7 @@ impl<'b> LocalMap<'b> {
         let mut end = count;
         while start < count {
             let part = beams.get(start..end)?;
-            let Some(mut window) = Window::over(part, max_range, &projection, self.scratch) else {
+            let Some(mut window) = Window::over(part, range, &projection, self.scratch) else {
                 if end - start <= 2 {
                     return None;
                 }
@@ -273,7 +288,7 @@ mod tests {
         let mut scratch = vec![RowSighting::default(); words];
         let mut places = vec![OwnTile::FREE; 40];
         let mut map = LocalMap::new(CONFIG, beams, &mut scratch, Pool::new(&mut places));
-        let mapped = map.add(beams, readings, pose, |_| Surround::default()).unwrap();
+        let mapped = map.add(beams, readings, (pose, u16::MAX), |_| Surround::default()).unwrap();
         assert_eq!(mapped.cells_refused, 0);
         let mut seen = Seen { free: BTreeSet::new(), hit: BTreeSet::new(), counts: mapped.pixels };
         for tile in map.pool.tiles() {
@@ -454,7 +469,7 @@ mod tests {
             let mut scratch = vec![RowSighting::default(); words];
             let mut places = vec![OwnTile::FREE; 40];
             let mut map = LocalMap::new(CONFIG, &beams, &mut scratch, Pool::new(&mut places));
-            map.add(&beams, &[900; 5], pose, |_| Surround::default())
+            map.add(&beams, &[900; 5], (pose, u16::MAX), |_| Surround::default())
         };
         let words = scratch_words(4_000, CONFIG.resolution);
         for x in [i32::MAX, i32::MIN, 52_428_000] {
@@ -496,7 +511,7 @@ mod tests {
             let mut places = [OwnTile::FREE; 9];
             let mut map = LocalMap::new(config, &beams, &mut scratch, Pool::new(&mut places));
             let known = |_| Surround { covered, ..Surround::default() };
-            let mapped = map.add(&beams, &[1_500; 90], Pose::default(), known).unwrap();
+            let mapped = map.add(&beams, &[1_500; 90], (Pose::default(), u16::MAX), known).unwrap();
             let tiles = map.pool.tiles().map(|tile| (tile.id(), tile.evidence.cells()));
             (mapped.pixels, tiles.collect::<Vec<_>>())
         };

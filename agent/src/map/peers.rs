@@ -69,11 +69,9 @@ pub(crate) struct PeerMasks {
 }
 
 impl PeerMasks {
-    /// Of those robots that may be in view. `unsure` says how unsure the scan's pose is, and is
-    /// asked only if there is one.
-    pub(crate) fn new(peers: Option<&Peers>, view: &View, unsure: impl Fn() -> Variances) -> Self {
+    /// Of those robots that may be in view. `unsure` says how unsure the scan's pose is.
+    pub(crate) fn new(peers: Option<&Peers>, view: &View, unsure: Variances) -> Self {
         let mut near = Self { masks: Vec::new(), side: view.resolution.0.clamp(1, 1 << 16) };
-        let mut variances = None;
         for (peers, peer) in
             peers.into_iter().flat_map(|it| it.peers.iter().map(move |peer| (it, peer)))
         {
@@ -84,9 +82,8 @@ impl PeerMasks {
             let seen = peers.time - Duration(u64::from(u32::from(peer.age) * 10_000));
             let age = view.moment.0.abs_diff(seen.0);
             if off <= reach && age <= LOST.0 {
-                let variances = *variances.get_or_insert_with(&unsure);
                 // There is room for each.
-                let _ = near.masks.push(Mask::new(peer, age as u32, view, variances));
+                let _ = near.masks.push(Mask::new(peer, age as u32, view, unsure));
             }
         }
         near
@@ -212,7 +209,7 @@ mod tests {
 
     fn masks(peer: Peer, view: &View) -> PeerMasks {
         let peers = Peers { time: Instant(10_000_000), peers: [peer].into_iter().collect() };
-        PeerMasks::new(Some(&peers), view, Variances::default)
+        PeerMasks::new(Some(&peers), view, Variances::default())
     }
 
     /// How many cells of the tiles around the origin are left out.
@@ -279,7 +276,7 @@ mod tests {
             time: Instant(0),
             peers: [peer(at(x, 0, 0), 300, 200)].into_iter().collect(),
         };
-        let unsure = || panic!("nobody is near");
+        let unsure = Variances::default();
         for x in [6_001, i32::MAX, i32::MIN] {
             let view = view(PeerMask::Footprint, 0);
             assert!(PeerMasks::new(Some(&peers(x)), &view, unsure).masks.is_empty());
@@ -294,7 +291,7 @@ mod tests {
                 time: Instant(0),
                 peers: [peer(at(2_000, 0, 0), 300, 200)].into_iter().collect(),
             };
-            let masks = PeerMasks::new(Some(&peers), &view(PeerMask::Square, 0), || variances);
+            let masks = PeerMasks::new(Some(&peers), &view(PeerMask::Square, 0), variances);
             masks.masks[0].width
         };
         let sure = room(Variances::default());

@@ -55,14 +55,8 @@ pub(super) struct Grain {
     tolerance: u32,
     /// Millimetres of reading times beams that fit [`SPAN`] cells side by side.
     spread: u32,
-    /// The range of the map.
-    range: u16,
-    /// Its square, in the units of [`Beam::square`].
-    range_square: u64,
-    /// Readings up to this one are within it, whatever their beam.
-    surely: u32,
-    /// Those from this one on are beyond it, whatever their beam.
-    beyond: u32,
+    /// Up to where scans are mapped.
+    pub(super) reach: Reach,
     /// Millimetres of reading times beams that fit half a cell.
     bridge: u32,
     /// Readings from the first on, so many more, may count.
@@ -71,6 +65,42 @@ pub(super) struct Grain {
     touch: i32,
     /// Which readings count.
     validity: Validity,
+}
+
+/// Up to where a scan is mapped: millimetres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Reach {
+    range: u16,
+    /// Readings up to this one are within it, whatever their beam.
+    surely: u32,
+    /// Those from this one on are beyond it, whatever their beam.
+    beyond: u32,
+}
+
+impl Reach {
+    /// Cut down to this range.
+    pub(super) fn within(self, range: u16) -> Self {
+        if range >= self.range {
+            return self;
+        }
+        let scale = f32::from(range) / f32::from(self.range);
+        // Off by less than one.
+        let part = |reading: u32| (reading as f32 * scale) as u32;
+        Self {
+            range,
+            surely: part(self.surely).saturating_sub(1),
+            beyond: part(self.beyond).saturating_add(2),
+        }
+    }
+
+    /// Whether a beam ends within the range.
+    #[inline(always)]
+    fn has(&self, beam: Beam, reading: u32) -> bool {
+        let square = u32::from(self.range) * u32::from(self.range);
+        reading <= self.surely
+            || u64::from(reading * reading) * u64::from(beam.square())
+                <= u64::from(square) << (2 * DIRECTION_BITS)
+    }
 }
 
 /// Cells that are passed over at most, across the beams.
@@ -115,12 +145,9 @@ impl Grain {
             margin,
             tolerance: side * 3 / 4,
             spread,
-            range,
-            range_square: u64::from(range).pow(2) << (2 * DIRECTION_BITS),
-            surely,
+            reach: Reach { range, surely, beyond: high.saturating_add(high / 1_000 + 2) },
             bridge: spread / (2 * SPAN),
             counting: more.map_or((u32::MAX, 0), |more| (first, more)),
-            beyond: high.saturating_add(high / 1_000 + 2),
             touch,
             validity,
         }
@@ -134,13 +161,6 @@ impl Grain {
         u32::from(reading).wrapping_sub(first) <= more
             && (!readings.get(index.wrapping_sub(1)).is_none_or(is_apart)
                 || self.validity.counts_at(readings, index, reading))
-    }
-
-    /// Whether a beam ends within the range.
-    #[inline(always)]
-    fn reaches(&self, beam: Beam, reading: u32) -> bool {
-        reading <= self.surely
-            || u64::from(reading * reading) * u64::from(beam.square()) <= self.range_square
     }
 
     /// How far a surface goes on in a line, to `end` at most, from a beam on that ends on it. One
@@ -185,7 +205,7 @@ impl Grain {
     ) -> usize {
         let reading = |index: usize| readings.get(index).copied().unwrap_or(0);
         let is_within = |index: usize| {
-            beams.get(index).is_some_and(|&beam| self.reaches(beam, reading(index).into()))
+            beams.get(index).is_some_and(|&beam| self.reach.has(beam, reading(index).into()))
         };
         let (mut within, mut beyond) = (0, steps + 1);
         while beyond - within > 1 {
@@ -221,7 +241,7 @@ impl Grain {
             let reading = u32::from(reading);
             if index < end
                 && reading.wrapping_sub(self.counting.0) <= self.counting.1
-                && (reading >= self.beyond || !self.reaches(beam, reading))
+                && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
             {
                 last = index;
             } else if stride > 1 {
@@ -283,8 +303,9 @@ pub(super) fn trace(
             continue;
         }
         let reading = u32::from(reading);
-        let is_hit = grain.reaches(beam, reading);
-        let reach = if is_hit { reading - grain.margin } else { beam.reading_at(grain.range) };
+        let is_hit = grain.reach.has(beam, reading);
+        let reach =
+            if is_hit { reading - grain.margin } else { beam.reading_at(grain.reach.range) };
         kept += 1;
         let direction = projection.direction(beam);
         let at = projection.corner(direction, reach);
@@ -340,7 +361,7 @@ pub(super) fn trace(
             let end = grain.surface_up_to(readings, (here, here + ahead, stride), reading);
             index = index.max(end);
             if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
-                && !grain.reaches(beam, reading.into())
+                && !grain.reach.has(beam, reading.into())
             {
                 // A surface that leaves the range.
                 let way = (here, stride, (end - here) / stride);

@@ -115,7 +115,7 @@ fn publish(
 ) -> Option<usize> {
     let mut map = local_map(sensor(), memory.beams, memory.scratch, memory.own);
     let merged = FusedMap::new(memory.fused);
-    map.add(memory.beams, readings, POSE, |_| Surround::default())?;
+    map.add(memory.beams, readings, (POSE, u16::MAX), |_| Surround::default())?;
     let mut publisher = Publisher::new(Duration(0));
     publisher.changed(Instant(0), None);
     let mut writer = Writer::new(payload.get_mut(..payload_capacity(DEFAULT_FRAME))?);

@@ -53,7 +53,9 @@ pub(crate) fn rows(
         let name = format_args!("{scene}, {time}");
         let mapped = bench.measure(name, || {
             waiting.push(Instant(0), black_box(readings)).ok()?;
-            map.add(memory.beams, waiting.pop()?, black_box(POSE), |_| Surround::default())
+            map.add(memory.beams, waiting.pop()?, (black_box(POSE), u16::MAX), |_| {
+                Surround::default()
+            })
         });
         (mapped?.cells_refused == 0).then_some(())?;
     }
