@@ -303,12 +303,9 @@ fn cameras_and_robots_draw_the_room() {
             assert!(sighted.rmse_m <= 0.01 && sighted.rmse_deg <= 0.5, "{sighted:?}");
             assert!(truth.passed_known >= 0.99, "{truth:?}");
             assert!(truth.f1_occupied >= 0.97, "{truth:?}");
-            // None is wanted; a few are left in the first seconds, in which the room is learnt.
-            assert!(
-                100 * ghosts.most <= ghosts.most_by_ros,
-                "{name}, seed {seed}: {}",
-                ghosts.most
-            );
+            // None is wanted; in one of ten seeds one is left of who stood there while the room was
+            // learnt.
+            assert!(ghosts.most <= 1, "{name}, seed {seed}: {}", ghosts.most);
         }
     }
 }
