@@ -110,7 +110,7 @@ fn both_find_the_same_robots_in_the_room() {
     let scenario = Scenario::built_in().unwrap();
     let mut world = World::new(&scenario, None, Millimetres(50), 1).unwrap();
     let (mut frames, mut both, mut only) = (0, 0, [0; 2]);
-    let mut robots = BTreeSet::new();
+    let (mut robots, mut by_ours) = (BTreeSet::new(), BTreeSet::new());
     let (mut apart, mut farthest) = (0.0, 0.0_f64);
     for millis in (0..12_000).step_by(1_000) {
         let now = Instant(millis * 1_000);
@@ -125,6 +125,7 @@ fn both_find_the_same_robots_in_the_room() {
             let (same, missed) = compare(&ours, &theirs, 0.5);
             (both, only) = (both + same, [only[0] + ours.len() - same, only[1] + missed]);
             for (number, [x, y]) in &ours {
+                by_ours.insert(*number);
                 let other = theirs.iter().find(|it| it.0 == *number);
                 let Some((_, [u, v])) = other else { continue };
                 robots.insert(*number);
@@ -140,5 +141,6 @@ fn both_find_the_same_robots_in_the_room() {
         only[0], only[1]
     );
     assert!(frames > 40 && robots.len() == world.robots().len(), "{robots:?}");
+    assert_eq!(by_ours, robots, "what ours alone finds are the same tags");
     assert!(farthest < 0.5 && only[1] * 100 <= both, "{both} {only:?}");
 }

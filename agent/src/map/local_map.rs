@@ -142,7 +142,7 @@ impl<'b> LocalMap<'b> {
         self.grain = grain(&config, beams);
     }
 
-    /// Adds a scan that was taken at a pose (`base_link` in `map`), as far as up to so many mm.
+    /// Adds what a scan that was taken at a pose (`base_link` in `map`) saw up to so many mm away.
     /// `around` gives what the server says of a tile. `None` if the map does not reach there.
     pub fn add<'m>(
         &mut self,

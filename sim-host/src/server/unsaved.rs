@@ -1,6 +1,6 @@
 //! What the disk has not been told.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use ubimap_protocol::{
     tile::{Epoch, TileId},
@@ -18,12 +18,12 @@ pub(super) struct Unsaved {
     /// Tiles that have changed since they were kept.
     changed: BTreeSet<(RobotId, TileId, Epoch)>,
     /// Robots that were cured, and whose epochs below some are void.
-    cured: Vec<(RobotId, Epoch, Cured)>,
+    cured: VecDeque<(RobotId, Epoch, Cured)>,
 }
 
 impl Unsaved {
     pub(super) fn new(stores: bool) -> Self {
-        Self { stores, changed: BTreeSet::new(), cured: Vec::new() }
+        Self { stores, changed: BTreeSet::new(), cured: VecDeque::new() }
     }
 
     /// Of these tiles and epochs all of a state has come. The robot is told which it need not keep.
@@ -63,7 +63,7 @@ impl Unsaved {
     /// A robot, the epoch below which all are void, and what is done about its errors; the oldest
     /// first.
     pub(super) fn poll_cured(&mut self) -> Option<(RobotId, Epoch, Cured)> {
-        (!self.cured.is_empty()).then(|| self.cured.remove(0))
+        self.cured.pop_front()
     }
 
     pub(super) fn is_empty(&self) -> bool {
