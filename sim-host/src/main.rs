@@ -1,15 +1,21 @@
 //! `ubimap`, the command line.
 
 use std::{
+    fmt,
     io::{self, Write},
+    path::Path,
     process::ExitCode,
 };
 
 use clap::{Parser, Subcommand, error::ErrorKind};
-use ubimap_sim_host::run::{
-    Outcome, RunError, compare, open_output,
-    options::{CompareOptions, ReplayOptions, RunOptions, ServeOptions, SimulateOptions},
-    replay, serve, simulate,
+use serde::Serialize;
+use ubimap_sim_host::{
+    report::json_pretty,
+    run::{
+        Outcome, RunError, compare, open_output,
+        options::{CompareOptions, ReplayOptions, ServeOptions, SimulateOptions, WatchOptions},
+        replay, serve, simulate, watch,
+    },
 };
 
 /// The run failed; a map on which not all agree counts as that.
@@ -31,6 +37,8 @@ enum Command {
     Replay(ReplayOptions),
     /// Run robots in a simulated room
     Simulate(SimulateOptions),
+    /// Play the camera server on recorded frames of fixed RGB-D cameras
+    Watch(WatchOptions),
     /// Serve real robots on serial ports
     Serve(ServeOptions),
     /// Score one ROS map against another
@@ -44,8 +52,15 @@ fn main() -> ExitCode {
         Err(error) => return refuse_use(&error),
     };
     let finished = match command_line.command {
-        Command::Replay(options) => finish(&options.run, || replay::run(&options)),
-        Command::Simulate(options) => finish(&options.run, || simulate::run(&options)),
+        Command::Replay(options) => {
+            finish(options.run.results(), || replay::run(&options), |it| it.map.converged)
+        }
+        Command::Simulate(options) => {
+            finish(options.run.results(), || simulate::run(&options), |it| it.map.converged)
+        }
+        Command::Watch(options) => {
+            finish((options.out.as_deref(), options.json), || watch::run(&options), |_| true)
+        }
         Command::Serve(options) => serve(&options),
         Command::Compare(options) => compare(&options),
     };
@@ -55,25 +70,29 @@ fn main() -> ExitCode {
     })
 }
 
-/// Makes a run and hands out its results.
-fn finish(
-    options: &RunOptions,
-    run: impl FnOnce() -> Result<Outcome, RunError>,
+/// Makes a run and hands out its results; `is_success` says of its report how it ended.
+fn finish<R: fmt::Display + Serialize>(
+    (out, json): (Option<&Path>, bool),
+    run: impl FnOnce() -> Result<Outcome<R>, RunError>,
+    is_success: impl FnOnce(&R) -> bool,
 ) -> Result<ExitCode, RunError> {
-    let folder = open_output(options.out.as_deref())?;
+    let folder = open_output(out)?;
     let outcome = run()?;
     if let Some(folder) = folder {
         outcome.write(folder)?;
     }
-    let report = &outcome.report;
-    print(&if options.json { report.to_json_pretty() } else { report.to_string() });
-    Ok(if report.map.converged { ExitCode::SUCCESS } else { ExitCode::from(FAILED) })
+    Ok(tell(&outcome.report, json, is_success(&outcome.report)))
 }
 
 fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
-    print(&if options.json { report.to_json_pretty() } else { report.to_string() });
-    Ok(if report.has_robot() { ExitCode::SUCCESS } else { ExitCode::from(FAILED) })
+    Ok(tell(&report, options.json, report.has_robot()))
+}
+
+/// Prints a report.
+fn tell(report: &(impl fmt::Display + Serialize), json: bool, is_success: bool) -> ExitCode {
+    print(&if json { json_pretty(report) } else { report.to_string() });
+    if is_success { ExitCode::SUCCESS } else { ExitCode::from(FAILED) }
 }
 
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {

@@ -32,6 +32,11 @@ fn bad_use_is_told_in_one_line() {
     refused(&["replay", "x", "--resolution", "0"], "--resolution");
     refused(&["replay", "x", "--format", "png"], "--format");
     refused(&["simulate", "--duration", "-1"], "--duration");
+    refused(&["simulate", "--record", "x", "--ideal-cameras"], "--record");
+    refused(&["simulate", "--record", "/dev/null/x"], "/dev/null/x: ");
+    refused(&["watch"], "FOLDER");
+    refused(&["watch", "/no-such-folder"], "/no-such-folder: No such file");
+    refused(&["watch", "x", "--resolution", "0"], "--resolution");
     refused(&["serve"], "PORT");
     refused(&["serve", "/dev/no-such-port"], "/dev/no-such-port: ");
     refused(&["serve", "x", "--baud", "0"], "--baud");
@@ -111,4 +116,77 @@ fn maps_are_compared() {
 
     let torn = map("torn", "0 254");
     refused(&["compare", &torn, &b], "torn.pgm");
+}
+
+/// A room of one small camera and one robot.
+const ROOM: &str = r#"
+duration_s = 1
+slice_height_m = 0.2
+[room]
+height_m = 3.0
+outline_m = [[0.0, 0.0], [3.0, 0.0], [3.0, 3.0], [0.0, 3.0]]
+[[cameras]]
+position_m = [1.5, 1.5, 2.8]
+look_at_m = [1.5, 1.6, 0.0]
+depth = { width = 80, height = 60 }
+picture = { width = 320, height = 180 }
+[[robots]]
+id = 1
+radius_m = 0.2
+marker_size_m = 0.25
+start = { x_m = 1.5, y_m = 1.5 }
+"#;
+
+#[test]
+fn what_a_simulation_records_can_be_watched_and_what_is_wrong_with_it_is_told() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let [scenario, recording, out] = ["room.toml", "recording", "out"].map(path);
+    std::fs::write(&scenario, ROOM).unwrap();
+    let simulate = ["simulate", &scenario, "--scripted", "--record", &recording];
+    assert_eq!(ubimap(&simulate).status.code(), Some(0));
+    refused(&simulate, "recording: the folder is not empty");
+
+    let watch = ["watch", &recording, "--json", "--out", &out];
+    let output = ubimap(&watch);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["schema"], "ubimap-watch");
+    let frames = report["cameras"][0]["frames"].as_u64().unwrap();
+    assert!(frames > 10 && report["robots"][0]["sightings"].as_u64().unwrap() > 10, "{report}");
+    let written = |out: &str| {
+        let entries = std::fs::read_dir(out).unwrap();
+        let mut names: Vec<String> =
+            entries.map(|it| it.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names.join(" ")
+    };
+    assert_eq!(written(&out), "coverage.png map.pgm map.png map.yaml report.json robots.csv");
+    let output = ubimap(&["watch", &recording]);
+    let words = String::from_utf8(output.stdout).unwrap();
+    assert!(words.contains("camera-00") && words.contains("s recorded, watched in"), "{words}");
+
+    // A picture that breaks off is found when it is its turn: nothing is left behind.
+    let picture = path("recording/camera-00/color/000000000000.png");
+    let whole = std::fs::read(&picture).unwrap();
+    std::fs::write(&picture, &whole[..whole.len() / 2]).unwrap();
+    let fresh = path("fresh");
+    refused(
+        &["watch", &recording, "--out", &fresh],
+        "color/000000000000.png: not a readable image",
+    );
+    assert!(!Path::new(&fresh).exists());
+    std::fs::write(&picture, whole).unwrap();
+    let robot = "[[robots]]\nid = 1\nmarker_size_m = 0.1\nheight_m = 0.3\n";
+    let twice = format!("{robot}{}tag_id = 1\n", robot.replace("id = 1", "id = 2"));
+    std::fs::write(path("twice.toml"), twice).unwrap();
+    let robots = path("twice.toml");
+    refused(
+        &["watch", &recording, "--robots", &robots],
+        "robots 1 and 2 carry the same identifier",
+    );
+    std::fs::remove_file(path("recording/camera-00/intrinsics.toml")).unwrap();
+    refused(&["watch", &recording], "camera-00/intrinsics.toml: intrinsics: missing; write");
 }

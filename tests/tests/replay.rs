@@ -7,7 +7,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     grid::{OccupancyGrid, compare},
-    report::Report,
+    report::{Report, json_pretty},
     run::{Outcome, options::ReplayOptions, replay},
 };
 use ubimap_tests::{data, per_ray};
@@ -82,7 +82,7 @@ fn the_same_seed_gives_the_same_report_and_another_one_another() {
     let report = |seed: u32| {
         let mut outcome = run(&log, &format!("--robots 2 {BAD_LINK} --seed {seed}"));
         outcome.report.elapsed_s = 0.0;
-        (outcome.report.to_json_pretty(), outcome.map)
+        (json_pretty(&outcome.report), outcome.map)
     };
     assert_eq!(report(7), report(7));
     assert_ne!(report(7).0, report(8).0);

@@ -11,7 +11,6 @@ use std::{
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, Tile, TileId},
     time::{Duration, Instant},
-    units::RobotId,
 };
 use ubimap_sim_host::{
     camera::{FrameSource, Observation},
@@ -22,7 +21,7 @@ use ubimap_sim_host::{
     run::{
         fleet::{Event, Fleet, OWN_TILES, Stage},
         scoring,
-        simulate::{RESOLUTION, Room, config, footprint, memory, observer},
+        simulate::{RESOLUTION, Room, config, memory, observer, registry},
     },
     world::{Scenario, World},
 };
@@ -227,8 +226,8 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     let mut memory = memory(&world, &configs, OWN_TILES);
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
     let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, seed, None).unwrap();
-    for robot in &scenario.robots {
-        fleet.set_footprint(RobotId(robot.id), footprint(robot));
+    for (robot, footprint) in registry(&scenario).footprints() {
+        fleet.set_footprint(robot, footprint);
     }
     fleet.look_through(observer(&scenario, FrameSource::cameras(&world)).unwrap());
     // A cell beside a surface may be taken for it.

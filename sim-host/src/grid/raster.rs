@@ -6,7 +6,7 @@ use std::{
 };
 
 use image::{
-    DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits,
+    ColorType, DynamicImage, GrayImage, ImageDecoder, ImageFormat, ImageReader, Limits,
     codecs::pnm::{PnmDecoder, PnmSubtype},
 };
 
@@ -51,6 +51,12 @@ pub(crate) fn read(path: &Path) -> Result<Raster, RasterError> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)?.take(MAX_BYTES).read_to_end(&mut bytes)?;
     decode(&bytes)
+}
+
+/// The size (columns, rows) and the kind of pixels of such a file, from its first bytes.
+pub(crate) fn look(path: &Path) -> Result<((u32, u32), ColorType), RasterError> {
+    let decoder = ImageReader::open(path)?.with_guessed_format()?.into_decoder()?;
+    Ok((decoder.dimensions(), decoder.color_type()))
 }
 
 /// Decodes the bytes of a PNG, PGM or BMP file.

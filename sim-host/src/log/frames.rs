@@ -1,157 +1,457 @@
-//! Folders of depth images as a source of frames, in the form that [`read`](super::read) takes.
+//! Recorded frames of one or more RGB-D cameras as a source of frames.
+//!
+//! ```text
+//! robots.toml           which robots there are: see `run::registry`
+//! CAMERA/               one folder for each camera; they count in the order of their names.
+//!                       A single camera needs none: what follows may lie beside robots.toml
+//!   pose.txt            where the depth sensor is: x y z qx qy qz qw
+//!   intrinsics.toml     its width, height, fx, fy, cx, cy, distortion and depth_per_metre
+//!   depth/*.png, *.pgm  16-bit grey
+//!   color/*.png ...     pictures, grey or in colour; also .jpg, .bmp, .ppm and .pgm
+//!   color/pose.txt      where the sensor of the pictures is, and
+//!   color/intrinsics.toml  what it is like; what is missing is as the depth sensor's
+//!   times.txt           a line for each frame: NUMBER CAPTURED [ARRIVED]
+//! ```
+//!
+//! Poses, intrinsics and depth images are as [`rgbd`](super::rgbd) tells. A pose is that of the optical
+//! frame (x to the right, y down, z forward) in `map`: metres, z up, the floor at 0. A depth image
+//! and a picture whose names hold the same number are one frame; either may be missing, in one
+//! frame or in all. Times are in seconds by one clock for all cameras, from any beginning; a later
+//! frame has a higher number. Frames come in the order in which they arrived; without ARRIVED, in
+//! that of their capture. A frame with a time and no image was lost. Without any `times.txt` a frame is
+//! taken each second.
+//!
+//! A pose for each frame in place of one makes each a camera of its own: of a hand-held camera,
+//! where nothing is learnt of an empty room.
 
 use std::{
     collections::VecDeque,
+    num::NonZero,
     path::{Path, PathBuf},
+    sync::Arc,
+    thread,
 };
 
-use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
-use ubimap_protocol::time::{Duration, Instant};
+use image::{DynamicImage, imageops::flip_vertical_in_place};
+use ubimap_protocol::time::Instant;
 
 use super::{
-    LogError,
-    rgbd::{self, CameraPose},
+    FrameFault, LogError,
+    camera_folder::{self, CameraFolder, FrameFiles, FramesError, Sensor},
+    frame_times::TIMES_FILE,
     slicing::depths_mm,
-    times,
 };
-use crate::camera::{Calibration, DepthImage, Frame, FrameSource, Intrinsics, Lens};
+use crate::{
+    camera::{Calibration, DepthImage, Frame, FrameSource, Picture},
+    grid::raster,
+};
 
-/// Recorded depth images. With one pose for all it is one camera that stands still; with a pose for
-/// each, every image counts as a camera of its own.
+/// A server watches no more cameras: each costs megabytes.
+const MOST_CAMERAS: usize = 64;
+
+/// Recorded frames of cameras.
 #[derive(Debug)]
 pub struct RecordedFrames {
-    cameras: Vec<Calibration>,
-    intrinsics: rgbd::Intrinsics,
-    /// When each image is due, which camera it is of, and its file; in the order of time.
-    rest: VecDeque<(Instant, usize, PathBuf)>,
+    names: Vec<String>,
+    calibrations: Vec<Calibration>,
+    frames: Vec<u64>,
+    lost: Vec<u64>,
+    /// What the clock showed at the beginning, in whole seconds.
+    origin_s: f64,
+    /// In the order of arrival.
+    rest: VecDeque<Due>,
+    /// Those that are read already.
+    read: VecDeque<(Instant, Result<Frame, FramesError>)>,
+    fault: Option<FramesError>,
     notes: Vec<String>,
 }
 
+/// A frame that is not read yet.
+#[derive(Debug)]
+struct Due {
+    arrived: Instant,
+    captured: Instant,
+    camera: usize,
+    folder: Arc<CameraFolder>,
+    /// Of the frames of its folder.
+    index: usize,
+}
+
 impl RecordedFrames {
-    /// Opens a folder. Its poses are those of the cameras in `map`; the first frame is captured at
-    /// `start`.
+    /// Opens folders of cameras, or folders of such folders. All is looked at but the pixels.
     ///
     /// # Errors
-    /// What [`read`](super::read) says of such a folder, and what no camera can be like.
-    pub fn open(folder: &Path, start: Instant) -> Result<Self, LogError> {
-        let images = rgbd::depth_images(folder)?;
-        let (pose_file, poses) = rgbd::read_poses(folder)?;
-        if poses.len() != images.len() && poses.len() != 1 {
-            let (images, poses) = (images.len(), poses.len());
-            return Err(LogError::Poses { path: pose_file, images, poses });
+    /// Every [`FramesError`].
+    pub fn open(paths: &[PathBuf]) -> Result<Self, FramesError> {
+        let mut folders = Vec::new();
+        for path in paths {
+            for path in camera_folder::find(path)? {
+                folders.push(Arc::new(CameraFolder::open(&path)?));
+            }
         }
-        let (intrinsics, note) = rgbd::find_intrinsics(folder, &images)?;
-        let cameras: Result<Vec<_>, _> =
-            poses.iter().map(|pose| calibration(&intrinsics, pose)).collect();
-        let cameras = cameras.map_err(|error| LogError::Intrinsics {
-            path: folder.to_owned(),
-            reason: error.to_string(),
-        })?;
-        let stamps: Option<Vec<f64>> = poses.iter().map(|pose| pose.stamp_s).collect();
-        let stamps = stamps.filter(|stamps| stamps.len() == images.len());
-        let (times, time_note) = times::repair(stamps.as_deref(), images.len());
-        let last = cameras.len() - 1;
-        let due = |(index, (time, image)): (usize, (Duration, PathBuf))| {
-            (start + time, index.min(last), image)
+        one_clock(&folders)?;
+        let captured = folders.iter().flat_map(|it| &it.frames).map(|frame| frame.time.captured_s);
+        // Whole seconds, so that what is counted in them is as it was.
+        let origin_s = captured.reduce(f64::min).unwrap_or(0.0).floor();
+        let moment = |seconds: f64| Instant(((seconds - origin_s) * 1e6).round() as u64);
+
+        let mut all = Self {
+            names: Vec::new(),
+            calibrations: Vec::new(),
+            frames: Vec::new(),
+            lost: Vec::new(),
+            origin_s,
+            rest: VecDeque::new(),
+            read: VecDeque::new(),
+            fault: None,
+            notes: Vec::new(),
         };
-        let rest = times.into_iter().zip(images).enumerate().map(due).collect();
-        Ok(Self { cameras, intrinsics, rest, notes: note.into_iter().chain(time_note).collect() })
+        let mut rest = Vec::new();
+        for folder in folders {
+            let first = all.calibrations.len();
+            all.calibrations.extend(&folder.calibrations);
+            let cameras = all.calibrations.len();
+            if cameras > MOST_CAMERAS {
+                let path = folder.path.clone();
+                return Err(FramesError::TooMany { path, cameras, most: MOST_CAMERAS });
+            }
+            all.names.extend((0..cameras - first).map(|index| folder.name(index)));
+            all.frames.resize(cameras, 0);
+            all.lost.resize(cameras, 0);
+            all.lost[first] = folder.lost;
+            let named = |note| format!("{}: {note}", folder.path.display());
+            all.notes.extend(folder.notes.iter().map(named));
+            for (index, frame) in folder.frames.iter().enumerate() {
+                let camera = first + frame.calibration;
+                let (arrived, captured) =
+                    (moment(frame.time.arrived_s), moment(frame.time.captured_s));
+                rest.push(Due { arrived, captured, camera, folder: folder.clone(), index });
+            }
+        }
+        rest.sort_by_key(|due| (due.arrived, due.captured, due.camera));
+        all.rest = rest.into();
+        Ok(all)
+    }
+
+    /// What the cameras are called.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// How many frames of each camera have come by now, and how many of all were lost.
+    pub fn counts(&self) -> impl Iterator<Item = (u64, u64)> {
+        self.frames.iter().copied().zip(self.lost.iter().copied())
+    }
+
+    /// What the recording's clock shows at a moment of the source's, in seconds.
+    pub fn clock_s(&self, moment: Instant) -> f64 {
+        self.origin_s + moment.micros() as f64 / 1e6
+    }
+
+    /// When the last frame arrives.
+    pub fn end(&self) -> Instant {
+        self.rest.back().map_or(Instant(0), |due| due.arrived)
     }
 
     /// What the user should know, one line each.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
+
+    /// The image that could not be read: with it the frames end.
+    pub fn take_fault(&mut self) -> Option<FramesError> {
+        self.fault.take()
+    }
+
+    /// Reads the next few frames, as many at once as there are processors.
+    fn read_ahead(&mut self) {
+        let abreast = thread::available_parallelism().map_or(1, NonZero::get);
+        let next: Vec<Due> = self.rest.drain(..abreast.min(self.rest.len())).collect();
+        let frames = thread::scope(|scope| {
+            let at_work: Vec<_> = next.iter().map(|due| scope.spawn(|| due.read())).collect();
+            at_work.into_iter().map(|thread| thread.join()).collect::<Vec<_>>()
+        });
+        for (due, frame) in next.iter().zip(frames) {
+            // A thread does not end otherwise.
+            self.read.extend(frame.ok().map(|frame| (due.arrived, frame)));
+        }
+    }
 }
 
 impl FrameSource for RecordedFrames {
     fn cameras(&self) -> &[Calibration] {
-        &self.cameras
+        &self.calibrations
     }
 
-    /// An image that cannot be read is told of in the program's log, and is a frame that is lost.
     fn poll(&mut self, now: Instant) -> Option<Frame> {
-        while self.next_arrival()? <= now {
-            let (captured, camera, image) = self.rest.pop_front()?;
-            match depth_image(&image, &self.intrinsics) {
-                Ok(depth) => {
-                    return Some(Frame { camera, captured, depth: Some(depth), picture: None });
-                }
-                Err(error) => ::log::warn!("a frame is lost: {error}"),
+        if self.next_arrival()? > now {
+            return None;
+        }
+        if self.read.is_empty() {
+            self.read_ahead();
+        }
+        match self.read.pop_front()?.1 {
+            Ok(frame) => {
+                self.frames[frame.camera] += 1;
+                Some(frame)
+            }
+            Err(error) => {
+                self.fault = Some(error);
+                self.rest.clear();
+                self.read.clear();
+                None
             }
         }
-        None
     }
 
     fn next_arrival(&self) -> Option<Instant> {
-        self.rest.front().map(|(captured, ..)| *captured)
+        let read = self.read.front().map(|(arrived, _)| *arrived);
+        read.or_else(|| self.rest.front().map(|due| due.arrived))
     }
 }
 
+impl Due {
+    fn read(&self) -> Result<Frame, FramesError> {
+        let CameraFolder { depth, picture, frames, .. } = &*self.folder;
+        let FrameFiles { depth: depth_file, picture: picture_file, .. } = &frames[self.index];
+        let depth = depth_file.as_deref().zip(depth.as_ref());
+        let depth = depth.map(|(path, sensor)| depth_image(path, sensor)).transpose()?;
+        let picture = picture_file.as_deref().zip(picture.as_ref());
+        let picture = picture.map(|(path, sensor)| read_picture(path, sensor)).transpose()?;
+        Ok(Frame { camera: self.camera, captured: self.captured, depth, picture })
+    }
+}
+
+/// All cameras have times of their own, or none has.
+fn one_clock(folders: &[Arc<CameraFolder>]) -> Result<(), FramesError> {
+    let [with, without] = [true, false].map(|has| folders.iter().find(|it| it.has_clock == has));
+    let Some((with, without)) = with.zip(without) else { return Ok(()) };
+    let [path, other] = [without, with].map(|it| it.path.join(TIMES_FILE));
+    Err(FramesError::NoClock { path, other })
+}
+
 /// Where y points up in an image (a negative focal length), the rows are turned round.
-fn depth_image(path: &Path, intrinsics: &rgbd::Intrinsics) -> Result<DepthImage, LogError> {
-    let depths = depths_mm(path, intrinsics)?;
+fn depth_image(path: &Path, sensor: &Sensor) -> Result<DepthImage, FramesError> {
+    let depths = depths_mm(path, &sensor.intrinsics).map_err(|error| match error {
+        LogError::Frame { path, fault: FrameFault::Image(error) } => {
+            FramesError::Damaged { path, error }
+        }
+        error => error.into(),
+    })?;
+    let (width, height) = (sensor.intrinsics.width, sensor.intrinsics.height);
     // The depths have the size of the intrinsics.
-    let mut image =
-        DepthImage::from_raw(intrinsics.width, intrinsics.height, depths).unwrap_or_default();
-    if intrinsics.fy < 0.0 {
-        image::imageops::flip_vertical_in_place(&mut image);
+    let mut image = DepthImage::from_raw(width, height, depths).unwrap_or_default();
+    if sensor.is_upside_down() {
+        flip_vertical_in_place(&mut image);
     }
     Ok(image)
 }
 
-fn calibration(
-    intrinsics: &rgbd::Intrinsics,
-    pose: &CameraPose,
-) -> Result<Calibration, crate::camera::CalibrationError> {
-    let rgbd::Intrinsics { width, height, fx, fy, cx, mut cy, .. } = *intrinsics;
-    if fy < 0.0 {
-        cy = f64::from(height) - 1.0 - cy;
+fn read_picture(path: &Path, sensor: &Sensor) -> Result<Picture, FramesError> {
+    let mut image = raster::read(path)
+        .map_err(|error| FramesError::Damaged { path: path.to_owned(), error })?
+        .image;
+    if sensor.is_upside_down() {
+        flip_vertical_in_place(&mut image);
     }
-    let pinhole = Intrinsics { width, height, fx, fy: fy.abs(), cx, cy, distortion: [0.0; 5] };
-    let turn = Rotation3::from_matrix_unchecked(pose.rotation);
-    let place = Isometry3::from_parts(
-        Translation3::from(pose.position),
-        UnitQuaternion::from_rotation_matrix(&turn),
-    );
-    Ok(Calibration { depth: Some(Lens::new(pinhole, place)?), picture: None })
+    Ok(match image {
+        DynamicImage::ImageLuma8(grey) => Picture::Grey(grey),
+        DynamicImage::ImageLuma16(_)
+        | DynamicImage::ImageLumaA8(_)
+        | DynamicImage::ImageLumaA16(_) => Picture::Grey(image.into_luma8()),
+        _ => Picture::Colour(image.into_rgb8()),
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{
+        log::Recorder,
         perception::{Background, Evidence, Survey, View},
         testing::{Folder, shared_data},
     };
 
-    #[test]
-    fn images_come_when_they_are_due_and_a_damaged_one_is_lost() {
-        let folder = Folder::new("recorded-frames");
-        folder
-            .file("intrinsics.toml", b"width = 2\nheight = 1\nfx = 2\nfy = 2\ncx = 0.5\ncy = 0\n");
+    const INTRINSICS: &[u8] = b"width = 2\nheight = 1\nfx = 2\nfy = 2\ncx = 0.5\ncy = 0\n";
+
+    fn open(folder: &Path) -> Result<RecordedFrames, FramesError> {
+        RecordedFrames::open(&[folder.to_owned()])
+    }
+
+    fn all(source: &mut RecordedFrames) -> Vec<Frame> {
+        std::iter::from_fn(|| source.poll(Instant(u64::MAX))).collect()
+    }
+
+    /// One camera of two pixels, and three frames.
+    fn one_camera(name: &str) -> Folder {
+        let folder = Folder::new(name);
+        folder.file("intrinsics.toml", INTRINSICS);
         folder.file("pose.txt", b"1 2 3 1 0 0 0\n");
         folder.file("depth/1.pgm", b"P2 2 1 65535 1000 0");
-        folder.file("depth/2.pgm", b"P2 2 1 65535 1000");
+        folder.file("depth/2.pgm", b"P2 2 1 65535 2000 0");
         folder.file("depth/10.pgm", b"P2 2 1 65535 3000 4000");
-        let start = Instant(5_000_000);
-        let mut source = RecordedFrames::open(folder.path(), start).unwrap();
+        folder
+    }
+
+    #[test]
+    fn images_come_when_they_are_due() {
+        let folder = one_camera("recorded-frames");
+        let mut source = open(folder.path()).unwrap();
         let [camera] = source.cameras() else { panic!("one camera") };
         // It looks straight down.
         let floor = camera.depth.unwrap().direction([0.5, 0.0]) * 3.0;
         assert!((floor.z + 3.0).abs() < 1e-9, "{floor}");
-        assert_eq!(source.poll(Instant(4_999_999)), None);
-        let first = source.poll(start).unwrap();
-        assert_eq!((first.camera, first.captured), (0, start));
+        let first = source.poll(Instant(0)).unwrap();
+        assert_eq!((first.camera, first.captured), (0, Instant(0)));
         assert_eq!(first.depth.unwrap().into_raw(), [1_000, 0]);
-        assert_eq!(source.next_arrival(), Some(Instant(6_000_000)));
+        assert_eq!(source.poll(Instant(999_999)), None);
+        assert_eq!(source.next_arrival(), Some(Instant(1_000_000)));
+        assert_eq!(source.poll(Instant(1_000_000)).unwrap().depth.unwrap().into_raw(), [2_000, 0]);
         let last = source.poll(Instant(9_000_000)).unwrap();
-        assert_eq!(last.captured, Instant(7_000_000));
+        assert_eq!(last.captured, Instant(2_000_000));
         assert_eq!(last.depth.unwrap().into_raw(), [3_000, 4_000]);
         assert_eq!((source.poll(Instant(9_000_000)), source.next_arrival()), (None, None));
+        assert!(source.notes()[0].contains("no time stamps"), "{:?}", source.notes());
+    }
+
+    #[test]
+    fn cameras_share_a_clock_and_frames_come_as_they_arrived() {
+        let folder = Folder::new("recorded-cameras");
+        let camera = |name: &str, times: &[u8]| {
+            folder.file(&format!("{name}/intrinsics.toml"), INTRINSICS);
+            folder.file(&format!("{name}/pose.txt"), b"0 0 3 1 0 0 0\n");
+            folder.file(&format!("{name}/times.txt"), times);
+        };
+        camera("b", b"# number captured arrived\n7.pgm 100.5\n8 101.5 103\n9 102 102.25\n10 110\n");
+        for number in [7, 8, 9] {
+            let image = format!("P2 2 1 65535 {number} 0");
+            folder.file(&format!("b/depth/{number}.pgm"), image.as_bytes());
+        }
+        // Pictures alone in one frame; they have a sensor of their own.
+        camera("a", b"1 101\n3 102.5\n");
+        folder.file("a/depth/1.pgm", b"P2 2 1 65535 1 0");
+        folder.file("a/color/1.pgm", b"P2 1 2 255 10 20");
+        folder.file("a/color/3.ppm", b"P3 1 2 255 1 2 3 4 5 6");
+        folder.file("a/color/pose.txt", b"0 0.015 3 1 0 0 0\n");
+        let tall = "width = 1\nheight = 2\nfx = 2\nfy = 2\ncx = 0\ncy = 1\n\
+                    distortion = [0.1, 0, 0.001, 0, 0]\n";
+        folder.file("a/color/intrinsics.toml", tall.as_bytes());
+        let mut source = open(folder.path()).unwrap();
+        assert_eq!(source.names(), ["a", "b"]);
+        let picture = source.cameras()[0].picture.unwrap();
+        assert_eq!((picture.centre().y, picture.intrinsics().distortion[2]), (0.015, 0.001));
+        assert!(source.cameras()[1].picture.is_none());
+        assert_eq!(source.clock_s(source.end()), 103.0);
+        let frames = all(&mut source);
+        let order: Vec<_> = frames.iter().map(|it| (it.camera, it.captured.0 / 1_000)).collect();
+        assert_eq!(order, [(1, 500), (0, 1_000), (1, 2_000), (0, 2_500), (1, 1_500)]);
+        assert!(
+            matches!(&frames[1].picture, Some(Picture::Grey(it)) if it.as_raw()[..] == [10, 20])
+        );
+        assert!(frames[3].depth.is_none());
+        assert!(matches!(&frames[3].picture, Some(Picture::Colour(it)) if it.as_raw()[5] == 6));
+        assert_eq!(source.counts().collect::<Vec<_>>(), [(2, 0), (3, 1)]);
+    }
+
+    #[test]
+    fn what_the_recorder_writes_is_read_again() {
+        let folder = one_camera("recorder");
+        folder.file("color/2.ppm", b"P3 2 1 255 1 2 3 4 5 6");
+        folder.file("times.txt", b"1 0\n2 0.066667 0.2\n10 0.133333\n");
+        let mut source = open(folder.path()).unwrap();
+        let copy = folder.path().join("copy");
+        let mut recorder = Recorder::create(&copy, source.cameras()).unwrap();
+        let mut frames = Vec::new();
+        while let Some(now) = source.next_arrival() {
+            let frame = source.poll(now).unwrap();
+            recorder.write(&frame, now).unwrap();
+            frames.push(frame);
+        }
+        let mut again = open(&copy).unwrap();
+        assert_eq!(again.cameras(), source.cameras());
+        assert_eq!(all(&mut again), frames);
+        assert_eq!(frames[1].captured.0, 133_333);
+        let error = Recorder::create(&copy, source.cameras()).unwrap_err().to_string();
+        assert!(error.contains("not empty"), "{error}");
+        folder.file("file", b"");
+        assert!(Recorder::create(&folder.path().join("file/below"), source.cameras()).is_err());
+    }
+
+    #[test]
+    fn faults_name_the_file_and_what_to_do() {
+        let folder = one_camera("recorded-faults");
+        let path = |name: &str| folder.path().join(name);
+        let error = || open(folder.path()).unwrap_err().to_string();
+        let expect = |expected: &[&str]| {
+            let error = error();
+            assert!(expected.iter().all(|it| error.contains(it)), "{error}");
+            assert_eq!(error.lines().count(), 1, "{error}");
+        };
+        for (times, expected) in [
+            ("1 1\n2 0.5\n10 2\n", ["times.txt:2: frame 2 was captured at 0.5 s", "set back"]),
+            ("1 1\n2 1\n10 2\n", ["times.txt:2: ", "higher numbers"]),
+            ("1 1\n2 2 1.5\n10 3\n", ["times.txt:2: arrived at 1.5 s", "before"]),
+            ("1 1\n2 2\n2 3\n10 4\n", ["times.txt:3: frame 2 again", "line 2"]),
+            ("1 1\n10 4\n", ["depth/2.pgm: no line in ", "times.txt for number 2; add one"]),
+            ("1 1\n2 x\n", ["times.txt:2: ", "finite number"]),
+            ("1 1\n2 1305031453359684000\n", ["times.txt:2: ", "no time in seconds"]),
+            ("1 1\n2\n", ["times.txt:2: ", "when it was captured"]),
+        ] {
+            folder.file("times.txt", times.as_bytes());
+            expect(&expected);
+        }
+        std::fs::remove_file(path("times.txt")).unwrap();
+        folder.file("depth/02.pgm", b"P2 2 1 65535 2000 0");
+        expect(&["depth/2.pgm: has the number 2", "02.pgm has; number them apart"]);
+        std::fs::remove_file(path("depth/02.pgm")).unwrap();
+        folder.file("depth/2.pgm", b"P2 2 2 65535 2000 0 0 0");
+        expect(&["depth/2.pgm: 2 x 2 pixels where 2 x 1 are needed"]);
+        folder.file("depth/2.pgm", b"P2 2 1 255 20 0");
+        expect(&["depth/2.pgm: not a depth image (16-bit grey)"]);
+        folder.file("depth/2.pgm", b"not an image");
+        expect(&["depth/2.pgm: ", "remove the file to go on without it"]);
+        folder.file("depth/2.pgm", b"P2 2 1 65535 2000 0");
         folder.file("pose.txt", b"1 2 3 1 0 0 0\n1 2 3 1 0 0 0\n");
-        let error = RecordedFrames::open(folder.path(), start).unwrap_err().to_string();
-        assert!(error.contains("3 depth images but 2 poses"), "{error}");
+        expect(&["3 depth images but 2 poses"]);
+        std::fs::remove_file(path("pose.txt")).unwrap();
+        expect(&["no pose.txt or trajectory.log in it"]);
+        folder.file("pose.txt", b"1 2 3 1 0 0 0\n");
+        folder.file("intrinsics.toml", b"width = 2\nheight = 1\n");
+        expect(&["intrinsics.toml: intrinsics: missing field `fx`"]);
+        // No guess is made of a camera that stands still.
+        std::fs::remove_file(path("intrinsics.toml")).unwrap();
+        expect(&["intrinsics.toml: intrinsics: missing; write width, height"]);
+        folder.file("intrinsics.toml", INTRINSICS);
+        std::fs::create_dir_all(path("color")).unwrap();
+        expect(&["color: no picture (.png, .jpg"]);
+        std::fs::remove_dir(path("color")).unwrap();
+
+        folder.file("empty/readme.txt", b"");
+        let error = open(&path("empty")).unwrap_err().to_string();
+        assert!(error.contains("empty: no camera in it"), "{error}");
+        let error = open(&path("nowhere")).unwrap_err().to_string();
+        assert!(error.contains("nowhere: No such file"), "{error}");
+        folder.file("other/depth/1.pgm", b"P2 2 1 65535 1000 0");
+        folder.file("other/intrinsics.toml", INTRINSICS);
+        folder.file("other/pose.txt", b"1 2 3 1 0 0 0\n");
+        folder.file("other/times.txt", b"1 5\n");
+        let both = [folder.path().to_owned(), path("other")];
+        let error = RecordedFrames::open(&both).unwrap_err().to_string();
+        assert!(
+            error.contains("times.txt: missing, but ") && error.contains("one clock"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn an_image_that_breaks_off_ends_the_frames() {
+        let folder = one_camera("recorded-damage");
+        folder.file("depth/2.pgm", b"P2 2 1 65535 2000");
+        let mut source = open(folder.path()).unwrap();
+        assert_eq!(all(&mut source).len(), 1);
+        assert_eq!((source.next_arrival(), source.counts().next()), (None, Some((1, 0))));
+        let error = source.take_fault().unwrap().to_string();
+        assert!(error.contains("depth/2.pgm: not a readable image: "), "{error}");
     }
 
     /// Real images, with all that is wrong with them, lead to the same evidence both ways.
@@ -159,10 +459,9 @@ mod tests {
     fn recorded_images_make_the_same_evidence_both_ways() {
         for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
             let Some(folder) = shared_data(name) else { continue };
-            let mut source = RecordedFrames::open(&folder, Instant(0)).unwrap();
+            let mut source = open(&folder).unwrap();
             assert_eq!(source.cameras().len(), 5, "{name}");
-            let frames: Vec<Frame> =
-                std::iter::from_fn(|| source.poll(Instant(60_000_000))).collect();
+            let frames = all(&mut source);
             assert_eq!(frames.len(), 5, "{name}");
             let view = View::new(&source.cameras()[0].depth.unwrap(), Survey::default());
             let mut background = Background::new(&view);

@@ -8,13 +8,18 @@
 //! | [`Format::Mines`] | a hobby lidar and wheel encoders, plain or gzipped | none | from the ticks |
 //! | [`Format::Rgbd`] | a folder of 16-bit depth images; one row of each | of the camera | none |
 //!
+//! [`RecordedFrames`] plays what cameras recorded as it is, image by image, and [`Recorder`] writes it.
+//!
 //! What a log leaves open (no time stamps, say) is settled by a documented rule, and
 //! [`Log::notes`] says so.
 
+mod camera_folder;
 mod carmen;
+mod frame_times;
 mod frames;
 mod lines;
 mod mines;
+mod recorder;
 mod rgbd;
 mod sensor;
 mod slicing;
@@ -24,7 +29,9 @@ use std::path::{Path, PathBuf};
 
 use ubimap_protocol::time::Duration;
 
+pub use camera_folder::FramesError;
 pub use frames::RecordedFrames;
+pub use recorder::Recorder;
 pub use sensor::Sensor;
 pub use slicing::{DepthSlice, PixelModel, Slicing};
 
@@ -195,7 +202,10 @@ pub enum FrameFault {
     #[error("not a depth image (16-bit grey)")]
     NotDepth,
     /// Not of the size that the intrinsics are for.
-    #[error("{width} x {height} pixels where {expected_width} x {expected_height} are needed")]
+    #[error(
+        "{width} x {height} pixels where {expected_width} x {expected_height} are needed, as the \
+         intrinsics say"
+    )]
     Size {
         /// Pixels in a row.
         width: u32,

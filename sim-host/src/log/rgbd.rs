@@ -4,7 +4,8 @@
 //! depth/*.png, *.pgm    16-bit grey; or the images lie in the folder itself
 //! pose.txt              one line for each image: [time] x y z qx qy qz qw
 //! trajectory.log        or five: three numbers, then the four rows of a matrix
-//! intrinsics.toml       width, height, fx, fy, cx, cy, depth_per_metre (1000), row (cy)
+//! intrinsics.toml       width, height, fx, fy, cx, cy, distortion (k1, k2, p1, p2, k3; none),
+//!                       depth_per_metre (1000), row (cy)
 //! *.json                or Open3D's camera file; depth in millimetres
 //! ```
 //!
@@ -21,7 +22,7 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::{
     DepthSlice, Field, Format, LineFault, Log, LogError, LoggedScan, Slicing,
@@ -29,6 +30,10 @@ use super::{
     slicing::Stance,
     times,
 };
+use crate::camera;
+
+/// Where intrinsics are written down.
+pub(super) const INTRINSICS_FILE: &str = "intrinsics.toml";
 
 /// A camera that looks more steeply up or down than this draws no map.
 const STEEPEST_DEG: f64 = 75.0;
@@ -46,6 +51,9 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
     }
     let (intrinsics, note) = find_intrinsics(folder, &images)?;
     let mut notes: Vec<String> = note.into_iter().collect();
+    if intrinsics.distortion != [0.0; 5] {
+        notes.push("the distortion of the lens is left out of account".to_owned());
+    }
 
     let planar = Plane::under(&poses, intrinsics.fy.signum())
         .ok_or_else(|| LogError::NoPlane { path: pose_file.clone() })?;
@@ -99,7 +107,8 @@ pub(super) fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
     Ok(images)
 }
 
-fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, LogError> {
+/// The files of a folder with one of these extensions, in the order of the numbers in their names.
+pub(super) fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, LogError> {
     let io_error = |error| LogError::Io { path: folder.to_owned(), error };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(io_error)? {
@@ -109,15 +118,23 @@ fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, LogError
             files.push(path);
         }
     }
-    files.sort_by_cached_key(|path| {
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
-        (digits.parse::<u128>().unwrap_or(0), path.clone())
-    });
+    files.sort_by_cached_key(|path| (number_in(path), path.clone()));
     Ok(files)
 }
 
+/// The number in the name of a file: all digits before its extension.
+pub(super) fn number_in(path: &Path) -> u128 {
+    digits_of(&path.file_stem().unwrap_or_default().to_string_lossy())
+}
+
+/// All digits of a text as one number; 0 without any.
+pub(super) fn digits_of(text: &str) -> u128 {
+    let digits: String = text.chars().filter(char::is_ascii_digit).collect();
+    digits.parse().unwrap_or(0)
+}
+
 /// A camera's pose in the world.
+#[derive(Clone, Debug)]
 pub(super) struct CameraPose {
     line: usize,
     pub(super) stamp_s: Option<f64>,
@@ -125,14 +142,21 @@ pub(super) struct CameraPose {
     pub(super) rotation: Matrix3<f64>,
 }
 
+type ParsePose = fn(&[(usize, Vec<f64>)]) -> Result<CameraPose, LineFault>;
+
+/// The files of poses, the lines of each pose in them, and how these are read.
+const POSE_FILES: [(&str, usize, ParsePose); 2] =
+    [("trajectory.log", 5, CameraPose::from_matrix), ("pose.txt", 1, CameraPose::from_quaternion)];
+
+/// Whether a folder has a file of poses.
+pub(super) fn has_poses(folder: &Path) -> bool {
+    POSE_FILES.iter().any(|(name, ..)| folder.join(name).is_file())
+}
+
+/// The file of a folder's poses, and the poses in it.
 pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), LogError> {
-    type Parse = fn(&[(usize, Vec<f64>)]) -> Result<CameraPose, LineFault>;
-    let kinds: [(&str, usize, Parse); 2] = [
-        ("trajectory.log", 5, CameraPose::from_matrix),
-        ("pose.txt", 1, CameraPose::from_quaternion),
-    ];
     let Some((name, lines_each, parse)) =
-        kinds.into_iter().find(|(name, ..)| folder.join(name).is_file())
+        POSE_FILES.into_iter().find(|(name, ..)| folder.join(name).is_file())
     else {
         let path = folder.to_owned();
         return Err(LogError::Empty { path, record: "pose.txt or trajectory.log" });
@@ -263,7 +287,7 @@ impl Plane {
 }
 
 /// What turns a depth image into points.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Intrinsics {
     pub(super) width: u32,
@@ -272,6 +296,8 @@ pub(super) struct Intrinsics {
     pub(super) fy: f64,
     pub(super) cx: f64,
     pub(super) cy: f64,
+    #[serde(default)]
+    pub(super) distortion: [f64; 5],
     #[serde(default = "millimetres")]
     pub(super) depth_per_metre: f64,
     row: Option<u32>,
@@ -297,6 +323,7 @@ impl Intrinsics {
         fy: -480.0,
         cx: 319.5,
         cy: 239.5,
+        distortion: [0.0; 5],
         depth_per_metre: 5000.0,
         row: None,
     };
@@ -307,9 +334,17 @@ impl Intrinsics {
         fy: 519.0,
         cx: 325.5,
         cy: 253.5,
+        distortion: [0.0; 5],
         depth_per_metre: 1000.0,
         row: None,
     };
+
+    /// Those of a camera of ours, whose depths are in millimetres.
+    pub(super) fn of(pinhole: &camera::Intrinsics) -> Self {
+        let camera::Intrinsics { width, height, fx, fy, cx, cy, distortion } = *pinhole;
+        let depth_per_metre = millimetres();
+        Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, row: None }
+    }
 
     /// Refuses what no camera has.
     fn checked(self) -> Result<Self, String> {
@@ -338,12 +373,9 @@ impl Intrinsics {
     }
 }
 
-/// The intrinsics, and a note if they are a guess.
-pub(super) fn find_intrinsics(
-    folder: &Path,
-    images: &[PathBuf],
-) -> Result<(Intrinsics, Option<String>), LogError> {
-    let toml_file = folder.join("intrinsics.toml");
+/// The intrinsics that a folder states, if it states any.
+pub(super) fn stated_intrinsics(folder: &Path) -> Result<Option<Intrinsics>, LogError> {
+    let toml_file = folder.join(INTRINSICS_FILE);
     let text_of = |path: &Path| {
         std::fs::read_to_string(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
     };
@@ -355,25 +387,38 @@ pub(super) fn find_intrinsics(
         let parsed = toml::from_str::<Intrinsics>(&text_of(&toml_file)?)
             .map_err(|error| error.message().to_owned());
         let intrinsics = parsed.and_then(Intrinsics::checked);
-        return Ok((intrinsics.map_err(|reason| refuse(&toml_file, reason))?, None));
+        return Ok(Some(intrinsics.map_err(|reason| refuse(&toml_file, reason))?));
     }
     if let Some(json_file) = files_in(folder, &["json"])?.first() {
         let parsed = serde_json::from_str::<Open3dCamera>(&text_of(json_file)?);
         let intrinsics = parsed.map_err(|error| error.to_string()).and_then(|camera| {
             let [fx, _, _, _, fy, _, cx, cy, _] = camera.intrinsic_matrix;
             let Open3dCamera { width, height, .. } = camera;
-            let depth_per_metre = millimetres();
-            Intrinsics { width, height, fx, fy, cx, cy, depth_per_metre, row: None }.checked()
+            let distortion = [0.0; 5];
+            let pinhole = camera::Intrinsics { width, height, fx, fy, cx, cy, distortion };
+            Intrinsics::of(&pinhole).checked()
         });
-        return Ok((intrinsics.map_err(|reason| refuse(json_file, reason))?, None));
+        return Ok(Some(intrinsics.map_err(|reason| refuse(json_file, reason))?));
     }
+    Ok(None)
+}
 
-    let missing = || {
-        let reason = "missing; write width, height, fx, fy, cx, cy and depth_per_metre there";
-        LogError::Intrinsics { path: toml_file.clone(), reason: reason.to_owned() }
-    };
+/// That a folder states no intrinsics.
+pub(super) fn missing_intrinsics(folder: &Path) -> LogError {
+    let reason = "missing; write width, height, fx, fy, cx, cy and depth_per_metre there";
+    LogError::Intrinsics { path: folder.join(INTRINSICS_FILE), reason: reason.to_owned() }
+}
+
+/// The intrinsics, and a note if they are a guess.
+pub(super) fn find_intrinsics(
+    folder: &Path,
+    images: &[PathBuf],
+) -> Result<(Intrinsics, Option<String>), LogError> {
+    if let Some(stated) = stated_intrinsics(folder)? {
+        return Ok((stated, None));
+    }
     if !folder.join("pose.txt").is_file() {
-        return Err(missing());
+        return Err(missing_intrinsics(folder));
     }
     let all_are = |extension: &str| {
         images.iter().all(|image| image.extension().is_some_and(|found| found == extension))
@@ -383,7 +428,7 @@ pub(super) fn find_intrinsics(
     } else if all_are("pgm") {
         (Intrinsics::HANDHELD, "the slambook hand-held sensor's")
     } else {
-        return Err(missing());
+        return Err(missing_intrinsics(folder));
     };
     let Intrinsics { fx, fy, cx, cy, depth_per_metre, .. } = intrinsics;
     let note = format!(

@@ -1,13 +1,16 @@
 //! Figures and pictures of a run.
 //!
-//! [`Report`] is `report.json`, [`ServeReport`] its like for serial ports, [`render`] draws `map.png`, and [`OutputFolder`] writes files all
-//! or none.
+//! [`Report`] is `report.json`, [`ServeReport`] its like for serial ports and [`WatchReport`] for
+//! recorded cameras, [`render`] draws `map.png`, and [`OutputFolder`] writes files all or none.
 
 mod comparison;
 mod output;
 mod picture;
 mod serving;
 mod summary;
+mod watching;
+
+use serde::Serialize;
 
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
@@ -16,3 +19,10 @@ pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
 pub use summary::{
     DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores,
 };
+pub use watching::{CameraSummary, PassedEvent, SeenMap, SeenRobot, SeenThing, WatchReport};
+
+/// A report as indented JSON with a line break at the end.
+pub fn json_pretty(report: &impl Serialize) -> String {
+    // Plain structs with string keys: there is nothing that could fail.
+    serde_json::to_string_pretty(report).unwrap_or_default() + "\n"
+}

@@ -84,12 +84,6 @@ impl ServeReport {
     pub fn has_robot(&self) -> bool {
         self.ports.iter().any(|port| port.robot.is_some())
     }
-
-    /// The report as indented JSON with a line break at the end.
-    pub fn to_json_pretty(&self) -> String {
-        // Plain structs with string keys: there is nothing that could fail.
-        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
-    }
 }
 
 /// Two lines for each port, and its newest events.

@@ -207,12 +207,6 @@ impl Report {
             sighted: None,
         }
     }
-
-    /// The report as indented JSON with a line break at the end.
-    pub fn to_json_pretty(&self) -> String {
-        // Plain structs with string keys: there is nothing that could fail.
-        serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
-    }
 }
 
 /// 0 of nothing.
@@ -306,6 +300,7 @@ impl fmt::Display for Report {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::json_pretty;
 
     fn report() -> Report {
         let robot = RobotSummary {
@@ -324,7 +319,7 @@ mod tests {
     #[test]
     fn the_json_has_the_names_and_only_those() {
         let mut report = report();
-        let json: serde_json::Value = serde_json::from_str(&report.to_json_pretty()).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&json_pretty(&report)).unwrap();
         let names = |value: &serde_json::Value| {
             let mut names: Vec<_> = value.as_object().unwrap().keys().cloned().collect();
             names.sort();
@@ -352,7 +347,7 @@ mod tests {
 
         report.truth = Some(TruthScores::default());
         report.pose = Some(PoseErrors::default());
-        let json: serde_json::Value = serde_json::from_str(&report.to_json_pretty()).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&json_pretty(&report)).unwrap();
         assert_eq!(names(&json["truth"]), "agreement_known coverage f1_occupied passed_known");
         assert_eq!(names(&json["pose"]), "count rmse_deg rmse_m");
     }

@@ -531,6 +531,7 @@ impl<'b> Fleet<'b> {
                 robot.down.send(now, &self.frame[..len]);
             }
         }
+        self.server.age(now);
     }
 
     /// Whether the server holds the newest version of every tile that each robot has published,

@@ -8,43 +8,49 @@ pub mod fleet;
 pub mod keeper;
 pub mod options;
 mod progress;
+pub mod recording;
+pub mod registry;
 pub mod replay;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;
 mod time_lapse;
+pub mod watch;
 
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
+use serde::Serialize;
 use ubimap_agent::{ConfigError, map::MAX_RADIUS};
 
 use crate::{
     channel::serial::SerialError,
     grid::{self, GridError, MapError, OccupancyGrid},
-    log::LogError,
+    log::{FramesError, LogError},
     perception::robots::RegistryError,
     report::{self, Marker, OutputError, OutputFolder, Report},
     store::StoreError,
     world::ScenarioError,
 };
 
-/// What a replay or a simulation ends with.
+/// What a run ends with that draws a map.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Outcome {
+pub struct Outcome<R = Report> {
     /// The figures.
-    pub report: Report,
+    pub report: R,
     /// The fused map.
     pub map: OccupancyGrid,
     /// The robots, and what else moves, where they ended.
     pub markers: Vec<Marker>,
     /// More pictures, by the names of their files.
     pub pictures: Vec<(&'static str, RgbImage)>,
+    /// Tables as text, by the names of their files.
+    pub tables: Vec<(&'static str, String)>,
 }
 
-impl Outcome {
-    /// Writes `map.pgm`, `map.yaml`, `map.png`, `report.json` and the other pictures: all of them or
-    /// none.
+impl<R: Serialize> Outcome<R> {
+    /// Writes `map.pgm`, `map.yaml`, `map.png`, `report.json`, the other pictures and the tables: all
+    /// of them or none.
     pub fn write(&self, mut folder: OutputFolder) -> Result<(), RunError> {
         folder.add("map.pgm", &grid::pgm(&self.map))?;
         folder.add("map.yaml", grid::yaml(&self.map, "map.pgm").as_bytes())?;
@@ -52,7 +58,10 @@ impl Outcome {
         for (name, picture) in &self.pictures {
             folder.add(name, &report::png(picture)?)?;
         }
-        folder.add("report.json", self.report.to_json_pretty().as_bytes())?;
+        for (name, table) in &self.tables {
+            folder.add(name, table.as_bytes())?;
+        }
+        folder.add("report.json", report::json_pretty(&self.report).as_bytes())?;
         Ok(folder.finish()?)
     }
 }
@@ -69,6 +78,17 @@ pub enum RunError {
     /// A log can't be read.
     #[error(transparent)]
     Log(#[from] LogError),
+    /// Recorded frames can't be watched.
+    #[error(transparent)]
+    Frames(#[from] FramesError),
+    /// A file of robots can't be used.
+    #[error("{path}: {reason}", path = path.display())]
+    Robots {
+        /// The file.
+        path: PathBuf,
+        /// Why not, on one line.
+        reason: String,
+    },
     /// A map can't be read.
     #[error(transparent)]
     Map(#[from] MapError),
@@ -127,6 +147,8 @@ impl RunError {
     pub fn is_bad_input(&self) -> bool {
         match self {
             Self::Log(_)
+            | Self::Frames(_)
+            | Self::Robots { .. }
             | Self::Map(_)
             | Self::Output(_)
             | Self::Store(_)

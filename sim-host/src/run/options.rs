@@ -1,6 +1,6 @@
 //! The options of `ubimap`'s commands, checked as they are parsed.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum, value_parser};
 use ubimap_agent::map::Policy;
@@ -105,9 +105,39 @@ pub struct SimulateOptions {
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<Duration>,
 
+    /// Write the frames of the cameras to this folder, new or empty, for ubimap watch
+    #[arg(long, value_name = "DIR", conflicts_with = "ideal_cameras")]
+    pub record: Option<PathBuf>,
+
     /// What every run has.
     #[command(flatten)]
     pub run: RunOptions,
+}
+
+/// Options of `ubimap watch`.
+#[derive(Args, Clone, Debug)]
+pub struct WatchOptions {
+    /// Folders of cameras, or of such folders: pose.txt, intrinsics.toml, depth/*.png, color/*.png
+    /// (with a pose.txt and intrinsics.toml of its own, if it has them), and times.txt
+    #[arg(required = true, value_name = "FOLDER")]
+    pub folders: Vec<PathBuf>,
+
+    /// The robots and their markers, in place of the robots.toml in a folder
+    #[arg(long, value_name = "TOML")]
+    pub robots: Option<PathBuf>,
+
+    /// Side of a cell in metres
+    #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
+    pub resolution: Millimetres,
+
+    /// Write map.pgm, map.yaml, map.png, coverage.png, robots.csv (every pose of every robot) and
+    /// report.json to this folder
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+
+    /// Print the report as JSON, and nothing else, on standard output
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Options of `ubimap serve`.
@@ -170,6 +200,13 @@ pub struct RunOptions {
     /// Print the report as JSON, and nothing else, on standard output
     #[arg(long)]
     pub json: bool,
+}
+
+impl RunOptions {
+    /// Where the results go, and whether they are printed as JSON.
+    pub fn results(&self) -> (Option<&Path>, bool) {
+        (self.out.as_deref(), self.json)
+    }
 }
 
 /// What the channel between the server and each robot does to a frame, both ways. Probabilities are

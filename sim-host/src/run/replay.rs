@@ -67,7 +67,8 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
-    Ok(Outcome { report, map, markers: figures::markers(&fleet), pictures: Vec::new() })
+    let markers = figures::markers(&fleet);
+    Ok(Outcome { report, map, markers, pictures: Vec::new(), tables: Vec::new() })
 }
 
 fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {

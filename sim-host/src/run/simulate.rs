@@ -6,7 +6,7 @@ use ubimap_agent::{Config, drive::DriveCommand, sense::SensorModel};
 use ubimap_protocol::{
     tile::Cell,
     time::{Duration, Instant},
-    units::{Millimetres, Pose, RobotId},
+    units::{Millimetres, Pose},
 };
 
 use super::{
@@ -16,16 +16,15 @@ use super::{
     fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
     options::SimulateOptions,
     progress::Progress,
+    recording::{Recorded, Recording},
+    registry::{RegisteredRobot, Registry},
     scoring::{self, TRACK_INTERVAL},
     time_lapse::{self, TimeLapse},
 };
 use crate::{
     camera::{Calibration, FrameSource, Source},
     grid::{self, OccupancyGrid},
-    perception::{
-        Footprint, Observer, Survey,
-        markers::{Hue, Identifier, Mount},
-    },
+    perception::{Observer, markers::Hue},
     report::{self, Marker, MarkerKind},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
@@ -61,13 +60,17 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut fleet =
         Fleet::new(&configs, &mut memory, faults, RESOLUTION, options.run.seed, keeper)?;
 
-    for robot in &scenario.robots {
-        fleet.set_footprint(RobotId(robot.id), footprint(robot));
+    let registry = registry(&scenario);
+    for (robot, footprint) in registry.footprints() {
+        fleet.set_footprint(robot, footprint);
     }
-
+    let cameras = FrameSource::cameras(&world);
     if !options.ideal_cameras {
-        fleet.look_through(observer(&scenario, FrameSource::cameras(&world))?);
+        fleet.look_through(registry.observer(cameras, RESOLUTION)?);
     }
+    let recording = options.record.as_deref();
+    let recording = recording.map(|folder| Recording::create(folder, cameras, &registry));
+    let recording = recording.transpose()?;
     let duration = options
         .duration
         .unwrap_or(Duration::from_micros((scenario.duration_s * 1e6).round() as u64));
@@ -81,6 +84,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         driving::set_out(&mut fleet, &stage.world, options.motion);
         stage.hand_over();
     }
+    let mut stage = Recorded { stage, recording };
     let converged = fleet.run(&mut stage, |fleet| {
         progress.at(Instant(0) + fleet.elapsed());
         ground.look(fleet);
@@ -89,6 +93,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         }
     })?;
     progress.finish();
+    let stage = stage.finish()?;
 
     let map = time_lapse::grid(&fleet)?;
     let mut summary = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
@@ -112,7 +117,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         ("error.png", scoring::error_picture(&map, &stage.world)?),
     ];
     pictures.extend(time_lapse.map(|it| ("timelapse.png", it.picture(&map))));
-    Ok(Outcome { report: summary, map, markers, pictures })
+    Ok(Outcome { report: summary, map, markers, pictures, tables: Vec::new() })
 }
 
 /// The configuration of a simulated robot's agent.
@@ -150,35 +155,22 @@ pub fn memory(world: &World, configs: &[Config], own_tiles: usize) -> Vec<AgentM
 /// # Errors
 /// [`RunError::Registry`].
 pub fn observer(scenario: &Scenario, cameras: &[Calibration]) -> Result<Observer, RunError> {
-    let robots: Vec<_> = scenario
-        .robots
-        .iter()
-        .map(|robot| {
-            let mount = Mount::centred(RobotId(robot.id), robot.marker_size_m, robot.height_m);
-            (identifier(robot), mount, footprint(robot))
-        })
-        .collect();
-    let robot_height = Millimetres::from_metres(scenario.robot_height_m());
-    let survey = Survey { side: RESOLUTION, robot_height, ..Survey::default() };
-    Ok(Observer::new(cameras, &robots, survey)?)
+    Ok(registry(scenario).observer(cameras, RESOLUTION)?)
 }
 
-/// What the cameras know a robot by.
-fn identifier(robot: &RobotConfig) -> Identifier {
-    match robot.marker {
-        MarkerConfig::Tag => Identifier::Tag(robot.tag_id.unwrap_or(robot.id)),
-        MarkerConfig::Colour => {
-            let [head, tail] = robot.colours().map(|colour| Hue::ALL[colour]);
-            Identifier::Colours { head, tail }
-        }
-    }
+/// The robots of a scenario.
+pub fn registry(scenario: &Scenario) -> Registry {
+    Registry { robots: scenario.robots.iter().map(registered).collect() }
 }
 
-/// What a robot takes up.
-pub fn footprint(robot: &RobotConfig) -> Footprint {
-    let [length, width] = robot.box_m.unwrap_or([2.0 * robot.radius_m; 2]);
-    let half = |side: f64| (side * 500.0).round() as u16;
-    Footprint { half_length: half(length), half_width: half(width) }
+fn registered(robot: &RobotConfig) -> RegisteredRobot {
+    let &RobotConfig { id, radius_m, height_m, box_m, marker, marker_size_m, tag_id, .. } = robot;
+    let (tag_id, colours) = match marker {
+        MarkerConfig::Tag => (tag_id, None),
+        MarkerConfig::Colour => (None, Some(robot.colours().map(|colour| Hue::ALL[colour]))),
+    };
+    let box_m = box_m.unwrap_or([2.0 * radius_m; 2]);
+    RegisteredRobot { tag_id, colours, ..RegisteredRobot::new(id, marker_size_m, height_m, box_m) }
 }
 
 /// A ROS map that lies straight.

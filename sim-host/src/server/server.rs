@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use ubimap_protocol::{
     link::{Counters, Terms},
-    message::{DistanceVector, EventCode, ParameterReport, State},
+    message::{DistanceVector, EventCode, Obstacle, ParameterReport, State},
     tile::{Epoch, TileId},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
@@ -306,14 +306,20 @@ impl Server {
     /// [`MAX_FRAME`](ubimap_protocol::frame::MAX_FRAME) bytes. Returns its length.
     #[must_use]
     pub fn poll_transmit(&mut self, port: usize, now: Instant, out: &mut [u8]) -> Option<usize> {
-        self.coverage.refresh(now);
-        for robot in self.map.age(now) {
-            self.robot_events.add(now, RobotEvent::Disagrees(robot));
-        }
+        self.age(now);
         let Self { terms, ports, map, coverage, surroundings, .. } = self;
         let epoch = Epoch(terms.server_epoch);
         let scene = Scene { epoch, fused: map.fused(), coverage: coverage.served(), surroundings };
         ports.get_mut(port).ok()?.poll_transmit(&scene, now, out)
+    }
+
+    /// Brings the map and the coverage to `now`. [`Server::poll_transmit`] does that as well: a server
+    /// without ports needs to be told.
+    pub fn age(&mut self, now: Instant) {
+        self.coverage.refresh(now);
+        for robot in self.map.age(now) {
+            self.robot_events.add(now, RobotEvent::Disagrees(robot));
+        }
     }
 
     /// When to come back at the latest to call [`Server::timeout`], and [`Server::poll_transmit`] for
@@ -419,6 +425,11 @@ impl Server {
     /// Where the robots were about a moment, as far as the cameras or they themselves have told.
     pub fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
         self.surroundings.whereabouts(moment)
+    }
+
+    /// The people and things that the cameras follow, and the moment of their positions.
+    pub fn obstacles(&self) -> (Instant, Vec<Obstacle>) {
+        (self.surroundings.obstacles_moment(), self.surroundings.all_obstacles())
     }
 
     /// What a robot takes up; the others are told.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use image::RgbImage;
 use libm::hypot;
+use serde::{Deserialize, Serialize};
 
 use super::{Identifier, Marker, Window};
 
@@ -23,7 +24,8 @@ const LIGHT: u8 = 120;
 const MIDDLE_NOISE_PX: f64 = 0.15;
 
 /// The colours that are told apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 #[expect(missing_docs, reason = "their names say all")]
 pub enum Hue {
     Red,

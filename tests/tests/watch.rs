@@ -1,0 +1,306 @@
+//! Recorded frames watched: what a simulation recorded gives what it gave, and what others recorded is
+//! taken as it is.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use image::{ImageBuffer, Luma};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use ubimap_protocol::{
+    message::ObstacleClass,
+    time::{Duration, Instant},
+    units::{Millimetres, RobotId},
+};
+use ubimap_sim_host::{
+    camera::FrameSource,
+    channel::fault::Faults,
+    report::WatchReport,
+    run::{
+        Outcome,
+        fleet::Fleet,
+        options::WatchOptions,
+        recording::{Recorded, Recording},
+        simulate::{RESOLUTION, Room, observer, registry},
+        watch,
+    },
+    world::{Scenario, World},
+};
+use ubimap_tests::data;
+
+/// Two cameras whose frames overtake each other and get lost, a robot with a tag and one with a
+/// colour marker, and somebody who walks.
+const SCENARIO: &str = r#"
+duration_s = 7
+slice_height_m = 0.2
+[room]
+height_m = 3.0
+outline_m = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
+[[furniture]]
+footprint.box = { centre_m = [3.4, 0.6], size_m = [0.6, 0.6] }
+top_m = 0.8
+[[cameras]]
+position_m = [0.3, 0.3, 2.8]
+look_at_m = [2.2, 2.2, 0.0]
+latency_jitter_ms = 60.0
+lost_frames = 0.05
+depth = { width = 320, height = 240 }
+picture = { width = 640, height = 360 }
+[[cameras]]
+position_m = [3.7, 3.7, 2.8]
+look_at_m = [1.8, 1.8, 0.0]
+latency_jitter_ms = 60.0
+lost_frames = 0.05
+depth = { width = 320, height = 240 }
+picture = { width = 640, height = 360 }
+[[robots]]
+id = 3
+tag_id = 11
+radius_m = 0.2
+marker_size_m = 0.25
+start = { x_m = 1.6, y_m = 2.4 }
+route = { waypoints_m = [[2.6, 2.4]] }
+[[robots]]
+id = 4
+marker = "colour"
+marker_size_m = 0.25
+radius_m = 0.2
+box_m = [0.3, 0.26]
+start = { x_m = 2.4, y_m = 1.4, heading_deg = 90.0 }
+[[people]]
+waypoints_m = [[1.0, 1.5], [1.2, 3.2]]
+"#;
+
+/// A folder of a test's own, empty.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch").join(name);
+    let _ = fs::remove_dir_all(&path);
+    fs::create_dir_all(&path).unwrap();
+    path
+}
+
+fn watched(folder: &Path) -> Outcome<WatchReport> {
+    let options = WatchOptions {
+        folders: vec![folder.to_owned()],
+        robots: None,
+        resolution: RESOLUTION,
+        out: None,
+        json: true,
+    };
+    watch::run(&options).unwrap()
+}
+
+/// The poses in `robots.csv`: microseconds, the robot, millimetres and hundredths of a degree.
+fn poses(outcome: &Outcome<WatchReport>) -> Vec<[i64; 5]> {
+    let [(name, table)] = &outcome.tables[..] else { panic!("one table") };
+    assert_eq!(*name, "robots.csv");
+    let row = |line: &str| {
+        let numbers: Vec<f64> = line.split(',').map(|it| it.parse().unwrap()).collect();
+        let whole = |index: usize, scale: f64| (numbers[index] * scale).round() as i64;
+        [whole(0, 1e6), whole(1, 1.0), whole(2, 1e3), whole(3, 1e3), whole(4, 100.0)]
+    };
+    table.lines().skip(1).map(row).collect()
+}
+
+#[test]
+fn what_a_simulation_recorded_gives_what_it_gave() {
+    let recording = folder("recorded");
+    let scenario = Scenario::from_toml(SCENARIO, "two cameras").unwrap();
+    let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
+    // No robot says itself where it is, as in a recording.
+    let mut fleet = Fleet::new(&[], &mut [], Faults::default(), RESOLUTION, 1, None).unwrap();
+    let registry = registry(&scenario);
+    for (robot, footprint) in registry.footprints() {
+        fleet.set_footprint(robot, footprint);
+    }
+    let cameras = FrameSource::cameras(&world);
+    fleet.look_through(observer(&scenario, cameras).unwrap());
+    let written = Recording::create(&recording, cameras, &registry).unwrap();
+    let stage = Room::filmed(world, Instant(0) + Duration::from_secs(7));
+    let mut stage = Recorded { stage, recording: Some(written) };
+    fleet.run(&mut stage, |_| {}).unwrap();
+    stage.finish().unwrap();
+
+    let outcome = watched(&recording);
+    let report = &outcome.report;
+    let mut sightings = fleet.sightings().to_vec();
+    sightings.sort_by_key(|(captured, it)| (it.robot, *captured));
+    let live: Vec<[i64; 5]> = sightings
+        .iter()
+        .map(|(captured, it)| {
+            let degrees = (it.pose.heading.degrees() * 100.0).round() as i64;
+            let [x, y] = [it.pose.x, it.pose.y].map(|Millimetres(mm)| i64::from(mm));
+            [captured.micros() as i64, it.robot.0.into(), x, y, degrees]
+        })
+        .collect();
+    assert_eq!(poses(&outcome), live);
+    for robot in [3, 4] {
+        let seen = report.robots.iter().find(|it| it.id == robot).unwrap().sightings;
+        let of_robot = sightings.iter().filter(|(_, it)| it.robot == RobotId(robot));
+        assert!(seen == of_robot.count() as u64 && seen > 90, "robot {robot}: {seen}");
+    }
+
+    let server = fleet.server();
+    assert_eq!(report.map.digest.0, server.fused().digest().0);
+    // Of 6,400 cells; the rest is learnt later, or in the shadow of somebody.
+    assert!(report.map.free > 3_000 && report.map.occupied > 100, "{:?}", report.map);
+    assert!(report.map.in_view > 3_000, "{:?}", report.map);
+    let live: Vec<[f64; 2]> =
+        server.obstacles().1.iter().map(|it| [it.x.metres(), it.y.metres()]).collect();
+    assert_eq!(report.things.iter().map(|it| it.position_m).collect::<Vec<_>>(), live);
+    let people = server.obstacles().1.iter().filter(|it| it.class == ObstacleClass::Person).count();
+    assert!(people > 0, "{:?}", report.things);
+    assert_eq!(outcome.markers.len(), 2 + people);
+    let begun: u64 = server.sighting_events().iter().map(|(_, count, _)| count).sum();
+    assert_eq!(report.events.iter().map(|it| it.count).sum::<u64>(), begun);
+
+    // The frames did come out of order, and some did not come.
+    let text = fs::read_to_string(recording.join("camera-00/times.txt")).unwrap();
+    let captured: Vec<&str> = text.lines().skip(1).map(|it| &it[..12]).collect();
+    assert_eq!(report.cameras[0].frames, captured.len() as u64);
+    assert!(!captured.is_sorted() && (80..106).contains(&captured.len()), "{}", captured.len());
+    fs::remove_dir_all(recording).unwrap();
+}
+
+/// A depth image of others, with the size of a metre in it, its intrinsics (fx, fy, cx, cy), and three
+/// pixels of the floor, by which the camera's pose is found.
+struct Still {
+    name: &'static str,
+    depth: &'static str,
+    per_metre: f64,
+    intrinsics: [f64; 4],
+    floor: [[u32; 2]; 3],
+}
+
+const STILLS: [Still; 2] = [
+    Still {
+        name: "rgbd_frames/icl_nuim",
+        depth: "1.png",
+        per_metre: 5000.0,
+        intrinsics: [481.2, 480.0, 319.5, 239.5],
+        floor: [[232, 450], [292, 450], [262, 474]],
+    },
+    Still {
+        name: "rgbd_frames/handheld",
+        depth: "1.pgm",
+        per_metre: 1000.0,
+        intrinsics: [518.0, 519.0, 325.5, 253.5],
+        floor: [[80, 440], [220, 440], [140, 320]],
+    },
+];
+
+impl Still {
+    /// The camera over the origin of `map`, its pitch and roll and height by three points of the floor.
+    fn pose(&self, image: &ImageBuffer<Luma<u16>, Vec<u16>>) -> String {
+        let [fx, fy, cx, cy] = self.intrinsics;
+        let point = |[column, row]: [u32; 2]| {
+            let about =
+                (0..25).map(|it| image.get_pixel(column + it % 5 - 2, row + it / 5 - 2).0[0]);
+            let mut depths: Vec<u16> = about.filter(|depth| *depth > 0).collect();
+            depths.sort_unstable();
+            let depth = f64::from(depths[depths.len() / 2]) / self.per_metre;
+            depth * Vector3::new((f64::from(column) - cx) / fx, (f64::from(row) - cy) / fy, 1.0)
+        };
+        let [a, b, c] = self.floor.map(point);
+        let normal = (b - a).cross(&(c - a)).normalize();
+        // The camera's y points down.
+        let up = normal * -normal.y.signum();
+        let forward = (Vector3::z() - up * up.z).normalize();
+        let axes = [forward, up.cross(&forward), up].map(|axis| axis.transpose());
+        let turn = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&axes));
+        let turn = UnitQuaternion::from_rotation_matrix(&turn);
+        format!("0 0 {} {} {} {} {}\n", -up.dot(&a), turn.i, turn.j, turn.k, turn.w)
+    }
+}
+
+/// A depth image of a real room, as if a camera that stands still had taken nothing else.
+#[test]
+fn real_depths_are_watched() {
+    for still in STILLS {
+        let Some(data) = data::file(still.name) else { continue };
+        let path = folder(still.name);
+        fs::create_dir_all(path.join("depth")).unwrap();
+        let original = data.join("depth").join(still.depth);
+        let image = image::open(&original).unwrap().into_luma16();
+        let pose = still.pose(&image);
+        fs::write(path.join("pose.txt"), &pose).unwrap();
+        let [fx, fy, cx, cy] = still.intrinsics;
+        let intrinsics = format!(
+            "width = 640\nheight = 480\nfx = {fx}\nfy = {fy}\ncx = {cx}\ncy = {cy}\n\
+             depth_per_metre = {}\n",
+            still.per_metre
+        );
+        fs::write(path.join("intrinsics.toml"), intrinsics).unwrap();
+        let mut times = String::new();
+        for number in 0..20 {
+            let extension = original.extension().unwrap().to_str().unwrap();
+            fs::copy(&original, path.join(format!("depth/{number}.{extension}"))).unwrap();
+            times += &format!("{number} {}\n", 0.3 * f64::from(number));
+        }
+        fs::write(path.join("times.txt"), times).unwrap();
+        let WatchReport { cameras, map, things, .. } = watched(&path).report;
+        println!("{}: at {pose}{cameras:?}, {map:?}", still.name);
+        assert_eq!((cameras[0].frames, cameras[0].lost), (20, 0));
+        // It has learnt the room, and sees floor and what stands on it; nothing has moved.
+        assert!(cameras[0].looks >= 3 && map.free > 50 && map.occupied > 20, "{map:?}");
+        assert!(things.is_empty(), "{things:?}");
+    }
+}
+
+/// Five images of a camera that was carried about are five cameras, and none has time to learn a room.
+#[test]
+fn images_of_a_camera_that_moves_are_taken() {
+    for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
+        let Some(path) = data::file(name) else { continue };
+        let WatchReport { cameras, map, .. } = watched(&path).report;
+        assert_eq!(cameras.iter().map(|it| it.frames).collect::<Vec<_>>(), [1; 5], "{name}");
+        assert_eq!(map.known, 0, "{name}");
+    }
+}
+
+/// Photographs of tags by a camera without depths, and of an arena whose robot has a marker of
+/// another family.
+#[test]
+fn real_photographs_are_watched_without_depths() {
+    // Three metres up, looking down.
+    let camera = |name: &str, size: [u32; 2], focal: f64, photographs: &[PathBuf]| {
+        let path = folder(name);
+        fs::create_dir_all(path.join("color")).unwrap();
+        for (number, photograph) in photographs.iter().enumerate() {
+            fs::copy(photograph, path.join(format!("color/{number}.png"))).unwrap();
+        }
+        let [width, height] = size;
+        let intrinsics = format!(
+            "width = {width}\nheight = {height}\nfx = {focal}\nfy = {focal}\ncx = {}\ncy = {}\n",
+            width / 2,
+            height / 2
+        );
+        fs::write(path.join("intrinsics.toml"), intrinsics).unwrap();
+        fs::write(path.join("pose.txt"), "0 0 3 1 0 0 0\n").unwrap();
+        path
+    };
+    if let Some(photographs) = data::file("fiducials/apriltag") {
+        // Each twice: what is read once may be chance.
+        let twice = ["test_image_multiple_01.png"; 2].map(|name| photographs.join(name));
+        let path = camera("tags", [640, 480], 338.6, &twice);
+        let times = "0 1305031453.25\n1 1305031453.75 1305031453.8\n2 1305031454.5\n";
+        fs::write(path.join("times.txt"), times).unwrap();
+        let WatchReport { cameras, events, map, .. } = watched(&path).report;
+        let [camera] = &cameras[..] else { panic!("one camera") };
+        assert_eq!((camera.name.as_str(), camera.frames, camera.lost), ("tags", 2, 1));
+        let events: BTreeMap<&str, f64> =
+            events.iter().map(|it| (it.what.as_str(), it.last_s)).collect();
+        let expected = [144, 58, 85, 24, 22].map(|tag| format!("tag {tag} is not registered"));
+        for event in &expected {
+            assert_eq!(events.get(event.as_str()), Some(&1305031453.75), "{events:?}");
+        }
+        assert_eq!(map.known, 0);
+    }
+    if let Some(arena) = data::file("fiducials/overhead_arena") {
+        let both = ["terrain_1.png", "terrain_2.png"].map(|name| arena.join(name));
+        let report = watched(&camera("arena", [1515, 1055], 1_500.0, &both)).report;
+        assert_eq!((report.cameras[0].frames, &report.events[..]), (2, &[][..]));
+    }
+}
