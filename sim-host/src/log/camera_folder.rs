@@ -110,6 +110,15 @@ pub enum FramesError {
         /// The file of another camera.
         other: PathBuf,
     },
+    /// Cameras whose times have nothing to do with each other.
+    #[error("{path}: begins more than a day after {other}; all cameras need one clock",
+        path = path.display(), other = other.display())]
+    OtherClock {
+        /// The file of the camera that is late.
+        path: PathBuf,
+        /// The file of the first camera.
+        other: PathBuf,
+    },
 }
 
 /// One sensor of a camera.

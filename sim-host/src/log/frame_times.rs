@@ -14,6 +14,8 @@ pub(super) const TIMES_FILE: &str = "times.txt";
 
 /// No clock shows so many seconds: these are milliseconds, or less.
 const LATEST_S: f64 = 1e11;
+/// Nothing in a recording is farther apart: that is another clock, or one that was set.
+pub(super) const LONGEST_S: f64 = 86_400.0;
 
 /// The times of a frame, in seconds of the recording's clock.
 #[derive(Clone, Copy, Debug)]
@@ -55,6 +57,13 @@ pub(super) fn read(path: &Path) -> Result<Option<FrameTimes>, FramesError> {
             );
             return Err(fault(written[frame], reason));
         }
+        if captured_s - last > LONGEST_S {
+            let reason = format!(
+                "frame {frame} was captured at {captured_s} s, and the one before it at {last} s: \
+                 more than a day apart; a clock was set, or these are two recordings"
+            );
+            return Err(fault(written[frame], reason));
+        }
     }
     Ok(Some(times))
 }
@@ -73,6 +82,11 @@ fn parse(words: &[&str]) -> Result<(u128, FrameTime), String> {
     let (captured_s, arrived_s) = (seconds(captured)?, seconds(arrived)?);
     if arrived_s < captured_s {
         return Err(format!("arrived at {arrived_s} s, before it was captured at {captured_s} s"));
+    }
+    if arrived_s - captured_s > LONGEST_S {
+        return Err(format!(
+            "arrived at {arrived_s} s, a day after it was captured at {captured_s} s"
+        ));
     }
     let file = Path::new(name);
     let is_image = file.extension().is_some_and(|it| PICTURE_KINDS.iter().any(|kind| it == *kind));

@@ -38,7 +38,7 @@ use ubimap_protocol::time::Instant;
 use super::{
     FrameFault, LogError,
     camera_folder::{self, CameraFolder, FrameFiles, FramesError, Sensor},
-    frame_times::TIMES_FILE,
+    frame_times::{LONGEST_S, TIMES_FILE},
     slicing::depths_mm,
 };
 use crate::{
@@ -222,12 +222,22 @@ impl Due {
     }
 }
 
-/// All cameras have times of their own, or none has.
+/// All cameras have times by one clock, or none has times.
 fn one_clock(folders: &[Arc<CameraFolder>]) -> Result<(), FramesError> {
+    let times_of = |folder: &CameraFolder| folder.path.join(TIMES_FILE);
     let [with, without] = [true, false].map(|has| folders.iter().find(|it| it.has_clock == has));
-    let Some((with, without)) = with.zip(without) else { return Ok(()) };
-    let [path, other] = [without, with].map(|it| it.path.join(TIMES_FILE));
-    Err(FramesError::NoClock { path, other })
+    if let Some((with, without)) = with.zip(without) {
+        return Err(FramesError::NoClock { path: times_of(without), other: times_of(with) });
+    }
+    let begin = |folder: &CameraFolder| folder.frames.first().map(|it| it.time.captured_s);
+    let mut begun: Vec<_> = folders.iter().filter_map(|it| Some((begin(it)?, it))).collect();
+    begun.sort_by(|a, b| a.0.total_cmp(&b.0));
+    if let [(first_s, first), .., (last_s, last)] = &begun[..]
+        && last_s - first_s > LONGEST_S
+    {
+        return Err(FramesError::OtherClock { path: times_of(last), other: times_of(first) });
+    }
+    Ok(())
 }
 
 /// Where y points up in an image (a negative focal length), the rows are turned round.
@@ -265,6 +275,8 @@ fn read_picture(path: &Path, sensor: &Sensor) -> Result<Picture, FramesError> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::{
         log::Recorder,
@@ -396,6 +408,8 @@ mod tests {
             ("1 1\n2 x\n", ["times.txt:2: ", "finite number"]),
             ("1 1\n2 1305031453359684000\n", ["times.txt:2: ", "no time in seconds"]),
             ("1 1\n2\n", ["times.txt:2: ", "when it was captured"]),
+            ("1 1\n2 2\n10 99999\n", ["times.txt:3: frame 10 was captured", "a clock was set"]),
+            ("1 1 99999\n", ["times.txt:1: ", "a day after it was captured"]),
         ] {
             folder.file("times.txt", times.as_bytes());
             expect(&expected);
@@ -437,10 +451,41 @@ mod tests {
         folder.file("other/times.txt", b"1 5\n");
         let both = [folder.path().to_owned(), path("other")];
         let error = RecordedFrames::open(&both).unwrap_err().to_string();
+        let is_expected = error.contains("times.txt: missing, but ") && error.contains("one clock");
+        assert!(is_expected, "{error}");
+        folder.file("times.txt", b"1 1305031453\n2 1305031454\n10 1305031455\n");
+        let error = RecordedFrames::open(&both).unwrap_err().to_string();
         assert!(
-            error.contains("times.txt: missing, but ") && error.contains("one clock"),
+            error.contains("more than a day after") && error.contains("other/times"),
             "{error}"
         );
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(300))]
+
+        #[test]
+        fn garbled_folders_never_panic(
+            file in prop::sample::select(vec!["times.txt", "pose.txt", "intrinsics.toml"]),
+            at in any::<prop::sample::Index>(),
+            byte in prop::sample::select(b"0159-. e\n#xn\xff".to_vec()),
+            length in any::<prop::sample::Index>(),
+            is_cut in any::<bool>(),
+        ) {
+            let folder = one_camera("recorded-garbled");
+            folder.file("times.txt", b"1 0.5\n2 0.75 0.8\n10 1.25\n");
+            let mut bytes = std::fs::read(folder.path().join(file)).unwrap();
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+            if is_cut {
+                bytes.truncate(length.index(bytes.len() + 1));
+            }
+            folder.file(file, &bytes);
+            match open(folder.path()) {
+                Ok(mut source) => prop_assert!(all(&mut source).len() <= 3),
+                Err(error) => prop_assert_eq!(error.to_string().lines().count(), 1),
+            }
+        }
     }
 
     #[test]
