@@ -11,7 +11,8 @@ use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
 use super::{
     FrameFault, LogError,
     frame_times::{self, FrameTime, TIMES_FILE},
-    rgbd::{self, CameraPose, Intrinsics},
+    intrinsics::{self, Intrinsics},
+    rgbd::{self, CameraPose},
 };
 use crate::{
     camera::{self, Calibration, CalibrationError, Lens},
@@ -258,22 +259,21 @@ impl Sensor {
         let poses = poses(folder, frames)?;
         // Only the well-known sets of images, which have a pose each, are known by their form.
         let (intrinsics, note) = if poses.len() > 1 {
-            rgbd::find_intrinsics(folder, images)?
+            intrinsics::find(folder, images)?
         } else {
-            let stated = rgbd::stated_intrinsics(folder)?;
-            (stated.ok_or_else(|| rgbd::missing_intrinsics(folder))?, None)
+            let stated = intrinsics::stated(folder)?;
+            (stated.ok_or_else(|| intrinsics::missing(folder))?, None)
         };
         Ok((Self { intrinsics, poses }, note))
     }
 
     /// What the pictures' own folder does not say is as that of the camera says.
     fn of_pictures(folder: &Path, pictures: &Path, depth: Option<&Self>) -> Result<Self, LogError> {
-        let own = rgbd::stated_intrinsics(pictures)?;
+        let own = intrinsics::stated(pictures)?;
         let of_depth = depth.map(|depth| depth.intrinsics.clone());
         let intrinsics = match own.or(of_depth) {
             Some(intrinsics) => intrinsics,
-            None => rgbd::stated_intrinsics(folder)?
-                .ok_or_else(|| rgbd::missing_intrinsics(pictures))?,
+            None => intrinsics::stated(folder)?.ok_or_else(|| intrinsics::missing(pictures))?,
         };
         let poses = match depth {
             _ if rgbd::has_poses(pictures) => poses(pictures, 1)?,

@@ -17,6 +17,7 @@ mod camera_folder;
 mod carmen;
 mod frame_times;
 mod frames;
+mod intrinsics;
 mod lines;
 mod mines;
 mod recorder;

@@ -16,7 +16,7 @@ use super::{
     LogError,
     camera_folder::PICTURES,
     frame_times::TIMES_FILE,
-    rgbd::{INTRINSICS_FILE, Intrinsics},
+    intrinsics::{INTRINSICS_FILE, Intrinsics},
 };
 use crate::camera::{Calibration, Frame, Lens, Picture};
 

@@ -7,7 +7,7 @@ use image::DynamicImage;
 use ubimap_agent::sense::{self, Camera, Pick, Slice, Slicer, Validity};
 use ubimap_protocol::units::Millimetres;
 
-use super::{FrameFault, LogError, Sensor, rgbd::Intrinsics};
+use super::{FrameFault, LogError, Sensor, intrinsics::Intrinsics};
 use crate::grid::raster::{self, Raster};
 
 /// Rows of a band.
