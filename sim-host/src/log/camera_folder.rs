@@ -62,6 +62,18 @@ pub enum FramesError {
         /// Why not.
         error: CalibrationError,
     },
+    /// A camera that stands below the floor.
+    #[error(
+        "{path}: its camera is {below_m} m below the floor; a pose is that of the camera in map, \
+         with z up and the floor at 0",
+        path = path.display()
+    )]
+    BelowFloor {
+        /// The folder.
+        path: PathBuf,
+        /// How far.
+        below_m: f64,
+    },
     /// An image that can't be read.
     #[error("{path}: {error}; remove the file to go on without it", path = path.display())]
     Damaged {
@@ -374,5 +386,12 @@ fn calibrations(
     };
     let calibrations = (0..if is_fixed { 1 } else { frames }).map(calibration);
     let refuse = |error| FramesError::Calibration { path: path.to_owned(), error };
-    calibrations.collect::<Result<_, _>>().map_err(refuse)
+    let calibrations: Vec<Calibration> = calibrations.collect::<Result<_, _>>().map_err(refuse)?;
+    // Whoever carries a camera about says where it was in any frame.
+    if let [Calibration { depth, picture }] = &calibrations[..]
+        && let Some(lens) = [depth, picture].into_iter().flatten().find(|it| it.centre().z <= 0.0)
+    {
+        return Err(FramesError::BelowFloor { path: path.to_owned(), below_m: -lens.centre().z });
+    }
+    Ok(calibrations)
 }

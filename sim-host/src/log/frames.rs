@@ -425,6 +425,8 @@ mod tests {
         folder.file("depth/2.pgm", b"not an image");
         expect(&["depth/2.pgm: ", "remove the file to go on without it"]);
         folder.file("depth/2.pgm", b"P2 2 1 65535 2000 0");
+        folder.file("pose.txt", b"1 2 -3 0 0 0 1\n");
+        expect(&["its camera is 3 m below the floor; a pose is that of the camera in map"]);
         folder.file("pose.txt", b"1 2 3 1 0 0 0\n1 2 3 1 0 0 0\n");
         expect(&["3 depth images but 2 poses"]);
         std::fs::remove_file(path("pose.txt")).unwrap();
