@@ -12,6 +12,7 @@ pub mod raw_robot;
 pub mod routes;
 pub mod schedule;
 pub mod script;
+pub mod seeds;
 pub mod star;
 pub mod updates;
 pub mod vectors;

@@ -1,7 +1,11 @@
 //! A robot whose wheels slip drives 10 m where no camera sees it, after two rounds where one does. It
-//! knows where it is by what it has learnt of its wheels and by what it sees.
+//! knows where it is by what it has learnt of its wheels and by what it sees. `UBIMAP_SEEDS=10` drives
+//! ten times through each ground.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    ops::RangeInclusive,
+};
 
 use ubimap_agent::{Config, locate::OdometryNoise};
 use ubimap_protocol::{
@@ -16,6 +20,7 @@ use ubimap_sim_host::{
     },
     world::{Scenario, World},
 };
+use ubimap_tests::seeds::seeds;
 
 /// An aisle of 17 m, of which the camera sees the west end.
 const HALL: &str = r#"
@@ -205,34 +210,55 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
     (end.unwrap(), worst)
 }
 
-/// Drives with several seeds: how many were good, and the root mean square of what they were off by
-/// at the end. `name` says through what.
-fn drives(scenario: &str, name: &str, seeds: u64) -> (u64, (f64, f64)) {
-    let (mut good, mut squares) = (0, (0.0, 0.0));
-    for seed in 1..=seeds {
+/// Of metres and of degrees.
+fn root_mean_square(offs: &[(f64, f64)]) -> (f64, f64) {
+    let mean = |of: fn(&(f64, f64)) -> f64| {
+        offs.iter().map(|off| of(off).powi(2)).sum::<f64>() / offs.len() as f64
+    };
+    (mean(|off| off.0).sqrt(), mean(|off| off.1).sqrt())
+}
+
+/// What drives with several seeds came to.
+struct Drives {
+    count: usize,
+    /// How many ended within 10 cm and 2 degrees.
+    good: usize,
+    /// The root mean square of what they were off by at the end: metres and degrees.
+    rms: (f64, f64),
+}
+
+/// Drives with several seeds. `name` says through what.
+fn drives(scenario: &str, name: &str, seeds: RangeInclusive<u64>) -> Drives {
+    let (mut ends, mut by_wheels) = (Vec::new(), Vec::new());
+    for seed in seeds {
         let (Off { robot, wheels }, worst) = drive(scenario, seed, 10.0);
         println!(
             "{name}, seed {seed}: off by {:.3} m and {:.2} degrees at the end, {:.3} m and {:.2} \
              at worst; odometry alone {:.3} m and {:.2}",
             robot.0, robot.1, worst.0, worst.1, wheels.0, wheels.1
         );
-        assert!(wheels.0 > 0.3 && wheels.1 > 5.0, "{wheels:?}");
         assert!(robot.0 < wheels.0 / 4.0 && robot.1 < wheels.1 / 4.0, "seed {seed}");
-        good += u64::from(robot.0 <= 0.1 && robot.1 <= 2.0);
-        squares = (squares.0 + robot.0 * robot.0, squares.1 + robot.1 * robot.1);
+        ends.push(robot);
+        by_wheels.push(wheels);
     }
-    let rms = ((squares.0 / seeds as f64).sqrt(), (squares.1 / seeds as f64).sqrt());
+    let count = ends.len();
+    let good = ends.iter().filter(|(off, turned)| *off <= 0.1 && *turned <= 2.0).count();
+    let greatest = ends.iter().fold((0.0f64, 0.0f64), |all, it| (all.0.max(it.0), all.1.max(it.1)));
+    let (rms, wheels) = (root_mean_square(&ends), root_mean_square(&by_wheels));
+    // The way is one for which odometry alone is not good enough by far.
+    assert!(wheels.0 > 0.3 && wheels.1 > 5.0, "{wheels:?}");
     println!(
-        "{name}: {good} of {seeds} within 10 cm and 2 degrees; {:.3} m and {:.2} degrees RMS",
-        rms.0, rms.1
+        "{name}: {good} of {count} within 10 cm and 2 degrees; {:.3} m and {:.2} degrees at most, \
+         {:.3} m and {:.2} degrees RMS",
+        greatest.0, greatest.1, rms.0, rms.1
     );
-    (good, rms)
+    Drives { count, good, rms }
 }
 
 #[test]
 fn ten_metres_through_ground_that_another_robot_knows() {
-    let (good, _) = drives(&format!("{HALL}{SCOUT}"), "known", 3);
-    assert_eq!(good, 3);
+    let Drives { count, good, .. } = drives(&format!("{HALL}{SCOUT}"), "known", seeds(3));
+    assert_eq!(good, count);
 }
 
 /// The robot goes by what it has seen itself. How well it knows where it heads where it leaves the
@@ -240,7 +266,9 @@ fn ten_metres_through_ground_that_another_robot_knows() {
 #[test]
 fn ten_metres_through_ground_that_nobody_has_seen() {
     for (name, scenario) in [("hall", HALL), ("rooms", ROOMS)] {
-        let (good, rms) = drives(scenario, name, 6);
-        assert!(good >= 5 && rms.0 <= 0.1 && rms.1 <= 2.0, "{name}: {good}, {rms:?}");
+        let Drives { count, good, rms } = drives(scenario, name, seeds(6));
+        // One of six misses, and not far.
+        assert!(count - good <= count.div_ceil(6), "{name}: {good} of {count}");
+        assert!(rms.0 <= 0.1 && rms.1 <= 2.0, "{name}: {rms:?}");
     }
 }

@@ -1,7 +1,7 @@
 //! Robots that drive themselves under the server's coordination: they map what no camera sees and
 //! run into nothing, with the link cut meanwhile. `cargo driving` prints the tables over ten seeds.
 
-use std::{env, fs, ops::RangeInclusive, path::Path};
+use std::{env, fs, path::Path};
 
 use clap::Parser;
 use ubimap_agent::{
@@ -24,7 +24,10 @@ use ubimap_sim_host::{
     },
     world::{Contacts, Scenario, World},
 };
-use ubimap_tests::routes::{SETS, scripted};
+use ubimap_tests::{
+    routes::{SETS, scripted},
+    seeds::seeds,
+};
 
 /// Two rooms with a door; the camera sees the first of them. A person walks in it.
 const TWO_ROOMS: &str = r#"
@@ -81,11 +84,6 @@ fn written(name: &str, scenario: &str) -> String {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::write(&path, scenario).unwrap();
     path.to_str().unwrap().into()
-}
-
-/// The seeds of the tables: the first alone, unless `UBIMAP_SEEDS` says how many.
-fn seeds() -> RangeInclusive<u64> {
-    1..=env::var("UBIMAP_SEEDS").map_or(1, |seeds| seeds.parse().unwrap())
 }
 
 /// Whether the tables are to be printed: then what takes long is run too, and held to all bounds.
@@ -154,7 +152,7 @@ fn who_drives_against_a_wall_or_a_robot_is_stopped_and_counted_once() {
 /// Reachable blind ground mapped, against the best of three sets of scripted routes.
 fn against_routes(scenario: &str, duration: &str) {
     let (mut driven, mut best) = (0.0, 0.0);
-    for seed in seeds() {
+    for seed in seeds(1) {
         let outcome = run(scenario, seed, &["--duration", duration]);
         let share = outcome.report.driving.unwrap().blind_mapped;
         let by_routes = |set: usize| {
@@ -192,7 +190,7 @@ fn two_robots_map_the_warehouse_in_less_time_than_one() {
         return;
     }
     let (mut one, mut two) = (0.0, 0.0);
-    for seed in seeds() {
+    for seed in seeds(1) {
         let times = ["1", "2"].map(|robots| {
             mapped_s(&run("warehouse", seed, &["--robots", robots, "--duration", "900"]))
         });
@@ -231,7 +229,7 @@ fn drawn_of_standing(outcome: &Outcome, scenario: &Scenario) -> usize {
 fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
     let scenario = Scenario::read(Path::new("ahmed-2013")).unwrap();
     let (mut times, mut f1) = ([0.0; 2], [0.0; 2]);
-    for seed in seeds() {
+    for seed in seeds(1) {
         let outcomes = ["on-the-move", "stop-and-wait"]
             .map(|motion| run("ahmed-2013", seed, &["--motion", motion, "--duration", "600"]));
         let mapped = outcomes.each_ref().map(mapped_s);
