@@ -73,6 +73,9 @@ impl Surfaces {
         let hold = Hold::new(&search, predicted);
         let (at, heading) = best.pose(self, start, predicted.heading);
         let refined = refine(self, &points, at, heading, hold)?;
+        if !search.covers(self.resolution(), predicted, refined.at, refined.heading) {
+            return None;
+        }
 
         let known = points.iter().filter(|point| {
             let arm = rotated(**point, refined.heading);

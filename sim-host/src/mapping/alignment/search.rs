@@ -1,10 +1,10 @@
 //! Every pose about the predicted one, scored.
 
 use nalgebra::Vector2;
-use ubimap_protocol::units::{Angle, Millimetres};
+use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use super::{
-    geometry::{quarter, rotated, square},
+    geometry::{position, quarter, rotated, square},
     surfaces::Surfaces,
 };
 
@@ -64,6 +64,22 @@ impl Search {
             _ => f64::from(self.position.0) / 4.0,
         };
         (position.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))
+    }
+
+    /// Whether a place was looked at in a search about a predicted pose, or is no farther than a
+    /// step from those that were: a refinement that ends anywhere else has run away.
+    pub(super) fn covers(
+        &self,
+        step: f64,
+        predicted: Pose,
+        at: Vector2<f64>,
+        heading: f64,
+    ) -> bool {
+        let off = at - position(predicted);
+        let turn = Angle::from_radians(heading - predicted.heading.radians());
+        let turned = i32::from(turn.0 as i16).abs();
+        off.amax() <= f64::from(self.position.0) + step
+            && turned <= i32::from(self.turn.0) + TURN_STEP
     }
 }
 

@@ -138,6 +138,30 @@ fn a_robot_is_where_it_is_found_as_far_as_the_match_claims() {
     assert!(100 * claimed >= 99 * found, "{claimed} of {found}");
 }
 
+/// One who looks in the wrong place may find something there, and nothing elsewhere.
+#[test]
+fn nothing_is_found_where_nobody_looked() {
+    let room = furnished();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let prior = Prior::Measured(Millimetres(25));
+    let search = Search { position: Millimetres(100), turn: Angle(2_600), prior };
+    let mut found = 0;
+    for _ in 0..400 {
+        let mut pose = || {
+            let (x, y) = (rng.random_range(0.5..5.5), rng.random_range(0.5..3.5));
+            Pose::from_metres(x, y, rng.random_range(-3.1..3.1))
+        };
+        let (truth, predicted) = (pose(), pose());
+        let Some(match_) = room.find(truth, predicted, search) else { continue };
+        found += 1;
+        let off = [match_.pose.x - predicted.x, match_.pose.y - predicted.y];
+        let turned = (match_.pose.heading - predicted.heading).degrees().abs();
+        // A step is a cell, and 1.4 degrees.
+        assert!(off.iter().all(|off| off.0.abs() <= 151) && turned <= 15.8, "{match_:?}");
+    }
+    assert!(found > 5, "{found}");
+}
+
 #[test]
 fn most_places_in_a_room_tell_all_three() {
     let room = furnished();
