@@ -12,7 +12,8 @@ use ubimap_protocol::{
     units::{Angle, Pose},
 };
 
-/// A stretch that is long enough for its course, in metres, and the longest time that it may take.
+/// A stretch that is long enough for its course, in metres: it is measured then, and again whenever it
+/// is so much longer. The longest time that it may take.
 const STRETCH_M: f64 = 0.6;
 const STRETCH_TIME: Duration = Duration::from_secs(8);
 /// Fixes further apart than this leave open what the robot did in between.
@@ -25,7 +26,7 @@ const TURN_DEG: f64 = 5.0;
 const BEND_DEG: f64 = 1.5;
 /// Beyond this an identifier is not glued on askew, but the robot moves sideways.
 const MOST_DEG: f64 = 15.0;
-/// What the fixes of a stretch have in common, in degrees: cameras are calibrated so well.
+/// What the fixes on so much way have in common, in degrees: cameras are calibrated so well.
 const STRETCH_DEVIATION_DEG: f64 = 0.25;
 /// Measurements that count, the newest, and the least for an estimate.
 const MOST: usize = 30;
@@ -33,8 +34,14 @@ const LEAST: usize = 3;
 /// An error is cured when it is greater than this, in degrees, and so many deviations.
 const LEAST_CURE_DEG: f64 = 0.4;
 const CURE_DEVIATIONS: f64 = 3.0;
-/// An estimate less sure than this is none, in degrees.
-const SURE_DEG: f64 = 0.25;
+/// What is cured is known to half a degree: an estimate less sure is none.
+const SURE_DEG: f64 = 0.5 / CURE_DEVIATIONS;
+/// Measurements farther from the mean than so many deviations do not count: the biweight has 95 % of
+/// the mean's efficiency on normal ones then. Rounds of it.
+const BIWEIGHT: f64 = 4.685;
+const ROUNDS: usize = 10;
+/// The standard deviation of normal errors over the median of their absolute values.
+const NORMAL: f64 = 1.4826;
 
 /// An angle in degrees, and how sure it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,19 +72,27 @@ pub struct Cured {
 #[derive(Clone, Debug, Default)]
 pub struct ConstantErrors {
     stretch: Stretch,
-    /// Heading less course, of each stretch: degrees and their standard deviation.
+    /// Heading less course, of each stretch that is over: degrees and their standard deviation.
     askew: VecDeque<(f64, f64)>,
     /// How far the distance vectors are turned against the map from headings as the cameras see
     /// them, in degrees.
     turned: VecDeque<(f64, f64)>,
+    /// What follows of the two, computed once for each measurement.
+    identifier: Option<Estimated>,
+    turn: Option<Estimated>,
     cured: Cured,
 }
 
 impl ConstantErrors {
     /// Takes where a camera saw the robot, in the order of the frames, and returns where it is.
     pub fn fix(&mut self, moment: Instant, seen: Pose) -> Pose {
-        if let Some(measured) = self.stretch.add(moment, seen) {
+        let before = self.stretch.measured;
+        if let Some(measured) = self.stretch.go(moment, seen) {
             push(&mut self.askew, measured);
+        }
+        if self.stretch.measured != before {
+            let measured = self.askew.iter().chain(&self.stretch.measured);
+            self.identifier = estimate(measured.copied().collect());
         }
         self.corrected(seen)
     }
@@ -91,19 +106,20 @@ impl ConstantErrors {
     /// sure that is: degrees.
     pub fn turned(&mut self, degrees: f64, deviation: f64) {
         push(&mut self.turned, (degrees - self.cured.taken_out, deviation));
+        self.turn = estimate(self.turned.iter().copied().collect());
     }
 
     /// How far the identifier is glued on askew.
     pub fn identifier(&self) -> Option<Estimated> {
-        estimate(&self.askew)
+        self.identifier
     }
 
     /// How far the sensor is mounted askew from what the robot believes.
     pub fn sensor(&self) -> Option<Estimated> {
-        let (turned, identifier) = (estimate(&self.turned)?, self.identifier()?);
+        let (turn, identifier) = (self.turn?, self.identifier?);
         Some(Estimated {
-            degrees: turned.degrees + identifier.degrees,
-            deviation: turned.deviation.hypot(identifier.deviation),
+            degrees: turn.degrees + identifier.degrees,
+            deviation: turn.deviation.hypot(identifier.deviation),
         })
     }
 
@@ -138,6 +154,7 @@ impl ConstantErrors {
     /// The robot believes its sensor turned by this much more from now on.
     pub fn remounted(&mut self, turn: Angle) {
         self.turned.clear();
+        self.turn = None;
         self.cured.added += turn.degrees();
     }
 }
@@ -149,34 +166,58 @@ fn push(measured: &mut VecDeque<(f64, f64)>, one: (f64, f64)) {
     measured.push_back(one);
 }
 
-/// The weighted mean of those that lie about their median.
-fn estimate(measured: &VecDeque<(f64, f64)>) -> Option<Estimated> {
-    let mut degrees: Vec<f64> = measured.iter().map(|it| it.0).collect();
-    degrees.sort_by(f64::total_cmp);
-    let median = *degrees.get(degrees.len() / 2)?;
-    let near: Vec<(f64, f64)> =
-        measured.iter().copied().filter(|it| (it.0 - median).abs() <= 3.0).collect();
-    if near.len() < LEAST || 3 * near.len() < 2 * measured.len() {
+/// The mean of measurements by Tukey's biweight: there are places where the map misleads by several
+/// deviations whenever a robot comes by. `None` if a third of them lies far from the others, for nobody
+/// knows who is right then.
+fn estimate(measured: Vec<(f64, f64)>) -> Option<Estimated> {
+    let mut mean = median(measured.iter().map(|it| it.0).collect())?;
+    let (mut shares, mut weights) = (Vec::new(), 0.0);
+    for _ in 0..ROUNDS {
+        let offs: Vec<f64> =
+            measured.iter().map(|(degrees, deviation)| (degrees - mean) / deviation).collect();
+        let scatter = NORMAL * median(offs.iter().map(|off| off.abs()).collect())?;
+        let reach = BIWEIGHT * scatter.max(1.0);
+        shares = offs.iter().map(|off| (1.0 - (off / reach).powi(2)).max(0.0).powi(2)).collect();
+        let weighed = measured.iter().zip(&shares);
+        let weighed = weighed.map(|((degrees, deviation), share): (_, &f64)| {
+            (degrees, share / (deviation * deviation))
+        });
+        weights = weighed.clone().map(|(_, weight)| weight).sum();
+        mean = weighed.map(|(degrees, weight)| degrees * weight).sum::<f64>() / weights;
+    }
+    let near = shares.iter().filter(|share| **share > 0.0).count();
+    if near < LEAST || 3 * near < 2 * measured.len() {
         return None;
     }
-    let weight = |deviation: f64| 1.0 / (deviation * deviation);
-    let weights: f64 = near.iter().map(|it| weight(it.1)).sum();
-    let mean = near.iter().map(|it| it.0 * weight(it.1)).sum::<f64>() / weights;
-    let chi: f64 = near.iter().map(|it| (it.0 - mean).powi(2) * weight(it.1)).sum();
-    let scatter = (chi / (near.len() - 1) as f64).max(1.0);
+    let chi = |((degrees, deviation), share): (&(f64, f64), &f64)| {
+        share * ((degrees - mean) / deviation).powi(2)
+    };
+    let chi: f64 = measured.iter().zip(&shares).map(chi).sum();
+    let scatter = (chi / (shares.iter().sum::<f64>() - 1.0)).max(1.0);
     Some(Estimated { degrees: mean, deviation: (scatter / weights).sqrt() })
+}
+
+/// The middle one, if there is any.
+fn median(mut all: Vec<f64>) -> Option<f64> {
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).copied()
 }
 
 /// Fixes of a robot that drives straight on.
 #[derive(Clone, Debug, Default)]
 struct Stretch {
     fixes: Vec<(Instant, Pose)>,
+    /// Heading less course, in degrees, and their standard deviation, once it is long enough. The
+    /// course of a stretch of twice the length is known three times as well.
+    measured: Option<(f64, f64)>,
+    /// How often it was measured.
+    parts: u32,
 }
 
 impl Stretch {
-    /// Adds a fix. If the stretch is long enough now, heading less course in degrees, and its
-    /// standard deviation; it begins anew then.
-    fn add(&mut self, moment: Instant, seen: Pose) -> Option<(f64, f64)> {
+    /// The robot is seen somewhere. If it no longer drives straight on another stretch begins: what
+    /// was measured on the one that is over.
+    fn go(&mut self, moment: Instant, seen: Pose) -> Option<(f64, f64)> {
         let (first, last) = (self.fixes.first().copied(), self.fixes.last().copied());
         if last.is_some_and(|(last, _)| moment <= last) {
             return None;
@@ -186,17 +227,18 @@ impl Stretch {
                 || moment.since(begun) > STRETCH_TIME
                 || (seen.heading - first.heading).degrees().abs() > TURN_DEG
         });
-        if broken {
-            self.fixes.clear();
-        }
+        let over = if broken { core::mem::take(self).measured } else { None };
         self.fixes.push((moment, seen));
         let [x, y] = way_m(self.fixes.first()?.1, seen);
-        if x.hypot(y) < STRETCH_M {
-            return None;
+        if x.hypot(y) < f64::from(self.parts + 1) * STRETCH_M {
+            return over;
         }
-        let measured = self.measure();
-        self.fixes.clear();
-        measured.filter(|(degrees, _)| degrees.abs() <= MOST_DEG)
+        let measured = self.measure().filter(|(degrees, _)| degrees.abs() <= MOST_DEG);
+        if measured.is_none() {
+            return core::mem::take(self).measured;
+        }
+        (self.measured, self.parts) = (measured, self.parts + 1);
+        None
     }
 
     fn measure(&self) -> Option<(f64, f64)> {
@@ -243,7 +285,8 @@ impl Stretch {
         if off.abs() > FRAC_PI_2 {
             off -= PI.copysign(off);
         }
-        let variance = heading_variance + course_variance + STRETCH_DEVIATION_DEG.powi(2);
+        let common = STRETCH_DEVIATION_DEG.powi(2) * STRETCH_M / x.hypot(y);
+        let variance = heading_variance + course_variance + common;
         Some((off.to_degrees(), variance.sqrt()))
     }
 }
@@ -336,6 +379,47 @@ mod tests {
             errors.remounted(Angle::from_degrees(cured));
             assert_eq!(errors.sensor(), None);
         }
+    }
+
+    #[test]
+    fn places_where_the_map_misleads_do_not_count() {
+        let noise = [0.4, -0.3, 0.1, -0.2];
+        let about =
+            |middle: f64, count: usize| (0..count).map(move |it| (middle + noise[it % 4], 0.4));
+        let usual = |count| about(3.0, count);
+        let all = estimate(usual(20).chain(about(0.5, 5)).collect()).unwrap();
+        assert!((all.degrees - 3.0).abs() < 0.05, "{all:?}");
+        // When there are too many of them nobody knows.
+        assert_eq!(estimate(usual(16).chain(about(-7.0, 14)).collect()), None);
+        let halves = estimate(usual(15).chain(about(0.5, 15)).collect());
+        assert!(halves.is_none_or(|it| !it.is_worth_a_cure()), "{halves:?}");
+        assert_eq!(estimate(usual(2).collect()), None);
+        // The deviation is the measurements' own, or what they scatter by.
+        let apart = estimate(usual(16).collect()).unwrap().deviation;
+        assert!((0.1..0.11).contains(&apart), "{apart}");
+        let scattered = usual(16).map(|(degrees, _)| (3.0 + 10.0 * (degrees - 3.0), 0.4));
+        let scattered = estimate(scattered.collect()).unwrap().deviation;
+        assert!((0.6..1.0).contains(&scattered), "{scattered}");
+    }
+
+    #[test]
+    fn a_longer_stretch_says_more_of_the_course_than_its_parts() {
+        let mut throw = [1.0, -0.4, 0.7, -1.3, 0.2, -0.2].iter().cycle();
+        let mut errors = ConstantErrors::default();
+        let mut deviations = Vec::new();
+        for frame in 0..90 {
+            let (along, off) = (f64::from(frame) * 0.03, 0.01 * throw.next().unwrap());
+            errors.fix(Instant(frame as u64 * 66_667), Pose::from_metres(along, off, 0.05));
+            deviations.extend(errors.stretch.measured.map(|it| it.1));
+        }
+        deviations.dedup();
+        let [first, second, .., last] = deviations[..] else { panic!("{deviations:?}") };
+        assert!(second < 0.55 * first && last < 0.25 * first, "{deviations:?}");
+        // It is one stretch, and what it came to is not forgotten when it is over.
+        assert_eq!(errors.askew, []);
+        errors.fix(Instant(6_200_000), Pose::from_metres(2.7, 0.0, 1.0));
+        assert_eq!(errors.askew.len(), 1);
+        assert!((errors.askew[0].0 - 0.05f64.to_degrees()).abs() < 0.2);
     }
 
     #[test]
