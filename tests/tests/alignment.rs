@@ -1,9 +1,16 @@
 //! Constant errors of robots in a simulated room: found, told apart and cured. `UBIMAP_SEEDS=10` runs
 //! ten seeds.
 
-use std::{cell::RefCell, collections::BTreeMap, rc::Rc};
+use std::{
+    cell::RefCell,
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    rc::Rc,
+};
 
 use ubimap_protocol::{
+    tile::Epoch,
     time::{Duration, Instant},
     units::RobotId,
 };
@@ -11,12 +18,15 @@ use ubimap_sim_host::{
     camera::Sighting,
     channel::fault::Faults,
     grid::OccupancyGrid,
+    mapping::CureRecord,
     run::{
         fleet::{Event, Fleet, OWN_TILES, Stage},
+        keeper::Keeper,
         scoring::score,
         simulate::{RESOLUTION, Room, config, memory},
     },
     server::RobotEvent,
+    store::Store,
     world::{Scenario, World},
 };
 use ubimap_tests::seeds::seeds;
@@ -65,16 +75,21 @@ struct Run {
     events: Vec<RobotEvent>,
 }
 
-fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
+/// The room, in which the sensor and the identifier are askew by so much.
+fn world(seed: u64, sensor_deg: f64, identifier_deg: f64) -> World {
     let mut scenario = Scenario::built_in().unwrap();
     for robot in &mut scenario.robots {
         match RobotId(robot.id) {
-            SENSOR => robot.sensor.askew_deg = askew_deg,
-            IDENTIFIER => robot.identifier_askew_deg = -askew_deg,
+            SENSOR => robot.sensor.askew_deg = sensor_deg,
+            IDENTIFIER => robot.identifier_askew_deg = identifier_deg,
             _ => {}
         }
     }
-    let world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
+    World::new(&scenario, None, RESOLUTION, seed).unwrap()
+}
+
+fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
+    let world = world(seed, askew_deg, -askew_deg);
     let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, seed)).collect();
     let mut memory = memory(&world, &configs, OWN_TILES);
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
@@ -170,4 +185,59 @@ fn askew_sensors_and_identifiers_are_told_apart_and_cured() {
     );
     assert!(offs.iter().all(|it| it.greatest_deg <= 0.5 && it.latest_s <= 30.0), "{offs:?}");
     assert!(falls[0] > 0.05 && falls[1] <= 0.01, "{falls:?}");
+}
+
+/// A life of a server with a store, of half a minute, in which no identifier is askew.
+fn live(store: &Path, sensor_deg: f64, watch: impl FnMut(&Fleet<'_>)) {
+    let world = world(1, sensor_deg, 0.0);
+    let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, 1)).collect();
+    let mut memory = memory(&world, &configs, OWN_TILES);
+    let keeper = Keeper::open(store, RESOLUTION, Epoch(1)).unwrap();
+    let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, 1, Some(keeper)).unwrap();
+    let mut stage = Room::new(world, Instant(0) + Duration::from_secs(30));
+    fleet.run(&mut stage, watch).unwrap();
+}
+
+/// How far the one cure in a store has come, and the epochs of the tiles that the robot has drawn.
+fn kept(store: &Path) -> (CureRecord, Vec<Epoch>) {
+    let store = Store::open(store, RESOLUTION).unwrap();
+    let [record] = store.cured().unwrap()[..] else { panic!("{:?}", store.cured()) };
+    assert_eq!(record.robot, SENSOR);
+    let records = store.records().unwrap();
+    let drawn = records.iter().filter(|(robot, _)| *robot == SENSOR);
+    (record, drawn.map(|(_, record)| record.stamp.epoch).collect())
+}
+
+/// A server that is killed when the sensor is straight, and what was drawn with it not yet void, does
+/// in its next life what is left.
+#[test]
+fn a_cure_goes_on_in_the_next_life_of_the_server() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let [lived, killed] = ["lived.db", "killed.db"].map(|name| folder.join(name));
+    for (store, end) in [&lived, &killed].into_iter().flat_map(|it| [(it, ""), (it, "-wal")]) {
+        let _ = fs::remove_file(with_end(store, end));
+    }
+    live(&lived, 3.0, |fleet| {
+        let cured = fleet.server().errors(SENSOR).is_some_and(|it| it.cured().added != 0.0);
+        if cured && !killed.exists() {
+            for end in ["", "-wal"] {
+                fs::copy(with_end(&lived, end), with_end(&killed, end)).unwrap();
+            }
+        }
+    });
+    let (over, _) = kept(&lived);
+    assert!(over.is_over && over.first_epoch > Epoch(1), "{over:?}");
+
+    let (left, askew) = kept(&killed);
+    assert!(!left.is_over && !askew.is_empty(), "{left:?} {askew:?}");
+    live(&killed, 0.0, |_| {});
+    let (over, drawn) = kept(&killed);
+    assert!(over.is_over && !drawn.is_empty(), "{over:?}");
+    assert!(askew.iter().all(|epoch| *epoch < over.first_epoch), "{over:?} {askew:?}");
+    assert!(drawn.iter().all(|epoch| *epoch >= over.first_epoch), "{over:?} {drawn:?}");
+}
+
+fn with_end(path: &Path, end: &str) -> PathBuf {
+    PathBuf::from(format!("{}{end}", path.display()))
 }

@@ -8,8 +8,9 @@ use core::f64::consts::{FRAC_PI_2, PI};
 
 use libm::atan2;
 use ubimap_protocol::{
+    tile::Epoch,
     time::{Duration, Instant},
-    units::{Angle, Pose},
+    units::{Angle, Pose, RobotId},
 };
 
 /// A stretch that is long enough for its course, in metres: it is measured then, and again whenever it
@@ -66,6 +67,19 @@ pub struct Cured {
     pub taken_out: f64,
     /// What the robot has been told to add to its sensor's heading, in degrees.
     pub added: f64,
+}
+
+/// How far the cure of a robot has come, to be kept on disk.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CureRecord {
+    /// Whose.
+    pub robot: RobotId,
+    /// What has been done about its errors.
+    pub cured: Cured,
+    /// Its tiles of epochs below this one are void.
+    pub first_epoch: Epoch,
+    /// Whether nothing is left to do: else all that it has drawn until now is to be void as well.
+    pub is_over: bool,
 }
 
 /// The constant errors of one robot.

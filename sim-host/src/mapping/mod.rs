@@ -15,7 +15,7 @@ mod served_layer;
 pub use agreement::{Agreements, Weight};
 pub use alignment::{Match, Prior, Search, Surfaces, Trail, points};
 pub use camera_layer::{CameraLayer, CameraTile};
-pub use constant_errors::{ConstantErrors, Cured, Estimated};
+pub use constant_errors::{ConstantErrors, CureRecord, Cured, Estimated};
 pub use coverage_layer::CoverageLayer;
 pub use fused_layer::{MapTime, Mask, clear, fuse};
 pub use hollow::{Sight, hollow};

@@ -185,6 +185,11 @@ impl RobotLayer {
         changed
     }
 
+    /// The epochs below this one are void.
+    pub fn first_epoch(&self) -> Epoch {
+        self.first_epoch
+    }
+
     /// The cells of a tile of which the robot has said nothing new after some second.
     pub fn drawn_by(&self, id: TileId, second: u32) -> Tile {
         let mut drawn = Tile::UNKNOWN;

@@ -75,8 +75,8 @@ impl Keeper {
             return Ok(());
         }
         self.next_commit = now + COMMIT_INTERVAL;
-        while let Some((robot, first, cured)) = server.poll_cured() {
-            self.store.cure(robot, first, cured)?;
+        while let Some(record) = server.poll_cured() {
+            self.store.cure(&record)?;
         }
         let records: Vec<(RobotId, TileRecord)> =
             std::iter::from_fn(|| server.poll_store()).collect();
@@ -122,9 +122,7 @@ pub(super) fn server(
         records.iter().for_each(|(robot, record)| server.restore(*robot, record));
         let tiles = keeper.store.camera_tiles()?;
         tiles.iter().for_each(|tile| server.restore_camera_tile(tile));
-        for (robot, first, cured) in keeper.store.cured()? {
-            server.restore_cured(robot, first, cured);
-        }
+        keeper.store.cured()?.iter().for_each(|record| server.restore_cured(record));
         log::info!(
             "{} states of robots' tiles and {} tiles of the cameras' are restored",
             records.len(),
@@ -141,7 +139,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Observation, Sighting},
-        mapping::Cured,
+        mapping::{CureRecord, Cured},
         testing::Folder,
     };
 
@@ -164,7 +162,8 @@ mod tests {
         keeper.keep(&mut first, Instant(10_000_000)).unwrap();
         assert_eq!(keeper.poll_timeout(&first), None);
         let (robot, askew) = (RobotId(3), Cured { taken_out: 3.0, added: -2.0 });
-        keeper.store.cure(robot, Epoch(9), askew).unwrap();
+        let record = CureRecord { robot, cured: askew, first_epoch: Epoch(9), is_over: true };
+        keeper.store.cure(&record).unwrap();
         drop(keeper);
 
         let keeper = Keeper::open(&path, RESOLUTION, Epoch(1)).unwrap();

@@ -15,7 +15,7 @@ use ubimap_protocol::{
 };
 
 use super::shared_map::SharedMap;
-use crate::mapping::{ConstantErrors, Cured, Match, Prior, Search, Surfaces, Trail, points};
+use crate::mapping::{ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points};
 
 /// Fixes are remembered for so long: a scan may wait for its pose, and a frame for its way.
 const MEMORY: Duration = Duration::from_secs(4);
@@ -141,9 +141,13 @@ impl Blind {
 enum Cure {
     #[default]
     None,
+    /// An earlier life of the server left it where the robot's older epochs are to be retired.
+    LeftOff,
     /// The fixes are corrected; the robot's older epochs are retired when its filter has followed.
     Settling(Instant),
-    /// The robot is asked how it believes its sensor to be mounted. The angle is to be added.
+    /// The sensor's error is found. The angle is to be added.
+    Found { turn: Angle },
+    /// The robot is asked how it believes its sensor to be mounted.
     Asking { number: u16, turn: Angle },
     /// It is told how.
     Mounting { number: u16, turn: Angle },
@@ -153,8 +157,9 @@ enum Cure {
 
 impl Aligning {
     /// Of a robot of whom no more is known than what was done about its errors.
-    pub(super) fn of(cured: Cured) -> Self {
-        Self { errors: ConstantErrors::of(cured), ..Self::default() }
+    pub(super) fn of(record: &CureRecord) -> Self {
+        let cure = if record.is_over { Cure::None } else { Cure::LeftOff };
+        Self { errors: ConstantErrors::of(record.cured), cure, ..Self::default() }
     }
 
     /// What has been found of the robot's constant errors.
@@ -260,21 +265,24 @@ impl Aligning {
         Looked::Agreement(agree, contradict)
     }
 
-    /// The next command of a cure. `next` is the first epoch that the robot is not known to have
-    /// used.
-    pub(super) fn poll_command(&mut self, next: Epoch, now: Instant) -> Option<ParameterCommand> {
-        let set = |parameter, value| {
-            ParameterAction::Set(ParameterValue { parameter: parameter as u16, value })
-        };
+    /// The next step of a cure. `next` is the first epoch that the robot is not known to have used.
+    pub(super) fn poll(&mut self, next: Epoch, now: Instant) -> Option<Step> {
         let (number, action) = match self.cure {
             Cure::None => {
                 if self.errors.cure_identifier() {
                     self.fixes.clear();
                     self.cured = now;
                     self.cure = Cure::Settling(now + SETTLING);
-                    return None;
+                } else {
+                    self.cure = Cure::Found { turn: self.errors.sensor_to_cure()? };
                 }
-                let turn = self.errors.sensor_to_cure()?;
+                return Some(Step::Note);
+            }
+            Cure::LeftOff => {
+                self.cure = Cure::Settling(now + SETTLING);
+                return None;
+            }
+            Cure::Found { turn } => {
                 self.cure = Cure::Asking { number: FIRST_NUMBER, turn };
                 (FIRST_NUMBER, ParameterAction::Get(Parameter::MountingHeading as u16))
             }
@@ -286,7 +294,7 @@ impl Aligning {
             }
             _ => return None,
         };
-        Some(ParameterCommand { number, action })
+        Some(Step::Tell(ParameterCommand { number, action }))
     }
 
     /// Whether a report is of one of the server's own commands.
@@ -294,9 +302,8 @@ impl Aligning {
         report.number >= FIRST_NUMBER
     }
 
-    /// Takes the robot's answer to a command of a cure: what to tell it next, or the epoch below
-    /// which its tiles are retired.
-    pub(super) fn reported(&mut self, report: &ParameterReport, now: Instant) -> Option<Answered> {
+    /// Takes the robot's answer to a command of a cure.
+    pub(super) fn reported(&mut self, report: &ParameterReport, now: Instant) -> Option<Step> {
         let value = report.values.first().map(|it| it.value);
         let value = value.filter(|_| report.outcome == ParameterOutcome::Done);
         match self.cure {
@@ -307,34 +314,37 @@ impl Aligning {
                 let heading = Angle(value? as u16) + turn;
                 let number = FIRST_NUMBER + 1;
                 self.cure = Cure::Mounting { number, turn };
-                let value = ParameterValue {
-                    parameter: Parameter::MountingHeading as u16,
-                    value: i32::from(heading.0 as i16),
-                };
-                let action = ParameterAction::Set(value);
-                Some(Answered::Next(ParameterCommand { number, action }))
+                let action = set(Parameter::MountingHeading, i32::from(heading.0 as i16));
+                Some(Step::Tell(ParameterCommand { number, action }))
             }
             Cure::Mounting { number, turn } if number == report.number => {
                 self.errors.remounted(turn);
                 self.cured = now;
                 self.cure = Cure::Settling(now);
-                None
+                Some(Step::Note)
             }
             Cure::Retiring { number } if number == report.number => {
                 self.cure = Cure::None;
-                Some(Answered::Retired(Epoch(u32::try_from(value?).ok()?)))
+                Some(Step::Retire(Epoch(u32::try_from(value?).ok()?)))
             }
             _ => None,
         }
     }
 }
 
-/// What follows from a robot's answer.
-pub(super) enum Answered {
-    /// The next command.
-    Next(ParameterCommand),
-    /// The tiles of epochs below this one are void.
-    Retired(Epoch),
+/// A step of a cure.
+pub(super) enum Step {
+    /// What to tell the robot.
+    Tell(ParameterCommand),
+    /// It is not to be forgotten how far it has come.
+    Note,
+    /// It is over: the tiles of epochs below this one are void.
+    Retire(Epoch),
+}
+
+/// To set a parameter.
+fn set(parameter: Parameter, value: i32) -> ParameterAction {
+    ParameterAction::Set(ParameterValue { parameter: parameter as u16, value })
 }
 
 /// How far the map is looked at.

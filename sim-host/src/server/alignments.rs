@@ -3,18 +3,17 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
-    tile::Epoch,
     time::Instant,
     units::{Millimetres, Pose, RobotId},
 };
 
 use super::{
-    aligning::{Aligning, Answered, Looked},
+    aligning::{Aligning, Looked, Step},
     command::Command,
     session::Session,
     shared_map::SharedMap,
 };
-use crate::mapping::{ConstantErrors, Cured};
+use crate::mapping::{ConstantErrors, CureRecord};
 
 /// By robot.
 #[derive(Debug, Default)]
@@ -38,8 +37,8 @@ impl Alignments {
     }
 
     /// Takes back what an earlier life of the server has done about a robot's errors.
-    pub(super) fn restore(&mut self, robot: RobotId, cured: Cured) {
-        self.robots.insert(robot, Aligning::of(cured));
+    pub(super) fn restore(&mut self, record: &CureRecord) {
+        self.robots.insert(record.robot, Aligning::of(record));
     }
 
     /// Takes where a camera saw a robot, and returns where it was.
@@ -78,29 +77,37 @@ impl Alignments {
     }
 
     /// Goes on with what a robot has said: its newest distance vector is to be looked at, and its
-    /// reports are for the cures. Returns an epoch if the robot has begun its tiles anew: those of
-    /// epochs below are void.
+    /// reports are for the cures, unless something holds them up. Returns how far a cure has come, if
+    /// it has.
     pub(super) fn go_on(
         &mut self,
         session: &mut Session,
         map: &SharedMap,
+        holds_up: bool,
         now: Instant,
-    ) -> Option<Epoch> {
+    ) -> Option<CureRecord> {
         let robot = session.robot;
         if session.new_vector.is_some() && !self.waiting.contains(&robot) {
             self.waiting.push_back(robot);
         }
+        if holds_up {
+            return None;
+        }
         let aligning = self.robots.entry(robot).or_default();
         let report = session.own_report.take();
-        let next = match report.and_then(|report| aligning.reported(&report, now)) {
-            Some(Answered::Retired(epoch)) => return Some(epoch),
-            Some(Answered::Next(command)) => Some(command),
+        let step = match report.and_then(|report| aligning.reported(&report, now)) {
             None if self.leaves_errors => None,
-            None => aligning.poll_command(map.next_epoch(robot), now),
+            None => aligning.poll(map.next_epoch(robot), now),
+            answered => answered,
         };
-        if let Some(command) = next {
-            session.command(Command::Parameter(command));
-        }
-        None
+        let (first_epoch, is_over) = match step? {
+            Step::Tell(command) => {
+                session.command(Command::Parameter(command));
+                return None;
+            }
+            Step::Note => (map.first_epoch(robot), false),
+            Step::Retire(epoch) => (epoch, true),
+        };
+        Some(CureRecord { robot, cured: aligning.errors().cured(), first_epoch, is_over })
     }
 }

@@ -28,8 +28,8 @@ use super::{
 use crate::{
     camera::{Observation, Sighting},
     mapping::{
-        CameraTile, ConstantErrors, CoverageLayer, Cured, MapTime, Mask, RobotLayer, ServedLayer,
-        TileRecord, Updated, Weight,
+        CameraTile, ConstantErrors, CoverageLayer, CureRecord, MapTime, Mask, RobotLayer,
+        ServedLayer, TileRecord, Updated, Weight,
     },
     perception::{Footprint, robots::SightingEvent},
 };
@@ -125,11 +125,11 @@ impl Server {
             happened.into_iter().for_each(|code| coordinating.event(robot, code, now));
         }
         let Some(session) = self.ports.session_mut(robot) else { return };
-        if let Some(epoch) = self.alignments.go_on(session, &self.map, now) {
-            let cured = self.alignments.errors(robot).map(ConstantErrors::cured);
-            self.unsaved.cured(robot, epoch, cured.unwrap_or_default());
-            let void = self.map.layers.entry(robot).or_default().retire(epoch);
+        let holds_up = self.unsaved.holds_up(robot);
+        if let Some(record) = self.alignments.go_on(session, &self.map, holds_up, now) {
+            let void = self.map.layers.entry(robot).or_default().retire(record.first_epoch);
             self.map.changed(&void);
+            self.unsaved.cured(record);
         }
     }
 
@@ -183,10 +183,10 @@ impl Server {
         self.unsaved.poll_store(&self.map.layers)
     }
 
-    /// A robot whose constant errors are cured, to be kept on disk, and an epoch: its tiles of epochs
-    /// below are void, and are to be deleted there.
+    /// How far the cure of a robot's constant errors has come, to be kept on disk: it does not go on
+    /// before. Tiles of the robot that are void are to be deleted there.
     #[must_use]
-    pub fn poll_cured(&mut self) -> Option<(RobotId, Epoch, Cured)> {
+    pub fn poll_cured(&mut self) -> Option<CureRecord> {
         self.unsaved.poll_cured()
     }
 
@@ -231,10 +231,10 @@ impl Server {
         self.map.changed(&BTreeSet::from([tile.id]));
     }
 
-    /// Takes back that a robot was cured in an earlier life.
-    pub fn restore_cured(&mut self, robot: RobotId, epoch: Epoch, cured: Cured) {
-        self.alignments.restore(robot, cured);
-        let void = self.map.layers.entry(robot).or_default().retire(epoch);
+    /// Takes back how far the cure of a robot had come in an earlier life. It goes on.
+    pub fn restore_cured(&mut self, record: &CureRecord) {
+        self.alignments.restore(record);
+        let void = self.map.layers.entry(record.robot).or_default().retire(record.first_epoch);
         self.map.changed(&void);
     }
 

@@ -60,6 +60,11 @@ impl SharedMap {
         self.layers.get(&robot).map_or(Epoch(1), RobotLayer::next_epoch)
     }
 
+    /// A robot's tiles of epochs below this one are void.
+    pub(super) fn first_epoch(&self, robot: RobotId) -> Epoch {
+        self.layers.get(&robot).map_or(Epoch(0), RobotLayer::first_epoch)
+    }
+
     /// The cells of a tile that robots take up, as cameras saw them last.
     pub(super) fn under(&self, id: TileId) -> Mask {
         let mut under = Mask::default();

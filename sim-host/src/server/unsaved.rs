@@ -8,7 +8,7 @@ use ubimap_protocol::{
 };
 
 use super::session::Session;
-use crate::mapping::{Cured, RobotLayer, TileRecord};
+use crate::mapping::{CureRecord, RobotLayer, TileRecord};
 
 /// Of all robots.
 #[derive(Debug)]
@@ -17,8 +17,8 @@ pub(super) struct Unsaved {
     stores: bool,
     /// Tiles that have changed since they were kept.
     changed: BTreeSet<(RobotId, TileId, Epoch)>,
-    /// Robots that were cured, and whose epochs below some are void.
-    cured: VecDeque<(RobotId, Epoch, Cured)>,
+    /// How far cures have come.
+    cured: VecDeque<CureRecord>,
 }
 
 impl Unsaved {
@@ -41,9 +41,14 @@ impl Unsaved {
         }
     }
 
-    /// A robot is cured, and its epochs below this one are void.
-    pub(super) fn cured(&mut self, robot: RobotId, epoch: Epoch, cured: Cured) {
-        self.cured.extend(self.stores.then_some((robot, epoch, cured)));
+    /// A cure has come on.
+    pub(super) fn cured(&mut self, record: CureRecord) {
+        self.cured.extend(self.stores.then_some(record));
+    }
+
+    /// Whether the cure of a robot must wait: how far it has come is not on disk.
+    pub(super) fn holds_up(&self, robot: RobotId) -> bool {
+        self.cured.iter().any(|record| record.robot == robot)
     }
 
     /// A state to be kept.
@@ -60,9 +65,8 @@ impl Unsaved {
         None
     }
 
-    /// A robot, the epoch below which all are void, and what is done about its errors; the oldest
-    /// first.
-    pub(super) fn poll_cured(&mut self) -> Option<(RobotId, Epoch, Cured)> {
+    /// How far a cure has come; the oldest first.
+    pub(super) fn poll_cured(&mut self) -> Option<CureRecord> {
         self.cured.pop_front()
     }
 

@@ -3,7 +3,7 @@
 //!
 //! The file has one row about the server, one for each epoch of each tile of a robot, one for each of
 //! those tiles with the times at which its cells were seen, one for each tile that cameras have seen,
-//! and one for each robot that was cured. It belongs to one process at a time.
+//! and one for each robot whose cure has begun. It belongs to one process at a time.
 
 mod error;
 
@@ -18,12 +18,12 @@ use ubimap_protocol::{
 
 pub use error::{StoreError, Trouble};
 
-use crate::mapping::{CameraTile, Cured, SeenTile, TileRecord};
+use crate::mapping::{CameraTile, CureRecord, Cured, SeenTile, TileRecord};
 
 /// Tells a file of ours from those of other programs: "ubim".
 const APPLICATION_ID: i32 = 0x7562_696D;
 /// The version of the tables.
-const SCHEMA: i32 = 2;
+const SCHEMA: i32 = 3;
 /// A tile as it lies in the file: its low plane's rows and then its high plane's, little-endian.
 const TILE_LEN: usize = 8 * TILE_SIDE;
 
@@ -48,7 +48,7 @@ const TABLES: &str = "
     ) STRICT, WITHOUT ROWID;
 ";
 
-/// What the second schema has besides: a file of the first one gets it when it is opened.
+/// What the second schema and the third have besides: an older file gets it when it is opened.
 const TABLES_2: &str = "
     CREATE TABLE camera (
         x INTEGER, y INTEGER,
@@ -64,6 +64,7 @@ const TABLES_2: &str = "
         sensor_deg REAL NOT NULL
     ) STRICT;
 ";
+const TABLES_3: &str = "ALTER TABLE cured ADD COLUMN is_over INTEGER NOT NULL DEFAULT 1";
 
 /// The open file.
 #[derive(Debug)]
@@ -124,16 +125,20 @@ impl Store {
         self.select("SELECT x, y, cells, seconds, cameras FROM camera ORDER BY x, y", camera_tile)
     }
 
-    /// The robots that were cured, the first of their epochs that is not void, and what was done.
+    /// How far the cures of robots have come.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub fn cured(&self) -> Result<Vec<(RobotId, Epoch, Cured)>, StoreError> {
-        let select =
-            "SELECT robot, first_epoch, identifier_deg, sensor_deg FROM cured ORDER BY robot";
+    pub fn cured(&self) -> Result<Vec<CureRecord>, StoreError> {
+        let select = "SELECT robot, identifier_deg, sensor_deg, first_epoch, is_over FROM cured
+                      ORDER BY robot";
         self.select(select, |row| {
-            let cured = Cured { taken_out: row.get(2)?, added: row.get(3)? };
-            Ok((RobotId(row.get(0)?), Epoch(row.get(1)?), cured))
+            Ok(CureRecord {
+                robot: RobotId(row.get(0)?),
+                cured: Cured { taken_out: row.get(1)?, added: row.get(2)? },
+                first_epoch: Epoch(row.get(3)?),
+                is_over: row.get(4)?,
+            })
         })
     }
 
@@ -185,16 +190,17 @@ impl Store {
         Ok(())
     }
 
-    /// Keeps that a robot was cured, and deletes its tiles of epochs below this one.
+    /// Keeps how far the cure of a robot has come, and deletes its tiles that are void.
     ///
     /// # Errors
     /// [`StoreError`]; the file is as it was.
-    pub fn cure(&mut self, robot: RobotId, first: Epoch, done: Cured) -> Result<(), StoreError> {
+    pub fn cure(&mut self, record: &CureRecord) -> Result<(), StoreError> {
+        let CureRecord { robot, cured, first_epoch, is_over } = *record;
         self.write(|transaction| {
             let delete = "DELETE FROM tile WHERE robot = ? AND epoch < ?";
-            execute(transaction, delete, params![robot.0, first.0])?;
-            let row = params![robot.0, first.0, done.taken_out, done.added];
-            execute(transaction, "REPLACE INTO cured VALUES (?, ?, ?, ?)", row)
+            execute(transaction, delete, params![robot.0, first_epoch.0])?;
+            let row = params![robot.0, first_epoch.0, cured.taken_out, cured.added, is_over];
+            execute(transaction, "REPLACE INTO cured VALUES (?, ?, ?, ?, ?)", row)
         })
     }
 
@@ -235,13 +241,15 @@ fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Inst
     } else if number("application_id")? != APPLICATION_ID {
         return Err(Trouble::Foreign);
     }
-    match number("user_version")? {
-        SCHEMA => {}
-        1 => {
-            transaction.execute_batch(TABLES_2)?;
-            transaction.pragma_update(None, "user_version", SCHEMA)?;
-        }
+    let missing: &[&str] = match number("user_version")? {
+        SCHEMA => &[],
+        2 => &[TABLES_3],
+        1 => &[TABLES_2, TABLES_3],
         schema => return Err(Trouble::Schema(schema)),
+    };
+    for tables in missing {
+        transaction.execute_batch(tables)?;
+        transaction.pragma_update(None, "user_version", SCHEMA)?;
     }
     let server = transaction
         .query_row("SELECT resolution_mm, epoch, clock_us FROM server", [], |row| {

@@ -16,6 +16,11 @@ fn record(x: i16, epoch: u32, version: u32) -> TileRecord {
     }
 }
 
+fn cure(taken_out: f64) -> CureRecord {
+    let cured = Cured { taken_out, added: -2.5 };
+    CureRecord { robot: RobotId(7), cured, first_epoch: Epoch(5), is_over: true }
+}
+
 /// What was wrong, in words.
 fn refused(path: &Path, resolution: Millimetres) -> String {
     let error = Store::open(path, resolution).unwrap_err();
@@ -58,11 +63,12 @@ fn what_cameras_have_seen_and_who_is_cured_is_there_as_well() {
     let folder = Folder::new("store-cameras");
     let path = folder.path().join("map.db");
     let mut store = Store::open(&path, CELLS).unwrap();
-    let cured = |taken_out| Cured { taken_out, added: -2.5 };
     let robot = RobotId(7);
+    let begun = CureRecord { first_epoch: Epoch(3), is_over: false, ..cure(1.25) };
     store.keep(&[(robot, record(0, 4, 1)), (robot, record(0, 5, 1))], Instant(0)).unwrap();
-    store.cure(robot, Epoch(3), cured(1.25)).unwrap();
-    store.cure(robot, Epoch(5), cured(3.0)).unwrap();
+    store.cure(&begun).unwrap();
+    assert_eq!(store.cured().unwrap(), [begun]);
+    store.cure(&cure(3.0)).unwrap();
     store.keep_camera_tiles(&[seen(2, 1), seen(-1, 2)], Instant(8)).unwrap();
     store.keep_camera_tiles(&[seen(2, 3)], Instant(9)).unwrap();
     drop(store);
@@ -70,12 +76,12 @@ fn what_cameras_have_seen_and_who_is_cured_is_there_as_well() {
     let store = Store::open(&path, CELLS).unwrap();
     assert_eq!(store.clock(), Instant(9));
     assert_eq!(store.camera_tiles().unwrap(), [seen(-1, 2), seen(2, 3)]);
-    assert_eq!(store.cured().unwrap(), [(robot, Epoch(5), cured(3.0))]);
+    assert_eq!(store.cured().unwrap(), [cure(3.0)]);
     assert_eq!(store.records().unwrap(), [(robot, record(0, 5, 1))]);
 }
 
 #[test]
-fn a_file_of_the_first_schema_is_carried_over() {
+fn files_of_earlier_schemas_are_carried_over() {
     let folder = Folder::new("store-first");
     let path = folder.path().join("map.db");
     let mut store = Store::open(&path, CELLS).unwrap();
@@ -86,8 +92,13 @@ fn a_file_of_the_first_schema_is_carried_over() {
     let mut store = Store::open(&path, CELLS).unwrap();
     assert_eq!(store.records().unwrap(), [(RobotId(1), record(0, 1, 1))]);
     store.keep_camera_tiles(&[seen(2, 1)], Instant(8)).unwrap();
+    let second = "ALTER TABLE cured DROP COLUMN is_over; PRAGMA user_version = 2;
+                  INSERT INTO cured VALUES (7, 5, 3.0, -2.5)";
+    store.connection.execute_batch(second).unwrap();
     drop(store);
-    assert_eq!(Store::open(&path, CELLS).unwrap().camera_tiles().unwrap(), [seen(2, 1)]);
+    let store = Store::open(&path, CELLS).unwrap();
+    assert_eq!(store.camera_tiles().unwrap(), [seen(2, 1)]);
+    assert_eq!(store.cured().unwrap(), [cure(3.0)]);
 }
 
 #[test]
@@ -118,8 +129,8 @@ fn what_is_no_map_of_ours_is_refused_and_left_as_it_is() {
     drop(Store::open(&path, CELLS).unwrap());
     let cells = refused(&path, Millimetres(100));
     assert!(cells.contains("cells of 0.05 m, and this run has 0.1 m"), "{cells}");
-    Connection::open(&path).unwrap().pragma_update(None, "user_version", 3).unwrap();
-    assert!(refused(&path, CELLS).contains("schema 3, this one has 2"));
+    Connection::open(&path).unwrap().pragma_update(None, "user_version", 4).unwrap();
+    assert!(refused(&path, CELLS).contains("schema 4, this one has 3"));
 
     assert!(refused(folder.path(), CELLS).contains("can't be opened"));
     assert!(refused(&folder.path().join("no/map.db"), CELLS).contains("folder"));
@@ -134,7 +145,7 @@ fn damage_is_told() {
         let mut store = Store::open(&path, CELLS).unwrap();
         store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(0)).unwrap();
         store.keep_camera_tiles(&[seen(0, 1)], Instant(0)).unwrap();
-        store.cure(RobotId(1), Epoch(1), Cured::default()).unwrap();
+        store.cure(&cure(1.0)).unwrap();
         store.connection.execute_batch(statement).unwrap();
         drop(store);
         match Store::open(&path, CELLS) {
