@@ -198,6 +198,69 @@ impl LostGround {
     }
 }
 
+/// The surfaces of what is moved at one moment of a scenario: where it was, and where it is then.
+struct Moved {
+    moment: Instant,
+    gone: Vec<(i32, i32)>,
+    come: Vec<(i32, i32)>,
+}
+
+/// Cells that cameras see after such a moment, and how many of them the fused map has right.
+#[derive(Clone, Copy, Debug)]
+struct TakenOver {
+    gone: usize,
+    freed: usize,
+    come: usize,
+    drawn: usize,
+}
+
+impl Moved {
+    /// It is looked at so many seconds later.
+    const LATER: [u64; 2] = [2, 4];
+
+    /// The first time at which a scenario moves something.
+    fn of(scenario: &Scenario, seed: u64) -> Option<Self> {
+        let moves = scenario.furniture.iter().flat_map(|it| &it.moved);
+        let at_s = moves.map(|it| it.at_s).min_by(f64::total_cmp)?;
+        let moment = Instant((at_s * 1e6) as u64);
+        let mut world = World::new(scenario, None, RESOLUTION, seed).unwrap();
+        let mut surfaces = |at| {
+            world.advance(at);
+            world.truth().surfaces.iter().copied().collect::<BTreeSet<_>>()
+        };
+        let [before, after] =
+            [Instant(moment.0 - 1), moment + Duration::from_millis(1)].map(&mut surfaces);
+        let apart = |from: &BTreeSet<_>, others: &BTreeSet<_>| {
+            from.iter()
+                .copied()
+                .filter(|it| !around(it, 2).any(|it| others.contains(&it)))
+                .collect()
+        };
+        Some(Self { moment, gone: apart(&before, &after), come: apart(&after, &before) })
+    }
+
+    fn look(&self, fleet: &Fleet<'_>) -> TakenOver {
+        let server = fleet.server();
+        let in_view = |it: &&(i32, i32)| cell(server.coverage(), **it) == Some(Cell::Free);
+        let stands = |it: &(i32, i32)| {
+            matches!(cell(server.fused(), *it), Some(Cell::Occupied | Cell::Movable))
+        };
+        let (gone, come) = (self.gone.iter().filter(in_view), self.come.iter().filter(in_view));
+        TakenOver {
+            gone: gone.clone().count(),
+            freed: gone.filter(|it| !stands(it)).count(),
+            come: come.clone().count(),
+            drawn: come.filter(|it| around(it, 1).any(|it| stands(&it))).count(),
+        }
+    }
+}
+
+/// The cells that are no farther than this from one, itself among them.
+fn around(&(x, y): &(i32, i32), cells: i32) -> impl Iterator<Item = (i32, i32)> {
+    let beside = -cells..=cells;
+    beside.clone().flat_map(move |dy| beside.clone().map(move |dx| (x + dx, y + dy)))
+}
+
 /// What a run of a scenario came to.
 struct Run {
     truth: TruthScores,
@@ -208,6 +271,8 @@ struct Run {
     /// Where the first camera failed: the cells that it alone saw, and those of them that were said
     /// to be in view a second later.
     lost: Option<(usize, usize)>,
+    /// Where something was moved: after each time of [`Moved::LATER`].
+    taken_over: Vec<TakenOver>,
     converged: bool,
     /// Simulated seconds for each real one.
     speed: f64,
@@ -228,10 +293,9 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     }
     fleet.look_through(observer(&scenario, FrameSource::cameras(&world)).unwrap());
     // A cell beside a surface may be taken for it.
-    let about = |&(x, y): &(i32, i32)| {
-        (-2..=2).flat_map(move |dy| (-2..=2).map(move |dx| (x + dx, y + dy)))
-    };
-    let solid: BTreeSet<(i32, i32)> = world.truth().surfaces.iter().flat_map(about).collect();
+    let surfaces = world.truth().surfaces.iter();
+    let solid: BTreeSet<(i32, i32)> = surfaces.flat_map(|it| around(it, 2)).collect();
+    let moved = Moved::of(&scenario, seed);
     let failed = scenario.cameras[0].fails_at_s.map(|it| Instant((it * 1e6) as u64));
     let (ros, ground) = <(RefCell<RosMerge>, RefCell<LostGround>)>::default();
     let (ros, ground) = (Rc::new(ros), Rc::new(ground));
@@ -243,7 +307,7 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
         }
     }));
     let ways = Ways::default();
-    let (mut ghosts, mut lost) = (Ghosts::default(), None);
+    let (mut ghosts, mut lost, mut taken_over) = (Ghosts::default(), None, Vec::new());
     let room = Room::filmed(world, Instant(0) + long);
     let mut stage = Watched { room, ways: ways.clone() };
     let converged = fleet.run(&mut stage, |fleet| {
@@ -251,6 +315,11 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
         let late = failed.filter(|&it| fleet.now() >= it + Duration::from_secs(1));
         if let Some(failed) = late.filter(|_| lost.is_none()) {
             lost = Some(ground.borrow().still_covered(failed, fleet));
+        }
+        if let Some((moved, later)) = moved.as_ref().zip(Moved::LATER.get(taken_over.len()))
+            && fleet.now() >= moved.moment + Duration::from_secs(*later)
+        {
+            taken_over.push(moved.look(fleet));
         }
     });
     let converged = converged.unwrap();
@@ -262,6 +331,7 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
         believed: scoring::pose_errors(&fleet, stage.room.tracks()),
         ghosts,
         lost,
+        taken_over,
         converged,
         speed: fleet.elapsed().micros() as f64 / 1e6 / started.elapsed().as_secs_f64(),
     }
@@ -294,14 +364,23 @@ fn cameras_and_robots_draw_the_room() {
                 ghosts.most_by_ros,
                 run.speed
             );
+            for (seconds, taken) in Moved::LATER.iter().zip(&run.taken_over) {
+                println!("{name}, seed {seed}, {seconds} s after things were moved: {taken:?}");
+            }
             assert!(run.converged, "{name}, seed {seed}");
             assert!(sighted.count > 100, "{sighted:?}");
             assert!(sighted.rmse_m <= 0.01 && sighted.rmse_deg <= 0.5, "{sighted:?}");
             assert!(truth.passed_known >= 0.99, "{truth:?}");
             assert!(truth.f1_occupied >= 0.97, "{truth:?}");
-            // None is wanted; in one of ten seeds one is left of who stood there while the room was
-            // learnt.
-            assert!(ghosts.most <= 1, "{name}, seed {seed}: {}", ghosts.most);
+            assert_eq!(ghosts.most, 0, "{name}, seed {seed}");
+            // All within two seconds is wanted; of what left little before the floor some is seen in
+            // the third.
+            if let [soon, later] = run.taken_over[..] {
+                assert!(10 * soon.freed >= 7 * soon.gone, "{name}, seed {seed}: {soon:?}");
+                assert!(20 * later.freed >= 19 * later.gone, "{name}, seed {seed}: {later:?}");
+                assert!(10 * soon.drawn >= 9 * soon.come, "{name}, seed {seed}: {soon:?}");
+                assert!(20 * later.drawn >= 19 * later.come, "{name}, seed {seed}: {later:?}");
+            }
         }
     }
 }

@@ -6,8 +6,9 @@
 //! still; which cell that is, is found now and then. The learnt depth is the mean of all that
 //! agreed, and counts for nothing before it is good to half a cell: the noise of one depth is two
 //! cells at 5 m, that of the mean of `n` is smaller by the root of `n`. So the view reaches farther
-//! the longer a camera looks. Learning also takes up what calibration leaves: a floor that is a
-//! centimetre off, a threshold, a carpet.
+//! the longer a camera looks. A pixel whose newest depths agree one by one, but not in their mean, counts
+//! for nothing: something may stand there that is less than the noise before the floor. Learning also
+//! takes up what calibration leaves: a floor that is a centimetre off, a threshold, a carpet.
 
 use ubimap_protocol::time::{Duration, Instant};
 
@@ -40,6 +41,8 @@ struct Candidate {
     looks: u8,
     /// Whether the present background came after the first was learnt.
     has_come: bool,
+    /// Whether what agreed with it of late is something else: the pixel then counts for nothing.
+    is_doubtful: bool,
     since_s: u32,
 }
 
@@ -168,11 +171,13 @@ impl Background {
 
     /// What a pixel counts for where it agrees, as [`Background::homes`] has it, found anew.
     pub(super) fn settle(&self, view: &View, pixel: usize) -> u32 {
+        let candidate = &self.candidates[pixel];
         let slot = match view.place(pixel, self.depth[pixel], Allowance::Learnt) {
+            _ if candidate.is_doubtful => self.totals.len() - 1,
             Place::Floor(cell) => 2 * cell as usize,
             Place::Band(cell, _) => 2 * cell as usize + 1,
             // What has come stands on the floor; what was always there may hang.
-            Place::Above(cell, _) if self.candidates[pixel].has_come => 2 * cell as usize + 1,
+            Place::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
             Place::Above(..) | Place::Nowhere => self.totals.len() - 1,
         };
         slot as u32
@@ -245,16 +250,8 @@ impl Background {
                 if is_taken(view, pixel, depth, taken) {
                     // Those that agreed may have been of somebody's legs.
                     self.fresh[pixel] = Agreed::default();
-                } else if let Some(other) = self.sees_other(pixel, depth) {
-                    if self.uncovers(view, pixel, other) {
-                        self.replace(view, pixel, other, false);
-                    } else if let Some(depth) = other.mean() {
-                        self.consider(view, pixel, depth, now_s);
-                    }
-                } else if depth > 0 {
-                    let candidate = &mut self.candidates[pixel];
-                    let may_be = depth.abs_diff(candidate.depth) <= spread(depth);
-                    candidate.looks = if may_be { candidate.looks.saturating_sub(1) } else { 0 };
+                } else {
+                    self.look(view, pixel, depth, now_s);
                 }
                 self.settle_again(view, pixel);
             }
@@ -262,16 +259,54 @@ impl Background {
         self.turn = (self.turn + 1) % ROWS_BETWEEN;
     }
 
+    /// Looks at one pixel: whether it still sees its background, or something that may become it.
+    fn look(&mut self, view: &View, pixel: usize, depth: u16, now_s: u32) {
+        if self.fresh[pixel].count > 0 {
+            self.candidates[pixel].is_doubtful = self.is_doubtful(view, pixel);
+        }
+        if let Some(other) = self.sees_other(pixel, depth) {
+            if self.uncovers(view, pixel, other) {
+                self.replace(view, pixel, other, false);
+            } else if let Some(depth) = other.mean() {
+                self.consider(view, pixel, depth, now_s);
+            }
+        } else if depth > 0 {
+            let candidate = &mut self.candidates[pixel];
+            let may_be = depth.abs_diff(candidate.depth) <= spread(depth);
+            candidate.looks = if may_be { candidate.looks.saturating_sub(1) } else { 0 };
+        }
+    }
+
+    /// The depths that agreed since the last look, if they are of something else than the background:
+    /// their mean lies off.
+    fn other_of_late(&self, pixel: usize) -> Option<Agreed> {
+        let fresh = self.fresh[pixel];
+        is_other(fresh, self.agreed[pixel]).then_some(fresh)
+    }
+
+    /// Whether what agreed since the last look is something else than the background, or the floor where
+    /// that is in the way of the robots: somebody stood on it when it was learnt.
+    fn is_doubtful(&self, view: &View, pixel: usize) -> bool {
+        let is_in_the_way = |depth, allowance| {
+            matches!(view.place(pixel, depth, allowance), Place::Band(..) | Place::Above(..))
+        };
+        let fresh = self.fresh[pixel];
+        let means = self.agreed[pixel].mean().zip(fresh.mean());
+        self.other_of_late(pixel).is_some()
+            || means.is_some_and(|(before, mean)| {
+                is_in_the_way(before, Allowance::Learnt)
+                    && !is_in_the_way(mean, Allowance::Mean(fresh.count))
+            })
+    }
+
     /// What a pixel sees if it is not the background: the depth if that is out of the window, or
     /// nearer to the candidate than to the background, for noise makes what stands a little before
     /// that agree with it now and then; and those that have agreed of late, which then do not count,
     /// if their mean lies off.
     fn sees_other(&mut self, pixel: usize, depth: u16) -> Option<Agreed> {
-        let fresh = &mut self.fresh[pixel];
-        if let Some((before, mean)) = self.agreed[pixel].mean().zip(fresh.mean())
-            && is_other(mean, fresh.count, before)
-        {
-            return Some(core::mem::take(fresh));
+        if let Some(other) = self.other_of_late(pixel) {
+            self.fresh[pixel] = Agreed::default();
+            return Some(other);
         }
         let one = Agreed { sum: u32::from(depth), count: 1 };
         if depth == 0 || !self.agrees(pixel, depth) {
@@ -326,12 +361,13 @@ impl Background {
     }
 }
 
-/// Whether the mean of so many depths is of something else than the background of a depth, although
-/// they are in its window: it is farther off than three of its sigmas. Of two things in one window, as
-/// the floor and the feet of who stands on it now and then, this lets neither draw the mean to it.
-fn is_other(mean: u16, count: u32, background: u16) -> bool {
-    let off = u32::from(mean.abs_diff(background));
-    off * off * count > u32::from(margin(background)).pow(2)
+/// Whether depths are of something else than those that agreed: their mean is farther off than three of
+/// its sigmas. Of two things in one window, as the floor and the feet of who stands on it now and then,
+/// this lets neither draw the mean to it.
+fn is_other(depths: Agreed, agreed: Agreed) -> bool {
+    let Some((mean, before)) = depths.mean().zip(agreed.mean()) else { return false };
+    let off = u32::from(mean.abs_diff(before));
+    off * off * depths.count > u32::from(margin(before)).pow(2)
 }
 
 /// Depths that differ by no more may be of one thing: three sigmas.
@@ -394,16 +430,42 @@ mod tests {
         assert!(off.len() > 2_000 && mean < 0.4 && many < 10, "{mean} sigmas, {many} over one");
     }
 
+    /// How many pixels between 4.5 and 5.5 m count for floor, and for something in the way.
+    fn far(view: &View, floor: &DepthImage, background: &Background) -> [usize; 2] {
+        let homes = floor.iter().zip(background.homes());
+        let far = homes.filter(|(floor, _)| (4_500..5_500).contains(*floor));
+        let far = far.filter(|&(_, &home)| (home as usize) < 2 * view.cells());
+        far.fold([0; 2], |mut counts, (_, home)| {
+            counts[(home % 2) as usize] += 1;
+            counts
+        })
+    }
+
+    #[test]
+    fn where_somebody_stands_who_is_hidden_by_noise_no_floor_is_seen() {
+        let (view, floor, legs) = floor_and_legs();
+        let taken = vec![false; view.cells()];
+        let mut background = Background::new(&view);
+        let (comes, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
+        let mut learn = |frames: core::ops::Range<u64>, image: &DepthImage| {
+            for frame in frames {
+                let image = noisy(image, frame, 980);
+                background.learn(&view, &image, Instant(frame * 200_000), &taken);
+            }
+            far(&view, &floor, &background)
+        };
+        let [before, blocked] = learn(0..comes, &floor);
+        assert!(before > 2_000 && 50 * blocked < before, "{before} and {blocked} pixels");
+        let [after, _] = learn(comes..ends, &legs);
+        assert!(10 * after < before, "{before} pixels, then {after}");
+    }
+
     #[test]
     fn who_stood_in_view_while_the_room_was_learnt_leaves_nothing_behind() {
         let (view, floor, legs) = floor_and_legs();
         let taken = vec![false; view.cells()];
         let mut background = Background::new(&view);
-        let in_the_way = |background: &Background| {
-            let homes = floor.iter().zip(background.homes());
-            let far = homes.filter(|(floor, _)| (4_500..5_500).contains(*floor));
-            far.filter(|&(_, &home)| home % 2 == 1 && (home as usize) < 2 * view.cells()).count()
-        };
+        let in_the_way = |background: &Background| far(&view, &floor, background)[1];
         // Five images a second, the last as late as each pixel has been looked at twice.
         let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
         for frame in 0..leaves {

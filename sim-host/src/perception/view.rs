@@ -55,6 +55,8 @@ pub(super) enum Allowance {
     Learnt,
     /// A measurement.
     Measured,
+    /// The mean of so many measurements.
+    Mean(u32),
 }
 
 /// One pixel's ray, for each millimetre of depth.
@@ -201,6 +203,7 @@ impl View {
             Allowance::None => 0,
             Allowance::Learnt => noise_mm(depth).min(i64::from(self.survey.side.0) / 2),
             Allowance::Measured => noise_mm(depth),
+            Allowance::Mean(count) => noise_mm(depth) / i64::from(count.isqrt().max(1)),
         };
         let noise = (2 * sigma * up.abs()) >> HEIGHT_SHIFT;
         let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
