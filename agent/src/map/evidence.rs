@@ -8,7 +8,8 @@
 //! What the server's map says already is not counted again: where it agrees with what is seen,
 //! the cell stays unknown here; where it does not, the cell starts from what the map says, 5 or
 //! 1, and must be seen otherwise a few times before this robot contradicts. Where it is seen so too
-//! seldom for that, the cell soon starts from there again.
+//! seldom for that, the cell soon starts from there again. What is movable leaves: from there the cell
+//! starts at 4, and seen free once it is free.
 
 use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 
@@ -182,7 +183,7 @@ fn leave_known(row: &mut [u32; 3], sighting: &mut RowSighting, known: Row) {
     let (known_free, known_occupied) = (unknown & known.low & !known.high, unknown & known.high);
     sighting.free &= !(sighting.hit | known_free);
     sighting.hit &= !known_occupied;
-    *low |= sighting.hit & known_free | sighting.free & known_occupied;
+    *low |= sighting.hit & known_free | sighting.free & known_occupied & !known.low;
     *high |= sighting.free & known_occupied;
 }
 
@@ -200,7 +201,7 @@ mod tests {
         if value == 0 && (is(sighting.hit) || is(sighting.free)) {
             match (is(known.low), is(known.high)) {
                 (_, true) if is(sighting.hit) => return 0,
-                (_, true) => value = 5,
+                (low, true) => value = if low { 4 } else { 5 },
                 (true, false) if !is(sighting.hit) => return 0,
                 (true, false) => value = 1,
                 (false, false) => {}
