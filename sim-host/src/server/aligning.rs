@@ -302,22 +302,30 @@ impl Aligning {
         report.number >= FIRST_NUMBER
     }
 
+    /// With a robot that does not take the parameter all begins again.
+    fn give_up(&mut self) -> Step {
+        self.cure = Cure::None;
+        self.errors.remounted(Angle(0));
+        Step::GiveUp
+    }
+
     /// Takes the robot's answer to a command of a cure.
     pub(super) fn reported(&mut self, report: &ParameterReport, now: Instant) -> Option<Step> {
         let value = report.values.first().map(|it| it.value);
         let value = value.filter(|_| report.outcome == ParameterOutcome::Done);
         match self.cure {
             Cure::Asking { number, turn } if number == report.number => {
-                // With a robot that does not know the parameter all begins again.
-                self.cure = Cure::None;
-                self.errors.remounted(Angle(0));
-                let heading = Angle(value? as u16) + turn;
+                let Some(value) = value else { return Some(self.give_up()) };
+                let heading = Angle(value as u16) + turn;
                 let number = FIRST_NUMBER + 1;
                 self.cure = Cure::Mounting { number, turn };
                 let action = set(Parameter::MountingHeading, i32::from(heading.0 as i16));
                 Some(Step::Tell(ParameterCommand { number, action }))
             }
             Cure::Mounting { number, turn } if number == report.number => {
+                if value.is_none() {
+                    return Some(self.give_up());
+                }
                 self.errors.remounted(turn);
                 self.cured = now;
                 self.cure = Cure::Settling(now);
@@ -338,6 +346,8 @@ pub(super) enum Step {
     Tell(ParameterCommand),
     /// It is not to be forgotten how far it has come.
     Note,
+    /// It is over, and nothing has come of it.
+    GiveUp,
     /// It is over: the tiles of epochs below this one are void.
     Retire(Epoch),
 }
@@ -351,4 +361,25 @@ fn set(parameter: Parameter, value: i32) -> ParameterAction {
 fn reach(points: &[[f64; 2]], search: Search) -> Millimetres {
     let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     Millimetres(farthest as i32 + search.position.0 + 300)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn with_a_robot_that_refuses_nothing_is_cured_and_the_cure_is_over() {
+        let turn = Angle::from_degrees(3.0);
+        for cure in [Cure::Asking { number: 7, turn }, Cure::Mounting { number: 7, turn }] {
+            let mut aligning = Aligning { cure, ..Aligning::default() };
+            let report = ParameterReport {
+                number: 7,
+                outcome: ParameterOutcome::Unknown,
+                values: heapless::Vec::new(),
+            };
+            assert!(matches!(aligning.reported(&report, Instant(0)), Some(Step::GiveUp)));
+            assert!(matches!(aligning.cure, Cure::None));
+            assert_eq!(aligning.errors().cured().added, 0.0);
+        }
+    }
 }

@@ -106,6 +106,7 @@ impl Alignments {
                 return None;
             }
             Step::Note => (map.first_epoch(robot), false),
+            Step::GiveUp => (map.first_epoch(robot), true),
             Step::Retire(epoch) => (epoch, true),
         };
         Some(CureRecord { robot, cured: aligning.errors().cured(), first_epoch, is_over })
