@@ -375,9 +375,11 @@ fn cameras_and_robots_draw_the_room() {
             assert_eq!(ghosts.most, 0, "{name}, seed {seed}");
             // All within two seconds is wanted; of what left little before the floor some is seen in
             // the third.
+            assert_eq!(run.taken_over.len(), if name == "changing" { 2 } else { 0 });
             if let [soon, later] = run.taken_over[..] {
+                assert!(later.gone > 20 && later.come > 20, "{later:?}");
                 assert!(10 * soon.freed >= 7 * soon.gone, "{name}, seed {seed}: {soon:?}");
-                assert!(20 * later.freed >= 19 * later.gone, "{name}, seed {seed}: {later:?}");
+                assert!(10 * later.freed >= 9 * later.gone, "{name}, seed {seed}: {later:?}");
                 assert!(10 * soon.drawn >= 9 * soon.come, "{name}, seed {seed}: {soon:?}");
                 assert!(20 * later.drawn >= 19 * later.come, "{name}, seed {seed}: {later:?}");
             }
