@@ -434,6 +434,10 @@ mod tests {
         folder.file("pose.txt", b"1 2 3 1 0 0 0\n");
         folder.file("intrinsics.toml", b"width = 2\nheight = 1\n");
         expect(&["intrinsics.toml: intrinsics: missing field `fx`"]);
+        // A focal length in millimetres.
+        let text = "width = 640\nheight = 480\nfx = 1.93\nfy = 1.93\ncx = 320\ncy = 240\n";
+        folder.file("intrinsics.toml", text.as_bytes());
+        expect(&["intrinsics.toml: intrinsics: fx and fy see more than 170 degrees", "in pixels"]);
         // No guess is made of a camera that stands still.
         std::fs::remove_file(path("intrinsics.toml")).unwrap();
         expect(&["intrinsics.toml: intrinsics: missing; write width, height"]);

@@ -8,6 +8,10 @@ use serde::{Deserialize, Serialize};
 use super::{LogError, rgbd};
 use crate::camera;
 
+/// The tangent of 85 degrees: no lens without the bend of a fisheye sees more on both sides together
+/// than twice that.
+const WIDEST: f64 = 11.4;
+
 /// Where intrinsics are written down.
 pub(super) const INTRINSICS_FILE: &str = "intrinsics.toml";
 
@@ -74,11 +78,14 @@ impl Intrinsics {
     /// Refuses what no camera has.
     fn checked(self) -> Result<Self, String> {
         let focal = |value: f64| value.is_finite() && value.abs() > 1.0;
+        let sees_too_much = |side: u32, focal: f64| f64::from(side) > 2.0 * WIDEST * focal.abs();
         let sides = 1..=u32::from(u16::MAX);
         if !sides.contains(&self.width) || !sides.contains(&self.height) {
             Err("width and height must be from 1 to 65535".to_owned())
         } else if !(focal(self.fx) && self.fx > 0.0 && focal(self.fy)) {
             Err("fx must be more than one pixel, fy too (or less than minus one)".to_owned())
+        } else if sees_too_much(self.width, self.fx) || sees_too_much(self.height, self.fy) {
+            Err("fx and fy see more than 170 degrees; they are in pixels".to_owned())
         } else if !(0.0..f64::from(self.width)).contains(&self.cx)
             || !(0.0..f64::from(self.height)).contains(&self.cy)
         {
