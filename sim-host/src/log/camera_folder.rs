@@ -199,15 +199,22 @@ impl CameraFolder {
     /// Reads all of a folder but the pixels; of these it makes sure that they are as many as the
     /// intrinsics say.
     pub(super) fn open(path: &Path) -> Result<Self, FramesError> {
+        let times_file = path.join(TIMES_FILE);
+        // Where there are times, images that are not there were lost.
+        let or_lost = |images| match images {
+            Err(LogError::Empty { .. }) if times_file.is_file() => Ok(Vec::new()),
+            images => images,
+        };
         let pictures = path.join(PICTURES);
-        let picture_files = if pictures.is_dir() { picture_files(&pictures)? } else { Vec::new() };
+        let picture_files =
+            if pictures.is_dir() { or_lost(picture_files(&pictures))? } else { Vec::new() };
         let depth_files = match rgbd::depth_images(path) {
             Err(LogError::Empty { path: place, .. })
                 if place == path && !picture_files.is_empty() =>
             {
                 Vec::new()
             }
-            images => images?,
+            images => or_lost(images)?,
         };
         let has_pictures = !picture_files.is_empty();
         let images = pair(&depth_files, picture_files)?;
@@ -231,7 +238,6 @@ impl CameraFolder {
         }
         let calibrations = calibrations(path, images.len(), depth.as_ref(), picture.as_ref())?;
 
-        let times_file = path.join(TIMES_FILE);
         let stated = frame_times::read(&times_file)?;
         let has_clock = stated.is_some();
         let times = stated.unwrap_or_else(|| {
@@ -240,6 +246,9 @@ impl CameraFolder {
             notes.extend(note);
             times
         });
+        if images.is_empty() {
+            notes.push("no image in it; all its frames were lost".to_owned());
+        }
         let lost = times.keys().filter(|number| !images.contains_key(number)).count() as u64;
         let mut frames = Vec::new();
         for (index, (number, (depth, picture))) in images.into_iter().enumerate() {

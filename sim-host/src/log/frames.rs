@@ -383,10 +383,31 @@ mod tests {
         assert_eq!(again.cameras(), source.cameras());
         assert_eq!(all(&mut again), frames);
         assert_eq!(frames[1].captured.0, 133_333);
+        // A recording that broke off, when the last image was not whole, nor even there.
+        let picture = copy.join("camera-00/color/000000066667.png");
+        std::fs::rename(&picture, picture.with_extension("png.part")).unwrap();
+        std::fs::remove_file(copy.join("camera-00/depth/000000133333.png")).unwrap();
+        let mut again = open(&copy).unwrap();
+        assert_eq!(all(&mut again).len(), 2);
+        assert_eq!(again.counts().next(), Some((2, 1)));
         let error = Recorder::create(&copy, source.cameras()).unwrap_err().to_string();
         assert!(error.contains("not empty"), "{error}");
         folder.file("file", b"");
         assert!(Recorder::create(&folder.path().join("file/below"), source.cameras()).is_err());
+    }
+
+    #[test]
+    fn a_camera_that_sent_nothing_has_lost_all_its_frames() {
+        let folder = one_camera("recorder-silent");
+        folder.file("color/2.ppm", b"P3 2 1 255 1 2 3 4 5 6");
+        let source = open(folder.path()).unwrap();
+        let copy = folder.path().join("copy");
+        Recorder::create(&copy, source.cameras()).unwrap();
+        folder.file("copy/camera-00/times.txt", b"1 0.5\n2 0.6\n");
+        let mut again = open(&copy).unwrap();
+        assert_eq!((all(&mut again).len(), again.names()), (0, &["camera-00".to_owned()][..]));
+        assert_eq!(again.counts().next(), Some((0, 2)));
+        assert!(again.notes()[0].contains("camera-00: no image in it"), "{:?}", again.notes());
     }
 
     #[test]

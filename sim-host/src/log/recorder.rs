@@ -61,11 +61,12 @@ impl Recorder {
 
 impl CameraWriter {
     fn create(folder: PathBuf, camera: &Calibration) -> Result<Self, LogError> {
+        create_folder(&folder)?;
         if let Some(lens) = &camera.depth {
-            calibrate(&folder, "depth", &folder, lens)?;
+            calibrate(&folder, lens)?;
         }
         if let Some(lens) = &camera.picture {
-            calibrate(&folder, PICTURES, &folder.join(PICTURES), lens)?;
+            calibrate(&folder.join(PICTURES), lens)?;
         }
         let path = folder.join(TIMES_FILE);
         let times = write_file(&path, |file| writeln!(file, "# frame, captured (s), arrived (s)"))?;
@@ -74,34 +75,40 @@ impl CameraWriter {
 
     fn write(&mut self, frame: &Frame, now: Instant) -> Result<(), LogError> {
         let number = frame.captured.micros();
+        let seconds = |moment: Instant| {
+            let micros = moment.micros();
+            format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000)
+        };
+        let [captured, arrived] = [frame.captured, now].map(seconds);
+        // The line first, and at once: a recording that breaks off has lost a frame. An image without a
+        // time could not be watched.
+        let line = format!("{number:012} {captured} {arrived}\n");
+        self.times
+            .write_all(line.as_bytes())
+            .map_err(|error| LogError::Io { path: self.folder.join(TIMES_FILE), error })?;
         let path = |images: &str| self.folder.join(images).join(format!("{number:012}.png"));
         if let Some(depth) = &frame.depth {
             write_png(&path("depth"), |to| depth.write_with_encoder(to))?;
         }
         match &frame.picture {
             Some(Picture::Grey(grey)) => {
-                write_png(&path(PICTURES), |to| grey.write_with_encoder(to))?
+                write_png(&path(PICTURES), |to| grey.write_with_encoder(to))
             }
             Some(Picture::Colour(rgb)) => {
-                write_png(&path(PICTURES), |to| rgb.write_with_encoder(to))?
+                write_png(&path(PICTURES), |to| rgb.write_with_encoder(to))
             }
-            None => {}
+            None => Ok(()),
         }
-        let seconds = |moment: Instant| {
-            let micros = moment.micros();
-            format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000)
-        };
-        let [captured, arrived] = [frame.captured, now].map(seconds);
-        // The images first: a recording that breaks off has no time without them.
-        writeln!(self.times, "{number:012} {captured} {arrived}")
-            .map_err(|error| LogError::Io { path: self.folder.join(TIMES_FILE), error })
     }
 }
 
-/// Writes what a sensor is like, and makes the folder of its images.
-fn calibrate(camera: &Path, images: &str, place: &Path, lens: &Lens) -> Result<(), LogError> {
-    let images = camera.join(images);
-    fs::create_dir_all(&images).map_err(|error| LogError::Io { path: images.clone(), error })?;
+fn create_folder(path: &Path) -> Result<(), LogError> {
+    fs::create_dir_all(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
+}
+
+/// Writes what a sensor is like.
+fn calibrate(place: &Path, lens: &Lens) -> Result<(), LogError> {
+    create_folder(place)?;
     // Plain numbers: there is nothing that could fail.
     let intrinsics = toml::to_string(&Intrinsics::of(lens.intrinsics())).unwrap_or_default();
     write_file(&place.join(INTRINSICS_FILE), |file| file.write_all(intrinsics.as_bytes()))?;
@@ -113,11 +120,14 @@ fn calibrate(camera: &Path, images: &str, place: &Path, lens: &Lens) -> Result<(
     Ok(())
 }
 
+/// Writes an image, with the folder it lies in. Until it is whole it has another name.
 fn write_png(
     path: &Path,
     encode: impl FnOnce(PngEncoder<&mut BufWriter<&mut File>>) -> Result<(), ImageError>,
 ) -> Result<(), LogError> {
-    write_file(path, |file| {
+    path.parent().map_or(Ok(()), create_folder)?;
+    let part = path.with_extension("png.part");
+    write_file(&part, |file| {
         let mut buffer = BufWriter::new(file);
         let (fast, filter) = (CompressionType::Fast, FilterType::Adaptive);
         let encoder = PngEncoder::new_with_quality(&mut buffer, fast, filter);
@@ -127,7 +137,7 @@ fn write_png(
         })?;
         buffer.flush()
     })?;
-    Ok(())
+    fs::rename(&part, path).map_err(|error| LogError::Io { path: path.to_owned(), error })
 }
 
 fn write_file(
