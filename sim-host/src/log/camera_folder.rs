@@ -74,6 +74,27 @@ pub enum FramesError {
         /// How far.
         below_m: f64,
     },
+    /// Not one pose, nor one for each frame.
+    #[error("{path}: {frames} frames but {poses} poses; write one pose, or one for each frame",
+        path = path.display())]
+    Poses {
+        /// The file of the poses.
+        path: PathBuf,
+        /// Frames in the folder.
+        frames: usize,
+        /// Poses in the file.
+        poses: usize,
+    },
+    /// Pictures with a pose of their own, of a camera that moves.
+    #[error(
+        "{path}: depth images and pictures each have a file of poses, so that there must be one \
+         pose in each; leave this one out for a camera that moves",
+        path = path.display()
+    )]
+    TwoMoving {
+        /// The file of the pictures' poses.
+        path: PathBuf,
+    },
     /// An image that can't be read.
     #[error("{path}: {error}; remove the file to go on without it", path = path.display())]
     Damaged {
@@ -226,7 +247,7 @@ impl CameraFolder {
             depth = Some(sensor);
         }
         if has_pictures {
-            picture = Some(Sensor::of_pictures(path, &pictures, depth.as_ref())?);
+            picture = Some(Sensor::of_pictures(path, &pictures, images.len(), depth.as_ref())?);
         }
         for (depth_file, picture_file) in images.values() {
             if let (Some(sensor), Some(file)) = (&depth, depth_file) {
@@ -241,7 +262,7 @@ impl CameraFolder {
         let stated = frame_times::read(&times_file)?;
         let has_clock = stated.is_some();
         let times = stated.unwrap_or_else(|| {
-            let stamps = depth.as_ref().and_then(Sensor::stamps);
+            let stamps = depth.as_ref().or(picture.as_ref()).and_then(Sensor::stamps);
             let (times, note) = frame_times::by_rule(images.keys().copied(), stamps);
             notes.extend(note);
             times
@@ -276,7 +297,7 @@ impl Sensor {
         folder: &Path,
         frames: usize,
         images: &[PathBuf],
-    ) -> Result<(Self, Option<String>), LogError> {
+    ) -> Result<(Self, Option<String>), FramesError> {
         let poses = poses(folder, frames)?;
         // Only the well-known sets of images, which have a pose each, are known by their form.
         let (intrinsics, note) = if poses.len() > 1 {
@@ -289,7 +310,12 @@ impl Sensor {
     }
 
     /// What the pictures' own folder does not say is as that of the camera says.
-    fn of_pictures(folder: &Path, pictures: &Path, depth: Option<&Self>) -> Result<Self, LogError> {
+    fn of_pictures(
+        folder: &Path,
+        pictures: &Path,
+        frames: usize,
+        depth: Option<&Self>,
+    ) -> Result<Self, FramesError> {
         let own = intrinsics::stated(pictures)?;
         let of_depth = depth.map(|depth| depth.intrinsics.clone());
         let intrinsics = match own.or(of_depth) {
@@ -297,9 +323,16 @@ impl Sensor {
             None => intrinsics::stated(folder)?.ok_or_else(|| intrinsics::missing(pictures))?,
         };
         let poses = match depth {
-            _ if rgbd::has_poses(pictures) => poses(pictures, 1)?,
+            Some(depth) if rgbd::has_poses(pictures) => {
+                let (path, own) = rgbd::read_poses(pictures)?;
+                if own.len() != 1 || depth.poses.len() != 1 {
+                    return Err(FramesError::TwoMoving { path });
+                }
+                own
+            }
             Some(depth) => depth.poses.clone(),
-            None => poses(folder, 1)?,
+            None if rgbd::has_poses(pictures) => poses(pictures, frames)?,
+            None => poses(folder, frames)?,
         };
         Ok(Self { intrinsics, poses })
     }
@@ -374,10 +407,10 @@ fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesErro
 }
 
 /// The poses of a folder: one, or as many as frames.
-fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, LogError> {
+fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
     let (path, poses) = rgbd::read_poses(folder)?;
     if poses.len() != 1 && poses.len() != frames {
-        return Err(LogError::Poses { path, images: frames, poses: poses.len() });
+        return Err(FramesError::Poses { path, frames, poses: poses.len() });
     }
     Ok(poses)
 }

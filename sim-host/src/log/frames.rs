@@ -397,6 +397,24 @@ mod tests {
     }
 
     #[test]
+    fn pictures_alone_have_a_pose_each_or_one() {
+        let folder = Folder::new("recorded-pictures");
+        folder.file("intrinsics.toml", INTRINSICS);
+        for number in [1, 2, 3] {
+            folder.file(&format!("color/{number}.ppm"), b"P3 2 1 255 1 2 3 4 5 6");
+        }
+        folder.file("pose.txt", b"5 0 0 3 1 0 0 0\n6.5 1 0 3 1 0 0 0\n9 2 0 3 1 0 0 0\n");
+        let mut source = open(folder.path()).unwrap();
+        let places = source.cameras().iter().map(|it| it.picture.unwrap().centre().x);
+        assert_eq!(places.collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
+        // The times of the poses.
+        let captured = all(&mut source).iter().map(|it| it.captured.0).collect::<Vec<_>>();
+        assert_eq!(captured, [0, 1_500_000, 4_000_000]);
+        folder.file("pose.txt", b"0 0 3 1 0 0 0\n");
+        assert_eq!(open(folder.path()).unwrap().cameras().len(), 1);
+    }
+
+    #[test]
     fn a_camera_that_sent_nothing_has_lost_all_its_frames() {
         let folder = one_camera("recorder-silent");
         folder.file("color/2.ppm", b"P3 2 1 255 1 2 3 4 5 6");
@@ -449,7 +467,15 @@ mod tests {
         folder.file("pose.txt", b"1 2 -3 0 0 0 1\n");
         expect(&["its camera is 3 m below the floor; a pose is that of the camera in map"]);
         folder.file("pose.txt", b"1 2 3 1 0 0 0\n1 2 3 1 0 0 0\n");
-        expect(&["3 depth images but 2 poses"]);
+        expect(&["pose.txt: 3 frames but 2 poses; write one pose, or one for each frame"]);
+        let three = "1 2 3 1 0 0 0\n".repeat(3);
+        for (depth, picture) in [(&three[..], "1 2 3 1 0 0 0\n"), ("1 2 3 1 0 0 0\n", &three)] {
+            folder.file("pose.txt", depth.as_bytes());
+            folder.file("color/1.ppm", b"P3 2 1 255 1 2 3 4 5 6");
+            folder.file("color/pose.txt", picture.as_bytes());
+            expect(&["color/pose.txt: ", "leave this one out for a camera that moves"]);
+            std::fs::remove_dir_all(path("color")).unwrap();
+        }
         std::fs::remove_file(path("pose.txt")).unwrap();
         expect(&["no pose.txt or trajectory.log in it"]);
         folder.file("pose.txt", b"1 2 3 1 0 0 0\n");
