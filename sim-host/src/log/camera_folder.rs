@@ -47,7 +47,7 @@ pub enum FramesError {
         path = path.display()
     )]
     TooMany {
-        /// The file of the poses.
+        /// The folder of the camera with which they are too many.
         path: PathBuf,
         /// Cameras so far.
         cameras: usize,
@@ -62,17 +62,17 @@ pub enum FramesError {
         /// Why not.
         error: CalibrationError,
     },
-    /// A camera that stands below the floor.
+    /// A camera on the floor or below it.
     #[error(
-        "{path}: its camera is {below_m} m below the floor; a pose is that of the camera in map, \
-         with z up and the floor at 0",
+        "{path}: its camera is at a height of {height_m} m; it must be above the floor: a pose is \
+         that of the camera in map, with z up and the floor at 0",
         path = path.display()
     )]
-    BelowFloor {
+    NotAboveFloor {
         /// The folder.
         path: PathBuf,
-        /// How far.
-        below_m: f64,
+        /// Above the floor.
+        height_m: f64,
     },
     /// Not one pose, nor one for each frame.
     #[error("{path}: {frames} frames but {poses} poses; write one pose, or one for each frame",
@@ -433,7 +433,8 @@ fn calibrations(
     if let [Calibration { depth, picture }] = &calibrations[..]
         && let Some(lens) = [depth, picture].into_iter().flatten().find(|it| it.centre().z <= 0.0)
     {
-        return Err(FramesError::BelowFloor { path: path.to_owned(), below_m: -lens.centre().z });
+        let height_m = lens.centre().z;
+        return Err(FramesError::NotAboveFloor { path: path.to_owned(), height_m });
     }
     Ok(calibrations)
 }

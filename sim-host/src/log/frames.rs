@@ -464,8 +464,10 @@ mod tests {
         folder.file("depth/2.pgm", b"not an image");
         expect(&["depth/2.pgm: ", "remove the file to go on without it"]);
         folder.file("depth/2.pgm", b"P2 2 1 65535 2000 0");
-        folder.file("pose.txt", b"1 2 -3 0 0 0 1\n");
-        expect(&["its camera is 3 m below the floor; a pose is that of the camera in map"]);
+        for (pose, height) in [("1 2 -3 0 0 0 1\n", "of -3 m;"), ("0 0 0 0 0 0 1\n", "of 0 m;")] {
+            folder.file("pose.txt", pose.as_bytes());
+            expect(&["its camera is at a height ", height, "must be above the floor: a pose is"]);
+        }
         folder.file("pose.txt", b"1 2 3 1 0 0 0\n1 2 3 1 0 0 0\n");
         expect(&["pose.txt: 3 frames but 2 poses; write one pose, or one for each frame"]);
         let three = "1 2 3 1 0 0 0\n".repeat(3);
