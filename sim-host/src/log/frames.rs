@@ -19,10 +19,48 @@
 //! frame or in all. Times are in seconds by one clock for all cameras, from any beginning; a later
 //! frame has a higher number. Frames come in the order in which they arrived; without ARRIVED, in
 //! that of their capture. A frame with a time and no image was lost. Without any `times.txt` a frame is
-//! taken each second.
+//! taken each second, unless each frame has a pose with a stamp.
 //!
 //! A pose for each frame in place of one makes each a camera of its own: of a hand-held camera,
 //! where nothing is learnt of an empty room.
+//!
+//! `pose.txt` of a camera 2.8 m above the origin that looks straight down, the top of its images
+//! towards +y:
+//!
+//! ```text
+//! 0 0 2.8 1 0 0 0
+//! ```
+//!
+//! `intrinsics.toml`, focal lengths and centre in pixels; without the last two lines there is no
+//! distortion, and depths are in millimetres:
+//!
+//! ```toml
+//! width = 640
+//! height = 480
+//! fx = 525.0
+//! fy = 525.0
+//! cx = 319.5
+//! cy = 239.5
+//! distortion = [0.0, 0.0, 0.0, 0.0, 0.0]  # k1, k2, p1, p2, k3
+//! depth_per_metre = 1000
+//! ```
+//!
+//! `times.txt`; the third frame came before the second:
+//!
+//! ```text
+//! 0001.png 1305031453.25 1305031453.31
+//! 0002.png 1305031453.58 1305031453.99
+//! 0003.png 1305031453.91 1305031453.97
+//! ```
+//!
+//! - All digits of a name make its number (`cam2_0001.png` has 20001): name frames `0001.png`.
+//! - For a camera with pictures alone, `pose.txt` and `intrinsics.toml` beside `color/` are those of
+//!   the pictures.
+//! - Without an `intrinsics.toml`, any `*.json` in the folder is taken for Open3D's camera file: keep
+//!   others away.
+//! - A camera learns its room from 15 depth images that are at least 0.3 s apart, and tells of no
+//!   cell before.
+//! - A frame that arrives more than 5 s after its capture says nothing.
 
 use std::{
     collections::VecDeque,

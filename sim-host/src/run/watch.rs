@@ -72,8 +72,8 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let cameras = frames.cameras().iter().zip(frames.names()).zip(&looks);
     for ((_, name), _) in cameras.filter(|((it, _), looks)| it.depth.is_some() && **looks == 0) {
         log::warn!(
-            "{name} has told of no cell: it had no five seconds of depth images to learn the room, or \
-             its pose is wrong (z is up, and the floor at 0)"
+            "{name} has told of no cell: it takes more than 15 depth images, 0.3 s apart or more, to \
+             learn the room first, or its pose is wrong (z is up, and the floor at 0)"
         );
     }
     let cameras = frames.names().iter().zip(frames.counts()).zip(&looks);
