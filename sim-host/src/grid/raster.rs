@@ -46,7 +46,7 @@ pub(crate) struct Raster {
     pub(crate) file_white: Option<u32>,
 }
 
-/// Reads a PNG, PGM or BMP file; its kind is told from its content.
+/// Reads a PNG, JPEG, BMP, PGM or PPM file; its kind is told from its content.
 pub(crate) fn read(path: &Path) -> Result<Raster, RasterError> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)?.take(MAX_BYTES).read_to_end(&mut bytes)?;
@@ -59,7 +59,7 @@ pub(crate) fn look(path: &Path) -> Result<((u32, u32), ColorType), RasterError> 
     Ok((decoder.dimensions(), decoder.color_type()))
 }
 
-/// Decodes the bytes of a PNG, PGM or BMP file.
+/// Decodes the bytes of such a file.
 pub(crate) fn decode(bytes: &[u8]) -> Result<Raster, RasterError> {
     if image::guess_format(bytes)? == ImageFormat::Pnm {
         let decoder = PnmDecoder::new(Cursor::new(bytes))?;
@@ -102,7 +102,7 @@ mod tests {
 
     use super::*;
 
-    /// One small image in each of the forms that maps and depth images have.
+    /// One small image in each of the forms that maps, depth images and pictures have.
     fn images() -> Vec<Vec<u8>> {
         let grey = GrayImage::from_fn(5, 4, |x, y| image::Luma([(50 * x + y) as u8]));
         let encoded = |image: DynamicImage, format| {
@@ -117,7 +117,9 @@ mod tests {
             b"P5 2 2 1000 abcdefgh".to_vec(),
             encoded(deep.into(), ImageFormat::Png),
             encoded(DynamicImage::from(grey.clone()).into_rgba8().into(), ImageFormat::Png),
-            encoded(DynamicImage::from(grey).into_rgb8().into(), ImageFormat::Bmp),
+            encoded(DynamicImage::from(grey.clone()).into_rgb8().into(), ImageFormat::Bmp),
+            encoded(DynamicImage::from(grey).into_rgb8().into(), ImageFormat::Jpeg),
+            b"P3 2 1 255 1 2 3 4 5 6".to_vec(),
         ]
     }
 

@@ -65,6 +65,7 @@
 use std::{
     collections::VecDeque,
     num::NonZero,
+    panic::resume_unwind,
     path::{Path, PathBuf},
     sync::Arc,
     thread,
@@ -205,14 +206,12 @@ impl RecordedFrames {
     fn read_ahead(&mut self) {
         let abreast = thread::available_parallelism().map_or(1, NonZero::get);
         let next: Vec<Due> = self.rest.drain(..abreast.min(self.rest.len())).collect();
-        let frames = thread::scope(|scope| {
+        let frames: Vec<_> = thread::scope(|scope| {
             let at_work: Vec<_> = next.iter().map(|due| scope.spawn(|| due.read())).collect();
-            at_work.into_iter().map(|thread| thread.join()).collect::<Vec<_>>()
+            let frames = at_work.into_iter().map(|thread| thread.join());
+            frames.map(|frame| frame.unwrap_or_else(|panic| resume_unwind(panic))).collect()
         });
-        for (due, frame) in next.iter().zip(frames) {
-            // A thread does not end otherwise.
-            self.read.extend(frame.ok().map(|frame| (due.arrived, frame)));
-        }
+        self.read.extend(next.iter().map(|due| due.arrived).zip(frames));
     }
 }
 
