@@ -4,7 +4,8 @@
 //! [[robots]]
 //! id = 1
 //! tag_id = 5              # of AprilTag 36h11; the robot's own number unless given
-//! # colours = ["red", "blue"]  # or a colour marker in its place: its head and its tail
+//! # colours = ["red", "blue"]  # or a colour marker in its place: its head and its tail, each red,
+//!                         # yellow, green, cyan, blue or magenta
 //! marker_size_m = 0.1     # the side of the tag's black square, or of the colour marker
 //! height_m = 0.3          # of the marker above the floor: the robot's top
 //! box_m = [0.4, 0.3]      # the robot's length and width; 40 by 40 cm unless given
@@ -165,7 +166,10 @@ impl Registry {
         // Whether the markers can be told apart does not depend on the cameras.
         match registry.observer(&[], Survey::default().side) {
             Ok(_) => Ok(registry),
-            Err(error) => Err(refuse(format!("{error}; each needs its own"))),
+            Err(error @ RegistryError::Twice(..)) => {
+                Err(refuse(format!("{error}; each needs its own")))
+            }
+            Err(error) => Err(refuse(error.to_string())),
         }
     }
 
@@ -266,7 +270,7 @@ mod tests {
             (
                 "id = 2\ncolours = [\"red\", \"blue\"]",
                 "id = 2\ntag_id = 1",
-                "robots 1 and 2 carry the same",
+                "robots 1 and 2 carry the same identifier; each needs its own",
             ),
             ("id = 2", "id = 1", "robot 1 is there twice"),
             ("\"blue\"", "\"red\"", "robot 2 has a head and a tail of one colour"),
@@ -284,6 +288,7 @@ mod tests {
             let error = Registry::read(&path).unwrap_err().to_string();
             assert!(error.contains("robots.toml: ") && error.contains(expected), "{error}");
             assert_eq!(error.lines().count(), 1, "{error}");
+            assert_eq!(error.contains("needs its own"), error.contains("the same"), "{error}");
         }
         let other = folder.file("other/robots.toml", TWO.as_bytes());
         let folders = [folder.path().to_owned(), folder.path().join("other")];
