@@ -190,3 +190,22 @@ fn what_a_simulation_records_can_be_watched_and_what_is_wrong_with_it_is_told() 
     std::fs::remove_file(path("recording/camera-00/intrinsics.toml")).unwrap();
     refused(&["watch", &recording], "camera-00/intrinsics.toml: intrinsics: missing; write");
 }
+
+#[test]
+fn a_recording_without_any_frame_can_be_watched() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch-nothing");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let [scenario, recording] =
+        ["room.toml", "recording"].map(|name| folder.join(name).to_str().unwrap().to_owned());
+    let silent = ROOM.replace("[[cameras]]\n", "[[cameras]]\nlost_frames = 1.0\n");
+    std::fs::write(&scenario, silent).unwrap();
+    let simulate = ["simulate", &scenario, "--scripted", "--record", &recording];
+    assert_eq!(ubimap(&simulate).status.code(), Some(0));
+    let output = ubimap(&["watch", &recording, "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["cameras"][0]["frames"], 0);
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("camera-00: no image in it"), "{words}");
+}

@@ -268,7 +268,7 @@ impl CameraFolder {
             times
         });
         if images.is_empty() {
-            notes.push("no image in it; all its frames were lost".to_owned());
+            notes.push("no image in it: none came".to_owned());
         }
         let lost = times.keys().filter(|number| !images.contains_key(number)).count() as u64;
         let mut frames = Vec::new();
