@@ -8,8 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{LogError, rgbd};
 use crate::camera;
 
-/// The tangent of 85 degrees: no lens without the bend of a fisheye sees more on both sides together
-/// than twice that.
+/// The tangent of 85 degrees: half of the most that a pinhole is taken to see.
 const WIDEST: f64 = 11.4;
 
 /// Where intrinsics are written down.

@@ -80,8 +80,8 @@ impl CameraWriter {
             format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000)
         };
         let [captured, arrived] = [frame.captured, now].map(seconds);
-        // The line first, and at once: a recording that breaks off has lost a frame. An image without a
-        // time could not be watched.
+        // The line first, and at once: if the recording breaks off, a line without images is a lost
+        // frame, but with an image that has no time no frame could be watched.
         let line = format!("{number:012} {captured} {arrived}\n");
         self.times
             .write_all(line.as_bytes())
