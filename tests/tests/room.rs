@@ -21,7 +21,7 @@ use ubimap_sim_host::{
     run::{
         fleet::{Event, Fleet, OWN_TILES, Stage},
         scoring,
-        simulate::{RESOLUTION, Room, config, memory, observer, registry},
+        simulate::{RESOLUTION, Room, config, memory, registry},
     },
     world::{Scenario, World},
 };
@@ -291,7 +291,9 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     for (robot, footprint) in registry(&scenario).footprints() {
         fleet.set_footprint(robot, footprint);
     }
-    fleet.look_through(observer(&scenario, FrameSource::cameras(&world)).unwrap());
+    fleet.look_through(
+        registry(&scenario).observer(FrameSource::cameras(&world), RESOLUTION).unwrap(),
+    );
     // A cell beside a surface may be taken for it.
     let surfaces = world.truth().surfaces.iter();
     let solid: BTreeSet<(i32, i32)> = surfaces.flat_map(|it| around(it, 2)).collect();

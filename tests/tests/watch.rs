@@ -23,7 +23,7 @@ use ubimap_sim_host::{
         fleet::Fleet,
         options::WatchOptions,
         recording::{Recorded, Recording},
-        simulate::{RESOLUTION, Room, observer, registry},
+        simulate::{RESOLUTION, Room, registry},
         watch,
     },
     world::{Scenario, World},
@@ -116,7 +116,7 @@ fn what_a_simulation_recorded_gives_what_it_gave() {
         fleet.set_footprint(robot, footprint);
     }
     let cameras = FrameSource::cameras(&world);
-    fleet.look_through(observer(&scenario, cameras).unwrap());
+    fleet.look_through(registry.observer(cameras, RESOLUTION).unwrap());
     let written = Recording::create(&recording, cameras, &registry).unwrap();
     let stage = Room::filmed(world, Instant(0) + Duration::from_secs(7));
     let mut stage = Recorded { stage, recording: Some(written) };

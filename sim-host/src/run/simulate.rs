@@ -22,9 +22,9 @@ use super::{
     time_lapse::{self, TimeLapse},
 };
 use crate::{
-    camera::{Calibration, FrameSource, Source},
+    camera::{FrameSource, Source},
     grid::{self, OccupancyGrid},
-    perception::{Observer, markers::Hue},
+    perception::markers::Hue,
     report::{self, Marker, MarkerKind},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
@@ -148,14 +148,6 @@ pub fn memory(world: &World, configs: &[Config], own_tiles: usize) -> Vec<AgentM
         AgentMemory::new(config, robot.sensor().beams(), own_tiles, FUSED_TILES)
     });
     memory.collect()
-}
-
-/// What looks at the frames of a scenario's cameras: it knows the robots' markers and sizes.
-///
-/// # Errors
-/// [`RunError::Registry`].
-pub fn observer(scenario: &Scenario, cameras: &[Calibration]) -> Result<Observer, RunError> {
-    Ok(registry(scenario).observer(cameras, RESOLUTION)?)
 }
 
 /// The robots of a scenario.
