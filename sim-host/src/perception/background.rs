@@ -284,19 +284,21 @@ impl Background {
         is_other(fresh, self.agreed[pixel]).then_some(fresh)
     }
 
-    /// Whether what agreed since the last look is something else than the background, or the floor where
-    /// that is in the way of the robots: somebody stood on it when it was learnt.
+    /// Whether what agreed since the last look is something else than the floor that is the background,
+    /// or may be the floor where something in the way is: somebody stood on it when it was learnt.
     fn is_doubtful(&self, view: &View, pixel: usize) -> bool {
         let is_in_the_way = |depth, allowance| {
             matches!(view.place(pixel, depth, allowance), Place::Band(..) | Place::Above(..))
         };
         let fresh = self.fresh[pixel];
         let means = self.agreed[pixel].mean().zip(fresh.mean());
-        self.other_of_late(pixel).is_some()
-            || means.is_some_and(|(before, mean)| {
-                is_in_the_way(before, Allowance::Learnt)
-                    && !is_in_the_way(mean, Allowance::Mean(fresh.count))
-            })
+        means.is_some_and(|(before, mean)| {
+            if is_in_the_way(before, Allowance::Learnt) {
+                !is_in_the_way(mean, Allowance::Mean(fresh.count))
+            } else {
+                self.other_of_late(pixel).is_some()
+            }
+        })
     }
 
     /// What a pixel sees if it is not the background: the depth if that is out of the window, or
