@@ -6,8 +6,8 @@
 //! still; which cell that is, is found now and then. The learnt depth is the mean of all that
 //! agreed, and counts for nothing before it is good to half a cell: the noise of one depth is two
 //! cells at 5 m, that of the mean of `n` is smaller by the root of `n`. So the view reaches farther
-//! the longer a camera looks. A pixel whose newest depths agree one by one, but not in their mean, counts
-//! for nothing: something may stand there that is less than the noise before the floor. Learning also
+//! the longer a camera looks. A pixel of the floor whose newest depths agree one by one, but not in their
+//! mean, counts for nothing: something may stand there that is less than the noise before it. Learning also
 //! takes up what calibration leaves: a floor that is a centimetre off, a threshold, a carpet.
 
 use ubimap_protocol::time::{Duration, Instant};
@@ -41,7 +41,8 @@ struct Candidate {
     looks: u8,
     /// Whether the present background came after the first was learnt.
     has_come: bool,
-    /// Whether what agreed with it of late is something else: the pixel then counts for nothing.
+    /// Whether what agreed with the background of late may be something else: the pixel then counts for
+    /// nothing.
     is_doubtful: bool,
     since_s: u32,
 }
