@@ -4,6 +4,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod checksum;
 pub mod frame;
 pub mod link;
 pub mod message;

@@ -2,7 +2,7 @@
 //! pose.
 
 use ubimap_protocol::{
-    message::{DistanceVector, ToServerKind, Writer},
+    message::{DistanceVector, ToServer, Writer},
     time::{Duration, Instant},
 };
 
@@ -54,9 +54,8 @@ impl DistanceVectors {
     }
 
     /// Adds the one that waits to a frame that has room for it.
-    pub(crate) fn push(&mut self, writer: &mut Writer<'_>) {
-        let sent = |vector: &mut _| writer.push(ToServerKind::DistanceVector as u8, vector);
-        self.waiting.take_if(sent);
+    pub(crate) fn push(&mut self, writer: &mut Writer<'_, ToServer>) {
+        self.waiting.take_if(|vector| writer.push(vector));
     }
 }
 

@@ -2,16 +2,13 @@
 
 use heapless::Vec;
 use ubimap_protocol::{
-    message::{Digests, TileDigest, TileUpdateHead, ToServerKind, Writer},
+    message::{Digests, TileDigest, TileUpdateHead, ToServer, Writer},
     tile::{Epoch, Layer, Row, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version, tile_hash},
     time::{Duration, Instant},
 };
 
 use super::receive::FusedMap;
 use crate::map::{OwnTile, Pool};
-
-/// Bytes of a [`TileUpdateHead`] at the most.
-const HEAD_LEN: usize = 6;
 
 /// How often the states of a few tiles are told, and of how many at once: a pool of 32 in three
 /// minutes, for 3 bytes a second. In as long a change must have been seen often enough to be told.
@@ -66,14 +63,14 @@ impl Publisher {
         &mut self,
         pool: &mut Pool<'_>,
         merged: &FusedMap<'_>,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToServer>,
         alone: bool,
         now: Instant,
     ) {
         if now < self.next_digest {
             return;
         }
-        let mut digests = Digests { layer: Layer::Robot, tiles: Vec::new() };
+        let mut tiles = Vec::<_, DIGESTS>::new();
         let mut last = self.digested;
         for _ in 0..DIGESTS {
             let level = |tile: &OwnTile| !tile.dirty && tile.publication.is_acknowledged();
@@ -82,17 +79,18 @@ impl Publisher {
             let Some((tile, id)) = tile.and_then(|tile| Some((tile, tile.id?))) else { break };
             let stamp = Stamp { epoch: tile.epoch, version: tile.publication.version() };
             let hash = tile_hash(tile.publication.sent());
-            let _ = digests.tiles.push(TileDigest { id, stamp, hash });
+            let _ = tiles.push(TileDigest { id, stamp, hash });
         }
-        let mut told = digests.tiles.is_empty();
-        while !told && !digests.tiles.is_empty() {
-            told = writer.push(ToServerKind::Digests as u8, &digests);
-            if !told {
-                last = digests.tiles.pop().and(digests.tiles.last()).map(|digest| digest.id);
-            }
-        }
-        if told || alone {
-            self.digested = last;
+        let told = writer.push_longest(1..=tiles.len(), |count| {
+            let tiles = tiles.get(..count).unwrap_or_default();
+            Digests { layer: Layer::Robot, tiles: Vec::from_slice(tiles).unwrap_or_default() }
+        });
+        if told.is_some() || tiles.is_empty() || alone {
+            self.digested = match told {
+                Some(count) if count < tiles.len() => tiles.get(count - 1).map(|digest| digest.id),
+                Some(_) => last,
+                None => None,
+            };
             self.next_digest = now + DIGEST_INTERVAL;
             settle(pool, merged);
         }
@@ -121,7 +119,7 @@ impl Publisher {
         &mut self,
         pool: &mut Pool<'_>,
         merged: &FusedMap<'_>,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToServer>,
         now: Instant,
     ) -> Option<u16> {
         if self.poll_timeout()? > now {
@@ -130,11 +128,8 @@ impl Publisher {
         let frame = self.frame.wrapping_add(1);
         let head = TileUpdateHead { layer: Layer::Robot, seconds: self.newest_scan };
         let mut blocked = false;
-        let written = writer.push_with(ToServerKind::TileUpdate as u8, |body| {
-            let mut head_bytes = [0u8; HEAD_LEN];
-            let head = head.encode(&mut head_bytes)?;
-            body.get_mut(..head.len())?.copy_from_slice(head);
-            let mut encoder = TileEncoder::new(body.get_mut(head.len()..)?);
+        let written = writer.push_with(&head, |coded| {
+            let mut encoder = TileEncoder::new(coded);
             // In order of their ids: the next id is then coded in a few bits.
             let mut done = None;
             while let Some(tile) = next_tile(pool, done) {
@@ -152,7 +147,7 @@ impl Publisher {
                 blocked |=
                     !tile.publication.push(&mut encoder, id, epoch, version, &mut cells, frame);
             }
-            Some(head.len() + encoder.finish()?)
+            encoder.finish()
         });
         if written {
             self.frame = frame;
@@ -284,7 +279,7 @@ mod tests {
     use super::*;
     use crate::{map::RowSighting, share::FusedTile};
     use ubimap_protocol::{
-        message::{Messages, decode},
+        message::Messages,
         units::{Millimetres, Pose},
     };
 
@@ -315,8 +310,8 @@ mod tests {
             let mut writer = Writer::new(&mut buffer[..room]);
             publisher.push_digests(&mut pool, &merged, &mut writer, alone, now);
             let len = writer.len();
-            let message = Messages::new(&buffer[..len]).next()?.unwrap();
-            let digests = decode::<Digests>(message.body).unwrap().0;
+            let message = Messages::<ToServer>::new(&buffer[..len]).next()?.unwrap();
+            let digests = message.decode::<Digests>().unwrap();
             Some(digests.tiles.iter().map(|it| it.id.x).collect::<std::vec::Vec<_>>())
         };
         let mut now = Instant(0);
@@ -344,8 +339,8 @@ mod tests {
             let mut writer = Writer::new(&mut buffer);
             publisher.fill(pool, &merged, &mut writer, Instant(9)).unwrap();
             let len = writer.len();
-            let message = Messages::new(&buffer[..len]).next().unwrap().unwrap();
-            decode::<TileUpdateHead>(message.body).unwrap().0.seconds
+            let message = Messages::<ToServer>::new(&buffer[..len]).next().unwrap().unwrap();
+            message.decode::<TileUpdateHead>().unwrap().seconds
         };
         assert_eq!(told(&mut publisher, &mut pool), 7_000);
         publisher.begin_session(&mut pool, true, Instant(9));

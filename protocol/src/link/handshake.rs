@@ -5,10 +5,10 @@
 //! is noticed with the first frame that reaches it.
 
 use crate::{
-    frame::{MAX_FRAME, MIN_FRAME, MIN_VERSION, SessionId, VERSION},
+    frame::{MAX_FRAME, MIN_FRAME, MIN_VERSION, VERSION},
     message::{Hello, Refusal, RefusalReason, Welcome},
     time::{Duration, Instant},
-    units::Millimetres,
+    units::{Millimetres, SessionId},
 };
 
 const FIRST_WAIT: Duration = Duration::from_millis(200);
