@@ -139,7 +139,8 @@ impl<'b> Agent<'b> {
         })
     }
 
-    /// When to come back at the latest: then call [`Agent::poll_transmit`] until it has nothing.
+    /// When to come back at the latest: then call [`Agent::timeout`], and [`Agent::poll_transmit`]
+    /// until it has nothing.
     pub fn poll_timeout(&self) -> Instant {
         let expiry = self.waiting.oldest().map(|taken| taken + self.config.scan_deadline);
         let session = self.link.session() != SessionId::NONE;
@@ -155,12 +156,12 @@ impl<'b> Agent<'b> {
         } else {
             [Some(self.knocking.poll_timeout()), None, None, None, expiry]
         };
-        // There is always one of the first.
-        timers.into_iter().fold(None, Instant::earlier).unwrap_or(Instant(u64::MAX))
+        timers.into_iter().flatten().fold(self.map.poll_timeout(), Instant::min)
     }
 
     /// Does what is due at `now` and has nothing to do with sending.
     pub fn timeout(&mut self, now: Instant) {
+        self.map.timeout(now, |id| self.fused.tile(id));
         self.map_waiting(now);
     }
 

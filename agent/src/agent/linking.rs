@@ -202,7 +202,7 @@ impl Agent<'_> {
             }
             vectors.push(writer);
             let alone = writer.len() == before;
-            publisher.push_digests(&mut map.pool, fused, writer, alone, now);
+            publisher.push_digests(&map.pool, writer, alone, now);
             if writer.len() > before || !reliable {
                 return Fill::Datagram;
             }

@@ -4,6 +4,7 @@ use core::ops::Range;
 
 use ubimap_protocol::{
     tile::{TILE_SIDE, Tile, TileId},
+    time::{Duration, Instant},
     units::{Millimetres, Pose},
 };
 
@@ -19,6 +20,10 @@ use crate::sense::{Beam, Validity};
 
 /// The longest range that can be mapped, in cells.
 pub const MAX_RADIUS: usize = 1000;
+
+/// How often the evidence ages. A change must be seen often enough to be told within this time: hits
+/// that are minutes apart are noise.
+const AGEING_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Words of scratch memory that scans of this range need: 340 (2.7 kB) for 4 m of 5 cm.
 pub const fn scratch_words(max_range: u16, resolution: Millimetres) -> usize {
@@ -121,6 +126,8 @@ pub struct LocalMap<'b> {
     /// The tiles.
     pub pool: Pool<'b>,
     scans: u32,
+    /// When the evidence is to age next.
+    next_ageing: Instant,
 }
 
 impl<'b> LocalMap<'b> {
@@ -134,7 +141,8 @@ impl<'b> LocalMap<'b> {
         scratch.fill(RowSighting::default());
         let MappingConfig { resolution, near, mounting, policy, .. } = config;
         let grain = grain(&config, beams);
-        Self { resolution, near, mounting, policy, grain, scratch, pool, scans: 0 }
+        let next_ageing = Instant(0);
+        Self { resolution, near, mounting, policy, grain, scratch, pool, scans: 0, next_ageing }
     }
 
     /// From now on the sensor is mounted otherwise, or other readings count; this is its new table.
@@ -143,6 +151,25 @@ impl<'b> LocalMap<'b> {
         (self.resolution, self.near) = (resolution, near);
         (self.mounting, self.policy) = (mounting, policy);
         self.grain = grain(&config, beams);
+    }
+
+    /// When to call [`LocalMap::timeout`] at the latest.
+    pub fn poll_timeout(&self) -> Instant {
+        self.next_ageing
+    }
+
+    /// Lets the evidence age if it is due: what speaks against the `merged` map, but has not become
+    /// enough to be told, is forgotten.
+    pub fn timeout<'m>(&mut self, now: Instant, merged: impl Fn(TileId) -> Option<&'m Tile>) {
+        if now < self.next_ageing {
+            return;
+        }
+        self.next_ageing = now + AGEING_INTERVAL;
+        for tile in self.pool.tiles_mut() {
+            if let Some(known) = tile.id.and_then(&merged) {
+                tile.evidence.settle(known, tile.publication.sent());
+            }
+        }
     }
 
     /// Adds what a scan that was taken at a pose (`base_link` in `map`) saw, as far as `range`

@@ -11,7 +11,7 @@ use super::receive::FusedMap;
 use crate::map::{OwnTile, Pool};
 
 /// How often the states of a few tiles are told, and of how many at once: a pool of 32 in three
-/// minutes, for 3 bytes a second. In as long a change must have been seen often enough to be told.
+/// minutes, for 3 bytes a second.
 const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
 const DIGESTS: usize = 2;
 
@@ -57,12 +57,10 @@ impl Publisher {
     }
 
     /// Adds the states of the next few tiles that the server should hold, if it is time. What finds
-    /// no room is left for the next frame, unless there is nothing else in this one. With it, what
-    /// spoke against the `merged` map, but not enough, is forgotten.
+    /// no room is left for the next frame, unless there is nothing else in this one.
     pub fn push_digests(
         &mut self,
-        pool: &mut Pool<'_>,
-        merged: &FusedMap<'_>,
+        pool: &Pool<'_>,
         writer: &mut Writer<'_, ToServer>,
         alone: bool,
         now: Instant,
@@ -92,7 +90,6 @@ impl Publisher {
                 None => None,
             };
             self.next_digest = now + DIGEST_INTERVAL;
-            settle(pool, merged);
         }
     }
 
@@ -239,15 +236,6 @@ fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
     cells
 }
 
-/// What tiles don't have to tell starts from the server's map again where that says free.
-fn settle(pool: &mut Pool<'_>, merged: &FusedMap<'_>) {
-    for tile in pool.tiles_mut() {
-        if let Some(known) = tile.id.and_then(|id| merged.tile(id)) {
-            tile.evidence.settle(known, tile.publication.sent());
-        }
-    }
-}
-
 /// The first tile after `done`, in order of ids, that is dirty and of which no update is under
 /// way.
 fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut OwnTile> {
@@ -277,10 +265,15 @@ fn place_after(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{map::RowSighting, share::FusedTile};
+    use crate::{
+        Config,
+        map::{LocalMap, RowSighting},
+        sense::SensorModel,
+        share::FusedTile,
+    };
     use ubimap_protocol::{
         message::Messages,
-        units::{Millimetres, Pose},
+        units::{Millimetres, Pose, RobotId},
     };
 
     /// A pool of tiles that the server has.
@@ -302,13 +295,12 @@ mod tests {
     #[test]
     fn in_small_frames_the_digests_of_all_tiles_take_turns() {
         let mut places = [OwnTile::FREE; 3];
-        let mut pool = acknowledged(&mut places);
-        let merged = FusedMap::new(&mut []);
+        let pool = acknowledged(&mut places);
         let mut publisher = Publisher::new(Duration(0));
         let mut tell = |room: usize, alone: bool, now: Instant| {
             let mut buffer = [0u8; 60];
             let mut writer = Writer::new(&mut buffer[..room]);
-            publisher.push_digests(&mut pool, &merged, &mut writer, alone, now);
+            publisher.push_digests(&pool, &mut writer, alone, now);
             let len = writer.len();
             let message = Messages::<ToServer>::new(&buffer[..len]).next()?.unwrap();
             let digests = message.decode::<Digests>().unwrap();
@@ -348,6 +340,7 @@ mod tests {
         publisher.begin_session(&mut pool, false, Instant(9));
         assert_eq!(told(&mut publisher, &mut pool), 0);
     }
+
     #[test]
     fn hits_that_are_minutes_apart_say_nothing_against_the_map_and_those_of_one_moment_do() {
         let mut places = [FusedTile::FREE; 4];
@@ -364,21 +357,19 @@ mod tests {
         assert_eq!(merged.update(Layer::Fused, &out[..len]), Ok(()));
 
         let mut places = [OwnTile::FREE; 1];
-        let mut pool = Pool::new(&mut places);
-        let mut publisher = Publisher::new(Duration(0));
+        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
+        let config = Config::new(RobotId(1), sensor);
+        let mut map = LocalMap::new((&config).into(), &[], &mut [], Pool::new(&mut places));
         // What there is to tell after ten hits.
         let mut told = |apart: Duration| {
-            pool.begin_anew(Epoch(0));
+            map.pool.begin_anew(Epoch(0));
             for hit in 1..=10 {
-                let now = Instant(hit * apart.micros());
-                let tile = pool.find_or_begin(id, 1).unwrap();
+                let tile = map.pool.find_or_begin(id, 1).unwrap();
                 let sighting = RowSighting { free: 0, hit: 1 };
                 tile.evidence.add_beside(3, [sighting].into_iter(), merged.tile(id).unwrap());
-                let mut buffer = [0; 60];
-                let mut writer = Writer::new(&mut buffer);
-                publisher.push_digests(&mut pool, &merged, &mut writer, true, now);
+                map.timeout(Instant(hit * apart.micros()), |id| merged.tile(id));
             }
-            news(pool.find(id).unwrap(), merged.tile(id)).row(3).high
+            news(map.pool.find(id).unwrap(), merged.tile(id)).row(3).high
         };
         assert_eq!(told(Duration::from_millis(100)), 1);
         assert_eq!(told(Duration::from_secs(60)), 0);
