@@ -7,7 +7,7 @@ use ubimap_protocol::{
         Event, EventCode, Hello, ParameterAction, ParameterCommand, Refusal, State, Welcome,
     },
     tile::Epoch,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use super::{
@@ -18,12 +18,8 @@ use super::{
 use crate::{
     config::Config,
     parameters::{carry_out, push_report},
+    timing::{HURRY, RESET_SILENCE, STATE_INTERVAL},
 };
-
-/// Between two states; what keeps an idle session alive.
-const STATE_INTERVAL: Duration = Duration::from_secs(2);
-/// By then the scans taken up to an event are in the map.
-const HURRY: Duration = Duration::from_millis(300);
 
 impl Agent<'_> {
     /// Takes bytes from the server, in pieces of any size.
@@ -115,7 +111,7 @@ impl Agent<'_> {
     /// The server knows no session here. One who merely says so, while the session lives, is not
     /// believed.
     fn reset(&mut self, now: Instant) {
-        if self.is_connected() && now.since(self.heard) > Duration::from_millis(300) {
+        if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
             self.link.end();
             self.knocking.restart(now);
         }

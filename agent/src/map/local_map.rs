@@ -4,7 +4,7 @@ use core::ops::Range;
 
 use ubimap_protocol::{
     tile::{TILE_SIDE, Tile, TileId},
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
@@ -16,14 +16,13 @@ use super::{
     trace::{Grain, Part, PixelCounts, trace},
     window::{Piece, Window, below, words_of},
 };
-use crate::sense::{Beam, Validity};
+use crate::{
+    sense::{Beam, Validity},
+    timing::AGEING_INTERVAL,
+};
 
 /// The longest range that can be mapped, in cells.
 pub const MAX_RADIUS: usize = 1000;
-
-/// How often the evidence ages. A change must be seen often enough to be told within this time: hits
-/// that are minutes apart are noise.
-const AGEING_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Words of scratch memory that scans of this range need: 340 (2.7 kB) for 4 m of 5 cm.
 pub const fn scratch_words(max_range: u16, resolution: Millimetres) -> usize {

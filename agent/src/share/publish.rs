@@ -8,11 +8,12 @@ use ubimap_protocol::{
 };
 
 use super::receive::FusedMap;
-use crate::map::{OwnTile, Pool};
+use crate::{
+    map::{OwnTile, Pool},
+    timing::DIGEST_INTERVAL,
+};
 
-/// How often the states of a few tiles are told, and of how many at once: a pool of 32 in three
-/// minutes, for 3 bytes a second.
-const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
+/// The most tiles whose states are told at once.
 const DIGESTS: usize = 2;
 
 /// When to send what has changed, and what became of it.

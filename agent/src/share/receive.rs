@@ -12,7 +12,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
-use crate::map::Surround;
+use crate::{map::Surround, timing::COVERAGE_STALE};
 
 /// One place in the pool: a tile of the fused layer, and the same of the coverage layer. Both are
 /// of the server's epoch.
@@ -89,8 +89,8 @@ fn ticks(moment: Instant) -> u32 {
     ((moment.micros() >> 10) as u32).max(1)
 }
 
-/// Coverage is fresh for a second, in [`ticks`].
-const FRESH: u32 = 976;
+/// How long coverage is fresh, in [`ticks`].
+const FRESH: u32 = (COVERAGE_STALE.0 >> 10) as u32;
 
 /// The server's tiles that the robot holds, in the caller's memory.
 #[derive(Debug)]

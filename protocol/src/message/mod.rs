@@ -34,6 +34,7 @@
 mod direction;
 mod reader;
 mod shared;
+mod table;
 mod to_robot;
 mod to_server;
 mod wire;

@@ -4,8 +4,8 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    direction::messages,
     shared::{Digests, ParameterValue, Request, TileUpdateHead},
+    table::messages,
 };
 use crate::{
     tile::{Stamp, TileId},

@@ -4,8 +4,8 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    direction::messages,
     shared::{Digests, MAX_PARAMETERS, ParameterValue, Request, TileUpdateHead},
+    table::messages,
 };
 use crate::{
     tile::TileId,

@@ -9,8 +9,8 @@
 
 use super::{
     Row, TILE_SIDE, Tile,
-    codec::TileHeader,
     context::{self, Models},
+    header::TileHeader,
     range_coder::{Decoder, Encoder, Model},
 };
 
@@ -401,15 +401,6 @@ impl Columns {
 }
 
 impl TileHeader {
-    fn ends_tile(&self) -> bool {
-        self.end == super::TILE_CELLS
-    }
-
-    /// The rows of which the part holds cells.
-    fn rows(&self) -> core::ops::Range<usize> {
-        usize::from(self.start) / TILE_SIDE..usize::from(self.end).div_ceil(TILE_SIDE)
-    }
-
     /// The columns of row `y` that the part holds.
     fn columns(&self, y: usize) -> Columns {
         let first = y * TILE_SIDE;
