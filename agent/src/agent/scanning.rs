@@ -3,7 +3,7 @@
 use ubimap_protocol::{
     frame::SessionId,
     message::{DistanceVector, EventCode},
-    time::{Duration, Instant},
+    time::Instant,
     units::{Angle, Pose},
 };
 
@@ -14,6 +14,7 @@ use crate::{
     map::{PeerMasks, Selected, Surround, View},
     sense::{Beam, Columns, ScanError},
     share::DistanceVectors,
+    timing::CLOCKS_DISAGREE,
 };
 
 impl Agent<'_> {
@@ -109,7 +110,7 @@ impl Agent<'_> {
             let moment = server_moment.unwrap_or(taken);
             // One of much later was told before the clocks agreed, in the robot's.
             let is_newer = |(newest, _): (Instant, _)| {
-                newest < moment || newest.since(moment) > Duration::from_secs(10)
+                newest < moment || newest.since(moment) > CLOCKS_DISAGREE
             };
             if self.latest_pose.is_none_or(is_newer) {
                 self.latest_pose = Some((moment, pose));
