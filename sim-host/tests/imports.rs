@@ -11,7 +11,7 @@ use std::{
 const LAYERS: [(&str, &[&str]); 11] = [
     ("grid", &[]),
     ("camera", &["grid"]),
-    ("log", &["grid", "camera"]),
+    ("recording", &["grid", "camera"]),
     ("perception", &["grid", "camera"]),
     ("mapping", &["grid", "camera", "perception"]),
     ("server", &["grid", "camera", "perception", "mapping"]),
@@ -25,9 +25,9 @@ const LAYERS: [(&str, &[&str]); 11] = [
             "camera",
             "channel",
             "grid",
-            "log",
             "mapping",
             "perception",
+            "recording",
             "report",
             "server",
             "store",
@@ -70,9 +70,9 @@ fn imports_run_one_way() {
 #[test]
 fn an_import_is_found_however_it_is_written() {
     let text = "use crate::{\n    camera::{Frame, world::No},\n    world::World,\n};\nuse crate::grid;\n\
-                let it = crate::log::Log::default();";
+                let it = crate::recording::Log::default();";
     let found: Vec<String> = imports(text).into_iter().collect();
-    assert_eq!(found, ["camera", "grid", "log", "world"]);
+    assert_eq!(found, ["camera", "grid", "recording", "world"]);
 }
 
 /// The sources in a folder, without the unit tests that have a file of their own.

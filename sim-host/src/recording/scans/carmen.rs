@@ -15,9 +15,15 @@
 use std::{f64::consts::PI, path::Path};
 
 use super::{
-    Field, Format, LineFault, Log, LogError, LoggedScan, Sensor,
+    odometry::relative,
+    scan_log::{Log, LoggedScan},
+    sensor::Sensor,
+};
+use crate::recording::{
+    error::{Field, LineFault, LogError},
+    format::Format,
     lines::{Lines, coordinate, number, reading},
-    relative, times,
+    time_stamps,
 };
 
 /// Readings in these ranges (metres) say that nothing came back: SICK in centimetres (81.83,
@@ -117,7 +123,7 @@ impl Content {
             notes.push(format!("{beams} beams are taken to cover half a turn"));
         }
         let stamps: Option<Vec<f64>> = self.records.iter().map(|record| record.stamp_s).collect();
-        let (times, note) = times::repair(stamps.as_deref(), self.records.len());
+        let (times, note) = time_stamps::repair(stamps.as_deref(), self.records.len());
         notes.extend(note);
         let tracks = self.tracks();
         notes.extend(tracks.note().map(str::to_owned));
@@ -284,7 +290,7 @@ impl Limits {
 mod tests {
     use super::*;
     use crate::{
-        log::{Slicing, read_all},
+        recording::{Slicing, read_all},
         testing::{Folder, shared_data},
     };
 

@@ -1,8 +1,11 @@
+use std::path::Path;
+
 use proptest::prelude::*;
+use ubimap_protocol::time::Instant;
 
 use super::*;
 use crate::{
-    log::Recorder,
+    camera::{Frame, FrameSource, Picture},
     perception::{Background, Evidence, Survey, View},
     testing::{Folder, shared_data},
 };

@@ -1,4 +1,4 @@
-//! Frames written down, in the form that [`frames`](super::frames) tells.
+//! Frames written down, in the form that [`frames`](super) describes.
 
 use std::{
     fs::{self, File},
@@ -12,13 +12,14 @@ use image::{
 };
 use ubimap_protocol::time::Instant;
 
-use super::{
-    LogError,
-    camera_folder::PICTURES,
-    frame_times::TIMES_FILE,
-    intrinsics::{INTRINSICS_FILE, Intrinsics},
+use super::{camera_folder::PICTURES, frame_times::TIMES_FILE};
+use crate::{
+    camera::{Calibration, Frame, Lens, Picture},
+    recording::{
+        error::LogError,
+        intrinsics::{INTRINSICS_FILE, IntrinsicsFile},
+    },
 };
-use crate::camera::{Calibration, Frame, Lens, Picture};
 
 /// Writes frames to a folder as they arrive. They are numbered by the microsecond of their capture.
 #[derive(Debug)]
@@ -110,7 +111,7 @@ fn create_folder(path: &Path) -> Result<(), LogError> {
 fn calibrate(place: &Path, lens: &Lens) -> Result<(), LogError> {
     create_folder(place)?;
     // Plain numbers: there is nothing that could fail.
-    let intrinsics = toml::to_string(&Intrinsics::of(lens.intrinsics())).unwrap_or_default();
+    let intrinsics = toml::to_string(&IntrinsicsFile::of(lens.intrinsics())).unwrap_or_default();
     write_file(&place.join(INTRINSICS_FILE), |file| file.write_all(intrinsics.as_bytes()))?;
     let (at, turn) = (lens.pose().translation, lens.pose().rotation);
     write_file(&place.join("pose.txt"), |file| {
