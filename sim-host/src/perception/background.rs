@@ -12,7 +12,7 @@
 
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::view::{Allowance, Place, Survey, View, noise_mm};
+use super::ray_table::{Allowance, RayTable, Survey, Zone, noise_mm};
 
 /// Depths of each pixel that are learnt from, and the time from one to the next.
 const SAMPLES: usize = 15;
@@ -95,9 +95,9 @@ pub struct Background {
 
 impl Background {
     /// Of a camera that has not seen anything.
-    pub fn new(view: &View) -> Self {
-        let pixels = view.pixels();
-        let nowhere = 2 * view.cells();
+    pub fn new(rays: &RayTable) -> Self {
+        let pixels = rays.pixels();
+        let nowhere = 2 * rays.cells();
         let mut totals = vec![0; nowhere + 2];
         totals[nowhere + 1] = pixels as u32;
         Self {
@@ -122,22 +122,22 @@ impl Background {
 
     /// Takes an image that was captured at a time, in the order of capture. Cells that are `taken`,
     /// by a robot or by somebody who walks, are not learnt.
-    pub fn learn(&mut self, view: &View, depths: &[u16], captured: Instant, taken: &[bool]) {
+    pub fn learn(&mut self, rays: &RayTable, depths: &[u16], captured: Instant, taken: &[bool]) {
         let Some(samples) = &mut self.samples else {
             self.gather(depths);
-            return self.tend(view, depths, captured, taken);
+            return self.tend(rays, depths, captured, taken);
         };
         if captured < self.due {
             return;
         }
         self.due = captured + SAMPLE_INTERVAL;
         let sample = |(pixel, &depth): (usize, &u16)| {
-            if is_taken(view, pixel, depth, taken) { 0 } else { depth }
+            if is_taken(rays, pixel, depth, taken) { 0 } else { depth }
         };
         samples.extend(depths.iter().enumerate().map(sample));
         if samples.len() >= SAMPLES * depths.len() {
             let samples = self.samples.take().unwrap_or_default();
-            self.settle_all(view, &samples);
+            self.settle_all(rays, &samples);
         }
     }
 
@@ -171,21 +171,21 @@ impl Background {
     }
 
     /// What a pixel counts for where it agrees, as [`Background::homes`] has it, found anew.
-    pub(super) fn settle(&self, view: &View, pixel: usize) -> u32 {
+    pub(super) fn settle(&self, rays: &RayTable, pixel: usize) -> u32 {
         let candidate = &self.candidates[pixel];
-        let slot = match view.place(pixel, self.depth[pixel], Allowance::Learnt) {
+        let slot = match rays.zone(pixel, self.depth[pixel], Allowance::Learnt) {
             _ if candidate.is_doubtful => self.totals.len() - 1,
-            Place::Floor(cell) => 2 * cell as usize,
-            Place::Band(cell, _) => 2 * cell as usize + 1,
+            Zone::Floor(cell) => 2 * cell as usize,
+            Zone::Band(cell, _) => 2 * cell as usize + 1,
             // What has come stands on the floor; what was always there may hang.
-            Place::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
-            Place::Above(..) | Place::Nowhere => self.totals.len() - 1,
+            Zone::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
+            Zone::Above(..) | Zone::Nowhere => self.totals.len() - 1,
         };
         slot as u32
     }
 
     /// Ends the learning: what most of the farthest samples of each pixel are about.
-    fn settle_all(&mut self, view: &View, samples: &[u16]) {
+    fn settle_all(&mut self, rays: &RayTable, samples: &[u16]) {
         let pixels = self.depth.len();
         let mut seen = Vec::with_capacity(SAMPLES);
         for pixel in 0..pixels {
@@ -200,13 +200,13 @@ impl Background {
             let room = &seen[seen.partition_point(|depth| *depth < far - margin(far))..];
             let sum = room.iter().map(|depth| u32::from(*depth)).sum();
             self.agreed[pixel] = Agreed { sum, count: room.len() as u32 };
-            self.settle_again(view, pixel);
+            self.settle_again(rays, pixel);
         }
     }
 
     /// Finds anew how deep the background of a pixel is, the window about that, and what the pixel
     /// counts for.
-    fn settle_again(&mut self, view: &View, pixel: usize) {
+    fn settle_again(&mut self, rays: &RayTable, pixel: usize) {
         let agreed = &mut self.agreed[pixel];
         let fresh = core::mem::take(&mut self.fresh[pixel]);
         agreed.sum += fresh.sum;
@@ -218,7 +218,7 @@ impl Background {
         let margin = margin(mean);
         self.low[pixel] = mean - margin;
         self.span[pixel] = 2 * margin;
-        let Survey { side, reach, .. } = view.survey();
+        let Survey { side, reach, .. } = rays.survey();
         let (noise, side) = (noise_mm(i64::from(mean)), i64::from(side.0));
         // A sensor that gives no depth beyond its reach cuts the noise off: the mean would be nearer
         // than what is there.
@@ -226,7 +226,7 @@ impl Background {
             && 4 * noise * noise <= side * side * i64::from(agreed.count);
         self.depth[pixel] = if is_good { mean } else { 0 };
         self.totals[self.home[pixel] as usize] -= 1;
-        self.home[pixel] = self.settle(view, pixel);
+        self.home[pixel] = self.settle(rays, pixel);
         self.totals[self.home[pixel] as usize] += 1;
     }
 
@@ -242,34 +242,34 @@ impl Background {
     }
 
     /// Looks at some of the rows for what has changed for good.
-    fn tend(&mut self, view: &View, depths: &[u16], captured: Instant, taken: &[bool]) {
+    fn tend(&mut self, rays: &RayTable, depths: &[u16], captured: Instant, taken: &[bool]) {
         let now_s = (captured.0 / 1_000_000) as u32;
-        let width = view.size().0 as usize;
+        let width = rays.size().0 as usize;
         let rows = depths.chunks(width).enumerate().skip(self.turn as usize);
         for (row, depths) in rows.step_by(ROWS_BETWEEN as usize) {
             for (pixel, &depth) in (row * width..).zip(depths) {
-                if is_taken(view, pixel, depth, taken) {
+                if is_taken(rays, pixel, depth, taken) {
                     // Those that agreed may have been of somebody's legs.
                     self.fresh[pixel] = Agreed::default();
                 } else {
-                    self.look(view, pixel, depth, now_s);
+                    self.look(rays, pixel, depth, now_s);
                 }
-                self.settle_again(view, pixel);
+                self.settle_again(rays, pixel);
             }
         }
         self.turn = (self.turn + 1) % ROWS_BETWEEN;
     }
 
     /// Looks at one pixel: whether it still sees its background, or something that may become it.
-    fn look(&mut self, view: &View, pixel: usize, depth: u16, now_s: u32) {
+    fn look(&mut self, rays: &RayTable, pixel: usize, depth: u16, now_s: u32) {
         if self.fresh[pixel].count > 0 {
-            self.candidates[pixel].is_doubtful = self.is_doubtful(view, pixel);
+            self.candidates[pixel].is_doubtful = self.is_doubtful(rays, pixel);
         }
         if let Some(other) = self.sees_other(pixel, depth) {
-            if self.uncovers(view, pixel, other) {
-                self.replace(view, pixel, other, false);
+            if self.uncovers(rays, pixel, other) {
+                self.replace(rays, pixel, other, false);
             } else if let Some(depth) = other.mean() {
-                self.consider(view, pixel, depth, now_s);
+                self.consider(rays, pixel, depth, now_s);
             }
         } else if depth > 0 {
             let candidate = &mut self.candidates[pixel];
@@ -287,9 +287,9 @@ impl Background {
 
     /// Whether what agreed since the last look is something else than the floor that is the background,
     /// or may be the floor where something in the way is: somebody stood on it when it was learnt.
-    fn is_doubtful(&self, view: &View, pixel: usize) -> bool {
+    fn is_doubtful(&self, rays: &RayTable, pixel: usize) -> bool {
         let is_in_the_way = |depth, allowance| {
-            matches!(view.place(pixel, depth, allowance), Place::Band(..) | Place::Above(..))
+            matches!(rays.zone(pixel, depth, allowance), Zone::Band(..) | Zone::Above(..))
         };
         let fresh = self.fresh[pixel];
         let means = self.agreed[pixel].mean().zip(fresh.mean());
@@ -326,21 +326,21 @@ impl Background {
     /// Whether several depths, which agreed, show what was hidden by something that is in the way of
     /// the robots: who stood in view as long as the room was learnt, so little before the floor that
     /// this is in the window, has left. The floor itself hides nothing.
-    fn uncovers(&self, view: &View, pixel: usize, seen: Agreed) -> bool {
+    fn uncovers(&self, rays: &RayTable, pixel: usize, seen: Agreed) -> bool {
         let is_farther = self.agreed[pixel].mean() < seen.mean();
         let home = self.home[pixel] as usize;
-        seen.count > 1 && is_farther && home < 2 * view.cells() && home % 2 == 1
+        seen.count > 1 && is_farther && home < 2 * rays.cells() && home % 2 == 1
     }
 
     /// Takes something else for the background of a pixel.
-    fn replace(&mut self, view: &View, pixel: usize, seen: Agreed, has_come: bool) {
+    fn replace(&mut self, rays: &RayTable, pixel: usize, seen: Agreed, has_come: bool) {
         self.candidates[pixel] = Candidate { has_come, ..Candidate::default() };
         self.agreed[pixel] = seen;
-        self.settle_again(view, pixel);
+        self.settle_again(rays, pixel);
     }
 
     /// A pixel sees something else than its background.
-    fn consider(&mut self, view: &View, pixel: usize, depth: u16, now_s: u32) {
+    fn consider(&mut self, rays: &RayTable, pixel: usize, depth: u16, now_s: u32) {
         let candidate = &mut self.candidates[pixel];
         if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread(depth) {
             *candidate = Candidate { depth, looks: 1, since_s: now_s, ..*candidate };
@@ -353,13 +353,13 @@ impl Background {
         candidate.looks = candidate.looks.saturating_add(1);
         let Candidate { depth, looks, since_s, .. } = *candidate;
         let is_nearer = depth < self.low[pixel] + self.span[pixel] / 2;
-        let is_floor = matches!(view.place(pixel, depth, Allowance::Measured), Place::Floor(_));
+        let is_floor = matches!(rays.zone(pixel, depth, Allowance::Measured), Zone::Floor(_));
         let may_be_somebody = if self.low[pixel] > 0 { is_nearer } else { !is_floor };
         let (enough, seconds) = if may_be_somebody { STAY } else { UNCOVERED };
         if looks >= enough && now_s.saturating_sub(since_s) >= seconds {
             let looks = u32::from(looks);
             let seen = Agreed { sum: u32::from(depth) * looks, count: looks };
-            self.replace(view, pixel, seen, is_nearer);
+            self.replace(rays, pixel, seen, is_nearer);
         }
     }
 }
@@ -384,10 +384,10 @@ fn margin(depth: u16) -> u16 {
 }
 
 /// Whether a pixel sees something over a cell that is taken.
-fn is_taken(view: &View, pixel: usize, depth: u16, taken: &[bool]) -> bool {
-    match view.place(pixel, depth, Allowance::Measured) {
-        Place::Band(cell, _) | Place::Above(cell, _) => taken[cell as usize],
-        Place::Floor(_) | Place::Nowhere => false,
+fn is_taken(rays: &RayTable, pixel: usize, depth: u16, taken: &[bool]) -> bool {
+    match rays.zone(pixel, depth, Allowance::Measured) {
+        Zone::Band(cell, _) | Zone::Above(cell, _) => taken[cell as usize],
+        Zone::Floor(_) | Zone::Nowhere => false,
     }
 }
 
@@ -401,26 +401,26 @@ mod tests {
 
     /// A floor, and legs on it all over, so little before it that at five metres their noise is in the
     /// window of the floor.
-    fn floor_and_legs() -> (View, DepthImage, DepthImage) {
+    fn floor_and_legs() -> (RayTable, DepthImage, DepthImage) {
         let lens = lens(160, 60, [0.0, 0.0, 2.8], [4.0, 3.0, 0.0]);
         let floor = render(&lens, 0.0, &[]);
         let legs = DepthImage::from_fn(160, 60, |x, y| {
             let depth = floor.get_pixel(x, y)[0];
             image::Luma([depth - 2 * noise_mm(i64::from(depth)) as u16])
         });
-        (View::new(&lens, Survey::default()), floor, legs)
+        (RayTable::new(&lens, Survey::default()), floor, legs)
     }
 
     #[test]
     fn who_stands_on_it_now_and_then_does_not_draw_the_floor_towards_the_camera() {
-        let (view, floor, legs) = floor_and_legs();
-        let taken = vec![false; view.cells()];
-        let mut background = Background::new(&view);
+        let (rays, floor, legs) = floor_and_legs();
+        let taken = vec![false; rays.cells()];
+        let mut background = Background::new(&rays);
         // Five images a second; two seconds of six somebody stands there.
         for frame in 0..450 {
             let is_there = frame % 30 < 10;
             let image = noisy(if is_there { &legs } else { &floor }, frame, 980);
-            background.learn(&view, &image, Instant(frame * 200_000), &taken);
+            background.learn(&rays, &image, Instant(frame * 200_000), &taken);
         }
         let depths = floor.iter().zip(&background.depth);
         let far = depths.filter(|(floor, learnt)| (4_500..6_000).contains(*floor) && **learnt > 0);
@@ -434,10 +434,10 @@ mod tests {
     }
 
     /// How many pixels between 4.5 and 5.5 m count for floor, and for something in the way.
-    fn far(view: &View, floor: &DepthImage, background: &Background) -> [usize; 2] {
+    fn far(rays: &RayTable, floor: &DepthImage, background: &Background) -> [usize; 2] {
         let homes = floor.iter().zip(background.homes());
         let far = homes.filter(|(floor, _)| (4_500..5_500).contains(*floor));
-        let far = far.filter(|&(_, &home)| (home as usize) < 2 * view.cells());
+        let far = far.filter(|&(_, &home)| (home as usize) < 2 * rays.cells());
         far.fold([0; 2], |mut counts, (_, home)| {
             counts[(home % 2) as usize] += 1;
             counts
@@ -446,16 +446,16 @@ mod tests {
 
     #[test]
     fn where_somebody_stands_who_is_hidden_by_noise_no_floor_is_seen() {
-        let (view, floor, legs) = floor_and_legs();
-        let taken = vec![false; view.cells()];
-        let mut background = Background::new(&view);
+        let (rays, floor, legs) = floor_and_legs();
+        let taken = vec![false; rays.cells()];
+        let mut background = Background::new(&rays);
         let (comes, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
         let mut learn = |frames: core::ops::Range<u64>, image: &DepthImage| {
             for frame in frames {
                 let image = noisy(image, frame, 980);
-                background.learn(&view, &image, Instant(frame * 200_000), &taken);
+                background.learn(&rays, &image, Instant(frame * 200_000), &taken);
             }
-            far(&view, &floor, &background)
+            far(&rays, &floor, &background)
         };
         let [before, blocked] = learn(0..comes, &floor);
         assert!(before > 2_000 && 50 * blocked < before, "{before} and {blocked} pixels");
@@ -465,18 +465,18 @@ mod tests {
 
     #[test]
     fn who_stood_in_view_while_the_room_was_learnt_leaves_nothing_behind() {
-        let (view, floor, legs) = floor_and_legs();
-        let taken = vec![false; view.cells()];
-        let mut background = Background::new(&view);
-        let in_the_way = |background: &Background| far(&view, &floor, background)[1];
+        let (rays, floor, legs) = floor_and_legs();
+        let taken = vec![false; rays.cells()];
+        let mut background = Background::new(&rays);
+        let in_the_way = |background: &Background| far(&rays, &floor, background)[1];
         // Five images a second, the last as late as each pixel has been looked at twice.
         let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
         for frame in 0..leaves {
-            background.learn(&view, &noisy(&legs, frame, 980), Instant(frame * 200_000), &taken);
+            background.learn(&rays, &noisy(&legs, frame, 980), Instant(frame * 200_000), &taken);
         }
         let before = in_the_way(&background);
         for frame in leaves..ends {
-            background.learn(&view, &noisy(&floor, frame, 980), Instant(frame * 200_000), &taken);
+            background.learn(&rays, &noisy(&floor, frame, 980), Instant(frame * 200_000), &taken);
         }
         let after = in_the_way(&background);
         assert!(before > 1_000 && 10 * after < before, "{before} pixels, then {after}");

@@ -6,7 +6,7 @@ use ubimap_protocol::time::Instant;
 use super::*;
 use crate::{
     camera::{Frame, FrameSource, Picture},
-    perception::{Background, Evidence, Survey, View},
+    perception::{Background, Evidence, RayTable, Survey},
     testing::{Folder, shared_data},
 };
 
@@ -284,17 +284,17 @@ fn recorded_images_make_the_same_evidence_both_ways() {
         assert_eq!(source.cameras().len(), 5, "{name}");
         let frames = all(&mut source);
         assert_eq!(frames.len(), 5, "{name}");
-        let view = View::new(&source.cameras()[0].depth.unwrap(), Survey::default());
-        let mut background = Background::new(&view);
-        let taken = vec![false; view.cells()];
+        let rays = RayTable::new(&source.cameras()[0].depth.unwrap(), Survey::default());
+        let mut background = Background::new(&rays);
+        let taken = vec![false; rays.cells()];
         let (mut fast, mut plain) = (Evidence::default(), Evidence::default());
         for turn in 0..17 {
             // The first image until it is learnt, then others before the same background.
             let image = frames[(turn as usize).saturating_sub(14)].depth.as_ref().unwrap();
-            fast.fuse(&view, &background, image);
-            plain.scatter(&view, &background, image);
+            fast.fuse(&rays, &background, image);
+            plain.scatter(&rays, &background, image);
             assert_eq!(fast, plain, "{name}");
-            background.learn(&view, image, Instant(turn * 300_000), &taken);
+            background.learn(&rays, image, Instant(turn * 300_000), &taken);
         }
         assert!(background.is_learnt());
     }
