@@ -11,10 +11,10 @@ use super::{
     look::{Gaze, LookAround},
     near::NearPoints,
     plan::PlanError,
+    planning_window::{GroundRow, Mover, PlanningWindow, WindowInputs},
     reason::Reason,
     safety::{Health, Safety, SafetyLimits},
     search::{End, Outcome, Search},
-    window::{GroundRow, Mover, View, Window},
 };
 use crate::trigonometry::radians;
 
@@ -214,7 +214,7 @@ impl Driver {
     }
 
     /// The ground as it was last looked at.
-    pub fn window(&self) -> &Window {
+    pub fn window(&self) -> &PlanningWindow {
         &self.search.window
     }
 
@@ -232,7 +232,7 @@ impl Driver {
         let amiss = self.safety.check(&inputs.health, self.command);
         let (command, reason) = match (amiss, inputs.health.pose) {
             (None, Some((pose, unsure))) => {
-                let sight = Step { inputs, pose, unsure, elapsed, now };
+                let sight = StepContext { inputs, pose, unsure, elapsed, now };
                 self.go_on(&sight, &ground)
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
@@ -255,7 +255,7 @@ impl Driver {
 
     fn go_on(
         &mut self,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         match self.phase {
@@ -300,7 +300,7 @@ impl Driver {
     }
 
     /// Begins a search, or goes on with one.
-    fn search(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    fn search(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if !self.is_begun {
             self.is_begun = true;
             self.search.begin(self.goal(), step.pose, self.config.resolution);
@@ -340,12 +340,12 @@ impl Driver {
         }
     }
 
-    /// What windows are made from; without `near` what moves is no obstacle.
-    fn view<'v>(&self, step: &Step<'v>, none: &'v NearPoints) -> View<'v> {
+    /// The inputs of the planning window; without `near` what moves is no obstacle.
+    fn view<'v>(&self, step: &StepContext<'v>, none: &'v NearPoints) -> WindowInputs<'v> {
         // What walks by is no obstacle; what has been waited for is.
         let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED);
         let motion = &self.config.motion;
-        View {
+        WindowInputs {
             pose: step.pose,
             resolution: self.config.resolution,
             level: 0,
@@ -358,7 +358,7 @@ impl Driver {
     }
 
     /// Looks at the map again, and whether the path still leads to something.
-    fn look(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    fn look(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if step.now.since(self.looked) < REFRESH {
             return;
         }
@@ -378,7 +378,7 @@ impl Driver {
     }
 
     /// Drives along the path.
-    fn drive(&mut self, step: &Step<'_>) -> (DriveCommand, Reason) {
+    fn drive(&mut self, step: &StepContext<'_>) -> (DriveCommand, Reason) {
         let sight = Sight {
             pose: step.pose,
             unsure: step.unsure,
@@ -403,7 +403,7 @@ impl Driver {
 
     /// Waits for what hinders it, and then goes round it. Only a stretch driven shows that the way
     /// is clear again: until then the reason stays.
-    fn wait(&mut self, reason: Reason, step: &Step<'_>) -> Reason {
+    fn wait(&mut self, reason: Reason, step: &StepContext<'_>) -> Reason {
         let hindered = match (self.hindered, reason) {
             (None, Reason::Driving) => return reason,
             (None, _) => Hindered { since: step.now, at: step.pose, reason },
@@ -425,7 +425,7 @@ impl Driver {
     }
 
     /// At the end of the path.
-    fn arrive(&mut self, step: &Step<'_>) -> Reason {
+    fn arrive(&mut self, step: &StepContext<'_>) -> Reason {
         if self.phase != Phase::Driving {
             // Another path is being looked for.
             self.has_path = false;
@@ -462,7 +462,7 @@ impl Driver {
         &mut self,
         gaze: Gaze,
         mut look: LookAround,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let Config { resolution, explore_covered, .. } = self.config;
@@ -483,7 +483,7 @@ impl Driver {
     fn look_at(
         &mut self,
         look: Look,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let turned = look.turned + radians(step.pose.heading - look.last.heading);
@@ -507,8 +507,8 @@ impl Driver {
     }
 }
 
-/// What a step has to do with.
-struct Step<'s> {
+/// The inputs of one step, and what follows from them.
+struct StepContext<'s> {
     inputs: &'s Inputs<'s>,
     pose: Pose,
     unsure: f32,

@@ -12,8 +12,8 @@ use super::{
     own_tile::{OwnTile, Pool},
     policy::Policy,
     projection::Projection,
+    scan_window::{Piece, ScanWindow, below, words_of},
     trace::{Grain, PixelCounts, trace},
-    window::{Piece, Window, below, words_of},
 };
 use crate::sense::{Beam, Validity};
 
@@ -179,7 +179,7 @@ impl<'b> LocalMap<'b> {
         let mut end = count;
         while start < count {
             let part = beams.get(start..end)?;
-            let Some(mut window) = Window::over(part, range, &projection, self.scratch) else {
+            let Some(mut window) = ScanWindow::over(part, range, &projection, self.scratch) else {
                 if end - start <= 2 {
                     return None;
                 }

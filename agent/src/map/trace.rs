@@ -16,7 +16,7 @@ use ubimap_protocol::units::Millimetres;
 use super::{
     policy::Policy,
     projection::{Corner, Point, Projection},
-    window::Window,
+    scan_window::ScanWindow,
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
@@ -270,7 +270,7 @@ struct End {
 /// Returns the nearest hit, in millimetres of reading.
 #[inline(never)]
 pub(super) fn trace(
-    window: &mut Window<'_>,
+    window: &mut ScanWindow<'_>,
     projection: &Projection,
     grain: &Grain,
     beams: &[Beam],
