@@ -152,16 +152,16 @@ fn a_camera_that_sent_nothing_has_lost_all_its_frames() {
     assert!(again.notes()[0].contains("camera-00: no image in it"), "{:?}", again.notes());
 }
 
+/// Opening the folder fails with one line that says all this.
+fn expect(folder: &Folder, expected: &[&str]) {
+    let error = open(folder.path()).unwrap_err().to_string();
+    assert!(expected.iter().all(|it| error.contains(it)), "{error}");
+    assert_eq!(error.lines().count(), 1, "{error}");
+}
+
 #[test]
-fn faults_name_the_file_and_what_to_do() {
-    let folder = one_camera("recorded-faults");
-    let path = |name: &str| folder.path().join(name);
-    let error = || open(folder.path()).unwrap_err().to_string();
-    let expect = |expected: &[&str]| {
-        let error = error();
-        assert!(expected.iter().all(|it| error.contains(it)), "{error}");
-        assert_eq!(error.lines().count(), 1, "{error}");
-    };
+fn faults_of_times_name_the_line() {
+    let folder = one_camera("recorded-times");
     for (times, expected) in [
         ("1 1\n2 0.5\n10 2\n", ["times.txt:2: frame 2 was captured at 0.5 s", "set back"]),
         ("1 1\n2 1\n10 2\n", ["times.txt:2: ", "higher numbers"]),
@@ -175,60 +175,82 @@ fn faults_name_the_file_and_what_to_do() {
         ("1 1 99999\n", ["times.txt:1: ", "a day after it was captured"]),
     ] {
         folder.file("times.txt", times.as_bytes());
-        expect(&expected);
+        expect(&folder, &expected);
     }
-    std::fs::remove_file(path("times.txt")).unwrap();
+}
+
+#[test]
+fn faults_of_images_name_the_file() {
+    let folder = one_camera("recorded-images");
     folder.file("depth/02.pgm", b"P2 2 1 65535 2000 0");
-    expect(&["depth/2.pgm: has the number 2", "02.pgm has; number them apart"]);
-    std::fs::remove_file(path("depth/02.pgm")).unwrap();
+    expect(&folder, &["depth/2.pgm: has the number 2", "02.pgm has; number them apart"]);
+    std::fs::remove_file(folder.path().join("depth/02.pgm")).unwrap();
     folder.file("depth/2.pgm", b"P2 2 2 65535 2000 0 0 0");
-    expect(&["depth/2.pgm: 2 x 2 pixels where 2 x 1 are needed"]);
+    expect(&folder, &["depth/2.pgm: 2 x 2 pixels where 2 x 1 are needed"]);
     folder.file("depth/2.pgm", b"P2 2 1 255 20 0");
-    expect(&["depth/2.pgm: not a depth image (16-bit grey)"]);
+    expect(&folder, &["depth/2.pgm: not a depth image (16-bit grey)"]);
     folder.file("depth/2.pgm", b"not an image");
-    expect(&["depth/2.pgm: ", "remove the file to go on without it"]);
-    folder.file("depth/2.pgm", b"P2 2 1 65535 2000 0");
+    expect(&folder, &["depth/2.pgm: ", "remove the file to go on without it"]);
+}
+
+#[test]
+fn faults_of_poses_say_what_to_write() {
+    let folder = one_camera("recorded-poses");
     for (pose, height) in [("1 2 -3 0 0 0 1\n", "of -3 m;"), ("0 0 0 0 0 0 1\n", "of 0 m;")] {
         folder.file("pose.txt", pose.as_bytes());
-        expect(&["its camera is at a height ", height, "must be above the floor: a pose is"]);
+        expect(
+            &folder,
+            &["its camera is at a height ", height, "must be above the floor: a pose is"],
+        );
     }
     folder.file("pose.txt", b"1 2 3 1 0 0 0\n1 2 3 1 0 0 0\n");
-    expect(&["pose.txt: 3 frames but 2 poses; write one pose, or one for each frame"]);
+    expect(&folder, &["pose.txt: 3 frames but 2 poses; write one pose, or one for each frame"]);
     let three = "1 2 3 1 0 0 0\n".repeat(3);
     for (depth, picture) in [(&three[..], "1 2 3 1 0 0 0\n"), ("1 2 3 1 0 0 0\n", &three)] {
         folder.file("pose.txt", depth.as_bytes());
         folder.file("color/1.ppm", b"P3 2 1 255 1 2 3 4 5 6");
         folder.file("color/pose.txt", picture.as_bytes());
-        expect(&["color/pose.txt: ", "leave this one out for a camera that moves"]);
-        std::fs::remove_dir_all(path("color")).unwrap();
+        expect(&folder, &["color/pose.txt: ", "leave this one out for a camera that moves"]);
+        std::fs::remove_dir_all(folder.path().join("color")).unwrap();
     }
-    std::fs::remove_file(path("pose.txt")).unwrap();
-    expect(&["no pose.txt or trajectory.log in it"]);
-    folder.file("pose.txt", b"1 2 3 1 0 0 0\n");
+    std::fs::remove_file(folder.path().join("pose.txt")).unwrap();
+    expect(&folder, &["no pose.txt or trajectory.log in it"]);
+}
+
+#[test]
+fn faults_of_intrinsics_say_what_to_write() {
+    let folder = one_camera("recorded-intrinsics");
     folder.file("intrinsics.toml", b"width = 2\nheight = 1\n");
-    expect(&["intrinsics.toml: intrinsics: missing field `fx`"]);
+    expect(&folder, &["intrinsics.toml: intrinsics: missing field `fx`"]);
     // A focal length in millimetres.
     let text = "width = 640\nheight = 480\nfx = 1.93\nfy = 1.93\ncx = 320\ncy = 240\n";
     folder.file("intrinsics.toml", text.as_bytes());
-    expect(&["intrinsics.toml: intrinsics: fx and fy see more than 170 degrees", "in pixels"]);
+    expect(
+        &folder,
+        &["intrinsics.toml: intrinsics: fx and fy see more than 170 degrees", "in pixels"],
+    );
     // No guess is made of a camera that stands still.
-    std::fs::remove_file(path("intrinsics.toml")).unwrap();
-    expect(&["intrinsics.toml: intrinsics: missing; write width, height"]);
+    std::fs::remove_file(folder.path().join("intrinsics.toml")).unwrap();
+    expect(&folder, &["intrinsics.toml: intrinsics: missing; write width, height"]);
     folder.file("intrinsics.toml", INTRINSICS);
-    std::fs::create_dir_all(path("color")).unwrap();
-    expect(&["color: no picture (.png, .jpg"]);
-    std::fs::remove_dir(path("color")).unwrap();
+    std::fs::create_dir_all(folder.path().join("color")).unwrap();
+    expect(&folder, &["color: no picture (.png, .jpg"]);
+    std::fs::remove_dir(folder.path().join("color")).unwrap();
+}
 
+#[test]
+fn folders_without_a_camera_or_a_common_clock_are_refused() {
+    let folder = one_camera("recorded-folders");
     folder.file("empty/readme.txt", b"");
-    let error = open(&path("empty")).unwrap_err().to_string();
+    let error = open(&folder.path().join("empty")).unwrap_err().to_string();
     assert!(error.contains("empty: no camera in it"), "{error}");
-    let error = open(&path("nowhere")).unwrap_err().to_string();
+    let error = open(&folder.path().join("nowhere")).unwrap_err().to_string();
     assert!(error.contains("nowhere: No such file"), "{error}");
     folder.file("other/depth/1.pgm", b"P2 2 1 65535 1000 0");
     folder.file("other/intrinsics.toml", INTRINSICS);
     folder.file("other/pose.txt", b"1 2 3 1 0 0 0\n");
     folder.file("other/times.txt", b"1 5\n");
-    let both = [folder.path().to_owned(), path("other")];
+    let both = [folder.path().to_owned(), folder.path().join("other")];
     let error = RecordedFrames::open(&both).unwrap_err().to_string();
     let is_expected = error.contains("times.txt: missing, but ") && error.contains("one clock");
     assert!(is_expected, "{error}");
