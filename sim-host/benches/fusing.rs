@@ -8,7 +8,7 @@ use std::time::{Duration, Instant as Clock};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ubimap_protocol::time::Instant;
 use ubimap_sim_host::{
-    camera::{DepthImage, Intrinsics, Lens},
+    camera::{DepthImage, DepthNoise, Intrinsics, Lens},
     perception::{Background, Evidence, RayTable, Survey},
 };
 
@@ -34,19 +34,19 @@ fn room(is_empty: bool) -> Vec<boxes::Cuboid> {
 
 fn fusing(criterion: &mut Criterion) {
     let lens = boxes::lens(640, 480, [-0.5, -0.5, 2.8], [1.2, 1.2, 0.0]);
-    let rays = RayTable::new(&lens, Survey::default());
+    let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
     let mut background = Background::new(&rays);
     let empty = boxes::render(&lens, 0.0, &room(true));
     let taken = vec![false; rays.cells()];
     for frame in 0..15 {
-        let image = boxes::noisy(&empty, frame, 980);
+        let image = boxes::noisy(&empty, &DepthNoise::D435, frame, 980);
         background.learn(&rays, &image, Instant(frame * 300_000), &taken);
     }
     // Two pixels in a hundred measure nothing.
     for (what, is_empty) in [("an empty room", true), ("a room with somebody in it", false)] {
         let scene = boxes::render(&lens, 0.0, &room(is_empty));
         let images: Vec<DepthImage> =
-            (100..108).map(|seed| boxes::noisy(&scene, seed, 980)).collect();
+            (100..108).map(|seed| boxes::noisy(&scene, &DepthNoise::D435, seed, 980)).collect();
         let mut group = criterion.benchmark_group(what);
         group.throughput(Throughput::Elements(640 * 480));
         let mut evidence = Evidence::default();

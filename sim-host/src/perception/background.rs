@@ -12,7 +12,7 @@
 
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::ray_table::{Allowance, RayTable, Survey, Zone, noise_mm};
+use super::ray_table::{Allowance, RayTable, Survey, Zone};
 
 /// Depths of each pixel that are learnt from, and the time from one to the next.
 const SAMPLES: usize = 15;
@@ -197,7 +197,7 @@ impl Background {
             }
             seen.sort_unstable();
             let far = seen[seen.len() - 1 - seen.len() / TRIM];
-            let room = &seen[seen.partition_point(|depth| *depth < far - margin(far))..];
+            let room = &seen[seen.partition_point(|depth| *depth < far - margin(rays, far))..];
             let sum = room.iter().map(|depth| u32::from(*depth)).sum();
             self.agreed[pixel] = Agreed { sum, count: room.len() as u32 };
             self.settle_again(rays, pixel);
@@ -215,11 +215,11 @@ impl Background {
         if agreed.count >= MOST_AGREED {
             *agreed = Agreed { sum: agreed.sum / 2, count: agreed.count / 2 };
         }
-        let margin = margin(mean);
+        let margin = margin(rays, mean);
         self.low[pixel] = mean - margin;
         self.span[pixel] = 2 * margin;
         let Survey { side, reach, .. } = rays.survey();
-        let (noise, side) = (noise_mm(i64::from(mean)), i64::from(side.0));
+        let (noise, side) = (rays.sigma_mm(mean), i64::from(side.0));
         // A sensor that gives no depth beyond its reach cuts the noise off: the mean would be nearer
         // than what is there.
         let is_good = i64::from(mean) + i64::from(margin) <= i64::from(reach.0)
@@ -265,7 +265,7 @@ impl Background {
         if self.fresh[pixel].count > 0 {
             self.candidates[pixel].is_doubtful = self.is_doubtful(rays, pixel);
         }
-        if let Some(other) = self.sees_other(pixel, depth) {
+        if let Some(other) = self.sees_other(rays, pixel, depth) {
             if self.uncovers(rays, pixel, other) {
                 self.replace(rays, pixel, other, false);
             } else if let Some(depth) = other.mean() {
@@ -273,16 +273,16 @@ impl Background {
             }
         } else if depth > 0 {
             let candidate = &mut self.candidates[pixel];
-            let may_be = depth.abs_diff(candidate.depth) <= spread(depth);
+            let may_be = depth.abs_diff(candidate.depth) <= spread(rays, depth);
             candidate.looks = if may_be { candidate.looks.saturating_sub(1) } else { 0 };
         }
     }
 
     /// The depths that agreed since the last look, if they are of something else than the background:
     /// their mean lies off.
-    fn other_of_late(&self, pixel: usize) -> Option<Agreed> {
+    fn other_of_late(&self, rays: &RayTable, pixel: usize) -> Option<Agreed> {
         let fresh = self.fresh[pixel];
-        is_other(fresh, self.agreed[pixel]).then_some(fresh)
+        is_other(rays, fresh, self.agreed[pixel]).then_some(fresh)
     }
 
     /// Whether what agreed since the last look is something else than the floor that is the background,
@@ -297,7 +297,7 @@ impl Background {
             if is_in_the_way(before, Allowance::Learnt) {
                 !is_in_the_way(mean, Allowance::Mean(fresh.count))
             } else {
-                self.other_of_late(pixel).is_some()
+                self.other_of_late(rays, pixel).is_some()
             }
         })
     }
@@ -306,8 +306,8 @@ impl Background {
     /// nearer to the candidate than to the background, for noise makes what stands a little before
     /// that agree with it now and then; and those that have agreed of late, which then do not count,
     /// if their mean lies off.
-    fn sees_other(&mut self, pixel: usize, depth: u16) -> Option<Agreed> {
-        if let Some(other) = self.other_of_late(pixel) {
+    fn sees_other(&mut self, rays: &RayTable, pixel: usize, depth: u16) -> Option<Agreed> {
+        if let Some(other) = self.other_of_late(rays, pixel) {
             self.fresh[pixel] = Agreed::default();
             return Some(other);
         }
@@ -342,7 +342,7 @@ impl Background {
     /// A pixel sees something else than its background.
     fn consider(&mut self, rays: &RayTable, pixel: usize, depth: u16, now_s: u32) {
         let candidate = &mut self.candidates[pixel];
-        if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread(depth) {
+        if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread(rays, depth) {
             *candidate = Candidate { depth, looks: 1, since_s: now_s, ..*candidate };
             return;
         }
@@ -367,20 +367,20 @@ impl Background {
 /// Whether depths are of something else than those that agreed: their mean is farther off than three of
 /// its sigmas. Of two things in one window, as the floor and the feet of who stands on it now and then,
 /// this lets neither draw the mean to it.
-fn is_other(depths: Agreed, agreed: Agreed) -> bool {
+fn is_other(rays: &RayTable, depths: Agreed, agreed: Agreed) -> bool {
     let Some((mean, before)) = depths.mean().zip(agreed.mean()) else { return false };
     let off = u32::from(mean.abs_diff(before));
-    off * off * depths.count > u32::from(margin(before)).pow(2)
+    off * off * depths.count > u32::from(margin(rays, before)).pow(2)
 }
 
 /// Depths that differ by no more may be of one thing: three sigmas.
-fn spread(depth: u16) -> u16 {
-    (SLACK_MM + 3 * noise_mm(i64::from(depth))) as u16
+fn spread(rays: &RayTable, depth: u16) -> u16 {
+    (SLACK_MM + 3 * rays.sigma_mm(depth)).min(i64::from(u16::MAX)) as u16
 }
 
 /// Half the width of the window about a depth: three sigmas, and never all of the depth.
-fn margin(depth: u16) -> u16 {
-    spread(depth).min(depth / 2)
+fn margin(rays: &RayTable, depth: u16) -> u16 {
+    spread(rays, depth).min(depth / 2)
 }
 
 /// Whether a pixel sees something over a cell that is taken.
@@ -395,7 +395,7 @@ fn is_taken(rays: &RayTable, pixel: usize, depth: u16, taken: &[bool]) -> bool {
 mod tests {
     use super::*;
     use crate::{
-        camera::DepthImage,
+        camera::{DepthImage, DepthNoise},
         perception::testing::{lens, noisy, render},
     };
 
@@ -403,12 +403,13 @@ mod tests {
     /// window of the floor.
     fn floor_and_legs() -> (RayTable, DepthImage, DepthImage) {
         let lens = lens(160, 60, [0.0, 0.0, 2.8], [4.0, 3.0, 0.0]);
+        let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
         let floor = render(&lens, 0.0, &[]);
         let legs = DepthImage::from_fn(160, 60, |x, y| {
             let depth = floor.get_pixel(x, y)[0];
-            image::Luma([depth - 2 * noise_mm(i64::from(depth)) as u16])
+            image::Luma([depth - 2 * rays.sigma_mm(depth) as u16])
         });
-        (RayTable::new(&lens, Survey::default()), floor, legs)
+        (rays, floor, legs)
     }
 
     #[test]
@@ -419,13 +420,13 @@ mod tests {
         // Five images a second; two seconds of six somebody stands there.
         for frame in 0..450 {
             let is_there = frame % 30 < 10;
-            let image = noisy(if is_there { &legs } else { &floor }, frame, 980);
+            let image = noisy(if is_there { &legs } else { &floor }, &DepthNoise::D435, frame, 980);
             background.learn(&rays, &image, Instant(frame * 200_000), &taken);
         }
         let depths = floor.iter().zip(&background.depth);
         let far = depths.filter(|(floor, learnt)| (4_500..6_000).contains(*floor) && **learnt > 0);
         let off = far.map(|(floor, learnt)| {
-            (i64::from(*floor) - i64::from(*learnt)) as f64 / noise_mm(i64::from(*floor)) as f64
+            (i64::from(*floor) - i64::from(*learnt)) as f64 / rays.sigma_mm(*floor) as f64
         });
         let off: Vec<f64> = off.collect();
         let mean = off.iter().sum::<f64>() / off.len() as f64;
@@ -449,10 +450,10 @@ mod tests {
         let (rays, floor, legs) = floor_and_legs();
         let taken = vec![false; rays.cells()];
         let mut background = Background::new(&rays);
-        let (comes, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
+        let (comes, ends) = (70, 70 + 2 * u64::from(ROWS_BETWEEN));
         let mut learn = |frames: core::ops::Range<u64>, image: &DepthImage| {
             for frame in frames {
-                let image = noisy(image, frame, 980);
+                let image = noisy(image, &DepthNoise::D435, frame, 980);
                 background.learn(&rays, &image, Instant(frame * 200_000), &taken);
             }
             far(&rays, &floor, &background)
@@ -472,11 +473,21 @@ mod tests {
         // Five images a second, the last as late as each pixel has been looked at twice.
         let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
         for frame in 0..leaves {
-            background.learn(&rays, &noisy(&legs, frame, 980), Instant(frame * 200_000), &taken);
+            background.learn(
+                &rays,
+                &noisy(&legs, &DepthNoise::D435, frame, 980),
+                Instant(frame * 200_000),
+                &taken,
+            );
         }
         let before = in_the_way(&background);
         for frame in leaves..ends {
-            background.learn(&rays, &noisy(&floor, frame, 980), Instant(frame * 200_000), &taken);
+            background.learn(
+                &rays,
+                &noisy(&floor, &DepthNoise::D435, frame, 980),
+                Instant(frame * 200_000),
+                &taken,
+            );
         }
         let after = in_the_way(&background);
         assert!(before > 1_000 && 10 * after < before, "{before} pixels, then {after}");

@@ -123,6 +123,7 @@ mod tests {
     use ubimap_protocol::time::Instant;
 
     use super::*;
+    use crate::camera::DepthNoise;
     use crate::perception::{
         background::Background,
         ray_table::Survey,
@@ -132,7 +133,7 @@ mod tests {
     #[test]
     fn a_wall_that_is_seen_edge_on_is_no_floor() {
         let lens = lens(640, 480, [0.2, 0.2, 2.8], [3.0, 2.7, 0.0]);
-        let rays = RayTable::new(&lens, Survey::default());
+        let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
         // Its face takes up a fifth of its cells.
         let wall = [[-1.0, -0.2, 0.0], [6.0, 0.06, 3.0]];
         let image = render(&lens, 0.0, &[wall]);
@@ -140,11 +141,11 @@ mod tests {
         let free = vec![false; rays.cells()];
         for frame in 0..30 {
             let captured = Instant(frame * 300_000);
-            background.learn(&rays, &noisy(&image, frame, 980), captured, &free);
+            background.learn(&rays, &noisy(&image, &DepthNoise::D435, frame, 980), captured, &free);
         }
         let mut said = vec![Cell::Unknown; rays.cells()];
         let mut evidence = Evidence::default();
-        evidence.fuse(&rays, &background, &noisy(&image, 99, 980));
+        evidence.fuse(&rays, &background, &noisy(&image, &DepthNoise::D435, 99, 980));
         let cells = cells(&rays, background.totals(), &evidence, &free, &free, &mut said);
         let mut walls = 0;
         for ((x, y), cell) in cells.into_iter().filter(|((x, _), _)| (45..60).contains(x)) {

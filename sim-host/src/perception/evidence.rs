@@ -155,6 +155,7 @@ mod tests {
     use ubimap_protocol::time::Instant;
 
     use super::*;
+    use crate::camera::DepthNoise;
     use crate::perception::{
         ray_table::Survey,
         testing::{Cuboid, lens, noisy, render},
@@ -168,11 +169,11 @@ mod tests {
         seed: u64,
     ) -> (RayTable, Background, crate::camera::Lens) {
         let lens = lens(width, 60, at, [1.0, 1.0, 0.0]);
-        let rays = RayTable::new(&lens, Survey::default());
+        let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
         let mut background = Background::new(&rays);
         let empty = render(&lens, 0.01, room);
         for frame in 0..15 {
-            let image = noisy(&empty, seed + frame, 980);
+            let image = noisy(&empty, &DepthNoise::D435, seed + frame, 980);
             let taken = vec![false; rays.cells()];
             background.learn(&rays, &image, Instant(frame * 300_000), &taken);
         }
@@ -200,7 +201,7 @@ mod tests {
             let (mut fast, mut plain) = (Evidence::default(), Evidence::default());
             let taken = vec![false; rays.cells()];
             for (turn, scene) in (0_u64..).zip(scenes.iter().cycle().take(60)) {
-                let image = noisy(&render(&lens, 0.0, scene), seed ^ turn, good);
+                let image = noisy(&render(&lens, 0.0, scene), &DepthNoise::D435, seed ^ turn, good);
                 fast.fuse(&rays, &background, &image);
                 plain.scatter(&rays, &background, &image);
                 prop_assert_eq!(&fast, &plain);

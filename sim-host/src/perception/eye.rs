@@ -89,7 +89,7 @@ impl Eye {
     /// The camera of a number; `None` if it has no depth sensor. Costs as [`RayTable::new`] does, and
     /// 40 bytes for each pixel.
     pub fn new(camera: usize, calibration: &Calibration, survey: Survey) -> Option<Self> {
-        let rays = RayTable::new(&calibration.depth?, survey);
+        let rays = RayTable::new(&calibration.depth?, &calibration.depth_noise, survey);
         Some(Self {
             camera,
             background: Background::new(&rays),

@@ -8,6 +8,7 @@
 mod background;
 mod cells;
 mod changes;
+mod depth_sigma;
 mod detector;
 mod evidence;
 mod eye;

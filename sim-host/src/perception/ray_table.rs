@@ -2,7 +2,8 @@
 
 use ubimap_protocol::units::Millimetres;
 
-use crate::camera::Lens;
+use super::depth_sigma::DepthSigma;
+use crate::camera::{DepthNoise, Lens};
 
 /// Fixed-point fractions: positions along a ray in 2^-24 of a cell, heights in 2^-16 mm.
 const CELL_SHIFT: u32 = 24;
@@ -71,6 +72,7 @@ struct Ray {
 #[derive(Clone, Debug)]
 pub struct RayTable {
     survey: Survey,
+    sigma: DepthSigma,
     size: (u32, u32),
     rays: Vec<Ray>,
     /// For each cell, the number of pixels whose rays meet the floor in it.
@@ -84,16 +86,10 @@ pub struct RayTable {
     eye_height: i64,
 }
 
-/// The noise of a depth, one sigma in millimetres: a D435's disparity of 640 x 480 pixels is good
-/// to 0.08 of a pixel.
-pub(super) fn noise_mm(depth: i64) -> i64 {
-    1 + depth * depth / 240_000
-}
-
 impl RayTable {
     /// The rays of a depth sensor. Costs some 50 ns per pixel, more if the lens distorts. Size: 12
     /// bytes per pixel.
-    pub fn new(lens: &Lens, survey: Survey) -> Self {
+    pub fn new(lens: &Lens, noise: &DepthNoise, survey: Survey) -> Self {
         let intrinsics = lens.intrinsics();
         let size = (intrinsics.width, intrinsics.height);
         let side_mm = f64::from(survey.side.0.max(1));
@@ -131,6 +127,7 @@ impl RayTable {
         };
         let table = Self {
             survey,
+            sigma: DepthSigma::of(noise),
             size,
             rays: directions.iter().map(ray).collect(),
             expected: Vec::new(),
@@ -190,25 +187,31 @@ impl RayTable {
         (self.first.0 + cells(self.eye.0), self.first.1 + cells(self.eye.1))
     }
 
+    /// The standard deviation of a measured depth, both in millimetres.
+    #[inline]
+    pub(super) fn sigma_mm(&self, depth: u16) -> i64 {
+        self.sigma.mm(depth)
+    }
+
     /// Where a pixel's point lies at a depth in millimetres.
     #[inline]
     pub(super) fn zone(&self, pixel: usize, depth: u16, allowance: Allowance) -> Zone {
         let ray = self.rays[pixel];
-        let depth = i64::from(depth);
-        if depth == 0 || depth > i64::from(self.survey.reach.0) {
+        let millimetres = i64::from(depth);
+        if depth == 0 || millimetres > i64::from(self.survey.reach.0) {
             return Zone::Nowhere;
         }
         let up = i64::from(ray.up);
-        let height = (self.eye_height + up * depth) >> HEIGHT_SHIFT;
+        let height = (self.eye_height + up * millimetres) >> HEIGHT_SHIFT;
         let sigma = match allowance {
             Allowance::None => 0,
-            Allowance::Learnt => noise_mm(depth).min(i64::from(self.survey.side.0) / 2),
-            Allowance::Measured => noise_mm(depth),
-            Allowance::Mean(count) => noise_mm(depth) / i64::from(count.isqrt().max(1)),
+            Allowance::Learnt => self.sigma_mm(depth).min(i64::from(self.survey.side.0) / 2),
+            Allowance::Measured => self.sigma_mm(depth),
+            Allowance::Mean(count) => self.sigma_mm(depth) / i64::from(count.isqrt().max(1)),
         };
         let noise = (2 * sigma * up.abs()) >> HEIGHT_SHIFT;
         let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
-        let Some(cell) = self.cell(ray, depth).filter(|_| height >= -tolerance) else {
+        let Some(cell) = self.cell(ray, millimetres).filter(|_| height >= -tolerance) else {
             return Zone::Nowhere;
         };
         if height <= tolerance {

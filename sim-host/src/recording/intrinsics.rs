@@ -27,7 +27,16 @@ pub(super) struct IntrinsicsFile {
     pub(super) distortion: [f64; 5],
     #[serde(default = "millimetres")]
     pub(super) depth_per_metre: f64,
+    pub(super) depth_noise: Option<DepthNoiseFile>,
     row: Option<u32>,
+}
+
+/// The coefficients of [`camera::DepthNoise`].
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DepthNoiseFile {
+    pub(super) constant_m: f64,
+    pub(super) quadratic_per_m: f64,
 }
 
 fn millimetres() -> f64 {
@@ -52,6 +61,7 @@ impl IntrinsicsFile {
         cy: 239.5,
         distortion: [0.0; 5],
         depth_per_metre: 5000.0,
+        depth_noise: None,
         row: None,
     };
     const HANDHELD: Self = Self {
@@ -63,14 +73,19 @@ impl IntrinsicsFile {
         cy: 253.5,
         distortion: [0.0; 5],
         depth_per_metre: 1000.0,
+        depth_noise: None,
         row: None,
     };
 
-    /// Those of a camera of ours, whose depths are in millimetres.
-    pub(super) fn of(pinhole: &camera::Intrinsics) -> Self {
+    /// The file of a calibrated sensor whose depths are in millimetres.
+    pub(super) fn of(pinhole: &camera::Intrinsics, noise: Option<&camera::DepthNoise>) -> Self {
         let camera::Intrinsics { width, height, fx, fy, cx, cy, distortion } = *pinhole;
         let depth_per_metre = millimetres();
-        Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, row: None }
+        let depth_noise = noise.map(|noise| DepthNoiseFile {
+            constant_m: noise.constant_m(),
+            quadratic_per_m: noise.quadratic_per_m(),
+        });
+        Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, depth_noise, row: None }
     }
 
     /// Refuses what no camera has.
@@ -126,7 +141,7 @@ pub(super) fn stated(folder: &Path) -> Result<Option<IntrinsicsFile>, LogError> 
             let Open3dCamera { width, height, .. } = camera;
             let distortion = [0.0; 5];
             let pinhole = camera::Intrinsics { width, height, fx, fy, cx, cy, distortion };
-            IntrinsicsFile::of(&pinhole).checked()
+            IntrinsicsFile::of(&pinhole, None).checked()
         });
         return Ok(Some(intrinsics.map_err(|reason| refuse(json_file, reason))?));
     }

@@ -13,12 +13,12 @@ use super::{
     frame_times::{self, FrameTime, FrameTimes, TIMES_FILE},
 };
 use crate::{
-    camera::{self, Calibration, CalibrationError, Lens},
+    camera::{self, Calibration, CalibrationError, DepthNoise, Lens},
     grid::raster,
     recording::{
         camera_poses::{CameraPose, has_poses, read_poses},
         error::{FrameFault, LogError},
-        intrinsics::{self, IntrinsicsFile},
+        intrinsics::{self, DepthNoiseFile, IntrinsicsFile},
         numbered_files::{PICTURE_KINDS, depth_images, files_in, number_in},
     },
 };
@@ -322,13 +322,19 @@ fn calibrations(
     let is_fixed = [depth, picture].into_iter().flatten().all(|sensor| sensor.poses.len() == 1);
     let calibration = |frame| {
         let lens = |sensor: Option<&SensorFiles>| sensor.map(|it| it.lens(frame)).transpose();
-        Ok(Calibration { depth: lens(depth)?, picture: lens(picture)? })
+        let depth_noise = match depth.and_then(|it| it.intrinsics.depth_noise) {
+            Some(DepthNoiseFile { constant_m, quadratic_per_m }) => {
+                DepthNoise::new(constant_m, quadratic_per_m)?
+            }
+            None => DepthNoise::default(),
+        };
+        Ok(Calibration { depth: lens(depth)?, depth_noise, picture: lens(picture)? })
     };
     let calibrations = (0..if is_fixed { 1 } else { frames }).map(calibration);
     let refuse = |error| FramesError::Calibration { path: path.to_owned(), error };
     let calibrations: Vec<Calibration> = calibrations.collect::<Result<_, _>>().map_err(refuse)?;
     // Whoever carries a camera about says where it was in any frame.
-    if let [Calibration { depth, picture }] = &calibrations[..]
+    if let [Calibration { depth, picture, .. }] = &calibrations[..]
         && let Some(lens) = [depth, picture].into_iter().flatten().find(|it| it.centre().z <= 0.0)
     {
         let height_m = lens.centre().z;

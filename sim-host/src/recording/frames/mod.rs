@@ -5,7 +5,7 @@
 //! CAMERA/               one folder per camera; cameras are numbered in the order of their names.
 //!                       With a single camera, the files below may lie beside robots.toml
 //!   pose.txt            pose of the depth sensor: x y z qx qy qz qw
-//!   intrinsics.toml     its width, height, fx, fy, cx, cy, distortion and depth_per_metre
+//!   intrinsics.toml     its width, height, fx, fy, cx, cy, distortion, depth_per_metre and depth_noise
 //!   depth/*.png, *.pgm  16-bit grey
 //!   color/*.png ...     pictures, grey or colour; also .jpg, .bmp, .ppm and .pgm
 //!   color/pose.txt      pose of the picture sensor (default: the depth sensor's), and
@@ -31,8 +31,9 @@
 //! 0 0 2.8 1 0 0 0
 //! ```
 //!
-//! `intrinsics.toml`, focal lengths and centre in pixels; without the last two lines there is no
-//! distortion, and depths are in millimetres:
+//! `intrinsics.toml`, focal lengths and centre in pixels. The last three lines are optional: by default
+//! there is no distortion, depths are in millimetres, and their noise is that of a D435 (see
+//! [`DepthNoise`](crate::camera::DepthNoise)):
 //!
 //! ```toml
 //! width = 640
@@ -43,6 +44,7 @@
 //! cy = 239.5
 //! distortion = [0.0, 0.0, 0.0, 0.0, 0.0]  # k1, k2, p1, p2, k3
 //! depth_per_metre = 1000
+//! depth_noise = { constant_m = 0.001, quadratic_per_m = 0.00475 }
 //! ```
 //!
 //! `times.txt`; the third frame arrived before the second:

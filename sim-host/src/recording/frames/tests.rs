@@ -5,7 +5,7 @@ use ubimap_protocol::time::Instant;
 
 use super::*;
 use crate::{
-    camera::{Frame, FrameSource, Picture},
+    camera::{Calibration, DepthNoise, Frame, FrameSource, Picture},
     perception::{Background, Evidence, RayTable, Survey},
     testing::{Folder, shared_data},
 };
@@ -118,6 +118,21 @@ fn what_the_recorder_writes_is_read_again() {
     assert!(error.contains("not empty"), "{error}");
     folder.file("file", b"");
     assert!(Recorder::create(&folder.path().join("file/below"), source.cameras()).is_err());
+}
+
+#[test]
+fn the_noise_of_depths_is_what_the_intrinsics_state_or_a_d435s() {
+    let folder = one_camera("recorded-noise");
+    let noise = || open(folder.path()).map(|it| it.cameras()[0].depth_noise);
+    assert_eq!(noise().unwrap(), DepthNoise::D435);
+    let state =
+        |noise: &str| folder.file("intrinsics.toml", &[INTRINSICS, noise.as_bytes()].concat());
+    state("depth_noise = { constant_m = 0.02, quadratic_per_m = 0.001 }\n");
+    assert_eq!(noise().unwrap(), DepthNoise::new(0.02, 0.001).unwrap());
+    state("depth_noise = { constant_m = 20, quadratic_per_m = 0.001 }\n");
+    expect(&folder, &["depth noise of 20 m plus 0.001/m", "give a constant from 0 to 1"]);
+    state("depth_noise = { constant_m = 0.02 }\n");
+    expect(&folder, &["intrinsics.toml: intrinsics: missing field `quadratic_per_m`"]);
 }
 
 #[test]
@@ -306,7 +321,9 @@ fn recorded_images_make_the_same_evidence_both_ways() {
         assert_eq!(source.cameras().len(), 5, "{name}");
         let frames = all(&mut source);
         assert_eq!(frames.len(), 5, "{name}");
-        let rays = RayTable::new(&source.cameras()[0].depth.unwrap(), Survey::default());
+        let Calibration { depth, depth_noise: noise, .. } = source.cameras()[0];
+        let lens = depth.unwrap();
+        let rays = RayTable::new(&lens, &noise, Survey::default());
         let mut background = Background::new(&rays);
         let taken = vec![false; rays.cells()];
         let (mut fast, mut plain) = (Evidence::default(), Evidence::default());

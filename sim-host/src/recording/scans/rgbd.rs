@@ -5,7 +5,7 @@
 //! pose.txt              one line for each image: [time] x y z qx qy qz qw
 //! trajectory.log        or five: three numbers, then the four rows of a matrix
 //! intrinsics.toml       width, height, fx, fy, cx, cy, distortion (k1, k2, p1, p2, k3; none),
-//!                       depth_per_metre (1000), row (cy)
+//!                       depth_per_metre (1000), row (cy); depth_noise is of no use here
 //! *.json                or Open3D's camera file; depth in millimetres
 //! ```
 //!

@@ -7,15 +7,20 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     canvas::Canvas,
-    noise::{DepthNoise, PictureNoise},
+    noise::{PictureNoise, StereoNoise},
     paint,
     paint::Paint,
     pinhole::{Pinhole, Rectangle},
     scene::{Part, Scene},
 };
 use crate::{
-    camera::{Calibration, CalibrationError, DepthImage, Intrinsics, Picture},
-    world::{mounting::Mounting, room::Room, scenario::CameraConfig, shapes::Prism},
+    camera::{Calibration, CalibrationError, DepthImage, DepthNoise, Intrinsics, Picture},
+    world::{
+        mounting::Mounting,
+        room::Room,
+        scenario::{CameraConfig, DepthConfig},
+        shapes::Prism,
+    },
 };
 
 /// A depth sensor and one of pictures beside it.
@@ -33,7 +38,7 @@ pub(in super::super) struct FrameCamera {
 struct Drawing {
     depth: Imager,
     picture: Imager,
-    depth_noise: DepthNoise,
+    depth_noise: StereoNoise,
     picture_noise: PictureNoise,
     /// The room that has been drawn.
     room: Arc<Room>,
@@ -56,8 +61,10 @@ impl FrameCamera {
         let fields = [picture.horizontal_fov_deg, picture.vertical_fov_deg];
         let picture =
             mounting.lens(picture.left_m, intrinsics(picture.width, picture.height, fields))?;
+        let DepthConfig { baseline_m, noise_px, .. } = config.depth;
+        let depth_noise = DepthNoise::stereo(depth.intrinsics().fx, baseline_m, noise_px)?;
         Ok(Self {
-            calibration: Calibration { depth: Some(depth), picture: Some(picture) },
+            calibration: Calibration { depth: Some(depth), depth_noise, picture: Some(picture) },
             config: config.clone(),
             dice,
             channels: if in_colour { 3 } else { 1 },
@@ -97,7 +104,8 @@ impl FrameCamera {
 
     /// With this room drawn.
     fn drawing(&mut self, room: &Arc<Room>) -> Option<&mut Drawing> {
-        let Calibration { depth: Some(depth), picture: Some(picture) } = &self.calibration else {
+        let Calibration { depth: Some(depth), picture: Some(picture), .. } = &self.calibration
+        else {
             return None;
         };
         match &mut self.drawing {
@@ -107,7 +115,7 @@ impl FrameCamera {
                 let mut drawing = Drawing {
                     depth: Imager::new(Pinhole::new(depth), 0),
                     picture: Imager::new(Pinhole::new(picture), self.channels),
-                    depth_noise: DepthNoise::new(&self.config, focal, &mut self.dice),
+                    depth_noise: StereoNoise::new(&self.config, focal, &mut self.dice),
                     picture_noise: PictureNoise::new(self.config.picture.noise, &mut self.dice),
                     room: room.clone(),
                     still: Vec::new(),
