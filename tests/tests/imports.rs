@@ -16,7 +16,7 @@ mod graph;
 const HOST: [(&str, &[&str]); 11] = [
     ("grid", &[]),
     ("camera", &["grid"]),
-    ("log", &["grid", "camera"]),
+    ("recording", &["grid", "camera"]),
     ("perception", &["grid", "camera"]),
     ("mapping", &["grid", "camera", "perception"]),
     ("server", &["grid", "camera", "perception", "mapping"]),
@@ -30,9 +30,9 @@ const HOST: [(&str, &[&str]); 11] = [
             "camera",
             "channel",
             "grid",
-            "log",
             "mapping",
             "perception",
+            "recording",
             "report",
             "server",
             "store",
@@ -42,24 +42,7 @@ const HOST: [(&str, &[&str]); 11] = [
 ];
 
 /// Circles that `sim-host` still has. None may be added.
-const HOST_CIRCLES: [&[&str]; 8] = [
-    &["log/camera_folder.rs", "log/frame_times.rs"],
-    &[
-        "log/carmen.rs",
-        "log/intrinsics.rs",
-        "log/lines.rs",
-        "log/mines.rs",
-        "log/mod.rs",
-        "log/rgbd.rs",
-        "log/slicing.rs",
-    ],
-    &["mapping/agreement.rs", "mapping/fused_layer.rs"],
-    &["perception/markers/colour.rs", "perception/markers/mod.rs"],
-    &["run/driving.rs", "run/scoring.rs", "run/simulate.rs", "run/time_lapse.rs"],
-    &["server/coordination/coordinator.rs", "server/coordination/exploration.rs"],
-    &["world/cadence.rs", "world/filming.rs", "world/mod.rs"],
-    &["world/robots.rs", "world/sensor.rs"],
-];
+const HOST_CIRCLES: [&[&str];
 
 #[test]
 fn the_protocol_imports_only_what_its_docs_name_before() {

@@ -11,7 +11,7 @@ use super::Agent;
 use crate::{
     config::Config,
     locate::Located,
-    map::{PeerMasks, Selected, Surround, View},
+    map::{PeerMasks, ScanContext, Selected, Surround},
     sense::{Beam, Columns, ScanError},
     share::DistanceVectors,
     timing::CLOCKS_DISAGREE,
@@ -169,7 +169,7 @@ impl Agent<'_> {
             let variances = variances.unwrap_or_default();
             // What an unseen robot draws a cell to the side becomes a second wall.
             let range = if blind { variances.reach(resolution, max_range) } else { max_range };
-            let view = View { pose, moment, range, resolution, mask };
+            let view = ScanContext { pose, moment, range, resolution, mask };
             // Without the server's time they mean nothing.
             let peers = self.commands.peers().filter(|_| server_moment.is_some());
             let peers = PeerMasks::new(peers, &view, variances);

@@ -11,10 +11,10 @@ use super::{
     look::{Gaze, LookAround},
     near::NearPoints,
     plan::PlanError,
+    planning_window::{GroundRow, Mover, PlanningWindow, WindowInputs},
     reason::Reason,
     safety::{Health, Safety, SafetyLimits},
     search::{End, Outcome, Search},
-    window::{GroundRow, Mover, View, Window},
 };
 use crate::{
     timing::{AVOIDED_FOR, HINDERED_WAIT, MAP_LOOK_INTERVAL, NO_WAY_RETRY, REPLAN_INTERVAL},
@@ -207,7 +207,7 @@ impl Driver {
     }
 
     /// The ground as it was last looked at.
-    pub fn window(&self) -> &Window {
+    pub fn window(&self) -> &PlanningWindow {
         &self.search.window
     }
 
@@ -225,7 +225,7 @@ impl Driver {
         let amiss = self.safety.check(&inputs.health, self.command);
         let (command, reason) = match (amiss, inputs.health.pose) {
             (None, Some((pose, unsure))) => {
-                let sight = Step { inputs, pose, unsure, elapsed, now };
+                let sight = StepContext { inputs, pose, unsure, elapsed, now };
                 self.go_on(&sight, &ground)
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
@@ -248,7 +248,7 @@ impl Driver {
 
     fn go_on(
         &mut self,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         match self.phase {
@@ -293,7 +293,7 @@ impl Driver {
     }
 
     /// Begins a search, or goes on with one.
-    fn search(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    fn search(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if !self.is_begun {
             self.is_begun = true;
             self.search.begin(self.goal(), step.pose, self.config.resolution);
@@ -333,12 +333,12 @@ impl Driver {
         }
     }
 
-    /// What windows are made from; without `near` what moves is no obstacle.
-    fn view<'v>(&self, step: &Step<'v>, none: &'v NearPoints) -> View<'v> {
+    /// The inputs of the planning window; without `near` what moves is no obstacle.
+    fn view<'v>(&self, step: &StepContext<'v>, none: &'v NearPoints) -> WindowInputs<'v> {
         // What walks by is no obstacle; what has been waited for is.
         let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED_FOR);
         let motion = &self.config.motion;
-        View {
+        WindowInputs {
             pose: step.pose,
             resolution: self.config.resolution,
             level: 0,
@@ -351,7 +351,7 @@ impl Driver {
     }
 
     /// Looks at the map again, and whether the path still leads to something.
-    fn look(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    fn look(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if step.now.since(self.looked) < MAP_LOOK_INTERVAL {
             return;
         }
@@ -371,7 +371,7 @@ impl Driver {
     }
 
     /// Drives along the path.
-    fn drive(&mut self, step: &Step<'_>) -> (DriveCommand, Reason) {
+    fn drive(&mut self, step: &StepContext<'_>) -> (DriveCommand, Reason) {
         let sight = Sight {
             pose: step.pose,
             unsure: step.unsure,
@@ -396,7 +396,7 @@ impl Driver {
 
     /// Waits for what hinders it, and then goes round it. Only a stretch driven shows that the way
     /// is clear again: until then the reason stays.
-    fn wait(&mut self, reason: Reason, step: &Step<'_>) -> Reason {
+    fn wait(&mut self, reason: Reason, step: &StepContext<'_>) -> Reason {
         let hindered = match (self.hindered, reason) {
             (None, Reason::Driving) => return reason,
             (None, _) => Hindered { since: step.now, at: step.pose, reason },
@@ -418,7 +418,7 @@ impl Driver {
     }
 
     /// At the end of the path.
-    fn arrive(&mut self, step: &Step<'_>) -> Reason {
+    fn arrive(&mut self, step: &StepContext<'_>) -> Reason {
         if self.phase != Phase::Driving {
             // Another path is being looked for.
             self.has_path = false;
@@ -455,7 +455,7 @@ impl Driver {
         &mut self,
         gaze: Gaze,
         mut look: LookAround,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let Config { resolution, explore_covered, .. } = self.config;
@@ -476,7 +476,7 @@ impl Driver {
     fn look_at(
         &mut self,
         look: Look,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let turned = look.turned + radians(step.pose.heading - look.last.heading);
@@ -500,8 +500,8 @@ impl Driver {
     }
 }
 
-/// What a step has to do with.
-struct Step<'s> {
+/// The inputs of one step, and what follows from them.
+struct StepContext<'s> {
     inputs: &'s Inputs<'s>,
     pose: Pose,
     unsure: f32,

@@ -8,7 +8,7 @@ pub mod fleet;
 pub mod keeper;
 pub mod options;
 mod progress;
-pub mod recording;
+pub mod record;
 pub mod registry;
 pub mod replay;
 pub mod scoring;
@@ -26,8 +26,8 @@ use ubimap_agent::{ConfigError, map::MAX_RADIUS};
 use crate::{
     channel::serial::SerialError,
     grid::{self, GridError, MapError, OccupancyGrid},
-    log::{FramesError, LogError},
     perception::robots::RegistryError,
+    recording::{FramesError, LogError},
     report::{self, Marker, OutputError, OutputFolder, Report},
     store::StoreError,
     world::ScenarioError,

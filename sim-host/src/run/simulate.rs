@@ -16,7 +16,7 @@ use super::{
     fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
     options::SimulateOptions,
     progress::Progress,
-    recording::{Recorded, Recording},
+    record::{Recorded, Recording},
     registry::{RegisteredRobot, Registry},
     scoring::{self, TRACK_INTERVAL},
     time_lapse::{self, TimeLapse},
