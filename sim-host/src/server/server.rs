@@ -251,7 +251,8 @@ impl Server {
     pub fn coordinate(&mut self, view_m: f64, range_m: f64, look: Duration) {
         let Terms { resolution, server_epoch, .. } = self.terms;
         let first_path = server_epoch.wrapping_shl(20);
-        let settings = Settings { resolution, view_m, range_m, look, first_path };
+        let settings =
+            Settings { resolution, view_m, range_m, look, first_path, ..Settings::default() };
         self.coordinating = Some(Coordinating::new(settings));
     }
 

@@ -5,40 +5,7 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-use super::{ground::Point, situation::Whereabouts};
-
-/// Whoever has moved less stands, in metres.
-const STILL_M: f64 = 0.03;
-
-/// The end of a path is reached if a robot stops so near to it, in metres.
-pub(super) const ARRIVED_M: f64 = 0.25;
-
-/// Until the server has heard what a robot saw.
-const HEARD: Duration = Duration::from_millis(500);
-
-/// A frontier that a robot goes to look at.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Target {
-    /// Where the frontier was.
-    pub(super) frontier: Point,
-    /// Where to look at it from.
-    pub(super) view: Point,
-    /// Since when the robot stands there, and when it said that it had looked around.
-    pub(super) reached: Option<Instant>,
-    pub(super) looked: Option<Instant>,
-}
-
-impl Target {
-    /// A frontier to be looked at from a place.
-    pub(super) fn new(frontier: Point, view: Point) -> Self {
-        Self { frontier, view, reached: None, looked: None }
-    }
-
-    /// Whether the robot has looked at it, and the server has heard what it saw.
-    pub(super) fn is_heard_of(&self, now: Instant) -> bool {
-        self.looked.is_some_and(|looked| now.since(looked) >= HEARD)
-    }
-}
+use super::{ground::Point, settings::Following, situation::Whereabouts, target::Target};
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -93,12 +60,12 @@ impl Member {
         }
     }
 
-    /// It was seen. Whether it has come back after it was lost.
-    pub(super) fn see(&mut self, robot: &Whereabouts, now: Instant) -> bool {
+    /// It was seen. Returns whether it has come back after it was lost.
+    pub(super) fn see(&mut self, robot: &Whereabouts, rules: &Following, now: Instant) -> bool {
         self.radius_m = robot.radius_m();
         self.heading = robot.pose.heading.radians();
         self.seen = self.seen.max(robot.moment);
-        if (robot.place() - self.still_at).norm() > STILL_M {
+        if (robot.place() - self.still_at).norm() > rules.still_m {
             (self.still_at, self.still_since) = (robot.place(), robot.moment);
         }
         let was_lost = self.lost.is_some();
@@ -123,8 +90,8 @@ impl Member {
     }
 
     /// Whether a place is where it is to go.
-    pub(super) fn is_there(&self, place: Point) -> bool {
-        self.destination().is_some_and(|it| (it - place).norm() <= ARRIVED_M)
+    pub(super) fn is_there(&self, place: Point, rules: &Following) -> bool {
+        self.destination().is_some_and(|it| (it - place).norm() <= rules.arrived_m)
     }
 
     /// Whether it can be told to drive.

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 };
 
 use super::ground::{Disc, Point};
-use crate::{mapping::ServedLayer, server::Footprint};
+use crate::{mapping::ServedLayer, perception::Footprint};
 
 /// All that is known of the room.
 #[derive(Clone, Copy, Debug)]
