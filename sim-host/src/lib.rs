@@ -22,6 +22,7 @@ pub mod report;
 pub mod run;
 pub mod server;
 pub mod store;
+pub mod timing;
 pub mod world;
 
 #[cfg(test)]

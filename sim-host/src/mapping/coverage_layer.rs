@@ -8,11 +8,8 @@ use ubimap_protocol::{
 };
 
 use super::{runs::runs, served_layer::ServedLayer};
-use crate::camera::Observation;
+use crate::{camera::Observation, timing::COVERAGE_HOLDS};
 
-/// A cell is covered for so long after the frame was captured in which a camera saw it. Cells are
-/// looked at twice a second at least.
-const COVERED_FOR: Duration = Duration::from_millis(700);
 /// The layer is computed anew this often: a camera that dies leaves its cells blind within a second.
 const INTERVAL: Duration = Duration::from_millis(250);
 
@@ -55,7 +52,7 @@ impl CoverageLayer {
         // All that was covered is looked at again, also where nobody sees it any more.
         let mut covered: BTreeMap<TileId, Mask> =
             self.served.tiles().map(|(id, ..)| (id, [0; TILE_SIDE])).collect();
-        self.frames.retain(|(captured, _)| now < *captured + COVERED_FOR);
+        self.frames.retain(|(captured, _)| now < *captured + COVERAGE_HOLDS);
         for (id, seen) in self.frames.iter().flat_map(|(_, tiles)| tiles) {
             let mask = covered.entry(*id).or_default();
             for (row, seen) in mask.iter_mut().zip(seen) {

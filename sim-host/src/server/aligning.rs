@@ -15,14 +15,11 @@ use ubimap_protocol::{
 };
 
 use super::shared_map::SharedMap;
-use crate::mapping::{ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points};
+use crate::{
+    mapping::{ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points},
+    timing::{FIX_GAP, FIX_HISTORY, OUT_OF_VIEW},
+};
 
-/// Fixes are remembered for so long: a scan may wait for its pose, and a frame for its way.
-const MEMORY: Duration = Duration::from_secs(4);
-/// Fixes further apart than this leave open where the robot was in between.
-const WIDEST_GAP: Duration = Duration::from_millis(400);
-/// A robot without a fix for so long is in blind ground.
-const BLIND_AFTER: Duration = Duration::from_millis(700);
 /// What a robot draws counts for its own fixes after so many seconds: what it has just drawn can't
 /// but agree with where it believes to be.
 const OWN_AGE: u32 = 30;
@@ -175,7 +172,7 @@ impl Aligning {
         let pose = self.errors.fix(captured, seen);
         self.blind = None;
         self.fixes.push_back((captured, pose));
-        self.fixes.retain(|&(moment, _)| captured.since(moment) <= MEMORY);
+        self.fixes.retain(|&(moment, _)| captured.since(moment) <= FIX_HISTORY);
         pose
     }
 
@@ -202,7 +199,7 @@ impl Aligning {
         }
         let unseen = vector.time.since(newest);
         let blind = self.blind.get_or_insert_with(|| Blind::after(unseen, vector.pose));
-        if unseen < BLIND_AFTER {
+        if unseen < OUT_OF_VIEW {
             // It has just left the view, and knows well where it is.
             blind.trail.add(vector.pose, &points, resolution);
             return None;
@@ -231,7 +228,7 @@ impl Aligning {
         let (to, end) = self.fixes[after];
         let (from, start) = *self.fixes.get(after.checked_sub(1)?)?;
         let gap = to.since(from);
-        if gap > WIDEST_GAP {
+        if gap > FIX_GAP {
             return None;
         }
         let part = moment.since(from).micros() as f64 / gap.micros() as f64;

@@ -2,22 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use ubimap_protocol::{
-    message::EventCode,
-    time::{Duration, Instant},
-    units::RobotId,
-};
+use ubimap_protocol::{message::EventCode, time::Instant, units::RobotId};
 
 use super::{
     command::Command,
     coordination::{Coordinator, Settings, Situation, Whereabouts},
     surroundings::Surroundings,
 };
-use crate::mapping::ServedLayer;
-
-/// A robot states how it fares every two seconds: one of which nothing has been heard for so long
-/// can't be told anything.
-const SILENT: Duration = Duration::from_secs(5);
+use crate::{mapping::ServedLayer, timing::ROBOT_UNREACHABLE};
 
 /// Who drives where.
 #[derive(Debug)]
@@ -64,7 +56,7 @@ impl Coordinating {
         }
         let robots = view.surroundings.robots().map(|(robot, moment, pose, footprint)| {
             let mut heard = view.heard.iter().filter(|(id, _)| *id == robot);
-            let has_session = heard.any(|(_, heard)| now.since(*heard) < SILENT);
+            let has_session = heard.any(|(_, heard)| now.since(*heard) < ROBOT_UNREACHABLE);
             Whereabouts { robot, moment, pose, footprint, has_session }
         });
         let robots: Vec<Whereabouts> = robots.collect();

@@ -14,13 +14,10 @@ use super::{
     scene::Scene,
     session::{Link, Session},
 };
+use crate::timing::SESSION_SILENT;
 
 /// At most this often a robot is told that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
-/// A robot states how it fares every two seconds. A session of which nothing has been heard for so
-/// long (not even seven states on a bad link), where frames of something else come in, is not the one
-/// that the robot has: an old hello may have opened it.
-const SILENCE: Duration = Duration::from_secs(15);
 
 /// A serial port, a simulated channel. At most one robot is behind it.
 #[derive(Debug)]
@@ -81,7 +78,7 @@ impl Port {
         Some(match (link.receive(bytes, now)?, session) {
             (Received::Bad, session) => {
                 let heard = session.as_ref().map(|session| session.heard);
-                reset.due |= heard.is_none_or(|heard| now.since(heard) >= SILENCE);
+                reset.due |= heard.is_none_or(|heard| now.since(heard) >= SESSION_SILENT);
                 Brought::Nothing
             }
             (Received::Handshake(message), _) => match parse_hello(message) {
@@ -281,7 +278,7 @@ mod tests {
         let soon = Instant(0) + Duration::from_secs(1);
         server.receive(0, &of_the_session_before, soon).unwrap();
         assert_eq!(drain(&mut server, soon), 0, "a frame may be damaged");
-        let later = Instant(0) + SILENCE;
+        let later = Instant(0) + SESSION_SILENT;
         server.receive(0, &of_the_session_before, later).unwrap();
         assert_eq!(drain(&mut server, later), 1);
         assert_eq!(server.robot_at(0), Some(RobotId(1)));

@@ -4,17 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
     tile::{Epoch, Tile, TileId},
-    time::{Duration, Instant},
+    time::Instant,
     units::RobotId,
 };
 
-use crate::mapping::{
-    Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Sight, Weight,
-    clear, fuse, hollow,
+use crate::{
+    mapping::{
+        Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Sight, Weight,
+        clear, fuse, hollow,
+    },
+    timing::ROBOT_GONE,
 };
-
-/// A robot that no camera has seen for longer may be anywhere.
-const STANDS: Duration = Duration::from_secs(10);
 
 /// The layers, and what follows from them.
 #[derive(Debug, Default)]
@@ -189,7 +189,7 @@ impl SharedMap {
         self.time = time;
         let mut bared = BTreeSet::new();
         self.under.retain(|_, (captured, masks)| {
-            let stands = now.since(*captured) <= STANDS;
+            let stands = now.since(*captured) <= ROBOT_GONE;
             if !stands {
                 bared.extend(masks.keys().copied().filter(|id| self.hiding.contains(id)));
             }

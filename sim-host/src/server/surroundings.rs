@@ -4,20 +4,18 @@ use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     message::{Obstacle, Peer},
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose, RobotId},
 };
 
 use crate::{
     camera::Observation,
     perception::{Footprint, Lying, Track, Tracks, things_of_cells},
+    timing::POSE_STALE,
 };
 
 /// Whoever is farther away is not near: metres.
 const NEAR_M: f64 = 8.0;
-/// A robot that nothing has been heard of for longer may be anywhere. One out of view says itself
-/// where it is, every two seconds.
-const LOST: Duration = Duration::from_millis(2_500);
 
 /// All that is about.
 #[derive(Debug, Default)]
@@ -70,7 +68,7 @@ impl Surroundings {
         let recent = self
             .robots
             .iter()
-            .filter(move |(_, (at, _))| moment.since(*at).max(at.since(moment)) <= LOST);
+            .filter(move |(_, (at, _))| moment.since(*at).max(at.since(moment)) <= POSE_STALE);
         recent.map(|(&robot, &(_, pose))| (robot, pose))
     }
 
@@ -83,7 +81,8 @@ impl Surroundings {
     pub(super) fn peers(&self, robot: RobotId) -> Vec<Peer> {
         let newest = self.peers_moment(robot).unwrap_or_default();
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
-        let recent = self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= LOST);
+        let recent =
+            self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= POSE_STALE);
         let peers = recent.map(|(id, moment, pose)| {
             let Footprint { half_length, half_width } = self.footprint(id);
             let age = (newest.since(moment).micros() / 10_000).min(255) as u8;
