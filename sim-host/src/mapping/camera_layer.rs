@@ -93,6 +93,15 @@ impl CameraLayer {
         tiles.collect()
     }
 
+    /// Some of what was taken to be kept could not be: it is taken again.
+    pub fn not_kept(&mut self, tiles: &[CameraTile]) {
+        for tile in tiles {
+            if let Some(still) = self.still.get_mut(&tile.id) {
+                still.is_unkept = true;
+            }
+        }
+    }
+
     /// Whether [`CameraLayer::take_unkept`] has something.
     pub fn has_unkept(&self) -> bool {
         self.still.values().any(|still| still.is_unkept)

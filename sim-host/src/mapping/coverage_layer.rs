@@ -7,7 +7,7 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::{runs::runs, served_layer::ServedLayer};
+use super::{mask::Mask, runs::runs, served_layer::ServedLayer};
 use crate::{camera::Observation, timing::COVERAGE_HOLDS};
 
 /// The layer is computed anew this often: a camera that dies leaves its cells blind within a second.
@@ -23,9 +23,6 @@ pub struct CoverageLayer {
     /// When to compute it anew, as long as anything is covered or was.
     due: Option<Instant>,
 }
-
-/// The cells of a tile, a word for each row.
-type Mask = [u32; TILE_SIDE];
 
 impl CoverageLayer {
     /// Takes the cells of a frame, in any order of frames. Costs a few nanoseconds for each cell.

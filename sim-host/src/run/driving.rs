@@ -13,6 +13,7 @@ use crate::{
     camera::FrameSource,
     mapping::ServedLayer,
     report::DrivingSummary,
+    server::coordination::Settings,
     world::{SimRobot, World},
 };
 
@@ -35,7 +36,8 @@ const INTERVAL: Duration = Duration::from_secs(1);
 pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World, motion: MotionName) {
     let ranges = world.robots().iter().map(|robot| robot.sensor().max_range_m());
     let range_m = ranges.fold(f64::INFINITY, f64::min);
-    fleet.coordinate(range_m.min(VIEW_M), range_m, LOOK);
+    let view_m = range_m.min(VIEW_M);
+    fleet.coordinate(Settings { view_m, range_m, look: LOOK, ..Settings::default() });
     for robot in world.robots().iter().filter(|robot| robot.drives()) {
         fleet.let_drive(robot.id(), config(robot), motion == MotionName::StopAndWait);
     }

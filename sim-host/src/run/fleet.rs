@@ -26,7 +26,7 @@ use crate::{
     channel::fault::{FaultWire, Faults},
     perception::Observer,
     report::{Comparison, Published},
-    server::{Footprint, Server},
+    server::{Footprint, Server, coordination::Settings},
     store::StoreError,
 };
 
@@ -328,10 +328,9 @@ impl<'b> Fleet<'b> {
         self.server.set_footprint(robot, footprint);
     }
 
-    /// Lets the server say where robots drive: a frontier is in view from so far, by sensors that
-    /// see so far, both in metres, and looked at for so long.
-    pub fn coordinate(&mut self, view_m: f64, range_m: f64, look: Duration) {
-        self.server.coordinate(view_m, range_m, look);
+    /// Lets the server say where robots drive.
+    pub fn coordinate(&mut self, settings: Settings) {
+        self.server.coordinate(settings);
     }
 
     /// Lets a robot drive itself, and explore; if it is to stop for scans, where its gate opens.
@@ -342,7 +341,7 @@ impl<'b> Fleet<'b> {
                 pilot.stop_for_scans(Stops::new(robot.agent.config().gate));
             }
             robot.pilot = Some(pilot);
-            self.server.explore(robot.id);
+            self.server.explore(robot.id, true);
         }
     }
 
@@ -532,6 +531,9 @@ impl<'b> Fleet<'b> {
             }
         }
         self.server.age(now);
+        while let Some((_, event)) = self.server.poll_event() {
+            log::log!(event.level(), "{event}");
+        }
     }
 
     /// Whether the server holds the newest version of every tile that each robot has published,

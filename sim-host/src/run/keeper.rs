@@ -12,7 +12,7 @@ use ubimap_protocol::{
 
 use super::options::RunOptions;
 use crate::{
-    mapping::TileRecord,
+    mapping::{CureRecord, TileRecord},
     server::Server,
     store::{Store, StoreError},
 };
@@ -75,8 +75,10 @@ impl Keeper {
             return Ok(());
         }
         self.next_commit = now + COMMIT_INTERVAL;
-        while let Some(record) = server.poll_cured() {
-            self.store.cure(&record)?;
+        let cures: Vec<CureRecord> = server.unsaved_cures().copied().collect();
+        for record in &cures {
+            self.store.cure(record)?;
+            server.cure_stored(record);
         }
         let records: Vec<(RobotId, TileRecord)> =
             std::iter::from_fn(|| server.poll_store()).collect();
@@ -139,7 +141,7 @@ mod tests {
     use super::*;
     use crate::{
         camera::{Observation, Sighting},
-        mapping::{CureRecord, Cured},
+        mapping::Cured,
         testing::Folder,
     };
 

@@ -211,6 +211,9 @@ impl Station {
         }
         let now = self.now();
         self.server.timeout(now);
+        while let Some((_, event)) = self.server.poll_event() {
+            log::log!(event.level(), "{event}");
+        }
         match &mut self.keeper {
             Some(keeper) => keeper.keep(&mut self.server, now),
             None => Ok(()),

@@ -1,4 +1,4 @@
-//! One way in, and the session there.
+//! One port, and the session on it.
 
 use ubimap_protocol::{
     frame::{Direction, SessionId},
@@ -11,12 +11,12 @@ use ubimap_protocol::{
 use super::{
     command::Command,
     inflow::Inflow,
-    scene::Scene,
     session::{Link, Session},
+    snapshot::Snapshot,
 };
 use crate::timing::SESSION_SILENT;
 
-/// At most this often a robot is told that it has no session here.
+/// The shortest time between two messages to a robot that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A serial port, a simulated channel. At most one robot is behind it.
@@ -28,7 +28,7 @@ pub(super) struct Port {
     /// A frame of the handshake that is due.
     answer: Option<Answer>,
     reset: Reset,
-    /// Messages of unknown kinds, and such that could not be read.
+    /// Messages of unknown kinds, and messages that could not be read.
     unknown: u32,
     malformed: u32,
     bytes_sent: u64,
@@ -65,7 +65,7 @@ impl Default for Port {
 }
 
 impl Port {
-    /// What is read of bytes that come in, and whether it is now that more comes than is read.
+    /// The bytes that are read of those that came in, and whether a flood begins with them.
     pub(super) fn admit<'b>(&mut self, bytes: &'b [u8], now: Instant) -> (&'b [u8], bool) {
         let was_flooded = self.inflow.floods();
         let admitted = self.inflow.admit(bytes.len(), now);
@@ -77,8 +77,8 @@ impl Port {
         let Self { link, session, reset, malformed, .. } = self;
         Some(match (link.receive(bytes, now)?, session) {
             (Received::Bad, session) => {
-                let heard = session.as_ref().map(|session| session.heard);
-                reset.due |= heard.is_none_or(|heard| now.since(heard) >= SESSION_SILENT);
+                let is_silent = |session: &mut Session| session.silent_for(now) >= SESSION_SILENT;
+                reset.due |= session.as_mut().is_none_or(is_silent);
                 Brought::Nothing
             }
             (Received::Handshake(message), _) => match parse_hello(message) {
@@ -89,14 +89,14 @@ impl Port {
                 }
             },
             (Received::Session(messages), Some(session)) => {
-                session.heard = now;
+                session.hear(now);
                 Brought::Messages(session, messages)
             }
             (Received::Session(_), None) => Brought::Nothing,
         })
     }
 
-    /// The messages of a frame have been taken: so many were of an unknown kind, and so many could
+    /// The messages of a frame have been taken: how many were of an unknown kind, and how many could
     /// not be read.
     pub(super) fn taken(&mut self, unknown: u32, malformed: u32) {
         self.unknown += unknown;
@@ -111,11 +111,10 @@ impl Port {
     /// The session that a hello has been answered with, if it goes on.
     pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
         let session = self.session.as_ref()?;
-        let is_answered = session.robot == hello.robot && session.nonce == hello.nonce;
-        is_answered.then(|| self.link.session())
+        session.answers(hello).then(|| self.link.session())
     }
 
-    /// Begins a session with frames of so many bytes.
+    /// Begins a session with frames of at most `frame` bytes.
     pub(super) fn begin(&mut self, id: SessionId, frame: u16, session: Session) {
         self.link.begin(id, usize::from(frame));
         // A reset that was due was for what came before.
@@ -144,7 +143,7 @@ impl Port {
 
     /// The robot of the session.
     pub(super) fn robot(&self) -> Option<RobotId> {
-        self.session().map(|session| session.robot)
+        self.session().map(Session::robot)
     }
 
     /// Whether a command fits the frames that were agreed on.
@@ -155,11 +154,12 @@ impl Port {
     /// Writes the next frame that is due. Returns its length.
     pub(super) fn poll_transmit(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         now: Instant,
         out: &mut [u8],
     ) -> Option<usize> {
-        let len = self.poll_handshake(now, out).or_else(|| self.poll_session(scene, now, out))?;
+        let len =
+            self.poll_handshake(now, out).or_else(|| self.poll_session(snapshot, now, out))?;
         self.bytes_sent += len as u64;
         Some(len)
     }
@@ -181,25 +181,30 @@ impl Port {
         self.link.handshake(ToRobotKind::Reset as u8, &(), out)
     }
 
-    fn poll_session(&mut self, scene: &Scene<'_>, now: Instant, out: &mut [u8]) -> Option<usize> {
+    fn poll_session(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        now: Instant,
+        out: &mut [u8],
+    ) -> Option<usize> {
         let session = self.session.as_mut()?;
         let urgent = session.is_urgent(now);
         let sent = self.link.poll_transmit(now, out, urgent, |writer, reliable| {
-            session.fill(scene, now, writer, reliable)
+            session.fill(snapshot, now, writer, reliable)
         })?;
-        session.budget.spend(sent.len as u64, now);
+        session.sent(sent.len, now);
         Some(sent.len)
     }
 
     /// When there is something to send.
-    pub(super) fn poll_timeout(&self, scene: &Scene<'_>, now: Instant) -> Option<Instant> {
+    pub(super) fn poll_timeout(&self, snapshot: &Snapshot<'_>, now: Instant) -> Option<Instant> {
         if self.answer.is_some() {
             return Some(now);
         }
         let reset = self.reset.due.then(|| self.reset.ready_at());
         let reliable = self.link.can_send_reliable();
         let session = self.session();
-        let messages = session.and_then(|session| session.poll_timeout(scene, reliable, now));
+        let messages = session.and_then(|session| session.poll_timeout(snapshot, reliable, now));
         [reset, self.link.poll_timeout(), messages].into_iter().flatten().min()
     }
 
@@ -213,7 +218,7 @@ impl Port {
         self.link.counters()
     }
 
-    /// Messages of unknown kinds, and such that could not be read.
+    /// Messages of unknown kinds, and messages that could not be read.
     pub(super) fn unread(&self) -> (u32, u32) {
         (self.unknown, self.malformed)
     }
@@ -235,10 +240,11 @@ fn parse_hello(message: Message<'_>) -> Option<Hello> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::server::Server;
+    use crate::server::{CommandError, Server};
     use ubimap_protocol::{
         frame::{MAX_FRAME, MIN_VERSION, VERSION},
         link::Terms,
+        message::Stop,
         units::Millimetres,
     };
 
@@ -296,5 +302,28 @@ mod tests {
         server.receive(0, &hello(5), Instant(2)).unwrap();
         assert_eq!(drain(&mut server, Instant(2)), 1);
         assert_eq!(server.poll_timeout(0, Instant(2)), None);
+    }
+
+    /// A robot that is unplugged and plugged in elsewhere gets what it was told again, and what it
+    /// has reported is not lost.
+    #[test]
+    fn the_session_of_a_port_that_was_closed_continues_on_another_one() {
+        let mut server = Server::new(TERMS, 1);
+        server.receive(0, &hello(5), Instant(0)).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        let stop = Command::Stop(Stop { number: 1, stop: true });
+        server.command(RobotId(1), stop.clone()).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        server.close_port(0).unwrap();
+        assert!(server.receive(0, &[0], Instant(1)).is_err() && server.robot_at(0).is_none());
+        assert_eq!(server.command(RobotId(1), stop), Err(CommandError::NoSession(RobotId(1))));
+
+        let port = server.open_port();
+        assert_eq!((port, server.ports().collect::<Vec<_>>()), (1, vec![1]));
+        server.receive(port, &hello(6), Instant(2)).unwrap();
+        let mut out = [0u8; MAX_FRAME];
+        let frames = std::iter::from_fn(|| server.poll_transmit(port, Instant(2), &mut out));
+        assert_eq!(frames.count(), 2, "a welcome and the stop");
+        assert_eq!(server.waiting(RobotId(1)), 0);
     }
 }

@@ -9,9 +9,10 @@ use ubimap_protocol::{
 };
 
 use crate::{
+    camera::Observation,
     mapping::{
-        Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Sight, Weight,
-        clear, fuse, hollow,
+        Agreements, CameraLayer, CameraTile, MapTime, Mask, RobotLayer, SeenTile, ServedLayer,
+        Sight, TileRecord, Weight, clear, fuse, hollow,
     },
     timing::ROBOT_GONE,
 };
@@ -19,10 +20,10 @@ use crate::{
 /// The layers, and what follows from them.
 #[derive(Debug, Default)]
 pub(super) struct SharedMap {
-    pub(super) cameras: CameraLayer,
-    pub(super) layers: BTreeMap<RobotId, RobotLayer>,
+    cameras: CameraLayer,
+    layers: BTreeMap<RobotId, RobotLayer>,
     agreements: Agreements,
-    /// As of the present step of the map's time; a robot that is not among them has the full one.
+    /// As of the present step of the map's time; all other robots have the full weight.
     weights: BTreeMap<RobotId, Weight>,
     /// Tiles of robots that have changed since the weights were found.
     unweighed: BTreeSet<TileId>,
@@ -50,7 +51,22 @@ impl SharedMap {
         self.time
     }
 
-    /// What a robot's word counts for.
+    /// What a robot has seen.
+    pub(super) fn layer(&self, robot: RobotId) -> Option<&RobotLayer> {
+        self.layers.get(&robot)
+    }
+
+    /// The same, to add to it; call [`SharedMap::changed`] with the tiles that have changed.
+    pub(super) fn layer_mut(&mut self, robot: RobotId) -> &mut RobotLayer {
+        self.layers.entry(robot).or_default()
+    }
+
+    /// What all robots have seen.
+    pub(super) fn layers(&self) -> &BTreeMap<RobotId, RobotLayer> {
+        &self.layers
+    }
+
+    /// How much a robot's word counts.
     pub(super) fn weight(&self, robot: RobotId) -> Weight {
         self.weights.get(&robot).copied().unwrap_or(Weight::FULL)
     }
@@ -96,6 +112,52 @@ impl SharedMap {
             tile.set_row(y, row);
         }
         tile
+    }
+
+    /// Takes the cells of a frame. Returns the tiles that have changed, for [`SharedMap::changed`].
+    pub(super) fn see(&mut self, observation: &Observation) -> BTreeSet<TileId> {
+        self.cameras.observe(observation)
+    }
+
+    /// The tiles of a robot's epochs below this one are void.
+    pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) {
+        let void = self.layer_mut(robot).retire(first_epoch);
+        self.changed(&void);
+    }
+
+    /// A tile of a robot is on disk.
+    pub(super) fn stored(&mut self, robot: RobotId, record: &TileRecord) {
+        if let Some(layer) = self.layers.get_mut(&robot) {
+            layer.kept(record);
+        }
+    }
+
+    /// Takes back a tile of a robot from disk.
+    pub(super) fn restore(&mut self, robot: RobotId, record: &TileRecord) {
+        if self.layer_mut(robot).restore(record) {
+            self.changed(&BTreeSet::from([record.id]));
+        }
+    }
+
+    /// Takes back what cameras had seen from disk.
+    pub(super) fn restore_camera_tile(&mut self, tile: &CameraTile) {
+        self.cameras.restore(tile);
+        self.changed(&BTreeSet::from([tile.id]));
+    }
+
+    /// What cameras have seen since this was last called.
+    pub(super) fn take_unkept(&mut self) -> Vec<CameraTile> {
+        self.cameras.take_unkept()
+    }
+
+    /// Some of that could not be kept.
+    pub(super) fn not_kept(&mut self, tiles: &[CameraTile]) {
+        self.cameras.not_kept(tiles);
+    }
+
+    /// Whether [`SharedMap::take_unkept`] has something.
+    pub(super) fn has_unkept(&self) -> bool {
+        self.cameras.has_unkept()
     }
 
     /// Computes the fused tiles anew whose sources have changed.

@@ -21,9 +21,9 @@ use super::{
 use crate::server::command::Command;
 
 /// Sends robots to their goals or to unexplored ground, and never two to one place at a time. It
-/// follows the law of the crate: after every input drain [`Coordinator::poll_command`] and
-/// [`Coordinator::poll_notice`], and call [`Coordinator::tick`] at [`Coordinator::poll_timeout`].
-/// Its methods are spread over the files of this folder by what they decide.
+/// decides in ticks: call [`Coordinator::tick`] at [`Coordinator::poll_timeout`], then drain
+/// [`Coordinator::poll_command`] and [`Coordinator::poll_notice`]. Its methods are spread over the
+/// files of this folder by what they decide.
 ///
 /// The same inputs give the same commands.
 #[derive(Debug)]

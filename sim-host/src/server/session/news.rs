@@ -7,7 +7,7 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-use super::surroundings::Surroundings;
+use crate::server::surroundings::Surroundings;
 
 /// Each kind of news is told at most this often.
 const INTERVAL: Duration = Duration::from_millis(200);

@@ -11,7 +11,7 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::scene::Scene;
+use crate::server::snapshot::Snapshot;
 
 /// How often the states of a few tiles are told.
 const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
@@ -92,14 +92,14 @@ impl Publishing {
     /// how much was in the frame before the first tile. Whether all that is due has found room.
     pub(super) fn fill(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
         now: Instant,
         frame: u16,
         writer: &mut Writer<'_>,
         empty: usize,
     ) -> bool {
-        let due = scene.layer(self.layer).within(interest).filter(|&(id, version, tile)| {
+        let due = snapshot.layer(self.layer).within(interest).filter(|&(id, version, tile)| {
             self.due(id, version, tile).is_some_and(|due| due <= now)
         });
         let mut due: Vec<_> = due.collect();
@@ -117,7 +117,9 @@ impl Publishing {
                 let mut encoder = TileEncoder::new(rest);
                 let mut new = *tile;
                 let mut trial = published.publication.clone();
-                trial.push(&mut encoder, id, scene.epoch, version, &mut new, frame).then_some(())?;
+                trial
+                    .push(&mut encoder, id, snapshot.epoch, version, &mut new, frame)
+                    .then_some(())?;
                 if trial.has_parts_left() && !first {
                     // A tile is cut up only where it has a frame to itself.
                     return None;
@@ -137,8 +139,12 @@ impl Publishing {
     }
 
     /// When the next tile is due.
-    pub(super) fn next_tile(&self, scene: &Scene<'_>, interest: &Interest) -> Option<Instant> {
-        scene
+    pub(super) fn next_tile(
+        &self,
+        snapshot: &Snapshot<'_>,
+        interest: &Interest,
+    ) -> Option<Instant> {
+        snapshot
             .layer(self.layer)
             .within(interest)
             .filter_map(|(id, version, tile)| self.due(id, version, tile))
@@ -158,8 +164,8 @@ impl Publishing {
     }
 
     /// Whether the robot has acknowledged the newest state of every tile that it wants.
-    pub(super) fn is_level(&self, scene: &Scene<'_>, interest: &Interest) -> bool {
-        scene
+    pub(super) fn is_level(&self, snapshot: &Snapshot<'_>, interest: &Interest) -> bool {
+        snapshot
             .layer(self.layer)
             .within(interest)
             .all(|(id, version, tile)| self.has(id, version, tile))
@@ -177,7 +183,7 @@ impl Publishing {
     /// Adds the states of the next few tiles that the robot should hold, now and then.
     pub(super) fn fill_digests(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
         now: Instant,
         writer: &mut Writer<'_>,
@@ -186,7 +192,7 @@ impl Publishing {
             return;
         }
         self.next_digests = now + DIGEST_INTERVAL;
-        let level = scene
+        let level = snapshot
             .layer(self.layer)
             .within(interest)
             .filter(|&(id, version, tile)| self.has(id, version, tile));
@@ -194,7 +200,7 @@ impl Publishing {
         let tiles: Vec<TileDigest> = next
             .map(|(id, version, tile)| TileDigest {
                 id,
-                stamp: Stamp { epoch: scene.epoch, version },
+                stamp: Stamp { epoch: snapshot.epoch, version },
                 hash: tile_hash(tile),
             })
             .collect();
@@ -209,25 +215,25 @@ impl Publishing {
     /// When tiles are to be confirmed, if there are any.
     pub(super) fn next_confirmation(
         &self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
     ) -> Option<Instant> {
-        scene.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
+        snapshot.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
     }
 
     /// Adds the confirmation of the tiles of which the robot holds what was the newest a moment
     /// ago. A window that is too large for one message is confirmed in turns.
     pub(super) fn fill_confirmation(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
         now: Instant,
         writer: &mut Writer<'_>,
     ) {
-        if self.next_confirmation(scene, interest).is_none_or(|next| next > now) {
+        if self.next_confirmation(snapshot, interest).is_none_or(|next| next > now) {
             return;
         }
-        for (id, version, tile) in scene.layer(self.layer).within(interest) {
+        for (id, version, tile) in snapshot.layer(self.layer).within(interest) {
             let published = self.tiles.get_mut(&id);
             if let Some(published) = published.filter(|it| it.has(version, tile)) {
                 published.newest = Some(now);
