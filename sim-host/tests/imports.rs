@@ -8,13 +8,14 @@ use std::{
 };
 
 /// Each folder of `src`, and the others that it may import.
-const LAYERS: [(&str, &[&str]); 11] = [
+const LAYERS: [(&str, &[&str]); 12] = [
     ("grid", &[]),
     ("camera", &["grid"]),
     ("log", &["grid", "camera"]),
     ("perception", &["grid", "camera"]),
     ("mapping", &["grid", "camera", "perception"]),
     ("server", &["grid", "camera", "perception", "mapping"]),
+    ("deployment", &["grid", "camera", "perception", "mapping", "server"]),
     ("store", &["mapping", "server"]),
     ("channel", &[]),
     ("report", &["grid", "camera", "perception", "mapping", "server"]),
@@ -24,6 +25,7 @@ const LAYERS: [(&str, &[&str]); 11] = [
         &[
             "camera",
             "channel",
+            "deployment",
             "grid",
             "log",
             "mapping",

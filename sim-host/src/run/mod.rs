@@ -2,6 +2,7 @@
 //! `ubimap`'s commands, and their options.
 
 pub mod compare;
+mod convergence;
 mod driving;
 mod figures;
 pub mod fleet;
@@ -9,8 +10,9 @@ pub mod keeper;
 pub mod options;
 mod progress;
 pub mod recording;
-pub mod registry;
 pub mod replay;
+mod robots_file;
+pub mod room_stage;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;

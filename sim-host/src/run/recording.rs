@@ -8,10 +8,11 @@ use ubimap_protocol::time::Instant;
 use super::{
     RunError,
     fleet::{Event, Stage},
-    registry::Registry,
+    robots_file,
 };
 use crate::{
     camera::Calibration,
+    deployment::registry::Registry,
     log::{LogError, Recorder},
 };
 
@@ -33,7 +34,7 @@ impl Recording {
         registry: &Registry,
     ) -> Result<Self, RunError> {
         let recorder = Recorder::create(folder, cameras)?;
-        registry.write(folder)?;
+        robots_file::write(registry, folder)?;
         Ok(Self { recorder, fault: None })
     }
 }

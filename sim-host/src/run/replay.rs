@@ -20,6 +20,7 @@ use super::{
 };
 use crate::{
     camera::{Observation, Sighting},
+    deployment::{self, Deployment},
     grid::OccupancyGrid,
     log::{self, Log, LoggedScan},
 };
@@ -50,15 +51,21 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
         .map(|config| AgentMemory::new(config, readings, own_tiles, FUSED_TILES))
         .collect();
     let faults = options.run.channel.faults();
-    let keeper = options.run.keeper(options.resolution)?;
-    let mut fleet =
-        Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed, keeper)?;
-    // A log's poses are given: between scans they are drawn out, and no course shows an error.
-    fleet.leave_errors();
+    let (keeper, life) = options.run.keeper(options.resolution)?;
+    // The poses of a log are interpolated between scans: no course shows an error.
+    let deployment = deployment::Config {
+        corrects_errors: false,
+        ..deployment::Config::new(options.resolution)
+    };
+    let deployment = Deployment::new(deployment, life)?;
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, options.run.seed, deployment)?;
+    if let Some(keeper) = keeper {
+        fleet.keep(keeper);
+    }
     fleet.tap(tap);
 
     let progress = Progress::new(recording.end(), options.run.json);
-    let converged = fleet.run(&mut recording, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
+    let converged = fleet.run(&mut recording, |fleet| progress.at(fleet.now()))?;
     progress.finish();
 
     let fused = fleet.server().fused();

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::{RunError, figures, fleet::Fleet, simulate::RESOLUTION};
+use super::{RunError, figures, fleet::Fleet};
 use crate::{
     grid::OccupancyGrid,
     report::{self, Marker},
@@ -44,5 +44,5 @@ impl TimeLapse {
 /// The fused map as it is now.
 pub(super) fn grid(fleet: &Fleet<'_>) -> Result<OccupancyGrid, RunError> {
     let tiles = fleet.server().fused().tiles().map(|(id, _, tile)| (id, tile));
-    Ok(OccupancyGrid::from_tiles(tiles, RESOLUTION)?)
+    Ok(OccupancyGrid::from_tiles(tiles, fleet.deployment().resolution())?)
 }

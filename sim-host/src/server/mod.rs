@@ -317,8 +317,15 @@ impl Server {
         port.into_iter().chain(self.poll_common_timeout(now)).min()
     }
 
-    /// The same for what has to do with no single port.
-    pub(crate) fn poll_common_timeout(&self, now: Instant) -> Option<Instant> {
+    /// The same for all ports.
+    pub(crate) fn poll_any_timeout(&self, now: Instant) -> Option<Instant> {
+        let snapshot = self.snapshot();
+        let ports = self.ports.iter().filter_map(|port| port.poll_timeout(&snapshot, now));
+        ports.chain(self.poll_common_timeout(now)).min()
+    }
+
+    /// The same for what concerns no single port.
+    fn poll_common_timeout(&self, now: Instant) -> Option<Instant> {
         let dispatch = self.dispatch.as_ref().map(Dispatch::poll_timeout);
         let waiting = self.corrections.has_waiting().then_some(now);
         let all = [self.coverage.poll_timeout(), self.map.poll_timeout(), dispatch, waiting];

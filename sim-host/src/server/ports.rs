@@ -86,8 +86,13 @@ impl Ports {
     }
 
     /// The open ports, in the order in which they were opened.
-    pub(super) fn numbers(&self) -> impl Iterator<Item = usize> {
-        self.open.keys().copied()
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Port> {
+        self.open.values()
+    }
+
+    /// The numbers of the open ports from this one on.
+    pub(super) fn numbers_from(&self, port: usize) -> impl Iterator<Item = usize> {
+        self.open.range(port..).map(|(&number, _)| number)
     }
 
     pub(super) fn sessions(&self) -> impl Iterator<Item = &Session> {

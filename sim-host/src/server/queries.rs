@@ -90,9 +90,9 @@ impl Server {
         self.corrections.errors(robot)
     }
 
-    /// How often a robot has asked for the time in its session.
+    /// How often a robot has asked for the time in its last session.
     pub fn time_requests(&self, robot: RobotId) -> u32 {
-        self.ports.session(robot).map_or(0, |session| session.said().time_requests())
+        self.ports.last_session(robot).map_or(0, |session| session.said().time_requests())
     }
 
     /// Whether a robot has acknowledged the newest state of every fused tile that it wants.
@@ -145,7 +145,12 @@ impl Server {
 impl Server {
     /// The open ports, in the order in which they were opened.
     pub fn ports(&self) -> impl Iterator<Item = usize> {
-        self.ports.numbers()
+        self.ports.numbers_from(0)
+    }
+
+    /// The first open port with this number or a higher one.
+    pub fn port_from(&self, port: usize) -> Option<usize> {
+        self.ports.numbers_from(port).next()
     }
 
     /// The robot whose session is on a port.
