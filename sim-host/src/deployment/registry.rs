@@ -27,11 +27,11 @@ use crate::{
     },
 };
 
-/// The tags of the family 36h11.
+/// The number of tags in the family 36h11.
 const TAGS: u16 = 587;
-/// Of the tallest robot, where there is none.
+/// The height of the tallest robot if none is registered.
 const USUAL_HEIGHT_M: f64 = 0.3;
-/// No robot is as large, nor is its marker.
+/// The largest size of a robot or a marker that is accepted.
 const LARGEST_M: f64 = 10.0;
 
 /// All robots.
@@ -111,7 +111,7 @@ impl RegisteredRobot {
         self.box_m.map(of_box).unwrap_or_default()
     }
 
-    /// What no robot has, if it has such.
+    /// What is wrong with it, if anything is.
     fn fault(&self) -> Option<String> {
         let id = self.id;
         let is_size = |metres: f64| metres > 0.0 && metres <= LARGEST_M;
@@ -172,7 +172,7 @@ impl Registry {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// What looks for these robots, and at all that is about, in cells of this side.
+    /// Perception for these cameras and robots, in cells of this side.
     ///
     /// # Errors
     /// Every [`RegistryError`].
@@ -186,7 +186,7 @@ impl Registry {
             .clone()
             .map(|robot| (robot.identifier(), robot.mount(), robot.footprint()))
             .collect();
-        // What stands above the tallest robot is in no robot's way.
+        // Nothing above the tallest robot can be in a robot's way.
         let tallest_m = robots.map(|robot| robot.height_m).reduce(f64::max);
         let robot_height = Millimetres::from_metres(tallest_m.unwrap_or(USUAL_HEIGHT_M));
         Observer::new(cameras, &known, Survey { side, robot_height, ..Survey::default() })

@@ -12,7 +12,7 @@ use super::*;
 use crate::{
     camera::{Calibration, DepthImage, Intrinsics, Lens, Picture},
     perception::{FrameError, robots::SightingEvent},
-    server,
+    server::{self, coordination::Settings},
 };
 
 const RESOLUTION: Millimetres = Millimetres(50);
@@ -193,6 +193,57 @@ fn sightings_are_kept_if_they_are_asked_for() {
         assert_eq!(moments, [at(100), at(50)][..count]);
         assert_eq!(deployment.status().cameras[&0], CameraStatus { observations: 2, looks: 2 });
     }
+}
+
+#[test]
+fn goals_and_exploration_go_to_the_coordinator_if_there_is_one() {
+    let floor = || Observation {
+        captured: at(100),
+        robots: vec![Sighting::usual(ROBOT, Pose::from_metres(2.5, 2.5, 0.0))],
+        cells: (0..100).flat_map(|x| (0..100).map(move |y| ((x, y), Cell::Free))).collect(),
+        ..Observation::default()
+    };
+    let run = |coordination: Option<Settings>, order: fn(&mut Deployment)| {
+        let config = Config { coordination, ..Config::new(RESOLUTION) };
+        let mut deployment = Deployment::new(config, Life::default()).unwrap();
+        let port = deployment.open_port();
+        let mut robot = Robot::connect(&mut deployment, port, at(0));
+        deployment.observe(floor());
+        // The coordinator takes note of the robot, is told, and decides.
+        robot.hear(&mut deployment, at(100));
+        deployment.timeout(at(100));
+        order(&mut deployment);
+        // The survey comes once a second.
+        let ticks = (1..=6).map(|tick| at(100 + 250 * tick));
+        let heard = ticks.flat_map(|now| {
+            deployment.timeout(now);
+            robot.hear(&mut deployment, now).0
+        });
+        heard.filter(|kind| *kind == ToRobotKind::Path as u8).count()
+    };
+    let go = |deployment: &mut Deployment| {
+        deployment.goal(ROBOT, [3.5, 2.5], at(110)).unwrap();
+    };
+    let go_outside = |deployment: &mut Deployment| {
+        let refused = deployment.goal(ROBOT, [20.0, 2.5], at(110));
+        assert_eq!(refused, Err(GoalError::OutsideMap));
+    };
+    let alone = |deployment: &mut Deployment| {
+        let refused = deployment.goal(ROBOT, [3.5, 2.5], at(110));
+        assert_eq!(refused, Err(GoalError::UnknownRobot(ROBOT)));
+        deployment.explore(ROBOT, true);
+    };
+    // The edge of the floor is not in view from where the robot stands.
+    let coordination = Some(Settings { view_m: 1.5, ..Settings::default() });
+    assert_eq!(run(coordination, go), 1);
+    assert_eq!(run(coordination, go_outside), 0);
+    assert_eq!(run(None, alone), 0);
+    assert!(run(coordination, |deployment| deployment.explore(ROBOT, true)) > 0);
+    let stop = |deployment: &mut Deployment| {
+        deployment.explore(ROBOT, true);
+        deployment.explore(ROBOT, false);
+    };
+    assert_eq!(run(coordination, stop), 0);
 }
 
 #[test]

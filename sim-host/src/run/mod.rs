@@ -1,5 +1,6 @@
-//! What joins a source, agents, channels and the server into one run: one file for each of
-//! `ubimap`'s commands, and their options.
+//! What drives a deployment: a file for each of `ubimap`'s commands, their options, and the fleet
+//! of simulated robots. Each driver brings a clock, sources and channels; what is decided is
+//! decided in the [`deployment`](crate::deployment).
 
 pub mod compare;
 mod convergence;

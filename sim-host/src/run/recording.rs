@@ -39,7 +39,7 @@ impl Recording {
     }
 }
 
-/// A stage of which the frames are recorded as they come, if that is asked for.
+/// A stage whose frames are recorded as they come, if that is asked for.
 #[derive(Debug)]
 pub struct Recorded<S> {
     /// The stage.

@@ -25,7 +25,7 @@ use crate::{
     log::{self, Log, LoggedScan},
 };
 
-/// The robots boot so long before the first scan: time to meet the server.
+/// How long before the first scan the robots boot: time to meet the server.
 const BOOT: Duration = Duration::from_secs(5);
 /// Between two frames of the ceiling cameras.
 const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
@@ -40,11 +40,11 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let started = time::Instant::now();
     let log = log::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
     log.notes.iter().for_each(|note| ::log::info!("{note}"));
-    let mut recording = Recording::of(&log, usize::from(options.robots));
+    let mut stage = LogStage::of(&log, usize::from(options.robots));
 
     let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
     let configs: Vec<Config> =
-        (1..=recording.robots as u16).map(|robot| config(RobotId(robot), &log, options)).collect();
+        (1..=stage.robots as u16).map(|robot| config(RobotId(robot), &log, options)).collect();
     let readings = log.sensor.readings();
     let mut memory: Vec<AgentMemory> = configs
         .iter()
@@ -64,8 +64,8 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     }
     fleet.tap(tap);
 
-    let progress = Progress::new(recording.end(), options.run.json);
-    let converged = fleet.run(&mut recording, |fleet| progress.at(fleet.now()))?;
+    let progress = Progress::new(stage.end(), options.run.json);
+    let converged = fleet.run(&mut stage, |fleet| progress.at(fleet.now()))?;
     progress.finish();
 
     let fused = fleet.server().fused();
@@ -95,15 +95,14 @@ fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
     }
 }
 
-/// A log on its way through the robots.
-struct Recording {
+/// The scans of a log as events.
+struct LogStage {
     events: VecDeque<(Instant, Event)>,
     robots: usize,
 }
 
-impl Recording {
-    /// Cuts the log into segments of as equal a length as can be; there are never more robots
-    /// than scans.
+impl LogStage {
+    /// Cuts the log into segments of nearly equal length; there are never more robots than scans.
     fn of(log: &Log, robots: usize) -> Self {
         let robots = robots.min(log.scans.len());
         let mut events = Vec::new();
@@ -122,7 +121,7 @@ impl Recording {
     }
 }
 
-impl Stage for Recording {
+impl Stage for LogStage {
     fn next_event(&self) -> Option<Instant> {
         Some(self.events.front()?.0)
     }
@@ -217,9 +216,9 @@ mod tests {
 
     #[test]
     fn segments_run_side_by_side_and_lose_no_scan() {
-        let recording = Recording::of(&log(10), 3);
+        let stage = LogStage::of(&log(10), 3);
         let mut scans = [const { Vec::new() }; 3];
-        for (moment, event) in &recording.events {
+        for (moment, event) in &stage.events {
             if let Event::Scan { robot, readings } = event {
                 scans[*robot].push((moment.0 / 1_000_000, readings[0]));
             }
@@ -227,7 +226,7 @@ mod tests {
         assert_eq!(scans[0], [(5, 0), (7, 1), (9, 2)]);
         assert_eq!(scans[1], [(5, 3), (7, 4), (9, 5)]);
         assert_eq!(scans[2], [(5, 6), (7, 7), (9, 8), (11, 9)]);
-        assert_eq!(Recording::of(&log(2), 5).robots, 2);
+        assert_eq!(LogStage::of(&log(2), 5).robots, 2);
     }
 
     #[test]

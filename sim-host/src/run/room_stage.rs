@@ -21,7 +21,7 @@ pub struct RoomStage {
     end: Instant,
     next_odometry: Instant,
     waiting: VecDeque<Event>,
-    /// Whether the cameras give frames; what ideal ones see otherwise.
+    /// Whether the cameras give frames, or observations of ideal cameras.
     is_filmed: bool,
     /// Whether robots that have a route drive themselves.
     is_driven: bool,
@@ -30,8 +30,8 @@ pub struct RoomStage {
 }
 
 impl RoomStage {
-    /// The events of a world until some moment, with ideal cameras: nothing is drawn and nothing
-    /// looked at, what is in view is known.
+    /// The events of a world up to a moment, with ideal cameras: no frames are rendered, and what is
+    /// in view is known.
     pub fn new(world: World, end: Instant) -> Self {
         let tracks = vec![Vec::new(); world.robots().len()];
         let (next_odometry, waiting) = (Instant(0), VecDeque::new());

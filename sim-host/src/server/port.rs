@@ -19,13 +19,13 @@ use crate::timing::SESSION_SILENT;
 /// The shortest time between two messages to a robot that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
 
-/// A serial port, a simulated channel. At most one robot is behind it.
+/// A serial port or a simulated channel, with at most one robot behind it.
 #[derive(Debug)]
 pub(super) struct Port {
     link: Link,
     inflow: Inflow,
     session: Option<Session>,
-    /// A frame of the handshake that is due.
+    /// The handshake frame to be sent.
     answer: Option<Answer>,
     reset: Reset,
     /// Messages of unknown kinds, and messages that could not be read.
@@ -40,12 +40,12 @@ struct Reset {
     last: Option<Instant>,
 }
 
-/// What a frame brings.
+/// The contents of a frame.
 pub(super) enum Brought<'p> {
-    /// Nothing for anybody but the port.
+    /// Nothing that concerns anything but the port.
     Nothing,
     Hello(Hello),
-    /// What the robot of the session says. [`Port::taken`] is to be called afterwards.
+    /// Messages of the session. Call [`Port::taken`] afterwards.
     Messages(&'p mut Session, Messages<'p>),
 }
 
@@ -108,7 +108,7 @@ impl Port {
         }
     }
 
-    /// The session that a hello has been answered with, if it goes on.
+    /// The session that answered this hello, if it is still open.
     pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
         let session = self.session.as_ref()?;
         session.answers(hello).then(|| self.link.session())
@@ -117,7 +117,7 @@ impl Port {
     /// Begins a session with frames of at most `frame` bytes.
     pub(super) fn begin(&mut self, id: SessionId, frame: u16, session: Session) {
         self.link.begin(id, usize::from(frame));
-        // A reset that was due was for what came before.
+        // A pending reset was for the session before.
         self.reset.due = false;
         self.session = Some(session);
     }
@@ -128,7 +128,7 @@ impl Port {
         self.session.take()
     }
 
-    /// The answer to a hello is to be sent.
+    /// Queues the answer to a hello.
     pub(super) fn answer(&mut self, answer: Answer) {
         self.answer = Some(answer);
     }
@@ -274,7 +274,7 @@ mod tests {
         std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
     }
 
-    /// An old hello must not shut the robot out whose session it has ended.
+    /// An old hello must not lock out the robot whose session it has ended.
     #[test]
     fn a_session_that_only_an_old_hello_speaks_for_is_reset() {
         let mut server = Server::new(TERMS, 1);
@@ -296,7 +296,7 @@ mod tests {
         let garbage = [7u8, 7, 0];
         server.receive(0, &garbage, Instant(0)).unwrap();
         assert_eq!(drain(&mut server, Instant(0)), 1);
-        // The next one must wait for a while, and a hello comes before.
+        // The next one has to wait, and a hello comes first.
         server.receive(0, &garbage, Instant(1)).unwrap();
         assert_eq!(drain(&mut server, Instant(1)), 0);
         server.receive(0, &hello(5), Instant(2)).unwrap();

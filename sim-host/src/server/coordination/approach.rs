@@ -1,25 +1,25 @@
-//! From where a robot looks at a frontier: near, on its way, and in nobody's.
+//! The place from which a robot looks at a frontier: near, on its way, and not in anybody's.
 
 use super::{
     frontiers::{Frontier, Vantage},
     ground::{Disc, Ground, Point},
     route::{Terrain, Ways},
-    settings::Viewpoints,
+    settings::ViewpointCosts,
 };
 
 /// How a robot can come to look at frontiers.
 pub(super) struct Approach<'a> {
     pub(super) ground: &'a Ground,
     pub(super) terrain: Terrain<'a>,
-    /// Where it sets out, and where it looks, in radians.
+    /// Where it starts, and its heading in radians.
     pub(super) from: Point,
     pub(super) heading: f64,
-    /// The cells where it would stand in somebody's way.
+    /// Whether it would be in another robot's way, for each cell.
     pub(super) in_the_way: Vec<bool>,
-    /// From where it has been tried in vain.
+    /// Places from which frontiers were looked at in vain.
     pub(super) tried: &'a [Disc],
     /// How the places are compared.
-    pub(super) rules: &'a Viewpoints,
+    pub(super) rules: &'a ViewpointCosts,
 }
 
 /// Where to stand to look at a frontier.
@@ -31,17 +31,16 @@ pub(super) struct Viewpoint {
 }
 
 impl Approach<'_> {
-    /// For each of these frontiers the place from which it is in view that the robot passes last on
-    /// the shortest way to it, none of those that were tried in vain: it looks there as it drives,
-    /// and need not stop. One search.
+    /// For each frontier the viewpoint that the robot passes last on the shortest way to it, but none
+    /// of those that were tried in vain: the robot looks as it drives by and need not stop. One
+    /// search.
     pub(super) fn views(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         frontiers.iter().map(|frontier| self.view(frontier, ways.as_ref()?)).collect()
     }
 
-    /// For each of these frontiers where to look again at what keeps robots from it: of all places
-    /// that it can go to, but those near itself and those tried in vain, the nearest to the
-    /// frontier. One search.
+    /// For each frontier the reachable place nearest to it, to look again at what blocks the way.
+    /// Places near the robot and those that were tried in vain are left out. One search.
     pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         let view = |at| {
@@ -76,7 +75,7 @@ impl Approach<'_> {
         views.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, view)| view)
     }
 
-    /// What turning towards a place is worth, in metres.
+    /// The cost of turning towards a place, in metres.
     fn turn_m(&self, place: Point) -> f64 {
         let way = place - self.from;
         if way.norm() < self.rules.here_m {

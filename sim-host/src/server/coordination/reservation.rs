@@ -15,7 +15,7 @@
 
 use ubimap_protocol::message::MAX_WAYPOINTS;
 
-use super::{ground::Point, route::SPACING_M, settings::Granting};
+use super::{ground::Point, route::SPACING_M, settings::GrantingRules};
 
 /// Points ahead of where a robot was on its route among which its place is looked for. A route may
 /// cross itself, so not all of it is searched.
@@ -49,7 +49,7 @@ impl Claim {
         Self { position, disc_m, margin_m, points, corners, tail: 0, granted: 0, sent: 0 }
     }
 
-    /// A robot that has nowhere to go is where it is, and takes no more than that.
+    /// A robot without a destination holds no more than it takes up.
     pub(super) fn set_radius(&mut self, radius_m: f64, has_nowhere_to_go: bool) {
         self.disc_m = if has_nowhere_to_go { radius_m } else { radius_m + self.margin_m };
     }
@@ -110,12 +110,12 @@ impl Claim {
         (self.points[self.tail] - self.position).norm()
     }
 
-    /// The route that is not granted as yet.
+    /// The part of the route that is not granted yet.
     pub(super) fn ahead(&self) -> &[Point] {
         &self.points[self.granted + 1..]
     }
 
-    /// The point of the route so many metres before the robot, or its end.
+    /// The point of the route at a distance ahead of the robot, in metres, or the end of the route.
     pub(super) fn point_before(&self, metres: f64) -> Point {
         let at = self.tail + (metres / SPACING_M) as usize;
         self.points[at.min(self.points.len() - 1)]
@@ -124,7 +124,7 @@ impl Claim {
     /// The corners of what it was granted, the last granted point included, if it should be sent
     /// them: it was granted enough more than it knows, and comes near the end of what it knows.
     /// At most [`MAX_WAYPOINTS`] of them.
-    pub(super) fn poll_path(&mut self, rules: &Granting) -> Option<Vec<Point>> {
+    pub(super) fn poll_path(&mut self, rules: &GrantingRules) -> Option<Vec<Point>> {
         let known = self.sent.saturating_sub(self.tail);
         let more = self.granted.saturating_sub(self.sent);
         let is_worth_it = more >= rules.least_points || self.is_all_granted();
@@ -138,7 +138,7 @@ impl Claim {
         Some(path.iter().map(|&at| self.points[at]).collect())
     }
 
-    /// The robot may not know of its path any more: it is sent again.
+    /// The robot may have forgotten its path: it is sent again.
     pub(super) fn forget_sent(&mut self) {
         self.sent = self.tail;
     }
@@ -206,7 +206,7 @@ pub(super) enum Held {
     NotAtAll,
     /// Another robot holds the next place, or must go there first.
     ByRobots,
-    /// Somebody else stands there.
+    /// A person stands there.
     ByOthers,
 }
 
@@ -299,8 +299,8 @@ impl Reservations {
         is_safe
     }
 
-    /// Grants a robot its route up to so many metres before it as far as that is safe, and a place
-    /// is not held by robots, nor `taken` otherwise. What keeps it from more.
+    /// Grants a robot its route up to a distance ahead of it, in metres, as far as that is safe and no
+    /// place is held by a robot or `taken` otherwise. Returns what holds it back.
     pub(super) fn extend(
         &mut self,
         robot: usize,
@@ -374,9 +374,9 @@ mod tests {
         assert!(all.admit(&[(0, vec![at(0.0, 0.0), at(2.0, 0.0), at(2.0, 2.0)])]));
         assert_eq!(all.extend(0, 2.5, |_| false), Held::NotAtAll);
         assert!((all.claim(0).granted_end() - at(2.0, 0.5)).norm() < 1e-9);
-        let path = all.claim_mut(0).poll_path(&Granting::default()).unwrap();
+        let path = all.claim_mut(0).poll_path(&GrantingRules::default()).unwrap();
         assert_eq!(path, [at(2.0, 0.0), all.claim(0).granted_end()]);
-        assert_eq!(all.claim_mut(0).poll_path(&Granting::default()), None, "it knows that");
+        assert_eq!(all.claim_mut(0).poll_path(&GrantingRules::default()), None, "it knows that");
         all.claim_mut(0).advance(at(0.52, 0.05));
         assert!(all.claim(0).off_m() < 0.06);
         assert!(all.claim(0).held().all(|point| point.x > 0.45));

@@ -6,7 +6,7 @@ use super::{
 };
 
 /// The cost of crossing a cell of roomy ground, times its length. What other ground costs is among
-/// the [`Costs`](super::settings::Costs).
+/// the [`CrossingCosts`](super::settings::CrossingCosts).
 const ROOMY: u8 = 2;
 /// A cell that can be left, but not entered.
 const SHUT: u8 = 0;
@@ -74,8 +74,7 @@ impl<'a> Terrain<'a> {
         });
     }
 
-    /// Shuts a disc, for a robot that starts from a place: what of it is nearer to its middle than
-    /// that place.
+    /// Closes a disc, shrunk if need be so that the place where the robot starts stays outside.
     pub(super) fn shut(&mut self, disc: &Disc, start: Point) {
         let Self { ground, weights, .. } = self;
         let radius = disc.radius.min((start - disc.centre).norm() - ground.side_m());
@@ -108,7 +107,7 @@ impl<'a> Terrain<'a> {
         ways.route(from, to)
     }
 
-    /// The cheapest way to the nearest cell that will do, if there is one.
+    /// The cheapest way to the nearest suitable cell, if there is one.
     pub(super) fn nearest(
         &self,
         from: Point,
@@ -118,8 +117,8 @@ impl<'a> Terrain<'a> {
         ways.route(from, self.ground.place(found?))
     }
 
-    /// Dijkstra's search, or A* where the estimate is not zero, until a cell will do. The queue is
-    /// one of buckets: all costs are small whole numbers (Dial 1969).
+    /// Dijkstra's search, or A* if the estimate is not zero, up to the first suitable cell. The queue
+    /// consists of buckets, as all costs are small whole numbers (Dial 1969).
     fn search(
         &self,
         start: usize,

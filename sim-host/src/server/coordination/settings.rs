@@ -25,19 +25,19 @@ pub struct Settings {
     /// The space kept between a robot and everything else.
     pub clearances: Clearances,
     /// How the coordinator judges whether a robot follows its path.
-    pub following: Following,
+    pub following: FollowingRules,
     /// How a route is granted and sent.
-    pub granting: Granting,
+    pub granting: GrantingRules,
     /// What it costs to cross ground that is not roomy.
-    pub costs: Costs,
+    pub costs: CrossingCosts,
     /// Which part of the map is surveyed, and what counts as passable at its edge.
-    pub survey: Survey,
+    pub survey: SurveyRules,
     /// What counts as a frontier.
-    pub frontiers: Frontiers,
+    pub frontiers: FrontierRules,
     /// How the places to look at a frontier from are compared.
-    pub viewpoints: Viewpoints,
+    pub viewpoints: ViewpointCosts,
     /// How frontiers are shared out among robots.
-    pub exploration: Exploration,
+    pub exploration: ExplorationRules,
 }
 
 impl Default for Settings {
@@ -50,13 +50,13 @@ impl Default for Settings {
             look: Duration::from_secs(7),
             rates: Rates::default(),
             clearances: Clearances::default(),
-            following: Following::default(),
-            granting: Granting::default(),
-            costs: Costs::default(),
-            survey: Survey::default(),
-            frontiers: Frontiers::default(),
-            viewpoints: Viewpoints::default(),
-            exploration: Exploration::default(),
+            following: FollowingRules::default(),
+            granting: GrantingRules::default(),
+            costs: CrossingCosts::default(),
+            survey: SurveyRules::default(),
+            frontiers: FrontierRules::default(),
+            viewpoints: ViewpointCosts::default(),
+            exploration: ExplorationRules::default(),
         }
     }
 }
@@ -117,7 +117,7 @@ impl Default for Clearances {
 
 /// How the coordinator judges whether a robot follows its path.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Following {
+pub struct FollowingRules {
     /// A robot that stops this near the end of its path has arrived, in metres. Drivers stop short
     /// of an obstacle at the very end.
     pub arrived_m: f64,
@@ -149,7 +149,7 @@ pub struct Following {
     pub tiles_arrive: Duration,
 }
 
-impl Default for Following {
+impl Default for FollowingRules {
     fn default() -> Self {
         Self {
             arrived_m: 0.25,
@@ -169,7 +169,7 @@ impl Default for Following {
 
 /// How a route is granted and sent. Routes are lists of points 0.1 m apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Granting {
+pub struct GrantingRules {
     /// How much of its route a robot is granted ahead of it, in metres: more than it needs to
     /// brake, so that it never slows down for want of a grant.
     pub ahead_m: f64,
@@ -184,7 +184,7 @@ pub struct Granting {
     pub urgent_points: usize,
 }
 
-impl Default for Granting {
+impl Default for GrantingRules {
     fn default() -> Self {
         Self {
             ahead_m: 2.0,
@@ -198,7 +198,7 @@ impl Default for Granting {
 
 /// What it costs to cross ground, relative to 2 for roomy ground. 63 is the most that counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Costs {
+pub struct CrossingCosts {
     /// Ground with little room to spare: half as much again.
     pub tight: u8,
     /// Ground that something movable took up when it was last seen.
@@ -213,7 +213,7 @@ pub struct Costs {
     pub held_up_for: Duration,
 }
 
-impl Default for Costs {
+impl Default for CrossingCosts {
     fn default() -> Self {
         Self {
             tight: 3,
@@ -228,7 +228,7 @@ impl Default for Costs {
 
 /// Which part of the map is surveyed, and what counts as passable at its edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Survey {
+pub struct SurveyRules {
     /// Tiles surveyed on each side of the middle robot: 64 m with cells of 5 cm. It bounds the
     /// memory that a stray tile can cost.
     pub reach_tiles: i32,
@@ -238,7 +238,7 @@ pub struct Survey {
     pub edge_cells: u32,
 }
 
-impl Default for Survey {
+impl Default for SurveyRules {
     fn default() -> Self {
         Self { reach_tiles: 40, edge_cells: 2 }
     }
@@ -246,7 +246,7 @@ impl Default for Survey {
 
 /// What counts as a frontier: unknown ground that no camera sees, next to free ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frontiers {
+pub struct FrontierRules {
     /// Fewer cells side by side are noise.
     pub least_cells: usize,
     /// A frontier is cut into pieces of this reach, in metres, so that robots can share a long one.
@@ -264,7 +264,7 @@ pub struct Frontiers {
     pub ahead_cosine: f64,
 }
 
-impl Default for Frontiers {
+impl Default for FrontierRules {
     fn default() -> Self {
         Self {
             least_cells: 4,
@@ -279,7 +279,7 @@ impl Default for Frontiers {
 
 /// How the places to look at a frontier from are compared. The unit is a metre of roomy way.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Viewpoints {
+pub struct ViewpointCosts {
     /// The cost of a metre between the place and the frontier. Above 1: of the places along one
     /// straight way the last is best.
     pub away: f64,
@@ -295,7 +295,7 @@ pub struct Viewpoints {
     pub afresh_m: f64,
 }
 
-impl Default for Viewpoints {
+impl Default for ViewpointCosts {
     fn default() -> Self {
         Self { away: 1.5, unbacked_m: 0.5, turn_m: 0.35, wait_m: 3.0, here_m: 0.1, afresh_m: 0.5 }
     }
@@ -303,7 +303,7 @@ impl Default for Viewpoints {
 
 /// How frontiers are shared out among robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Exploration {
+pub struct ExplorationRules {
     /// The way that a square metre of unknown ground is worth, in metres.
     pub worth_m: f64,
     /// Two frontiers with less way than this between them are better left to one robot, in metres:
@@ -325,7 +325,7 @@ pub struct Exploration {
     pub put_off: Duration,
 }
 
-impl Default for Exploration {
+impl Default for ExplorationRules {
     fn default() -> Self {
         Self {
             worth_m: 0.2,
