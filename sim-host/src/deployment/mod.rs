@@ -59,7 +59,7 @@ pub struct PortClosed(pub PortId);
 /// - Out come records to be kept ([`poll_store`](Self::poll_store)), bytes for ports
 ///   ([`poll_transmit`](Self::poll_transmit)) and events ([`poll_event`](Self::poll_event)).
 ///
-/// It follows the law of the [crate](crate): after every input drain the three outputs, then come
+/// It follows the law of this [crate]: after every input drain the three outputs, then come
 /// back at [`poll_timeout`](Self::poll_timeout), call [`timeout`](Self::timeout) and drain again.
 /// Records are drained first: what is on disk is acknowledged in the frames that follow. A batch
 /// that was written comes back by [`stored`](Self::stored). One that could not be written comes
