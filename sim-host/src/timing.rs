@@ -1,9 +1,10 @@
-//! How old something may be: from when on the server takes a frame for late, a thing for lost and a
-//! robot for silent.
+//! How old data may be: when the server treats a frame as late, a thing as lost and a robot as
+//! silent.
 //!
 //! All of these judge data by its age, so they stand side by side: each says what it decides, and
-//! why its value fits the others. How often something is done, and how long the coordinator waits
-//! for a robot to move ([`Settings`](crate::server::coordination::Settings)), is not among them.
+//! why its value fits the others. Intervals at which something is done are elsewhere, and so is how
+//! long the coordinator waits for a robot to move
+//! ([`Settings`](crate::server::coordination::Settings)).
 //!
 //! The values follow from a few rates: cameras take 15 frames a second and their depths are looked
 //! at five times a second ([`Observer`](crate::perception::Observer)); a robot reports its pose

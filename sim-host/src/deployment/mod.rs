@@ -44,6 +44,13 @@ const MOST_EVENTS: usize = 1_000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PortId(usize);
 
+impl PortId {
+    /// Its number, by which [`server::Event::Joined`](crate::server::Event::Joined) names it.
+    pub fn number(self) -> usize {
+        self.0
+    }
+}
+
 /// A port that was closed, or is another deployment's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("port {} is not open", .0.0)]

@@ -263,7 +263,7 @@ fn ports_come_and_go() {
     assert_eq!(frames.map(|(port, _)| port).collect::<Vec<_>>(), [first, third]);
 
     let _robot = Robot::connect(&mut deployment, third, at(1));
-    let joined = server::Event::Joined(ROBOT, third.0);
+    let joined = server::Event::Joined(ROBOT, third.number());
     assert_eq!(deployment.poll_event(), Some((at(1), Event::Server(joined))));
     assert_eq!(deployment.port(third).unwrap().robot, Some(ROBOT));
     let fourth = deployment.open_port();

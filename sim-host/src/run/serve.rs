@@ -222,11 +222,10 @@ pub struct Station {
 }
 
 impl Station {
-    /// A deployment whose life begins now, at the first call; what it hands out goes to the keeper,
-    /// if there is one.
+    /// A deployment whose life begins now. What it hands out goes to the keeper, if there is one.
     ///
     /// # Errors
-    /// [`RunError::Registry`], which there is no reason for where no robot has a marker.
+    /// [`RunError::Registry`]; a deployment without markers has no reason for it.
     pub fn new(
         resolution: Millimetres,
         life: Life,
