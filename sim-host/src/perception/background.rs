@@ -22,7 +22,10 @@ const FEWEST_SAMPLES: usize = 8;
 /// What is farthest in one sample of so many is the room: whoever stands before it for the rest of
 /// the time leaves nothing behind.
 const TRIM: usize = 5;
-/// Added to what noise explains, in millimetres: quantisation.
+/// Half the width of a pixel's window, in thousandths of sigma: 99 % of the background's depths lie
+/// inside. A wider window would hide what stands just in front of the floor.
+const WINDOW: i64 = 2_576;
+/// Added to the window for quantisation, in millimetres.
 const SLACK_MM: i64 = 4;
 /// After a frame, one row in so many is looked at for changes that last.
 const ROWS_BETWEEN: u32 = 8;
@@ -223,7 +226,8 @@ impl Background {
         // A sensor that gives no depth beyond its reach cuts the noise off: the mean would be nearer
         // than what is there.
         let is_good = i64::from(mean) + i64::from(margin) <= i64::from(reach.0)
-            && 4 * noise * noise <= side * side * i64::from(agreed.count);
+            // 92 % of such means (1.73 sigmas) are within a cell's side.
+            && 3 * noise * noise <= side * side * i64::from(agreed.count);
         self.depth[pixel] = if is_good { mean } else { 0 };
         self.totals[self.home[pixel] as usize] -= 1;
         self.home[pixel] = self.settle(rays, pixel);
@@ -364,21 +368,22 @@ impl Background {
     }
 }
 
-/// Whether depths are of something else than those that agreed: their mean is farther off than three of
-/// its sigmas. Of two things in one window, as the floor and the feet of who stands on it now and then,
-/// this lets neither draw the mean to it.
+/// Whether depths are of another surface than those that agreed: 99 % of the means of that surface
+/// would be nearer to its mean. With two surfaces in one window (the floor and somebody's feet), this
+/// keeps either from drawing the mean towards itself.
 fn is_other(rays: &RayTable, depths: Agreed, agreed: Agreed) -> bool {
     let Some((mean, before)) = depths.mean().zip(agreed.mean()) else { return false };
-    let off = u32::from(mean.abs_diff(before));
-    off * off * depths.count > u32::from(margin(rays, before)).pow(2)
+    let off = u64::from(mean.abs_diff(before));
+    off * off * u64::from(depths.count) > u64::from(margin(rays, before)).pow(2)
 }
 
-/// Depths that differ by no more may be of one thing: three sigmas.
+/// The largest difference of two depths that may be of one surface.
 fn spread(rays: &RayTable, depth: u16) -> u16 {
-    (SLACK_MM + 3 * rays.sigma_mm(depth)).min(i64::from(u16::MAX)) as u16
+    let noise = (WINDOW * rays.sigma_mm(depth) + 500) / 1_000;
+    (SLACK_MM + noise).min(i64::from(u16::MAX)) as u16
 }
 
-/// Half the width of the window about a depth: three sigmas, and never all of the depth.
+/// Half the width of the window about a depth, at most half the depth.
 fn margin(rays: &RayTable, depth: u16) -> u16 {
     spread(rays, depth).min(depth / 2)
 }

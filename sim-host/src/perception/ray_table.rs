@@ -47,7 +47,11 @@ pub(super) enum Zone {
     Above(u32, u16),
 }
 
-/// How noisy a depth is. Points within the floor tolerance plus two sigmas count as floor.
+/// The noise of heights that counts as floor, in thousandths of sigma: 96 % of the floor's points lie
+/// below it.
+const FLOOR_NOISE: i64 = 1_720;
+
+/// How noisy a depth is. Points within the floor tolerance plus [`FLOOR_NOISE`] count as floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Allowance {
     /// No noise is allowed for.
@@ -209,7 +213,7 @@ impl RayTable {
             Allowance::Measured => self.sigma_mm(depth),
             Allowance::Mean(count) => self.sigma_mm(depth) / i64::from(count.isqrt().max(1)),
         };
-        let noise = (2 * sigma * up.abs()) >> HEIGHT_SHIFT;
+        let noise = (FLOOR_NOISE * sigma * up.abs() / 1_000) >> HEIGHT_SHIFT;
         let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
         let Some(cell) = self.cell(ray, millimetres).filter(|_| height >= -tolerance) else {
             return Zone::Nowhere;
