@@ -2,19 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-/// A file or folder of the recorded data, at `../shared/data` beside the repository or where
-/// `UBIMAP_DATA` points; says so and gives `None` where there is none.
-pub(crate) fn shared_data(name: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("UBIMAP_DATA").map(PathBuf::from);
-    // Tests run in the folder of their package.
-    let path = root.unwrap_or_else(|| PathBuf::from("../../shared/data")).join(name);
-    if path.exists() {
-        Some(path)
-    } else {
-        eprintln!("skipped: no recorded data {name} (set UBIMAP_DATA to its folder)");
-        None
-    }
-}
+#[path = "../../tests/src/data.rs"]
+#[expect(unreachable_pub, reason = "public in `tests`, whose file it is")]
+mod data;
+
+pub(crate) use data::file as shared_data;
 
 /// A folder of one test's own, gone when the test is over.
 pub(crate) struct Folder(PathBuf);

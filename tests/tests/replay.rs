@@ -1,6 +1,9 @@
 //! Recorded logs through robots, bad channels and the server, to one map.
 
+use std::{fs::File, io::Read};
+
 use clap::Parser;
+use flate2::read::GzDecoder;
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, Tile, TileId},
     units::Millimetres,
@@ -90,7 +93,9 @@ fn the_same_seed_gives_the_same_report_and_another_one_another() {
 
 /// The map that is made ray by ray of a log.
 fn oracle(log: &std::path::Path, no_return: f64) -> OccupancyGrid {
-    let rays = per_ray::map(&data::text(log).unwrap(), 0.05, 4.0, no_return);
+    let mut text = String::new();
+    GzDecoder::new(File::open(log).unwrap()).read_to_string(&mut text).unwrap();
+    let rays = per_ray::map(&text, 0.05, 4.0, no_return);
     let mut tiles = std::collections::BTreeMap::<TileId, Tile>::new();
     for (&(x, y), &odds) in &rays {
         let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
