@@ -1,4 +1,4 @@
-//! Tests of the simulated room, against slow independent answers where there are any.
+//! Tests of the simulated room, where possible against slow independent implementations.
 
 mod cameras;
 mod changes;
@@ -25,7 +25,7 @@ fn world(scenario: &Scenario, seed: u64) -> World {
     World::new(scenario, None, RESOLUTION, seed).expect("the scenario is good")
 }
 
-/// An empty room of 4 x 3 m inside, and what is added to it.
+/// An empty room, 4 x 3 m inside, plus `more`.
 fn small_room(more: &str) -> Scenario {
     let text = format!(
         "duration_s = 10.0
