@@ -292,7 +292,7 @@ impl South {
     fn planes(&self, was: Row, is: Row) -> [u32; 8] {
         let Self { is: south, was: south_was } = *self;
         let known = was.known();
-        // For each cell: `unknown` if the cell was unknown, `other` if it was known.
+        // Selects for each cell the bit of `unknown` if the cell was unknown, otherwise that of `other`.
         let either = |unknown: u32, other: u32| unknown & !known | other & known;
         let south_free = south.low & !south.high;
         [

@@ -138,7 +138,7 @@ impl Default for Publication {
 }
 
 impl Publication {
-    /// A tile of which nothing has been sent.
+    /// The record of a tile that has never been sent.
     pub const NOTHING: Self = Self {
         sent: Tile::UNKNOWN,
         version: Version(0),

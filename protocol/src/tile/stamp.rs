@@ -27,6 +27,6 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// The stamp of a tile of which nothing is held.
+    /// The stamp of a tile that is not held.
     pub const NOTHING: Self = Self { epoch: Epoch(0), version: Version(0) };
 }

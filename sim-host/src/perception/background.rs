@@ -178,7 +178,7 @@ impl Background {
             _ if candidate.is_doubtful => self.totals.len() - 1,
             Zone::Floor(cell) => 2 * cell as usize,
             Zone::Band(cell, _) => 2 * cell as usize + 1,
-            // What has come stands on the floor; what was always there may hang.
+            // A new object stands on the floor; one that was always there may hang.
             Zone::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
             Zone::Above(..) | Zone::Nowhere => self.totals.len() - 1,
         };

@@ -21,7 +21,7 @@ const SHADOW: i32 = 3;
 /// - `B` >= 4;
 /// - it is a ridge: 3 `B` is at least the `B` of each of the four nearest cells on the line of sight
 ///   (noise smears a wall along that line, and most of its pixels are at the wall); and
-/// - `B` >= `F`, or it hides a neighbouring cell of which nothing has been learnt though its `e` >= 4: a
+/// - `B` >= `F`, or it hides a neighbouring cell with `e` >= 4 and with `F` and `B` both zero: a
 ///   wall seen edge on has few pixels, and the floor in front may take up most of its cell.
 ///
 /// The code of a cell is the first of these that applies:

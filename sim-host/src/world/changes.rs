@@ -15,7 +15,7 @@ const APART: f64 = 0.02;
 
 /// The changeable parts of the room and the schedule of their changes.
 pub(super) struct Changes {
-    /// The scenario with all changes made so far.
+    /// The scenario after the changes already made.
     scenario: Scenario,
     walls: Option<WallGrid>,
     are_open: Vec<bool>,

@@ -123,7 +123,7 @@ impl World {
     /// side of a map cell.
     ///
     /// # Errors
-    /// Every [`ScenarioError`] except those of reading.
+    /// [`ScenarioError::Invalid`] for impossible numbers, places and paths.
     pub fn new(
         scenario: &Scenario,
         walls: Option<&WallGrid>,

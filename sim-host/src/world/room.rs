@@ -123,7 +123,7 @@ impl Room {
         self.near(&at).any(|prism| prism.reaches(from, to) && prism.footprint.contains(point))
     }
 
-    /// The key of an obstacle in the way of an upright cylinder that moves between two points.
+    /// The key of an obstacle that an upright cylinder meets when it moves between two points.
     pub(super) fn obstacle(
         &self,
         from: DVec2,

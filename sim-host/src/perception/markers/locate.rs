@@ -9,7 +9,7 @@ use crate::camera::Lens;
 
 /// Maximum number of Gauss-Newton steps; three are usually enough.
 const STEPS: usize = 10;
-/// Convergence threshold: the largest component of the last step, in metres and radians.
+/// The fit has converged when every component of a step is below this, in metres and radians.
 const SETTLED: f64 = 1e-9;
 /// Step of the numerical derivative of the projection, in metres.
 const STEP_M: f64 = 1e-4;

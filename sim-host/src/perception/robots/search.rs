@@ -49,7 +49,8 @@ impl Search {
         }
     }
 
-    /// The markers in a picture.
+    /// The markers found in a picture: around their expected positions, or anywhere if the whole picture is
+    /// due.
     pub(super) fn markers(
         &mut self,
         camera: usize,

@@ -155,7 +155,7 @@ fn late_frames_are_used_and_future_or_very_old_ones_ignored() {
     assert_eq!(events(&mut localiser), [SightingEvent::ClockAhead { camera: 0 }]);
     let [alone] = localiser.observe(&of(39, 0), now)[..] else { panic!("in view") };
     assert_eq!(localiser.observe(&of(2, 1), now), [], "two seconds late");
-    assert_eq!(localiser.observe(&of(38, 1), now), [], "late, for the next");
+    assert_eq!(localiser.observe(&of(38, 1), now), [], "late: contributes to the next pose");
     let [joined] = localiser.observe(&of(40, 0), now)[..] else { panic!("in view") };
     for sighting in [alone, joined] {
         let (away, turn) = error(&sighting, [0.3, 0.1, 0.4]);

@@ -158,7 +158,7 @@ pub struct FurnitureConfig {
     pub moved: Vec<MoveConfig>,
 }
 
-/// A move of a piece of furniture, made as soon as its new place is free.
+/// A move of a piece of furniture, made at its time or as soon as the new place is free.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MoveConfig {

@@ -144,7 +144,7 @@ fn a_person_is_movable_and_casts_a_shadow() {
             // Not listed: behind the person, or inside.
             None => {
                 shadow += 1;
-                assert!(centre.distance(eye) > 0.9, "{x}, {y} is before the person");
+                assert!(centre.distance(eye) > 0.9, "{x}, {y} is in front of the person");
             }
         }
     }
@@ -197,7 +197,7 @@ fn frames_come_at_their_rate_after_their_latency() {
     while let Some(next) = world.next_arrival().filter(|&next| next <= seconds(20.0)) {
         assert!(next >= now);
         now = next;
-        let observation = world.poll(now).expect("it was said to arrive");
+        let observation = world.poll(now).expect("an observation was announced");
         assert_eq!(observation.captured.micros() + latency, now.micros());
         captured[observation.camera].push(observation.captured);
         with_cells += usize::from(!observation.cells.is_empty());

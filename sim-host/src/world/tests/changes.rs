@@ -48,7 +48,7 @@ fn furniture_waits_until_its_place_is_free() {
             moved_at = Some((time, body.centre.x));
         }
     }
-    let (time, x) = moved_at.expect("it is moved in the end");
+    let (time, x) = moved_at.expect("the furniture is moved eventually");
     // Until the robot is past the corner, it is too close.
     assert!(time > 0.5 && x > 0.8, "moved at {time} s with the robot at {x}");
 }
@@ -84,8 +84,8 @@ fn a_person_waits_at_a_closed_door_and_passes_when_it_opens() {
             passed = Some(time);
         }
     }
-    let passed = passed.expect("somebody goes through");
-    assert!(passed > 6.0, "through the shut door at {passed} s");
+    let passed = passed.expect("the person passes the door");
+    assert!(passed > 6.0, "passed the closed door at {passed} s");
 }
 
 #[test]

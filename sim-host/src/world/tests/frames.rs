@@ -170,7 +170,7 @@ fn a_tag_lies_where_the_calibration_says_and_shows_its_number() {
     let scene = scene_of(&world(&scenario, 1));
     let mut camera = camera(&scenario, 0);
     let (_, picture) = camera.take(&scene, &mut dice(3)).unwrap();
-    let Picture::Grey(picture) = picture else { panic!("nobody wears colours") };
+    let Picture::Grey(picture) = picture else { panic!("expected a grey picture") };
     let lens = camera.calibration().picture.unwrap();
     let turn = DVec2::from_angle(42_f64.to_radians());
     // A position on the tag, in modules ahead and to the left of its centre.
@@ -229,7 +229,7 @@ fn moving_parts_leave_nothing_behind() {
     for step in 0..20 {
         world.advance(seconds(f64::from(step)));
         let with = camera.take(&scene_of(&world), &mut dice(2)).unwrap();
-        assert!(with != before, "nobody is seen after {step} s");
+        assert!(with != before, "nothing in view has moved after {step} s");
     }
     assert!(camera.take(&Scene { room, moving: Vec::new() }, &mut dice(2)).unwrap() == before);
 }

@@ -153,7 +153,7 @@ fn robots_keep_their_speed_limits_and_reach_every_stop() {
             assert!(way <= route.speed_m_s * seconds + 1e-9);
             let turned = (pose.heading - before[index].heading).sin().asin().abs();
             assert!(turned <= route.turn_rate_deg_s.to_radians() * seconds + 1e-9);
-            assert!(way == 0.0 || turned == 0.0, "turns in place");
+            assert!(way == 0.0 || turned == 0.0, "robot moves and turns at the same time");
             before[index] = pose;
         }
     }
@@ -262,7 +262,10 @@ fn two_robots_that_meet_head_on_resolve_it() {
                 last_moved[index] = time;
             }
             before[index] = robot.pose().position;
-            assert!(time - last_moved[index] < 30.0, "robot {index} stands since {last_moved:?}");
+            assert!(
+                time - last_moved[index] < 30.0,
+                "robot {index} has not moved since {last_moved:?}"
+            );
         }
         assert!(before[0].distance(before[1]) > 0.3);
     }

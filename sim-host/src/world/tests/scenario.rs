@@ -10,13 +10,14 @@ fn complaint(from: &str, to: &str) -> String {
     let world = Scenario::from_toml(&text, "hall.toml")
         .and_then(|scenario| World::new(&scenario, None, RESOLUTION, 1));
     match world {
-        Ok(_) => panic!("nothing is said about {to}"),
+        Ok(_) => panic!("no error for {to}"),
         Err(error) => error.to_string(),
     }
 }
 
-/// The pose and the first stop of the first robot, in the file.
+/// The start of the first robot, in the file.
 const START: &str = "start = { x_m = 5.6, y_m = 3.4, heading_deg = -90.0 }";
+/// The first stops of its route, in the file.
 const ROUTE: &str = "[[5.6, 1.6], [7.4, 1.6]";
 
 /// Impossible numbers. Each entry makes one mistake: the text that is replaced, its replacement, and a part
