@@ -238,7 +238,11 @@ mod tests {
             ("[0.5, 0.3]", "[0.5, 0]", "robot 2: box_m"),
             ("id = 2", "id = 2\ntag_id = 3", "tag_id and colours; leave one out"),
             ("id = 1", "id = 1\ntag_id = 587", "tag 587 is none of 36h11"),
-            ("id = 1", "id = 1\nmarker_at_m = [nan, 0]", "has no size, or no place"),
+            (
+                "id = 1",
+                "id = 1\nmarker_at_m = [nan, 0]",
+                "needs a positive size and a finite position",
+            ),
             ("id = 1", "id = 1\nsize = 2", "line 3: unknown field `size`"),
         ] {
             let error = Registry::from_toml(&TWO.replacen(from, to, 1)).unwrap_err().to_string();

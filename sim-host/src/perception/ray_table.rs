@@ -14,7 +14,7 @@ const HEIGHT_SHIFT: u32 = 16;
 pub struct Survey {
     /// The side of a cell.
     pub side: Millimetres,
-    /// Robots pass under whatever is higher.
+    /// Clearance height: obstacles above it do not block robots.
     pub robot_height: Millimetres,
     /// Points within this distance of `map`'s plane are floor.
     pub floor_tolerance: Millimetres,
@@ -33,8 +33,8 @@ impl Default for Survey {
     }
 }
 
-/// Where the point of a pixel lies: the cell and its height zone. Cells are numbered row by row from
-/// the south-west.
+/// The location of a pixel's point: a cell and a height zone. Cells are numbered row by row from the
+/// south-west.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Zone {
     /// No measurement: below the floor or beyond the reach.
@@ -233,7 +233,7 @@ impl RayTable {
     fn cell(&self, ray: Ray, depth: i64) -> Option<u32> {
         let x = (self.eye.0 + i64::from(ray.x) * depth) >> CELL_SHIFT;
         let y = (self.eye.1 + i64::from(ray.y) * depth) >> CELL_SHIFT;
-        // A negative one is a large one here.
+        // As unsigned numbers, negative coordinates are large.
         let is_inside = (x as u64) < u64::from(self.columns) && (y as u64) < u64::from(self.rows);
         is_inside.then(|| y as u32 * self.columns + x as u32)
     }
