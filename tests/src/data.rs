@@ -1,4 +1,4 @@
-//! Where recorded data is, if it is there.
+//! Finds recorded data.
 
 use std::{
     env,
@@ -8,7 +8,7 @@ use std::{
 
 use flate2::read::GzDecoder;
 
-/// A file of the shared data, or `None`, said in one line, where it is absent.
+/// A file of the recorded data; if it is missing, prints a line and returns `None`.
 pub fn file(name: &str) -> Option<PathBuf> {
     let folder = env::var_os("UBIMAP_DATA").map_or_else(
         || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
@@ -18,10 +18,10 @@ pub fn file(name: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    // Not `eprintln`, whose output the test harness keeps from the user.
+    // Not `eprintln`, whose output the test harness captures.
     let _ = writeln!(
         io::stderr(),
-        "left out: no recorded data at {} (UBIMAP_DATA names its folder)",
+        "skipped: no recorded data at {} (set UBIMAP_DATA to its folder)",
         path.display()
     );
     None
