@@ -1,4 +1,4 @@
-//! What tests need: the recorded data of others, and folders that clean up after themselves.
+//! Test support: recorded data, and temporary folders.
 
 use std::path::{Path, PathBuf};
 
@@ -8,11 +8,11 @@ mod data;
 
 pub(crate) use data::file as shared_data;
 
-/// A folder of one test's own, gone when the test is over.
+/// A test's temporary folder, removed when dropped.
 pub(crate) struct Folder(PathBuf);
 
 impl Folder {
-    /// A new, empty folder; `name` tells the tests of one run apart.
+    /// Creates an empty folder; `name` distinguishes the tests of one run.
     pub(crate) fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("ubimap-{}-{name}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
@@ -20,12 +20,12 @@ impl Folder {
         Self(path)
     }
 
-    /// Where it is.
+    /// The folder's path.
     pub(crate) fn path(&self) -> &Path {
         &self.0
     }
 
-    /// Writes a file, with the folders on its way, and returns its path.
+    /// Writes a file, creating parent folders, and returns its path.
     pub(crate) fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.0.join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
