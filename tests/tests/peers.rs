@@ -6,7 +6,7 @@ use std::collections::{BTreeSet, VecDeque};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_agent::{Config, map::PeerMask, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, map::PeerMask, sense::SensorModel};
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE},
     time::{Duration, Instant},
@@ -15,7 +15,8 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::Faults,
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
+    run::fleet::{Event, Fleet},
+    run::heap::BOUNDS,
     server::Footprint,
 };
 use ubimap_tests::script::Script;
@@ -76,7 +77,8 @@ fn run(way: Way, told: Told) -> Drawn {
     let step = std::f64::consts::PI / (BEAMS - 1) as f64;
     let first = -std::f64::consts::FRAC_PI_2;
     let sensor = SensorModel::Radial { first: first as f32, step: step as f32 };
-    let mut config = Config::new(RobotId(1), sensor);
+    let bounds = Bounds { readings: BEAMS, ..BOUNDS };
+    let mut config = Config::new(RobotId(1), sensor, bounds).with_drive(None);
     if let Told::Of(mask) | Told::Short(mask) = told {
         config.peer_mask = mask;
     }
@@ -108,9 +110,10 @@ fn run(way: Way, told: Told) -> Drawn {
             events.push_back((now, Event::Scan { robot: 0, readings: readings.collect() }));
         }
     }
-    let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
+    let mut memory = [Memory::new(&bounds)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, config.resolution, 1, None).unwrap();
+    let mut fleet =
+        Fleet::new(&[config], &mut memory, faults, config.bounds.resolution, 1, None).unwrap();
     let [mut half_length, half_width] = BODY.map(|half| (half * 1_000.0) as u16);
     if matches!(told, Told::Short(_)) {
         half_length = half_width;
@@ -118,9 +121,9 @@ fn run(way: Way, told: Told) -> Drawn {
     fleet.set_footprint(RobotId(2), Footprint { half_length, half_width });
 
     let mut drawn = Drawn { wrong: BTreeSet::new(), walls: BTreeSet::new() };
-    let side = config.resolution.metres();
+    let side = config.bounds.resolution.metres();
     let converged = fleet.run(&mut Script(events), |fleet| {
-        for tile in fleet.robots()[0].agent().own_tiles().tiles() {
+        for tile in fleet.robots()[0].robot().own_tiles().tiles() {
             let (x0, y0) = tile.id().unwrap().first_cell();
             let cells = (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y)));
             for (x, y) in cells {
@@ -137,7 +140,7 @@ fn run(way: Way, told: Told) -> Drawn {
         }
     });
     assert!(converged.unwrap());
-    let statistics = fleet.robots()[0].agent().statistics();
+    let statistics = fleet.robots()[0].robot().statistics();
     assert!(statistics.mapped > 30, "{statistics:?}");
     drawn
 }

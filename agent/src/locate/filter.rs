@@ -24,6 +24,9 @@ pub(super) const WIDEST_GAP: Duration = Duration::from_millis(350);
 /// a scan waits in any case. Who brakes like that strays by a millimetre in between.
 const READINGS: usize = 15;
 const READING_INTERVAL: Duration = Duration::from_millis(100);
+/// The speed is measured over this span at least: in a shorter one the millimetres that readings are
+/// rounded to make more than 20 mm/s.
+const SPEED_SPAN: Duration = Duration::from_millis(50);
 /// Half a degree, in binary units.
 const STEADY: u16 = 91;
 /// Fixes that are remembered: half a second at 15 Hz.
@@ -245,6 +248,12 @@ impl Filter {
         self.odometry.newest()
     }
 
+    /// The two newest readings that are remembered, the newest first.
+    pub(super) fn newest_two(&self) -> Option<(Pose, Pose)> {
+        let mut readings = self.odometry.iter().rev().map(|(_, pose)| *pose);
+        readings.next().zip(readings.next())
+    }
+
     pub(super) fn noise(&self) -> &MotionNoise {
         &self.noise
     }
@@ -281,6 +290,32 @@ impl Filter {
             return None;
         }
         self.replay(moment).0.told()
+    }
+
+    /// Where the robot is taken to be soon after the newest reading of the odometry: it goes on as it
+    /// did before. `None` later, or if the motion is not known up to there.
+    pub(super) fn soon_after_odometry(&self, moment: Instant) -> Option<Told> {
+        let (newest, odometry) = self.odometry.newest()?;
+        let ahead = moment.since(newest);
+        if moment < newest || ahead > WIDEST_GAP {
+            return None;
+        }
+        let belief = self.replay(newest).0;
+        let mut estimate = belief.estimate.filter(|estimate| !estimate.is_guessed())?;
+        let mut readings = self.odometry.iter().rev();
+        let before = readings.find(|(before, _)| newest.since(*before) >= SPEED_SPAN);
+        let before = before.filter(|(before, _)| newest.since(*before) <= WIDEST_GAP);
+        let to = before.map_or(odometry, |(before, pose)| {
+            let part = seconds(ahead) / seconds(newest.since(before));
+            between(*pose, odometry, 1.0 + part)
+        });
+        estimate.drive(odometry, to, seconds(ahead), &self.noise);
+        estimate.stray(seconds(ahead), before.is_some());
+        Some(Told {
+            pose: estimate.pose(to.heading),
+            variances: estimate.variances(),
+            guessed: false,
+        })
     }
 
     /// What is believed after all measurements up to a moment, and what became of the last fix

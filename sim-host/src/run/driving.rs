@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use ubimap_agent::drive::{Config, DriveCommand, Gaze, Motion, SafetyLimits};
+use ubimap_agent::drive::{DriveCommand, Driving, Gaze, Motion, SafetyLimits};
 use ubimap_protocol::{
     tile::{Cell as MapCell, TILE_SIDE, TileId},
     time::{Duration, Instant},
@@ -31,18 +31,24 @@ const ALL: f64 = 0.99;
 /// How often it is looked at.
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// Lets the server coordinate, and all robots that have a route drive themselves.
-pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World, motion: MotionName) {
+/// Lets the server coordinate the robots that drive themselves.
+pub(super) fn coordinate(fleet: &mut Fleet<'_>, world: &World) {
     let ranges = world.robots().iter().map(|robot| robot.sensor().max_range_m());
     let range_m = ranges.fold(f64::INFINITY, f64::min);
     fleet.coordinate(range_m.min(VIEW_M), range_m, LOOK);
     for robot in world.robots().iter().filter(|robot| robot.drives()) {
-        fleet.let_drive(robot.id(), config(robot), motion == MotionName::StopAndWait);
+        fleet.explore(robot.id());
     }
 }
 
-/// What a simulated robot's driver knows of it.
-fn config(robot: &SimRobot) -> Config {
+/// How a simulated robot drives itself; `None` if it has no route and stands.
+pub(super) fn driving(robot: &SimRobot, motion: MotionName) -> Option<Driving> {
+    robot
+        .drives()
+        .then(|| Driving { stop_and_wait: motion == MotionName::StopAndWait, ..usual(robot) })
+}
+
+fn usual(robot: &SimRobot) -> Driving {
     let [speed, turn, acceleration] = robot.limits();
     let usual = Motion::default();
     let motion = Motion {
@@ -61,7 +67,7 @@ fn config(robot: &SimRobot) -> Config {
         radius: motion.radius,
     };
     let looks_at_goal = Some(gaze);
-    Config { motion, safety, resolution: RESOLUTION, looks_at_goal, ..Config::default() }
+    Driving { motion, safety, looks_at_goal, ..Driving::default() }
 }
 
 /// What a command means for the wheels: metres and radians a second.

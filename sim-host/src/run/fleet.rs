@@ -1,41 +1,32 @@
-//! Agents and the server, joined by channels under virtual time.
+//! Robots and the server, joined by channels under virtual time.
 //!
-//! Nothing here waits: the clock jumps from event to event, each agent and the server come back
+//! Nothing here waits: the clock jumps from event to event, each robot and the server come back
 //! when they asked to, and the same seed gives the same bytes.
 
 use ubimap_agent::{
-    Agent, Config, ConfigError, Memory, Pilot,
-    drive::{self, DriveCommand, Stops},
-    map::{OwnTile, RowSighting, scratch_words},
-    sense::Beam,
-    share::FusedTile,
+    Config, ConfigError, Memory,
+    drive::{DriveCommand, Driving},
 };
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, MAX_FRAME},
-    tile::{Epoch, Layer, Stamp, TILE_SIDE, TileId, tile_hash},
+    frame::{Direction, MAX_FRAME},
+    tile::{Epoch, Layer, Stamp, tile_hash},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
 
 use super::{
     RunError,
+    heap::Heap,
     keeper::{self, Keeper},
+    member::Member,
 };
 use crate::{
     camera::{Frame, Observation, Sighting},
-    channel::fault::{FaultWire, Faults},
+    channel::fault::Faults,
     perception::Observer,
-    report::{Comparison, Published},
     server::{Footprint, Server},
     store::StoreError,
 };
-
-/// Tiles of its own that a robot keeps, unless more are asked for.
-pub const OWN_TILES: usize = 32;
-/// Fused tiles that a robot keeps.
-pub const FUSED_TILES: usize = 64;
-/// Scans that can wait for their poses on a robot.
-const WAITING_SCANS: usize = 4;
 
 /// Something that happens at a moment of the server's clock.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,11 +45,6 @@ pub enum Event {
         /// `base_link` in `odom`.
         pose: Pose,
     },
-    /// A robot that drives itself says what its wheels shall do.
-    Drive {
-        /// Which robot.
-        robot: usize,
-    },
     /// A frame of a camera has arrived.
     Frame(Frame),
     /// A frame of a camera has been looked at.
@@ -73,152 +59,8 @@ pub trait Stage {
     /// An event that has happened by `now`, oldest first.
     fn poll(&mut self, now: Instant) -> Option<Event>;
 
-    /// A robot's wheels shall do this from now on.
-    fn drive(&mut self, _robot: usize, _command: DriveCommand) {}
-}
-
-/// The memory of one agent, sized like a robot's.
-#[derive(Debug)]
-pub struct AgentMemory {
-    beams: Vec<Beam>,
-    waiting: Vec<u16>,
-    scratch: Vec<RowSighting>,
-    own: Vec<OwnTile>,
-    fused: Vec<FusedTile>,
-}
-
-impl AgentMemory {
-    /// Memory for scans of so many readings, and for so many tiles of its own and fused ones.
-    pub fn new(config: &Config, readings: usize, own_tiles: usize, fused_tiles: usize) -> Self {
-        Self {
-            beams: vec![Beam::default(); readings],
-            waiting: vec![0; readings * WAITING_SCANS],
-            scratch: vec![
-                RowSighting::default();
-                scratch_words(config.max_range, config.resolution)
-            ],
-            own: vec![OwnTile::FREE; own_tiles],
-            fused: vec![FusedTile::FREE; fused_tiles],
-        }
-    }
-
-    /// Lends it to an agent.
-    pub fn lend(&mut self) -> Memory<'_> {
-        Memory {
-            beams: &mut self.beams,
-            waiting: &mut self.waiting,
-            scratch: &mut self.scratch,
-            own: &mut self.own,
-            fused: &mut self.fused,
-        }
-    }
-}
-
-/// A robot's clock: it starts somewhere, and runs a little fast or slow.
-#[derive(Clone, Copy, Debug)]
-struct RobotClock {
-    start: u64,
-    ppm: i64,
-}
-
-impl RobotClock {
-    /// Clocks of different robots differ by minutes and up to 40 ppm.
-    fn of(robot: RobotId, seed: u64) -> Self {
-        // SplitMix64's mixing step: any two clocks differ.
-        let mixed = (seed ^ u64::from(robot.0) << 32).wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = mixed ^ mixed >> 27;
-        Self { start: mixed % 600_000_000, ppm: (mixed >> 32) as i64 % 41 }
-    }
-
-    fn local(self, server: Instant) -> Instant {
-        let drift = server.0 as i64 * self.ppm / 1_000_000;
-        Instant(self.start.wrapping_add(server.0).wrapping_add(drift as u64))
-    }
-
-    /// The first moment of the server's clock at which this one shows `local`.
-    fn server(self, local: Instant) -> Instant {
-        if local.0 == u64::MAX {
-            return local;
-        }
-        let elapsed = local.0.saturating_sub(self.start);
-        let scaled = i128::from(elapsed) * 1_000_000 / i128::from(1_000_000 + self.ppm);
-        let mut server = Instant((scaled as u64).saturating_sub(2));
-        while self.local(server) < local {
-            server.0 += 1;
-        }
-        server
-    }
-}
-
-/// One robot with its channel.
-pub struct Robot<'b> {
-    id: RobotId,
-    clock: RobotClock,
-    agent: Agent<'b>,
-    /// What drives it, if it does not drive a route.
-    pilot: Option<Box<Pilot>>,
-    up: FaultWire,
-    down: FaultWire,
-    path: Vec<(Instant, Pose)>,
-    /// Readings of a scan.
-    beams: usize,
-    published: Published,
-    /// Its map traffic when what it had published was last taken note of.
-    bytes_noted: u64,
-}
-
-impl Robot<'_> {
-    /// Takes note of what it has published by now.
-    fn take_note(&mut self) {
-        let bytes_sent_map = self.agent.statistics().bytes_sent_map;
-        if bytes_sent_map > self.bytes_noted {
-            self.bytes_noted = bytes_sent_map;
-            let tiles = self.agent.own_tiles().tiles();
-            self.published
-                .update(tiles.filter_map(|tile| Some((tile.id()?, tile.publication().sent()))));
-        }
-    }
-
-    /// Its number.
-    pub fn id(&self) -> RobotId {
-        self.id
-    }
-
-    /// What drives it, if it drives itself.
-    pub fn pilot(&self) -> Option<&Pilot> {
-        self.pilot.as_deref()
-    }
-
-    /// Its agent.
-    pub fn agent(&self) -> &Agent<'_> {
-        &self.agent
-    }
-
-    /// Whether it leaves a cell to the cameras at a moment of the server's clock.
-    pub fn is_left_to_cameras(&self, now: Instant, (x, y): (i32, i32)) -> bool {
-        let Some(id) = TileId::of_cell(x, y) else { return false };
-        let around = self.agent.fused_tiles().around(id, self.clock.local(now));
-        let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
-        around.covered.is_some_and(|rows| rows[within(y)] >> within(x) & 1 != 0)
-    }
-
-    /// Frames that the channel lost, both ways.
-    pub fn frames_lost(&self) -> u64 {
-        self.up.counters().lost + self.down.counters().lost
-    }
-
-    /// What telling the server of the same would have cost in other formats.
-    pub fn comparison(&self) -> Comparison {
-        let mut comparison = self.published.cost();
-        comparison.add_scans(self.agent.statistics().mapped.into(), self.beams as u64);
-        comparison
-    }
-
-    /// Where it believes that it has been, and when by the server's clock.
-    pub fn path(&self) -> &[(Instant, Pose)] {
-        &self.path
-    }
+    /// A robot's wheels shall do this from `moment` on, by the clock of the events.
+    fn drive(&mut self, _moment: Instant, _robot: usize, _command: DriveCommand) {}
 }
 
 /// Hears every frame that a robot or the server sends, before its channel does anything to it:
@@ -234,7 +76,7 @@ pub struct Fleet<'b> {
     observer: Option<Observer>,
     /// What the cameras localised, and when by the run's clock.
     sightings: Vec<(Instant, Sighting)>,
-    robots: Vec<Robot<'b>>,
+    robots: Vec<Member<'b>>,
     keeper: Option<Keeper>,
     /// When the run began.
     began: Instant,
@@ -252,34 +94,20 @@ impl<'b> Fleet<'b> {
     /// server and its clock go on from what is in the file.
     ///
     /// # Errors
-    /// [`RunError::Agent`] and [`RunError::Store`].
+    /// [`RunError::Robot`] and [`RunError::Store`].
     pub fn new(
-        configs: &[Config],
-        memory: &'b mut [AgentMemory],
+        configs: &[Config<Option<Driving>>],
+        memory: &'b mut [Memory<Heap, Option<Driving>>],
         faults: Faults,
         resolution: Millimetres,
         seed: u64,
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
-        let robots = configs.iter().zip(memory).map(|(config, memory)| {
-            let id = config.robot;
-            let wire = |way: u64| {
-                FaultWire::new(faults, seed.wrapping_mul(0x1_0001) ^ u64::from(id.0) << 8 ^ way)
-            };
-            Ok(Robot {
-                id,
-                beams: memory.beams.len(),
-                clock: RobotClock::of(id, seed),
-                agent: Agent::new(*config, memory.lend())?,
-                pilot: None,
-                up: wire(1),
-                down: wire(2),
-                path: Vec::new(),
-                published: Published::default(),
-                bytes_noted: 0,
-            })
-        });
-        let robots = robots.collect::<Result<Vec<_>, ConfigError>>()?;
+        let robots = configs
+            .iter()
+            .zip(memory)
+            .map(|(config, memory)| Member::new(*config, memory, faults, seed))
+            .collect::<Result<Vec<_>, ConfigError>>()?;
         let server = keeper::server(keeper.as_ref(), resolution, Epoch(1), robots.len())?;
         let began = keeper.as_ref().map_or(Instant(0), Keeper::begins);
         let frame = vec![0; MAX_FRAME];
@@ -334,16 +162,9 @@ impl<'b> Fleet<'b> {
         self.server.coordinate(view_m, range_m, look);
     }
 
-    /// Lets a robot drive itself, and explore; if it is to stop for scans, where its gate opens.
-    pub fn let_drive(&mut self, robot: RobotId, config: drive::Config, stops: bool) {
-        if let Some(robot) = self.robots.iter_mut().find(|it| it.id == robot) {
-            let mut pilot = Box::new(Pilot::new(config));
-            if stops {
-                pilot.stop_for_scans(Stops::new(robot.agent.config().gate));
-            }
-            robot.pilot = Some(pilot);
-            self.server.explore(robot.id);
-        }
+    /// Lets the server say where a robot drives.
+    pub fn explore(&mut self, robot: RobotId) {
+        self.server.explore(robot);
     }
 
     /// The server leaves the robots' constant errors as they are, and tells nobody in blind ground
@@ -353,7 +174,7 @@ impl<'b> Fleet<'b> {
     }
 
     /// The robots.
-    pub fn robots(&self) -> &[Robot<'b>] {
+    pub fn robots(&self) -> &[Member<'b>] {
         &self.robots
     }
 
@@ -383,32 +204,27 @@ impl<'b> Fleet<'b> {
         mut watch: impl FnMut(&Self),
     ) -> Result<bool, StoreError> {
         while let Some(next) = stage.next_event() {
-            self.run_until(self.began + next.since(Instant(0)))?;
-            let now = Instant(self.now.since(self.began).micros());
+            self.run_until(self.began + next.since(Instant(0)), stage)?;
+            let now = Instant(0) + self.elapsed();
             while let Some(event) = stage.poll(now) {
-                if let Event::Drive { robot } = event {
-                    if let Some(command) = self.drive(robot) {
-                        stage.drive(robot, command);
-                    }
-                } else {
-                    self.happen(event);
-                }
+                self.happen(event);
             }
             self.drain();
             watch(self);
         }
         let end = self.now + PATIENCE;
         while !self.has_converged() && self.now < end {
-            self.run_until(self.now + Duration::from_millis(100))?;
+            self.run_until(self.now + Duration::from_millis(100), stage)?;
         }
         Ok(self.has_converged())
     }
 
     /// Lets all that is due before `until` happen; then it is `until`.
-    fn run_until(&mut self, until: Instant) -> Result<(), StoreError> {
+    fn run_until(&mut self, until: Instant, stage: &mut dyn Stage) -> Result<(), StoreError> {
         while let Some(next) = self.next_due().filter(|&next| next < until) {
             self.now = self.now.max(next);
             self.deliver();
+            self.turn_wheels(stage);
             if let Some(keeper) = &mut self.keeper {
                 keeper.keep(&mut self.server, self.now)?;
             }
@@ -418,15 +234,10 @@ impl<'b> Fleet<'b> {
         Ok(())
     }
 
-    /// When a frame arrives, or an agent or the server wants to come back.
+    /// When a frame arrives, or a robot or the server wants to come back.
     fn next_due(&self) -> Option<Instant> {
         let robots = self.robots.iter().enumerate().flat_map(|(port, robot)| {
-            [
-                robot.up.next_delivery(),
-                robot.down.next_delivery(),
-                Some(robot.clock.server(robot.agent.poll_timeout())),
-                self.server.poll_timeout(port, self.now),
-            ]
+            [robot.poll_timeout(), self.server.poll_timeout(port, self.now)]
         });
         let commit = self.keeper.as_ref().map(|keeper| keeper.poll_timeout(&self.server));
         robots.chain(commit).flatten().min()
@@ -435,48 +246,36 @@ impl<'b> Fleet<'b> {
     fn deliver(&mut self) {
         let now = self.now;
         for (port, robot) in self.robots.iter_mut().enumerate() {
-            while let Some(bytes) = robot.up.poll(now) {
+            while let Some(bytes) = robot.poll_up(now) {
                 let known = self.server.receive(port, &bytes, now);
                 debug_assert!(known.is_ok());
             }
-            let local = robot.clock.local(now);
-            while let Some(bytes) = robot.down.poll(now) {
-                robot.agent.receive(&bytes, local);
-            }
-            robot.agent.timeout(local);
+            robot.deliver(now);
         }
         self.server.timeout(now);
     }
 
-    /// What the wheels of a robot shall do, if it drives itself.
-    fn drive(&mut self, robot: usize) -> Option<DriveCommand> {
-        let robot = self.robots.get_mut(robot)?;
-        let local = robot.clock.local(self.now);
-        Some(robot.pilot.as_mut()?.step(&mut robot.agent, local))
+    /// Lets the wheels do what the robots say.
+    fn turn_wheels(&mut self, stage: &mut dyn Stage) {
+        let now = Instant(0) + self.elapsed();
+        for (index, robot) in self.robots.iter_mut().enumerate() {
+            if let Some(command) = robot.poll_command() {
+                stage.drive(now, index, command);
+            }
+        }
     }
 
     fn happen(&mut self, event: Event) {
         match event {
-            Event::Drive { .. } => {}
             Event::Scan { robot, readings } => {
-                let Some(robot) = self.robots.get_mut(robot) else { return };
-                let local = robot.clock.local(self.now);
-                let pilot = &mut robot.pilot;
-                let is_taken =
-                    pilot.as_mut().is_none_or(|pilot| pilot.takes_scan(&robot.agent, local));
-                if is_taken && let Err(error) = robot.agent.scan(local, &readings, local) {
-                    // The agent counts them.
-                    log::debug!("robot {}: a scan is not taken: {error:?}", robot.id.0);
+                if let Some(robot) = self.robots.get_mut(robot) {
+                    robot.scan(&readings, self.now);
                 }
-                if let Some(pilot) = &mut robot.pilot {
-                    pilot.scan(&robot.agent, &readings, local);
-                }
-                robot.path.extend(robot.agent.pose());
             }
             Event::Odometry { robot, pose } => {
-                let Some(robot) = self.robots.get_mut(robot) else { return };
-                let local = robot.clock.local(self.now);
-                robot.agent.odometry(local, pose, local);
+                if let Some(robot) = self.robots.get_mut(robot) {
+                    robot.odometry(pose, self.now);
+                }
             }
             Event::Frame(frame) => self.look(frame),
             Event::Observation(mut observation) => {
@@ -513,22 +312,18 @@ impl<'b> Fleet<'b> {
     fn drain(&mut self) {
         let now = self.now;
         for (port, robot) in self.robots.iter_mut().enumerate() {
-            let local = robot.clock.local(now);
-            let id = robot.id;
+            let id = robot.id();
             let mut hear = |direction, frame: &[u8]| {
                 if let Some(tap) = &mut self.tap {
                     tap(id, direction, frame);
                 }
             };
-            while let Some(len) = robot.agent.poll_transmit(local, &mut self.frame[..DEFAULT_FRAME])
-            {
+            while let Some(len) = robot.poll_transmit(now, &mut self.frame) {
                 hear(Direction::ToServer, &self.frame[..len]);
-                robot.up.send(now, &self.frame[..len]);
             }
-            robot.take_note();
             while let Some(len) = self.server.poll_transmit(port, now, &mut self.frame) {
                 hear(Direction::ToRobot, &self.frame[..len]);
-                robot.down.send(now, &self.frame[..len]);
+                robot.send_down(now, &self.frame[..len]);
             }
         }
         self.server.age(now);
@@ -540,18 +335,18 @@ impl<'b> Fleet<'b> {
     pub fn has_converged(&self) -> bool {
         !self.server.has_unsaved()
             && self.robots.iter().all(|robot| {
-                robot.agent.is_idle()
-                    && self.server.is_level(robot.id)
+                robot.robot().is_idle()
+                    && self.server.is_level(robot.id())
                     && self.server_holds_all_of(robot)
                     && self.all_held_is_newest(robot)
             })
     }
 
-    fn server_holds_all_of(&self, robot: &Robot<'_>) -> bool {
-        let Some(layer) = self.server.layer(robot.id) else {
-            return robot.agent.own_tiles().tiles().next().is_none();
+    fn server_holds_all_of(&self, robot: &Member<'_>) -> bool {
+        let Some(layer) = self.server.layer(robot.id()) else {
+            return robot.robot().own_tiles().tiles().next().is_none();
         };
-        robot.agent.own_tiles().tiles().all(|tile| {
+        robot.robot().own_tiles().tiles().all(|tile| {
             let stamp = Stamp { epoch: tile.epoch(), version: tile.publication().version() };
             let held = tile.id().and_then(|id| layer.held(id, tile.epoch()));
             held.is_some_and(|(held, cells)| {
@@ -560,8 +355,8 @@ impl<'b> Fleet<'b> {
         })
     }
 
-    fn all_held_is_newest(&self, robot: &Robot<'_>) -> bool {
-        robot.agent.fused_tiles().tiles(Layer::Fused).all(|(id, replica)| {
+    fn all_held_is_newest(&self, robot: &Member<'_>) -> bool {
+        robot.robot().fused_tiles().tiles(Layer::Fused).all(|(id, replica)| {
             let newest = self.server.fused().get(id);
             newest.is_some_and(|(version, cells)| {
                 let stamp = Stamp { epoch: self.server.epoch(), version };
@@ -570,22 +365,5 @@ impl<'b> Fleet<'b> {
                     && tile_hash(replica.tile()) == tile_hash(cells)
             })
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_robots_clock_comes_back_when_it_was_asked_to() {
-        for id in 0..50 {
-            let clock = RobotClock::of(RobotId(id), 7);
-            for server in [0, 1, 999, 1_000_000, 3_600_000_000] {
-                let local = clock.local(Instant(server));
-                let back = clock.server(local);
-                assert!(clock.local(back) >= local && back.0 <= server);
-            }
-        }
     }
 }

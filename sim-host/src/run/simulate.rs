@@ -2,7 +2,7 @@
 
 use std::{collections::VecDeque, path::Path, time};
 
-use ubimap_agent::{Config, drive::DriveCommand, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, drive::DriveCommand, sense::SensorModel};
 use ubimap_protocol::{
     tile::Cell,
     time::{Duration, Instant},
@@ -13,7 +13,8 @@ use super::{
     Outcome, RunError,
     driving::{self, BlindGround},
     figures,
-    fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+    fleet::{Event, Fleet, Stage},
+    heap::BOUNDS,
     options::SimulateOptions,
     progress::Progress,
     recording::{Recorded, Recording},
@@ -26,7 +27,7 @@ use crate::{
     grid::{self, OccupancyGrid},
     perception::markers::Hue,
     report::{self, Marker, MarkerKind},
-    world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
+    world::{MarkerConfig, RobotConfig, STEP, Scenario, SimRobot, WallGrid, World},
 };
 
 /// The side of the map's cells.
@@ -51,10 +52,15 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     }
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;
 
-    let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
-    let configs: Vec<Config> =
-        world.robots().iter().map(|robot| config(robot, options.run.seed)).collect();
-    let mut memory = memory(&world, &configs, own_tiles);
+    let own_tiles = options.run.tiles.map_or(BOUNDS.own_tiles, |tiles| tiles as usize);
+    let configs = world.robots().iter().map(|robot| {
+        let driving = driving::driving(robot, options.motion).filter(|_| !options.scripted);
+        let mut config = config(robot, options.run.seed).with_drive(driving);
+        config.bounds.own_tiles = own_tiles;
+        config
+    });
+    let configs: Vec<_> = configs.collect();
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let faults = options.run.channel.faults();
     let keeper = options.run.keeper(RESOLUTION)?;
     let mut fleet =
@@ -81,7 +87,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let ground = BlindGround::of(&stage.world);
     let mut time_lapse = options.run.out.is_some().then(|| TimeLapse::new(duration));
     if !options.scripted {
-        driving::set_out(&mut fleet, &stage.world, options.motion);
+        driving::coordinate(&mut fleet, &stage.world);
         stage.hand_over();
     }
     let mut stage = Recorded { stage, recording };
@@ -120,7 +126,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     Ok(Outcome { report: summary, map, markers, pictures, tables: Vec::new() })
 }
 
-/// The configuration of a simulated robot's agent.
+/// The configuration of a simulated robot that does not drive itself.
 pub fn config(robot: &SimRobot, seed: u64) -> Config {
     let sensor = robot.sensor();
     let model = match sensor.focal_px() {
@@ -132,22 +138,17 @@ pub fn config(robot: &SimRobot, seed: u64) -> Config {
             step: sensor.step_rad() as f32,
         },
     };
-    Config {
+    let bounds = Bounds {
+        readings: sensor.beams(),
         resolution: RESOLUTION,
         max_range: (sensor.max_range_m() * 1000.0).clamp(0.0, f64::from(u16::MAX)) as u16,
+        ..BOUNDS
+    };
+    Config {
         mounting: sensor.mount(),
         boot_nonce: seed as u32 ^ u32::from(robot.id().0) << 16,
-        ..Config::new(robot.id(), model)
+        ..Config::new(robot.id(), model, bounds)
     }
-}
-
-/// Memory for the agents of a world's robots, with so many tiles of their own.
-pub fn memory(world: &World, configs: &[Config], own_tiles: usize) -> Vec<AgentMemory> {
-    let robots = world.robots().iter().zip(configs);
-    let memory = robots.map(|(robot, config)| {
-        AgentMemory::new(config, robot.sensor().beams(), own_tiles, FUSED_TILES)
-    });
-    memory.collect()
 }
 
 /// The robots of a scenario.
@@ -185,16 +186,28 @@ fn wall_grid(map: &OccupancyGrid) -> WallGrid {
     }
 }
 
+/// A robot reads its wheels at 20 Hz.
+const ODOMETRY_INTERVAL: Duration = Duration::from_millis(50);
+
+/// When a robot reads its wheels first: on a real robot they are read when the scans are not, and
+/// when the drive makes no step.
+fn first_odometry(robot: usize) -> Instant {
+    let phases = ODOMETRY_INTERVAL.0 / STEP.0 - 1;
+    Instant((1 + robot as u64 * 3 % phases) * STEP.0)
+}
+
 /// The simulated room as a source of events.
 pub struct Room {
     world: World,
     end: Instant,
-    next_odometry: Instant,
+    /// When each robot reads its wheels next.
+    next_odometry: Vec<Instant>,
+    next_track: Instant,
     waiting: VecDeque<Event>,
     /// Whether the cameras give frames; what ideal ones see otherwise.
     is_filmed: bool,
-    /// Whether robots that have a route drive themselves.
-    is_driven: bool,
+    /// What wheels have been told and do not do yet, by time: when, and which robot's.
+    commands: VecDeque<(Instant, usize, DriveCommand)>,
     /// Where each robot really was, every [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
 }
@@ -203,9 +216,17 @@ impl Room {
     /// The events of a world until some moment, with ideal cameras: nothing is drawn and nothing
     /// looked at, what is in view is known.
     pub fn new(world: World, end: Instant) -> Self {
-        let tracks = vec![Vec::new(); world.robots().len()];
-        let (next_odometry, waiting) = (Instant(0), VecDeque::new());
-        Self { world, end, next_odometry, waiting, is_filmed: false, is_driven: false, tracks }
+        let robots = world.robots().len();
+        Self {
+            world,
+            end,
+            next_odometry: (0..robots).map(first_odometry).collect(),
+            next_track: Instant(0),
+            waiting: VecDeque::new(),
+            is_filmed: false,
+            commands: VecDeque::new(),
+            tracks: vec![Vec::new(); robots],
+        }
     }
 
     /// The same with the frames of RGB-D cameras.
@@ -220,7 +241,6 @@ impl Room {
 
     /// Lets the robots that have a route drive themselves from now on.
     pub fn hand_over(&mut self) {
-        self.is_driven = true;
         for robot in 0..self.world.robots().len() {
             if self.world.robots()[robot].drives() {
                 self.world.tell_wheels(robot, 0.0, 0.0);
@@ -233,12 +253,35 @@ impl Room {
         &self.world
     }
 
-    fn read_wheels(&mut self) {
-        for (index, robot) in self.world.robots().iter().enumerate() {
-            self.tracks[index].push(robot.truth());
-            self.waiting.push_back(Event::Odometry { robot: index, pose: robot.odometry() });
-            if self.is_driven && robot.drives() {
-                self.waiting.push_back(Event::Drive { robot: index });
+    /// Moves the world on. Wheels obey from the first step of the world that begins after they were
+    /// told.
+    fn advance(&mut self, now: Instant) {
+        let begins = |told: Instant| Instant(told.0.next_multiple_of(STEP.0));
+        while let Some(&(told, robot, command)) = self.commands.front()
+            && begins(told) <= now
+        {
+            self.world.advance(begins(told));
+            let (speed_m_s, turn_rad_s) = driving::wheels(command);
+            self.world.tell_wheels(robot, speed_m_s, turn_rad_s);
+            self.commands.pop_front();
+        }
+        self.world.advance(now);
+    }
+
+    fn follow_tracks(&mut self, now: Instant) {
+        if self.next_track <= now {
+            self.next_track = self.next_track + TRACK_INTERVAL;
+            let robots = self.tracks.iter_mut().zip(self.world.robots());
+            robots.for_each(|(track, robot)| track.push(robot.truth()));
+        }
+    }
+
+    fn read_wheels(&mut self, now: Instant) {
+        let robots = self.next_odometry.iter_mut().zip(self.world.robots()).enumerate();
+        for (robot, (next, simulated)) in robots {
+            if *next <= now {
+                *next = *next + ODOMETRY_INTERVAL;
+                self.waiting.push_back(Event::Odometry { robot, pose: simulated.odometry() });
             }
         }
     }
@@ -254,24 +297,20 @@ impl Stage for Room {
         } else {
             Source::next_arrival(&self.world)
         };
-        let events = [Some(self.next_odometry), self.world.next_scan(), arrival];
-        events.into_iter().flatten().min().filter(|&next| next <= self.end)
+        let events = [Some(self.next_track), self.world.next_scan(), arrival];
+        let odometry = self.next_odometry.iter().copied();
+        events.into_iter().flatten().chain(odometry).min().filter(|&next| next <= self.end)
     }
 
     fn poll(&mut self, now: Instant) -> Option<Event> {
         if let Some(event) = self.waiting.pop_front() {
             return Some(event);
         }
-        self.world.advance(now);
-        if self.next_odometry <= now {
-            self.next_odometry = self.next_odometry + TRACK_INTERVAL;
-            self.read_wheels();
-        }
+        self.advance(now);
+        self.follow_tracks(now);
+        self.read_wheels(now);
         while let Some(scan) = self.world.poll_scan(now) {
-            // The wheels are read with each scan as well.
-            let robot = scan.robot;
-            self.waiting.push_back(Event::Odometry { robot, pose: scan.odometry });
-            self.waiting.push_back(Event::Scan { robot, readings: scan.readings_mm });
+            self.waiting.push_back(Event::Scan { robot: scan.robot, readings: scan.readings_mm });
         }
         if self.is_filmed {
             while let Some(frame) = FrameSource::poll(&mut self.world, now) {
@@ -286,8 +325,7 @@ impl Stage for Room {
         self.waiting.pop_front()
     }
 
-    fn drive(&mut self, robot: usize, command: DriveCommand) {
-        let (speed_m_s, turn_rad_s) = driving::wheels(command);
-        self.world.tell_wheels(robot, speed_m_s, turn_rad_s);
+    fn drive(&mut self, moment: Instant, robot: usize, command: DriveCommand) {
+        self.commands.push_back((moment, robot, command));
     }
 }
