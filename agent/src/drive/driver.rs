@@ -2,7 +2,7 @@
 
 use ubimap_protocol::{
     message::Waypoint,
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
@@ -17,7 +17,10 @@ use super::{
     search::{End, Outcome, Search, Workspace},
     window::{GroundRow, Mover, View, Window},
 };
-use crate::trigonometry::radians;
+use crate::{
+    timing::{AVOIDED_FOR, HINDERED_WAIT, MAP_LOOK_INTERVAL, NO_WAY_RETRY, REPLAN_INTERVAL},
+    trigonometry::radians,
+};
 
 /// What to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -42,18 +45,8 @@ pub struct Inputs<'i> {
     pub movers: &'i [Mover],
 }
 
-/// How often the map is looked at.
-const REFRESH: Duration = Duration::from_millis(500);
-/// How often a way is looked for again.
-const REPLAN: Duration = Duration::from_secs(4);
-/// How long is waited for a way to become clear before another one is looked for.
-const PATIENCE: Duration = Duration::from_secs(3);
 /// How far it must have driven for that wait to be over, in millimetres.
 const STRETCH: u32 = 200;
-/// How long what was waited for counts as an obstacle.
-const AVOIDED: Duration = Duration::from_secs(10);
-/// How long is waited when there is no way.
-const RETRY: Duration = Duration::from_secs(2);
 /// Steps are no longer than this for what is reckoned with, in seconds.
 const LONGEST_STEP: f32 = 0.2;
 
@@ -234,7 +227,7 @@ impl<'b> Driver<'b> {
         match self.phase {
             Phase::Resting(reason) => (self.follower.stand(), reason),
             Phase::Stuck { why, since } => {
-                if step.now.since(since) >= RETRY {
+                if step.now.since(since) >= NO_WAY_RETRY {
                     self.set_out();
                 }
                 (self.follower.stand(), Reason::NoWay(why))
@@ -316,7 +309,7 @@ impl<'b> Driver<'b> {
     /// What windows are made from; without `near` what moves is no obstacle.
     fn view<'v>(&self, step: &Step<'v>, none: &'v NearPoints) -> View<'v> {
         // What walks by is no obstacle; what has been waited for is.
-        let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED);
+        let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED_FOR);
         let motion = &self.config.motion;
         View {
             pose: step.pose,
@@ -332,7 +325,7 @@ impl<'b> Driver<'b> {
 
     /// Looks at the map again, and whether the path still leads to something.
     fn look(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
-        if step.now.since(self.looked) < REFRESH {
+        if step.now.since(self.looked) < MAP_LOOK_INTERVAL {
             return;
         }
         self.looked = step.now;
@@ -340,7 +333,7 @@ impl<'b> Driver<'b> {
         self.search.fill(0, &self.view(step, &none), ground);
         let leads = match self.end {
             End::Frontier(at, 0) => self.search.is_frontier(at),
-            _ => step.now.since(self.planned) < REPLAN,
+            _ => step.now.since(self.planned) < REPLAN_INTERVAL,
         };
         let clear = self.follower.is_clear(self.search.window(), step.pose);
         if !(leads && clear) {
@@ -389,7 +382,7 @@ impl<'b> Driver<'b> {
             return Reason::Driving;
         }
         self.hindered = Some(hindered);
-        if reason != Reason::Driving && step.now.since(hindered.since) >= PATIENCE {
+        if reason != Reason::Driving && step.now.since(hindered.since) >= HINDERED_WAIT {
             self.hindered = Some(Hindered { since: step.now, ..hindered });
             self.avoided = Some(step.now);
             self.set_out();
@@ -439,7 +432,7 @@ impl<'b> Driver<'b> {
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let (resolution, explore_covered) = (self.resolution, self.config.explore_covered);
-        if step.now.since(self.looked) >= REFRESH {
+        if step.now.since(self.looked) >= MAP_LOOK_INTERVAL {
             self.looked = step.now;
             look.look(&gaze, step.pose, resolution, explore_covered, ground);
         }
@@ -463,7 +456,7 @@ impl<'b> Driver<'b> {
         let look = Look { turned, last: step.pose, ..look };
         self.phase = Phase::Looking(look);
         let done = turned.abs() > core::f32::consts::TAU;
-        if done || step.now.since(self.looked) >= REFRESH {
+        if done || step.now.since(self.looked) >= MAP_LOOK_INTERVAL {
             self.looked = step.now;
             let none = NearPoints::default();
             let view = self.view(step, &none);

@@ -21,9 +21,8 @@ use super::{
     stops::Stops,
     window::{GroundRow, Mover},
 };
+use crate::timing::OBSTACLE_LOST;
 
-/// Obstacles that were seen longer ago are not reckoned with: a person has walked 2.4 m by then.
-const OBSTACLE_AGE: Duration = Duration::from_secs(2);
 /// A point on the way counts as passed within this distance, in millimetres.
 const PASSED: i32 = 150;
 
@@ -193,7 +192,7 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
         return movers;
     };
     let age = server_now.since(obstacles.time);
-    if age > OBSTACLE_AGE {
+    if age > OBSTACLE_LOST {
         return movers;
     }
     let millis = (age.micros() / 1_000) as i32;

@@ -11,10 +11,7 @@ use super::{
     covariance::{Axis, Covariance},
     odometry::MotionNoise,
 };
-use crate::trigonometry::{radians, round, sin_cos};
-
-/// Radians in a binary angle unit.
-pub(super) const RADIANS: f32 = core::f32::consts::TAU / 65_536.0;
+use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 
 /// A fix further off than this is rejected: the square of its Mahalanobis distance, which is
 /// chi-squared with three degrees of freedom. One good fix of a thousand is beyond.

@@ -16,10 +16,8 @@ use super::{
     history::{HISTORY_SPAN, History},
     odometry::{MotionNoise, between},
 };
+use crate::timing::BRIDGED_GAP;
 
-/// Readings of the odometry further apart than this say too little of what lies between, and so
-/// do fixes. A robot that brakes with 1 m/s^2 strays by 15 mm from the straight way.
-pub(super) const WIDEST_GAP: Duration = Duration::from_millis(350);
 /// Readings of the odometry that are remembered, and how far apart they are at least: as long as
 /// a scan waits in any case. Who brakes like that strays by a millimetre in between.
 const READINGS: usize = 15;
@@ -265,7 +263,7 @@ impl Filter {
         let after = self.odometry.iter().find(|(at, _)| *at > moment);
         let ((from, before), (to, after)) = before.zip(after)?;
         let turned = (after.heading - before.heading).0 as i16;
-        if to.since(from) > WIDEST_GAP || turned.unsigned_abs() > STEADY {
+        if to.since(from) > BRIDGED_GAP || turned.unsigned_abs() > STEADY {
             return None;
         }
         let part = seconds(moment.since(from)) / seconds(to.since(from));
@@ -297,14 +295,14 @@ impl Filter {
     pub(super) fn soon_after_odometry(&self, moment: Instant) -> Option<Told> {
         let (newest, odometry) = self.odometry.newest()?;
         let ahead = moment.since(newest);
-        if moment < newest || ahead > WIDEST_GAP {
+        if moment < newest || ahead > BRIDGED_GAP {
             return None;
         }
         let belief = self.replay(newest).0;
         let mut estimate = belief.estimate.filter(|estimate| !estimate.is_guessed())?;
         let mut readings = self.odometry.iter().rev();
         let before = readings.find(|(before, _)| newest.since(*before) >= SPEED_SPAN);
-        let before = before.filter(|(before, _)| newest.since(*before) <= WIDEST_GAP);
+        let before = before.filter(|(before, _)| newest.since(*before) <= BRIDGED_GAP);
         let to = before.map_or(odometry, |(before, pose)| {
             let part = seconds(ahead) / seconds(newest.since(before));
             between(*pose, odometry, 1.0 + part)
@@ -338,7 +336,7 @@ impl Filter {
             let odometry = next.and_then(|(next, pose)| {
                 let gap = next.since(belief.moment);
                 let part = seconds(length) / seconds(gap);
-                (gap <= WIDEST_GAP).then(|| between(belief.odometry, *pose, part))
+                (gap <= BRIDGED_GAP).then(|| between(belief.odometry, *pose, part))
             });
             belief.go(to, odometry, &self.noise);
         };

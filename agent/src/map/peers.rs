@@ -17,6 +17,7 @@ use ubimap_protocol::{
 use super::window::below;
 use crate::{
     locate::Variances,
+    timing::PEER_LOST,
     trigonometry::{radians, sin_cos},
 };
 
@@ -30,8 +31,6 @@ pub enum PeerMask {
     Square,
 }
 
-/// A robot that has not been heard of for longer may be anywhere.
-const LOST: Duration = Duration::from_secs(3);
 /// How far a robot may have gone, and turned, since it was seen: mm/s, rad/s.
 const SPEED: f32 = 500.0;
 const TURN: f32 = 1.0;
@@ -81,7 +80,7 @@ impl PeerMasks {
             let off = off(view.pose.x, peer.pose.x).max(off(view.pose.y, peer.pose.y));
             let seen = peers.time - Duration(u64::from(u32::from(peer.age) * 10_000));
             let age = view.moment.0.abs_diff(seen.0);
-            if off <= reach && age <= LOST.0 {
+            if off <= reach && age <= PEER_LOST.0 {
                 // There is room for each.
                 let _ = near.masks.push(Mask::new(peer, age as u32, view, unsure));
             }

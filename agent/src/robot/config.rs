@@ -14,6 +14,7 @@ use crate::{
     locate::{OdometryNoise, PoseSource, UncertaintyLimit},
     map::{Gate, MAX_RADIUS, MIN_RESOLUTION, PeerMask, Policy},
     sense::{Exposure, Removal, SensorModel, SteadyLimits, Validity},
+    timing::SCAN_LATE,
 };
 
 /// What a robot is, and how it maps and drives. Some of it is the server's to change
@@ -90,7 +91,7 @@ impl Config {
             gate: Gate::default(),
             policy: Policy::default(),
             peer_mask: PeerMask::default(),
-            scan_deadline: Duration::from_millis(1_500),
+            scan_deadline: SCAN_LATE,
             hold: Duration::from_secs(1),
             vector_interval: Duration::from_secs(5),
             first_epoch: Epoch(0),

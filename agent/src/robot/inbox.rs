@@ -3,8 +3,8 @@
 use ubimap_protocol::{
     link::ClockSync,
     message::{
-        Ack, Digests, EventCode, FixSource, Freshness, Messages, ParameterAction, ParameterCommand,
-        PoseFix, Request, Stored, TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
+        Digests, Encoded, EventCode, FixSource, Messages, ParameterAction, ParameterCommand,
+        PoseFix, Request, Stored, ToRobot, ToRobotMessage, Welcome,
     },
     tile::{Epoch, Layer},
     time::Instant,
@@ -35,26 +35,14 @@ impl Mapper<'_> {
     }
 
     /// Takes the messages of a frame.
-    pub(super) fn take(&mut self, messages: Messages<'_>, now: Instant) {
+    pub(super) fn take(&mut self, messages: Messages<'_, ToRobot>, now: Instant) {
         let mut command = None;
         for message in messages.map_while(Result::ok) {
-            if message.kind == Ack::KIND {
-                continue;
-            }
-            let Some(kind) = ToRobotKind::from_number(message.kind) else {
+            let Some(message) = message.by_kind() else {
                 self.statistics.unknown_messages = self.statistics.unknown_messages.wrapping_add(1);
                 continue;
             };
-            // Apart, or the longest messages would be on the stack below the deepest calls.
-            let taken = match kind {
-                ToRobotKind::PoseFix => self.take_fix(message.body, now),
-                ToRobotKind::Peers
-                | ToRobotKind::Obstacles
-                | ToRobotKind::Path
-                | ToRobotKind::Stop => self.commands.take(kind, message.body),
-                _ => self.take_other(kind, message.body, &mut command, now),
-            };
-            if taken.is_none() {
+            if self.take_one(message, &mut command, now).is_none() {
                 self.statistics.malformed();
             }
         }
@@ -63,65 +51,75 @@ impl Mapper<'_> {
         }
     }
 
-    /// Takes fixes. `None` if the message cannot be read.
-    #[inline(never)]
-    fn take_fix(&mut self, body: &[u8], now: Instant) -> Option<()> {
-        self.fix(&decode::<PoseFix>(body).ok()?.0, now);
-        Some(())
-    }
-
     /// Takes a message; a command about parameters is carried out when the frame has been read.
     /// `None` if the message cannot be read.
-    #[inline(never)]
-    fn take_other(
+    fn take_one(
         &mut self,
-        kind: ToRobotKind,
-        body: &[u8],
+        message: ToRobotMessage<'_>,
         command: &mut Option<ParameterCommand>,
         now: Instant,
     ) -> Option<()> {
-        match kind {
-            ToRobotKind::TimeReply => self.clock.reply(&decode::<TimeReply>(body).ok()?.0, now),
-            ToRobotKind::TileUpdate => {
-                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
+        match message {
+            // The link has taken it.
+            ToRobotMessage::Ack(_) => {}
+            ToRobotMessage::TimeReply(reply) => self.clock.reply(&reply.decode().ok()?, now),
+            ToRobotMessage::PoseFix(fix) => self.fix(&fix.decode().ok()?, now),
+            ToRobotMessage::TileUpdate(update) => {
+                let (head, coded) = update.split().ok()?;
                 if head.layer == Layer::Robot {
                     return None;
                 }
                 self.fused.update(head.layer, coded).ok()?;
             }
-            ToRobotKind::Request => {
-                let (request, _) = decode::<Request>(body).ok()?;
-                let pool = &mut self.map.pool;
-                if request.tiles.is_empty() {
-                    self.outbox.publisher.requested(pool, None, now);
-                }
-                for &tile in &request.tiles {
-                    self.outbox.publisher.requested(pool, Some(tile), now);
-                }
-            }
-            ToRobotKind::Parameter => *command = Some(decode(body).ok()?.0),
-            ToRobotKind::Stored => {
-                for &(id, stamp) in &decode::<Stored>(body).ok()?.0.tiles {
-                    self.map.pool.stored(id, stamp);
-                }
-            }
-            ToRobotKind::Digests => {
-                let (digests, _) = decode::<Digests>(body).ok()?;
-                if digests.layer == Layer::Robot {
-                    return None;
-                }
-                self.fused.compare(&digests);
-            }
-            ToRobotKind::Freshness => {
-                let (freshness, _) = decode::<Freshness>(body).ok()?;
+            ToRobotMessage::Request(request) => self.requested(&request.decode().ok()?, now),
+            ToRobotMessage::Peers(_)
+            | ToRobotMessage::Obstacles(_)
+            | ToRobotMessage::Path(_)
+            | ToRobotMessage::Stop(_) => self.commands.take(message)?,
+            ToRobotMessage::Parameter(told) => *command = Some(told.decode().ok()?),
+            ToRobotMessage::Stored(stored) => self.stored(stored)?,
+            ToRobotMessage::Digests(digests) => self.compare(digests)?,
+            ToRobotMessage::Freshness(freshness) => {
+                let freshness = freshness.decode().ok()?;
                 // Before the clocks agree its age is not known.
                 if let Some(moment) = self.clock.to_local(freshness.time) {
                     self.fused.confirm(&freshness, moment);
                 }
             }
-            // Those of handshake frames; the rest is taken apart.
-            _ => return None,
+            // These belong in handshake frames.
+            ToRobotMessage::Welcome(_) | ToRobotMessage::Refusal(_) | ToRobotMessage::Reset(_) => {
+                return None;
+            }
         }
+        Some(())
+    }
+
+    fn requested(&mut self, request: &Request, now: Instant) {
+        let pool = &mut self.map.pool;
+        if request.tiles.is_empty() {
+            self.outbox.publisher.requested(pool, None, now);
+        }
+        for &tile in &request.tiles {
+            self.outbox.publisher.requested(pool, Some(tile), now);
+        }
+    }
+
+    // Long messages are not decoded in `take_one`, where they would add to the stack of every other.
+    #[inline(never)]
+    fn stored(&mut self, stored: Encoded<'_, Stored>) -> Option<()> {
+        for &(id, stamp) in &stored.decode().ok()?.tiles {
+            self.map.pool.stored(id, stamp);
+        }
+        Some(())
+    }
+
+    #[inline(never)]
+    fn compare(&mut self, digests: Encoded<'_, Digests>) -> Option<()> {
+        let digests = digests.decode().ok()?;
+        if digests.layer == Layer::Robot {
+            return None;
+        }
+        self.fused.compare(&digests);
         Some(())
     }
 

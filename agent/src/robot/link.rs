@@ -1,25 +1,23 @@
 //! The robot's end of the link: the handshake that begins a session, and its frames.
 
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, MIN_VERSION, SessionId, VERSION},
+    frame::{DEFAULT_FRAME, MIN_VERSION, SessionId, VERSION},
     link::{ClockSync, Counters, Endpoint, Knocking, Received},
-    message::{Hello, Message, Refusal, RefusalReason, ToRobotKind, ToServerKind, Welcome, decode},
+    message::{Hello, Message, Refusal, RefusalReason, ToRobot, ToRobotMessage, ToServer, Welcome},
     tile::Epoch,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use super::{mapper::Mapper, outbox::Token};
+use crate::timing::RESET_SILENCE;
 
 /// Reliable frames that may be in flight.
 const WINDOW: usize = 3;
-/// A reset is not believed for this long after something of the session was heard: somebody else
-/// may have sent it.
-const LIVELY: Duration = Duration::from_millis(300);
 
 /// Bytes of a [`Robot`](crate::Robot) that are its end of the link: the frames in flight, the one
 /// that comes in and the one that goes out, the handshake and the server's time. At most 4 KiB on a
 /// machine of 32 bits.
-pub const LINK_STATE: usize = size_of::<Endpoint<Token, WINDOW, DEFAULT_FRAME>>()
+pub const LINK_STATE: usize = size_of::<Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>>()
     + size_of::<Knocking>()
     + size_of::<ClockSync>();
 
@@ -29,7 +27,7 @@ const _: () = assert!(LINK_STATE <= 4 * 1024);
 /// The robot's end of the link.
 #[derive(Debug)]
 pub(super) struct Link {
-    endpoint: Endpoint<Token, WINDOW, DEFAULT_FRAME>,
+    endpoint: Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>,
     knocking: Knocking,
     server_epoch: Option<u32>,
     /// When something of a session was last heard.
@@ -42,7 +40,7 @@ impl Link {
     #[inline(never)]
     pub(super) fn new(boot_nonce: u32) -> Self {
         Self {
-            endpoint: Endpoint::new(Direction::ToServer),
+            endpoint: Endpoint::new(),
             knocking: Knocking::new(boot_nonce),
             server_epoch: None,
             heard: Instant(0),
@@ -140,7 +138,7 @@ impl Link {
 
     /// The server knows no session here.
     fn reset(&mut self, now: Instant) {
-        if self.is_connected() && now.since(self.heard) > LIVELY {
+        if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
             self.endpoint.end();
             self.knocking.restart(now);
         }
@@ -177,7 +175,7 @@ impl Link {
             resolution: mapper.settings.resolution,
             fused_tiles: mapper.fused.capacity().min(usize::from(u16::MAX)) as u16,
         };
-        let len = self.endpoint.handshake(ToServerKind::Hello as u8, &hello, out)?;
+        let len = self.endpoint.handshake(&hello, out)?;
         mapper.statistics.sent(len, false);
         Some(len)
     }
@@ -191,11 +189,11 @@ enum Knock {
 }
 
 impl Knock {
-    fn parse(message: Message<'_>) -> Option<Self> {
-        match ToRobotKind::from_number(message.kind)? {
-            ToRobotKind::Welcome => Some(Self::Welcome(decode(message.body).ok()?.0)),
-            ToRobotKind::Refusal => Some(Self::Refusal(decode(message.body).ok()?.0)),
-            ToRobotKind::Reset => Some(Self::Reset),
+    fn parse(message: Message<'_, ToRobot>) -> Option<Self> {
+        match message.by_kind()? {
+            ToRobotMessage::Welcome(welcome) => Some(Self::Welcome(welcome.decode().ok()?)),
+            ToRobotMessage::Refusal(refusal) => Some(Self::Refusal(refusal.decode().ok()?)),
+            ToRobotMessage::Reset(_) => Some(Self::Reset),
             _ => None,
         }
     }

@@ -61,6 +61,11 @@ impl<'b> Mapper<'b> {
         }
     }
 
+    /// Lets the map's evidence age if that is due.
+    pub(super) fn age(&mut self, now: Instant) {
+        self.map.timeout(now, |id| self.fused.tile(id));
+    }
+
     /// Whether everything that is mapped is on the server, as far as the robot knows.
     pub(super) fn is_idle(&self) -> bool {
         self.map.pool.tiles().all(|tile| !tile.is_dirty()) && self.fused.untold().is_none()

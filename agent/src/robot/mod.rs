@@ -145,9 +145,11 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.mapper.steadiness.jolt(moment);
     }
 
-    /// Does what is due at `now`: scans that have waited long enough, a step of the drive.
+    /// Does what is due at `now`: scans that have waited long enough, the map's evidence, a step of
+    /// the drive.
     pub fn timeout(&mut self, now: Instant) {
         let Self { mapper, scans, link, drive } = self;
+        mapper.age(now);
         mapper.map_waiting(scans, link, now);
         if drive.poll_timeout().is_some_and(|due| due <= now) {
             let step = drive.step(&mapper.surroundings(link, now));
@@ -160,6 +162,7 @@ impl<'b, D: Drive> Robot<'b, D> {
     /// When to call [`Robot::timeout`] at the latest, and then [`Robot::poll_transmit`].
     pub fn poll_timeout(&self) -> Instant {
         let due = self.link.poll_timeout(&self.mapper);
+        let due = due.min(self.mapper.map.poll_timeout());
         let rest = [self.mapper.scan_timeout(&self.scans), self.drive.poll_timeout()];
         rest.into_iter().flatten().fold(due, Instant::min)
     }

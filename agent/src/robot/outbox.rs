@@ -9,11 +9,8 @@ use super::parameters::Answer;
 use crate::{
     map::Pool,
     share::{DistanceVectors, Events, Publisher},
+    timing::HURRY,
 };
-
-/// After an event that the server waits for, tiles are sent within this time: by then the scans
-/// taken up to the event are in the map.
-const HURRY: Duration = Duration::from_millis(300);
 
 /// What a reliable frame carries, to be told apart when it is acknowledged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use core::ops::Range;
 
 use ubimap_protocol::{
     message::{DistanceVector, EventCode},
-    time::{Duration, Instant},
+    time::Instant,
     units::Pose,
 };
 
@@ -14,11 +14,8 @@ use crate::{
     map::{PeerMasks, Selected, Surround, View},
     sense::{Beam, Columns, ScanError, WaitingScans},
     share::DistanceVectors,
+    timing::CLOCKS_DISAGREE,
 };
-
-/// A moment of the server's clock that is ahead of another by more than this was told before the
-/// clocks agreed.
-const CLOCKS_DISAGREE: Duration = Duration::from_secs(10);
 
 /// A scan whose pose is known.
 struct PlacedScan {

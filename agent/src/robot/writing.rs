@@ -2,8 +2,8 @@
 
 use ubimap_protocol::{
     link::Fill,
-    message::{State, ToServerKind, Writer},
-    time::{Duration, Instant},
+    message::{Event, State, ToServer, Writer},
+    time::Instant,
 };
 
 use super::{
@@ -11,9 +11,7 @@ use super::{
     outbox::{Outbox, Token},
     parameters::push_report,
 };
-
-/// Between two states, which keep an idle session alive.
-const STATE_INTERVAL: Duration = Duration::from_secs(2);
+use crate::timing::STATE_INTERVAL;
 
 impl Mapper<'_> {
     /// When something is due to be sent in a session; tiles only if they can be.
@@ -40,47 +38,43 @@ impl Mapper<'_> {
     /// stale then, goes apart from what must arrive.
     pub(super) fn write(
         &mut self,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToServer>,
         reliable: bool,
         now: Instant,
     ) -> Fill<Token> {
         let before = writer.len();
         self.write_perishable(writer, now);
         let alone = writer.len() == before;
-        self.outbox.publisher.push_digests(&mut self.map.pool, &self.fused, writer, alone, now);
+        self.outbox.publisher.push_digests(&self.map.pool, writer, alone, now);
         if writer.len() > before || !reliable {
             return Fill::Datagram;
         }
         self.write_reliable(writer, now).map_or(Fill::Nothing, Fill::Reliable)
     }
 
-    fn write_perishable(&mut self, writer: &mut Writer<'_>, now: Instant) {
+    fn write_perishable(&mut self, writer: &mut Writer<'_, ToServer>, now: Instant) {
         if let Some(request) = self.clock.poll_request(now) {
             // One that finds no room is made again.
-            let _ = writer.push(ToServerKind::TimeRequest as u8, &request);
+            let _ = writer.push(&request);
         }
         if self.outbox.next_state <= now {
             self.outbox.next_state = now + STATE_INTERVAL;
-            let state = State {
+            // The smallest frames have no room for both poses.
+            let _ = writer.push_longest(0..=2, |poses| State {
                 time: self.latest_pose.map(|(moment, _)| moment),
-                pose: self.latest_pose.map(|(_, pose)| pose),
-                odometry: self.locator.newest_odometry(),
+                pose: self.latest_pose.map(|(_, pose)| pose).filter(|_| poses > 0),
+                odometry: self.locator.newest_odometry().filter(|_| poses > 1),
                 cells_refused: self.statistics.cells_refused,
-            };
-            // The smallest frames have no room for all of it.
-            let short = State { odometry: None, ..state };
-            let shortest = State { pose: None, ..short };
-            let kind = ToServerKind::State as u8;
-            let _ = [state, short, shortest].iter().any(|state| writer.push(kind, state));
+            });
         }
         self.outbox.vectors.push(writer);
     }
 
-    fn write_reliable(&mut self, writer: &mut Writer<'_>, now: Instant) -> Option<Token> {
+    fn write_reliable(&mut self, writer: &mut Writer<'_, ToServer>, now: Instant) -> Option<Token> {
         let Self { settings, clock, fused, map, outbox, .. } = self;
         let Outbox { publisher, events, answer, .. } = outbox;
         let to_server = |moment| clock.to_server(moment);
-        let push_event = |event: &_| writer.push(ToServerKind::Event as u8, event);
+        let push_event = |event: &Event| writer.push(event);
         if let Some(code) = events.send(to_server, push_event) {
             return Some(Token::Event(code));
         }
@@ -88,7 +82,7 @@ impl Mapper<'_> {
             return Some(Token::Other);
         }
         if let Some(interest) = fused.untold()
-            && writer.push(ToServerKind::Interest as u8, &interest)
+            && writer.push(&interest)
         {
             // Told as far as the window is concerned: the link sees to the rest.
             fused.told(interest.number);

@@ -1,6 +1,6 @@
 //! What a robot is told to do.
 
-use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobotKind, Writer};
+use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobot, Writer};
 
 /// A command. It arrives for certain.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -31,11 +31,11 @@ impl Command {
     }
 
     /// Adds the message to a frame. `false` if it does not fit.
-    pub(super) fn write(&self, writer: &mut Writer<'_>) -> bool {
+    pub(super) fn write(&self, writer: &mut Writer<'_, ToRobot>) -> bool {
         match self {
-            Self::Stop(stop) => writer.push(ToRobotKind::Stop as u8, stop),
-            Self::Path(path) => writer.push(ToRobotKind::Path as u8, path),
-            Self::Parameter(command) => writer.push(ToRobotKind::Parameter as u8, command),
+            Self::Stop(stop) => writer.push(stop),
+            Self::Path(path) => writer.push(path),
+            Self::Parameter(command) => writer.push(command),
         }
     }
 }

@@ -1,10 +1,7 @@
 //! What a robot says: each message to the part of the server that it is for.
 
 use ubimap_protocol::{
-    message::{
-        Ack, Digests, Event, EventCode, Interest, Messages, Request, Severity, State, TileDigest,
-        TileUpdateHead, TimeRequest, ToServerKind, decode,
-    },
+    message::{EventCode, Messages, Severity, State, TileDigest, ToServer, ToServerMessage},
     tile::{Layer, tile_hash},
     time::Instant,
 };
@@ -24,12 +21,12 @@ pub(super) struct Inbox<'a> {
 
 impl Inbox<'_> {
     /// Returns how many messages were of an unknown kind, and how many could not be read.
-    pub(super) fn take(&mut self, messages: Messages<'_>, now: Instant) -> (u32, u32) {
+    pub(super) fn take(&mut self, messages: Messages<'_, ToServer>, now: Instant) -> (u32, u32) {
         let (mut unknown, mut malformed) = (0, 0);
-        for message in messages.map_while(Result::ok).filter(|it| it.kind != Ack::KIND) {
-            match ToServerKind::from_number(message.kind) {
+        for message in messages.map_while(Result::ok) {
+            match message.by_kind() {
                 None => unknown += 1,
-                Some(kind) => malformed += u32::from(self.one(kind, message.body, now).is_none()),
+                Some(message) => malformed += u32::from(self.one(message, now).is_none()),
             }
         }
         (unknown, malformed)
@@ -43,27 +40,29 @@ impl Inbox<'_> {
     }
 
     /// `None` if the message cannot be read.
-    fn one(&mut self, kind: ToServerKind, body: &[u8], now: Instant) -> Option<()> {
-        match kind {
-            ToServerKind::TimeRequest => {
-                self.session.time_requested(decode::<TimeRequest>(body).ok()?.0.nonce, now);
+    fn one(&mut self, message: ToServerMessage<'_>, now: Instant) -> Option<()> {
+        match message {
+            // The link has taken it.
+            ToServerMessage::Ack(_) => {}
+            ToServerMessage::TimeRequest(request) => {
+                self.session.time_requested(request.decode().ok()?.nonce, now);
             }
-            ToServerKind::State => {
-                let (state, _) = decode::<State>(body).ok()?;
+            ToServerMessage::State(state) => {
+                let state = state.decode().ok()?;
                 self.session.state = Some(state);
                 if let State { time: Some(moment), pose: Some(pose), .. } = state {
                     // Nobody can tell where it will be.
                     self.surroundings.robot(self.session.robot, moment.min(now), pose);
                 }
             }
-            ToServerKind::Interest => {
-                self.session.interested(decode::<Interest>(body).ok()?.0);
+            ToServerMessage::Interest(interest) => {
+                self.session.interested(interest.decode().ok()?);
             }
-            ToServerKind::Request => {
-                self.session.requested(&decode::<Request>(body).ok()?.0);
+            ToServerMessage::Request(request) => {
+                self.session.requested(&request.decode().ok()?);
             }
-            ToServerKind::TileUpdate => {
-                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
+            ToServerMessage::TileUpdate(update) => {
+                let (head, coded) = update.split().ok()?;
                 if head.layer != Layer::Robot {
                     return None;
                 }
@@ -78,8 +77,8 @@ impl Inbox<'_> {
                 }
                 result.ok()?;
             }
-            ToServerKind::Digests => {
-                let (digests, _) = decode::<Digests>(body).ok()?;
+            ToServerMessage::Digests(digests) => {
+                let digests = digests.decode().ok()?;
                 for digest in digests.tiles.iter().filter(|_| digests.layer == Layer::Robot) {
                     if !self.holds(digest) {
                         self.session.ask_for(digest.id);
@@ -89,11 +88,11 @@ impl Inbox<'_> {
                     }
                 }
             }
-            ToServerKind::ParameterReport => {
-                self.session.reported(decode(body).ok()?.0);
+            ToServerMessage::ParameterReport(report) => {
+                self.session.reported(report.decode().ok()?);
             }
-            ToServerKind::Event => {
-                let (event, _) = decode::<Event>(body).ok()?;
+            ToServerMessage::Event(event) => {
+                let event = event.decode().ok()?;
                 let robot = self.session.robot.0;
                 let level = match event.severity {
                     Severity::Info => log::Level::Info,
@@ -103,9 +102,9 @@ impl Inbox<'_> {
                 self.happened.extend(EventCode::from_number(event.code));
                 self.session.events.add(now, event);
             }
-            ToServerKind::DistanceVector => self.session.looked(decode(body).ok()?.0),
-            // It belongs into a handshake frame.
-            ToServerKind::Hello => return None,
+            ToServerMessage::DistanceVector(vector) => self.session.looked(vector.decode().ok()?),
+            // It belongs in a handshake frame.
+            ToServerMessage::Hello(_) => return None,
         }
         Some(())
     }

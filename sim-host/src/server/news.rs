@@ -1,8 +1,10 @@
 //! What a robot is told of its surroundings, of the server's own accord: newest state, and never
 //! again.
 
+use std::ops::RangeInclusive;
+
 use ubimap_protocol::{
-    message::{MAX_OBSTACLES, MAX_PEERS, Obstacles, Peers, ToRobotKind, Writer},
+    message::{MAX_OBSTACLES, MAX_PEERS, Obstacles, Peers, ToRobot, Writer},
     time::{Duration, Instant},
     units::RobotId,
 };
@@ -55,7 +57,7 @@ impl News {
         about: &Surroundings,
         robot: RobotId,
         now: Instant,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToRobot>,
         mut alone: bool,
     ) {
         if self.ready_at > now {
@@ -64,21 +66,23 @@ impl News {
         let before = writer.len();
         let moment = about.peers_moment(robot);
         if let (Some(time), true) = (moment, self.peers.due(moment).is_some_and(|due| due <= now)) {
-            let told = self.peers.tell(time, now, about.peers(robot), MAX_PEERS, alone, |some| {
-                let peers = some.iter().copied().collect();
-                writer.push(ToRobotKind::Peers as u8, &Peers { time, peers })
+            let list = about.peers(robot);
+            let told = self.peers.tell(time, now, list.len().min(MAX_PEERS), alone, |counts| {
+                let peers = |count: usize| list[..count].iter().copied().collect();
+                writer.push_longest(counts, |count| Peers { time, peers: peers(count) })
             });
-            self.left_out += told as u64;
+            self.left_out += told.map_or(0, |told| list.len() - told) as u64;
             alone &= writer.len() == before;
         }
         let time = about.obstacles_moment();
         if self.obstacles.due(Some(time)).is_some_and(|due| due <= now) {
             let list = about.obstacles(robot);
-            let told = self.obstacles.tell(time, now, list, MAX_OBSTACLES, alone, |some| {
-                let obstacles = some.iter().copied().collect();
-                writer.push(ToRobotKind::Obstacles as u8, &Obstacles { time, obstacles })
+            let most = list.len().min(MAX_OBSTACLES);
+            let told = self.obstacles.tell(time, now, most, alone, |counts| {
+                let obstacles = |count: usize| list[..count].iter().copied().collect();
+                writer.push_longest(counts, |count| Obstacles { time, obstacles: obstacles(count) })
             });
-            self.left_out += told as u64;
+            self.left_out += told.map_or(0, |told| list.len() - told) as u64;
         }
         let bytes = (writer.len() - before) as u64;
         self.ready_at = now + Duration(bytes * 1_000_000 / BYTES_PER_SECOND);
@@ -91,40 +95,30 @@ impl Told {
         moment.filter(|moment| Some(*moment) > self.moment).map(|_| self.next)
     }
 
-    /// Tells a list, or as much of its beginning as there is room for; one that is empty only after
-    /// one that was not. How many were left out.
-    fn tell<T>(
+    /// Tells a list of `longest` elements, or as much of its beginning as there is room for; an empty
+    /// one only after one that was not. `push` tries such lengths, and says which one had room.
+    /// Returns the length that was told; `None` if the list waits for a frame to itself.
+    fn tell(
         &mut self,
         moment: Instant,
         now: Instant,
-        list: Vec<T>,
-        most: usize,
+        longest: usize,
         alone: bool,
-        mut push: impl FnMut(&[T]) -> bool,
-    ) -> usize {
-        let longest = list.len().min(most);
+        push: impl FnOnce(RangeInclusive<usize>) -> Option<usize>,
+    ) -> Option<usize> {
         let shortest = if alone { longest.min(1) } else { longest };
-        let told = match list.is_empty() && !self.any {
-            true => Some(0),
-            false => (shortest..=longest).rev().find(|&count| push(&list[..count])),
-        };
-        if told.is_none() && !alone {
-            // It will have the next frame to itself.
-            return 0;
-        }
-        let count = told.unwrap_or(0);
+        let is_news = longest > 0 || self.any;
+        let told = if is_news { push(shortest..=longest) } else { Some(0) };
+        let count = told.or(alone.then_some(0))?;
         *self = Self { moment: Some(moment), any: count > 0, next: now + INTERVAL };
-        list.len() - count
+        Some(count)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::{
-        message::{Messages, decode},
-        units::Pose,
-    };
+    use ubimap_protocol::{message::Messages, units::Pose};
 
     const ME: RobotId = RobotId(1);
 
@@ -150,9 +144,8 @@ mod tests {
         let mut writer = Writer::new(&mut frame);
         news.fill(about, ME, now, &mut writer, alone);
         let len = writer.len();
-        let message = Messages::new(&frame[..len]).next()?.unwrap();
-        assert_eq!(message.kind, ToRobotKind::Peers as u8);
-        let peers = decode::<Peers>(message.body).unwrap().0.peers;
+        let message = Messages::<ToRobot>::new(&frame[..len]).next()?.unwrap();
+        let peers = message.decode::<Peers>().unwrap().peers;
         Some(peers.iter().map(|peer| peer.robot.0).collect())
     }
 

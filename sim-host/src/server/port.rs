@@ -1,9 +1,9 @@
 //! One way in, and the session there.
 
 use ubimap_protocol::{
-    frame::{Direction, SessionId},
+    frame::SessionId,
     link::{Answer, Counters, Received},
-    message::{Hello, Message, Messages, ToRobotKind, ToServerKind, Writer, decode},
+    message::{Hello, Messages, Reset, ToServer, Writer},
     time::{Duration, Instant},
     units::RobotId,
 };
@@ -30,7 +30,7 @@ pub(super) struct Port {
     session: Option<Session>,
     /// A frame of the handshake that is due.
     answer: Option<Answer>,
-    reset: Reset,
+    reset: PendingReset,
     /// Messages of unknown kinds, and such that could not be read.
     unknown: u32,
     malformed: u32,
@@ -38,7 +38,7 @@ pub(super) struct Port {
 }
 
 #[derive(Debug, Default)]
-struct Reset {
+struct PendingReset {
     due: bool,
     last: Option<Instant>,
 }
@@ -49,17 +49,17 @@ pub(super) enum Brought<'p> {
     Nothing,
     Hello(Hello),
     /// What the robot of the session says. [`Port::taken`] is to be called afterwards.
-    Messages(&'p mut Session, Messages<'p>),
+    Messages(&'p mut Session, Messages<'p, ToServer>),
 }
 
 impl Default for Port {
     fn default() -> Self {
         Self {
-            link: Link::new(Direction::ToRobot),
+            link: Link::new(),
             inflow: Inflow::default(),
             session: None,
             answer: None,
-            reset: Reset::default(),
+            reset: PendingReset::default(),
             unknown: 0,
             malformed: 0,
             bytes_sent: 0,
@@ -84,9 +84,9 @@ impl Port {
                 reset.due |= heard.is_none_or(|heard| now.since(heard) >= SILENCE);
                 Brought::Nothing
             }
-            (Received::Handshake(message), _) => match parse_hello(message) {
-                Some(hello) => Brought::Hello(hello),
-                None => {
+            (Received::Handshake(message), _) => match message.decode() {
+                Ok(hello) => Brought::Hello(hello),
+                Err(_) => {
                     *malformed += 1;
                     Brought::Nothing
                 }
@@ -170,18 +170,18 @@ impl Port {
     fn poll_handshake(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
         match self.answer.take() {
             Some(Answer::Welcome(welcome)) => {
-                return self.link.handshake(ToRobotKind::Welcome as u8, &welcome, out);
+                return self.link.handshake(&welcome, out);
             }
             Some(Answer::Refusal(refusal)) => {
-                return self.link.handshake(ToRobotKind::Refusal as u8, &refusal, out);
+                return self.link.handshake(&refusal, out);
             }
             None => {}
         }
         if !self.reset.due || self.reset.ready_at() > now {
             return None;
         }
-        self.reset = Reset { due: false, last: Some(now) };
-        self.link.handshake(ToRobotKind::Reset as u8, &(), out)
+        self.reset = PendingReset { due: false, last: Some(now) };
+        self.link.handshake(&Reset, out)
     }
 
     fn poll_session(&mut self, scene: &Scene<'_>, now: Instant, out: &mut [u8]) -> Option<usize> {
@@ -222,16 +222,9 @@ impl Port {
     }
 }
 
-impl Reset {
+impl PendingReset {
     fn ready_at(&self) -> Instant {
         self.last.map_or(Instant(0), |last| last + RESET_INTERVAL)
-    }
-}
-
-fn parse_hello(message: Message<'_>) -> Option<Hello> {
-    match ToServerKind::from_number(message.kind)? {
-        ToServerKind::Hello => Some(decode(message.body).ok()?.0),
-        _ => None,
     }
 }
 
@@ -241,7 +234,7 @@ mod tests {
     use crate::server::Server;
     use ubimap_protocol::{
         frame::{MAX_FRAME, MIN_VERSION, VERSION},
-        link::Terms,
+        link::{Endpoint, Terms},
         units::Millimetres,
     };
 
@@ -259,9 +252,8 @@ mod tests {
             fused_tiles: 16,
         };
         let mut out = [0u8; 250];
-        let len = Link::new(Direction::ToServer)
-            .handshake(ToServerKind::Hello as u8, &hello, &mut out)
-            .unwrap();
+        let mut robot = Endpoint::<ToServer, (), 1, MAX_FRAME>::new();
+        let len = robot.handshake(&hello, &mut out).unwrap();
         out[..len].to_vec()
     }
 

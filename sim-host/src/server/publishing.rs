@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ubimap_protocol::{
     message::{
         Digests, Freshness, Interest, MAX_DIGESTS, MAX_FRESH_BYTES, Request, TileDigest,
-        TileUpdateHead, ToRobotKind, Writer,
+        TileUpdateHead, ToRobot, Writer,
     },
     tile::{Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
     time::{Duration, Instant},
@@ -96,7 +96,7 @@ impl Publishing {
         interest: &Interest,
         now: Instant,
         frame: u16,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToRobot>,
         empty: usize,
     ) -> bool {
         let due = scene.layer(self.layer).within(interest).filter(|&(id, version, tile)| {
@@ -109,12 +109,8 @@ impl Publishing {
         for (id, version, tile) in due {
             let published = self.tiles.entry(id).or_default();
             let first = writer.len() == empty;
-            let written = writer.push_with(ToRobotKind::TileUpdate as u8, |body| {
-                let mut head = [0u8; 8];
-                let head = TileUpdateHead { layer, seconds }.encode(&mut head)?;
-                let (start, rest) = body.split_at_mut_checked(head.len())?;
-                start.copy_from_slice(head);
-                let mut encoder = TileEncoder::new(rest);
+            let written = writer.push_with(&TileUpdateHead { layer, seconds }, |coded| {
+                let mut encoder = TileEncoder::new(coded);
                 let mut new = *tile;
                 let mut trial = published.publication.clone();
                 trial.push(&mut encoder, id, scene.epoch, version, &mut new, frame).then_some(())?;
@@ -123,7 +119,7 @@ impl Publishing {
                     return None;
                 }
                 published.publication = trial;
-                Some(head.len() + encoder.finish()?)
+                encoder.finish()
             });
             if !written {
                 return false;
@@ -180,7 +176,7 @@ impl Publishing {
         scene: &Scene<'_>,
         interest: &Interest,
         now: Instant,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToRobot>,
     ) {
         if self.next_digests > now {
             return;
@@ -198,10 +194,9 @@ impl Publishing {
                 hash: tile_hash(tile),
             })
             .collect();
-        // As many as there is room for.
-        let told = (1..=tiles.len()).rev().find(|&count| {
+        let told = writer.push_longest(1..=tiles.len(), |count| {
             let tiles = tiles[..count].iter().copied().collect();
-            writer.push(ToRobotKind::Digests as u8, &Digests { layer: self.layer, tiles })
+            Digests { layer: self.layer, tiles }
         });
         self.digested = told.map(|count| tiles[count - 1].id);
     }
@@ -222,7 +217,7 @@ impl Publishing {
         scene: &Scene<'_>,
         interest: &Interest,
         now: Instant,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToRobot>,
     ) {
         if self.next_confirmation(scene, interest).is_none_or(|next| next > now) {
             return;
@@ -254,7 +249,7 @@ impl Publishing {
         self.next_confirmation = now + Duration(CONFIRM_INTERVAL.micros() / rounds);
         if !freshness.tiles.is_empty() {
             // What does not fit is confirmed by the next one.
-            let _ = writer.push(ToRobotKind::Freshness as u8, &freshness);
+            let _ = writer.push(&freshness);
         }
     }
 }

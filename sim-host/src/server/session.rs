@@ -7,7 +7,7 @@ use ubimap_protocol::{
     link::{Endpoint, Fill},
     message::{
         Certainty, DistanceVector, FixSource, Interest, MAX_REQUESTS, MAX_STORED, ParameterCommand,
-        ParameterReport, PoseFix, Request, State, Stored, TimeReply, ToRobotKind, Writer,
+        ParameterReport, PoseFix, Request, State, Stored, TimeReply, ToRobot, Writer,
     },
     tile::{Layer, Stamp, TileId},
     time::{Duration, Instant},
@@ -35,7 +35,7 @@ const FIX_INTERVAL: Duration = Duration::from_millis(60);
 /// Answers to one robot that wait, and tiles to ask it for: an agent makes fewer.
 const MOST_WAITING: usize = 256;
 
-pub(super) type Link = Endpoint<u16, WINDOW, MAX_FRAME>;
+pub(super) type Link = Endpoint<ToRobot, u16, WINDOW, MAX_FRAME>;
 
 /// One robot's session.
 #[derive(Debug)]
@@ -254,7 +254,7 @@ impl Session {
         &mut self,
         scene: &Scene<'_>,
         now: Instant,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToRobot>,
         reliable: bool,
     ) -> Fill<u16> {
         if reliable
@@ -265,24 +265,23 @@ impl Session {
             return Fill::Reliable(NO_TILES);
         }
         let before = writer.len();
-        if self.fix_due(now) {
+        if self.fix_due(now)
+            && let Some((newest, before)) = self.fixes.split_first()
+        {
             self.next_fix = now + FIX_INTERVAL;
-            // As many of the earlier ones as there is room for.
-            self.fix_due = !(1..=self.fixes.len()).rev().any(|count| {
-                let fixes = &self.fixes[..count];
-                let fix = PoseFix::from_fixes(
-                    fixes.iter().map(|&(moment, sighting)| (moment, sighting.pose)),
-                    least_certain(fixes),
-                    FixSource::Camera,
-                );
-                fix.is_some_and(|fix| writer.push(ToRobotKind::PoseFix as u8, &fix))
+            let placed = |&(moment, sighting): &(Instant, Sighting)| (moment, sighting.pose);
+            let told = writer.push_longest(0..=before.len(), |count| {
+                let (before, certainty) = (&before[..count], least_certain(&self.fixes[..=count]));
+                let before = before.iter().map(placed);
+                PoseFix::from_fixes(placed(newest), before, certainty, FixSource::Camera)
             });
+            self.fix_due = told.is_none();
         }
-        self.matched.take_if(|fix| writer.push(ToRobotKind::PoseFix as u8, fix));
+        self.matched.take_if(|fix| writer.push(fix));
         while let Some(&(nonce, received)) = self.times.first() {
             let held_micros = now.since(received).micros() as u32;
             let reply = TimeReply { nonce, received, held_micros };
-            if !writer.push(ToRobotKind::TimeReply as u8, &reply) {
+            if !writer.push(&reply) {
                 break;
             }
             self.times.remove(0);
@@ -306,19 +305,20 @@ impl Session {
             }
             return Fill::Reliable(NO_TILES);
         }
-        for count in (1..=self.stored.len().min(MAX_STORED)).rev() {
-            let tiles = self.stored[..count].iter().copied().collect();
-            if writer.push(ToRobotKind::Stored as u8, &Stored { tiles }) {
-                self.stored.drain(..count);
-                return Fill::Reliable(NO_TILES);
-            }
+        let stored = writer.push_longest(1..=self.stored.len().min(MAX_STORED), |count| Stored {
+            tiles: self.stored[..count].iter().copied().collect(),
+        });
+        if let Some(count) = stored {
+            self.stored.drain(..count);
+            return Fill::Reliable(NO_TILES);
         }
-        for count in (1..=self.requests.len().min(MAX_REQUESTS)).rev() {
+        let asked = writer.push_longest(1..=self.requests.len().min(MAX_REQUESTS), |count| {
             let tiles = self.requests[..count].iter().copied().collect();
-            if writer.push(ToRobotKind::Request as u8, &Request { layer: Layer::Robot, tiles }) {
-                self.requests.drain(..count);
-                return Fill::Reliable(NO_TILES);
-            }
+            Request { layer: Layer::Robot, tiles }
+        });
+        if let Some(count) = asked {
+            self.requests.drain(..count);
+            return Fill::Reliable(NO_TILES);
         }
         let Some(interest) = self.interest.filter(|_| affordable) else { return Fill::Nothing };
         let empty = writer.len();
@@ -406,7 +406,7 @@ mod tests {
 
     use crate::{mapping::ServedLayer, server::surroundings::Surroundings};
     use ubimap_protocol::{
-        message::{Digests, Freshness, Messages, decode},
+        message::{Digests, Freshness, Messages},
         tile::{Cell, Epoch, Tile},
         units::Pose,
     };
@@ -477,8 +477,8 @@ mod tests {
             let mut writer = Writer::new(&mut buffer);
             session.fill(&scene(&fused), Instant(second * 1_000_000), &mut writer, true);
             let len = writer.len();
-            for message in Messages::new(&buffer[..len]).map(Result::unwrap) {
-                let digests = decode::<Digests>(message.body).unwrap().0;
+            for message in Messages::<ToRobot>::new(&buffer[..len]).map(Result::unwrap) {
+                let digests = message.decode::<Digests>().unwrap();
                 told.extend(digests.tiles.iter().map(|told| told.id));
             }
         }
@@ -540,8 +540,8 @@ mod tests {
             let mut writer = Writer::new(&mut buffer);
             session.fill(&scene(&fused), now, &mut writer, true);
             let len = writer.len();
-            for message in Messages::new(&buffer[..len]) {
-                let fix = decode::<PoseFix>(message.unwrap().body).unwrap().0;
+            for message in Messages::<ToRobot>::new(&buffer[..len]) {
+                let fix = message.unwrap().decode::<PoseFix>().unwrap();
                 sent.push(fix.fixes().map(|(moment, _)| moment).collect::<Vec<_>>());
             }
         }
@@ -575,9 +575,8 @@ mod tests {
                 if let (Fill::Reliable(frame), false) = (filled, lost) {
                     session.acknowledged(frame);
                 }
-                for message in Messages::new(&buffer[..len]).map(Result::unwrap) {
-                    if message.kind == ToRobotKind::Freshness as u8 {
-                        let (freshness, _) = decode::<Freshness>(message.body).unwrap();
+                for message in Messages::<ToRobot>::new(&buffer[..len]).map(Result::unwrap) {
+                    if let Ok(freshness) = message.decode::<Freshness>() {
                         assert_eq!((freshness.interest, freshness.first), (1, 0));
                         assert_eq!(&freshness.tiles[..], [0b10], "the second tile of the window");
                         newest = Some(freshness.time.0 / 1_000);
