@@ -8,16 +8,16 @@
 //! 4. [`mapping`]: camera evidence, robot layers, the fused and the coverage layer.
 //! 5. [`server`]: a session for each robot.
 //!
-//! Beside them [`channel`] (fault channel, serial ports), [`store`] (the layers on disk), [`log`] (readers of recorded logs) and
-//! [`report`] (figures and pictures). Apart from all, [`world`] is the simulated room; only
+//! Beside them [`channel`] (fault channel, serial ports), [`store`] (the layers on disk), [`recording`] (recorded
+//! logs and frames) and [`report`] (figures and pictures). Apart from all, [`world`] is the simulated room; only
 //! [`run`], which joins a source, agents, channels and the server, may import it.
 
 pub mod camera;
 pub mod channel;
 pub mod grid;
-pub mod log;
 pub mod mapping;
 pub mod perception;
+pub mod recording;
 pub mod report;
 pub mod run;
 pub mod server;

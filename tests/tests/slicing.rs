@@ -13,7 +13,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose, RobotId},
 };
 use ubimap_sim_host::{
-    log::{self, DepthSlice, Log, PixelModel, Slicing},
+    recording::{self, DepthSlice, Log, PixelModel, Slicing},
     run::heap::{BOUNDS, Heap},
 };
 use ubimap_tests::data;
@@ -155,7 +155,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 fn read(folder: &Path, slice: DepthSlice, pixels: PixelModel) -> Log {
-    log::read(folder, None, Slicing { slice, pixels }).unwrap()
+    recording::read(folder, None, Slicing { slice, pixels }).unwrap()
 }
 
 #[test]

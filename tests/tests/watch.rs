@@ -22,7 +22,7 @@ use ubimap_sim_host::{
         Outcome,
         fleet::Fleet,
         options::WatchOptions,
-        recording::{Recorded, Recording},
+        record::{Recorded, Recording},
         simulate::{RESOLUTION, Room, registry},
         watch,
     },

@@ -12,10 +12,10 @@ use super::{
     look::{Gaze, LookAround},
     near::NearPoints,
     plan::PlanError,
+    planning_window::{GroundRow, Mover, PlanningWindow, WindowInputs},
     reason::Reason,
     safety::{Health, Safety},
     search::{End, Outcome, Search, Workspace},
-    window::{GroundRow, Mover, View, Window},
 };
 use crate::{
     timing::{AVOIDED_FOR, HINDERED_WAIT, MAP_LOOK_INTERVAL, NO_WAY_RETRY, REPLAN_INTERVAL},
@@ -180,7 +180,7 @@ impl<'b> Driver<'b> {
     }
 
     /// The ground as it was last looked at.
-    pub fn window(&self) -> &Window {
+    pub fn window(&self) -> &PlanningWindow {
         self.search.window()
     }
 
@@ -198,7 +198,7 @@ impl<'b> Driver<'b> {
         let amiss = self.safety.check(&inputs.health, self.command);
         let (command, reason) = match (amiss, inputs.health.pose) {
             (None, Some((pose, unsure))) => {
-                let sight = Step { inputs, pose, unsure, elapsed, now };
+                let sight = StepContext { inputs, pose, unsure, elapsed, now };
                 self.go_on(&sight, &ground)
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
@@ -221,7 +221,7 @@ impl<'b> Driver<'b> {
 
     fn go_on(
         &mut self,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         match self.phase {
@@ -266,7 +266,7 @@ impl<'b> Driver<'b> {
     }
 
     /// Begins a search, or goes on with one.
-    fn search(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    fn search(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if !self.is_begun {
             self.is_begun = true;
             self.search.begin(self.goal(), step.pose, self.resolution);
@@ -306,12 +306,12 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// What windows are made from; without `near` what moves is no obstacle.
-    fn view<'v>(&self, step: &Step<'v>, none: &'v NearPoints) -> View<'v> {
+    /// The inputs of the planning window; without `near` what moves is no obstacle.
+    fn view<'v>(&self, step: &StepContext<'v>, none: &'v NearPoints) -> WindowInputs<'v> {
         // What walks by is no obstacle; what has been waited for is.
         let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED_FOR);
         let motion = &self.config.motion;
-        View {
+        WindowInputs {
             pose: step.pose,
             resolution: self.resolution,
             level: 0,
@@ -324,7 +324,7 @@ impl<'b> Driver<'b> {
     }
 
     /// Looks at the map again, and whether the path still leads to something.
-    fn look(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    fn look(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if step.now.since(self.looked) < MAP_LOOK_INTERVAL {
             return;
         }
@@ -344,7 +344,7 @@ impl<'b> Driver<'b> {
     }
 
     /// Drives along the path.
-    fn drive(&mut self, step: &Step<'_>) -> (DriveCommand, Reason) {
+    fn drive(&mut self, step: &StepContext<'_>) -> (DriveCommand, Reason) {
         let sight = Sight {
             pose: step.pose,
             unsure: step.unsure,
@@ -369,7 +369,7 @@ impl<'b> Driver<'b> {
 
     /// Waits for what hinders it, and then goes round it. Only a stretch driven shows that the way
     /// is clear again: until then the reason stays.
-    fn wait(&mut self, reason: Reason, step: &Step<'_>) -> Reason {
+    fn wait(&mut self, reason: Reason, step: &StepContext<'_>) -> Reason {
         let hindered = match (self.hindered, reason) {
             (None, Reason::Driving) => return reason,
             (None, _) => Hindered { since: step.now, at: step.pose, reason },
@@ -391,7 +391,7 @@ impl<'b> Driver<'b> {
     }
 
     /// At the end of the path.
-    fn arrive(&mut self, step: &Step<'_>) -> Reason {
+    fn arrive(&mut self, step: &StepContext<'_>) -> Reason {
         if self.phase != Phase::Driving {
             // Another path is being looked for.
             self.has_path = false;
@@ -428,7 +428,7 @@ impl<'b> Driver<'b> {
         &mut self,
         gaze: Gaze,
         mut look: LookAround,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let (resolution, explore_covered) = (self.resolution, self.config.explore_covered);
@@ -449,7 +449,7 @@ impl<'b> Driver<'b> {
     fn look_at(
         &mut self,
         look: Look,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let turned = look.turned + radians(step.pose.heading - look.last.heading);
@@ -473,8 +473,8 @@ impl<'b> Driver<'b> {
     }
 }
 
-/// What a step has to do with.
-struct Step<'s> {
+/// The inputs of one step, and what follows from them.
+struct StepContext<'s> {
     inputs: &'s Inputs<'s>,
     pose: Pose,
     unsure: f32,

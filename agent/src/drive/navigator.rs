@@ -15,11 +15,11 @@ use super::{
     driving::Driving,
     follow::DriveCommand,
     near::{NearPoints, Seen},
+    planning_window::{GroundRow, Mover},
     reason::Reason,
     safety::Health,
     search::Workspace,
     stops::Stops,
-    window::{GroundRow, Mover},
 };
 use crate::timing::OBSTACLE_LOST;
 

@@ -14,7 +14,9 @@ use super::{
     path::MAX_POINTS,
     plan::{PlanError, Planner, Progress, Target},
     plane::{Place, SIDE},
-    window::{GivenUp, GroundRow, MAX_LEVEL, View, Window, frontier_reach},
+    planning_window::{
+        GivenUp, GroundRow, MAX_LEVEL, PlanningWindow, WindowInputs, frontier_reach,
+    },
 };
 
 /// The points of a way.
@@ -61,13 +63,13 @@ struct Attempt {
 /// What a search works in: a window of the map and the plan across it, 7.6 KiB.
 #[derive(Debug)]
 pub struct Workspace {
-    window: Window,
+    window: PlanningWindow,
     planner: Planner,
 }
 
 impl Workspace {
     /// A workspace that nobody has used: all zero bits.
-    pub const EMPTY: Self = Self { window: Window::EMPTY, planner: Planner::EMPTY };
+    pub const EMPTY: Self = Self { window: PlanningWindow::EMPTY, planner: Planner::EMPTY };
 }
 
 /// Looks for routes.
@@ -98,7 +100,7 @@ impl<'b> Search<'b> {
     }
 
     /// The ground as it was last looked at.
-    pub(super) fn window(&self) -> &Window {
+    pub(super) fn window(&self) -> &PlanningWindow {
         &self.workspace.window
     }
 
@@ -122,7 +124,7 @@ impl<'b> Search<'b> {
     /// Goes on, expanding so many corners at the most. A step fills a window or works in it.
     pub(super) fn step(
         &mut self,
-        view: &View<'_>,
+        view: &WindowInputs<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
         corners: usize,
     ) -> Outcome {
@@ -152,10 +154,10 @@ impl<'b> Search<'b> {
     pub(super) fn fill(
         &mut self,
         level: u32,
-        view: &View<'_>,
+        view: &WindowInputs<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) {
-        let view = View { level, given_up: &self.given_up, ..*view };
+        let view = WindowInputs { level, given_up: &self.given_up, ..*view };
         self.workspace.window.fill(&view, ground);
     }
 
@@ -169,7 +171,7 @@ impl<'b> Search<'b> {
 
     /// Passes over what can't be seen from a point, as far as a window of this level would find it
     /// there again. `false` if too much has been given up.
-    pub(super) fn give_up(&mut self, at: Waypoint, level: u32, view: &View<'_>) -> bool {
+    pub(super) fn give_up(&mut self, at: Waypoint, level: u32, view: &WindowInputs<'_>) -> bool {
         let cell = view.resolution.0.saturating_mul(1 << level.min(MAX_LEVEL));
         let reach = frontier_reach(view.radius, cell);
         self.given_up.push(GivenUp { at, reach }).is_ok()
@@ -246,7 +248,7 @@ impl<'b> Search<'b> {
     }
 
     /// Another window, or the end.
-    fn try_otherwise(&mut self, error: PlanError, view: &View<'_>) -> Outcome {
+    fn try_otherwise(&mut self, error: PlanError, view: &WindowInputs<'_>) -> Outcome {
         let Attempt { level, finest, beyond, via } = self.attempt;
         if let Some((_, End::Frontier(at, level))) = via
             && self.give_up(at, level, view)

@@ -13,8 +13,8 @@ use super::{
     own_tile::{OwnTile, Pool},
     policy::Policy,
     projection::Projection,
+    scan_window::{Piece, ScanWindow, below, words_of},
     trace::{Grain, Part, PixelCounts, trace},
-    window::{Piece, Window, below, words_of},
 };
 use crate::{
     sense::{Beam, Validity},
@@ -194,7 +194,7 @@ impl<'b> LocalMap<'b> {
         let (mut start, mut end) = (0, count);
         while start < count {
             let part = beams.get(start..end)?;
-            let Some(mut window) = Window::over(part, reach.range, &projection, self.scratch)
+            let Some(mut window) = ScanWindow::over(part, reach.range, &projection, self.scratch)
             else {
                 if end - start <= 2 {
                     return None;

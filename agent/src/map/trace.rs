@@ -16,7 +16,7 @@ use ubimap_protocol::units::Millimetres;
 use super::{
     policy::Policy,
     projection::{Corner, Direction, Point, Projection},
-    window::Window,
+    scan_window::ScanWindow,
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
@@ -283,7 +283,7 @@ pub(super) struct Part<'s> {
 /// Draws a part of a scan, as far as `reach`. Returns the nearest hit, in millimetres of reading.
 #[inline(never)]
 pub(super) fn trace(
-    window: &mut Window<'_>,
+    window: &mut ScanWindow<'_>,
     projection: &Projection,
     grain: &Grain,
     reach: &Reach,
@@ -349,7 +349,7 @@ struct End {
 
 /// The polygon as far as it has been drawn.
 struct Outline<'a, 'w> {
-    window: &'a mut Window<'w>,
+    window: &'a mut ScanWindow<'w>,
     projection: &'a Projection,
     sensor: Corner,
     last: End,
@@ -359,7 +359,7 @@ struct Outline<'a, 'w> {
 
 impl<'a, 'w> Outline<'a, 'w> {
     #[inline(always)]
-    fn new(window: &'a mut Window<'w>, projection: &'a Projection) -> Self {
+    fn new(window: &'a mut ScanWindow<'w>, projection: &'a Projection) -> Self {
         let sensor = projection.sensor();
         // As if an end at the sensor itself came before.
         let last = End { index: 0, reach: 0, at: sensor, hit: None };

@@ -11,7 +11,7 @@ use ubimap_protocol::{
 use super::{link::Link, mapper::Mapper};
 use crate::{
     locate::{Located, Variances},
-    map::{PeerMasks, Selected, Surround, View},
+    map::{PeerMasks, ScanContext, Selected, Surround},
     sense::{Beam, Columns, ScanError, WaitingScans},
     share::DistanceVectors,
     timing::CLOCKS_DISAGREE,
@@ -195,7 +195,7 @@ impl Mapper<'_> {
         // What an unseen robot draws a cell to the side becomes a second wall.
         let range = if scan.is_blind { variances.reach(resolution, max_range) } else { max_range };
         let moment = server_moment.unwrap_or(taken);
-        let view = View { pose, moment, range, resolution, mask };
+        let view = ScanContext { pose, moment, range, resolution, mask };
         // Without the server's time the peers' moments mean nothing.
         let peers = self.commands.peers().filter(|_| server_moment.is_some());
         let peers = PeerMasks::new(peers, &view, variances);

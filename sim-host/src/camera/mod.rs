@@ -5,6 +5,8 @@
 //! see without frames: they are a [`Source`] of observations.
 
 mod calibration;
+mod depth_noise;
+mod error;
 mod frame;
 mod thing;
 
@@ -15,7 +17,9 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-pub use calibration::{Calibration, CalibrationError, Intrinsics, Lens};
+pub use calibration::{Calibration, Intrinsics, Lens};
+pub use depth_noise::DepthNoise;
+pub use error::CalibrationError;
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
 pub use thing::{LAYERS, Thing};
 

@@ -11,8 +11,8 @@ use super::{
     eye::{Eye, FrameError},
     footprint::Footprint,
     markers::{Identifier, Mount},
+    ray_table::Survey,
     robots::{Localiser, RegistryError, SightingEvent},
-    view::Survey,
 };
 use crate::camera::{Calibration, Frame, Observation};
 

@@ -256,10 +256,8 @@ fn extent(thing: &Thing, side: Millimetres) -> ([f64; 2], f64) {
 
 #[cfg(test)]
 mod tests {
-    use ubimap_protocol::tile::Cell;
-
     use super::*;
-    use crate::perception::things_of_cells;
+    use crate::grid::clusters;
 
     const SIDE: Millimetres = Millimetres(50);
 
@@ -275,7 +273,8 @@ mod tests {
     }
 
     fn things(cells: impl Iterator<Item = (i32, i32)>) -> Vec<Thing> {
-        things_of_cells(&cells.map(|cell| (cell, Cell::Movable)).collect::<Vec<_>>())
+        let clusters = clusters(cells.collect()).into_iter();
+        clusters.map(|cells| Thing { cells, ..Thing::default() }).collect()
     }
 
     fn at(millis: u64) -> Instant {

@@ -10,7 +10,7 @@ pub mod keeper;
 pub mod member;
 pub mod options;
 mod progress;
-pub mod recording;
+pub mod record;
 pub mod registry;
 pub mod replay;
 pub mod scoring;
@@ -31,8 +31,8 @@ use ubimap_agent::{
 use crate::{
     channel::serial::SerialError,
     grid::{self, GridError, MapError, OccupancyGrid},
-    log::{FramesError, LogError},
     perception::robots::RegistryError,
+    recording::{FramesError, LogError},
     report::{self, Marker, OutputError, OutputFolder, Report},
     store::StoreError,
     world::ScenarioError,

@@ -25,12 +25,12 @@ use ubimap_protocol::units::{Millimetres, RobotId};
 use super::RunError;
 use crate::{
     camera::Calibration,
-    log::LogError,
     perception::{
         Footprint, Observer, Survey,
         markers::{Hue, Identifier, Mount},
         robots::RegistryError,
     },
+    recording::LogError,
 };
 
 /// The name of the file.

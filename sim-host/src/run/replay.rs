@@ -22,7 +22,7 @@ use super::{
 use crate::{
     camera::{Observation, Sighting},
     grid::OccupancyGrid,
-    log::{self, Log, LoggedScan},
+    recording::{self, Log, LoggedScan},
 };
 
 /// The robots boot so long before the first scan: time to meet the server.
@@ -38,8 +38,9 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
 /// The same, with every frame heard.
 pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
-    let log = log::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
-    log.notes.iter().for_each(|note| ::log::info!("{note}"));
+    let log =
+        recording::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
+    log.notes.iter().for_each(|note| log::info!("{note}"));
     let mut recording = Recording::of(&log, usize::from(options.robots));
 
     let bounds = Bounds {
@@ -192,7 +193,7 @@ fn between(from: [f64; 3], to: [f64; 3], part: f64) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::{Format, Sensor};
+    use crate::recording::{Format, Sensor};
 
     fn log(scans: usize) -> Log {
         let scan = |index: usize| LoggedScan {

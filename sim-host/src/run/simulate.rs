@@ -17,7 +17,7 @@ use super::{
     heap::BOUNDS,
     options::SimulateOptions,
     progress::Progress,
-    recording::{Recorded, Recording},
+    record::{Recorded, Recording},
     registry::{RegisteredRobot, Registry},
     scoring::{self, TRACK_INTERVAL},
     time_lapse::{self, TimeLapse},

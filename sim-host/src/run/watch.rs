@@ -22,7 +22,7 @@ use crate::{
     camera::{FrameSource, Sighting},
     channel::fault::Faults,
     grid::OccupancyGrid,
-    log::RecordedFrames,
+    recording::RecordedFrames,
     report::{
         self, CameraSummary, HexDigest, Marker, MarkerKind, PassedEvent, SeenMap, SeenRobot,
         SeenThing, WatchReport,

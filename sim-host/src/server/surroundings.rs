@@ -10,7 +10,7 @@ use ubimap_protocol::{
 
 use crate::{
     camera::Observation,
-    perception::{Footprint, Lying, Track, Tracks, things_of_cells},
+    perception::{Footprint, Lying, Track, Tracks},
 };
 
 /// Whoever is farther away is not near: metres.
@@ -49,14 +49,7 @@ impl Surroundings {
         let captured = observation.captured;
         // A frame without cells says nothing of them.
         if !observation.cells.is_empty() {
-            let of_cells;
-            let things = if observation.things.is_empty() {
-                of_cells = things_of_cells(&observation.cells);
-                &of_cells
-            } else {
-                &observation.things
-            };
-            self.tracks.observe(captured, things, side);
+            self.tracks.observe(captured, &observation.things, side);
         }
     }
 

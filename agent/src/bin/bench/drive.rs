@@ -6,7 +6,7 @@ use cortex_m::singleton;
 use ubimap_agent::{
     drive::{
         Follower, GroundRow, MAX_POINTS, Motion, Mover, NearPoints, Place, PlanError, Planner,
-        Progress, SIDE, Seen, Sight, Target, View, Window,
+        PlanningWindow, Progress, SIDE, Seen, Sight, Target, WindowInputs,
     },
     sense::{Beam, SensorModel, Validity, fill_beams},
 };
@@ -80,8 +80,8 @@ impl Scene {
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let planner = singleton!(: Planner = Planner::EMPTY)?;
-    let window = singleton!(: Window = Window::EMPTY)?;
-    let size = size_of::<Planner>() + size_of::<Window>();
+    let window = singleton!(: PlanningWindow = PlanningWindow::EMPTY)?;
+    let size = size_of::<Planner>() + size_of::<PlanningWindow>();
     cortex_m_semihosting::hprintln!("{:>12}  bytes of a planner and its window", size);
     let (start, goal) = (Place { x: 5, y: 5 }, Place { x: 58, y: 58 });
     for (name, scene) in [
@@ -105,10 +105,10 @@ pub(super) fn run(bench: &mut Bench) -> Option<()> {
 }
 
 /// The window of a scene, its south-western corner the map's origin.
-fn fill(scene: Scene, window: &mut Window) {
+fn fill(scene: Scene, window: &mut PlanningWindow) {
     let near = NearPoints::default();
     let middle = Millimetres(SIDE as i32 / 2 * BOUNDS.resolution.0);
-    let view = View {
+    let view = WindowInputs {
         pose: Pose { x: middle, y: middle, ..Pose::default() },
         resolution: BOUNDS.resolution,
         level: 0,
@@ -124,7 +124,7 @@ fn fill(scene: Scene, window: &mut Window) {
 /// The points of the way.
 fn plan(
     planner: &mut Planner,
-    window: &mut Window,
+    window: &mut PlanningWindow,
     start: Place,
     target: Target,
 ) -> Result<usize, PlanError> {
@@ -139,7 +139,7 @@ fn plan(
 }
 
 /// A step in the middle of a curve, with things all around and people about.
-fn follow(bench: &mut Bench, window: &mut Window) -> Option<()> {
+fn follow(bench: &mut Bench, window: &mut PlanningWindow) -> Option<()> {
     fill(Scene::Empty, window);
     let mut beams = [Beam::default(); MAX_POINTS];
     let model = SensorModel::Radial { first: -3.1, step: 6.2 / 64.0 };

@@ -1,10 +1,10 @@
 //! From the frames of all cameras to where the robots are.
 
 mod events;
+mod identifier_track;
 mod search;
 #[cfg(test)]
 mod tests;
-mod track;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -17,8 +17,8 @@ use ubimap_protocol::{
 pub use events::SightingEvent;
 
 use self::{
+    identifier_track::{IdentifierTrack, Trouble},
     search::{Expected, Search},
-    track::{Track, Trouble},
 };
 use super::markers::{Identifier, Marker, Mount, Placement, locate};
 use crate::camera::{Calibration, Frame, Lens, Sighting};
@@ -53,7 +53,7 @@ pub struct Localiser {
     lenses: Vec<Option<Lens>>,
     mounts: BTreeMap<Identifier, Mount>,
     search: Search,
-    tracks: BTreeMap<Identifier, Track>,
+    tracks: BTreeMap<Identifier, IdentifierTrack>,
     /// Markers that were where no robot carries them when they were last seen, and in how many views.
     not_there: BTreeMap<Identifier, u32>,
     /// When a number that nobody registered was last read, and whether that has been told.

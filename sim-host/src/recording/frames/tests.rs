@@ -1,9 +1,12 @@
+use std::path::Path;
+
 use proptest::prelude::*;
+use ubimap_protocol::time::Instant;
 
 use super::*;
 use crate::{
-    log::Recorder,
-    perception::{Background, Evidence, Survey, View},
+    camera::{Calibration, DepthNoise, Frame, FrameSource, Picture},
+    perception::{Background, Evidence, RayTable, Survey},
     testing::{Folder, shared_data},
 };
 
@@ -118,6 +121,21 @@ fn what_the_recorder_writes_is_read_again() {
 }
 
 #[test]
+fn the_noise_of_depths_is_what_the_intrinsics_state_or_a_d435s() {
+    let folder = one_camera("recorded-noise");
+    let noise = || open(folder.path()).map(|it| it.cameras()[0].depth_noise);
+    assert_eq!(noise().unwrap(), DepthNoise::D435);
+    let state =
+        |noise: &str| folder.file("intrinsics.toml", &[INTRINSICS, noise.as_bytes()].concat());
+    state("depth_noise = { constant_m = 0.02, quadratic_per_m = 0.001 }\n");
+    assert_eq!(noise().unwrap(), DepthNoise::new(0.02, 0.001).unwrap());
+    state("depth_noise = { constant_m = 20, quadratic_per_m = 0.001 }\n");
+    expect(&folder, &["depth noise of 20 m plus 0.001/m", "give a constant from 0 to 1"]);
+    state("depth_noise = { constant_m = 0.02 }\n");
+    expect(&folder, &["intrinsics.toml: intrinsics: missing field `quadratic_per_m`"]);
+}
+
+#[test]
 fn pictures_alone_have_a_pose_each_or_one() {
     let folder = Folder::new("recorded-pictures");
     folder.file("intrinsics.toml", INTRINSICS);
@@ -149,16 +167,16 @@ fn a_camera_that_sent_nothing_has_lost_all_its_frames() {
     assert!(again.notes()[0].contains("camera-00: no image in it"), "{:?}", again.notes());
 }
 
+/// Opening the folder fails with one line that says all this.
+fn expect(folder: &Folder, expected: &[&str]) {
+    let error = open(folder.path()).unwrap_err().to_string();
+    assert!(expected.iter().all(|it| error.contains(it)), "{error}");
+    assert_eq!(error.lines().count(), 1, "{error}");
+}
+
 #[test]
-fn faults_name_the_file_and_what_to_do() {
-    let folder = one_camera("recorded-faults");
-    let path = |name: &str| folder.path().join(name);
-    let error = || open(folder.path()).unwrap_err().to_string();
-    let expect = |expected: &[&str]| {
-        let error = error();
-        assert!(expected.iter().all(|it| error.contains(it)), "{error}");
-        assert_eq!(error.lines().count(), 1, "{error}");
-    };
+fn faults_of_times_name_the_line() {
+    let folder = one_camera("recorded-times");
     for (times, expected) in [
         ("1 1\n2 0.5\n10 2\n", ["times.txt:2: frame 2 was captured at 0.5 s", "set back"]),
         ("1 1\n2 1\n10 2\n", ["times.txt:2: ", "higher numbers"]),
@@ -172,60 +190,82 @@ fn faults_name_the_file_and_what_to_do() {
         ("1 1 99999\n", ["times.txt:1: ", "a day after it was captured"]),
     ] {
         folder.file("times.txt", times.as_bytes());
-        expect(&expected);
+        expect(&folder, &expected);
     }
-    std::fs::remove_file(path("times.txt")).unwrap();
+}
+
+#[test]
+fn faults_of_images_name_the_file() {
+    let folder = one_camera("recorded-images");
     folder.file("depth/02.pgm", b"P2 2 1 65535 2000 0");
-    expect(&["depth/2.pgm: has the number 2", "02.pgm has; number them apart"]);
-    std::fs::remove_file(path("depth/02.pgm")).unwrap();
+    expect(&folder, &["depth/2.pgm: has the number 2", "02.pgm has; number them apart"]);
+    std::fs::remove_file(folder.path().join("depth/02.pgm")).unwrap();
     folder.file("depth/2.pgm", b"P2 2 2 65535 2000 0 0 0");
-    expect(&["depth/2.pgm: 2 x 2 pixels where 2 x 1 are needed"]);
+    expect(&folder, &["depth/2.pgm: 2 x 2 pixels where 2 x 1 are needed"]);
     folder.file("depth/2.pgm", b"P2 2 1 255 20 0");
-    expect(&["depth/2.pgm: not a depth image (16-bit grey)"]);
+    expect(&folder, &["depth/2.pgm: not a depth image (16-bit grey)"]);
     folder.file("depth/2.pgm", b"not an image");
-    expect(&["depth/2.pgm: ", "remove the file to go on without it"]);
-    folder.file("depth/2.pgm", b"P2 2 1 65535 2000 0");
+    expect(&folder, &["depth/2.pgm: ", "remove the file to go on without it"]);
+}
+
+#[test]
+fn faults_of_poses_say_what_to_write() {
+    let folder = one_camera("recorded-poses");
     for (pose, height) in [("1 2 -3 0 0 0 1\n", "of -3 m;"), ("0 0 0 0 0 0 1\n", "of 0 m;")] {
         folder.file("pose.txt", pose.as_bytes());
-        expect(&["its camera is at a height ", height, "must be above the floor: a pose is"]);
+        expect(
+            &folder,
+            &["its camera is at a height ", height, "must be above the floor: a pose is"],
+        );
     }
     folder.file("pose.txt", b"1 2 3 1 0 0 0\n1 2 3 1 0 0 0\n");
-    expect(&["pose.txt: 3 frames but 2 poses; write one pose, or one for each frame"]);
+    expect(&folder, &["pose.txt: 3 frames but 2 poses; write one pose, or one for each frame"]);
     let three = "1 2 3 1 0 0 0\n".repeat(3);
     for (depth, picture) in [(&three[..], "1 2 3 1 0 0 0\n"), ("1 2 3 1 0 0 0\n", &three)] {
         folder.file("pose.txt", depth.as_bytes());
         folder.file("color/1.ppm", b"P3 2 1 255 1 2 3 4 5 6");
         folder.file("color/pose.txt", picture.as_bytes());
-        expect(&["color/pose.txt: ", "leave this one out for a camera that moves"]);
-        std::fs::remove_dir_all(path("color")).unwrap();
+        expect(&folder, &["color/pose.txt: ", "leave this one out for a camera that moves"]);
+        std::fs::remove_dir_all(folder.path().join("color")).unwrap();
     }
-    std::fs::remove_file(path("pose.txt")).unwrap();
-    expect(&["no pose.txt or trajectory.log in it"]);
-    folder.file("pose.txt", b"1 2 3 1 0 0 0\n");
+    std::fs::remove_file(folder.path().join("pose.txt")).unwrap();
+    expect(&folder, &["no pose.txt or trajectory.log in it"]);
+}
+
+#[test]
+fn faults_of_intrinsics_say_what_to_write() {
+    let folder = one_camera("recorded-intrinsics");
     folder.file("intrinsics.toml", b"width = 2\nheight = 1\n");
-    expect(&["intrinsics.toml: intrinsics: missing field `fx`"]);
+    expect(&folder, &["intrinsics.toml: intrinsics: missing field `fx`"]);
     // A focal length in millimetres.
     let text = "width = 640\nheight = 480\nfx = 1.93\nfy = 1.93\ncx = 320\ncy = 240\n";
     folder.file("intrinsics.toml", text.as_bytes());
-    expect(&["intrinsics.toml: intrinsics: fx and fy see more than 170 degrees", "in pixels"]);
+    expect(
+        &folder,
+        &["intrinsics.toml: intrinsics: fx and fy see more than 170 degrees", "in pixels"],
+    );
     // No guess is made of a camera that stands still.
-    std::fs::remove_file(path("intrinsics.toml")).unwrap();
-    expect(&["intrinsics.toml: intrinsics: missing; write width, height"]);
+    std::fs::remove_file(folder.path().join("intrinsics.toml")).unwrap();
+    expect(&folder, &["intrinsics.toml: intrinsics: missing; write width, height"]);
     folder.file("intrinsics.toml", INTRINSICS);
-    std::fs::create_dir_all(path("color")).unwrap();
-    expect(&["color: no picture (.png, .jpg"]);
-    std::fs::remove_dir(path("color")).unwrap();
+    std::fs::create_dir_all(folder.path().join("color")).unwrap();
+    expect(&folder, &["color: no picture (.png, .jpg"]);
+    std::fs::remove_dir(folder.path().join("color")).unwrap();
+}
 
+#[test]
+fn folders_without_a_camera_or_a_common_clock_are_refused() {
+    let folder = one_camera("recorded-folders");
     folder.file("empty/readme.txt", b"");
-    let error = open(&path("empty")).unwrap_err().to_string();
+    let error = open(&folder.path().join("empty")).unwrap_err().to_string();
     assert!(error.contains("empty: no camera in it"), "{error}");
-    let error = open(&path("nowhere")).unwrap_err().to_string();
+    let error = open(&folder.path().join("nowhere")).unwrap_err().to_string();
     assert!(error.contains("nowhere: No such file"), "{error}");
     folder.file("other/depth/1.pgm", b"P2 2 1 65535 1000 0");
     folder.file("other/intrinsics.toml", INTRINSICS);
     folder.file("other/pose.txt", b"1 2 3 1 0 0 0\n");
     folder.file("other/times.txt", b"1 5\n");
-    let both = [folder.path().to_owned(), path("other")];
+    let both = [folder.path().to_owned(), folder.path().join("other")];
     let error = RecordedFrames::open(&both).unwrap_err().to_string();
     let is_expected = error.contains("times.txt: missing, but ") && error.contains("one clock");
     assert!(is_expected, "{error}");
@@ -281,17 +321,19 @@ fn recorded_images_make_the_same_evidence_both_ways() {
         assert_eq!(source.cameras().len(), 5, "{name}");
         let frames = all(&mut source);
         assert_eq!(frames.len(), 5, "{name}");
-        let view = View::new(&source.cameras()[0].depth.unwrap(), Survey::default());
-        let mut background = Background::new(&view);
-        let taken = vec![false; view.cells()];
+        let Calibration { depth, depth_noise: noise, .. } = source.cameras()[0];
+        let lens = depth.unwrap();
+        let rays = RayTable::new(&lens, &noise, Survey::default());
+        let mut background = Background::new(&rays);
+        let taken = vec![false; rays.cells()];
         let (mut fast, mut plain) = (Evidence::default(), Evidence::default());
         for turn in 0..17 {
             // The first image until it is learnt, then others before the same background.
             let image = frames[(turn as usize).saturating_sub(14)].depth.as_ref().unwrap();
-            fast.fuse(&view, &background, image);
-            plain.scatter(&view, &background, image);
+            fast.fuse(&rays, &background, image);
+            plain.scatter(&rays, &background, image);
             assert_eq!(fast, plain, "{name}");
-            background.learn(&view, image, Instant(turn * 300_000), &taken);
+            background.learn(&rays, image, Instant(turn * 300_000), &taken);
         }
         assert!(background.is_learnt());
     }

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     camera::Calibration,
-    log::{LogError, Recorder},
+    recording::{LogError, Recorder},
 };
 
 /// A folder that frames are written to.

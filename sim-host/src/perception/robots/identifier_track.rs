@@ -34,7 +34,7 @@ pub(super) enum Trouble {
 
 /// Where an identifier has been seen: one place unless something is wrong.
 #[derive(Debug, Default)]
-pub(super) struct Track {
+pub(super) struct IdentifierTrack {
     /// The oldest first.
     places: Vec<Place>,
     trouble: Option<Trouble>,
@@ -57,7 +57,7 @@ struct Place {
     is_twin: bool,
 }
 
-impl Track {
+impl IdentifierTrack {
     /// Takes where a frame shows the identifier: where the robot was then.
     pub(super) fn observe(
         &mut self,

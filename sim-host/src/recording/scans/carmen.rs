@@ -15,9 +15,15 @@
 use std::{f64::consts::PI, path::Path};
 
 use super::{
-    Field, Format, LineFault, Log, LogError, LoggedScan, Sensor,
+    odometry::relative,
+    scan_log::{Log, LoggedScan},
+    sensor::Sensor,
+};
+use crate::recording::{
+    error::{Field, LineFault, LogError},
+    format::Format,
     lines::{Lines, coordinate, number, reading},
-    relative, times,
+    time_stamps,
 };
 
 /// Readings in these ranges (metres) say that nothing came back: SICK in centimetres (81.83,
@@ -117,20 +123,20 @@ impl Content {
             notes.push(format!("{beams} beams are taken to cover half a turn"));
         }
         let stamps: Option<Vec<f64>> = self.records.iter().map(|record| record.stamp_s).collect();
-        let (times, note) = times::repair(stamps.as_deref(), self.records.len());
+        let (times, note) = time_stamps::repair(stamps.as_deref(), self.records.len());
         notes.extend(note);
-        let tracks = self.tracks();
-        notes.extend(tracks.note().map(str::to_owned));
+        let trajectories = self.trajectories();
+        notes.extend(trajectories.note().map(str::to_owned));
 
         let limits = self.limits();
         let scans = self.records.into_iter().zip(times).map(|(record, time)| LoggedScan {
             time,
             readings_mm: record.ranges_m.iter().map(|range| limits.millimetres(*range)).collect(),
-            pose: tracks.has_poses().then_some(record.laser),
-            odometry: match tracks {
-                Tracks::Both | Tracks::MovingOdometry => Some(record.odometry),
-                Tracks::DeadReckoned => Some(record.laser),
-                Tracks::Corrected | Tracks::MovingPoses => None,
+            pose: trajectories.has_poses().then_some(record.laser),
+            odometry: match trajectories {
+                Trajectories::Both | Trajectories::MovingOdometry => Some(record.odometry),
+                Trajectories::DeadReckoned => Some(record.laser),
+                Trajectories::Corrected | Trajectories::MovingPoses => None,
             },
             line: record.line,
         });
@@ -146,20 +152,20 @@ impl Content {
         }
     }
 
-    fn tracks(&self) -> Tracks {
+    fn trajectories(&self) -> Trajectories {
         // The laser may sit anywhere on the robot: one trajectory, if it always sits there.
         let offsets = || self.records.iter().map(|record| relative(record.odometry, record.laser));
         let is_one = is_still(offsets());
         if is_one && self.speaks_of_dead_reckoning && !self.has_corrector_records {
-            Tracks::DeadReckoned
+            Trajectories::DeadReckoned
         } else if is_one {
-            Tracks::Corrected
+            Trajectories::Corrected
         } else if is_still(self.records.iter().map(|record| record.laser)) {
-            Tracks::MovingOdometry
+            Trajectories::MovingOdometry
         } else if is_still(self.records.iter().map(|record| record.odometry)) {
-            Tracks::MovingPoses
+            Trajectories::MovingPoses
         } else {
-            Tracks::Both
+            Trajectories::Both
         }
     }
 }
@@ -215,7 +221,7 @@ impl Record {
 
 /// What the two triples of pose fields hold.
 #[derive(Clone, Copy, PartialEq)]
-enum Tracks {
+enum Trajectories {
     /// Poses and odometry, and they differ.
     Both,
     /// One trajectory, taken as poses.
@@ -228,7 +234,7 @@ enum Tracks {
     MovingPoses,
 }
 
-impl Tracks {
+impl Trajectories {
     fn has_poses(self) -> bool {
         matches!(self, Self::Both | Self::Corrected | Self::MovingPoses)
     }
@@ -284,7 +290,7 @@ impl Limits {
 mod tests {
     use super::*;
     use crate::{
-        log::{Slicing, read_all},
+        recording::{Slicing, read_all},
         testing::{Folder, shared_data},
     };
 

@@ -1,4 +1,4 @@
-//! A stretch of the grid on which a part of a scan is drawn.
+//! The part of the grid on which a sector of a scan is drawn.
 //!
 //! Free space is not carved ray by ray. Edges of a polygon flip one cell in every row of cells
 //! that they cross; the running XOR along a row then is the interior, 32 cells at a time.
@@ -32,9 +32,9 @@ pub(super) const fn words_of(radius: usize) -> usize {
     across * ((across + TILE_SIDE - 2) / TILE_SIDE + 1)
 }
 
-/// Some rows of whole tiles' columns of the grid.
+/// A rectangle of the grid: whole columns of tiles wide, any number of rows of cells high.
 #[derive(Debug)]
-pub(super) struct Window<'s> {
+pub(super) struct ScanWindow<'s> {
     /// Words of cells, column of tiles by column of tiles from the west, from south to north.
     cells: &'s mut [RowSighting],
     /// The column of tiles in the west, and how many there are.
@@ -45,7 +45,7 @@ pub(super) struct Window<'s> {
     rows: usize,
 }
 
-impl<'s> Window<'s> {
+impl<'s> ScanWindow<'s> {
     /// A window on all that these beams can reach within a range (millimetres), in `memory` that holds no sighting. `None` if
     /// it is too short.
     pub(super) fn over(
@@ -366,7 +366,7 @@ mod tests {
             let pose = Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) };
             let projection = Projection::new(pose, Pose::default(), SIDE);
             let mut memory = vec![RowSighting::default(); 2_000];
-            let window = Window::over(&beams, RANGE, &projection, &mut memory).unwrap();
+            let window = ScanWindow::over(&beams, RANGE, &projection, &mut memory).unwrap();
             let projection = projection.within(window.corner());
             let columns = (window.width * TILE_SIDE) as i32;
             for &beam in beams.iter().filter(|beam| **beam != Beam::NONE) {

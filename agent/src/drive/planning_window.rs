@@ -1,5 +1,5 @@
-//! The ground about the robot as planes of cells: where its middle may be, what is dear to cross,
-//! and where blind ground begins that nobody has mapped.
+//! The ground around the robot as planes of cells: where its centre may be, what is costly to cross,
+//! and where unmapped blind ground begins.
 
 use ubimap_protocol::{
     message::Waypoint,
@@ -77,9 +77,9 @@ pub struct GivenUp {
     pub reach: u16,
 }
 
-/// What a window is made from.
+/// The inputs of [`PlanningWindow::fill`].
 #[derive(Clone, Copy, Debug)]
-pub struct View<'v> {
+pub struct WindowInputs<'v> {
     /// `base_link` in `map`: the window lies about it.
     pub pose: Pose,
     /// The side of the map's cells.
@@ -100,7 +100,7 @@ pub struct View<'v> {
 
 /// 64 x 64 cells about the robot (1.5 KiB). The outermost are never entered.
 #[derive(Clone, Debug)]
-pub struct Window {
+pub struct PlanningWindow {
     /// Where the robot's middle may be: known, and at level 0 every point of such a cell is further
     /// from everything occupied than its radius. In coarser windows, whose walls are as thick as
     /// their cells, this holds for the middle: they are for finding a way, not for driving it.
@@ -117,7 +117,7 @@ pub struct Window {
     cell: i32,
 }
 
-impl Window {
+impl PlanningWindow {
     /// A window that has not looked at any map: all zero bits.
     pub const EMPTY: Self = Self {
         free: Plane::EMPTY,
@@ -130,7 +130,7 @@ impl Window {
 
     /// Looks at the map. `ground` gives, for a column of tiles and a row of cells of the map, 32
     /// cells. Takes 1 KiB of stack.
-    pub fn fill(&mut self, view: &View<'_>, ground: impl Fn(i32, i32) -> GroundRow) {
+    pub fn fill(&mut self, view: &WindowInputs<'_>, ground: impl Fn(i32, i32) -> GroundRow) {
         let level = view.level.min(MAX_LEVEL);
         let resolution = view.resolution.0.max(1);
         self.cell = resolution.saturating_mul(1 << level);
@@ -193,7 +193,7 @@ impl Window {
     }
 
     /// Where the robot stands nothing else does.
-    fn clear_under(&mut self, view: &View<'_>, occupied: &mut Plane) {
+    fn clear_under(&mut self, view: &WindowInputs<'_>, occupied: &mut Plane) {
         let Pose { x, y, .. } = view.pose;
         disc(self.relative(x, y), view.radius.into(), self.cell, |y, cells| {
             *self.free.row_mut(y) |= cells;
@@ -205,7 +205,7 @@ impl Window {
 
     /// From the blind cells to those from where they are near, which takes in how far the robot
     /// must stay away from a wall. It goes round walls, not through them.
-    fn bound_frontier(&mut self, view: &View<'_>, occupied: &Plane) {
+    fn bound_frontier(&mut self, view: &WindowInputs<'_>, occupied: &Plane) {
         let mut open = self.free;
         for y in 0..SIDE {
             *open.row_mut(y) &= !occupied.row(y);

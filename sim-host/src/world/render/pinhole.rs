@@ -45,7 +45,7 @@ impl Rectangle {
 }
 
 /// A sensor without distortion in its place.
-pub(super) struct View {
+pub(super) struct Pinhole {
     lens: Lens,
     pub(super) width: usize,
     pub(super) height: usize,
@@ -58,7 +58,7 @@ pub(super) struct View {
     down: Vec3,
 }
 
-impl View {
+impl Pinhole {
     pub(super) fn new(lens: &Lens) -> Self {
         let direction = |column: f64, row: f64| {
             let way = lens.direction([column, row]);

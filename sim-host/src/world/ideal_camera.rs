@@ -14,8 +14,9 @@ use ubimap_protocol::{tile::Cell, units::RobotId};
 
 use super::{
     mounting::Mounting,
-    robots::{PlanePose, SimRobot},
-    room::{Cells, Room},
+    plane_pose::PlanePose,
+    robots::SimRobot,
+    room::{CellGrid, Room},
     route::Body,
     scenario::CameraConfig,
     sensor::cylinder,
@@ -26,9 +27,9 @@ use crate::camera::Sighting;
 /// A body whose top is not this far below a camera has an endless shadow, in metres.
 const HEADROOM: f64 = 0.05;
 
-/// What stands in a cell that is looked at, and where one looks to see it.
+/// A cell in view, and the point of it that is in sight.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct View {
+pub(super) struct VisibleCell {
     pub(super) cell: (i32, i32),
     /// Free or occupied.
     pub(super) state: Cell,
@@ -36,110 +37,110 @@ pub(super) struct View {
     pub(super) target: DVec3,
 }
 
-/// A robot as a camera may see it.
+/// A robot as cameras may see it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SeenRobot {
+pub(super) struct VisibleRobot {
     pub(super) id: RobotId,
     pub(super) pose: PlanePose,
     pub(super) body: Body,
 }
 
-impl SeenRobot {
+impl VisibleRobot {
     pub(super) fn of(robot: &SimRobot) -> Self {
         Self { id: robot.id(), pose: robot.identified(), body: robot.body() }
     }
 }
 
-/// What one frame says.
+/// The content of one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Frame {
+pub(super) struct IdealFrame {
     pub(super) robots: Vec<Sighting>,
     pub(super) cells: Vec<((i32, i32), Cell)>,
 }
 
-/// A camera in its place.
-pub(super) struct Camera {
-    lens: Lens,
+/// A camera that sees without noise.
+pub(super) struct IdealCamera {
+    field: FieldOfView,
     position_noise: f64,
     heading_noise: f64,
     dice: ChaCha8Rng,
-    cells: Cells,
+    cells: CellGrid,
     robot_height: f64,
     has_depth: bool,
-    /// What it sees of the room without people and robots; without depths nothing.
-    views: Vec<View>,
-    /// For each cell the index of its view plus one; zero for none.
-    view_of: Vec<u32>,
+    /// The cells in view without people and robots; none without a depth sensor.
+    visible: Vec<VisibleCell>,
+    /// For each cell its index in `visible` plus one; zero for cells out of view.
+    visible_at: Vec<u32>,
 }
 
-impl Camera {
+impl IdealCamera {
     pub(super) fn new(
         config: &CameraConfig,
         room: &Room,
-        cells: Cells,
+        cells: CellGrid,
         robot_height: f64,
         dice: ChaCha8Rng,
     ) -> Self {
         let mut camera = Self {
-            lens: Lens::new(config),
+            field: FieldOfView::new(config),
             position_noise: config.position_noise_m,
             heading_noise: config.heading_noise_deg.to_radians(),
             dice,
             cells,
             robot_height,
             has_depth: config.has_depth,
-            views: Vec::new(),
-            view_of: Vec::new(),
+            visible: Vec::new(),
+            visible_at: Vec::new(),
         };
         camera.look_again(room);
         camera
     }
 
-    /// The room has changed.
+    /// Finds the visible cells anew after the room has changed.
     pub(super) fn look_again(&mut self, room: &Room) {
         if !self.has_depth {
             return;
         }
-        self.views = views(&self.lens, room, self.cells, self.robot_height);
-        self.view_of = vec![0; self.cells.count()];
-        for (number, view) in (1..).zip(&self.views) {
-            if let Some(index) = self.cells.index(view.cell) {
-                self.view_of[index] = number;
+        self.visible = visible(&self.field, room, self.cells, self.robot_height);
+        self.visible_at = vec![0; self.cells.count()];
+        for (number, seen) in (1..).zip(&self.visible) {
+            if let Some(index) = self.cells.index(seen.cell) {
+                self.visible_at[index] = number;
             }
         }
     }
 
-    /// What it sees of the room without people and robots.
-    pub(super) fn views(&self) -> &[View] {
-        &self.views
+    /// The cells in view without people and robots.
+    pub(super) fn visible(&self) -> &[VisibleCell] {
+        &self.visible
     }
 
     #[cfg(test)]
     pub(super) fn position(&self) -> DVec3 {
-        self.lens.position
+        self.field.position
     }
 
-    /// What it sees now; the cells only when they are asked for.
+    /// Takes a frame; the cells only if `with_cells`.
     pub(super) fn frame(
         &mut self,
         room: &Room,
-        robots: &[SeenRobot],
+        robots: &[VisibleRobot],
         people: &[Body],
         with_cells: bool,
-    ) -> Frame {
+    ) -> IdealFrame {
         let bodies: Vec<Body> =
             robots.iter().map(|robot| robot.body).chain(people.iter().copied()).collect();
         let prisms: Vec<Prism> = bodies.iter().map(cylinder).collect();
         let mut localised = Vec::new();
-        let mut frame = Frame::default();
+        let mut frame = IdealFrame::default();
         for (index, robot) in robots.iter().enumerate() {
             // The same throws whether it is in view or not.
             let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
             let (x, y, turn) = (noise(), noise(), noise());
             let top = robot.body.centre.extend(robot.body.height);
-            if self.lens.covers(top)
-                && room.sees(self.lens.position, top)
-                && !is_hidden(&prisms, Some(index), self.lens.position, top)
+            if self.field.covers(top)
+                && room.sees(self.field.position, top)
+                && !is_hidden(&prisms, Some(index), self.field.position, top)
             {
                 let offset = DVec2::new(x, y) * self.position_noise;
                 let measured = PlanePose {
@@ -165,26 +166,26 @@ impl Camera {
         bodies: &[Body],
         prisms: &[Prism],
     ) -> Vec<((i32, i32), Cell)> {
-        let mut hidden = vec![false; self.views.len()];
+        let mut hidden = vec![false; self.visible.len()];
         for (body, prism) in bodies.iter().zip(prisms) {
-            for index in self.shadow(body).filter_map(|cell| self.view_index(cell)) {
-                let target = self.views[index].target;
-                let way = target - self.lens.position;
-                hidden[index] |= prism.first_hit(self.lens.position, way, 1.0).is_some();
+            for index in self.shadow(body).filter_map(|cell| self.visible_index(cell)) {
+                let target = self.visible[index].target;
+                let way = target - self.field.position;
+                hidden[index] |= prism.first_hit(self.field.position, way, 1.0).is_some();
             }
         }
         let under = |body: &Body| self.cells.under_disc(body.centre, body.radius);
-        for index in localised.iter().flat_map(under).filter_map(|cell| self.view_index(cell)) {
+        for index in localised.iter().flat_map(under).filter_map(|cell| self.visible_index(cell)) {
             hidden[index] = true;
         }
         let mut moving = Vec::new();
         for (number, person) in bodies.iter().enumerate().skip(robots) {
             for cell in under(person) {
                 let top = self.cells.centre(cell).extend(person.height);
-                let is_seen = self.lens.covers(top)
-                    && room.sees(self.lens.position, top)
-                    && !is_hidden(prisms, Some(number), self.lens.position, top);
-                if let Some(index) = self.view_index(cell) {
+                let is_seen = self.field.covers(top)
+                    && room.sees(self.field.position, top)
+                    && !is_hidden(prisms, Some(number), self.field.position, top);
+                if let Some(index) = self.visible_index(cell) {
                     // What stands there hides the floor beneath it, seen or not.
                     hidden[index] = true;
                 }
@@ -195,24 +196,24 @@ impl Camera {
         }
         moving.sort_unstable_by_key(|&(cell, _)| cell);
         moving.dedup();
-        let fixed = self.views.iter().zip(hidden).filter(|(_, hidden)| !hidden);
-        fixed.map(|(view, _)| (view.cell, view.state)).chain(moving).collect()
+        let fixed = self.visible.iter().zip(hidden).filter(|(_, hidden)| !hidden);
+        fixed.map(|(seen, _)| (seen.cell, seen.state)).chain(moving).collect()
     }
 
-    fn view_index(&self, cell: (i32, i32)) -> Option<usize> {
-        let number = self.view_of[self.cells.index(cell)?];
+    fn visible_index(&self, cell: (i32, i32)) -> Option<usize> {
+        let number = self.visible_at[self.cells.index(cell)?];
         (number as usize).checked_sub(1)
     }
 
     /// The cells that a body may hide: those about its foot and its shadow on the floor.
     fn shadow(&self, body: &Body) -> impl Iterator<Item = (i32, i32)> + use<> {
-        let eye = self.lens.position;
+        let eye = self.field.position;
         let reach = DVec2::splat(body.radius);
         let foot = Aabb::new(body.centre - reach, body.centre + reach);
         let below = eye.z - body.height;
         let rectangle = if below < HEADROOM {
             // At or above the camera: the shadow ends only where the camera's range does.
-            let range = DVec2::splat(self.lens.range);
+            let range = DVec2::splat(self.field.range);
             Aabb::new(eye.truncate() - range, eye.truncate() + range)
         } else {
             let stretch = eye.z / below;
@@ -224,8 +225,8 @@ impl Camera {
     }
 }
 
-/// Where a camera is and what its picture covers.
-struct Lens {
+/// A camera's position and the pyramid that its picture covers.
+struct FieldOfView {
     position: DVec3,
     forward: DVec3,
     right: DVec3,
@@ -235,7 +236,7 @@ struct Lens {
     range: f64,
 }
 
-impl Lens {
+impl FieldOfView {
     fn new(config: &CameraConfig) -> Self {
         let Mounting { position, forward, right, up } = Mounting::new(config);
         let half_tangent = |degrees: f64| tan(degrees.to_radians() / 2.0);
@@ -269,10 +270,15 @@ fn is_hidden(prisms: &[Prism], but: Option<usize>, from: DVec3, to: DVec3) -> bo
 }
 
 /// The cells of the room that a camera sees when nobody is there.
-fn views(lens: &Lens, room: &Room, cells: Cells, robot_height: f64) -> Vec<View> {
-    let reach = DVec2::splat(lens.range);
-    let eye = lens.position.truncate();
-    let mut views = Vec::new();
+fn visible(
+    field: &FieldOfView,
+    room: &Room,
+    cells: CellGrid,
+    robot_height: f64,
+) -> Vec<VisibleCell> {
+    let reach = DVec2::splat(field.range);
+    let eye = field.position.truncate();
+    let mut visible = Vec::new();
     for cell in cells.within(&Aabb::new(eye - reach, eye + reach)) {
         let square = cells.square(cell);
         let standing: Vec<&Prism> = room
@@ -281,21 +287,21 @@ fn views(lens: &Lens, room: &Room, cells: Cells, robot_height: f64) -> Vec<View>
             .collect();
         if standing.is_empty() {
             let target = cells.centre(cell).extend(0.0);
-            if lens.covers(target) && room.sees(lens.position, target) {
-                views.push(View { cell, state: Cell::Free, target });
+            if field.covers(target) && room.sees(field.position, target) {
+                visible.push(VisibleCell { cell, state: Cell::Free, target });
             }
-        } else if let Some(target) = seen_part(lens, room, cells, cell, robot_height, &standing) {
-            views.push(View { cell, state: Cell::Occupied, target });
+        } else if let Some(target) = seen_part(field, room, cells, cell, robot_height, &standing) {
+            visible.push(VisibleCell { cell, state: Cell::Occupied, target });
         }
     }
-    views
+    visible
 }
 
 /// The point of what stands in a cell that a camera sees, if it sees any: on top, or on a side.
 fn seen_part(
-    lens: &Lens,
+    field: &FieldOfView,
     room: &Room,
-    cells: Cells,
+    cells: CellGrid,
     cell: (i32, i32),
     robot_height: f64,
     standing: &[&Prism],
@@ -305,18 +311,18 @@ fn seen_part(
         let aim = prism.footprint.nearest(cells.centre(cell));
         let side = (prism.bottom + prism.top.min(robot_height)) / 2.0;
         [prism.top, side].into_iter().find_map(|height| {
-            if height >= lens.position.z || !square.contains_local_point(aim) {
+            if height >= field.position.z || !square.contains_local_point(aim) {
                 return None;
             }
             // A little beyond the aim, which may lie on the very edge.
-            let way = aim.extend(height) - lens.position;
-            let (hit, at) = room.first_hit(lens.position, way, 1.0 + 1e-6)?;
-            let point = lens.position + way * at;
+            let way = aim.extend(height) - field.position;
+            let (hit, at) = room.first_hit(field.position, way, 1.0 + 1e-6)?;
+            let point = field.position + way * at;
             let is_here = cells.cell_at(point.truncate()) == cell;
             let stands = room.prisms()[hit].reaches(0.0, robot_height);
             // A hair before what is seen, so that it does not hide itself.
-            let target = lens.position + way * (at - 1e-6);
-            (is_here && stands && lens.covers(target)).then_some(target)
+            let target = field.position + way * (at - 1e-6);
+            (is_here && stands && field.covers(target)).then_some(target)
         })
     })
 }

@@ -3,12 +3,11 @@
 use std::path::Path;
 
 use clap::ValueEnum;
-use image::DynamicImage;
 use ubimap_agent::sense::{self, Camera, Pick, Slice, Slicer, Validity};
 use ubimap_protocol::units::Millimetres;
 
-use super::{FrameFault, LogError, Sensor, intrinsics::Intrinsics};
-use crate::grid::raster::{self, Raster};
+use super::sensor::Sensor;
+use crate::recording::{depth_image::depths_mm, error::LogError, intrinsics::IntrinsicsFile};
 
 /// Rows of a band.
 const BAND: u16 = 5;
@@ -59,8 +58,8 @@ pub(super) struct Stance {
 
 impl Slicing {
     /// What made the scans that [`Slicing::slice`] gives.
-    pub(super) fn sensor(self, intrinsics: &Intrinsics) -> Sensor {
-        let Intrinsics { fx, cx, width, .. } = *intrinsics;
+    pub(super) fn sensor(self, intrinsics: &IntrinsicsFile) -> Sensor {
+        let IntrinsicsFile { fx, cx, width, .. } = *intrinsics;
         let width = width as usize;
         match (self.slice, self.pixels) {
             // A height comes in the columns of a level pinhole camera.
@@ -76,7 +75,7 @@ impl Slicing {
     pub(super) fn slice(
         self,
         path: &Path,
-        intrinsics: &Intrinsics,
+        intrinsics: &IntrinsicsFile,
         stance: &Stance,
     ) -> Result<Vec<u16>, LogError> {
         let depths = depths_mm(path, intrinsics)?;
@@ -102,8 +101,8 @@ impl Slicing {
         Ok(readings.map(<[u16]>::to_vec).unwrap_or_default())
     }
 
-    fn camera(self, intrinsics: &Intrinsics, stance: &Stance) -> Camera {
-        let Intrinsics { fx, fy, cx, cy, .. } = *intrinsics;
+    fn camera(self, intrinsics: &IntrinsicsFile, stance: &Stance) -> Camera {
+        let IntrinsicsFile { fx, fy, cx, cy, .. } = *intrinsics;
         let focal = (fx as f32, fy.abs() as f32);
         let pixels = match self.pixels {
             PixelModel::Pinhole => sense::PixelModel::Pinhole,
@@ -117,29 +116,7 @@ impl Slicing {
 }
 
 /// The angle between the outermost columns.
-fn field_rad(intrinsics: &Intrinsics) -> f64 {
-    let Intrinsics { fx, cx, width, .. } = *intrinsics;
+fn field_rad(intrinsics: &IntrinsicsFile) -> f64 {
+    let IntrinsicsFile { fx, cx, width, .. } = *intrinsics;
     (cx / fx).atan() + ((f64::from(width) - 1.0 - cx) / fx).atan()
-}
-
-/// The depths of an image in millimetres, row by row; 0 where nothing was measured.
-pub(super) fn depths_mm(path: &Path, intrinsics: &Intrinsics) -> Result<Vec<u16>, LogError> {
-    let refuse = |fault| LogError::Frame { path: path.to_owned(), fault };
-    let Raster { image, file_white } =
-        raster::read(path).map_err(|error| refuse(FrameFault::Image(error)))?;
-    let DynamicImage::ImageLuma16(image) = image else { return Err(refuse(FrameFault::NotDepth)) };
-    if image.dimensions() != (intrinsics.width, intrinsics.height) {
-        let (width, height) = image.dimensions();
-        let (expected_width, expected_height) = (intrinsics.width, intrinsics.height);
-        return Err(refuse(FrameFault::Size { width, height, expected_width, expected_height }));
-    }
-    // The decoder spread a smaller range over all 16 bits: back to the file's numbers.
-    let spread = f64::from(u16::MAX) / f64::from(file_white.unwrap_or(u32::from(u16::MAX)));
-    let depths = image.as_raw().iter().map(|&sample| {
-        let depth_mm = (f64::from(sample) / spread).round() * 1000.0 / intrinsics.depth_per_metre;
-        // A saturated sample measured nothing.
-        let is_measured = sample < u16::MAX && depth_mm.round() <= f64::from(u16::MAX);
-        if is_measured { depth_mm.round() as u16 } else { 0 }
-    });
-    Ok(depths.collect())
 }

@@ -1,10 +1,10 @@
-//! A part of a picture.
+//! A rectangle of a picture that is searched for markers.
 
 use crate::camera::Picture;
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Window {
+pub struct ImageRegion {
     /// The first column.
     pub left: u32,
     /// The first row.
@@ -15,15 +15,15 @@ pub struct Window {
     pub height: u32,
 }
 
-impl Window {
-    /// All of a picture.
+impl ImageRegion {
+    /// The whole picture.
     pub fn all(picture: &Picture) -> Self {
         let (width, height) = size(picture);
         Self { left: 0, top: 0, width, height }
     }
 
-    /// The pixels of a picture no farther from a middle than `reach` columns and rows, `None` if
-    /// there are none.
+    /// The pixels within `reach` columns and rows of a centre; `None` if they all lie outside the
+    /// picture.
     pub fn about([column, row]: [f64; 2], reach: f64, picture: &Picture) -> Option<Self> {
         let (width, height) = size(picture);
         let span = |middle: f64, size: u32| {
@@ -36,7 +36,7 @@ impl Window {
         Some(Self { left, top, width, height })
     }
 
-    /// The smallest window that has all pixels of both.
+    /// The smallest region that contains both.
     pub fn with(&self, other: &Self) -> Self {
         let (left, top) = (self.left.min(other.left), self.top.min(other.top));
         let right = (self.left + self.width).max(other.left + other.width);
@@ -44,7 +44,7 @@ impl Window {
         Self { left, top, width: right - left, height: bottom - top }
     }
 
-    /// How many it has.
+    /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
     }
@@ -62,16 +62,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_window_ends_where_the_picture_does() {
+    fn a_region_ends_where_the_picture_does() {
         let picture = Picture::Grey(image::GrayImage::new(100, 50));
-        let about = |middle, reach| Window::about(middle, reach, &picture);
-        let corner = Window { left: 0, top: 40, width: 15, height: 10 };
+        let about = |middle, reach| ImageRegion::about(middle, reach, &picture);
+        let corner = ImageRegion { left: 0, top: 40, width: 15, height: 10 };
         assert_eq!(about([5.0, 50.0], 10.0), Some(corner));
         assert_eq!(about([-50.0, 25.0], 10.0), None);
         assert_eq!(about([f64::NAN, 25.0], 10.0), None);
-        assert_eq!(about([50.0, 25.0], 1e9), Some(Window::all(&picture)));
-        let other = Window { left: 14, top: 0, width: 2, height: 41 };
+        assert_eq!(about([50.0, 25.0], 1e9), Some(ImageRegion::all(&picture)));
+        let other = ImageRegion { left: 14, top: 0, width: 2, height: 41 };
         assert_eq!(other.pixels(), 82);
-        assert_eq!(corner.with(&other), Window { left: 0, top: 0, width: 16, height: 50 });
+        assert_eq!(corner.with(&other), ImageRegion { left: 0, top: 0, width: 16, height: 50 });
     }
 }

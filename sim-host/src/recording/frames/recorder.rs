@@ -1,4 +1,4 @@
-//! Frames written down, in the form that [`frames`](super::frames) tells.
+//! Frames written down, in the form that [`frames`](super) describes.
 
 use std::{
     fs::{self, File},
@@ -12,13 +12,14 @@ use image::{
 };
 use ubimap_protocol::time::Instant;
 
-use super::{
-    LogError,
-    camera_folder::PICTURES,
-    frame_times::TIMES_FILE,
-    intrinsics::{INTRINSICS_FILE, Intrinsics},
+use super::{camera_folder::PICTURES, frame_times::TIMES_FILE};
+use crate::{
+    camera::{Calibration, DepthNoise, Frame, Lens, Picture},
+    recording::{
+        error::LogError,
+        intrinsics::{INTRINSICS_FILE, IntrinsicsFile},
+    },
 };
-use crate::camera::{Calibration, Frame, Lens, Picture};
 
 /// Writes frames to a folder as they arrive. They are numbered by the microsecond of their capture.
 #[derive(Debug)]
@@ -63,10 +64,10 @@ impl CameraWriter {
     fn create(folder: PathBuf, camera: &Calibration) -> Result<Self, LogError> {
         create_folder(&folder)?;
         if let Some(lens) = &camera.depth {
-            calibrate(&folder, lens)?;
+            calibrate(&folder, lens, Some(&camera.depth_noise))?;
         }
         if let Some(lens) = &camera.picture {
-            calibrate(&folder.join(PICTURES), lens)?;
+            calibrate(&folder.join(PICTURES), lens, None)?;
         }
         let path = folder.join(TIMES_FILE);
         let times = write_file(&path, |file| writeln!(file, "# frame, captured (s), arrived (s)"))?;
@@ -106,11 +107,12 @@ fn create_folder(path: &Path) -> Result<(), LogError> {
     fs::create_dir_all(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
 }
 
-/// Writes what a sensor is like.
-fn calibrate(place: &Path, lens: &Lens) -> Result<(), LogError> {
+/// Writes the calibration of a sensor; `noise` is that of depths.
+fn calibrate(place: &Path, lens: &Lens, noise: Option<&DepthNoise>) -> Result<(), LogError> {
     create_folder(place)?;
     // Plain numbers: there is nothing that could fail.
-    let intrinsics = toml::to_string(&Intrinsics::of(lens.intrinsics())).unwrap_or_default();
+    let intrinsics =
+        toml::to_string(&IntrinsicsFile::of(lens.intrinsics(), noise)).unwrap_or_default();
     write_file(&place.join(INTRINSICS_FILE), |file| file.write_all(intrinsics.as_bytes()))?;
     let (at, turn) = (lens.pose().translation, lens.pose().rotation);
     write_file(&place.join("pose.txt"), |file| {

@@ -8,7 +8,7 @@ use std::{
 
 use flate2::bufread::MultiGzDecoder;
 
-use super::{Field, LineFault, LogError};
+use super::error::{Field, LineFault, LogError};
 
 /// No log has longer lines; what has is no log, and isn't read into memory.
 const MAX_LINE: usize = 1 << 20;

@@ -5,7 +5,7 @@
 //! pose.txt              one line for each image: [time] x y z qx qy qz qw
 //! trajectory.log        or five: three numbers, then the four rows of a matrix
 //! intrinsics.toml       width, height, fx, fy, cx, cy, distortion (k1, k2, p1, p2, k3; none),
-//!                       depth_per_metre (1000), row (cy)
+//!                       depth_per_metre (1000), row (cy); depth_noise is of no use here
 //! *.json                or Open3D's camera file; depth in millimetres
 //! ```
 //!
@@ -19,15 +19,21 @@
 //! `pose.txt`: ICL-NUIM's (PNG) and a hand-held sensor's (PGM), from the slambook examples. A folder
 //! of that form without intrinsics is taken as one of them, and a note says so.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
 use super::{
-    DepthSlice, Field, Format, LineFault, Log, LogError, LoggedScan, Slicing, intrinsics,
-    lines::{Lines, coordinate, number},
-    slicing::Stance,
-    times,
+    scan_log::{Log, LoggedScan},
+    slicing::{DepthSlice, Slicing, Stance},
+};
+use crate::recording::{
+    camera_poses::{CameraPose, read_poses},
+    error::{LineFault, LogError},
+    format::Format,
+    intrinsics,
+    numbered_files::depth_images,
+    time_stamps,
 };
 
 /// A camera that looks more steeply up or down than this draws no map.
@@ -76,7 +82,7 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
         .collect();
 
     let stamps: Option<Vec<f64>> = poses.iter().map(|pose| pose.stamp_s).collect();
-    let (times, note) = times::repair(stamps.as_deref(), poses.len());
+    let (times, note) = time_stamps::repair(stamps.as_deref(), poses.len());
     notes.extend(note);
     let scans = slices?.into_iter().zip(times).zip(planar_poses).enumerate().map(
         |(index, ((readings_mm, time), pose))| LoggedScan {
@@ -89,146 +95,6 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
     );
     let sensor = slicing.sensor(&intrinsics);
     Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), notes })
-}
-
-/// The depth images in the order of the numbers in their names.
-pub(super) fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
-    let inner = folder.join("depth");
-    let place = if inner.is_dir() { inner } else { folder.to_owned() };
-    let images = files_in(&place, &["png", "pgm"])?;
-    if images.is_empty() {
-        return Err(LogError::Empty { path: place, record: "depth image (.png or .pgm)" });
-    }
-    Ok(images)
-}
-
-/// The files of a folder with one of these extensions, in the order of the numbers in their names.
-pub(super) fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, LogError> {
-    let io_error = |error| LogError::Io { path: folder.to_owned(), error };
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(io_error)? {
-        let path = entry.map_err(io_error)?.path();
-        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-        if extensions.iter().any(|known| extension == *known) && path.is_file() {
-            files.push(path);
-        }
-    }
-    files.sort_by_cached_key(|path| (number_in(path), path.clone()));
-    Ok(files)
-}
-
-/// The number in the name of a file: all digits before its extension.
-pub(super) fn number_in(path: &Path) -> u128 {
-    digits_of(&path.file_stem().unwrap_or_default().to_string_lossy())
-}
-
-/// All digits of a text as one number; 0 without any.
-pub(super) fn digits_of(text: &str) -> u128 {
-    let digits: String = text.chars().filter(char::is_ascii_digit).collect();
-    digits.parse().unwrap_or(0)
-}
-
-/// A camera's pose in the world.
-#[derive(Clone, Debug)]
-pub(super) struct CameraPose {
-    line: usize,
-    pub(super) stamp_s: Option<f64>,
-    pub(super) position: Vector3<f64>,
-    pub(super) rotation: Matrix3<f64>,
-}
-
-type ParsePose = fn(&[(usize, Vec<f64>)]) -> Result<CameraPose, LineFault>;
-
-/// The files of poses, the lines of each pose in them, and how these are read.
-const POSE_FILES: [(&str, usize, ParsePose); 2] =
-    [("trajectory.log", 5, CameraPose::from_matrix), ("pose.txt", 1, CameraPose::from_quaternion)];
-
-/// Whether a folder has a file of poses.
-pub(super) fn has_poses(folder: &Path) -> bool {
-    POSE_FILES.iter().any(|(name, ..)| folder.join(name).is_file())
-}
-
-/// The file of a folder's poses, and the poses in it.
-pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), LogError> {
-    let Some((name, lines_each, parse)) =
-        POSE_FILES.into_iter().find(|(name, ..)| folder.join(name).is_file())
-    else {
-        let path = folder.to_owned();
-        return Err(LogError::Empty { path, record: "pose.txt or trajectory.log" });
-    };
-
-    let path = folder.join(name);
-    let fault_at = |line, fault| LogError::Line { path: path.clone(), line, fault };
-    let mut rows = Vec::new();
-    let mut lines = Lines::open(&path)?;
-    while let Some(line) = lines.next() {
-        let (at, text) = line?;
-        if text.trim_ascii().is_empty() || text.starts_with('#') {
-            continue;
-        }
-        let numbers: Result<Vec<f64>, _> =
-            text.split_ascii_whitespace().map(|word| number(word, Field::Named("pose"))).collect();
-        rows.push((at, numbers.map_err(|fault| fault_at(at, fault))?));
-    }
-    let poses: Result<Vec<_>, _> = rows
-        .chunks(lines_each)
-        .map(|rows| parse(rows).map_err(|fault| fault_at(rows[0].0, fault)))
-        .collect();
-    Ok((path.clone(), poses?))
-}
-
-impl CameraPose {
-    /// `[time] x y z qx qy qz qw`.
-    fn from_quaternion(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
-        let (line, numbers) = &rows[0];
-        let (stamp_s, pose) = match numbers.as_slice() {
-            [time, pose @ ..] if pose.len() == 7 => (Some(*time), pose),
-            pose => (None, pose),
-        };
-        let &[x, y, z, qx, qy, qz, qw] = pose else {
-            return Err(LineFault::Fields { found: numbers.len(), expected: 7 });
-        };
-        let quaternion = Quaternion::new(qw, qx, qy, qz);
-        if !(0.9..1.1).contains(&quaternion.norm()) {
-            return Err(LineFault::NoRotation);
-        }
-        let rotation = UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix();
-        Self::new(*line, stamp_s, [x, y, z], *rotation.matrix())
-    }
-
-    /// Three numbers (of the frames), then a matrix of four rows.
-    fn from_matrix(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
-        let [_, matrix @ ..] = rows else { return Err(LineFault::NoRotation) };
-        if let Some((_, row)) = matrix.iter().find(|(_, row)| row.len() != 4) {
-            return Err(LineFault::Fields { found: row.len(), expected: 4 });
-        }
-        let [a, b, c, _] = matrix else {
-            return Err(LineFault::Fields { found: 4 * matrix.len(), expected: 16 });
-        };
-        let [a, b, c] = [&a.1, &b.1, &c.1];
-        let rotation = Matrix3::new(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]);
-        let departure = (rotation * rotation.transpose() - Matrix3::identity()).norm();
-        if departure > 0.1 || rotation.determinant() < 0.0 {
-            return Err(LineFault::NoRotation);
-        }
-        Self::new(rows[0].0, None, [a[3], b[3], c[3]], rotation)
-    }
-
-    fn new(
-        line: usize,
-        stamp_s: Option<f64>,
-        position: [f64; 3],
-        rotation: Matrix3<f64>,
-    ) -> Result<Self, LineFault> {
-        for value in position {
-            coordinate(value, Field::Named("position"))?;
-        }
-        Ok(Self { line, stamp_s, position: Vector3::from(position), rotation })
-    }
-
-    fn forward(&self) -> Vector3<f64> {
-        self.rotation.column(2).into_owned()
-    }
 }
 
 /// The horizontal plane of a world, and `map`'s axes in it.
@@ -287,7 +153,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        log::Sensor,
+        recording::{self, Sensor, scans::odometry::compose},
         testing::{Folder, shared_data},
     };
 
@@ -313,7 +179,7 @@ mod tests {
 
     #[test]
     fn rows_and_poses_come_from_the_frames_in_their_order() {
-        let log = super::super::read(two_frames("rgbd").path(), None, Slicing::default()).unwrap();
+        let log = recording::read(two_frames("rgbd").path(), None, Slicing::default()).unwrap();
         assert_eq!(log.sensor, Sensor::Pinhole { fx: 2.0, cx: 1.5, width: 4 });
         assert_eq!(log.scans[0].readings_mm, [0, 1_000, 2_000, 0]);
         assert_eq!(log.scans[1].readings_mm, [5; 4]);
@@ -381,7 +247,7 @@ mod tests {
         measured
             .map(|(column, depth)| {
                 let x = f64::from(*depth) / 1000.0;
-                let point = super::super::compose(pose, [x, (cx - column as f64) * x / fx, 0.0]);
+                let point = compose(pose, [x, (cx - column as f64) * x / fx, 0.0]);
                 [point[0], point[1]]
             })
             .collect()
@@ -394,7 +260,7 @@ mod tests {
             [("rgbd_redwood", 0.9), ("rgbd_frames/icl_nuim", 0.15), ("rgbd_frames/handheld", 0.4)]
         {
             let Some(folder) = shared_data(name) else { continue };
-            let log = super::super::read(&folder, None, Slicing::default()).unwrap();
+            let log = recording::read(&folder, None, Slicing::default()).unwrap();
             assert_eq!((log.scans.len(), log.sensor.readings()), (5, 640), "{name}");
             let mut matched = 0;
             let mut measured = 0;

@@ -6,9 +6,15 @@
 use std::{f64::consts::PI, path::Path};
 
 use super::{
-    Field, Format, LineFault, Log, LogError, LoggedScan, Sensor, compose,
+    odometry::compose,
+    scan_log::{Log, LoggedScan},
+    sensor::Sensor,
+};
+use crate::recording::{
+    error::{Field, LineFault, LogError},
+    format::Format,
     lines::{Lines, number, reading},
-    times,
+    time_stamps,
 };
 
 const FIELDS: usize = 707;
@@ -48,7 +54,7 @@ pub(super) fn read(path: &Path) -> Result<Log, LogError> {
     }
 
     let stamps: Vec<f64> = records.iter().map(|record| record.stamp_s).collect();
-    let (times, note) = times::repair(Some(&stamps), records.len());
+    let (times, note) = time_stamps::repair(Some(&stamps), records.len());
     let mut notes: Vec<String> = note.into_iter().collect();
     let elapsed_s = times.windows(2).map(|pair| (pair[1].micros() - pair[0].micros()) as f64 / 1e6);
     let (poses, lost) = dead_reckon(&records, elapsed_s);
@@ -149,7 +155,7 @@ fn wheel_step_m(before: f64, after: f64, elapsed_s: f64) -> Option<f64> {
 mod tests {
     use super::*;
     use crate::{
-        log::Slicing,
+        recording::{self, Slicing},
         testing::{Folder, shared_data},
     };
 
@@ -203,7 +209,7 @@ mod tests {
     fn recorded_logs_are_read() {
         let Some(folder) = shared_data("mines_coreslam") else { return };
         for (file, scans) in [("exp1.dat.gz", 756), ("exp2.dat.gz", 641)] {
-            let log = super::super::read(&folder.join(file), None, Slicing::default()).unwrap();
+            let log = recording::read(&folder.join(file), None, Slicing::default()).unwrap();
             assert_eq!((log.format, log.scans.len()), (Format::Mines, scans));
             assert_eq!(log.notes, Vec::<String>::new());
         }

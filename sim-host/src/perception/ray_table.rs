@@ -1,24 +1,24 @@
-//! What a camera that stands still can see: the ray of each of its pixels among the cells of the
-//! map, found once.
+//! The rays of a fixed depth camera's pixels in the coordinates of the map's cells, computed once.
 
 use ubimap_protocol::units::Millimetres;
 
-use crate::camera::Lens;
+use super::depth_sigma::DepthSigma;
+use crate::camera::{DepthNoise, Lens};
 
-/// Cells along a ray are counted in 2^-24 of a cell, heights in 2^-16 mm.
+/// Fixed-point fractions: positions along a ray in 2^-24 of a cell, heights in 2^-16 mm.
 const CELL_SHIFT: u32 = 24;
 const HEIGHT_SHIFT: u32 = 16;
 
-/// What is asked of all cameras alike.
+/// Settings of perception that all cameras share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Survey {
     /// The side of a cell.
     pub side: Millimetres,
-    /// What is higher than the robots does not block them.
+    /// Robots pass under whatever is higher.
     pub robot_height: Millimetres,
-    /// Whatever is no higher above `map`'s plane, or no deeper below it, is floor.
+    /// Points within this distance of `map`'s plane are floor.
     pub floor_tolerance: Millimetres,
-    /// Nothing is believed that is deeper than this in an image.
+    /// Greater depths are ignored.
     pub reach: Millimetres,
 }
 
@@ -33,33 +33,34 @@ impl Default for Survey {
     }
 }
 
-/// Where the point of a pixel is. Cells are numbered row by row from the south-west.
+/// Where the point of a pixel lies: the cell and its height zone. Cells are numbered row by row from
+/// the south-west.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
-    /// Deep below the floor, beyond the reach: no place at all.
+pub(super) enum Zone {
+    /// No measurement: below the floor or beyond the reach.
     Nowhere,
     /// On the floor of a cell.
     Floor(u32),
-    /// In the way of the robots, at a height in millimetres.
+    /// An obstacle, at a height in millimetres.
     Band(u32, u16),
     /// Higher than the robots.
     Above(u32, u16),
 }
 
-/// Allowance for noise, two sigmas, when it is told whether a point is on the floor.
+/// How noisy a depth is. Points within the floor tolerance plus two sigmas count as floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Allowance {
-    /// It is known to be no noise.
+    /// No noise is allowed for.
     None,
-    /// The mean of so many measurements that it is good to half a cell.
+    /// A mean good to half a cell.
     Learnt,
-    /// A measurement.
+    /// A single measurement.
     Measured,
-    /// The mean of so many measurements.
+    /// The mean of this number of measurements.
     Mean(u32),
 }
 
-/// One pixel's ray, for each millimetre of depth.
+/// The step along one pixel's ray per millimetre of depth, in fixed point.
 #[derive(Clone, Copy, Debug)]
 struct Ray {
     x: i32,
@@ -67,13 +68,14 @@ struct Ray {
     up: i32,
 }
 
-/// The view of one camera.
+/// The ray of each pixel of one depth camera, over the rectangle of cells that it can see.
 #[derive(Clone, Debug)]
-pub struct View {
+pub struct RayTable {
     survey: Survey,
+    sigma: DepthSigma,
     size: (u32, u32),
     rays: Vec<Ray>,
-    /// For each cell, the pixels whose rays meet the floor in it.
+    /// For each cell, the number of pixels whose rays meet the floor in it.
     expected: Vec<u32>,
     /// The south-west cell, in the cells of `map`.
     first: (i32, i32),
@@ -84,15 +86,10 @@ pub struct View {
     eye_height: i64,
 }
 
-/// The noise of a depth, one sigma in millimetres: a D435's disparity of 640 x 480 pixels is good
-/// to 0.08 of a pixel.
-pub(super) fn noise_mm(depth: i64) -> i64 {
-    1 + depth * depth / 240_000
-}
-
-impl View {
-    /// What a depth sensor sees. Costs some 50 ns for each pixel, more where the lens distorts.
-    pub fn new(lens: &Lens, survey: Survey) -> Self {
+impl RayTable {
+    /// The rays of a depth sensor. Costs some 50 ns per pixel, more if the lens distorts. Size: 12
+    /// bytes per pixel.
+    pub fn new(lens: &Lens, noise: &DepthNoise, survey: Survey) -> Self {
         let intrinsics = lens.intrinsics();
         let size = (intrinsics.width, intrinsics.height);
         let side_mm = f64::from(survey.side.0.max(1));
@@ -128,8 +125,9 @@ impl View {
             y: fixed(direction.y / side_mm, CELL_SHIFT) as i32,
             up: fixed(direction.z, HEIGHT_SHIFT) as i32,
         };
-        let view = Self {
+        let table = Self {
             survey,
+            sigma: DepthSigma::of(noise),
             size,
             rays: directions.iter().map(ray).collect(),
             expected: Vec::new(),
@@ -139,14 +137,14 @@ impl View {
             eye,
             eye_height: fixed(eye_mm.z, HEIGHT_SHIFT) as i64,
         };
-        let mut expected = vec![0; view.cells()];
-        for cell in view.rays.iter().filter_map(|ray| view.floor_under(*ray)) {
+        let mut expected = vec![0; table.cells()];
+        for cell in table.rays.iter().filter_map(|ray| table.floor_under(*ray)) {
             expected[cell as usize] += 1;
         }
-        Self { expected, ..view }
+        Self { expected, ..table }
     }
 
-    /// The pixels of a row, and the rows.
+    /// Width and height of the image in pixels.
     pub fn size(&self) -> (u32, u32) {
         self.size
     }
@@ -159,24 +157,24 @@ impl View {
         self.rays.len()
     }
 
-    /// How many cells it is about.
+    /// Number of cells in the rectangle.
     pub fn cells(&self) -> usize {
         (self.columns * self.rows) as usize
     }
 
-    /// The pixels that see the floor of a cell, if nothing stands in between.
+    /// Number of pixels that see the floor of a cell if nothing occludes it.
     pub(super) fn expected(&self, cell: usize) -> u32 {
         self.expected[cell]
     }
 
-    /// A cell in the coordinates of `map`.
+    /// The grid coordinates of a cell in `map`.
     pub(super) fn in_map(&self, cell: usize) -> (i32, i32) {
         let columns = self.columns as usize;
         let (x, y) = (cell % columns, cell / columns);
         (self.first.0 + x as i32, self.first.1 + y as i32)
     }
 
-    /// A cell of `map`, if it is in the rectangle.
+    /// The index of a cell of `map`, if it is in the rectangle.
     pub(super) fn index(&self, (x, y): (i32, i32)) -> Option<usize> {
         let column = u32::try_from(x - self.first.0).ok().filter(|it| *it < self.columns)?;
         let row = u32::try_from(y - self.first.1).ok().filter(|it| *it < self.rows)?;
@@ -189,35 +187,41 @@ impl View {
         (self.first.0 + cells(self.eye.0), self.first.1 + cells(self.eye.1))
     }
 
-    /// Where a pixel's point is at a depth in millimetres.
+    /// The standard deviation of a measured depth, both in millimetres.
     #[inline]
-    pub(super) fn place(&self, pixel: usize, depth: u16, allowance: Allowance) -> Place {
+    pub(super) fn sigma_mm(&self, depth: u16) -> i64 {
+        self.sigma.mm(depth)
+    }
+
+    /// Where a pixel's point lies at a depth in millimetres.
+    #[inline]
+    pub(super) fn zone(&self, pixel: usize, depth: u16, allowance: Allowance) -> Zone {
         let ray = self.rays[pixel];
-        let depth = i64::from(depth);
-        if depth == 0 || depth > i64::from(self.survey.reach.0) {
-            return Place::Nowhere;
+        let millimetres = i64::from(depth);
+        if depth == 0 || millimetres > i64::from(self.survey.reach.0) {
+            return Zone::Nowhere;
         }
         let up = i64::from(ray.up);
-        let height = (self.eye_height + up * depth) >> HEIGHT_SHIFT;
+        let height = (self.eye_height + up * millimetres) >> HEIGHT_SHIFT;
         let sigma = match allowance {
             Allowance::None => 0,
-            Allowance::Learnt => noise_mm(depth).min(i64::from(self.survey.side.0) / 2),
-            Allowance::Measured => noise_mm(depth),
-            Allowance::Mean(count) => noise_mm(depth) / i64::from(count.isqrt().max(1)),
+            Allowance::Learnt => self.sigma_mm(depth).min(i64::from(self.survey.side.0) / 2),
+            Allowance::Measured => self.sigma_mm(depth),
+            Allowance::Mean(count) => self.sigma_mm(depth) / i64::from(count.isqrt().max(1)),
         };
         let noise = (2 * sigma * up.abs()) >> HEIGHT_SHIFT;
         let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
-        let Some(cell) = self.cell(ray, depth).filter(|_| height >= -tolerance) else {
-            return Place::Nowhere;
+        let Some(cell) = self.cell(ray, millimetres).filter(|_| height >= -tolerance) else {
+            return Zone::Nowhere;
         };
         if height <= tolerance {
-            return Place::Floor(cell);
+            return Zone::Floor(cell);
         }
         let millimetres = height.min(i64::from(u16::MAX)) as u16;
         if height <= i64::from(self.survey.robot_height.0) {
-            Place::Band(cell, millimetres)
+            Zone::Band(cell, millimetres)
         } else {
-            Place::Above(cell, millimetres)
+            Zone::Above(cell, millimetres)
         }
     }
 

@@ -2,11 +2,12 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use super::{
-    Field,
-    camera_folder::{FramesError, PICTURE_KINDS},
+use super::error::FramesError;
+use crate::recording::{
+    error::Field,
     lines::{Lines, number},
-    rgbd, times,
+    numbered_files::{PICTURE_KINDS, digits_of, number_in},
+    time_stamps,
 };
 
 /// The name of the file.
@@ -90,7 +91,7 @@ fn parse(words: &[&str]) -> Result<(u128, FrameTime), String> {
     }
     let file = Path::new(name);
     let is_image = file.extension().is_some_and(|it| PICTURE_KINDS.iter().any(|kind| it == *kind));
-    let frame = if is_image { rgbd::number_in(file) } else { rgbd::digits_of(name) };
+    let frame = if is_image { number_in(file) } else { digits_of(name) };
     Ok((frame, FrameTime { captured_s, arrived_s }))
 }
 
@@ -110,7 +111,7 @@ pub(super) fn by_rule(
     stamps: Option<Vec<f64>>,
 ) -> (FrameTimes, Option<String>) {
     let stamps = stamps.filter(|stamps| stamps.len() == frames.len());
-    let (times, note) = times::repair(stamps.as_deref(), frames.len());
+    let (times, note) = time_stamps::repair(stamps.as_deref(), frames.len());
     let seconds = times.into_iter().map(|time| time.micros() as f64 / 1e6);
     let times = seconds.map(|time| FrameTime { captured_s: time, arrived_s: time });
     (frames.zip(times).collect(), note)

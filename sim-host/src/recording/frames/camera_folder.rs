@@ -1,4 +1,4 @@
-//! The folder of one recorded camera. The form of such a folder is told in [`frames`](super::frames).
+//! The folder of one recorded camera; [`frames`](super) describes its layout.
 
 use std::{
     collections::BTreeMap,
@@ -9,158 +9,29 @@ use image::ColorType;
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
 
 use super::{
-    FrameFault, LogError,
-    frame_times::{self, FrameTime, TIMES_FILE},
-    intrinsics::{self, Intrinsics},
-    rgbd::{self, CameraPose},
+    error::FramesError,
+    frame_times::{self, FrameTime, FrameTimes, TIMES_FILE},
 };
 use crate::{
-    camera::{self, Calibration, CalibrationError, Lens},
-    grid::{RasterError, raster},
+    camera::{self, Calibration, CalibrationError, DepthNoise, Lens},
+    grid::raster,
+    recording::{
+        camera_poses::{CameraPose, has_poses, read_poses},
+        error::{FrameFault, LogError},
+        intrinsics::{self, DepthNoiseFile, IntrinsicsFile},
+        numbered_files::{PICTURE_KINDS, depth_images, files_in, number_in},
+    },
 };
 
 /// Where the pictures are.
 pub(super) const PICTURES: &str = "color";
-/// What is read as a picture.
-pub(super) const PICTURE_KINDS: [&str; 7] = ["png", "jpg", "jpeg", "bmp", "ppm", "pgm", "pnm"];
 
-/// Why recorded frames can't be watched. Each is one line.
-#[derive(Debug, thiserror::Error)]
-pub enum FramesError {
-    /// What depth images, poses and intrinsics share with logs.
-    #[error(transparent)]
-    Log(#[from] LogError),
-    /// No camera is recorded there.
-    #[error(
-        "{path}: no camera in it: neither here nor in a folder below is there a depth/, a color/ \
-         or a pose.txt",
-        path = path.display()
-    )]
-    NoCamera {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// More cameras than any room has.
-    #[error(
-        "{path}: {cameras} cameras in all, and no more than {most} can be watched; a camera that \
-         stands still has one pose, not one for each image",
-        path = path.display()
-    )]
-    TooMany {
-        /// The folder of the camera with which they are too many.
-        path: PathBuf,
-        /// Cameras so far.
-        cameras: usize,
-        /// Those that can be watched.
-        most: usize,
-    },
-    /// No camera can be like that.
-    #[error("{path}: {error}", path = path.display())]
-    Calibration {
-        /// The folder.
-        path: PathBuf,
-        /// Why not.
-        error: CalibrationError,
-    },
-    /// A camera on the floor or below it.
-    #[error(
-        "{path}: its camera is at a height of {height_m} m; it must be above the floor: a pose is \
-         that of the camera in map, with z up and the floor at 0",
-        path = path.display()
-    )]
-    NotAboveFloor {
-        /// The folder.
-        path: PathBuf,
-        /// Above the floor.
-        height_m: f64,
-    },
-    /// Not one pose, nor one for each frame.
-    #[error("{path}: {frames} frames but {poses} poses; write one pose, or one for each frame",
-        path = path.display())]
-    Poses {
-        /// The file of the poses.
-        path: PathBuf,
-        /// Frames in the folder.
-        frames: usize,
-        /// Poses in the file.
-        poses: usize,
-    },
-    /// Pictures with a pose of their own, of a camera that moves.
-    #[error(
-        "{path}: depth images and pictures each have a file of poses, so that there must be one \
-         pose in each; leave this one out for a camera that moves",
-        path = path.display()
-    )]
-    TwoMoving {
-        /// The file of the pictures' poses.
-        path: PathBuf,
-    },
-    /// An image that can't be read.
-    #[error("{path}: {error}; remove the file to go on without it", path = path.display())]
-    Damaged {
-        /// The image.
-        path: PathBuf,
-        /// What is wrong with it.
-        error: RasterError,
-    },
-    /// Two images of one sensor with one number.
-    #[error("{path}: has the number {number} in its name, as {other} has; number them apart",
-        path = path.display(), other = other.display())]
-    SameNumber {
-        /// The image.
-        path: PathBuf,
-        /// The other one.
-        other: PathBuf,
-        /// The number.
-        number: u128,
-    },
-    /// A line of the times that can't be right.
-    #[error("{path}:{line}: {reason}", path = path.display())]
-    Time {
-        /// The file of the times.
-        path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong with it, and what it should be.
-        reason: String,
-    },
-    /// An image without a time where others have one.
-    #[error("{path}: no line in {times} for number {number}; add one, or remove the image",
-        path = path.display(), times = times.display())]
-    NoTime {
-        /// The image.
-        path: PathBuf,
-        /// The file of the times.
-        times: PathBuf,
-        /// The number of the image.
-        number: u128,
-    },
-    /// Some cameras have times and some have not.
-    #[error("{path}: missing, but {other} is there; all cameras need their times, by one clock",
-        path = path.display(), other = other.display())]
-    NoClock {
-        /// The file that is missing.
-        path: PathBuf,
-        /// The file of another camera.
-        other: PathBuf,
-    },
-    /// Cameras whose times have nothing to do with each other.
-    #[error("{path}: begins more than a day after {other}; all cameras need one clock",
-        path = path.display(), other = other.display())]
-    OtherClock {
-        /// The file of the camera that is late.
-        path: PathBuf,
-        /// The file of the first camera.
-        other: PathBuf,
-    },
-}
-
-/// One sensor of a camera.
+/// One sensor of a camera: its intrinsics and poses as the files state them.
 #[derive(Debug)]
-pub(super) struct Sensor {
-    /// Those of its images as they are on disk.
-    pub(super) intrinsics: Intrinsics,
-    /// Where it is: one pose, or one for each frame.
+pub(super) struct SensorFiles {
+    /// Of the images as they are on disk.
+    pub(super) intrinsics: IntrinsicsFile,
+    /// One for all frames, or one per frame.
     poses: Vec<CameraPose>,
 }
 
@@ -168,7 +39,7 @@ pub(super) struct Sensor {
 #[derive(Debug)]
 pub(super) struct FrameFiles {
     pub(super) time: FrameTime,
-    /// Which calibration of the folder it is of.
+    /// Index into [`CameraFolder::calibrations`].
     pub(super) calibration: usize,
     pub(super) depth: Option<PathBuf>,
     pub(super) picture: Option<PathBuf>,
@@ -178,17 +49,17 @@ pub(super) struct FrameFiles {
 #[derive(Debug)]
 pub(super) struct CameraFolder {
     pub(super) path: PathBuf,
-    /// One, or one for each frame.
+    /// One for all frames, or one per frame.
     pub(super) calibrations: Vec<Calibration>,
-    pub(super) depth: Option<Sensor>,
-    pub(super) picture: Option<Sensor>,
+    pub(super) depth: Option<SensorFiles>,
+    pub(super) picture: Option<SensorFiles>,
     /// In the order of their numbers.
     pub(super) frames: Vec<FrameFiles>,
-    /// Frames that have a time, and no image.
+    /// Number of frames that have a time but no image.
     pub(super) lost: u64,
     /// Whether the times are those of a clock that other cameras share.
     pub(super) has_clock: bool,
-    /// What the user should know.
+    /// Notes for the user, one line each.
     pub(super) notes: Vec<String>,
 }
 
@@ -198,7 +69,7 @@ type Images = BTreeMap<u128, (Option<PathBuf>, Option<PathBuf>)>;
 /// The folders of cameras in a folder: itself, or those below, in the order of their names.
 pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
     let is_camera = |path: &Path| {
-        path.join("depth").is_dir() || path.join(PICTURES).is_dir() || rgbd::has_poses(path)
+        path.join("depth").is_dir() || path.join(PICTURES).is_dir() || has_poses(path)
     };
     if is_camera(path) {
         return Ok(vec![path.to_owned()]);
@@ -217,52 +88,29 @@ pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
 }
 
 impl CameraFolder {
-    /// Reads all of a folder but the pixels; of these it makes sure that they are as many as the
-    /// intrinsics say.
+    /// Reads everything but the pixels, and checks that the images have the size of the intrinsics.
     pub(super) fn open(path: &Path) -> Result<Self, FramesError> {
         let times_file = path.join(TIMES_FILE);
-        // Where there are times, images that are not there were lost.
-        let or_lost = |images| match images {
-            Err(LogError::Empty { .. }) if times_file.is_file() => Ok(Vec::new()),
-            images => images,
-        };
-        let pictures = path.join(PICTURES);
-        let picture_files =
-            if pictures.is_dir() { or_lost(picture_files(&pictures))? } else { Vec::new() };
-        let depth_files = match rgbd::depth_images(path) {
-            Err(LogError::Empty { path: place, .. })
-                if place == path && !picture_files.is_empty() =>
-            {
-                Vec::new()
-            }
-            images => or_lost(images)?,
-        };
+        let (depth_files, picture_files) = image_files(path, times_file.is_file())?;
         let has_pictures = !picture_files.is_empty();
         let images = pair(&depth_files, picture_files)?;
 
         let (mut notes, mut depth, mut picture) = (Vec::new(), None, None);
         if !depth_files.is_empty() {
-            let (sensor, note) = Sensor::of_depth(path, images.len(), &depth_files)?;
+            let (sensor, note) = SensorFiles::of_depth(path, images.len(), &depth_files)?;
             notes.extend(note);
             depth = Some(sensor);
         }
         if has_pictures {
-            picture = Some(Sensor::of_pictures(path, &pictures, images.len(), depth.as_ref())?);
+            picture = Some(SensorFiles::of_pictures(path, images.len(), depth.as_ref())?);
         }
-        for (depth_file, picture_file) in images.values() {
-            if let (Some(sensor), Some(file)) = (&depth, depth_file) {
-                sensor.check(file, Some(ColorType::L16))?;
-            }
-            if let (Some(sensor), Some(file)) = (&picture, picture_file) {
-                sensor.check(file, None)?;
-            }
-        }
+        check_sizes(&images, depth.as_ref(), picture.as_ref())?;
         let calibrations = calibrations(path, images.len(), depth.as_ref(), picture.as_ref())?;
 
         let stated = frame_times::read(&times_file)?;
         let has_clock = stated.is_some();
         let times = stated.unwrap_or_else(|| {
-            let stamps = depth.as_ref().or(picture.as_ref()).and_then(Sensor::stamps);
+            let stamps = depth.as_ref().or(picture.as_ref()).and_then(SensorFiles::stamps);
             let (times, note) = frame_times::by_rule(images.keys().copied(), stamps);
             notes.extend(note);
             times
@@ -271,15 +119,7 @@ impl CameraFolder {
             notes.push("no image in it: none came".to_owned());
         }
         let lost = times.keys().filter(|number| !images.contains_key(number)).count() as u64;
-        let mut frames = Vec::new();
-        for (index, (number, (depth, picture))) in images.into_iter().enumerate() {
-            let Some(&time) = times.get(&number) else {
-                let path = depth.or(picture).unwrap_or_default();
-                return Err(FramesError::NoTime { path, times: times_file, number });
-            };
-            let calibration = index.min(calibrations.len() - 1);
-            frames.push(FrameFiles { time, calibration, depth, picture });
-        }
+        let frames = frames(images, &times, &times_file, calibrations.len())?;
         let path = path.to_owned();
         Ok(Self { path, calibrations, depth, picture, frames, lost, has_clock, notes })
     }
@@ -291,7 +131,7 @@ impl CameraFolder {
     }
 }
 
-impl Sensor {
+impl SensorFiles {
     /// With a note where the intrinsics are a guess.
     fn of_depth(
         folder: &Path,
@@ -312,10 +152,10 @@ impl Sensor {
     /// What the pictures' own folder does not say is as that of the camera says.
     fn of_pictures(
         folder: &Path,
-        pictures: &Path,
         frames: usize,
         depth: Option<&Self>,
     ) -> Result<Self, FramesError> {
+        let pictures = &folder.join(PICTURES);
         let own = intrinsics::stated(pictures)?;
         let of_depth = depth.map(|depth| depth.intrinsics.clone());
         let intrinsics = match own.or(of_depth) {
@@ -323,15 +163,15 @@ impl Sensor {
             None => intrinsics::stated(folder)?.ok_or_else(|| intrinsics::missing(pictures))?,
         };
         let poses = match depth {
-            Some(depth) if rgbd::has_poses(pictures) => {
-                let (path, own) = rgbd::read_poses(pictures)?;
+            Some(depth) if has_poses(pictures) => {
+                let (path, own) = read_poses(pictures)?;
                 if own.len() != 1 || depth.poses.len() != 1 {
                     return Err(FramesError::TwoMoving { path });
                 }
                 own
             }
             Some(depth) => depth.poses.clone(),
-            None if rgbd::has_poses(pictures) => poses(pictures, frames)?,
+            None if has_poses(pictures) => poses(pictures, frames)?,
             None => poses(folder, frames)?,
         };
         Ok(Self { intrinsics, poses })
@@ -365,7 +205,8 @@ impl Sensor {
 
     /// As it is in a frame, whose first row is the top one.
     fn lens(&self, frame: usize) -> Result<Lens, CalibrationError> {
-        let Intrinsics { width, height, fx, fy, cx, mut cy, mut distortion, .. } = self.intrinsics;
+        let IntrinsicsFile { width, height, fx, fy, cx, mut cy, mut distortion, .. } =
+            self.intrinsics;
         if self.is_upside_down() {
             cy = f64::from(height) - 1.0 - cy;
             // What bends the image downwards.
@@ -383,8 +224,28 @@ impl Sensor {
     }
 }
 
+/// The depth images and the pictures of a camera's folder. With a file of times either may be missing:
+/// the images were then lost.
+fn image_files(
+    folder: &Path,
+    has_times: bool,
+) -> Result<(Vec<PathBuf>, Vec<PathBuf>), FramesError> {
+    let or_lost = |images| match images {
+        Err(LogError::Empty { .. }) if has_times => Ok(Vec::new()),
+        images => images,
+    };
+    let pictures = folder.join(PICTURES);
+    let pictures = if pictures.is_dir() { or_lost(picture_files(&pictures))? } else { Vec::new() };
+    let depths = match depth_images(folder) {
+        // A camera without a depth sensor.
+        Err(LogError::Empty { path, .. }) if path == folder && !pictures.is_empty() => Vec::new(),
+        images => or_lost(images)?,
+    };
+    Ok((depths, pictures))
+}
+
 fn picture_files(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
-    let files = rgbd::files_in(folder, &PICTURE_KINDS)?;
+    let files = files_in(folder, &PICTURE_KINDS)?;
     if files.is_empty() {
         let record = "picture (.png, .jpg, .bmp, .ppm or .pgm)";
         return Err(LogError::Empty { path: folder.to_owned(), record });
@@ -396,7 +257,7 @@ fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesErro
     let mut images = Images::new();
     let depths = depths.iter().cloned().map(|path| (path, false));
     for (path, is_picture) in depths.chain(pictures.into_iter().map(|path| (path, true))) {
-        let number = rgbd::number_in(&path);
+        let number = number_in(&path);
         let (depth, picture) = images.entry(number).or_default();
         let place = if is_picture { picture } else { depth };
         if let Some(other) = place.replace(path.clone()) {
@@ -406,9 +267,46 @@ fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesErro
     Ok(images)
 }
 
+/// Checks that all images have the size of their sensor's intrinsics.
+fn check_sizes(
+    images: &Images,
+    depth: Option<&SensorFiles>,
+    picture: Option<&SensorFiles>,
+) -> Result<(), FramesError> {
+    for (depth_file, picture_file) in images.values() {
+        if let (Some(sensor), Some(file)) = (depth, depth_file) {
+            sensor.check(file, Some(ColorType::L16))?;
+        }
+        if let (Some(sensor), Some(file)) = (picture, picture_file) {
+            sensor.check(file, None)?;
+        }
+    }
+    Ok(())
+}
+
+/// The frames with their times, in the order of their numbers.
+fn frames(
+    images: Images,
+    times: &FrameTimes,
+    times_file: &Path,
+    calibrations: usize,
+) -> Result<Vec<FrameFiles>, FramesError> {
+    let frame = |(index, (number, (depth, picture))): (usize, (u128, _))| {
+        let calibration = index.min(calibrations - 1);
+        match times.get(&number) {
+            Some(&time) => Ok(FrameFiles { time, calibration, depth, picture }),
+            None => {
+                let path = Option::or(depth, picture).unwrap_or_default();
+                Err(FramesError::NoTime { path, times: times_file.to_owned(), number })
+            }
+        }
+    };
+    images.into_iter().enumerate().map(frame).collect()
+}
+
 /// The poses of a folder: one, or as many as frames.
 fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
-    let (path, poses) = rgbd::read_poses(folder)?;
+    let (path, poses) = read_poses(folder)?;
     if poses.len() != 1 && poses.len() != frames {
         return Err(FramesError::Poses { path, frames, poses: poses.len() });
     }
@@ -418,19 +316,25 @@ fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
 fn calibrations(
     path: &Path,
     frames: usize,
-    depth: Option<&Sensor>,
-    picture: Option<&Sensor>,
+    depth: Option<&SensorFiles>,
+    picture: Option<&SensorFiles>,
 ) -> Result<Vec<Calibration>, FramesError> {
     let is_fixed = [depth, picture].into_iter().flatten().all(|sensor| sensor.poses.len() == 1);
     let calibration = |frame| {
-        let lens = |sensor: Option<&Sensor>| sensor.map(|it| it.lens(frame)).transpose();
-        Ok(Calibration { depth: lens(depth)?, picture: lens(picture)? })
+        let lens = |sensor: Option<&SensorFiles>| sensor.map(|it| it.lens(frame)).transpose();
+        let depth_noise = match depth.and_then(|it| it.intrinsics.depth_noise) {
+            Some(DepthNoiseFile { constant_m, quadratic_per_m }) => {
+                DepthNoise::new(constant_m, quadratic_per_m)?
+            }
+            None => DepthNoise::default(),
+        };
+        Ok(Calibration { depth: lens(depth)?, depth_noise, picture: lens(picture)? })
     };
     let calibrations = (0..if is_fixed { 1 } else { frames }).map(calibration);
     let refuse = |error| FramesError::Calibration { path: path.to_owned(), error };
     let calibrations: Vec<Calibration> = calibrations.collect::<Result<_, _>>().map_err(refuse)?;
     // Whoever carries a camera about says where it was in any frame.
-    if let [Calibration { depth, picture }] = &calibrations[..]
+    if let [Calibration { depth, picture, .. }] = &calibrations[..]
         && let Some(lens) = [depth, picture].into_iter().flatten().find(|it| it.centre().z <= 0.0)
     {
         let height_m = lens.centre().z;

@@ -1,66 +1,4 @@
-//! Recorded frames of one or more RGB-D cameras as a source of frames.
-//!
-//! ```text
-//! robots.toml           which robots there are: see `run::registry`
-//! CAMERA/               one folder for each camera; they count in the order of their names.
-//!                       A single camera needs none: what follows may lie beside robots.toml
-//!   pose.txt            where the depth sensor is: x y z qx qy qz qw
-//!   intrinsics.toml     its width, height, fx, fy, cx, cy, distortion and depth_per_metre
-//!   depth/*.png, *.pgm  16-bit grey
-//!   color/*.png ...     pictures, grey or in colour; also .jpg, .bmp, .ppm and .pgm
-//!   color/pose.txt      where the sensor of the pictures is, and
-//!   color/intrinsics.toml  what it is like; what is missing is as the depth sensor's
-//!   times.txt           a line for each frame: NUMBER CAPTURED [ARRIVED]
-//! ```
-//!
-//! Poses, intrinsics and depth images are as [`rgbd`](super::rgbd) tells. A pose is that of the optical
-//! frame (x to the right, y down, z forward) in `map`: metres, z up, the floor at 0. A depth image
-//! and a picture whose names hold the same number are one frame; either may be missing, in one
-//! frame or in all. Times are in seconds by one clock for all cameras, from any beginning; a later
-//! frame has a higher number. Frames come in the order in which they arrived; without ARRIVED, in
-//! that of their capture. A frame with a time and no image was lost. Without any `times.txt` a frame is
-//! taken each second, unless each frame has a pose with a stamp.
-//!
-//! A pose for each frame in place of one makes each a camera of its own: of a hand-held camera,
-//! where nothing is learnt of an empty room.
-//!
-//! `pose.txt` of a camera 2.8 m above the origin that looks straight down, the top of its images
-//! towards +y:
-//!
-//! ```text
-//! 0 0 2.8 1 0 0 0
-//! ```
-//!
-//! `intrinsics.toml`, focal lengths and centre in pixels; without the last two lines there is no
-//! distortion, and depths are in millimetres:
-//!
-//! ```toml
-//! width = 640
-//! height = 480
-//! fx = 525.0
-//! fy = 525.0
-//! cx = 319.5
-//! cy = 239.5
-//! distortion = [0.0, 0.0, 0.0, 0.0, 0.0]  # k1, k2, p1, p2, k3
-//! depth_per_metre = 1000
-//! ```
-//!
-//! `times.txt`; the third frame came before the second:
-//!
-//! ```text
-//! 0001.png 1305031453.25 1305031453.31
-//! 0002.png 1305031453.58 1305031453.99
-//! 0003.png 1305031453.91 1305031453.97
-//! ```
-//!
-//! - All digits of a name make its number (`cam2_0001.png` has 20001): name frames `0001.png`.
-//! - For a camera with pictures alone, `pose.txt` and `intrinsics.toml` beside `color/` are those of
-//!   the pictures.
-//! - Without an `intrinsics.toml`, any `*.json` in the folder is taken for Open3D's camera file: keep
-//!   others away.
-//! - A camera learns its room from 15 depth images that are at least 0.3 s apart, and tells of no
-//!   cell before.
-//! - A frame that arrives more than 5 s after its capture says nothing.
+//! Recorded frames as a source of frames, in the order in which they arrived.
 
 use std::{
     collections::VecDeque,
@@ -75,17 +13,20 @@ use image::{DynamicImage, imageops::flip_vertical_in_place};
 use ubimap_protocol::time::Instant;
 
 use super::{
-    FrameFault, LogError,
-    camera_folder::{self, CameraFolder, FrameFiles, FramesError, Sensor},
+    camera_folder::{self, CameraFolder, FrameFiles, SensorFiles},
+    error::FramesError,
     frame_times::{LONGEST_S, TIMES_FILE},
-    slicing::depths_mm,
 };
 use crate::{
     camera::{Calibration, DepthImage, Frame, FrameSource, Picture},
     grid::raster,
+    recording::{
+        depth_image::depths_mm,
+        error::{FrameFault, LogError},
+    },
 };
 
-/// A server watches no more cameras: each costs megabytes.
+/// Limit on the number of cameras: each costs megabytes.
 const MOST_CAMERAS: usize = 64;
 
 /// Recorded frames of cameras.
@@ -95,11 +36,11 @@ pub struct RecordedFrames {
     calibrations: Vec<Calibration>,
     frames: Vec<u64>,
     lost: Vec<u64>,
-    /// What the clock showed at the beginning, in whole seconds.
+    /// The recording's clock at the origin of this source's time, in whole seconds.
     origin_s: f64,
-    /// In the order of arrival.
+    /// Frames not read yet, in order of arrival.
     rest: VecDeque<Due>,
-    /// Those that are read already.
+    /// Frames read ahead.
     read: VecDeque<(Instant, Result<Frame, FramesError>)>,
     fault: Option<FramesError>,
     notes: Vec<String>,
@@ -117,7 +58,7 @@ struct Due {
 }
 
 impl RecordedFrames {
-    /// Opens folders of cameras, or folders of such folders. All is looked at but the pixels.
+    /// Opens folders of cameras, or folders of such folders. Checks everything but the pixels.
     ///
     /// # Errors
     /// Every [`FramesError`].
@@ -130,7 +71,7 @@ impl RecordedFrames {
         }
         one_clock(&folders)?;
         let captured = folders.iter().flat_map(|it| &it.frames).map(|frame| frame.time.captured_s);
-        // Whole seconds, so that what is counted in them is as it was.
+        // Whole seconds, so that fractions of a second stay what they were.
         let origin_s = captured.reduce(f64::min).unwrap_or(0.0).floor();
         let moment = |seconds: f64| Instant(((seconds - origin_s) * 1e6).round() as u64);
 
@@ -172,17 +113,17 @@ impl RecordedFrames {
         Ok(all)
     }
 
-    /// What the cameras are called.
+    /// The names of the cameras.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// How many frames of each camera have come by now, and how many of all were lost.
+    /// For each camera, the number of frames played so far and of those lost in all.
     pub fn counts(&self) -> impl Iterator<Item = (u64, u64)> {
         self.frames.iter().copied().zip(self.lost.iter().copied())
     }
 
-    /// What the recording's clock shows at a moment of the source's, in seconds.
+    /// The recording's clock at a time of this source, in seconds.
     pub fn clock_s(&self, moment: Instant) -> f64 {
         self.origin_s + moment.micros() as f64 / 1e6
     }
@@ -192,12 +133,12 @@ impl RecordedFrames {
         self.rest.back().map_or(Instant(0), |due| due.arrived)
     }
 
-    /// What the user should know, one line each.
+    /// Notes for the user, one line each.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// The image that could not be read: with it the frames end.
+    /// The error that ended the frames early: an image that can't be read.
     pub fn take_fault(&mut self) -> Option<FramesError> {
         self.fault.take()
     }
@@ -278,7 +219,7 @@ fn one_clock(folders: &[Arc<CameraFolder>]) -> Result<(), FramesError> {
 }
 
 /// Where y points up in an image (a negative focal length), the rows are turned round.
-fn depth_image(path: &Path, sensor: &Sensor) -> Result<DepthImage, FramesError> {
+fn depth_image(path: &Path, sensor: &SensorFiles) -> Result<DepthImage, FramesError> {
     let depths = depths_mm(path, &sensor.intrinsics).map_err(|error| match error {
         LogError::Frame { path, fault: FrameFault::Image(error) } => {
             FramesError::Damaged { path, error }
@@ -294,7 +235,7 @@ fn depth_image(path: &Path, sensor: &Sensor) -> Result<DepthImage, FramesError> 
     Ok(image)
 }
 
-fn read_picture(path: &Path, sensor: &Sensor) -> Result<Picture, FramesError> {
+fn read_picture(path: &Path, sensor: &SensorFiles) -> Result<Picture, FramesError> {
     let mut image = raster::read(path)
         .map_err(|error| FramesError::Damaged { path: path.to_owned(), error })?
         .image;
@@ -309,6 +250,3 @@ fn read_picture(path: &Path, sensor: &Sensor) -> Result<Picture, FramesError> {
         _ => Picture::Colour(image.into_rgb8()),
     })
 }
-
-#[cfg(test)]
-mod tests;

@@ -1,11 +1,10 @@
-//! What the lens of a recorded camera is like, as `intrinsics.toml` or Open3D's camera file says it. The
-//! form is told in [`rgbd`](super::rgbd).
+//! The intrinsics of a recorded camera: `intrinsics.toml` or Open3D's camera file.
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::{LogError, rgbd};
+use super::{error::LogError, numbered_files::files_in};
 use crate::camera;
 
 /// The tangent of 85 degrees: half of the most that a pinhole is taken to see.
@@ -17,7 +16,7 @@ pub(super) const INTRINSICS_FILE: &str = "intrinsics.toml";
 /// What turns a depth image into points.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Intrinsics {
+pub(super) struct IntrinsicsFile {
     pub(super) width: u32,
     pub(super) height: u32,
     pub(super) fx: f64,
@@ -28,7 +27,16 @@ pub(super) struct Intrinsics {
     pub(super) distortion: [f64; 5],
     #[serde(default = "millimetres")]
     pub(super) depth_per_metre: f64,
+    pub(super) depth_noise: Option<DepthNoiseFile>,
     row: Option<u32>,
+}
+
+/// The coefficients of [`camera::DepthNoise`].
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DepthNoiseFile {
+    pub(super) constant_m: f64,
+    pub(super) quadratic_per_m: f64,
 }
 
 fn millimetres() -> f64 {
@@ -43,7 +51,7 @@ struct Open3dCamera {
     intrinsic_matrix: [f64; 9],
 }
 
-impl Intrinsics {
+impl IntrinsicsFile {
     const ICL_NUIM: Self = Self {
         width: 640,
         height: 480,
@@ -53,6 +61,7 @@ impl Intrinsics {
         cy: 239.5,
         distortion: [0.0; 5],
         depth_per_metre: 5000.0,
+        depth_noise: None,
         row: None,
     };
     const HANDHELD: Self = Self {
@@ -64,14 +73,19 @@ impl Intrinsics {
         cy: 253.5,
         distortion: [0.0; 5],
         depth_per_metre: 1000.0,
+        depth_noise: None,
         row: None,
     };
 
-    /// Those of a camera of ours, whose depths are in millimetres.
-    pub(super) fn of(pinhole: &camera::Intrinsics) -> Self {
+    /// The file of a calibrated sensor whose depths are in millimetres.
+    pub(super) fn of(pinhole: &camera::Intrinsics, noise: Option<&camera::DepthNoise>) -> Self {
         let camera::Intrinsics { width, height, fx, fy, cx, cy, distortion } = *pinhole;
         let depth_per_metre = millimetres();
-        Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, row: None }
+        let depth_noise = noise.map(|noise| DepthNoiseFile {
+            constant_m: noise.constant_m(),
+            quadratic_per_m: noise.quadratic_per_m(),
+        });
+        Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, depth_noise, row: None }
     }
 
     /// Refuses what no camera has.
@@ -105,7 +119,7 @@ impl Intrinsics {
 }
 
 /// The intrinsics that a folder states, if it states any.
-pub(super) fn stated(folder: &Path) -> Result<Option<Intrinsics>, LogError> {
+pub(super) fn stated(folder: &Path) -> Result<Option<IntrinsicsFile>, LogError> {
     let toml_file = folder.join(INTRINSICS_FILE);
     let text_of = |path: &Path| {
         std::fs::read_to_string(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
@@ -115,19 +129,19 @@ pub(super) fn stated(folder: &Path) -> Result<Option<Intrinsics>, LogError> {
         LogError::Intrinsics { path: path.to_owned(), reason }
     };
     if toml_file.is_file() {
-        let parsed = toml::from_str::<Intrinsics>(&text_of(&toml_file)?)
+        let parsed = toml::from_str::<IntrinsicsFile>(&text_of(&toml_file)?)
             .map_err(|error| error.message().to_owned());
-        let intrinsics = parsed.and_then(Intrinsics::checked);
+        let intrinsics = parsed.and_then(IntrinsicsFile::checked);
         return Ok(Some(intrinsics.map_err(|reason| refuse(&toml_file, reason))?));
     }
-    if let Some(json_file) = rgbd::files_in(folder, &["json"])?.first() {
+    if let Some(json_file) = files_in(folder, &["json"])?.first() {
         let parsed = serde_json::from_str::<Open3dCamera>(&text_of(json_file)?);
         let intrinsics = parsed.map_err(|error| error.to_string()).and_then(|camera| {
             let [fx, _, _, _, fy, _, cx, cy, _] = camera.intrinsic_matrix;
             let Open3dCamera { width, height, .. } = camera;
             let distortion = [0.0; 5];
             let pinhole = camera::Intrinsics { width, height, fx, fy, cx, cy, distortion };
-            Intrinsics::of(&pinhole).checked()
+            IntrinsicsFile::of(&pinhole, None).checked()
         });
         return Ok(Some(intrinsics.map_err(|reason| refuse(json_file, reason))?));
     }
@@ -144,7 +158,7 @@ pub(super) fn missing(folder: &Path) -> LogError {
 pub(super) fn find(
     folder: &Path,
     images: &[PathBuf],
-) -> Result<(Intrinsics, Option<String>), LogError> {
+) -> Result<(IntrinsicsFile, Option<String>), LogError> {
     if let Some(stated) = stated(folder)? {
         return Ok((stated, None));
     }
@@ -155,13 +169,13 @@ pub(super) fn find(
         images.iter().all(|image| image.extension().is_some_and(|found| found == extension))
     };
     let (intrinsics, whose) = if all_are("png") {
-        (Intrinsics::ICL_NUIM, "ICL-NUIM's")
+        (IntrinsicsFile::ICL_NUIM, "ICL-NUIM's")
     } else if all_are("pgm") {
-        (Intrinsics::HANDHELD, "the slambook hand-held sensor's")
+        (IntrinsicsFile::HANDHELD, "the slambook hand-held sensor's")
     } else {
         return Err(missing(folder));
     };
-    let Intrinsics { fx, fy, cx, cy, depth_per_metre, .. } = intrinsics;
+    let IntrinsicsFile { fx, fy, cx, cy, depth_per_metre, .. } = intrinsics;
     let note = format!(
         "no intrinsics; taking {whose} (fx {fx}, fy {fy}, cx {cx}, cy {cy}, {depth_per_metre} to \
          the metre): write an intrinsics.toml if that is wrong"
