@@ -14,10 +14,12 @@ use ubimap_sim_host::{
     run::{
         fleet::{Event, Fleet, Stage},
         heap::BOUNDS,
-        simulate::{RESOLUTION, Room, config},
+        room_stage::RoomStage,
+        simulate::{RESOLUTION, config},
     },
     world::{Scenario, World},
 };
+use ubimap_tests::deployments::bare;
 
 /// Readings of a scan.
 const BEAMS: usize = 30;
@@ -31,7 +33,7 @@ fn other_formats_are_compared_by_what_is_published() {
     let config = Config { pose_source, ..Config::new(RobotId(1), model, bounds) }.with_drive(None);
     let mut memory = [Memory::new(&bounds)];
     let faults = Faults::default();
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1, None).unwrap();
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(Millimetres(50))).unwrap();
     assert!(fleet.run(&mut OneScan::default(), |_| {}).unwrap());
 
     let mut columns = Vec::new();
@@ -117,7 +119,7 @@ fn sent(mut stage: impl Stage, faults: Faults) -> (u64, u32) {
     let bounds = Bounds { readings: BEAMS, ..BOUNDS };
     let config = Config { pose_source, ..Config::new(RobotId(1), model, bounds) }.with_drive(None);
     let mut memory = [Memory::new(&bounds)];
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1, None).unwrap();
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(Millimetres(50))).unwrap();
     fleet.run(&mut stage, |_| {}).unwrap();
     let vectors = fleet.server().distance_vectors(RobotId(1));
     (fleet.robots()[0].robot().statistics().bytes_sent, vectors)
@@ -210,9 +212,9 @@ fn cross(faults: Faults) -> Seen {
     let robots = world.robots().iter();
     let configs: Vec<_> = robots.map(|robot| config(robot, 1).with_drive(None)).collect();
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, 1, None).unwrap();
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, 1, bare(RESOLUTION)).unwrap();
     let mut seen = Seen::default();
-    let level = fleet.run(&mut Room::new(world, END), |fleet| seen.look(fleet)).unwrap();
+    let level = fleet.run(&mut RoomStage::new(world, END), |fleet| seen.look(fleet)).unwrap();
     assert!(level, "the robots do not hold one map in the end");
 
     // The cameras fall silent: nothing is covered any more, and the robot knows.

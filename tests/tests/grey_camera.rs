@@ -21,7 +21,10 @@ use ubimap_sim_host::{
     run::fleet::{Event, Fleet, Stage},
     run::heap::{BOUNDS, Heap},
 };
-use ubimap_tests::floor_view::{FloorView, Spoils};
+use ubimap_tests::{
+    deployments::bare,
+    floor_view::{FloorView, Spoils},
+};
 
 const VIEW: FloorView = FloorView::USUAL;
 /// The grey of the objects, unless a test says otherwise: the floor is 140.
@@ -260,7 +263,7 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
     let config = config.with_drive(None);
     let mut memory = [Memory::new(&bounds)];
     let mut fleet =
-        Fleet::new(&[config], &mut memory, Faults::default(), Millimetres(50), 1, None).unwrap();
+        Fleet::new(&[config], &mut memory, Faults::default(), 1, bare(Millimetres(50))).unwrap();
     fleet.run(&mut Script { events }, |_| {}).unwrap();
 
     let mut walls = [0; 4];

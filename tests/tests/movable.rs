@@ -14,7 +14,7 @@ use ubimap_sim_host::{
     run::fleet::{Event, Fleet},
     run::heap::BOUNDS,
 };
-use ubimap_tests::script::Script;
+use ubimap_tests::{deployments::bare, script::Script};
 
 const BEAMS: usize = 61;
 /// A cell on the way that is looked along, 1.5 m off.
@@ -31,7 +31,7 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
     let mut memory = [Memory::new(&bounds)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
     let mut fleet =
-        Fleet::new(&[config], &mut memory, faults, config.bounds.resolution, 1, None).unwrap();
+        Fleet::new(&[config], &mut memory, faults, 1, bare(config.bounds.resolution)).unwrap();
     let mut codes = Vec::new();
     let mut millis = 0;
     for &(seconds, stands) in times {

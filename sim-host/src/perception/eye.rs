@@ -2,7 +2,7 @@
 
 use ubimap_protocol::{
     tile::Cell,
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
@@ -16,14 +16,13 @@ use super::{
     things::things,
     tracks::Tracks,
 };
-use crate::camera::{Calibration, DepthImage, Frame, Lens, Observation};
+use crate::{
+    camera::{Calibration, DepthImage, Frame, Lens, Observation},
+    timing::{CLOCK_TOLERANCE, FRAME_LATE},
+};
 
 /// About a robot, where its sides and the error of its pose may put pixels.
 const ROBOT_MARGIN: Millimetres = Millimetres(100);
-/// Frames that are older say nothing of the present.
-const OLDEST: Duration = Duration::from_secs(5);
-/// Clocks may differ by so much.
-const CLOCKS: Duration = Duration::from_millis(100);
 
 /// Why a frame says nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -180,10 +179,10 @@ impl Eye {
             return Err(FrameError::Camera(frame.camera, camera));
         }
         let (early, late) = (frame.captured.since(now), now.since(frame.captured));
-        if early > CLOCKS {
+        if early > CLOCK_TOLERANCE {
             return Err(FrameError::Future { camera, millis: early.micros() / 1_000 });
         }
-        if late > OLDEST {
+        if late > FRAME_LATE {
             return Err(FrameError::Stale { camera, millis: late.micros() / 1_000 });
         }
         let depths = frame.depth.as_ref().ok_or(FrameError::NoDepth(camera))?;

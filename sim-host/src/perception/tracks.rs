@@ -9,10 +9,11 @@ use ubimap_protocol::{
 };
 
 use super::motion::Motion;
-use crate::camera::{LAYERS, Thing};
+use crate::{
+    camera::{LAYERS, Thing},
+    timing::THING_LOST,
+};
 
-/// What has not been seen for so long is gone.
-const MEMORY: Duration = Duration::from_secs(1);
 /// A thing this far from where a track should be is something else, in metres.
 const GATE_M: f64 = 0.8;
 /// Whatever has been this fast, and this far from where it began, has walked: metres a second, and
@@ -118,7 +119,7 @@ impl Tracks {
                 self.lying.extend(track.falls());
             }
         }
-        self.tracks.retain(|track| self.moment.since(track.seen) <= MEMORY);
+        self.tracks.retain(|track| self.moment.since(track.seen) <= THING_LOST);
         for (index, thing) in things.iter().enumerate().filter(|(index, _)| !taken.contains(index))
         {
             self.number = self.number.wrapping_add(1);

@@ -8,11 +8,12 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::{fleet::Fleet, options::MotionName, simulate::RESOLUTION};
+use super::{fleet::Fleet, options::MotionName};
 use crate::{
     camera::FrameSource,
     mapping::ServedLayer,
     report::DrivingSummary,
+    server::coordination::Settings,
     world::{SimRobot, World},
 };
 
@@ -31,14 +32,12 @@ const ALL: f64 = 0.99;
 /// How often it is looked at.
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// Lets the server coordinate the robots that drive themselves.
-pub(super) fn coordinate(fleet: &mut Fleet<'_>, world: &World) {
+/// How robots of a world are told where to drive.
+pub(super) fn coordination(world: &World) -> Settings {
     let ranges = world.robots().iter().map(|robot| robot.sensor().max_range_m());
     let range_m = ranges.fold(f64::INFINITY, f64::min);
-    fleet.coordinate(range_m.min(VIEW_M), range_m, LOOK);
-    for robot in world.robots().iter().filter(|robot| robot.drives()) {
-        fleet.explore(robot.id());
-    }
+    let view_m = range_m.min(VIEW_M);
+    Settings { view_m, range_m, look: LOOK, ..Settings::default() }
 }
 
 /// How a simulated robot drives itself; `None` if it has no route and stands.
@@ -109,7 +108,7 @@ impl BlindGround {
 
     /// Looks whether all is mapped.
     pub(super) fn look(&self, fleet: &Fleet<'_>) {
-        let now = Instant(0) + fleet.elapsed();
+        let now = fleet.now();
         if self.mapped.get().is_none() && now >= self.next.get() {
             self.next.set(now + INTERVAL);
             if self.known(fleet.server().fused()) >= ALL {
@@ -120,11 +119,11 @@ impl BlindGround {
 
     /// What came of the run.
     pub(super) fn summary(&self, fleet: &Fleet<'_>, world: &World) -> DrivingSummary {
-        let contacts = world.contacts();
+        let (contacts, resolution) = (world.contacts(), fleet.deployment().resolution());
         DrivingSummary {
             collisions: contacts.collisions,
             touches: contacts.touches,
-            blind_m2: self.cells.len() as f64 * RESOLUTION.metres().powi(2),
+            blind_m2: self.cells.len() as f64 * resolution.metres().powi(2),
             blind_mapped: self.known(fleet.server().fused()),
             mapped_s: self.mapped.get().map(|it| it.micros() as f64 / 1e6),
         }

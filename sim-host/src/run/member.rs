@@ -14,6 +14,7 @@ use ubimap_protocol::{
 use super::heap::Heap;
 use crate::{
     channel::fault::{FaultWire, Faults},
+    deployment::PortId,
     report::{Comparison, Published},
 };
 
@@ -54,8 +55,10 @@ impl RobotClock {
     }
 }
 
-/// A robot with its clock and its channel. Moments are of the server's clock.
+/// A robot with its clock and its channel to a port of the deployment. Moments count from the
+/// beginning of the run.
 pub struct Member<'b> {
+    port: PortId,
     clock: RobotClock,
     robot: Robot<'b, Option<Driving>>,
     up: FaultWire,
@@ -73,6 +76,7 @@ impl<'b> Member<'b> {
     pub(super) fn new(
         config: Config<Option<Driving>>,
         memory: &'b mut Memory<Heap, Option<Driving>>,
+        port: PortId,
         faults: Faults,
         seed: u64,
     ) -> Result<Self, ConfigError> {
@@ -81,6 +85,7 @@ impl<'b> Member<'b> {
             FaultWire::new(faults, seed.wrapping_mul(0x1_0001) ^ u64::from(id.0) << 8 ^ way)
         };
         Ok(Self {
+            port,
             clock: RobotClock::of(id, seed),
             robot: Robot::new(config, memory)?,
             up: wire(1),
@@ -95,6 +100,11 @@ impl<'b> Member<'b> {
     /// Its number.
     pub fn id(&self) -> RobotId {
         self.robot.settings().robot
+    }
+
+    /// Its port of the deployment.
+    pub fn port(&self) -> PortId {
+        self.port
     }
 
     /// The robot itself.
@@ -135,7 +145,11 @@ impl<'b> Member<'b> {
             // The robot counts them.
             log::debug!("robot {}: a scan is not taken: {error:?}", self.id().0);
         }
-        self.path.extend(self.robot.pose());
+    }
+
+    /// Takes note of where it believes that it is.
+    pub(super) fn follow(&mut self, pose: Option<(Instant, Pose)>) {
+        self.path.extend(pose);
     }
 
     /// The robot reads its odometry.
@@ -174,7 +188,7 @@ impl<'b> Member<'b> {
         }
     }
 
-    /// Whether it leaves a cell to the cameras.
+    /// Whether it leaves a cell to the cameras at a moment of the run.
     pub fn is_left_to_cameras(&self, now: Instant, (x, y): (i32, i32)) -> bool {
         let Some(id) = TileId::of_cell(x, y) else { return false };
         let around = self.robot.fused_tiles().around(id, self.clock.local(now));
@@ -195,7 +209,7 @@ impl<'b> Member<'b> {
         comparison
     }
 
-    /// Where it believes that it has been.
+    /// Where it believes that it has been, and when since the run began.
     pub fn path(&self) -> &[(Instant, Pose)] {
         &self.path
     }

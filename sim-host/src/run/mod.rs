@@ -1,7 +1,9 @@
-//! What joins a source, agents, channels and the server into one run: one file for each of
-//! `ubimap`'s commands, and their options.
+//! What drives a deployment: a file for each of `ubimap`'s commands, their options, and the fleet
+//! of simulated robots. Each driver brings a clock, sources and channels; what is decided is
+//! decided in the [`deployment`](crate::deployment).
 
 pub mod compare;
+mod convergence;
 mod driving;
 mod figures;
 pub mod fleet;
@@ -11,8 +13,9 @@ pub mod member;
 pub mod options;
 mod progress;
 pub mod record;
-pub mod registry;
 pub mod replay;
+mod robots_file;
+pub mod room_stage;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;

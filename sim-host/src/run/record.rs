@@ -8,10 +8,11 @@ use ubimap_protocol::time::Instant;
 use super::{
     RunError,
     fleet::{Event, Stage},
-    registry::Registry,
+    robots_file,
 };
 use crate::{
     camera::Calibration,
+    deployment::registry::Registry,
     recording::{LogError, Recorder},
 };
 
@@ -33,12 +34,12 @@ impl Recording {
         registry: &Registry,
     ) -> Result<Self, RunError> {
         let recorder = Recorder::create(folder, cameras)?;
-        registry.write(folder)?;
+        robots_file::write(registry, folder)?;
         Ok(Self { recorder, fault: None })
     }
 }
 
-/// A stage of which the frames are recorded as they come, if that is asked for.
+/// A stage whose frames are recorded as they come, if that is asked for.
 #[derive(Debug)]
 pub struct Recorded<S> {
     /// The stage.

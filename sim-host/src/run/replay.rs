@@ -21,11 +21,12 @@ use super::{
 };
 use crate::{
     camera::{Observation, Sighting},
+    deployment::{self, Deployment},
     grid::OccupancyGrid,
     recording::{self, Log, LoggedScan},
 };
 
-/// The robots boot so long before the first scan: time to meet the server.
+/// How long before the first scan the robots boot: time to meet the server.
 const BOOT: Duration = Duration::from_secs(5);
 /// Between two frames of the ceiling cameras.
 const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
@@ -41,7 +42,7 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let log =
         recording::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
     log.notes.iter().for_each(|note| log::info!("{note}"));
-    let mut recording = Recording::of(&log, usize::from(options.robots));
+    let mut stage = LogStage::of(&log, usize::from(options.robots));
 
     let bounds = Bounds {
         readings: log.sensor.readings(),
@@ -51,20 +52,26 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
         max_range: options.max_range.0.clamp(0, i32::from(u16::MAX)) as u16,
         ..BOUNDS
     };
-    let robots = 1..=recording.robots as u16;
+    let robots = 1..=stage.robots as u16;
     let configs: Vec<_> =
         robots.map(|id| config(RobotId(id), bounds, &log, options).with_drive(None)).collect();
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let faults = options.run.channel.faults();
-    let keeper = options.run.keeper(options.resolution)?;
-    let mut fleet =
-        Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed, keeper)?;
-    // A log's poses are given: between scans they are drawn out, and no course shows an error.
-    fleet.leave_errors();
+    let (keeper, life) = options.run.keeper(options.resolution)?;
+    // The poses of a log are interpolated between scans: no course shows an error.
+    let deployment = deployment::Config {
+        corrects_errors: false,
+        ..deployment::Config::new(options.resolution)
+    };
+    let deployment = Deployment::new(deployment, life)?;
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, options.run.seed, deployment)?;
+    if let Some(keeper) = keeper {
+        fleet.keep(keeper);
+    }
     fleet.tap(tap);
 
-    let progress = Progress::new(recording.end(), options.run.json);
-    let converged = fleet.run(&mut recording, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
+    let progress = Progress::new(stage.end(), options.run.json);
+    let converged = fleet.run(&mut stage, |fleet| progress.at(fleet.now()))?;
     progress.finish();
 
     let fused = fleet.server().fused();
@@ -91,15 +98,14 @@ fn config(robot: RobotId, bounds: Bounds, log: &Log, options: &ReplayOptions) ->
     }
 }
 
-/// A log on its way through the robots.
-struct Recording {
+/// The scans of a log as events.
+struct LogStage {
     events: VecDeque<(Instant, Event)>,
     robots: usize,
 }
 
-impl Recording {
-    /// Cuts the log into segments of as equal a length as can be; there are never more robots
-    /// than scans.
+impl LogStage {
+    /// Cuts the log into segments of nearly equal length; there are never more robots than scans.
     fn of(log: &Log, robots: usize) -> Self {
         let robots = robots.min(log.scans.len());
         let mut events = Vec::new();
@@ -118,7 +124,7 @@ impl Recording {
     }
 }
 
-impl Stage for Recording {
+impl Stage for LogStage {
     fn next_event(&self) -> Option<Instant> {
         Some(self.events.front()?.0)
     }
@@ -213,9 +219,9 @@ mod tests {
 
     #[test]
     fn segments_run_side_by_side_and_lose_no_scan() {
-        let recording = Recording::of(&log(10), 3);
+        let stage = LogStage::of(&log(10), 3);
         let mut scans = [const { Vec::new() }; 3];
-        for (moment, event) in &recording.events {
+        for (moment, event) in &stage.events {
             if let Event::Scan { robot, readings } = event {
                 scans[*robot].push((moment.0 / 1_000_000, readings[0]));
             }
@@ -223,7 +229,7 @@ mod tests {
         assert_eq!(scans[0], [(5, 0), (7, 1), (9, 2)]);
         assert_eq!(scans[1], [(5, 3), (7, 4), (9, 5)]);
         assert_eq!(scans[2], [(5, 6), (7, 7), (9, 8), (11, 9)]);
-        assert_eq!(Recording::of(&log(2), 5).robots, 2);
+        assert_eq!(LogStage::of(&log(2), 5).robots, 2);
     }
 
     #[test]

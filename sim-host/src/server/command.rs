@@ -2,14 +2,23 @@
 
 use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobot, Writer};
 
-/// A command. It arrives for certain.
+/// Parameter commands with this number and above are the server's own; users' are below.
+pub(super) const FIRST_OWN_NUMBER: u16 = 0xC000;
+
+/// Whether the number of a parameter command, or of its answer, is one of the server's own.
+pub(super) fn is_own(number: u16) -> bool {
+    number >= FIRST_OWN_NUMBER
+}
+
+/// A command. It is sent until the robot has acknowledged it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Stop, or drive again. Goes before everything else.
+    /// Stop, or drive again. It goes before everything else.
     Stop(Stop),
     /// Where to drive.
     Path(Path),
-    /// Asks for parameters, or sets one. It is answered.
+    /// Asks for parameters, or sets one. The robot answers it. Numbers from 0xC000 on are reserved
+    /// for the server.
     Parameter(ParameterCommand),
 }
 

@@ -5,7 +5,10 @@ use std::collections::{BTreeMap, VecDeque};
 use nalgebra::{Matrix3, Vector3};
 use ubimap_protocol::time::{Duration, Instant};
 
-use crate::perception::markers::Placement;
+use crate::{
+    perception::markers::Placement,
+    timing::{MARKER_PLACE_LOST, SIGHTINGS_JOIN},
+};
 
 /// No robot drives faster, in metres a second, or turns faster, in radians a second.
 const SPEED_LIMIT_M_S: f64 = 3.0;
@@ -13,15 +16,11 @@ const TURN_LIMIT_RAD_S: f64 = 10.0;
 /// By how much two sightings of one robot at one time may differ, in metres and radians.
 const TOLERANCE_M: f64 = 0.15;
 const TOLERANCE_RAD: f64 = 0.35;
-/// Sightings of other cameras that are so old are joined with a new one.
-const AT_ONCE: Duration = Duration::from_millis(100);
 /// The velocity is that over this time, at least a frame's.
 const BASELINE: Duration = Duration::from_millis(250);
 const LEAST_BASELINE: Duration = Duration::from_millis(50);
 /// How wrong it may be: metres a second, and radians a second.
 const VELOCITY_DOUBT: [f64; 3] = [0.1, 0.1, 0.3];
-/// A place where nothing has been seen for so long, while something was elsewhere, is given up.
-const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Why the places of an identifier are no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +65,7 @@ impl IdentifierTrack {
         placements: &[Placement],
     ) -> Option<Placement> {
         let newest = self.places.iter().map(|place| place.last).max().unwrap_or(captured);
-        if captured + PATIENCE < newest {
+        if captured + MARKER_PLACE_LOST < newest {
             return None;
         }
         let mut joined = None;
@@ -84,7 +83,7 @@ impl IdentifierTrack {
                 let at_once = |place: &Place| {
                     place.sightings.iter().any(|(&other, &(then, _))| {
                         (other == camera && then == captured)
-                            || (other != camera && apart(then, captured) <= AT_ONCE)
+                            || (other != camera && apart(then, captured) <= SIGHTINGS_JOIN)
                     })
                 };
                 let is_twin = self.places.iter().any(at_once);
@@ -96,7 +95,7 @@ impl IdentifierTrack {
         }
         let newest = newest.max(captured);
         let before = self.places.len();
-        self.places.retain(|place| newest.since(place.last) <= PATIENCE || before == 1);
+        self.places.retain(|place| newest.since(place.last) <= MARKER_PLACE_LOST || before == 1);
         self.judge();
         let (index, placement) = joined?;
         // One sighting elsewhere, and never again, is not the robot.
@@ -190,7 +189,7 @@ impl Place {
             return None;
         }
         let velocity = self.velocity();
-        self.sightings.retain(|_, &mut (then, _)| captured.since(then) <= AT_ONCE);
+        self.sightings.retain(|_, &mut (then, _)| captured.since(then) <= SIGHTINGS_JOIN);
         let (mut information, mut sum) = (Matrix3::zeros(), Vector3::zeros());
         for &(then, seen) in self.sightings.values() {
             let seen = moved(&seen, velocity, captured.since(then));

@@ -7,12 +7,11 @@ use ubimap_protocol::time::{Duration, Instant};
 use crate::{
     camera::{Lens, Picture},
     perception::markers::{ImageRegion, Marker, Mount, Placement, TagDetector, detect_colours},
+    timing::MARKER_LOST,
 };
 
 /// Between two searches of a camera's whole picture.
 const EVERYWHERE: Duration = Duration::from_millis(500);
-/// A robot not seen for so long is looked for nowhere in particular.
-const GIVEN_UP: Duration = Duration::from_secs(1);
 /// How far from its expected place a marker is looked for, in metres, and by how much more for each
 /// second since it was last seen.
 const REACH_M: f64 = 0.03;
@@ -82,7 +81,7 @@ impl Search {
 
 impl Expected {
     fn region(&self, lens: &Lens, picture: &Picture) -> Option<ImageRegion> {
-        if self.unseen > GIVEN_UP {
+        if self.unseen > MARKER_LOST {
             return None;
         }
         let (sine, cosine) = libm::sincos(self.placement.heading_rad);

@@ -1,3 +1,5 @@
+use ubimap_protocol::time::Duration;
+
 use super::{super::markers::rendering::*, *};
 use crate::{camera::Picture, perception::markers::Hue};
 

@@ -1,5 +1,4 @@
-//! What a robot is told of its surroundings, of the server's own accord: newest state, and never
-//! again.
+//! Peers and obstacles on their way to one robot: only the newest list is sent, and never again.
 
 use std::ops::RangeInclusive;
 
@@ -9,11 +8,11 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-use super::surroundings::Surroundings;
+use crate::server::surroundings::Surroundings;
 
-/// Each kind of news is told at most this often.
+/// The shortest time from one list of a kind to the next.
 const INTERVAL: Duration = Duration::from_millis(200);
-/// News are kept to this rate, so that tiles have some of the budget left.
+/// The rate of lists, which leaves most of the budget to tiles.
 const BYTES_PER_SECOND: u64 = 600;
 
 /// What one robot has been told.
@@ -21,12 +20,12 @@ const BYTES_PER_SECOND: u64 = 600;
 pub(super) struct News {
     peers: Told,
     obstacles: Told,
-    /// When all that was sent is paid for.
+    /// When the lists sent so far are paid for at that rate.
     ready_at: Instant,
     left_out: u64,
 }
 
-/// The newest list that was told.
+/// The newest list of a kind that was sent.
 #[derive(Debug, Default)]
 struct Told {
     /// Its moment.
@@ -38,7 +37,7 @@ struct Told {
 }
 
 impl News {
-    /// Peers and obstacles that lists had no room for, each time.
+    /// Peers and obstacles that lists had no room for, counted each time.
     pub(super) fn left_out(&self) -> u64 {
         self.left_out
     }
@@ -51,7 +50,7 @@ impl News {
         Some(due.max(self.ready_at))
     }
 
-    /// Adds what is due. A list is cut only where it has a frame to itself.
+    /// Adds the lists that are due. A list is truncated only if it has a frame to itself.
     pub(super) fn fill(
         &mut self,
         about: &Surroundings,
@@ -90,14 +89,14 @@ impl News {
 }
 
 impl Told {
-    /// When a list of this moment may be told, if it is news.
+    /// When a list of this moment may be sent, if it is newer than the last one.
     fn due(&self, moment: Option<Instant>) -> Option<Instant> {
         moment.filter(|moment| Some(*moment) > self.moment).map(|_| self.next)
     }
 
-    /// Tells a list of `longest` elements, or as much of its beginning as there is room for; an empty
-    /// one only after one that was not. `push` tries such lengths, and says which one had room.
-    /// Returns the length that was told; `None` if the list waits for a frame to itself.
+    /// Sends a list of `longest` elements, or as much of its beginning as fits; an empty one only
+    /// after one that was not. `push` tries lengths, and returns the one that fitted. Returns the
+    /// length that was sent; `None` if the list waits for a frame to itself.
     fn tell(
         &mut self,
         moment: Instant,

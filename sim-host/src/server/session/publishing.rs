@@ -1,4 +1,4 @@
-//! One of the server's layers at one robot: what it holds of it, and what is due.
+//! One of the server's layers on its way to one robot: what the robot holds, and what is due.
 
 use std::collections::BTreeMap;
 
@@ -11,26 +11,27 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::scene::Scene;
+use crate::server::snapshot::Snapshot;
 
-/// How often the states of a few tiles are told.
+/// From one message with digests of a few tiles to the next.
 const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
-/// How often all coverage tiles are confirmed.
+/// The time in which all coverage tiles are confirmed once.
 const CONFIRM_INTERVAL: Duration = Duration::from_millis(250);
-/// What was the newest so long ago is confirmed: an update is on its way.
+/// A tile is confirmed if the robot holds what was the newest this long ago: a newer update is in
+/// flight.
 const CONFIRM_DELAY: Duration = Duration::from_millis(500);
 
 /// What a robot holds of one layer.
 #[derive(Debug)]
 pub(super) struct Publishing {
     layer: Layer,
-    /// Changes of a tile are gathered this long.
+    /// How long changes of a tile are gathered.
     hold: Duration,
     tiles: BTreeMap<TileId, Published>,
     /// The tile whose digest was sent last, and when the next ones are due.
     digested: Option<TileId>,
     next_digests: Instant,
-    /// The tile of the window that is confirmed next, and when.
+    /// The index within the window of the tile to be confirmed next, and when.
     confirmed: u16,
     next_confirmation: Instant,
 }
@@ -41,7 +42,7 @@ struct Published {
     publication: Publication,
     /// When it was last sent.
     sent: Option<Instant>,
-    /// When what the robot is known to hold was last known to be the newest.
+    /// When the state that the robot has acknowledged was last the newest.
     newest: Option<Instant>,
 }
 
@@ -87,19 +88,19 @@ impl Publishing {
         }
     }
 
-    /// Adds tile updates, one tile in each message: the robot may have dropped one of them, and
-    /// could then not read what follows it. Those that were sent longest ago go first. `empty` is
-    /// how much was in the frame before the first tile. Whether all that is due has found room.
+    /// Adds tile updates, one tile to a message: a robot that has dropped a tile can't read what
+    /// follows it in the same message. Tiles that were sent longest ago go first. `empty` is the
+    /// length of the frame before the first tile. Returns whether everything due had room.
     pub(super) fn fill(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
         now: Instant,
         frame: u16,
         writer: &mut Writer<'_, ToRobot>,
         empty: usize,
     ) -> bool {
-        let due = scene.layer(self.layer).within(interest).filter(|&(id, version, tile)| {
+        let due = snapshot.layer(self.layer).within(interest).filter(|&(id, version, tile)| {
             self.due(id, version, tile).is_some_and(|due| due <= now)
         });
         let mut due: Vec<_> = due.collect();
@@ -113,9 +114,11 @@ impl Publishing {
                 let mut encoder = TileEncoder::new(coded);
                 let mut new = *tile;
                 let mut trial = published.publication.clone();
-                trial.push(&mut encoder, id, scene.epoch, version, &mut new, frame).then_some(())?;
+                trial
+                    .push(&mut encoder, id, snapshot.epoch, version, &mut new, frame)
+                    .then_some(())?;
                 if trial.has_parts_left() && !first {
-                    // A tile is cut up only where it has a frame to itself.
+                    // A tile is split only if it has a frame to itself.
                     return None;
                 }
                 published.publication = trial;
@@ -133,16 +136,20 @@ impl Publishing {
     }
 
     /// When the next tile is due.
-    pub(super) fn next_tile(&self, scene: &Scene<'_>, interest: &Interest) -> Option<Instant> {
-        scene
+    pub(super) fn next_tile(
+        &self,
+        snapshot: &Snapshot<'_>,
+        interest: &Interest,
+    ) -> Option<Instant> {
+        snapshot
             .layer(self.layer)
             .within(interest)
             .filter_map(|(id, version, tile)| self.due(id, version, tile))
             .min()
     }
 
-    /// When there is something to send of a tile. One that has changed and changed back is newer
-    /// all the same.
+    /// When there is something to send of a tile. One that has changed and changed back has a new
+    /// version all the same.
     fn due(&self, id: TileId, version: Version, tile: &Tile) -> Option<Instant> {
         let Some(Published { publication, sent, .. }) = self.tiles.get(&id) else {
             return Some(Instant(0));
@@ -154,8 +161,8 @@ impl Publishing {
     }
 
     /// Whether the robot has acknowledged the newest state of every tile that it wants.
-    pub(super) fn is_level(&self, scene: &Scene<'_>, interest: &Interest) -> bool {
-        scene
+    pub(super) fn is_level(&self, snapshot: &Snapshot<'_>, interest: &Interest) -> bool {
+        snapshot
             .layer(self.layer)
             .within(interest)
             .all(|(id, version, tile)| self.has(id, version, tile))
@@ -170,10 +177,10 @@ impl Publishing {
         self.next_digests
     }
 
-    /// Adds the states of the next few tiles that the robot should hold, now and then.
+    /// Adds the digests of the next few tiles that the robot should hold, if they are due.
     pub(super) fn fill_digests(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
         now: Instant,
         writer: &mut Writer<'_, ToRobot>,
@@ -182,7 +189,7 @@ impl Publishing {
             return;
         }
         self.next_digests = now + DIGEST_INTERVAL;
-        let level = scene
+        let level = snapshot
             .layer(self.layer)
             .within(interest)
             .filter(|&(id, version, tile)| self.has(id, version, tile));
@@ -190,10 +197,11 @@ impl Publishing {
         let tiles: Vec<TileDigest> = next
             .map(|(id, version, tile)| TileDigest {
                 id,
-                stamp: Stamp { epoch: scene.epoch, version },
+                stamp: Stamp { epoch: snapshot.epoch, version },
                 hash: tile_hash(tile),
             })
             .collect();
+        // As many as fit.
         let told = writer.push_longest(1..=tiles.len(), |count| {
             let tiles = tiles[..count].iter().copied().collect();
             Digests { layer: self.layer, tiles }
@@ -204,25 +212,25 @@ impl Publishing {
     /// When tiles are to be confirmed, if there are any.
     pub(super) fn next_confirmation(
         &self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
     ) -> Option<Instant> {
-        scene.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
+        snapshot.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
     }
 
-    /// Adds the confirmation of the tiles of which the robot holds what was the newest a moment
-    /// ago. A window that is too large for one message is confirmed in turns.
+    /// Adds the confirmation of tiles that the robot holds as they were a moment ago. A window too
+    /// large for one message is confirmed in parts.
     pub(super) fn fill_confirmation(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         interest: &Interest,
         now: Instant,
         writer: &mut Writer<'_, ToRobot>,
     ) {
-        if self.next_confirmation(scene, interest).is_none_or(|next| next > now) {
+        if self.next_confirmation(snapshot, interest).is_none_or(|next| next > now) {
             return;
         }
-        for (id, version, tile) in scene.layer(self.layer).within(interest) {
+        for (id, version, tile) in snapshot.layer(self.layer).within(interest) {
             let published = self.tiles.get_mut(&id);
             if let Some(published) = published.filter(|it| it.has(version, tile)) {
                 published.newest = Some(now);
@@ -248,7 +256,7 @@ impl Publishing {
         let rounds = u64::from(all).div_ceil(most as u64).max(1);
         self.next_confirmation = now + Duration(CONFIRM_INTERVAL.micros() / rounds);
         if !freshness.tiles.is_empty() {
-            // What does not fit is confirmed by the next one.
+            // If it does not fit, the next one confirms these tiles.
             let _ = writer.push(&freshness);
         }
     }

@@ -1,4 +1,4 @@
-//! Which robots there are, and what cameras know them by: `robots.toml`.
+//! Which robots there are, and what cameras know them by: the contents of `robots.toml`.
 //!
 //! ```toml
 //! [[robots]]
@@ -13,16 +13,11 @@
 //! marker_turn_deg = 0.0   # how far its front is turned from the robot's, counter-clockwise
 //! ```
 
-use std::{
-    collections::BTreeSet,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 use ubimap_protocol::units::{Millimetres, RobotId};
 
-use super::RunError;
 use crate::{
     camera::Calibration,
     perception::{
@@ -30,17 +25,13 @@ use crate::{
         markers::{Hue, Identifier, Mount},
         robots::RegistryError,
     },
-    recording::LogError,
 };
 
-/// The name of the file.
-pub const FILE: &str = "robots.toml";
-
-/// The tags of the family 36h11.
+/// The number of tags in the family 36h11.
 const TAGS: u16 = 587;
-/// Of the tallest robot, where there is none.
+/// The height of the tallest robot if none is registered.
 const USUAL_HEIGHT_M: f64 = 0.3;
-/// No robot is as large, nor is its marker.
+/// The largest size of a robot or a marker that is accepted.
 const LARGEST_M: f64 = 10.0;
 
 /// All robots.
@@ -75,6 +66,11 @@ pub struct RegisteredRobot {
     #[serde(default)]
     pub marker_turn_deg: f64,
 }
+
+/// Why a text is no registry, on one line.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct BadRegistry(String);
 
 impl RegisteredRobot {
     /// A robot of this length and width, with a tag of its own number over `base_link`.
@@ -115,7 +111,7 @@ impl RegisteredRobot {
         self.box_m.map(of_box).unwrap_or_default()
     }
 
-    /// What no robot has, if it has such.
+    /// What is wrong with it, if anything is.
     fn fault(&self) -> Option<String> {
         let id = self.id;
         let is_size = |metres: f64| metres > 0.0 && metres <= LARGEST_M;
@@ -140,74 +136,43 @@ impl RegisteredRobot {
 }
 
 impl Registry {
-    /// Reads a file.
+    /// Reads the text of a file.
     ///
     /// # Errors
-    /// [`RunError::Robots`], and [`RunError::Log`] for a file that can't be read.
-    pub fn read(path: &Path) -> Result<Self, RunError> {
-        let text = fs::read_to_string(path)
-            .map_err(|error| LogError::Io { path: path.to_owned(), error })?;
-        let refuse = |reason| RunError::Robots { path: path.to_owned(), reason };
-        let registry: Self = toml::from_str(&text).map_err(|error| {
+    /// [`BadRegistry`].
+    pub fn from_toml(text: &str) -> Result<Self, BadRegistry> {
+        let registry: Self = toml::from_str(text).map_err(|error| {
             let before = error.span().map_or(0, |span| span.start.min(text.len()));
             let line = 1 + text.as_bytes()[..before].iter().filter(|it| **it == b'\n').count();
             let what = error.message().lines().collect::<Vec<_>>().join(" ");
-            refuse(format!("line {line}: {what}"))
+            BadRegistry(format!("line {line}: {what}"))
         })?;
         let mut ids = BTreeSet::new();
         for robot in &registry.robots {
             if let Some(fault) = robot.fault() {
-                return Err(refuse(fault));
+                return Err(BadRegistry(fault));
             }
             if !ids.insert(robot.id) {
-                return Err(refuse(format!("robot {} is there twice", robot.id)));
+                return Err(BadRegistry(format!("robot {} is there twice", robot.id)));
             }
         }
         // Whether the markers can be told apart does not depend on the cameras.
         match registry.observer(&[], Survey::default().side) {
             Ok(_) => Ok(registry),
             Err(error @ RegistryError::Twice(..)) => {
-                Err(refuse(format!("{error}; each needs its own")))
+                Err(BadRegistry(format!("{error}; each needs its own")))
             }
-            Err(error) => Err(refuse(error.to_string())),
+            Err(error) => Err(BadRegistry(error.to_string())),
         }
     }
 
-    /// The file of a recording: the one that is named, or the only one that lies in its folders.
-    /// Without any, there are no robots.
-    ///
-    /// # Errors
-    /// As [`Registry::read`].
-    pub fn find(named: Option<&Path>, folders: &[PathBuf]) -> Result<Self, RunError> {
-        let there = folders.iter().map(|folder| folder.join(FILE)).filter(|path| path.is_file());
-        let there: Vec<PathBuf> = there.collect();
-        match (named, &there[..]) {
-            (Some(path), _) => Self::read(path),
-            (None, [path]) => Self::read(path),
-            (None, []) => {
-                log::info!("no {FILE}: no robot is known by its marker");
-                Ok(Self::default())
-            }
-            (None, [first, path, ..]) => {
-                let reason =
-                    format!("{} is there too; say with --robots which one counts", first.display());
-                Err(RunError::Robots { path: path.clone(), reason })
-            }
-        }
+    /// The text of a file.
+    pub fn to_toml(&self) -> String {
+        // Plain structs: serialising them can't fail.
+        toml::to_string(self).unwrap_or_default()
     }
 
-    /// Writes the file into a folder.
-    ///
-    /// # Errors
-    /// [`RunError::Log`].
-    pub fn write(&self, folder: &Path) -> Result<(), RunError> {
-        let path = folder.join(FILE);
-        // Plain structs: there is nothing that could fail.
-        let text = toml::to_string(self).unwrap_or_default();
-        Ok(fs::write(&path, text).map_err(|error| LogError::Io { path, error })?)
-    }
-
-    /// What looks for these robots, and at all that is about, in cells of this side.
+    /// Perception for these cameras and robots, in cells of this side.
     ///
     /// # Errors
     /// Every [`RegistryError`].
@@ -221,7 +186,7 @@ impl Registry {
             .clone()
             .map(|robot| (robot.identifier(), robot.mount(), robot.footprint()))
             .collect();
-        // What stands above the tallest robot is in no robot's way.
+        // Nothing above the tallest robot can be in a robot's way.
         let tallest_m = robots.map(|robot| robot.height_m).reduce(f64::max);
         let robot_height = Millimetres::from_metres(tallest_m.unwrap_or(USUAL_HEIGHT_M));
         Observer::new(cameras, &known, Survey { side, robot_height, ..Survey::default() })
@@ -236,7 +201,6 @@ impl Registry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::Folder;
 
     const TWO: &str = "[[robots]]\nid = 1\nmarker_size_m = 0.1\nheight_m = 0.3\n\
                        [[robots]]\nid = 2\ncolours = [\"red\", \"blue\"]\nmarker_size_m = 0.2\n\
@@ -244,9 +208,7 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read_again() {
-        let folder = Folder::new("registry");
-        folder.file(FILE, TWO.as_bytes());
-        let registry = Registry::find(None, &[folder.path().to_owned()]).unwrap();
+        let registry = Registry::from_toml(TWO).unwrap();
         let [tagged, coloured] = &registry.robots[..] else { panic!("two robots") };
         assert_eq!(tagged.identifier(), Identifier::Tag(1));
         let (head, tail) = (Hue::Red, Hue::Blue);
@@ -255,17 +217,12 @@ mod tests {
         let half = Footprint { half_length: 250, half_width: 150 };
         let footprints: Vec<_> = registry.footprints().collect();
         assert_eq!(footprints, [(RobotId(1), Footprint::default()), (RobotId(2), half)]);
-
-        registry.write(folder.path()).unwrap();
-        assert_eq!(Registry::read(&folder.path().join(FILE)).unwrap(), registry);
-        let nowhere = folder.path().join("nowhere");
-        assert_eq!(Registry::find(None, &[nowhere]).unwrap(), Registry::default());
+        assert_eq!(Registry::from_toml(&registry.to_toml()).unwrap(), registry);
+        assert_eq!(Registry::from_toml("").unwrap(), Registry::default());
     }
 
     #[test]
-    fn faults_name_the_file_and_what_to_do() {
-        let folder = Folder::new("registry-faults");
-        let path = folder.file(FILE, b"");
+    fn faults_say_where_and_what_to_do() {
         for (from, to, expected) in [
             (
                 "id = 2\ncolours = [\"red\", \"blue\"]",
@@ -284,16 +241,10 @@ mod tests {
             ("id = 1", "id = 1\nmarker_at_m = [nan, 0]", "has no size, or no place"),
             ("id = 1", "id = 1\nsize = 2", "line 3: unknown field `size`"),
         ] {
-            folder.file(FILE, TWO.replacen(from, to, 1).as_bytes());
-            let error = Registry::read(&path).unwrap_err().to_string();
-            assert!(error.contains("robots.toml: ") && error.contains(expected), "{error}");
+            let error = Registry::from_toml(&TWO.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
             assert_eq!(error.lines().count(), 1, "{error}");
             assert_eq!(error.contains("needs its own"), error.contains("the same"), "{error}");
         }
-        let other = folder.file("other/robots.toml", TWO.as_bytes());
-        let folders = [folder.path().to_owned(), folder.path().join("other")];
-        let error = Registry::find(None, &folders).unwrap_err().to_string();
-        assert!(error.contains("say with --robots which one counts"), "{error}");
-        assert!(Registry::find(Some(&other), &folders).is_ok());
     }
 }

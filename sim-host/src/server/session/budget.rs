@@ -1,20 +1,20 @@
-//! How much may be sent to one robot.
+//! The downlink budget of one robot.
 
 use std::collections::VecDeque;
 
 use ubimap_protocol::time::{Duration, Instant};
 
-/// Bytes in any second.
+/// The most bytes in any second.
 const BYTES_PER_SECOND: u64 = 2_000;
-/// A usual frame, and a few fixes: what can wait does so until they have room.
+/// Room kept for one frame and a few fixes: anything that can wait does so until there is this much.
 const FRAME: u64 = 400;
 const SECOND: Duration = Duration::from_secs(1);
 
-/// What has been sent within the last second. What is urgent is sent whatever the budget says, and
-/// is paid for all the same.
+/// What has been sent within the last second. Urgent messages are sent even beyond the budget, and
+/// are charged to it all the same.
 #[derive(Debug)]
 pub(super) struct Budget {
-    /// Bytes that a robot which joins may get besides, once.
+    /// Bytes that a robot gets on top once, when it joins.
     credit: u64,
     sent: VecDeque<(Instant, u64)>,
 }
@@ -26,7 +26,8 @@ impl Default for Budget {
 }
 
 impl Budget {
-    /// From when on one more frame keeps within the budget, if nothing urgent comes before it.
+    /// The first moment at which one more frame keeps within the budget, if nothing urgent is sent
+    /// before it.
     pub(super) fn ready_at(&self) -> Instant {
         let mut left = BYTES_PER_SECOND - FRAME;
         for &(moment, bytes) in self.sent.iter().rev() {
