@@ -6,11 +6,13 @@
 //! | `config` | what a deployment is made of, and what its earlier lives have left |
 //! | [`registry`] | the robots, and what cameras know them by |
 //! | `keeping` | when what must not be lost goes to the disk |
+//! | `port` | the handles of ports |
 //! | `event`, `status` | what it tells, and how it fares |
 
 mod config;
 mod event;
 mod keeping;
+mod port;
 pub mod registry;
 mod status;
 #[cfg(test)]
@@ -35,26 +37,11 @@ use crate::{
 pub use config::{Config, Kept, Life};
 pub use event::Event;
 pub use keeping::Batch;
+pub use port::{PortClosed, PortId};
 pub use status::{CameraStatus, PortStatus, Status};
 
 /// Events that wait to be polled, at the most: then the oldest are dropped.
 const MOST_EVENTS: usize = 1_000;
-
-/// A port of a deployment. It is never used again for another one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PortId(usize);
-
-impl PortId {
-    /// Its number, by which [`server::Event::Joined`](crate::server::Event::Joined) names it.
-    pub fn number(self) -> usize {
-        self.0
-    }
-}
-
-/// A port that was closed, or is another deployment's.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("port {} is not open", .0.0)]
-pub struct PortClosed(pub PortId);
 
 /// A deployment: perception, the server, and what is to be kept of it. It owns no clock, port,
 /// camera or file.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use ubimap_protocol::{link::Counters, message::State, units::RobotId};
 
-use super::PortId;
+use super::port::PortId;
 use crate::camera::Observation;
 
 /// How a deployment fares.
