@@ -13,7 +13,11 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-use super::{heap::Heap, keeper::Keeper, member::Member};
+use super::{
+    heap::Heap,
+    keeper::Keeper,
+    member::{Journal, Member},
+};
 use crate::{
     camera::{Frame, Observation},
     channel::fault::Faults,
@@ -117,6 +121,13 @@ impl<'b> Fleet<'b> {
         self.tap = Some(tap);
     }
 
+    /// Has what a robot takes and gives heard from now on. The robot is named by its place.
+    pub fn keep_journal(&mut self, robot: usize, journal: Journal<'b>) {
+        if let Some(robot) = self.robots.get_mut(robot) {
+            robot.keep_journal(journal);
+        }
+    }
+
     /// Has every event of the deployment heard from now on.
     pub fn listen(&mut self, listener: Listener<'b>) {
         self.listener = Some(listener);
@@ -205,7 +216,7 @@ impl<'b> Fleet<'b> {
     /// Lets the wheels do what the robots say.
     fn turn_wheels(&mut self, stage: &mut dyn Stage) {
         for (index, robot) in self.robots.iter_mut().enumerate() {
-            if let Some(command) = robot.poll_command() {
+            if let Some(command) = robot.poll_command(self.now) {
                 stage.drive(self.now, index, command);
             }
         }

@@ -55,6 +55,26 @@ impl RobotClock {
     }
 }
 
+/// What a robot takes, and what it gives for it, in their order: enough to have it do all again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Entry<'e> {
+    /// It receives bytes.
+    Received(&'e [u8]),
+    /// It reads its odometry, `base_link` in `odom`.
+    Odometry(Pose),
+    /// It takes a scan: readings in millimetres.
+    Scan(&'e [u16]),
+    /// It does what is due.
+    Timeout,
+    /// It sends a frame, or has nothing to send.
+    Transmit(Option<&'e [u8]>),
+    /// Its wheels shall do something else from now on.
+    Commanded(DriveCommand),
+}
+
+/// Hears what a robot takes and gives, and when by the robot's clock.
+pub type Journal<'j> = Box<dyn FnMut(Instant, Entry<'_>) + 'j>;
+
 /// A robot with its clock and its channel to a port of the deployment. Moments count from the
 /// beginning of the run.
 pub struct Member<'b> {
@@ -65,6 +85,7 @@ pub struct Member<'b> {
     down: FaultWire,
     /// What its wheels do.
     commanded: DriveCommand,
+    journal: Option<Journal<'b>>,
     path: Vec<(Instant, Pose)>,
     published: Published,
     /// Its map traffic when what it had published was last noted.
@@ -91,6 +112,7 @@ impl<'b> Member<'b> {
             up: wire(1),
             down: wire(2),
             commanded: DriveCommand::STAND,
+            journal: None,
             path: Vec::new(),
             published: Published::default(),
             bytes_noted: 0,
@@ -110,6 +132,17 @@ impl<'b> Member<'b> {
     /// The robot itself.
     pub fn robot(&self) -> &Robot<'b, Option<Driving>> {
         &self.robot
+    }
+
+    /// Has what the robot takes and gives heard from now on.
+    pub(super) fn keep_journal(&mut self, journal: Journal<'b>) {
+        self.journal = Some(journal);
+    }
+
+    fn note(&mut self, local: Instant, entry: Entry<'_>) {
+        if let Some(journal) = &mut self.journal {
+            journal(local, entry);
+        }
     }
 
     /// When a frame arrives at either end of its channel, or the robot wants to come back.
@@ -133,14 +166,17 @@ impl<'b> Member<'b> {
     pub(super) fn deliver(&mut self, now: Instant) {
         let local = self.clock.local(now);
         while let Some(bytes) = self.down.poll(now) {
+            self.note(local, Entry::Received(&bytes));
             self.robot.receive(&bytes, local);
         }
+        self.note(local, Entry::Timeout);
         self.robot.timeout(local);
     }
 
     /// The robot takes a scan.
     pub(super) fn scan(&mut self, readings: &[u16], now: Instant) {
         let local = self.clock.local(now);
+        self.note(local, Entry::Scan(readings));
         if let Err(error) = self.robot.scan(local, readings, local) {
             // The robot counts them.
             log::debug!("robot {}: a scan is not taken: {error:?}", self.id().0);
@@ -155,6 +191,7 @@ impl<'b> Member<'b> {
     /// The robot reads its odometry.
     pub(super) fn odometry(&mut self, pose: Pose, now: Instant) {
         let local = self.clock.local(now);
+        self.note(local, Entry::Odometry(pose));
         self.robot.odometry(local, pose, local);
     }
 
@@ -162,19 +199,25 @@ impl<'b> Member<'b> {
     pub(super) fn poll_transmit(&mut self, now: Instant, frame: &mut [u8]) -> Option<usize> {
         let local = self.clock.local(now);
         let len = self.robot.poll_transmit(local, &mut frame[..DEFAULT_FRAME]);
+        self.note(local, Entry::Transmit(len.and_then(|len| frame.get(..len))));
         match len {
-            Some(len) => self.up.send(now, &frame[..len]),
+            Some(len) => {
+                self.up.send(now, &frame[..len]);
+            }
             None => self.note_published(),
         }
         len
     }
 
     /// What its wheels shall do from now on, if that has changed.
-    pub(super) fn poll_command(&mut self) -> Option<DriveCommand> {
+    pub(super) fn poll_command(&mut self, now: Instant) -> Option<DriveCommand> {
         let command = self.robot.command();
-        let is_new = command != self.commanded;
+        if command == self.commanded {
+            return None;
+        }
         self.commanded = command;
-        is_new.then_some(command)
+        self.note(self.clock.local(now), Entry::Commanded(command));
+        Some(command)
     }
 
     /// Takes note of what it has published by now.
