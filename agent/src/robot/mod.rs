@@ -53,6 +53,118 @@ use mapper::Mapper;
 /// [`scan`](Self::scan), [`timeout`](Self::timeout)) drain [`poll_transmit`](Self::poll_transmit)
 /// until it has nothing more, give the wheels the [`command`](Self::command), and call `timeout` at
 /// [`poll_timeout`](Self::poll_timeout) at the latest.
+///
+/// The whole main loop; `examples/main_loop.rs` has one with a simulated room:
+///
+/// ```
+/// use ubimap_agent::{
+///     Bounds, Config, ConfigError, Memory, Robot,
+///     drive::{DriveCommand, Driving},
+///     memory,
+///     sense::SensorModel,
+/// };
+/// use ubimap_protocol::{
+///     frame::DEFAULT_FRAME,
+///     time::Instant,
+///     units::{Pose, RobotId},
+/// };
+///
+/// /// A depth sensor that gives rows of 100 pixels.
+/// const BOUNDS: Bounds = Bounds::REFERENCE;
+///
+/// /// What the loop needs of a board.
+/// trait Board {
+///     /// Microseconds since boot.
+///     fn now(&self) -> Instant;
+///     /// Sleeps until a device has something, or until this moment.
+///     fn wait(&mut self, until: Instant);
+///     /// Bytes from the server, as many as there are and find room.
+///     fn read(&mut self, bytes: &mut [u8]) -> usize;
+///     /// Bytes to the server.
+///     fn write(&mut self, bytes: &[u8]);
+///     /// A reading of the wheels, if there is a new one: when, and `base_link` in `odom`.
+///     fn odometry(&mut self) -> Option<(Instant, Pose)>;
+///     /// A row of the sensor, if there is a new one: when it was taken, and millimetres.
+///     fn scan(&mut self) -> Option<(Instant, [u16; BOUNDS.readings])>;
+///     /// What the wheels shall do from now on.
+///     fn turn_wheels(&mut self, command: DriveCommand);
+/// #   fn is_on(&self) -> bool;
+/// }
+///
+/// fn run(
+///     board: &mut impl Board,
+///     memory: &mut memory!(BOUNDS, Driving),
+/// ) -> Result<(), ConfigError> {
+///     let sensor = SensorModel::Pinhole { focal: 61.7, centre: 49.5 };
+///     let config = Config::new(RobotId(1), sensor, BOUNDS).with_drive(Driving::default());
+///     let mut robot = Robot::new(config, memory)?;
+///     let mut bytes = [0; DEFAULT_FRAME];
+///     loop {
+///         board.wait(robot.poll_timeout());
+///         let count = board.read(&mut bytes);
+///         robot.receive(&bytes[..count], board.now());
+///         if let Some((moment, pose)) = board.odometry() {
+///             robot.odometry(moment, pose, board.now());
+///         }
+///         if let Some((taken, readings)) = board.scan() {
+///             // The robot counts a scan that it cannot take, and tells the server.
+///             let _ = robot.scan(taken, &readings, board.now());
+///         }
+///         robot.timeout(board.now());
+///         while let Some(count) = robot.poll_transmit(board.now(), &mut bytes) {
+///             board.write(&bytes[..count]);
+///         }
+///         board.turn_wheels(robot.command());
+/// #       if !board.is_on() {
+/// #           let count = robot.statistics();
+/// #           assert_eq!(count.scans + count.overflowed, 100, "without a fix few can wait");
+/// #           return Ok(());
+/// #       }
+///     }
+/// }
+/// #
+/// # /// A room without anything, ten seconds long; nobody answers.
+/// # #[derive(Default)]
+/// # struct Bench {
+/// #     now: Instant,
+/// #     scans: u64,
+/// #     frames: usize,
+/// # }
+/// #
+/// # impl Board for Bench {
+/// #     fn now(&self) -> Instant {
+/// #         self.now
+/// #     }
+/// #     fn wait(&mut self, until: Instant) {
+/// #         self.now = self.now.max(until.min(Instant(self.scans * 100_000)));
+/// #     }
+/// #     fn read(&mut self, _: &mut [u8]) -> usize {
+/// #         0
+/// #     }
+/// #     fn write(&mut self, _: &[u8]) {
+/// #         self.frames += 1;
+/// #     }
+/// #     fn odometry(&mut self) -> Option<(Instant, Pose)> {
+/// #         Some((self.now, Pose::default()))
+/// #     }
+/// #     fn scan(&mut self) -> Option<(Instant, [u16; BOUNDS.readings])> {
+/// #         let is_due = self.now.0 >= self.scans * 100_000;
+/// #         self.scans += u64::from(is_due);
+/// #         is_due.then_some((self.now, [1_500; BOUNDS.readings]))
+/// #     }
+/// #     fn turn_wheels(&mut self, command: DriveCommand) {
+/// #         assert!(command.is_stand(), "it has no task");
+/// #     }
+/// #     fn is_on(&self) -> bool {
+/// #         self.scans < 100
+/// #     }
+/// # }
+/// #
+/// # let mut board = Bench::default();
+/// # let mut memory: Box<memory!(BOUNDS, Driving)> = Box::new(Memory::EMPTY);
+/// # run(&mut board, &mut memory).unwrap();
+/// # assert!(board.frames > 1, "it says hello again and again");
+/// ```
 #[derive(Debug)]
 pub struct Robot<'b, D: Drive = NoDrive> {
     mapper: Mapper<'b>,
