@@ -8,8 +8,8 @@ use crate::{
     share::FusedTile,
 };
 
-/// How much a robot keeps. A [`Config`](crate::Config) and its [`Memory`] are made from the same
-/// bounds.
+/// How much a robot keeps. A [`Config`](crate::Config) and its [`Memory`](crate::Memory) are made
+/// from the same bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
     /// Readings in a scan.
@@ -57,7 +57,7 @@ impl Bounds {
         self.own_tiles * size_of::<OwnTile>() + self.fused_tiles * size_of::<FusedTile>()
     }
 
-    /// Bytes of the [`Memory`] of a robot without a drive.
+    /// Bytes of the [`Memory`](crate::Memory) of a robot without a drive.
     pub const fn memory_bytes(&self) -> usize {
         self.readings * (size_of::<Beam>() + self.waiting * size_of::<u16>())
             + self.scratch() * size_of::<RowSighting>()
