@@ -1,4 +1,4 @@
-//! Whatever is put into an robot, in whatever order: a typed error or a counted event, what it holds
+//! Whatever is put into a robot, in whatever order: a typed error or a counted event, what it holds
 //! unchanged, and never a panic.
 //!
 //! There is no NaN to be put in: poses travel and are given in whole millimetres and binary angles,
@@ -399,7 +399,7 @@ fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
     let _ = robot.poll_timeout();
 }
 
-/// An robot with a session, and the frame sizes of both ends.
+/// A robot with a session, and the frame sizes of both ends.
 fn connect(robot: &mut Robot<'_>, server: &mut Server) {
     put(robot, server, Input::Transmit { room: DEFAULT_FRAME }, Instant(0));
     put(robot, server, Input::Welcome { epoch: 1, stores: false }, Instant(0));

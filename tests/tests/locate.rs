@@ -26,8 +26,8 @@ struct Drive<'b> {
 }
 
 impl Drive<'_> {
-    /// Drives on for some seconds. `seen` tells where the cameras see a robot that is so many
-    /// metres along, in their so-manieth frame of this while. What the agent counted meanwhile.
+    /// Drives on for some seconds, and returns what the robot counted meanwhile. `seen` gives where the
+    /// cameras see it, from the metres that it has driven and the number of the frame.
     fn on(&mut self, seconds: u64, seen: impl Fn(f64, u64) -> Option<f64>) -> Statistics {
         let before = self.fleet.robots()[0].robot().statistics();
         let start = self.fleet.now() + Duration::from_millis(10);

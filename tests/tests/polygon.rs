@@ -1,4 +1,4 @@
-//! The polygon that an agent fills for a scan, cell by cell against a line of cells for each beam, in
+//! The polygon that a robot fills for a scan, cell by cell against a line of cells for each beam, in
 //! random rooms.
 //!
 //! The beams are closer than cells, so that the lines say something of every cell in view. What the

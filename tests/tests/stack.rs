@@ -1,4 +1,4 @@
-//! How much of the stack an agent takes, of images in the emulator: `cargo stack`, `cargo stack-m0`.
+//! How much of the stack a robot takes, of images in the emulator: `cargo stack`, `cargo stack-m0`.
 
 use ubimap_tests::{
     elf::Image,
@@ -12,7 +12,7 @@ const RAM: usize = 24 * 1_024;
 /// handler, within which no other one comes.
 const INTERRUPT: usize = 124;
 
-/// The deepest stack, the agent on it: what it takes today, to the next hundred, and may only
+/// The deepest stack, the robot on it: what it takes today, to the next hundred, and may only
 /// improve.
 const FIRMWARE_STACK: usize = 8_400;
 const SMALLEST_STACK: usize = 8_700;
@@ -35,7 +35,7 @@ fn the_firmware_with_its_stack_fits_its_ram() {
 fn the_smallest_agent_runs_as_a_cortex_m0_does_and_holds_neither_panics_nor_a_heap() {
     let (image, stack) = match deepest(Core::M0) {
         Ok(measured) => measured,
-        Err(error) => return leave_out("the agent on a Cortex-M0+", &error),
+        Err(error) => return leave_out("the robot on a Cortex-M0+", &error),
     };
     assert!(image.symbols.iter().any(|name| name == "main"), "no symbols: {image:?}");
     assert_eq!(image.panics_and_heap(), [""; 0]);

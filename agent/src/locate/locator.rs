@@ -120,6 +120,12 @@ impl Locator {
         Ok(())
     }
 
+    /// The pose of a scan will be asked for. Odometry that comes before and after it tells that pose best
+    /// if this is known when it comes.
+    pub(crate) fn expect(&mut self, taken: Instant) {
+        self.filter.expect(taken);
+    }
+
     /// Learns from a camera's fix that was taken in what odometry gets wrong each time.
     pub(crate) fn learn(&mut self, local: Instant, pose: Pose, certainty: Certainty) {
         if let Some(odometry) = self.filter.steady_odometry(local) {

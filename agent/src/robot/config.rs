@@ -38,7 +38,7 @@ pub struct Config<D = NoDrive> {
     /// Which readings count.
     pub validity: Validity,
     /// The light of pixels whose depths count, for who has an intensity image beside its depths:
-    /// by it the caller masks a row before the agent gets it ([`Exposure::mask`]).
+    /// by it the caller masks a row before the robot gets it ([`Exposure::mask`]).
     pub exposure: Exposure,
     /// Readings that are never mapped. The last two are the server's to set
     /// ([`Parameter`](crate::Parameter)): pixels, and bearings.

@@ -55,6 +55,7 @@ impl Mapper<'_> {
             return Ok(());
         }
         scans.push(taken, readings)?;
+        self.locator.expect(taken);
         self.statistics.scans = self.statistics.scans.wrapping_add(1);
         self.map_waiting(scans, link, now);
         Ok(())

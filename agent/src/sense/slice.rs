@@ -219,7 +219,7 @@ impl<'b> Slicer<'b> {
     }
 
     /// The readings of the frame that ends here, one for each column; the next line begins
-    /// another frame. They still are to be held against [`Validity`], which the agent does.
+    /// another frame. They still are to be held against [`Validity`], which the robot does.
     ///
     /// # Errors
     /// [`SliceError::Incomplete`]

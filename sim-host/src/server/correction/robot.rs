@@ -25,7 +25,7 @@ const IN_VIEW: Search = Search {
     turn: Angle(2_600),
     prior: Prior::Measured(Millimetres(25)),
 };
-/// The shortest time from one distance vector that is looked at to the next: an agent sends one a
+/// The shortest time from one distance vector that is looked at to the next: a robot sends one a
 /// second.
 const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 

@@ -8,7 +8,7 @@ use ubimap_protocol::{
     time::Instant,
 };
 
-/// Replies of one kind that wait for one robot, at the most. An agent causes far fewer.
+/// Replies of one kind that wait for one robot, at the most. A robot causes far fewer.
 const MOST_WAITING: usize = 256;
 
 /// Replies that wait to be sent.
