@@ -14,6 +14,7 @@ use ubimap_protocol::{
     message::Waypoint,
     tile::{Cell, TileId},
     time::{Duration, Instant},
+    units::Pose,
 };
 use ubimap_sim_host::{
     run::{
@@ -255,18 +256,29 @@ fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
 /// By odometry alone walls come to lie some cells off, and what is known with them.
 #[test]
 fn without_a_server_a_robot_explores_by_its_own_odometry_and_comes_home() {
-    let mut sum = 0.0;
+    let (mut sum, mut squares) = (0.0, 0.0);
     for seed in 1..=5 {
-        let (known, away_m) = explored_alone(seed);
-        assert!(known >= 0.85 && away_m < 0.6, "seed {seed}: {known}, {away_m} m");
+        let Alone { known, believed_m, away_m } = explored_alone(seed);
+        assert!(known >= 0.85 && believed_m < 0.2, "seed {seed}: {known}, {believed_m} m");
         sum += known;
+        squares += away_m * away_m;
     }
     assert!(sum >= 5.0 * 0.9, "{sum} of 5");
+    // As far as its wheels slip, which it cannot know.
+    assert!(squares <= 5.0 * 0.6 * 0.6, "{squares} m^2 of 5");
 }
 
-/// Lets a robot explore two rooms alone: how much of them it knows in the end, and how far it is
-/// from home then, in metres.
-fn explored_alone(seed: u64) -> (f64, f64) {
+/// What a robot that explored alone has come to.
+struct Alone {
+    /// The part of the ground that it knows.
+    known: f64,
+    /// How far from home it believes that it stands, in metres, and how far away it really is.
+    believed_m: f64,
+    away_m: f64,
+}
+
+/// Lets a robot explore two rooms alone.
+fn explored_alone(seed: u64) -> Alone {
     let scenario = Scenario::from_toml(TWO_ROOMS, "two_rooms.toml").unwrap();
     let mut world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
     world.tell_wheels(1, 0.0, 0.0);
@@ -310,8 +322,9 @@ fn explored_alone(seed: u64) -> (f64, f64) {
         tile.is_some_and(|tile| tile.row(y.rem_euclid(32) as usize).known() & bit != 0)
     });
     let (known, all) = (known.count(), reached.len());
-    let truth = world.robots()[0].truth();
-    let away = (truth.x - home.x).metres().hypot((truth.y - home.y).metres());
-    println!("alone, seed {seed}: {known} of {all} cells in {now:?}, {away:.2} m from home");
-    (known as f64 / all as f64, away)
+    let from_home = |at: Pose| (at.x - home.x).metres().hypot((at.y - home.y).metres());
+    let away_m = from_home(world.robots()[0].truth());
+    let believed_m = from_home(robot.pose_at(now).unwrap().0);
+    println!("alone, seed {seed}: {known} of {all} cells in {now:?}, {away_m:.2} m from home");
+    Alone { known: known as f64 / all as f64, believed_m, away_m }
 }

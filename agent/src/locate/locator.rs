@@ -310,6 +310,37 @@ mod tests {
         assert!(matches!(at(&locator, 20_000, 20_000), Located::At(..)));
     }
 
+    /// Readings that are remembered lie 100 ms apart; at the moment of a scan the ones that came just
+    /// before and after it count.
+    #[test]
+    fn the_odometry_of_a_scans_moment_is_remembered() {
+        let (mut locator, mut other) = (
+            locator(PoseSource::Odometry(pose(0, 0, 0.0))),
+            locator(PoseSource::Odometry(pose(0, 0, 0.0))),
+        );
+        // It turns ever faster, by 2,000 degrees/s^2.
+        let at = |millis: u64| pose(0, 0, 0.001 * (millis * millis) as f64);
+        for millis in (10..600).step_by(50) {
+            let is_scan = millis % 100 == 60;
+            for locator in [&mut locator, &mut other] {
+                locator.odometry(moment(millis), at(millis)).unwrap();
+            }
+            if is_scan {
+                locator.expect(moment(millis + 40));
+            }
+        }
+        let off =
+            |locator: &Locator, millis: u64| match locator.at(moment(millis), moment(600), true) {
+                Located::At(found, _) => found.heading.distance(at(millis).heading),
+                missing => panic!("{missing:?}"),
+            };
+        // Binary units: 182 are a degree.
+        for scan in [200, 300, 400] {
+            assert!(off(&locator, scan) <= 90, "{}", off(&locator, scan));
+            assert!(off(&other, scan) > off(&locator, scan), "{}", off(&other, scan));
+        }
+    }
+
     /// A step of the drive comes when it is due, and not with a reading of the odometry.
     #[test]
     fn soon_after_the_odometry_the_pose_is_known_and_then_it_is_lost() {
