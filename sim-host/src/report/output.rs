@@ -16,6 +16,9 @@ pub struct OutputError {
     pub error: io::Error,
 }
 
+/// Results that only some commands write.
+const OF_SOME: [&str; 4] = ["coverage.png", "error.png", "timelapse.png", "robots.csv"];
+
 /// A folder that is being written to. Files lie in it under temporary names until
 /// [`OutputFolder::finish`] renames them; if that never happens, they are removed, and the folder
 /// too if it was made for them.
@@ -46,8 +49,15 @@ impl OutputFolder {
         written.map_err(|error| OutputError { path, error })
     }
 
-    /// Gives all files their names, over whatever had them before.
+    /// Gives all files their names, over whatever had them before. Results of an earlier run that this
+    /// one does not have are removed: beside these they would be taken for its own.
     pub fn finish(mut self) -> Result<(), OutputError> {
+        let report = fs::read_to_string(self.path.join("report.json")).unwrap_or_default();
+        let stale: Vec<&str> = if report.contains("\"schema\": \"ubimap-") {
+            OF_SOME.into_iter().filter(|name| !self.pending.iter().any(|it| it == name)).collect()
+        } else {
+            Vec::new()
+        };
         // A name that can't be taken is found before any is.
         for name in &self.pending {
             let path = self.path.join(name);
@@ -61,6 +71,14 @@ impl OutputFolder {
             let path = self.path.join(name);
             fs::rename(self.partial(name), &path).map_err(|error| OutputError { path, error })?;
             self.pending.remove(0);
+        }
+        for name in stale {
+            match fs::remove_file(self.path.join(name)) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(OutputError { path: self.path.join(name), error });
+                }
+                _ => {}
+            }
         }
         Ok(())
     }
@@ -113,6 +131,25 @@ mod tests {
         output.finish().unwrap();
         assert_eq!(names(folder.path()), ["a", "b"]);
         assert_eq!(fs::read(folder.path().join("b")).unwrap(), b"2");
+    }
+
+    #[test]
+    fn results_of_an_earlier_run_are_removed_and_nothing_else() {
+        let folder = Folder::new("output-stale");
+        for name in ["coverage.png", "error.png", "notes.txt"] {
+            folder.file(name, b"old");
+        }
+        let write = || {
+            let mut output = OutputFolder::create(folder.path()).unwrap();
+            output.add("coverage.png", b"new").unwrap();
+            output.add("report.json", b"{\n  \"schema\": \"ubimap-report\"\n}\n").unwrap();
+            output.finish().unwrap();
+        };
+        // No report of ours was there: the files are somebody else's.
+        write();
+        assert_eq!(names(folder.path()), ["coverage.png", "error.png", "notes.txt", "report.json"]);
+        write();
+        assert_eq!(names(folder.path()), ["coverage.png", "notes.txt", "report.json"]);
     }
 
     #[test]
