@@ -3,18 +3,24 @@
 use std::{
     fmt,
     io::{self, Write},
-    path::Path,
     process::ExitCode,
 };
 
-use clap::{Parser, Subcommand, error::ErrorKind};
+use clap::{
+    Parser, Subcommand,
+    error::{ContextKind, ContextValue, ErrorKind},
+};
+use log::LevelFilter;
 use serde::Serialize;
 use ubimap_sim_host::{
-    report::json_pretty,
+    report::{Brief, OutputFolder, brief, json_pretty},
     run::{
-        Outcome, RunError, compare, open_output,
-        options::{CompareOptions, ReplayOptions, ServeOptions, SimulateOptions, WatchOptions},
-        replay, serve, simulate, watch,
+        Outcome, RunError, compare,
+        options::{
+            CompareOptions, ReplayOptions, ResultOptions, ServeOptions, SimulateOptions, Verbosity,
+            WatchOptions,
+        },
+        replay, serve, simulate, terminal, watch,
     },
 };
 
@@ -29,6 +35,8 @@ const BAD_INPUT: u8 = 2;
 struct CommandLine {
     #[command(subcommand)]
     command: Command,
+    #[command(flatten)]
+    verbosity: Verbosity,
 }
 
 #[derive(Subcommand)]
@@ -46,20 +54,28 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    start_logging();
-    let command_line = match CommandLine::try_parse() {
+    let CommandLine { command, verbosity } = match CommandLine::try_parse() {
         Ok(command_line) => command_line,
         Err(error) => return refuse_use(&error),
     };
-    let finished = match command_line.command {
+    let level = match command {
+        // It has no end to wait for: its messages are all there is to see.
+        Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Info),
+        _ => verbosity.level(),
+    };
+    terminal::start_logging(level);
+    let is_verbose = verbosity.verbose > 0;
+    let finished = match command {
         Command::Replay(options) => {
-            finish(options.run.results(), || replay::run(&options), |it| it.map.converged)
+            let results = (&options.run.results, is_verbose);
+            finish(results, || replay::run(&options), |it| it.map.converged)
         }
         Command::Simulate(options) => {
-            finish(options.run.results(), || simulate::run(&options), |it| it.map.converged)
+            let results = (&options.run.results, is_verbose);
+            finish(results, || simulate::run(&options), |it| it.map.converged)
         }
         Command::Watch(options) => {
-            finish((options.out.as_deref(), options.json), || watch::run(&options), |_| true)
+            finish((&options.results, is_verbose), || watch::run(&options), |_| true)
         }
         Command::Serve(options) => serve(&options),
         Command::Compare(options) => compare(&options),
@@ -70,46 +86,41 @@ fn main() -> ExitCode {
     })
 }
 
-/// Runs a command and writes its results; `is_success` decides the exit code from the report.
-fn finish<R: fmt::Display + Serialize>(
-    (out, json): (Option<&Path>, bool),
+/// Makes a run, writes its results and says where they are; prints all figures only if `is_verbose`.
+/// `is_success` decides the exit code from the report.
+fn finish<R: Brief + fmt::Display + Serialize>(
+    (options, is_verbose): (&ResultOptions, bool),
     run: impl FnOnce() -> Result<Outcome<R>, RunError>,
     is_success: impl FnOnce(&R) -> bool,
 ) -> Result<ExitCode, RunError> {
-    let folder = open_output(out)?;
+    // Before the run: a folder that can't be written to costs no run.
+    let folder = OutputFolder::create(&options.out)?;
     let outcome = run()?;
-    if let Some(folder) = folder {
-        outcome.write(folder)?;
+    outcome.write(folder)?;
+    let report = &outcome.report;
+    if options.json {
+        print(&json_pretty(report));
+    } else {
+        let figures = if is_verbose { report.to_string() } else { String::new() };
+        print(&(figures + &brief(report, &options.out)));
     }
-    Ok(tell(&outcome.report, json, is_success(&outcome.report)))
+    Ok(status(is_success(report)))
+}
+
+fn status(is_success: bool) -> ExitCode {
+    if is_success { ExitCode::SUCCESS } else { ExitCode::from(FAILED) }
 }
 
 fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
-    Ok(tell(&report, options.json, report.has_robot()))
-}
-
-/// Prints a report and returns the exit code.
-fn tell(report: &(impl fmt::Display + Serialize), json: bool, is_success: bool) -> ExitCode {
-    print(&if json { json_pretty(report) } else { report.to_string() });
-    if is_success { ExitCode::SUCCESS } else { ExitCode::from(FAILED) }
+    print(&if options.json { json_pretty(&report) } else { report.to_string() });
+    Ok(status(report.has_robot()))
 }
 
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     let scores = compare::run(options)?;
     print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) });
     Ok(ExitCode::SUCCESS)
-}
-
-/// Logs to standard error, at `info` and above unless `RUST_LOG` is set.
-fn start_logging() {
-    let environment = env_logger::Env::default().default_filter_or("info");
-    env_logger::Builder::from_env(environment)
-        .format(|out, record| {
-            let level = record.level().as_str().to_ascii_lowercase();
-            writeln!(out, "ubimap: {level}: {}", record.args())
-        })
-        .init();
 }
 
 /// Prints help and the version to standard output, and usage errors to standard error in one line.
@@ -134,8 +145,20 @@ fn refuse_use(error: &clap::Error) -> ExitCode {
     } else {
         message.strip_prefix("error: ").unwrap_or(&message)
     };
-    complain(&format!("{message} (see ubimap --help)"));
+    let meant = meant(error).map_or(String::new(), |it| format!("; did you mean {it}?"));
+    complain(&format!("{message}{meant} (see ubimap --help)"));
     ExitCode::from(BAD_INPUT)
+}
+
+/// What was probably meant.
+fn meant(error: &clap::Error) -> Option<&str> {
+    let kinds =
+        [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
+    kinds.into_iter().find_map(|kind| match error.get(kind)? {
+        ContextValue::String(one) => Some(one.as_str()),
+        ContextValue::Strings(several) => several.first().map(String::as_str),
+        _ => None,
+    })
 }
 
 fn complain(message: &str) {

@@ -5,8 +5,11 @@ use std::{
     process::{Command, Output},
 };
 
+/// Runs in the folder of the tests' own files, so that default output stays out of the checkout.
 fn ubimap(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_ubimap")).args(arguments).output().unwrap()
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+    command.current_dir(env!("CARGO_TARGET_TMPDIR")).env_remove("RUST_LOG");
+    command.args(arguments).output().unwrap()
 }
 
 /// Bad use and bad input: exit code 2, one line on standard error, nothing on standard output.
@@ -24,6 +27,12 @@ fn refused(arguments: &[&str], expected: &str) {
 fn bad_use_is_told_in_one_line() {
     refused(&[], "no command given");
     refused(&["frob"], "frob");
+    refused(&["simulat"], "did you mean simulate?");
+    refused(&["simulate", "--duratio", "1"], "did you mean --duration?");
+    refused(&["simulate", "rom"], "no scenario \"rom\"; did you mean \"room\"? There are room, ");
+    refused(&["simulate", "zzz"], "no scenario \"zzz\"; there are room, warehouse, ");
+    refused(&["simulate", "-q", "-v"], "--quiet");
+    refused(&["simulate", "--out", "/dev/null/x"], "/dev/null/x: ");
     refused(&["replay"], "LOG");
     refused(&["replay", "x", "--loss", "1.5"], "--loss");
     refused(&["replay", "x", "--corrupt", "nan"], "--corrupt");
@@ -34,6 +43,7 @@ fn bad_use_is_told_in_one_line() {
     refused(&["simulate", "--duration", "-1"], "--duration");
     refused(&["simulate", "--record", "x", "--ideal-cameras"], "--record");
     refused(&["simulate", "--record", "/dev/null/x"], "/dev/null/x: ");
+    refused(&["simulate", "--log", "/dev/null/x"], "/dev/null/x: ");
     refused(&["watch"], "FOLDER");
     refused(&["watch", "/no-such-folder"], "/no-such-folder: No such file");
     refused(&["watch", "x", "--resolution", "0"], "--resolution");
@@ -138,6 +148,33 @@ start = { x_m = 1.5, y_m = 1.5 }
 "#;
 
 #[test]
+fn a_simulation_ends_with_four_lines_and_its_pictures() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("simulate");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let scenario = folder.join("small.toml");
+    std::fs::write(&scenario, ROOM).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+    command.current_dir(&folder).env_remove("RUST_LOG");
+    let output = command.args(["simulate", "small.toml", "--ideal-cameras"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let words = String::from_utf8(output.stdout).unwrap();
+    let starts: Vec<&str> = words.lines().filter_map(|it| Some(it.split_once(':')?.0)).collect();
+    assert_eq!(starts, ["quality", "agreement", "time", "results"], "{words}");
+    assert!(words.ends_with("in ubimap-out; open ubimap-out/map.png first\n"), "{words}");
+    assert!(!String::from_utf8(output.stderr).unwrap().contains("info:"));
+
+    // The camera sees most of the floor, up to the moment that is drawn.
+    let picture = image::open(folder.join("ubimap-out/coverage.png")).unwrap().into_rgb8();
+    let share = |colour: [u8; 3]| {
+        let count = picture.pixels().filter(|pixel| pixel.0 == colour).count();
+        count as f64 / picture.pixels().len() as f64
+    };
+    let (covered, blind) = (share([200, 235, 250]), share([140, 90, 190]));
+    assert!(covered > 0.3 && blind < covered, "{covered} covered, {blind} blind");
+}
+
+#[test]
 fn what_a_simulation_records_can_be_watched_and_what_is_wrong_with_it_is_told() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch");
     let _ = std::fs::remove_dir_all(&folder);
@@ -164,9 +201,14 @@ fn what_a_simulation_records_can_be_watched_and_what_is_wrong_with_it_is_told() 
         names.join(" ")
     };
     assert_eq!(written(&out), "coverage.png map.pgm map.png map.yaml report.json robots.csv");
-    let output = ubimap(&["watch", &recording]);
-    let words = String::from_utf8(output.stdout).unwrap();
-    assert!(words.contains("camera-00") && words.contains("s recorded, watched in"), "{words}");
+    let figures = |options: &[&str]| {
+        let output = ubimap(&[&["watch", &recording, "--out", &out], options].concat());
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let (brief, all) = (figures(&[]), figures(&["-v"]));
+    assert_eq!(brief.lines().count(), 4, "{brief}");
+    assert!(brief.contains(&format!("results:   in {out}; open {out}/map.png")), "{brief}");
+    assert!(all.contains("camera-00") && all.lines().count() > 4, "{all}");
 
     // A picture that breaks off is found when it is its turn: nothing is left behind.
     let picture = path("recording/camera-00/color/000000000000.png");
@@ -202,7 +244,7 @@ fn a_recording_without_any_frame_can_be_watched() {
     std::fs::write(&scenario, silent).unwrap();
     let simulate = ["simulate", &scenario, "--scripted", "--record", &recording];
     assert_eq!(ubimap(&simulate).status.code(), Some(0));
-    let output = ubimap(&["watch", &recording, "--json"]);
+    let output = ubimap(&["watch", &recording, "--json", "-v"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["cameras"][0]["frames"], 0);

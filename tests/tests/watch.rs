@@ -21,7 +21,7 @@ use ubimap_sim_host::{
     run::{
         Outcome,
         fleet::Fleet,
-        options::WatchOptions,
+        options::{ResultOptions, WatchOptions},
         record::{Recorded, Recording},
         room_stage::RoomStage,
         simulate::{RESOLUTION, deployment_config},
@@ -87,8 +87,7 @@ fn watched(folder: &Path) -> Outcome<WatchReport> {
         folders: vec![folder.to_owned()],
         robots: None,
         resolution: RESOLUTION,
-        out: None,
-        json: true,
+        results: ResultOptions { out: PathBuf::new(), json: true },
     };
     watch::run(&options).unwrap()
 }

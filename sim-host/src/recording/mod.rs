@@ -12,6 +12,8 @@
 //! Information missing from a log (such as time stamps) is replaced by a documented rule, and
 //! [`Log::notes`] mentions it.
 //!
+//! [`write_carmen`] writes the scans of robots as a CARMEN log.
+//!
 //! [`RecordedFrames`] plays the frames of RGB-D cameras, and [`Recorder`] writes them; [`frames`] describes
 //! the layout on disk.
 
@@ -31,4 +33,5 @@ pub use format::Format;
 pub use frames::{FramesError, RecordedFrames, Recorder};
 pub use scans::{
     DepthSlice, Log, LoggedScan, PixelModel, Sensor, Slicing, concatenate, read, read_all,
+    write_carmen,
 };

@@ -3,6 +3,7 @@
 //! [`Report`] is `report.json`, [`ServeReport`] the same for serial ports and [`WatchReport`] for
 //! recorded cameras; [`render`] draws `map.png`, and [`OutputFolder`] writes all files or none.
 
+mod brief;
 mod comparison;
 mod output;
 mod picture;
@@ -12,9 +13,12 @@ mod watching;
 
 use serde::Serialize;
 
+pub use brief::{Brief, brief};
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
-pub use picture::{Marker, MarkerKind, png, render, render_coverage, render_error, render_frames};
+pub use picture::{
+    Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error, render_frames,
+};
 pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
 pub use summary::{
     DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores,

@@ -16,6 +16,9 @@ pub struct OutputError {
     pub error: io::Error,
 }
 
+/// Results that only some commands write.
+const OPTIONAL: [&str; 4] = ["coverage.png", "error.png", "timelapse.png", "robots.csv"];
+
 /// A folder being written to. Its files have temporary names until [`OutputFolder::finish`] renames
 /// them; if it is dropped before, they are removed, and so is the folder if it was created here.
 #[derive(Debug)]
@@ -45,8 +48,15 @@ impl OutputFolder {
         written.map_err(|error| OutputError { path, error })
     }
 
-    /// Renames all files to their final names, replacing existing files.
+    /// Renames all files to their final names, replacing existing files. Removes optional results of an
+    /// earlier run that this one lacks: they would be mistaken for its own.
     pub fn finish(mut self) -> Result<(), OutputError> {
+        let report = fs::read_to_string(self.path.join("report.json")).unwrap_or_default();
+        let stale: Vec<&str> = if report.contains("\"schema\": \"ubimap-") {
+            OPTIONAL.into_iter().filter(|name| !self.pending.iter().any(|it| it == name)).collect()
+        } else {
+            Vec::new()
+        };
         // Check all names before the first one is replaced.
         for name in &self.pending {
             let path = self.path.join(name);
@@ -62,6 +72,14 @@ impl OutputFolder {
             let path = self.path.join(name);
             fs::rename(self.partial(name), &path).map_err(|error| OutputError { path, error })?;
             self.pending.remove(0);
+        }
+        for name in stale {
+            match fs::remove_file(self.path.join(name)) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(OutputError { path: self.path.join(name), error });
+                }
+                _ => {}
+            }
         }
         Ok(())
     }
@@ -114,6 +132,25 @@ mod tests {
         output.finish().unwrap();
         assert_eq!(names(folder.path()), ["a", "b"]);
         assert_eq!(fs::read(folder.path().join("b")).unwrap(), b"2");
+    }
+
+    #[test]
+    fn stale_results_of_an_earlier_run_are_removed() {
+        let folder = Folder::new("output-stale");
+        for name in ["coverage.png", "error.png", "notes.txt"] {
+            folder.file(name, b"old");
+        }
+        let write = || {
+            let mut output = OutputFolder::create(folder.path()).unwrap();
+            output.add("coverage.png", b"new").unwrap();
+            output.add("report.json", b"{\n  \"schema\": \"ubimap-report\"\n}\n").unwrap();
+            output.finish().unwrap();
+        };
+        // Without a report of ours, the files belong to somebody else.
+        write();
+        assert_eq!(names(folder.path()), ["coverage.png", "error.png", "notes.txt", "report.json"]);
+        write();
+        assert_eq!(names(folder.path()), ["coverage.png", "notes.txt", "report.json"]);
     }
 
     #[test]

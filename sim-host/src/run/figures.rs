@@ -1,14 +1,11 @@
 //! The figures of a run, from the fleet that ran.
 
-use ubimap_protocol::{
-    tile::{Digest, Stamp, tile_hash},
-    units::Millimetres,
-};
+use ubimap_protocol::tile::{Digest, Stamp, tile_hash};
 
 use super::{fleet::Fleet, member::Member};
 use crate::{
     grid::OccupancyGrid,
-    report::{Comparison, HexDigest, MapSummary, Marker, MarkerKind, Pixels, Report, RobotSummary},
+    report::{Comparison, HexDigest, MapSummary, Pixels, Report, RobotSummary},
     server::EventLog,
 };
 
@@ -77,20 +74,4 @@ fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary 
         digest: HexDigest(digest.0),
         ..RobotSummary::default()
     }
-}
-
-/// The robots as the picture shows them.
-pub(super) fn markers(fleet: &Fleet<'_>) -> Vec<Marker> {
-    let robots = fleet.robots().iter().filter_map(|robot| {
-        let (_, pose) = robot.robot().pose()?;
-        let metres = |length: Millimetres| length.metres();
-        Some(Marker {
-            kind: MarkerKind::Robot,
-            x_m: metres(pose.x),
-            y_m: metres(pose.y),
-            heading_rad: pose.heading.radians(),
-            path: robot.path().iter().map(|(_, pose)| [metres(pose.x), metres(pose.y)]).collect(),
-        })
-    });
-    robots.collect()
 }

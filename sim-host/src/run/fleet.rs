@@ -3,6 +3,7 @@
 //! Nothing here waits: the clock jumps from event to event, each robot and the deployment come back
 //! when they asked to, and the same seed gives the same bytes.
 
+use log::Level;
 use ubimap_agent::{
     Config, ConfigError, Memory,
     drive::{DriveCommand, Driving},
@@ -17,6 +18,7 @@ use super::{
     heap::Heap,
     keeper::Keeper,
     member::{Journal, Member},
+    terminal,
 };
 use crate::{
     camera::{Frame, Observation},
@@ -78,6 +80,8 @@ pub struct Fleet<'b> {
     frame: Vec<u8>,
     tap: Option<Tap<'b>>,
     listener: Option<Listener<'b>>,
+    /// Whether the stage has ended: no frame tells robots where they are any more.
+    has_ended: bool,
 }
 
 /// How long a run goes on after the last event, unless all hold the same map before.
@@ -108,6 +112,7 @@ impl<'b> Fleet<'b> {
             frame: vec![0; MAX_FRAME],
             tap: None,
             listener: None,
+            has_ended: false,
         })
     }
 
@@ -158,16 +163,28 @@ impl<'b> Fleet<'b> {
         self.now.since(Instant(0))
     }
 
-    /// Runs until the stage has ended and all hold the same map, or until patience ends. Returns
-    /// whether they do. `watch` sees the fleet after every event.
+    /// [`play`](Self::play), then [`settle`](Self::settle). Returns whether all hold the same map.
     ///
     /// # Errors
     /// [`StoreError`].
     pub fn run(
         &mut self,
         stage: &mut dyn Stage,
-        mut watch: impl FnMut(&Self),
+        watch: impl FnMut(&Self),
     ) -> Result<bool, StoreError> {
+        self.play(stage, watch)?;
+        self.settle(stage)
+    }
+
+    /// Runs until the stage has ended. `watch` sees the fleet after every event.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn play(
+        &mut self,
+        stage: &mut dyn Stage,
+        mut watch: impl FnMut(&Self),
+    ) -> Result<(), StoreError> {
         while let Some(next) = stage.next_event() {
             self.run_until(next, stage)?;
             while let Some(event) = stage.poll(self.now) {
@@ -176,6 +193,16 @@ impl<'b> Fleet<'b> {
             self.drain()?;
             watch(self);
         }
+        Ok(())
+    }
+
+    /// Runs on after the stage has ended until all hold the same map, for two minutes at most. Returns
+    /// whether they do.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn settle(&mut self, stage: &mut dyn Stage) -> Result<bool, StoreError> {
+        self.has_ended = true;
         let end = self.now + PATIENCE;
         while !self.has_converged() && self.now < end {
             self.run_until(self.now + Duration::from_millis(100), stage)?;
@@ -261,8 +288,10 @@ impl<'b> Fleet<'b> {
                 robot.send_down(now, &self.frame[..len]);
             }
         }
-        while let Some((_, event)) = self.deployment.poll_event() {
-            log::log!(event.level(), "{event}");
+        while let Some((moment, event)) = self.deployment.poll_event() {
+            // That robots lose their poses after the end is nobody's fault.
+            let level = if self.has_ended { Level::Debug } else { event.level() };
+            log::log!(level, "{}: {event}", terminal::seconds(moment));
             if let Some(listener) = &mut self.listener {
                 listener(&event);
             }

@@ -9,6 +9,7 @@ mod figures;
 pub mod fleet;
 pub mod heap;
 pub mod keeper;
+mod markers;
 pub mod member;
 pub mod options;
 mod progress;
@@ -16,13 +17,15 @@ pub mod record;
 pub mod replay;
 mod robots_file;
 pub mod room_stage;
+pub mod scan_log;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;
+pub mod terminal;
 mod time_lapse;
 pub mod watch;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use image::RgbImage;
 use serde::Serialize;
@@ -36,7 +39,7 @@ use crate::{
     grid::{self, GridError, MapError, OccupancyGrid},
     perception::robots::RegistryError,
     recording::{FramesError, LogError},
-    report::{self, Marker, OutputError, OutputFolder, Report},
+    report::{self, Caption, Marker, OutputError, OutputFolder, Report},
     store::StoreError,
     world::ScenarioError,
 };
@@ -48,8 +51,10 @@ pub struct Outcome<R = Report> {
     pub report: R,
     /// The fused map.
     pub map: OccupancyGrid,
-    /// The robots, and what else moves, where they ended.
+    /// The robots, people and cameras when the last frame or scan had been looked at.
     pub markers: Vec<Marker>,
+    /// What the pictures show, and when.
+    pub caption: Caption,
     /// More pictures, by the names of their files.
     pub pictures: Vec<(&'static str, RgbImage)>,
     /// Tables as text, by the names of their files.
@@ -62,7 +67,10 @@ impl<R: Serialize> Outcome<R> {
     pub fn write(&self, mut folder: OutputFolder) -> Result<(), RunError> {
         folder.add("map.pgm", &grid::pgm(&self.map))?;
         folder.add("map.yaml", grid::yaml(&self.map, "map.pgm").as_bytes())?;
-        folder.add("map.png", &report::png(&report::render(&self.map, &self.markers))?)?;
+        folder.add(
+            "map.png",
+            &report::png(&report::render(&self.map, &self.markers, &self.caption))?,
+        )?;
         for (name, picture) in &self.pictures {
             folder.add(name, &report::png(picture)?)?;
         }
@@ -72,12 +80,6 @@ impl<R: Serialize> Outcome<R> {
         folder.add("report.json", report::json_pretty(&self.report).as_bytes())?;
         Ok(folder.finish()?)
     }
-}
-
-/// Opens the folder for the results, if one is asked for: before the run, so that a folder that
-/// can't be written to costs no run.
-pub fn open_output(out: Option<&Path>) -> Result<Option<OutputFolder>, RunError> {
-    Ok(out.map(OutputFolder::create).transpose()?)
 }
 
 /// Why a run could not be made or finished. Each is one line.

@@ -1,8 +1,9 @@
 //! The options of `ubimap`'s commands, checked as they are parsed.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use clap::{Args, ValueEnum, value_parser};
+use clap::{ArgAction, Args, ValueEnum, value_parser};
+use log::LevelFilter;
 use ubimap_agent::map::Policy;
 use ubimap_protocol::{
     time::{Duration, Instant},
@@ -17,6 +18,7 @@ use crate::{
 
 /// Options of `ubimap replay`.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Log")]
 pub struct ReplayOptions {
     /// Recorded logs of one sensor: files, or folders of depth images
     #[arg(required = true, value_name = "LOG")]
@@ -27,20 +29,20 @@ pub struct ReplayOptions {
     pub format: FormatChoice,
 
     /// Cut the log into this many consecutive segments, one robot each, all at the same time
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = robots(), allow_negative_numbers = true)]
+    #[arg(long, help_heading = "Robots and map", value_name = "N", default_value_t = 1, value_parser = robots(), allow_negative_numbers = true)]
     pub robots: u16,
 
     /// Side of a cell in metres
-    #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
+    #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
 
     /// Map nothing beyond this range, in metres
-    #[arg(long, value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
+    #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
     pub max_range: Millimetres,
 
     /// How much of what the sensors say is mapped, as Aluckal et al. compare it: every scan; those
     /// after a motion; less what was in view before a turn; less all that is known
-    #[arg(long, value_name = "P", value_enum, default_value_t = PolicyName::Full)]
+    #[arg(long, help_heading = "Robots and map", value_name = "P", value_enum, default_value_t = PolicyName::Full)]
     pub policy: PolicyName,
 
     /// How depth images become scans.
@@ -54,6 +56,7 @@ pub struct ReplayOptions {
 
 /// How depth images become scans.
 #[derive(Args, Clone, Copy, Debug)]
+#[command(next_help_heading = "Depth images")]
 pub struct SlicingOptions {
     /// Which part of a depth image is mapped
     #[arg(long, value_enum, default_value_t)]
@@ -73,6 +76,7 @@ impl SlicingOptions {
 
 /// Options of `ubimap simulate`.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Scenario")]
 pub struct SimulateOptions {
     /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
     /// changing, office or ahmed-2013
@@ -85,20 +89,20 @@ pub struct SimulateOptions {
 
     /// Let the cameras know what is in view, in place of drawing and looking at their frames:
     /// quicker, and better than any camera
-    #[arg(long)]
+    #[arg(long, help_heading = "Cameras and robots")]
     pub ideal_cameras: bool,
 
     /// Let the robots drive the scenario's routes, in place of driving themselves where nobody has
     /// been, under the server's coordination
-    #[arg(long)]
+    #[arg(long, help_heading = "Cameras and robots")]
     pub scripted: bool,
 
     /// How robots that drive themselves come to their scans
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
     pub motion: MotionName,
 
     /// How many robots drive, in place of the scenario's number
-    #[arg(long, value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
+    #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,
 
     /// How long they drive in seconds, in place of the scenario's time
@@ -106,8 +110,13 @@ pub struct SimulateOptions {
     pub duration: Option<Duration>,
 
     /// Write the frames of the cameras to this folder, new or empty, for ubimap watch
-    #[arg(long, value_name = "DIR", conflicts_with = "ideal_cameras")]
+    #[arg(long, help_heading = "Results", value_name = "DIR", conflicts_with = "ideal_cameras")]
     pub record: Option<PathBuf>,
+
+    /// Write what the robots' sensors read to this file, a CARMEN log for ubimap replay: robot after
+    /// robot, so that --robots N plays N of them at once; gzipped if the name ends with .gz
+    #[arg(long, help_heading = "Results", value_name = "FILE")]
+    pub log: Option<PathBuf>,
 
     /// What every run has.
     #[command(flatten)]
@@ -116,6 +125,7 @@ pub struct SimulateOptions {
 
 /// Options of `ubimap watch`.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Recording")]
 pub struct WatchOptions {
     /// Folders of cameras, or of such folders: pose.txt, intrinsics.toml, depth/*.png, color/*.png
     /// (with a pose.txt and intrinsics.toml of its own, if it has them), and times.txt
@@ -130,14 +140,9 @@ pub struct WatchOptions {
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
 
-    /// Write map.pgm, map.yaml, map.png, coverage.png, robots.csv (every pose of every robot) and
-    /// report.json to this folder
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-
-    /// Print the report as JSON, and nothing else, on standard output
-    #[arg(long)]
-    pub json: bool,
+    /// Where the results go.
+    #[command(flatten)]
+    pub results: ResultOptions,
 }
 
 /// Options of `ubimap serve`.
@@ -176,6 +181,7 @@ pub struct ServeOptions {
 
 /// Options that every run has.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Run")]
 pub struct RunOptions {
     /// What the channels do.
     #[command(flatten)]
@@ -190,28 +196,58 @@ pub struct RunOptions {
     pub tiles: Option<u32>,
 
     /// Keep the map in this file, and go on from what it holds
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = "Results")]
     pub store: Option<PathBuf>,
 
-    /// Write map.pgm, map.yaml, map.png and report.json to this folder
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
+    /// Where the results go.
+    #[command(flatten)]
+    pub results: ResultOptions,
+}
 
-    /// Print the report as JSON, and nothing else, on standard output
+/// Where the results of a run go.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Results")]
+pub struct ResultOptions {
+    /// Folder for the map (map.pgm, map.yaml), the pictures (*.png), the tables and report.json. Results
+    /// of an earlier run in it are replaced when the run has succeeded
+    #[arg(long, value_name = "DIR", default_value = "ubimap-out")]
+    pub out: PathBuf,
+
+    /// Print the report as JSON, and nothing else, on standard output; the folder is written as well
     #[arg(long)]
     pub json: bool,
 }
 
-impl RunOptions {
-    /// Where the results go, and whether they are printed as JSON.
-    pub fn results(&self) -> (Option<&Path>, bool) {
-        (self.out.as_deref(), self.json)
+/// How much is logged on standard error. `RUST_LOG` overrides it.
+#[derive(Args, Clone, Copy, Debug)]
+#[command(next_help_heading = "Messages")]
+pub struct Verbosity {
+    /// More messages, and all figures at the end; -vv for what happens in detail
+    #[arg(short, long, action = ArgAction::Count, global = true)]
+    pub verbose: u8,
+
+    /// Errors only: no warnings and no progress
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+}
+
+impl Verbosity {
+    /// The least important level that is logged.
+    pub fn level(self) -> LevelFilter {
+        match self.verbose {
+            _ if self.quiet => LevelFilter::Error,
+            0 => LevelFilter::Warn,
+            1 => LevelFilter::Info,
+            2 => LevelFilter::Debug,
+            _ => LevelFilter::Trace,
+        }
     }
 }
 
 /// What the channel between the server and each robot does to a frame, both ways. Probabilities are
 /// from 0 to 1.
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
+#[command(next_help_heading = "Channel between the server and each robot")]
 pub struct ChannelOptions {
     /// Probability that a frame is lost
     #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]

@@ -16,6 +16,7 @@ use super::{
     Outcome, RunError, figures,
     fleet::{Event, Fleet, Stage, Tap},
     heap::BOUNDS,
+    markers,
     options::ReplayOptions,
     progress::Progress,
 };
@@ -24,6 +25,7 @@ use crate::{
     deployment::{self, Deployment},
     grid::OccupancyGrid,
     recording::{self, Log, LoggedScan},
+    report::Caption,
 };
 
 /// How long before the first scan the robots boot: time to meet the server.
@@ -70,9 +72,9 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     }
     fleet.tap(tap);
 
-    let progress = Progress::new(stage.end(), options.run.json);
+    let progress = Progress::new(stage.end());
     let converged = fleet.run(&mut stage, |fleet| progress.at(fleet.now()))?;
-    progress.finish();
+    drop(progress);
 
     let fused = fleet.server().fused();
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
@@ -80,8 +82,14 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, bounds.own_tiles);
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
-    let markers = figures::markers(&fleet);
-    Ok(Outcome { report, map, markers, pictures: Vec::new(), tables: Vec::new() })
+    let names = options.logs.iter().filter_map(|log| log.file_name()?.to_str());
+    let caption = Caption {
+        subject: names.collect::<Vec<_>>().join(", "),
+        seed: Some(options.run.seed),
+        time_s: report.simulated_s,
+    };
+    let markers = markers::robots(&fleet);
+    Ok(Outcome { report, map, markers, caption, pictures: Vec::new(), tables: Vec::new() })
 }
 
 fn config(robot: RobotId, bounds: Bounds, log: &Log, options: &ReplayOptions) -> Config {

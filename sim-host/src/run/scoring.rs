@@ -13,7 +13,7 @@ use super::{RunError, fleet::Fleet};
 use crate::{
     camera::FrameSource,
     grid::{self, OccupancyGrid},
-    report::{self, PoseErrors, TruthScores},
+    report::{self, Caption, PoseErrors, TruthScores},
     world::World,
 };
 
@@ -173,10 +173,14 @@ fn without_bodies(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
 }
 
 /// A picture of where a map is wrong.
-pub(super) fn error_picture(map: &OccupancyGrid, world: &World) -> Result<RgbImage, RunError> {
+pub(super) fn error_picture(
+    map: &OccupancyGrid,
+    world: &World,
+    caption: &Caption,
+) -> Result<RgbImage, RunError> {
     let ground = Ground::of(world, side_of(map))?;
     let map = &without_bodies(map, world);
-    Ok(report::render_error(map, &ground.whole, &ground.seen))
+    Ok(report::render_error(map, &ground.whole, &ground.seen, caption))
 }
 
 /// The cells of which a map says something.

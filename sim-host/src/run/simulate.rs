@@ -16,10 +16,12 @@ use super::{
     figures,
     fleet::Fleet,
     heap::BOUNDS,
+    markers,
     options::SimulateOptions,
     progress::Progress,
     record::{Recorded, Recording},
     room_stage::RoomStage,
+    scan_log::ScanLog,
     scoring,
     time_lapse::{self, TimeLapse},
 };
@@ -31,7 +33,7 @@ use crate::{
     },
     grid::{self, OccupancyGrid},
     perception::markers::Hue,
-    report::{self, Marker, MarkerKind},
+    report::{self, Caption, Marker},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
@@ -69,18 +71,22 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     if !options.scripted {
         stage.hand_over();
     }
-    let progress = Progress::new(end, options.run.json);
-    let mut time_lapse = options.run.out.is_some().then(|| TimeLapse::new(duration));
+    if let Some(path) = &options.log {
+        stage.keep_log(ScanLog::create(path, stage.world().robots())?);
+    }
+    let progress = Progress::new(end);
+    let mut time_lapse = TimeLapse::new(duration);
     let mut stage = Recorded { stage, recording };
-    let converged = fleet.run(&mut stage, |fleet| {
+    fleet.play(&mut stage, |fleet| {
         progress.at(fleet.now());
         ground.look(fleet);
-        if let Some(time_lapse) = &mut time_lapse {
-            time_lapse.look(fleet);
-        }
+        time_lapse.look(fleet);
     })?;
-    progress.finish();
-    let stage = stage.finish()?;
+    let seen = Seen::by(&fleet, stage.stage.world(), options)?;
+    let converged = fleet.settle(&mut stage)?;
+    drop(progress);
+    let mut stage = stage.finish()?;
+    stage.finish_log()?;
 
     let map = time_lapse::grid(&fleet)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles(options));
@@ -91,9 +97,9 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.driving = Some(ground.summary(&fleet, stage.world()));
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
-    let markers = figures::markers(&fleet).into_iter().chain(people(stage.world())).collect();
-    let pictures = pictures(&fleet, &map, stage.world(), time_lapse)?;
-    Ok(Outcome { report, map, markers, pictures, tables: Vec::new() })
+    let pictures = seen.pictures(&map, stage.world(), &time_lapse)?;
+    let Seen { markers, caption, .. } = seen;
+    Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
 }
 
 /// The scenario that is asked for, and its world.
@@ -166,29 +172,49 @@ fn recording(
     options.record.as_deref().map(create).transpose()
 }
 
-/// The people as the picture shows them.
-fn people(world: &World) -> impl Iterator<Item = Marker> {
-    world.people().iter().map(|person| {
-        let [x_m, y_m] = person.position_m();
-        Marker { kind: MarkerKind::Person, x_m, y_m, heading_rad: 0.0, path: Vec::new() }
-    })
+/// What was there when the last frame had been looked at. While robots and server still come to an
+/// agreement no frames come, and what the cameras saw goes stale.
+struct Seen {
+    coverage: OccupancyGrid,
+    cameras: Vec<Marker>,
+    markers: Vec<Marker>,
+    caption: Caption,
 }
 
-fn pictures(
-    fleet: &Fleet<'_>,
-    map: &OccupancyGrid,
-    world: &World,
-    time_lapse: Option<TimeLapse>,
-) -> Result<Vec<(&'static str, RgbImage)>, RunError> {
-    let coverage = fleet.server().coverage();
-    let coverage =
-        OccupancyGrid::from_tiles(coverage.tiles().map(|(id, _, tile)| (id, tile)), RESOLUTION)?;
-    let mut pictures = vec![
-        ("coverage.png", report::render_coverage(map, &coverage)),
-        ("error.png", scoring::error_picture(map, world)?),
-    ];
-    pictures.extend(time_lapse.map(|it| ("timelapse.png", it.picture(map))));
-    Ok(pictures)
+impl Seen {
+    fn by(fleet: &Fleet<'_>, world: &World, options: &SimulateOptions) -> Result<Self, RunError> {
+        let deployment = fleet.deployment();
+        let tiles = deployment.server().coverage().tiles().map(|(id, _, tile)| (id, tile));
+        let cameras = markers::cameras(FrameSource::cameras(world));
+        let mut markers = markers::robots(fleet);
+        markers.extend(markers::people(deployment, fleet.now()));
+        markers.extend(cameras.iter().cloned());
+        let name = options.scenario.file_stem().unwrap_or_default();
+        Ok(Self {
+            coverage: OccupancyGrid::from_tiles(tiles, RESOLUTION)?,
+            cameras,
+            markers,
+            caption: Caption {
+                subject: name.to_string_lossy().into_owned(),
+                seed: Some(options.run.seed),
+                time_s: fleet.elapsed().micros() as f64 / 1e6,
+            },
+        })
+    }
+
+    fn pictures(
+        &self,
+        map: &OccupancyGrid,
+        world: &World,
+        time_lapse: &TimeLapse,
+    ) -> Result<Vec<(&'static str, RgbImage)>, RunError> {
+        let Self { coverage, cameras, caption, .. } = self;
+        Ok(vec![
+            ("coverage.png", report::render_coverage(map, coverage, cameras, caption)),
+            ("error.png", scoring::error_picture(map, world, caption)?),
+            ("timelapse.png", time_lapse.picture(map, caption)),
+        ])
+    }
 }
 
 /// The configuration of a simulated robot that does not drive itself.

@@ -3,10 +3,10 @@
 use image::RgbImage;
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::{RunError, figures, fleet::Fleet};
+use super::{RunError, fleet::Fleet, markers};
 use crate::{
     grid::OccupancyGrid,
-    report::{self, Marker},
+    report::{self, Caption, Moment},
 };
 
 /// The frames: each after twice the time of the one before, the last at the end.
@@ -15,7 +15,7 @@ pub(super) const FRAMES: u32 = 6;
 /// Keeps the map and the robots' ways at some moments of a run.
 pub(super) struct TimeLapse {
     duration: Duration,
-    frames: Vec<(OccupancyGrid, Vec<Marker>)>,
+    frames: Vec<Moment>,
 }
 
 impl TimeLapse {
@@ -30,14 +30,16 @@ impl TimeLapse {
         let due = self.duration.micros() >> FRAMES.saturating_sub(taken + 1);
         let now = Instant(0) + fleet.elapsed();
         if taken < FRAMES && now.micros() >= due {
+            let time_s = fleet.elapsed().micros() as f64 / 1e6;
+            let moment = |grid| Moment { time_s, grid, markers: markers::robots(fleet) };
             // A map that can't become a grid is an error at the end.
-            self.frames.extend(grid(fleet).ok().map(|grid| (grid, figures::markers(fleet))));
+            self.frames.extend(grid(fleet).ok().map(moment));
         }
     }
 
     /// All frames, as large as the map at the end.
-    pub(super) fn picture(&self, map: &OccupancyGrid) -> RgbImage {
-        report::render_frames(map, &self.frames)
+    pub(super) fn picture(&self, map: &OccupancyGrid, caption: &Caption) -> RgbImage {
+        report::render_frames(map, &self.frames, caption)
     }
 }
 

@@ -8,11 +8,13 @@ use std::{fmt::Write, time};
 use ubimap_protocol::{
     frame::MAX_FRAME,
     message::{Obstacle, ObstacleClass},
-    time::{Duration, Instant},
+    time::Instant,
     units::{Pose, RobotId},
 };
 
-use super::{Outcome, RunError, options::WatchOptions, progress::Progress, robots_file};
+use super::{
+    Outcome, RunError, markers, options::WatchOptions, progress::Progress, robots_file, terminal,
+};
 use crate::{
     camera::{FrameSource, Sighting},
     deployment::{CameraStatus, Config, Deployment, Life, registry::Registry},
@@ -20,14 +22,11 @@ use crate::{
     mapping::ServedLayer,
     recording::RecordedFrames,
     report::{
-        self, CameraSummary, HexDigest, Marker, MarkerKind, PassedEvent, SeenMap, SeenRobot,
-        SeenThing, WatchReport,
+        self, CameraSummary, Caption, HexDigest, Marker, MarkerKind, PassedEvent, SeenMap,
+        SeenRobot, SeenThing, WatchReport,
     },
     server::Server,
 };
-
-/// A person or thing that was seen this shortly before the end is there at the end.
-const AT_THE_END: Duration = Duration::from_secs(1);
 
 /// Watches a recording.
 ///
@@ -45,9 +44,9 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         ..Config::new(options.resolution)
     };
     let mut deployment = Deployment::new(config, Life::default())?;
-    let progress = Progress::new(frames.end(), options.json);
+    let progress = Progress::new(frames.end());
     let end = play(&mut deployment, &mut frames, |now| progress.at(now));
-    progress.finish();
+    drop(progress);
     if let Some(fault) = frames.take_fault() {
         return Err(fault.into());
     }
@@ -58,17 +57,28 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let report = WatchReport {
         cameras: seen.cameras(),
         robots: seen.robots(&registry),
-        things: seen.things().iter().map(thing).collect(),
+        things: markers::followed(&deployment, end).iter().map(thing).collect(),
         events: events(server, &frames),
         map: seen.map(&map, &coverage),
         recorded_s: end.since(Instant(0)).micros() as f64 / 1e6,
         elapsed_s: started.elapsed().as_secs_f64(),
         ..WatchReport::default()
     };
+    let folders = options.folders.iter().filter_map(|folder| folder.file_name()?.to_str());
+    let caption = Caption {
+        subject: folders.collect::<Vec<_>>().join(", "),
+        seed: None,
+        time_s: report.recorded_s,
+    };
+    let markers = seen.markers();
+    // Robots and people stand where the floor is covered or not: without them it can be seen.
+    let cameras: Vec<_> = markers::cameras(frames.cameras());
+    let picture = report::render_coverage(&map, &coverage, &cameras, &caption);
     Ok(Outcome {
         report,
-        markers: seen.markers(),
-        pictures: vec![("coverage.png", report::render_coverage(&map, &coverage))],
+        markers,
+        caption,
+        pictures: vec![("coverage.png", picture)],
         tables: vec![("robots.csv", seen.poses_csv())],
         map,
     })
@@ -102,8 +112,8 @@ pub fn play(
 fn drain(deployment: &mut Deployment, now: Instant) {
     let mut frame = [0; MAX_FRAME];
     while deployment.poll_transmit(now, &mut frame).is_some() {}
-    while let Some((_, event)) = deployment.poll_event() {
-        log::log!(event.level(), "{event}");
+    while let Some((moment, event)) = deployment.poll_event() {
+        log::log!(event.level(), "{}: {event}", terminal::seconds(moment));
     }
 }
 
@@ -187,34 +197,20 @@ impl Seen<'_> {
         robots.into_iter().map(summary).collect()
     }
 
-    /// What the cameras followed at the end.
-    fn things(&self) -> Vec<Obstacle> {
-        let (moment, obstacles) = self.deployment.server().obstacles();
-        let is_there = self.deployment.server_time(self.end).since(moment) <= AT_THE_END;
-        if is_there { obstacles } else { Vec::new() }
-    }
-
-    /// The robots with their ways, where they were localised last, and the people at the end.
+    /// The robots where they were localised last, with their ways; the people at the end, and the
+    /// cameras.
     fn markers(&self) -> Vec<Marker> {
-        let robots = self.localised().into_iter().filter_map(|(_, seen)| {
+        let robots = self.localised().into_iter().filter_map(|(robot, seen)| {
             let &(_, Sighting { pose, .. }) = seen.last()?;
+            let [x, y, _] = metres_and_degrees(pose);
             Some(Marker {
-                kind: MarkerKind::Robot,
-                x_m: pose.x.metres(),
-                y_m: pose.y.metres(),
-                heading_rad: pose.heading.radians(),
+                label: robot.0.to_string(),
                 path: seen.iter().map(|(_, it)| [it.pose.x.metres(), it.pose.y.metres()]).collect(),
+                ..Marker::new(MarkerKind::Robot, [x, y], pose.heading.radians())
             })
         });
-        let people = self.things().into_iter().filter(|it| it.class == ObstacleClass::Person);
-        let people = people.map(|person| Marker {
-            kind: MarkerKind::Person,
-            x_m: person.x.metres(),
-            y_m: person.y.metres(),
-            heading_rad: f64::from(person.velocity_y).atan2(person.velocity_x.into()),
-            path: Vec::new(),
-        });
-        robots.chain(people).collect()
+        let people = markers::people(self.deployment, self.end);
+        robots.chain(people).chain(markers::cameras(self.frames.cameras())).collect()
     }
 
     /// Every pose of every robot, by the recording's clock.

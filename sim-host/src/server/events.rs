@@ -56,11 +56,11 @@ impl fmt::Display for Event {
                 write!(f, "robot {} has a session on port {port}", robot.0)
             }
             Self::Refused(robot, reason) => write!(f, "robot {} was refused: {reason:?}", robot.0),
-            Self::Reported(robot, event) => write!(f, "robot {}: {}", robot.0, described(event)),
+            Self::Reported(robot, event) => write!(f, "robot {} {}", robot.0, reason(event)),
             Self::Sighting(event) => event.fmt(f),
             Self::Robot(event) => event.fmt(f),
             Self::Person(event) => event.fmt(f),
-            Self::Drive(robot, notice) => write!(f, "robot {}: {notice:?}", robot.0),
+            Self::Drive(robot, notice) => write!(f, "robot {} {notice}", robot.0),
         }
     }
 }
@@ -213,12 +213,31 @@ impl<E: Copy + Ord> Tally<E> {
     }
 }
 
-/// Formats an event, such as "Warning: PoolFull".
+/// Formats an event with its severity, such as "Warning: ran out of tiles and refused cells".
 pub fn described(event: &message::Event) -> String {
-    let message::Event { severity, code, detail, .. } = event;
-    let what = match EventCode::from_number(*code) {
-        Some(known) => format!("{known:?}"),
-        None => format!("code {code}"),
+    format!("{:?}: {}", event.severity, reason(event))
+}
+
+/// What a robot reports, as the end of a sentence that begins with the robot.
+fn reason(event: &message::Event) -> String {
+    let what = match EventCode::from_number(event.code) {
+        Some(EventCode::Started) => "has started",
+        Some(EventCode::PoseLost) => "has no pose",
+        Some(EventCode::PoseFound) => "has a pose again",
+        Some(EventCode::SensorFault) => "gets no valid scans from its sensor",
+        Some(EventCode::DriveFault) => "has a fault in its drive",
+        Some(EventCode::PoolFull) => "ran out of tiles and refused cells",
+        Some(EventCode::LowBattery) => "has a low battery",
+        Some(EventCode::Collision) => "has run into something",
+        Some(EventCode::StoppedByPerson) => "has stopped for a person",
+        Some(EventCode::PathBlocked) => "can't go on: its path is blocked",
+        Some(EventCode::PathDone) => "is at the end of its path",
+        Some(EventCode::Watchdog) => "was restarted by its watchdog",
+        Some(EventCode::ScanOverflow) => "dropped a scan: too many wait for a pose",
+        Some(EventCode::ClockBackwards) => "has a sensor whose clock ran backwards",
+        Some(EventCode::FixRejected) => "rejected a fix that contradicts its odometry",
+        None => return format!("reports event {} {}", event.code, event.detail).trim_end().into(),
     };
-    format!("{severity:?}: {what} {detail}").trim_end().to_owned()
+    let detail = event.detail.as_str();
+    if detail.is_empty() { what.to_owned() } else { format!("{what} ({detail})") }
 }

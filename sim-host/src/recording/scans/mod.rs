@@ -1,6 +1,7 @@
-//! Logs of scans: a reader for each format, and the common representation.
+//! Logs of scans: a reader for each format, a writer of CARMEN logs, and the common representation.
 
 mod carmen;
+mod carmen_writer;
 mod join;
 mod mines;
 mod odometry;
@@ -10,6 +11,7 @@ mod scan_log;
 mod sensor;
 mod slicing;
 
+pub use carmen_writer::write_carmen;
 pub use join::concatenate;
 pub use read::{read, read_all};
 pub use scan_log::{Log, LoggedScan};

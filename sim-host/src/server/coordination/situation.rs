@@ -1,5 +1,7 @@
 //! The coordinator's input, and its notices.
 
+use core::fmt;
+
 use nalgebra::Vector2;
 use ubimap_protocol::{
     message::Obstacle,
@@ -58,7 +60,7 @@ pub enum GoalError {
     Unreachable,
 }
 
-/// Progress or the end of a robot's drive.
+/// Progress or the end of a robot's drive. Its text continues a sentence that begins with the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Notice {
     /// The robot has reached its goal.
@@ -70,6 +72,17 @@ pub enum Notice {
     NoWay,
     /// It can't continue on its path, and will get another one.
     Blocked,
+}
+
+impl fmt::Display for Notice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Reached => write!(f, "has reached its goal"),
+            Self::Refused(error) => write!(f, "gets no path: {error}"),
+            Self::NoWay => write!(f, "has no way to its goal any more"),
+            Self::Blocked => write!(f, "is blocked and will get another path"),
+        }
+    }
 }
 
 impl Whereabouts {

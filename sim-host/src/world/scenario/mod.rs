@@ -40,6 +40,12 @@ pub enum ScenarioError {
         /// The error of the operating system.
         cause: std::io::Error,
     },
+    /// There is neither a built-in scenario nor a file of this name.
+    #[error("no scenario \"{name}\"{} {}, or give the path of a TOML file", meant(name), names())]
+    Unknown {
+        /// The requested name.
+        name: String,
+    },
     /// The file is not TOML, has an unknown key, or lacks a key.
     #[error("{file}, line {line}: {problem}")]
     Syntax {
@@ -60,6 +66,24 @@ pub enum ScenarioError {
         /// The problem, and what would be right.
         problem: String,
     },
+}
+
+/// Asks for the built-in scenario whose name is most like this one, if any is, and begins the list of all.
+fn meant(name: &str) -> String {
+    /// From 0 for nothing in common to 1 for the same.
+    const LIKE: f64 = 0.5;
+    let likeness = |known: &str| strsim::normalized_damerau_levenshtein(name, known);
+    let known = NAMED.iter().map(|&(known, _)| (likeness(known), known));
+    match known.max_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((likeness, known)) if likeness >= LIKE => {
+            format!("; did you mean \"{known}\"? There are")
+        }
+        _ => "; there are".to_owned(),
+    }
+}
+
+fn names() -> String {
+    NAMED.map(|(name, _)| name).join(", ")
 }
 
 /// A scenario: the room and everything in it.
@@ -325,8 +349,14 @@ impl Scenario {
             Some((name, text)) => Self::parse(text, &format!("built-in scenario {name}"))?,
             None => {
                 let file = path.display().to_string();
-                let text = std::fs::read_to_string(path)
-                    .map_err(|cause| ScenarioError::Read { file: file.clone(), cause })?;
+                let text = std::fs::read_to_string(path).map_err(|cause| {
+                    let is_name = path.components().count() == 1 && path.extension().is_none();
+                    if is_name && cause.kind() == std::io::ErrorKind::NotFound {
+                        ScenarioError::Unknown { name: file.clone() }
+                    } else {
+                        ScenarioError::Read { file: file.clone(), cause }
+                    }
+                })?;
                 Self::parse(&text, &file)?
             }
         };

@@ -1,0 +1,155 @@
+//! Robots, people and cameras on a picture.
+
+use image::RgbImage;
+
+use super::{
+    canvas::Canvas,
+    palette::{CAMERA, INK, PAPER, PERSON, ROBOT},
+    strokes::{SMALL, dashed_line, edged_disc, edged_line, fill, size, stroke, write},
+};
+
+/// Robots are drawn this large, in metres, and nothing smaller than so many pixels.
+const RADIUS_M: f64 = 0.2;
+const LEAST_RADIUS: f64 = 6.0;
+/// Half the width of a path, and of the edge of a view, in pixels.
+const PATH: f64 = 1.3;
+const VIEW: f64 = 0.8;
+/// The edge of a view is followed in steps of this length; no side of one is longer. In metres.
+const STEP_M: f64 = 0.05;
+const LONGEST_SIDE_M: f64 = 1e3;
+
+/// What a marker stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MarkerKind {
+    /// A robot: a green disc.
+    Robot,
+    /// A person: a violet disc.
+    Person,
+    /// A camera that looks along its heading: a yellow wedge.
+    Camera,
+    /// A camera that looks straight down: a yellow square.
+    CameraDown,
+}
+
+/// A robot, a person or a camera on the picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Marker {
+    /// Along `map`'s x, in metres.
+    pub x_m: f64,
+    /// Along `map`'s y, in metres.
+    pub y_m: f64,
+    /// Where it looks, in radians, counter-clockwise from `map`'s x.
+    pub heading_rad: f64,
+    /// What it is.
+    pub kind: MarkerKind,
+    /// What is written beside it; may be empty.
+    pub label: String,
+    /// Where it has been, in `map`, metres; may be empty.
+    pub path: Vec<[f64; 2]>,
+    /// The edge of what it sees of the floor, in `map`, metres; may be empty.
+    pub view: Vec<[f64; 2]>,
+}
+
+impl Marker {
+    /// A marker at a place of `map` in metres with a heading in radians, without label, path and view.
+    pub fn new(kind: MarkerKind, [x_m, y_m]: [f64; 2], heading_rad: f64) -> Self {
+        let (label, path, view) = Default::default();
+        Self { x_m, y_m, heading_rad, kind, label, path, view }
+    }
+}
+
+/// Draws markers, what lies on the floor first.
+pub(super) fn draw(canvas: &mut Canvas<'_>, markers: &[Marker]) {
+    for marker in markers {
+        for edge in edge_on_map(canvas, &marker.view) {
+            dashed_line(&mut canvas.image, &edge, VIEW, CAMERA);
+        }
+    }
+    for Marker { path, .. } in markers {
+        let path: Vec<_> = path.iter().map(|&point| canvas.pixel(point)).collect();
+        edged_line(&mut canvas.image, &path, PATH, ROBOT);
+    }
+    let radius = (RADIUS_M * canvas.pixels_per_m()).max(LEAST_RADIUS);
+    for marker in markers {
+        let centre = canvas.pixel([marker.x_m, marker.y_m]);
+        let angle = canvas.angle(marker.heading_rad);
+        symbol(&mut canvas.image, marker.kind, centre, radius, angle);
+    }
+    for marker in markers.iter().filter(|marker| !marker.label.is_empty()) {
+        let centre = canvas.pixel([marker.x_m, marker.y_m]);
+        label(&mut canvas.image, &marker.label, centre, radius);
+    }
+}
+
+/// The edge of a view in pixels, in pieces: beyond the map, behind the walls, it means nothing.
+fn edge_on_map(canvas: &Canvas<'_>, view: &[[f64; 2]]) -> Vec<Vec<[f64; 2]>> {
+    let (mut pieces, mut piece) = (Vec::new(), Vec::new());
+    let sides = view.iter().zip(view.iter().cycle().skip(1));
+    for (from, to) in sides {
+        let length_m = (to[0] - from[0]).hypot(to[1] - from[1]);
+        let steps = if length_m < LONGEST_SIDE_M { (length_m / STEP_M).ceil() as u32 } else { 0 };
+        for step in 0..steps {
+            let part = f64::from(step) / f64::from(steps);
+            let point = [0, 1].map(|axis| from[axis] + part * (to[axis] - from[axis]));
+            if canvas.is_known(point) {
+                piece.push(canvas.pixel(point));
+            } else {
+                pieces.push(std::mem::take(&mut piece));
+            }
+        }
+    }
+    pieces.push(piece);
+    pieces.retain(|piece| piece.len() > 1);
+    pieces
+}
+
+/// The symbol of a kind, which looks along an angle counter-clockwise from the right.
+pub(super) fn symbol(
+    image: &mut RgbImage,
+    kind: MarkerKind,
+    centre: [f64; 2],
+    radius: f64,
+    angle: f64,
+) {
+    let at = |distance: f64, turn: f64| {
+        let (sin, cos) = (angle + turn).sin_cos();
+        [centre[0] + distance * cos, centre[1] - distance * sin]
+    };
+    match kind {
+        MarkerKind::Robot | MarkerKind::Person => {
+            let colour = if kind == MarkerKind::Robot { ROBOT } else { PERSON };
+            edged_disc(image, centre, radius, colour);
+            stroke(image, [centre, at(0.9 * radius, 0.0)], radius * 0.15, INK);
+        }
+        MarkerKind::Camera => {
+            let [left, right] = [0.6, -0.6].map(|turn| at(1.6 * radius, turn));
+            edged_line(image, &[left, centre, right, left], radius * 0.2, CAMERA);
+        }
+        MarkerKind::CameraDown => {
+            let corners = [0.5, 1.5, 2.5, 3.5, 0.5]
+                .map(|quarter: f64| at(0.9 * radius, quarter * std::f64::consts::FRAC_PI_2));
+            edged_line(image, &corners, radius * 0.2, CAMERA);
+        }
+    }
+}
+
+/// A text in a box beside a marker, within the image if the marker is.
+fn label(image: &mut RgbImage, text: &str, centre: [f64; 2], radius: f64) {
+    let [width, height] = size(text, SMALL);
+    let [width, height] = [width + 3, height + 2];
+    let [right, lower] = [image.width(), image.height()].map(f64::from);
+    if !(0.0..right).contains(&centre[0]) || !(0.0..lower).contains(&centre[1]) {
+        return;
+    }
+    let beside = centre[0] + 0.8 * radius;
+    let x = if beside + f64::from(width) < right {
+        beside
+    } else {
+        centre[0] - 0.8 * radius - f64::from(width)
+    };
+    let y = (centre[1] - 0.8 * radius - f64::from(height)).max(1.0);
+    let [x, y] = [x, y].map(|it| it as i64);
+    fill(image, [x - 1, y - 1], [width + 2, height + 2], INK);
+    fill(image, [x, y], [width, height], PAPER);
+    write(image, [x + 2, y + 1], text, SMALL);
+}

@@ -1,0 +1,34 @@
+//! Maps as pictures. North (`map`'s y) is up.
+//!
+//! | file | subject |
+//! |---|---|
+//! | `palette` | the colours, and which of them are too alike to touch |
+//! | `strokes` | lines, discs and text |
+//! | `canvas` | a grid as pixels, and places of `map` on it |
+//! | `marker` | robots, people and cameras |
+//! | `caption` | title, scale bar and legend below a picture |
+//! | `views` | the pictures themselves |
+//!
+//! Colours that touch have a contrast of 3:1 or more, for colour-blind eyes too. Luminance leaves room
+//! for three such levels only, so cells of one level have a black line between them, and whatever is
+//! drawn over the cells has a black edge.
+
+mod canvas;
+mod caption;
+mod marker;
+mod palette;
+mod strokes;
+mod views;
+
+use image::RgbImage;
+
+pub use caption::Caption;
+pub use marker::{Marker, MarkerKind};
+pub use views::{Moment, render, render_coverage, render_error, render_frames};
+
+/// A picture as the bytes of a PNG file.
+pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write_to(&mut bytes, image::ImageFormat::Png)?;
+    Ok(bytes.into_inner())
+}

@@ -1,0 +1,356 @@
+//! The pictures: a map, how it grew, what cameras see of it, and where it is wrong.
+
+use image::{Rgb, RgbImage};
+use ubimap_protocol::tile::Cell;
+
+use super::{
+    canvas::{Canvas, scale_of},
+    caption::{Caption, Entry, Sample, with_caption, with_title},
+    marker::{self, Marker, MarkerKind},
+    palette::{BLIND, COVERED, EXTRA, FREE, MISSING, MOVABLE, PAPER, UNKNOWN, WALL},
+};
+use crate::grid::OccupancyGrid;
+
+/// Frames of a time-lapse in a row.
+const ABREAST: usize = 3;
+/// Between frames, in pixels.
+const GAP: u32 = 4;
+
+/// The cells of a map.
+const MAP: [Entry; 4] = [
+    (Sample::Cell(FREE), "free"),
+    (Sample::Cell(WALL), "occupied"),
+    (Sample::Cell(MOVABLE), "movable"),
+    (Sample::Cell(UNKNOWN), "unknown"),
+];
+
+/// A map at a moment of a run, and what was on it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Moment {
+    /// Seconds since the run began.
+    pub time_s: f64,
+    /// The map.
+    pub grid: OccupancyGrid,
+    /// What was on it.
+    pub markers: Vec<Marker>,
+}
+
+/// Draws a map and what moves on it. A cell becomes 2 to 8 pixels wide, so that the picture of a
+/// room and that of a building are of about the same size; huge maps get one pixel a cell.
+pub fn render(grid: &OccupancyGrid, markers: &[Marker], caption: &Caption) -> RgbImage {
+    let canvas = Canvas::new(grid, scale_of(grid), map_colour(grid));
+    finish(canvas, markers, caption, &MAP)
+}
+
+/// Draws a map as it was at several moments, beside one another, row by row: all as large as the last
+/// map.
+pub fn render_frames(map: &OccupancyGrid, frames: &[Moment], caption: &Caption) -> RgbImage {
+    // Half as large as a picture of its own, but a cell of one pixel has no room for edges.
+    let scale = (scale_of(map) / 2).max(2);
+    let mut pixels_per_m = 1.0;
+    let drawn = frames.iter().map(|Moment { time_s, grid, markers }| {
+        let mut whole = map.clone();
+        for index in 0..map.width() * map.height() {
+            let (column, row) = (index % map.width(), index / map.width());
+            whole.set(column, row, at(grid, map, column, row));
+        }
+        let mut canvas = Canvas::new(&whole, scale, map_colour(&whole));
+        marker::draw(&mut canvas, markers);
+        pixels_per_m = canvas.pixels_per_m();
+        with_title(&canvas.image, &format!("{time_s:.1} s"))
+    });
+    let drawn: Vec<RgbImage> = drawn.collect();
+    let Some((width, height)) = drawn.first().map(RgbImage::dimensions) else {
+        return RgbImage::default();
+    };
+    let (across, down) = (width + GAP, height + GAP);
+    let rows = drawn.len().div_ceil(ABREAST) as u32;
+    let mut all = RgbImage::from_pixel(across * ABREAST as u32, down * rows, PAPER);
+    for (index, frame) in drawn.iter().enumerate() {
+        let (x, y) = ((index % ABREAST) as u32 * across, (index / ABREAST) as u32 * down);
+        image::imageops::replace(&mut all, frame, x.into(), y.into());
+    }
+    let markers = frames.iter().flat_map(|frame| &frame.markers);
+    let legend = legend(&MAP, markers);
+    with_caption(&all, pixels_per_m, &caption.to_string(), &legend)
+}
+
+/// Draws which cells of a map the cameras see, and which are blind.
+pub fn render_coverage(
+    map: &OccupancyGrid,
+    coverage: &OccupancyGrid,
+    markers: &[Marker],
+    caption: &Caption,
+) -> RgbImage {
+    let canvas = Canvas::new(map, scale_of(map), |column, row| {
+        let is_covered = at(coverage, map, column, row) == Cell::Free;
+        match map.cell(column, row) {
+            Cell::Occupied | Cell::Movable => WALL,
+            _ if is_covered => COVERED,
+            Cell::Free => BLIND,
+            Cell::Unknown => UNKNOWN,
+        }
+    });
+    let cells = [
+        (Sample::Cell(COVERED), "a camera sees it now"),
+        (Sample::Cell(BLIND), "known, but no camera sees it now"),
+        (Sample::Cell(WALL), "occupied"),
+        (Sample::Cell(UNKNOWN), "unknown"),
+    ];
+    finish(canvas, markers, caption, &cells)
+}
+
+/// Draws a map against the truth: surfaces that are where they should be black, within one cell;
+/// those that are not magenta; those that are missing blue, if somebody has `seen` the place.
+pub fn render_error(
+    map: &OccupancyGrid,
+    truth: &OccupancyGrid,
+    seen: &OccupancyGrid,
+    caption: &Caption,
+) -> RgbImage {
+    let is_occupied = |grid: &OccupancyGrid, column: usize, row: usize| {
+        matches!(at(grid, map, column, row), Cell::Occupied | Cell::Movable)
+    };
+    let is_by = |grid: &OccupancyGrid, column: usize, row: usize| {
+        let neighbours = [(0, 0), (1, 0), (usize::MAX, 0), (0, 1), (0, usize::MAX)];
+        neighbours
+            .into_iter()
+            .any(|(x, y)| is_occupied(grid, column.wrapping_add(x), row.wrapping_add(y)))
+    };
+    let canvas = Canvas::new(map, scale_of(map), |column, row| match map.cell(column, row) {
+        Cell::Occupied | Cell::Movable if is_by(truth, column, row) => WALL,
+        Cell::Occupied | Cell::Movable => EXTRA,
+        _ if is_occupied(seen, column, row) && !is_by(map, column, row) => MISSING,
+        Cell::Free => FREE,
+        Cell::Unknown => UNKNOWN,
+    });
+    let cells = [
+        (Sample::Cell(WALL), "right, within a cell"),
+        (Sample::Cell(EXTRA), "on the map, not in the room"),
+        (Sample::Cell(MISSING), "in the room, not on the map"),
+        (Sample::Cell(FREE), "free"),
+        (Sample::Cell(UNKNOWN), "unknown"),
+    ];
+    finish(canvas, &[], caption, &cells)
+}
+
+fn map_colour(grid: &OccupancyGrid) -> impl Fn(usize, usize) -> Rgb<u8> {
+    |column, row| match grid.cell(column, row) {
+        Cell::Unknown => UNKNOWN,
+        Cell::Free => FREE,
+        Cell::Occupied => WALL,
+        Cell::Movable => MOVABLE,
+    }
+}
+
+/// Draws what is on the floor, and the caption.
+fn finish(
+    mut canvas: Canvas<'_>,
+    markers: &[Marker],
+    caption: &Caption,
+    cells: &[Entry],
+) -> RgbImage {
+    marker::draw(&mut canvas, markers);
+    let legend = legend(cells, markers.iter());
+    with_caption(&canvas.image, canvas.pixels_per_m(), &caption.to_string(), &legend)
+}
+
+/// The entries of cells, and of the markers that there are.
+fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone) -> Vec<Entry> {
+    let is_there = |kind: MarkerKind| markers.clone().any(|marker| marker.kind == kind);
+    let kinds = [
+        (MarkerKind::Robot, "robot"),
+        (MarkerKind::Person, "person, as tracked"),
+        (MarkerKind::Camera, "camera"),
+        (MarkerKind::CameraDown, "camera that looks down"),
+    ];
+    let kinds = kinds.into_iter().filter(|(kind, _)| is_there(*kind));
+    let mut entries = cells.to_vec();
+    entries.extend(kinds.map(|(kind, text)| (Sample::Marker(kind), text)));
+    if markers.clone().any(|marker| !marker.path.is_empty()) {
+        entries.push((Sample::Path, "path of a robot"));
+    }
+    if markers.clone().any(|marker| !marker.view.is_empty()) {
+        entries.push((Sample::View, "edge of a camera's view of the floor"));
+    }
+    entries
+}
+
+/// The cell of a grid that holds the middle of a cell of another, which may be beside that.
+fn at(grid: &OccupancyGrid, other: &OccupancyGrid, column: usize, row: usize) -> Cell {
+    let middle = |index: usize| index as isize as f64 + 0.5;
+    let [x, y] = grid.from_map(other.to_map([middle(column), middle(row)]));
+    if x < 0.0 || y < 0.0 { Cell::Unknown } else { grid.cell(x as usize, y as usize) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::report::{
+        picture::palette::{ALL, CAMERA, INK, PERSON, ROBOT, are_alike},
+        png,
+    };
+
+    fn room() -> OccupancyGrid {
+        let mut grid = OccupancyGrid::new(0.05, [-1.0, 2.0], 100, 60).unwrap();
+        for y in 0..60 {
+            for x in 0..100 {
+                let is_wall = x == 0 || y == 0 || x == 99 || y == 59;
+                grid.set(x, y, if is_wall { Cell::Occupied } else { Cell::Free });
+            }
+        }
+        grid.set(50, 57, Cell::Movable);
+        grid
+    }
+
+    fn robot(x_m: f64, y_m: f64, path: Vec<[f64; 2]>) -> Marker {
+        Marker { path, ..Marker::new(MarkerKind::Robot, [x_m, y_m], 0.0) }
+    }
+
+    /// The colour in the middle of a cell of the room.
+    fn cell(picture: &RgbImage, x: u32, y: u32) -> Rgb<u8> {
+        *picture.get_pixel((x + 4) * 8 + 4, (67 - 4 - y) * 8 + 4)
+    }
+
+    #[test]
+    fn north_is_up_and_every_cell_has_the_colour_of_its_kind() {
+        let markers = [robot(0.0, 3.0, vec![[0.0, 3.525], [3.0, 3.525]])];
+        let picture = render(&room(), &markers, &Caption::default());
+        assert_eq!(picture.width(), 108 * 8);
+        assert!(picture.height() > 68 * 8 + 24, "no caption");
+        let at = |picture: &RgbImage| cell(picture, 17, 20);
+        let cell = |x, y| cell(&picture, x, y);
+        assert_eq!(cell(0, 0), WALL);
+        assert_eq!(cell(50, 57), MOVABLE);
+        assert_eq!(cell(50, 2), FREE);
+        assert_eq!(*picture.get_pixel(0, 0), UNKNOWN);
+        // The robot at (0, 3) m is in the cell (20, 20); its disc reaches three cells to the west.
+        assert_eq!(cell(17, 20), ROBOT);
+        assert_eq!(cell(14, 20), FREE);
+        assert_eq!(cell(50, 30), ROBOT);
+        let person = [Marker::new(MarkerKind::Person, [0.0, 3.0], 0.0)];
+        assert_eq!(at(&render(&room(), &person, &Caption::default())), PERSON);
+    }
+
+    #[test]
+    fn coverage_shows_what_is_seen_and_what_is_blind() {
+        let mut coverage = room();
+        for index in 0..100 * 60 {
+            let (x, y) = (index % 100, index / 100);
+            coverage.set(x, y, if x < 40 { Cell::Free } else { Cell::Unknown });
+        }
+        let picture = render_coverage(&room(), &coverage, &[], &Caption::default());
+        let cell = |x, y| cell(&picture, x, y);
+        assert_eq!([cell(0, 20), cell(20, 20), cell(60, 20)], [WALL, COVERED, BLIND]);
+    }
+
+    #[test]
+    fn errors_have_colours_of_their_own() {
+        let (mut map, truth) = (room(), room());
+        map.set(50, 57, Cell::Free);
+        map.set(20, 20, Cell::Occupied);
+        let picture = render_error(&map, &truth, &truth, &Caption::default());
+        let cell = |x, y| cell(&picture, x, y);
+        assert_eq!([cell(0, 20), cell(20, 20), cell(50, 57)], [WALL, EXTRA, MISSING]);
+    }
+
+    #[test]
+    fn frames_lie_beside_one_another_and_show_the_map_of_their_moment() {
+        let earlier = OccupancyGrid::new(0.05, [0.0, 3.0], 20, 20).unwrap();
+        let moment = |grid, markers| Moment { time_s: 0.0, grid, markers };
+        let frames = [moment(earlier, vec![]), moment(room(), vec![robot(0.0, 3.0, vec![])])];
+        let picture = render_frames(&room(), &frames, &Caption::default());
+        let across = 108 * 4 + GAP;
+        assert_eq!(picture.width(), 3 * across);
+        let cell = |frame: u32, x: u32, y: u32| {
+            *picture.get_pixel(frame * across + (x + 4) * 4 + 2, (67 - 4 - y) * 4 + 2)
+        };
+        assert_eq!([cell(0, 50, 2), cell(1, 50, 2)], [UNKNOWN, FREE]);
+        assert_eq!([cell(0, 17, 20), cell(1, 17, 20)], [UNKNOWN, ROBOT]);
+    }
+
+    /// Every pair of colours that touch anywhere on pictures of cells in every order and of markers.
+    #[test]
+    fn colours_that_touch_can_be_told_apart() {
+        let kinds = [Cell::Unknown, Cell::Free, Cell::Occupied, Cell::Movable];
+        let mut state = 1_u32;
+        let mut random = || {
+            let mut grid = OccupancyGrid::new(0.05, [0.0, 0.0], 60, 40).unwrap();
+            for index in 0..60 * 40 {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                grid.set(index % 60, index / 60, kinds[(state >> 29) as usize % 4]);
+            }
+            grid
+        };
+        let (map, other) = (random(), random());
+        let mut markers = vec![robot(1.0, 1.0, vec![[0.2, 0.3], [2.0, 1.2], [0.4, 1.8]])];
+        markers[0].label = "1".into();
+        for (index, kind) in
+            [MarkerKind::Person, MarkerKind::Camera, MarkerKind::CameraDown].into_iter().enumerate()
+        {
+            // They overlap.
+            let mut marker = Marker::new(kind, [1.1 + 0.2 * index as f64, 1.1], 1.0);
+            marker.view = vec![[0.1, 0.1], [2.5, 0.4], [2.0, 1.9]];
+            markers.push(marker);
+        }
+        let caption = Caption::default();
+        let mut touching = BTreeSet::new();
+        for markers in [&markers[..], &[]] {
+            for picture in [
+                render(&map, markers, &caption),
+                render_coverage(&map, &other, markers, &caption),
+                render_error(&map, &other, &random(), &caption),
+            ] {
+                let mut pairs = pairs(&picture);
+                // A stroke's edge is blended: black over free floor may be as grey as what is
+                // unknown, but no blend has the colour of a marker.
+                pairs.retain(|(a, b)| {
+                    markers.is_empty() || [a, b].iter().any(|it| OF_MARKERS.contains(&Rgb(**it)))
+                });
+                touching.extend(pairs);
+            }
+        }
+        assert!(touching.contains(&(INK.0, ROBOT.0)) && touching.contains(&(UNKNOWN.0, FREE.0)));
+        assert!(touching.contains(&(INK.0, MOVABLE.0)) && touching.contains(&(INK.0, EXTRA.0)));
+        let alike: Vec<_> = touching.iter().filter(|(a, b)| are_alike(Rgb(*a), Rgb(*b))).collect();
+        assert!(alike.is_empty(), "{alike:?}");
+    }
+
+    const OF_MARKERS: [Rgb<u8>; 3] = [ROBOT, PERSON, CAMERA];
+
+    /// The colours of the palette that touch on a picture.
+    fn pairs(picture: &RgbImage) -> BTreeSet<([u8; 3], [u8; 3])> {
+        let mut touching = BTreeSet::new();
+        for (x, y, own) in picture.enumerate_pixels() {
+            let beside = [(x + 1, y), (x, y + 1), (x + 1, y + 1), (x.wrapping_sub(1), y + 1)];
+            for (x, y) in beside {
+                let other = picture.get_pixel_checked(x, y).filter(|other| *other != own);
+                touching.extend(other.map(|other| (own.0, other.0)));
+            }
+        }
+        let is_named = |colour: &[u8; 3]| ALL.contains(&Rgb(*colour));
+        touching.retain(|(a, b)| is_named(a) && is_named(b));
+        touching
+    }
+
+    #[test]
+    fn markers_anywhere_are_drawn_or_left_out() {
+        let render = |grid: &OccupancyGrid, markers: &[Marker]| {
+            let mut canvas = Canvas::new(grid, scale_of(grid), map_colour(grid));
+            marker::draw(&mut canvas, markers);
+            canvas.image
+        };
+        let plain = render(&room(), &[]);
+        for place in [f64::NAN, f64::INFINITY, -1e300, 1e9] {
+            let mut marker = robot(place, 3.0, vec![[place, place], [place, 0.0]]);
+            marker.label = "1".into();
+            marker.view = vec![[place, 0.0], [place, place], [0.0, place]];
+            assert_eq!(render(&room(), &[marker]), plain);
+        }
+        let unknown = OccupancyGrid::new(0.05, [0.0, 0.0], 0, 0).unwrap();
+        let picture = super::render(&unknown, &[], &Caption::default());
+        assert!(png(&picture).unwrap().starts_with(b"\x89PNG"));
+    }
+}

@@ -1,0 +1,135 @@
+//! What the pictures of a run show beside the map: robots, people and cameras.
+
+use nalgebra::Vector3;
+use ubimap_protocol::{
+    message::{Obstacle, ObstacleClass},
+    time::{Duration, Instant},
+    units::Millimetres,
+};
+
+use super::fleet::Fleet;
+use crate::{
+    camera::{Calibration, Lens},
+    deployment::Deployment,
+    report::{Marker, MarkerKind},
+};
+
+/// A person or thing that was seen this shortly before a moment is there at that moment.
+const RECENT: Duration = Duration::from_secs(1);
+/// The edge of a camera's view is drawn up to this distance along the floor, in metres.
+const VIEW_M: f64 = 6.0;
+/// Points of that edge on each side of the image.
+const POINTS: u32 = 16;
+/// A camera that is closer to straight down has no heading, as the cosine of the angle.
+const DOWN: f64 = 0.999;
+
+/// The robots of a fleet where they believe to be, with the paths that they have driven.
+pub(super) fn robots(fleet: &Fleet<'_>) -> Vec<Marker> {
+    let robots = fleet.robots().iter().filter_map(|robot| {
+        let (_, pose) = robot.robot().pose()?;
+        let metres = |length: Millimetres| length.metres();
+        let place = [pose.x, pose.y].map(metres);
+        Some(Marker {
+            label: robot.id().0.to_string(),
+            path: robot.path().iter().map(|(_, pose)| [pose.x, pose.y].map(metres)).collect(),
+            ..Marker::new(MarkerKind::Robot, place, pose.heading.radians())
+        })
+    });
+    robots.collect()
+}
+
+/// The people and things that the cameras of a deployment follow at a moment.
+pub(super) fn followed(deployment: &Deployment, now: Instant) -> Vec<Obstacle> {
+    let (moment, obstacles) = deployment.server().obstacles();
+    let is_recent = deployment.server_time(now).since(moment) <= RECENT;
+    if is_recent { obstacles } else { Vec::new() }
+}
+
+/// The people that the cameras of a deployment follow at a moment.
+pub(super) fn people(deployment: &Deployment, now: Instant) -> Vec<Marker> {
+    let people = followed(deployment, now).into_iter();
+    let people = people.filter(|it| it.class == ObstacleClass::Person).map(|person| {
+        let place = [person.x, person.y].map(Millimetres::metres);
+        let heading = f64::from(person.velocity_y).atan2(person.velocity_x.into());
+        Marker::new(MarkerKind::Person, place, heading)
+    });
+    people.collect()
+}
+
+/// Cameras, and what they see of an empty floor.
+pub(super) fn cameras(cameras: &[Calibration]) -> Vec<Marker> {
+    let lenses = cameras.iter().filter_map(|camera| camera.depth.or(camera.picture));
+    lenses.map(|lens| camera(&lens)).collect()
+}
+
+fn camera(lens: &Lens) -> Marker {
+    let axis = lens.pose().rotation * Vector3::z();
+    let kind = if -axis.z > DOWN { MarkerKind::CameraDown } else { MarkerKind::Camera };
+    let centre = lens.centre();
+    Marker { view: view(lens), ..Marker::new(kind, [centre.x, centre.y], axis.y.atan2(axis.x)) }
+}
+
+/// The edge of the floor that is in the image, or of that part within [`VIEW_M`].
+fn view(lens: &Lens) -> Vec<[f64; 2]> {
+    let intrinsics = lens.intrinsics();
+    let [right, lower] = [intrinsics.width, intrinsics.height].map(|it| f64::from(it) - 1.0);
+    let corners = [[0.0, 0.0], [right, 0.0], [right, lower], [0.0, lower], [0.0, 0.0]];
+    let pixels = corners.windows(2).flat_map(|side| {
+        let [from, to] = [side[0], side[1]];
+        (0..POINTS).map(move |step| {
+            let part = f64::from(step) / f64::from(POINTS);
+            [0, 1].map(|axis| from[axis] + part * (to[axis] - from[axis]))
+        })
+    });
+    let centre = lens.centre();
+    let floor = pixels.map(|pixel| {
+        let direction = lens.direction(pixel);
+        let along = direction.xy().norm();
+        // From the centre down to the floor; a ray that does not go down never meets it.
+        let depth = if direction.z < 0.0 { centre.z / -direction.z } else { f64::INFINITY };
+        let depth = depth.min(VIEW_M / along);
+        [centre.x + depth * direction.x, centre.y + depth * direction.y]
+    });
+    floor.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+
+    use super::*;
+    use crate::camera::Intrinsics;
+
+    /// A camera 2 m above (1, 1) m, with a view of 90 degrees across and as much down.
+    fn lens(rotation: UnitQuaternion<f64>) -> Lens {
+        let pose = Isometry3::from_parts(Translation3::new(1.0, 1.0, 2.0), rotation);
+        Lens::new(Intrinsics::pinhole(200, 200, FRAC_PI_2), pose).unwrap()
+    }
+
+    #[test]
+    fn a_camera_that_looks_down_sees_a_square() {
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
+        let marker = camera(&lens(down));
+        assert_eq!(marker.kind, MarkerKind::CameraDown);
+        for [x, y] in marker.view {
+            // Half the side is the height, but for half a pixel.
+            let away = (x - 1.0).abs().max((y - 1.0).abs());
+            assert!((away - 2.0).abs() < 0.03, "({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn a_level_camera_sees_from_two_metres_ahead_to_the_end_of_the_view() {
+        // Along x: the image's right is -y, its down is -z.
+        let level = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, -FRAC_PI_2);
+        let marker = camera(&lens(level));
+        assert_eq!(marker.kind, MarkerKind::Camera);
+        assert!(marker.heading_rad.abs() < 1e-9, "{}", marker.heading_rad);
+        let ahead = |[x, y]: &[f64; 2]| (x - 1.0).hypot(y - 1.0);
+        let nearest = marker.view.iter().map(ahead).fold(f64::INFINITY, f64::min);
+        let farthest = marker.view.iter().map(ahead).fold(0.0, f64::max);
+        assert!((nearest - 2.0).abs() < 0.03 && (farthest - VIEW_M).abs() < 1e-9);
+    }
+}
