@@ -8,7 +8,7 @@
 //! 4. [`mapping`]: camera evidence, robot layers, the fused and the coverage layer.
 //! 5. [`server`]: a session for each robot.
 //!
-//! Beside them [`channel`] (fault channel, serial ports), [`store`] (the layers on disk), [`log`] (readers of recorded logs) and
+//! Beside them [`placement`] (where to hang cameras), [`channel`] (fault channel, serial ports), [`store`] (the layers on disk), [`log`] (readers of recorded logs) and
 //! [`report`] (figures and pictures). Apart from all, [`world`] is the simulated room; only
 //! [`run`], which joins a source, agents, channels and the server, may import it.
 
@@ -18,6 +18,7 @@ pub mod grid;
 pub mod log;
 pub mod mapping;
 pub mod perception;
+pub mod placement;
 pub mod report;
 pub mod run;
 pub mod server;

@@ -8,7 +8,7 @@ use std::{
 };
 
 /// Each folder of `src`, and the others that it may import.
-const LAYERS: [(&str, &[&str]); 11] = [
+const LAYERS: [(&str, &[&str]); 12] = [
     ("grid", &[]),
     ("camera", &["grid"]),
     ("log", &["grid", "camera"]),
@@ -16,6 +16,7 @@ const LAYERS: [(&str, &[&str]); 11] = [
     ("mapping", &["grid", "camera", "perception"]),
     ("server", &["grid", "camera", "perception", "mapping"]),
     ("store", &["mapping", "server"]),
+    ("placement", &["grid"]),
     ("channel", &[]),
     ("report", &["grid", "camera", "perception", "mapping", "server"]),
     ("world", &["grid", "camera"]),
@@ -28,6 +29,7 @@ const LAYERS: [(&str, &[&str]); 11] = [
             "log",
             "mapping",
             "perception",
+            "placement",
             "report",
             "server",
             "store",
