@@ -5,6 +5,7 @@
 //! see without frames: they are a [`Source`] of observations.
 
 mod calibration;
+mod cameras_file;
 mod frame;
 mod thing;
 
@@ -16,6 +17,7 @@ use ubimap_protocol::{
 };
 
 pub use calibration::{Calibration, CalibrationError, Intrinsics, Lens};
+pub use cameras_file::{CAMERAS_FILE, CamerasFile, MountedCamera};
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
 pub use thing::{LAYERS, Thing};
 

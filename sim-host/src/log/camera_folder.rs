@@ -12,6 +12,7 @@ use super::{
     FrameFault, LogError,
     frame_times::{self, FrameTime, TIMES_FILE},
     intrinsics::{self, Intrinsics},
+    mounted::mounted,
     rgbd::{self, CameraPose},
 };
 use crate::{
@@ -303,7 +304,10 @@ impl Sensor {
         let (intrinsics, note) = if poses.len() > 1 {
             intrinsics::find(folder, images)?
         } else {
-            let stated = intrinsics::stated(folder)?;
+            let stated = match intrinsics::stated(folder)? {
+                None => intrinsics_of_mounted(folder, &images[0])?,
+                stated => stated,
+            };
             (stated.ok_or_else(|| intrinsics::missing(folder))?, None)
         };
         Ok((Self { intrinsics, poses }, note))
@@ -406,8 +410,22 @@ fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesErro
     Ok(images)
 }
 
+/// The intrinsics of a camera that a `cameras.toml` states, for depth images like this one.
+fn intrinsics_of_mounted(folder: &Path, image: &Path) -> Result<Option<Intrinsics>, FramesError> {
+    let Some(camera) = mounted(folder)? else { return Ok(None) };
+    let ((width, height), _) = raster::look(image)
+        .map_err(|error| FramesError::Damaged { path: image.to_owned(), error })?;
+    Ok(camera.intrinsics(width, height).as_ref().map(Intrinsics::of))
+}
+
 /// The poses of a folder: one, or as many as frames.
 fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
+    if !rgbd::has_poses(folder)
+        && let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose())
+    {
+        let rotation = *pose.rotation.to_rotation_matrix().matrix();
+        return Ok(vec![CameraPose::mounted(pose.translation.vector, rotation)]);
+    }
     let (path, poses) = rgbd::read_poses(folder)?;
     if poses.len() != 1 && poses.len() != frames {
         return Err(FramesError::Poses { path, frames, poses: poses.len() });

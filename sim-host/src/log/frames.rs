@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! robots.toml           which robots there are: see `run::registry`
+//! cameras.toml          where cameras hang whose folders have no pose.txt: see `camera::CamerasFile`
 //! CAMERA/               one folder for each camera; they count in the order of their names.
 //!                       A single camera needs none: what follows may lie beside robots.toml
 //!   pose.txt            where the depth sensor is: x y z qx qy qz qw

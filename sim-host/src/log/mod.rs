@@ -20,6 +20,7 @@ mod frames;
 mod intrinsics;
 mod lines;
 mod mines;
+mod mounted;
 mod recorder;
 mod rgbd;
 mod sensor;
@@ -176,6 +177,14 @@ pub enum LogError {
     #[error("{path}: intrinsics: {reason}", path = path.display())]
     Intrinsics {
         /// The file of the intrinsics.
+        path: PathBuf,
+        /// What is wrong, on one line.
+        reason: String,
+    },
+    /// A file of placed cameras that can't be read.
+    #[error("{path}: {reason}", path = path.display())]
+    Cameras {
+        /// The file.
         path: PathBuf,
         /// What is wrong, on one line.
         reason: String,

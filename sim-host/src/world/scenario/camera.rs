@@ -6,6 +6,9 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraConfig {
+    /// What it is called; the simulation numbers its cameras all the same.
+    #[serde(default)]
+    pub name: String,
     /// Where its optical centre is.
     pub position_m: [f64; 3],
     /// The point in the middle of its picture.
@@ -63,6 +66,7 @@ impl CameraConfig {
     /// The usual camera, which looks straight down from there.
     pub(in super::super) fn looking_down(position_m: [f64; 3]) -> Self {
         Self {
+            name: String::new(),
             position_m,
             look_at_m: None,
             heading_deg: Some(0.0),
