@@ -14,6 +14,7 @@ use ubimap_sim_host::{
     run::{
         Outcome, RunError, compare, open_output,
         options::{CompareOptions, ReplayOptions, ServeOptions, SimulateOptions, WatchOptions},
+        place::{self, options::PlaceOptions},
         replay, serve, simulate, watch,
     },
 };
@@ -39,6 +40,8 @@ enum Command {
     Simulate(SimulateOptions),
     /// Play the camera server on recorded frames of fixed RGB-D cameras
     Watch(WatchOptions),
+    /// Find out where to hang a room's cameras
+    Place(PlaceOptions),
     /// Serve real robots on serial ports
     Serve(ServeOptions),
     /// Score one ROS map against another
@@ -61,6 +64,7 @@ fn main() -> ExitCode {
         Command::Watch(options) => {
             finish((options.out.as_deref(), options.json), || watch::run(&options), |_| true)
         }
+        Command::Place(options) => place(&options),
         Command::Serve(options) => serve(&options),
         Command::Compare(options) => compare(&options),
     };
@@ -82,6 +86,17 @@ fn finish<R: fmt::Display + Serialize>(
         outcome.write(folder)?;
     }
     Ok(tell(&outcome.report, json, is_success(&outcome.report)))
+}
+
+/// Success is a placement that keeps what was asked for; also of its connection.
+fn place(options: &PlaceOptions) -> Result<ExitCode, RunError> {
+    let folder = open_output(options.out.as_deref())?;
+    let outcome = place::run(options)?;
+    if let Some(folder) = folder {
+        outcome.write(folder)?;
+    }
+    let is_success = !options.connect || outcome.report.is_connected();
+    Ok(tell(&outcome.report, options.json, is_success))
 }
 
 fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {

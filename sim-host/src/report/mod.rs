@@ -6,6 +6,7 @@
 mod comparison;
 mod output;
 mod picture;
+mod placing;
 mod serving;
 mod summary;
 mod watching;
@@ -14,7 +15,10 @@ use serde::Serialize;
 
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
-pub use picture::{Marker, MarkerKind, png, render, render_coverage, render_error, render_frames};
+pub use picture::{
+    Marker, MarkerKind, png, render, render_coverage, render_error, render_frames, render_overlap,
+};
+pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
 pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
 pub use summary::{
     DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores,

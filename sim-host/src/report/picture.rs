@@ -16,6 +16,12 @@ const PERSON_PATH: Rgb<u8> = Rgb([226, 150, 146]);
 const COVERED: Rgb<u8> = Rgb([186, 214, 240]);
 const MISSING: Rgb<u8> = Rgb([40, 80, 216]);
 const HEADING: Rgb<u8> = Rgb([255, 255, 255]);
+const CAMERA: Rgb<u8> = Rgb([214, 120, 0]);
+const UNSEEN: Rgb<u8> = Rgb([240, 170, 165]);
+const BLIND: Rgb<u8> = Rgb([150, 90, 130]);
+/// Floor that one camera sees, two, three, and more.
+const SEEN_BY: [Rgb<u8>; 4] =
+    [Rgb([206, 226, 246]), Rgb([150, 192, 232]), Rgb([92, 148, 208]), Rgb([44, 96, 168])];
 
 /// Unexplored cells around the map.
 const MARGIN: usize = 4;
@@ -40,6 +46,10 @@ pub enum MarkerKind {
     Robot,
     /// A person: an obstacle, red.
     Person,
+    /// A camera that looks along its heading: orange.
+    Camera,
+    /// A camera that looks straight down: orange, without a heading.
+    CameraDown,
 }
 
 /// A robot or a person on the picture.
@@ -66,14 +76,30 @@ pub fn render(grid: &OccupancyGrid, markers: &[Marker]) -> RgbImage {
         Cell::Occupied => WALL,
         Cell::Movable => OBSTACLE,
     });
-    let mut canvas = Canvas { image, grid, scale: scale as f64 };
-    for marker in markers {
-        canvas.path(marker);
-    }
-    for marker in markers {
-        canvas.marker(marker);
-    }
-    canvas.image
+    Canvas { image, grid, scale: scale as f64 }.with(markers)
+}
+
+/// Draws the floor by the number of cameras that see it, and the cameras. `floor` gives for a point of
+/// `map`, in metres, that number and whether any camera could see it; `None` beside the floor. What
+/// is occupied on the map is drawn over it: walls and what stands there black, what hangs over the
+/// floor as a pattern of dots.
+pub fn render_overlap(
+    map: &OccupancyGrid,
+    cameras: &[Marker],
+    floor: impl Fn([f64; 2]) -> Option<(u16, bool)>,
+) -> RgbImage {
+    let (image, scale) = draw(map, |column, row| {
+        let seen = floor(map.to_map([column as f64 + 0.5, row as f64 + 0.5]));
+        match (map.cell(column, row), seen) {
+            (Cell::Occupied, _) => WALL,
+            (Cell::Movable, _) if (column + row).is_multiple_of(2) => WALL,
+            (_, None) => UNEXPLORED,
+            (_, Some((0, true))) => UNSEEN,
+            (_, Some((0, false))) => BLIND,
+            (_, Some((count, _))) => SEEN_BY[usize::from(count).min(SEEN_BY.len()) - 1],
+        }
+    });
+    Canvas { image, grid: map, scale: scale as f64 }.with(cameras)
 }
 
 /// Draws a map as it was at several moments, each with what moved on it, beside one another, row by
@@ -179,10 +205,22 @@ struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
+    /// The picture with these on it, their ways below them.
+    fn with(mut self, markers: &[Marker]) -> RgbImage {
+        for marker in markers {
+            self.path(marker);
+        }
+        for marker in markers {
+            self.marker(marker);
+        }
+        self.image
+    }
+
     fn path(&mut self, marker: &Marker) {
         let colour = match marker.kind {
             MarkerKind::Robot => ROBOT_PATH,
             MarkerKind::Person => PERSON_PATH,
+            MarkerKind::Camera | MarkerKind::CameraDown => CAMERA,
         };
         for step in marker.path.windows(2) {
             self.line(self.pixel(step[0]), self.pixel(step[1]), self.scale * 0.35, colour);
@@ -195,8 +233,12 @@ impl Canvas<'_> {
         let colour = match marker.kind {
             MarkerKind::Robot => ROBOT,
             MarkerKind::Person => OBSTACLE,
+            MarkerKind::Camera | MarkerKind::CameraDown => CAMERA,
         };
         self.line(centre, centre, radius, colour);
+        if marker.kind == MarkerKind::CameraDown {
+            return;
+        }
         let (sin, cos) = (marker.heading_rad - self.grid.yaw_rad()).sin_cos();
         let nose = [centre[0] + 0.9 * radius * cos, centre[1] - 0.9 * radius * sin];
         self.line(centre, nose, radius * 0.15, HEADING);

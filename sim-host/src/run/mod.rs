@@ -7,6 +7,7 @@ mod figures;
 pub mod fleet;
 pub mod keeper;
 pub mod options;
+pub mod place;
 mod progress;
 pub mod recording;
 pub mod registry;
@@ -132,6 +133,9 @@ pub enum RunError {
         /// Robots in the scenario.
         there: usize,
     },
+    /// Cameras can't be placed.
+    #[error(transparent)]
+    Place(#[from] place::PlaceFault),
     /// A map that is to be the walls lies askew.
     #[error("{path}: origin: walls must lie straight, but the map is turned by {yaw_rad} rad", path = path.display())]
     TurnedMap {
@@ -159,6 +163,7 @@ impl RunError {
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
             | Self::TurnedMap { .. } => true,
+            Self::Place(fault) => fault.is_bad_input(),
             Self::Grid(_) | Self::Picture(_) => false,
         }
     }

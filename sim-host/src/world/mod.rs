@@ -16,6 +16,7 @@ mod cadence;
 mod cameras;
 mod changes;
 mod filming;
+mod fixed_parts;
 mod growth;
 mod marker;
 mod mounting;
@@ -52,6 +53,7 @@ use ubimap_protocol::{
 
 use crate::camera::{Calibration, Frame, FrameSource, Observation, Source};
 
+pub use fixed_parts::{FixedOutline, FixedPart};
 pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;
