@@ -8,9 +8,9 @@ mod linking;
 mod scanning;
 
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, SessionId},
+    frame::{DEFAULT_FRAME, SessionId},
     link::{ClockSync, Counters, Endpoint, Knocking},
-    message::{EventCode, RefusalReason},
+    message::{EventCode, RefusalReason, ToServer},
     tile::Epoch,
     time::Instant,
     units::Pose,
@@ -39,7 +39,7 @@ enum Token {
 
 /// Bytes of an [`Agent`] that are its end of the link: the frames under way, the one that comes in
 /// and the one that goes out, the handshake and the server's time. On the robot at most 4 KiB.
-pub const LINK_STATE: usize = size_of::<Endpoint<Token, WINDOW, DEFAULT_FRAME>>()
+pub const LINK_STATE: usize = size_of::<Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>>()
     + size_of::<Knocking>()
     + size_of::<ClockSync>();
 
@@ -67,7 +67,7 @@ pub struct Agent<'b> {
     lost: bool,
     /// The answer to the newest command about parameters, until it is sent.
     answer: Option<Answer>,
-    link: Endpoint<Token, WINDOW, DEFAULT_FRAME>,
+    link: Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>,
     knocking: Knocking,
     clock: ClockSync,
     server_epoch: Option<u32>,
@@ -128,7 +128,7 @@ impl<'b> Agent<'b> {
             events: Events::default(),
             lost: false,
             answer: None,
-            link: Endpoint::new(Direction::ToServer),
+            link: Endpoint::new(),
             knocking: Knocking::new(config.boot_nonce),
             clock: ClockSync::default(),
             server_epoch: None,
@@ -139,7 +139,8 @@ impl<'b> Agent<'b> {
         })
     }
 
-    /// When to come back at the latest: then call [`Agent::poll_transmit`] until it has nothing.
+    /// When to come back at the latest: then call [`Agent::timeout`], and [`Agent::poll_transmit`]
+    /// until it has nothing.
     pub fn poll_timeout(&self) -> Instant {
         let expiry = self.waiting.oldest().map(|taken| taken + self.config.scan_deadline);
         let session = self.link.session() != SessionId::NONE;
@@ -155,12 +156,12 @@ impl<'b> Agent<'b> {
         } else {
             [Some(self.knocking.poll_timeout()), None, None, None, expiry]
         };
-        // There is always one of the first.
-        timers.into_iter().fold(None, Instant::earlier).unwrap_or(Instant(u64::MAX))
+        timers.into_iter().flatten().fold(self.map.poll_timeout(), Instant::min)
     }
 
     /// Does what is due at `now` and has nothing to do with sending.
     pub fn timeout(&mut self, now: Instant) {
+        self.map.timeout(now, |id| self.fused.tile(id));
         self.map_waiting(now);
     }
 

@@ -13,6 +13,7 @@ use crate::{
     map::{Gate, MappingConfig, OwnTile, PeerMask, Policy, RowSighting},
     sense::{Beam, Exposure, Removal, SensorModel, SteadyLimits, Validity},
     share::FusedTile,
+    timing::SCAN_LATE,
 };
 
 /// What does not change while the robot runs.
@@ -89,7 +90,7 @@ impl Config {
             gate: Gate::default(),
             policy: Policy::default(),
             peer_mask: PeerMask::default(),
-            scan_deadline: Duration::from_millis(1_500),
+            scan_deadline: SCAN_LATE,
             hold: Duration::from_secs(1),
             vector_interval: Duration::from_secs(5),
             first_epoch: Epoch(0),

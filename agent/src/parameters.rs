@@ -4,7 +4,7 @@ use heapless::Vec;
 use ubimap_protocol::{
     message::{
         MAX_PARAMETERS, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport,
-        ParameterValue, ToServerKind, Writer,
+        ParameterValue, ToServer, Writer,
     },
     tile::Epoch,
     time::Duration,
@@ -196,21 +196,19 @@ const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 pub(crate) fn push_report(
     answer: &mut Option<Answer>,
     config: &Config,
-    writer: &mut Writer<'_>,
+    writer: &mut Writer<'_, ToServer>,
 ) -> bool {
     let Some(Answer { number, outcome, untold }) = answer else { return false };
-    let mut values = Vec::new();
-    for parameter in *untold {
-        // There is room for all of them: checked above at compile time.
-        let _ = values.push(parameter.value(config));
-    }
-    let mut report = ParameterReport { number: *number, outcome: *outcome, values };
-    while !writer.push(ToServerKind::ParameterReport as u8, &report) {
-        if report.values.pop().is_none() {
-            return false;
+    let told = writer.push_longest(0..=untold.len(), |count| {
+        let mut values = Vec::new();
+        for parameter in untold.iter().take(count) {
+            // There is room for all of them: checked above at compile time.
+            let _ = values.push(parameter.value(config));
         }
-    }
-    *untold = untold.get(report.values.len()..).unwrap_or_default();
+        ParameterReport { number: *number, outcome: *outcome, values }
+    });
+    let Some(count) = told else { return false };
+    *untold = untold.get(count..).unwrap_or_default();
     if untold.is_empty() {
         *answer = None;
     }
@@ -221,7 +219,7 @@ pub(crate) fn push_report(
 mod tests {
     use super::*;
     use crate::sense::SensorModel;
-    use ubimap_protocol::units::RobotId;
+    use ubimap_protocol::{message::Messages, units::RobotId};
 
     fn config() -> Config {
         Config::new(RobotId(1), SensorModel::Radial { first: 0.0, step: 0.1 })
@@ -280,9 +278,8 @@ mod tests {
                 break;
             }
             let len = writer.len();
-            let message = ubimap_protocol::message::Messages::new(&frame[..len]).next().unwrap();
-            let body = message.unwrap().body;
-            let part = ubimap_protocol::message::decode::<ParameterReport>(body).unwrap().0;
+            let message = Messages::<ToServer>::new(&frame[..len]).next().unwrap();
+            let part = message.unwrap().decode::<ParameterReport>().unwrap();
             numbers.extend(part.values.iter().map(|value| value.parameter));
         }
         assert_eq!(answer, None);

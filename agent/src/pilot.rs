@@ -4,7 +4,7 @@ use heapless::Vec;
 use ubimap_protocol::{
     message::{EventCode, MAX_OBSTACLES, MAX_PEERS, Obstacle, ObstacleClass, Peer, Waypoint},
     tile::{TILE_SIDE, TileId},
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
@@ -14,10 +14,9 @@ use crate::{
         Config, DriveCommand, Driver, GroundRow, Health, Inputs, Mover, NearPoints, Reason, Stops,
         Task,
     },
+    timing::OBSTACLE_LOST,
 };
 
-/// Obstacles are known for so long after they were seen.
-const SEEN: Duration = Duration::from_secs(2);
 /// A point on the way is passed from this near, in millimetres.
 const PASSED: i32 = 150;
 
@@ -172,7 +171,7 @@ impl Pilot {
             return movers;
         };
         let age = server_now.since(obstacles.time);
-        if age > SEEN {
+        if age > OBSTACLE_LOST {
             return movers;
         }
         let millis = (age.micros() / 1_000) as i32;

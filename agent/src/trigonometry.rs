@@ -1,9 +1,12 @@
 //! Sine and cosine in single precision alone. `libm`'s work in doubles within, for which a
 //! Cortex-M4 has no hardware: 7 KiB of flash, and 2,400 instructions a call.
 
-use core::f32::consts::{FRAC_PI_2, PI};
+use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use ubimap_protocol::units::Angle;
+
+/// Radians in a binary angle unit.
+pub(crate) const RADIANS: f32 = TAU / 65_536.0;
 
 /// Sine and cosine of an angle in radians, right to 4e-7 within ten turns.
 pub(crate) fn sin_cos(radians: f32) -> (f32, f32) {

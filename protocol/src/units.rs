@@ -121,6 +121,15 @@ impl Pose {
 )]
 pub struct RobotId(pub u16);
 
+/// The number of a session, chosen by the server. Zero stands for no session: the handshake.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct SessionId(pub u32);
+
+impl SessionId {
+    /// No session: frames of the handshake.
+    pub const NONE: Self = Self(0);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant as Clock};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use ubimap_protocol::time::Instant;
 use ubimap_sim_host::{
-    camera::{DepthImage, Intrinsics, Lens},
-    perception::{Background, Evidence, Survey, View},
+    camera::{DepthImage, DepthNoise, Intrinsics, Lens},
+    perception::{Background, Evidence, RayTable, Survey},
 };
 
 #[path = "../src/perception/testing/boxes.rs"]
@@ -34,35 +34,35 @@ fn room(is_empty: bool) -> Vec<boxes::Cuboid> {
 
 fn fusing(criterion: &mut Criterion) {
     let lens = boxes::lens(640, 480, [-0.5, -0.5, 2.8], [1.2, 1.2, 0.0]);
-    let view = View::new(&lens, Survey::default());
-    let mut background = Background::new(&view);
+    let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
+    let mut background = Background::new(&rays);
     let empty = boxes::render(&lens, 0.0, &room(true));
-    let taken = vec![false; view.cells()];
+    let taken = vec![false; rays.cells()];
     for frame in 0..15 {
-        let image = boxes::noisy(&empty, frame, 980);
-        background.learn(&view, &image, Instant(frame * 300_000), &taken);
+        let image = boxes::noisy(&empty, &DepthNoise::D435, frame, 980);
+        background.learn(&rays, &image, Instant(frame * 300_000), &taken);
     }
     // Two pixels in a hundred measure nothing.
     for (what, is_empty) in [("an empty room", true), ("a room with somebody in it", false)] {
         let scene = boxes::render(&lens, 0.0, &room(is_empty));
         let images: Vec<DepthImage> =
-            (100..108).map(|seed| boxes::noisy(&scene, seed, 980)).collect();
+            (100..108).map(|seed| boxes::noisy(&scene, &DepthNoise::D435, seed, 980)).collect();
         let mut group = criterion.benchmark_group(what);
         group.throughput(Throughput::Elements(640 * 480));
         let mut evidence = Evidence::default();
         let mut turn = images.iter().cycle();
         group.bench_function("by windows", |bencher| {
-            bencher.iter(|| evidence.fuse(&view, &background, turn.next().map_or(&[], |it| it)));
+            bencher.iter(|| evidence.fuse(&rays, &background, turn.next().map_or(&[], |it| it)));
         });
         group.bench_function("pixel by pixel", |bencher| {
-            bencher.iter(|| evidence.scatter(&view, &background, turn.next().map_or(&[], |it| it)));
+            bencher.iter(|| evidence.scatter(&rays, &background, turn.next().map_or(&[], |it| it)));
         });
         group.finish();
         // In turns, so that both meet the same machine.
         let [mut windows, mut pixels] = [Duration::MAX; 2];
         for image in images.iter().cycle().take(ROUNDS) {
-            windows = windows.min(time(|| evidence.fuse(&view, &background, image)));
-            pixels = pixels.min(time(|| evidence.scatter(&view, &background, image)));
+            windows = windows.min(time(|| evidence.fuse(&rays, &background, image)));
+            pixels = pixels.min(time(|| evidence.scatter(&rays, &background, image)));
         }
         println!(
             "{what}: 640 x 480 depth fused in {:.2} ms, {:.1} times as fast as pixel by pixel",

@@ -4,56 +4,72 @@
 
 use std::fmt::Debug;
 
-use serde::{Serialize, de::DeserializeOwned};
 use ubimap_protocol::{
     frame::{Direction, FrameKind, HEADER_LEN, Header, MAX_FRAME, SessionId, cobs, open, seal},
     link::{Endpoint, Fill, Received},
     message::{
-        Ack, Digests, DistanceVector, Event, Freshness, Hello, Interest, Messages, Obstacles,
-        ParameterCommand, ParameterReport, Path, Peers, PoseFix, Refusal, Request, State, Stop,
-        Stored, TileUpdateHead, TimeReply, TimeRequest, Welcome, Writer, decode,
+        Body, Encoded, Message, Messages, Request, ToRobot, ToRobotMessage, ToServer,
+        ToServerMessage, Traffic, Writer,
     },
-    tile::{MAX_TILES_PER_UPDATE, Replica, TILE_CELLS, Tile, TileDecoder, TileEncoder, TileHeader},
+    tile::{
+        Layer, MAX_TILES_PER_UPDATE, Replica, TILE_CELLS, Tile, TileDecoder, TileEncoder,
+        TileHeader, TileId,
+    },
     time::{Duration, Instant},
 };
 
-/// Something to be done with the type that stands for a kind of message.
+/// Something to be done with a message body of whatever type.
 pub trait BodyVisitor {
     /// What comes of it.
     type Output;
 
     /// Does it.
-    fn visit<T: Serialize + DeserializeOwned + PartialEq + Debug>(self) -> Self::Output;
+    fn visit<D: Traffic, T: Body<D> + PartialEq + Debug>(
+        self,
+        body: Encoded<'_, T>,
+    ) -> Self::Output;
 }
 
-/// Visits the type of a message's body; for a tile update that of its head. `None` for a kind
-/// that this version does not know.
-pub fn visit_body<V: BodyVisitor>(direction: Direction, kind: u8, visitor: V) -> Option<V::Output> {
-    Some(match (direction, kind) {
-        (_, Ack::KIND) => visitor.visit::<Ack>(),
-        (Direction::ToServer, 1) => visitor.visit::<Hello>(),
-        (Direction::ToServer, 2) => visitor.visit::<TimeRequest>(),
-        (_, 3) => visitor.visit::<TileUpdateHead>(),
-        (Direction::ToServer, 4) => visitor.visit::<State>(),
-        (Direction::ToServer, 5) => visitor.visit::<Interest>(),
-        (_, 6) => visitor.visit::<Request>(),
-        (Direction::ToServer, 7) => visitor.visit::<DistanceVector>(),
-        (Direction::ToServer, 8) => visitor.visit::<Event>(),
-        (Direction::ToServer, 9) | (Direction::ToRobot, 14) => visitor.visit::<Digests>(),
-        (Direction::ToServer, 10) => visitor.visit::<ParameterReport>(),
-        (Direction::ToRobot, 1) => visitor.visit::<Welcome>(),
-        (Direction::ToRobot, 2) => visitor.visit::<TimeReply>(),
-        (Direction::ToRobot, 4) => visitor.visit::<PoseFix>(),
-        (Direction::ToRobot, 5) => visitor.visit::<Refusal>(),
-        (Direction::ToRobot, 7) => visitor.visit::<()>(),
-        (Direction::ToRobot, 8) => visitor.visit::<Peers>(),
-        (Direction::ToRobot, 9) => visitor.visit::<Obstacles>(),
-        (Direction::ToRobot, 10) => visitor.visit::<Path>(),
-        (Direction::ToRobot, 11) => visitor.visit::<Stop>(),
-        (Direction::ToRobot, 12) => visitor.visit::<ParameterCommand>(),
-        (Direction::ToRobot, 13) => visitor.visit::<Stored>(),
-        (Direction::ToRobot, 15) => visitor.visit::<Freshness>(),
-        _ => return None,
+/// Visits the body of a message as the type that its kind has. `None` for a kind that this version
+/// does not know.
+pub fn visit_body<V: BodyVisitor>(
+    direction: Direction,
+    number: u8,
+    body: &[u8],
+    visitor: V,
+) -> Option<V::Output> {
+    Some(match direction {
+        Direction::ToServer => match Message::<ToServer>::new(number, body).by_kind()? {
+            ToServerMessage::Ack(body) => visitor.visit::<ToServer, _>(body),
+            ToServerMessage::Hello(body) => visitor.visit(body),
+            ToServerMessage::TimeRequest(body) => visitor.visit(body),
+            ToServerMessage::TileUpdate(body) => visitor.visit::<ToServer, _>(body),
+            ToServerMessage::State(body) => visitor.visit(body),
+            ToServerMessage::Interest(body) => visitor.visit(body),
+            ToServerMessage::Request(body) => visitor.visit::<ToServer, _>(body),
+            ToServerMessage::DistanceVector(body) => visitor.visit(body),
+            ToServerMessage::Event(body) => visitor.visit(body),
+            ToServerMessage::Digests(body) => visitor.visit::<ToServer, _>(body),
+            ToServerMessage::ParameterReport(body) => visitor.visit(body),
+        },
+        Direction::ToRobot => match Message::<ToRobot>::new(number, body).by_kind()? {
+            ToRobotMessage::Ack(body) => visitor.visit::<ToRobot, _>(body),
+            ToRobotMessage::Welcome(body) => visitor.visit(body),
+            ToRobotMessage::TimeReply(body) => visitor.visit(body),
+            ToRobotMessage::TileUpdate(body) => visitor.visit::<ToRobot, _>(body),
+            ToRobotMessage::PoseFix(body) => visitor.visit(body),
+            ToRobotMessage::Refusal(body) => visitor.visit(body),
+            ToRobotMessage::Request(body) => visitor.visit::<ToRobot, _>(body),
+            ToRobotMessage::Reset(body) => visitor.visit(body),
+            ToRobotMessage::Peers(body) => visitor.visit(body),
+            ToRobotMessage::Obstacles(body) => visitor.visit(body),
+            ToRobotMessage::Path(body) => visitor.visit(body),
+            ToRobotMessage::Stop(body) => visitor.visit(body),
+            ToRobotMessage::Parameter(body) => visitor.visit(body),
+            ToRobotMessage::Stored(body) => visitor.visit(body),
+            ToRobotMessage::Digests(body) => visitor.visit::<ToRobot, _>(body),
+            ToRobotMessage::Freshness(body) => visitor.visit(body),
+        },
     })
 }
 
@@ -72,7 +88,7 @@ pub fn frames(data: &[u8]) {
         let Some(contents) = open(SessionId(1), Direction::ToServer, frame) else { continue };
         if let Some((header, payload)) = Header::decode(contents) {
             assert_eq!(header.encode(), contents[..HEADER_LEN]);
-            assert!(Messages::new(payload).count() <= payload.len());
+            assert!(Messages::<ToServer>::new(payload).count() <= payload.len());
         }
     }
     assert!(read <= data.len());
@@ -99,29 +115,26 @@ pub fn frames(data: &[u8]) {
 pub fn messages(data: &[u8]) {
     let Some((&first, body)) = data.split_first() else { return };
     let direction = if first & 0x80 == 0 { Direction::ToServer } else { Direction::ToRobot };
-    let _ = visit_body(direction, first & 0x7F, RoundTrip { body });
-    for message in Messages::new(body).map_while(Result::ok) {
-        let _ = visit_body(direction, message.kind, RoundTrip { body: message.body });
+    let _ = visit_body(direction, first & 0x7F, body, RoundTrip);
+    for message in Messages::<ToServer>::new(body).map_while(Result::ok) {
+        let _ = visit_body(direction, message.number, message.body, RoundTrip);
     }
 }
 
-struct RoundTrip<'a> {
-    body: &'a [u8],
-}
+struct RoundTrip;
 
-impl BodyVisitor for RoundTrip<'_> {
+impl BodyVisitor for RoundTrip {
     type Output = ();
 
-    fn visit<T: Serialize + DeserializeOwned + PartialEq + Debug>(self) {
-        let Ok((message, rest)) = decode::<T>(self.body) else { return };
-        assert!(rest.len() <= self.body.len());
+    fn visit<D: Traffic, T: Body<D> + PartialEq + Debug>(self, body: Encoded<'_, T>) {
+        let Ok(message) = body.decode() else { return };
         let mut buffer = [0; MAX_FRAME];
-        let mut writer = Writer::new(&mut buffer);
-        assert!(writer.push(1, &message), "{message:?} does not fit any frame");
+        let mut writer = Writer::<D>::new(&mut buffer);
+        assert!(writer.push(&message), "{message:?} does not fit any frame");
         let len = writer.len();
         let written =
-            Messages::new(&buffer[..len]).next().and_then(Result::ok).expect("one message");
-        assert_eq!(decode::<T>(written.body).map(|(again, _)| again), Ok(message));
+            Messages::<D>::new(&buffer[..len]).next().and_then(Result::ok).expect("one message");
+        assert_eq!(written.decode(), Ok(message));
     }
 }
 
@@ -173,7 +186,7 @@ pub fn tiles(data: &[u8]) {
     }
 }
 
-type End = Endpoint<u32, 8, 64>;
+type End<D> = Endpoint<D, u32, 8, 64>;
 
 /// Two ends of a link under any order of operations, each one or two bytes: send, deliver, lose,
 /// hold back, damage, let time pass, begin anew. Then the wire is good: everything that was sent
@@ -216,7 +229,8 @@ pub fn links(data: &[u8]) {
 }
 
 struct Pair {
-    ends: [End; 2],
+    robot: End<ToServer>,
+    server: End<ToRobot>,
     /// What is on its way from each end.
     wire: [Vec<Vec<u8>>; 2],
     session: u32,
@@ -231,7 +245,8 @@ struct Pair {
 impl Pair {
     fn new() -> Self {
         let mut pair = Self {
-            ends: [End::new(Direction::ToServer), End::new(Direction::ToRobot)],
+            robot: End::new(),
+            server: End::new(),
             wire: Default::default(),
             session: 0,
             now: Instant(0),
@@ -246,7 +261,8 @@ impl Pair {
 
     fn begin(&mut self) {
         self.session += 1;
-        self.ends.iter_mut().for_each(|end| end.begin(SessionId(self.session), 64));
+        self.robot.begin(SessionId(self.session), 64);
+        self.server.begin(SessionId(self.session), 64);
         self.said = [0; 2];
         self.heard = Default::default();
         self.acknowledged = Default::default();
@@ -267,33 +283,11 @@ impl Pair {
     }
 
     fn poll(&mut self, side: usize) {
-        let (end, wanted, now) = (&mut self.ends[side], &mut self.wanted[side], self.now);
-        for _ in 0..64 {
-            let mut out = [0; 64];
-            let mut urgent = false;
-            if let Some(None) = wanted.first() {
-                urgent = true;
-            }
-            let sent =
-                end.poll_transmit(now, &mut out, urgent, |writer, reliable| match wanted.first() {
-                    Some(&Some(number)) if reliable => {
-                        assert!(writer.push(9, &number));
-                        wanted.remove(0);
-                        Fill::Reliable(number)
-                    }
-                    Some(None) => {
-                        assert!(writer.push(8, &0u8));
-                        wanted.remove(0);
-                        Fill::Datagram
-                    }
-                    _ => Fill::Nothing,
-                });
-            let Some(sent) = sent else { return };
-            if self.wire[side].len() < 64 {
-                self.wire[side].push(out[..sent.len].to_vec());
-            }
+        let (wanted, wire) = (&mut self.wanted[side], &mut self.wire[side]);
+        match side {
+            0 => send_all(&mut self.robot, wanted, wire, self.now),
+            _ => send_all(&mut self.server, wanted, wire, self.now),
         }
-        panic!("an end never stops sending");
     }
 
     fn deliver(&mut self, from: usize, index: usize) {
@@ -302,17 +296,11 @@ impl Pair {
             return;
         }
         let frame = self.wire[from].remove(index % count);
-        let mut bytes = &frame[..];
         let to = 1 - from;
-        while let Some(received) = self.ends[to].receive(&mut bytes, self.now) {
-            if let Received::Session(messages) = received {
-                for message in messages.map_while(Result::ok).filter(|it| it.kind == 9) {
-                    self.heard[to].extend(decode::<u32>(message.body).map(|(number, _)| number));
-                }
-            }
-        }
-        while let Some(number) = self.ends[to].poll_acknowledged() {
-            self.acknowledged[to].push(number);
+        let (heard, acknowledged) = (&mut self.heard[to], &mut self.acknowledged[to]);
+        match to {
+            0 => hear(&mut self.robot, &frame, self.now, heard, acknowledged),
+            _ => hear(&mut self.server, &frame, self.now, heard, acknowledged),
         }
     }
 
@@ -324,7 +312,7 @@ impl Pair {
                     self.deliver(side, 0);
                 }
             }
-            let timeouts = self.ends.each_ref().map(End::poll_timeout);
+            let timeouts = [self.robot.poll_timeout(), self.server.poll_timeout()];
             match timeouts.into_iter().flatten().min() {
                 Some(timeout) => self.now = self.now.max(timeout),
                 None if self.wanted.iter().all(Vec::is_empty) => break,
@@ -338,5 +326,73 @@ impl Pair {
             self.acknowledged[side].sort_unstable();
             assert_eq!(self.acknowledged[side], all, "each number is acknowledged, and once");
         }
+    }
+}
+
+/// A message that carries a number in either direction.
+fn numbered(number: u32) -> Request {
+    let id = TileId { x: (number & 0x7FFF) as i16, y: (number >> 15) as i16 };
+    Request { layer: Layer::Robot, tiles: [id].into_iter().collect() }
+}
+
+/// The number that a message carries.
+fn number_of(request: &Request) -> Option<u32> {
+    request.tiles.first().map(|id| id.x as u32 | (id.y as u32) << 15)
+}
+
+/// Puts everything that an end has to send on the wire. What it wants to say is a number, sent
+/// reliably, or a datagram without one.
+fn send_all<D: Traffic>(
+    end: &mut End<D>,
+    wanted: &mut Vec<Option<u32>>,
+    wire: &mut Vec<Vec<u8>>,
+    now: Instant,
+) where
+    Request: Body<D>,
+{
+    for _ in 0..64 {
+        let mut out = [0; 64];
+        let urgent = wanted.first() == Some(&None);
+        let sent =
+            end.poll_transmit(now, &mut out, urgent, |writer, reliable| match wanted.first() {
+                Some(&Some(number)) if reliable => {
+                    assert!(writer.push(&numbered(number)));
+                    wanted.remove(0);
+                    Fill::Reliable(number)
+                }
+                Some(None) => {
+                    let nothing = Request { layer: Layer::Robot, tiles: Default::default() };
+                    assert!(writer.push(&nothing));
+                    wanted.remove(0);
+                    Fill::Datagram
+                }
+                _ => Fill::Nothing,
+            });
+        let Some(sent) = sent else { return };
+        if wire.len() < 64 {
+            wire.push(out[..sent.len].to_vec());
+        }
+    }
+    panic!("an end never stops sending");
+}
+
+/// Gives an end a frame, and takes note of the numbers in it and of those that it acknowledges.
+fn hear<D: Traffic>(
+    end: &mut End<D>,
+    mut bytes: &[u8],
+    now: Instant,
+    heard: &mut Vec<u32>,
+    acknowledged: &mut Vec<u32>,
+) where
+    Request: Body<D::Opposite>,
+{
+    while let Some(received) = end.receive(&mut bytes, now) {
+        if let Received::Session(messages) = received {
+            let requests = messages.map_while(Result::ok).filter_map(|it| it.decode().ok());
+            heard.extend(requests.filter_map(|request| number_of(&request)));
+        }
+    }
+    while let Some(number) = end.poll_acknowledged() {
+        acknowledged.push(number);
     }
 }

@@ -2,6 +2,7 @@
 
 pub mod boxes;
 pub mod data;
+pub mod deployments;
 pub mod disk;
 pub mod elf;
 pub mod emulator;

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, MAX_FRAME, MIN_VERSION, VERSION},
+    frame::{DEFAULT_FRAME, MAX_FRAME, MIN_VERSION, VERSION},
     link::{Endpoint, Fill, Received},
-    message::{Hello, TileUpdateHead, ToRobotKind, ToServerKind, Welcome, Writer, decode},
+    message::{Body, Hello, TileUpdateHead, ToServer, Welcome, Writer},
     tile::{Epoch, Layer, Stamp, Tile, TileEncoder, TileId, Version},
     time::Instant,
     units::{Millimetres, RobotId},
@@ -18,7 +18,7 @@ pub struct RawRobot {
     /// Its number.
     pub id: RobotId,
     port: usize,
-    link: Endpoint<(), 1, MAX_FRAME>,
+    link: Endpoint<ToServer, (), 1, MAX_FRAME>,
     versions: BTreeMap<TileId, u32>,
 }
 
@@ -28,7 +28,7 @@ impl RawRobot {
     /// # Panics
     /// If the server gives it none.
     pub fn connect(server: &mut Server, port: usize, id: RobotId, now: Instant) -> Self {
-        let mut link = Endpoint::new(Direction::ToServer);
+        let mut link = Endpoint::new();
         let hello = Hello {
             version: VERSION,
             min_version: MIN_VERSION,
@@ -39,14 +39,14 @@ impl RawRobot {
             fused_tiles: 64,
         };
         let mut out = [0; MAX_FRAME];
-        let len = link.handshake(ToServerKind::Hello as u8, &hello, &mut out);
+        let len = link.handshake(&hello, &mut out);
         server
             .receive(port, &out[..len.expect("a hello fits")], now)
             .expect("there is such a port");
         let len = server.poll_transmit(port, now, &mut out).expect("a welcome");
         let session = match link.receive(&mut &out[..len], now) {
-            Some(Received::Handshake(message)) if message.kind == ToRobotKind::Welcome as u8 => {
-                decode::<Welcome>(message.body).expect("it can be read").0.session
+            Some(Received::Handshake(message)) => {
+                message.decode::<Welcome>().expect("a welcome").session
             }
             other => panic!("{other:?}"),
         };
@@ -58,7 +58,11 @@ impl RawRobot {
     ///
     /// # Panics
     /// If it does not fit.
-    pub fn frame(&mut self, now: Instant, fill: impl FnOnce(&mut Writer<'_>) -> bool) -> Vec<u8> {
+    pub fn frame(
+        &mut self,
+        now: Instant,
+        fill: impl FnOnce(&mut Writer<'_, ToServer>) -> bool,
+    ) -> Vec<u8> {
         let mut out = [0; MAX_FRAME];
         let sent = self.link.poll_transmit(now, &mut out, true, |writer, _| {
             assert!(fill(writer), "it does not fit");
@@ -68,14 +72,8 @@ impl RawRobot {
     }
 
     /// Says something.
-    pub fn say<M: serde::Serialize>(
-        &mut self,
-        server: &mut Server,
-        now: Instant,
-        kind: ToServerKind,
-        message: &M,
-    ) {
-        let frame = self.frame(now, |writer| writer.push(kind as u8, message));
+    pub fn say(&mut self, server: &mut Server, now: Instant, message: &impl Body<ToServer>) {
+        let frame = self.frame(now, |writer| writer.push(message));
         server.receive(self.port, &frame, now).expect("there is such a port");
     }
 
@@ -85,11 +83,10 @@ impl RawRobot {
         *version += 1;
         let stamp = Stamp { epoch: Epoch(1), version: Version(*version) };
         self.frame(now, |writer| {
-            writer.push_with(ToServerKind::TileUpdate as u8, |body| {
-                let head = TileUpdateHead { layer: Layer::Robot, seconds }.encode(body)?.len();
-                let mut encoder = TileEncoder::new(&mut body[head..]);
+            writer.push_with(&TileUpdateHead { layer: Layer::Robot, seconds }, |coded| {
+                let mut encoder = TileEncoder::new(coded);
                 encoder.push(id, stamp, None, 0, &Tile::UNKNOWN, tile)?;
-                Some(head + encoder.finish()?)
+                encoder.finish()
             })
         })
     }

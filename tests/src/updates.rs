@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ubimap_protocol::{
     frame::{Direction, MAX_FRAME, payload_capacity},
     link::{Endpoint, Received},
-    message::{Message, Messages, TileUpdateHead, ToRobotKind, ToServerKind, Welcome, decode},
+    message::{Body, Messages, TileUpdateHead, ToRobot, ToServer, Traffic, Welcome},
     tile::{Layer, Row, TILE_CELLS, TILE_SIDE, Tile, TileDecoder, TileHeader, TileId},
     time::Instant,
     units::RobotId,
@@ -76,8 +76,8 @@ pub struct Gathering {
 /// The two ends of a link, as far as they receive.
 #[derive(Debug)]
 struct Link {
-    server: Endpoint<(), 1, MAX_FRAME>,
-    robot: Endpoint<(), 1, MAX_FRAME>,
+    server: Endpoint<ToRobot, (), 1, MAX_FRAME>,
+    robot: Endpoint<ToServer, (), 1, MAX_FRAME>,
     frame: usize,
     tiles: BTreeMap<(Layer, TileId), Held>,
 }
@@ -96,30 +96,34 @@ impl Gathering {
     /// If it is not what an endpoint sends.
     pub fn hear(&mut self, robot: RobotId, direction: Direction, mut frame: &[u8]) {
         let link = self.links.entry(robot).or_insert_with(|| Link {
-            server: Endpoint::new(Direction::ToRobot),
-            robot: Endpoint::new(Direction::ToServer),
+            server: Endpoint::new(),
+            robot: Endpoint::new(),
             frame: 0,
             tiles: BTreeMap::new(),
         });
         let Link { server, robot, frame: size, tiles } = link;
-        let receiver = match direction {
-            Direction::ToServer => &mut *server,
-            Direction::ToRobot => &mut *robot,
-        };
-        let messages = match receiver.receive(&mut frame, Instant(0)).unwrap() {
-            Received::Session(messages) => messages,
-            Received::Handshake(Message { kind, body }) => {
-                if direction == Direction::ToRobot && kind == ToRobotKind::Welcome as u8 {
-                    let (welcome, _) = decode::<Welcome>(body).unwrap();
-                    *size = usize::from(welcome.frame);
-                    server.begin(welcome.session, *size);
-                    robot.begin(welcome.session, *size);
+        match direction {
+            Direction::ToServer => match server.receive(&mut frame, Instant(0)).unwrap() {
+                Received::Session(messages) => {
+                    gather(messages, payload_capacity(*size), tiles, &mut self.updates);
                 }
-                return;
-            }
-            Received::Bad => panic!("a bad frame"),
-        };
-        gather(messages, direction, payload_capacity(*size), tiles, &mut self.updates);
+                Received::Handshake(_) => {}
+                Received::Bad => panic!("a bad frame"),
+            },
+            Direction::ToRobot => match robot.receive(&mut frame, Instant(0)).unwrap() {
+                Received::Session(messages) => {
+                    gather(messages, payload_capacity(*size), tiles, &mut self.updates);
+                }
+                Received::Handshake(message) => {
+                    if let Ok(welcome) = message.decode::<Welcome>() {
+                        *size = usize::from(welcome.frame);
+                        server.begin(welcome.session, *size);
+                        robot.begin(welcome.session, *size);
+                    }
+                }
+                Received::Bad => panic!("a bad frame"),
+            },
+        }
     }
 
     /// All that was heard.
@@ -129,21 +133,18 @@ impl Gathering {
 }
 
 /// Reads the updates among a frame's messages, of which `capacity` bytes would have fitted.
-fn gather(
-    messages: Messages<'_>,
-    direction: Direction,
+fn gather<D: Traffic>(
+    messages: Messages<'_, D>,
     capacity: usize,
     held: &mut BTreeMap<(Layer, TileId), Held>,
     updates: &mut Vec<Update>,
-) {
-    let update = match direction {
-        Direction::ToServer => ToServerKind::TileUpdate as u8,
-        Direction::ToRobot => ToRobotKind::TileUpdate as u8,
-    };
+) where
+    TileUpdateHead: Body<D>,
+{
     let mut before = 0;
-    for Message { kind, body } in messages.map(Result::unwrap) {
-        if kind == update {
-            let (head, coded) = decode::<TileUpdateHead>(body).unwrap();
+    for message in messages.map(Result::unwrap) {
+        let body = message.body;
+        if let Ok((head, coded)) = message.split::<TileUpdateHead>() {
             let mut decoder = TileDecoder::new(coded);
             let mut tiles = Vec::new();
             while let Some(header) = decoder.header().unwrap() {
@@ -160,7 +161,7 @@ fn gather(
             }
             // Kind and length get three bytes before the body is moved up.
             let room = capacity - before - 3 - (body.len() - coded.len());
-            updates.push(Update { direction, room, coded: coded.to_vec(), tiles });
+            updates.push(Update { direction: D::DIRECTION, room, coded: coded.to_vec(), tiles });
         }
         before += if body.len() < 128 { 2 } else { 3 } + body.len();
     }

@@ -17,19 +17,21 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::Sighting,
     channel::fault::Faults,
+    deployment::{Config, Deployment},
     grid::OccupancyGrid,
     mapping::CureRecord,
     run::{
         fleet::{Event, Fleet, OWN_TILES, Stage},
         keeper::Keeper,
+        room_stage::RoomStage,
         scoring::score,
-        simulate::{RESOLUTION, Room, config, memory},
+        simulate::{RESOLUTION, config, memory},
     },
     server::RobotEvent,
     store::Store,
     world::{Scenario, World},
 };
-use ubimap_tests::seeds::seeds;
+use ubimap_tests::{deployments::deployed, seeds::seeds};
 
 /// Whose sensor is askew, and whose identifier.
 const SENSOR: RobotId = RobotId(4);
@@ -37,7 +39,7 @@ const IDENTIFIER: RobotId = RobotId(3);
 
 /// A room that counts for how long each robot has been in view.
 struct Watched {
-    room: Room,
+    room: RoomStage,
     /// The last moment, and the time in view, of each robot.
     seen: Rc<RefCell<BTreeMap<RobotId, (Instant, Duration)>>>,
 }
@@ -93,13 +95,11 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
     let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, seed)).collect();
     let mut memory = memory(&world, &configs, OWN_TILES);
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, seed, None).unwrap();
-    if !cures {
-        fleet.leave_errors();
-    }
+    let deployment = Config { corrects_errors: cures, ..Config::new(RESOLUTION) };
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, seed, deployed(deployment)).unwrap();
     let seen = Rc::new(RefCell::new(BTreeMap::new()));
     let end = Instant(0) + Duration::from_secs(240);
-    let mut stage = Watched { room: Room::new(world, end), seen: seen.clone() };
+    let mut stage = Watched { room: RoomStage::new(world, end), seen: seen.clone() };
     let (mut identifiers, mut sensors) = (BTreeMap::new(), BTreeMap::new());
     let converged = fleet.run(&mut stage, |fleet| {
         for robot in configs.iter().map(|config| config.robot) {
@@ -192,10 +192,12 @@ fn live(store: &Path, sensor_deg: f64, watch: impl FnMut(&Fleet<'_>)) {
     let world = world(1, sensor_deg, 0.0);
     let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, 1)).collect();
     let mut memory = memory(&world, &configs, OWN_TILES);
-    let keeper = Keeper::open(store, RESOLUTION, Epoch(1)).unwrap();
+    let (keeper, life) = Keeper::open(store, RESOLUTION, Epoch(1)).unwrap();
+    let deployment = Deployment::new(Config::new(RESOLUTION), life).unwrap();
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, 1, Some(keeper)).unwrap();
-    let mut stage = Room::new(world, Instant(0) + Duration::from_secs(30));
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, 1, deployment).unwrap();
+    fleet.keep(keeper);
+    let mut stage = RoomStage::new(world, Instant(0) + Duration::from_secs(30));
     fleet.run(&mut stage, watch).unwrap();
 }
 
@@ -220,7 +222,7 @@ fn a_cure_goes_on_in_the_next_life_of_the_server() {
     }
     live(&lived, 3.0, |fleet| {
         let cured = fleet.server().errors(SENSOR).is_some_and(|it| it.cured().added != 0.0);
-        if cured && !fleet.server().has_unsaved() && !killed.exists() {
+        if cured && !fleet.deployment().has_unsaved() && !killed.exists() {
             for end in ["", "-wal"] {
                 fs::copy(with_end(&lived, end), with_end(&killed, end)).unwrap();
             }

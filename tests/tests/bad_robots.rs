@@ -4,7 +4,7 @@
 use ubimap_protocol::{
     frame::MAX_FRAME,
     link::Terms,
-    message::{DistanceVector, Interest, ToServerKind},
+    message::{DistanceVector, Interest},
     tile::{Cell, Digest, TILE_SIDE, Tile, TileId},
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
@@ -71,7 +71,7 @@ fn with_lies(in_view: bool, lies: &[TileId]) -> (Digest, [usize; 3], Server) {
     let (from, to) = (SEEN, TileId { x: 6, y: 1 });
     for robot in &mut robots[..2] {
         let interest = Interest { number: 1, from, to };
-        robot.say(&mut server, at(0), ToServerKind::Interest, &interest);
+        robot.say(&mut server, at(0), &interest);
     }
     let mut sent = [0; 3];
     for millis in (100..32_000).step_by(100) {
@@ -135,7 +135,7 @@ fn a_robot_that_sees_things_where_cameras_see_the_floor_counts_for_nothing_in_bl
         server.observe(&look(at(millis), vec![Sighting::usual(LIAR, pose)]));
         if millis % 1_000 == 0 {
             let vector = sees(at(millis - 50), pose, 0.5);
-            robot.say(&mut server, at(millis), ToServerKind::DistanceVector, &vector);
+            robot.say(&mut server, at(millis), &vector);
         }
         drain(&mut server, at(millis));
     }
@@ -156,7 +156,7 @@ fn with_flood(frames: usize) -> (Vec<usize>, Tile, u32, Vec<(RobotEvent, u64)>) 
     for millis in (100..4_000).step_by(100) {
         let now = at(millis);
         for robot in &mut robots[..2] {
-            robot.say(&mut server, now, ToServerKind::Interest, &interest);
+            robot.say(&mut server, now, &interest);
             robot.draw(&mut server, now, BLIND, &walls(millis as usize / 500, 20));
         }
         let flood: Vec<u8> = (0..frames)

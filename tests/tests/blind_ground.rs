@@ -16,11 +16,12 @@ use ubimap_sim_host::{
     channel::fault::Faults,
     run::{
         fleet::{AgentMemory, FUSED_TILES, Fleet, OWN_TILES},
-        simulate::{RESOLUTION, Room, config},
+        room_stage::RoomStage,
+        simulate::{RESOLUTION, config},
     },
     world::{Scenario, World},
 };
-use ubimap_tests::seeds::seeds;
+use ubimap_tests::{deployments::bare, seeds::seeds};
 
 /// An aisle of 17 m, of which the camera sees the west end.
 const HALL: &str = r#"
@@ -177,8 +178,8 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
         .map(|config| AgentMemory::new(config, 160, OWN_TILES, FUSED_TILES))
         .collect();
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, seed, None).unwrap();
-    let mut stage = Room::new(world(), Instant(0) + Duration::from_secs(100));
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, seed, bare(RESOLUTION)).unwrap();
+    let mut stage = RoomStage::new(world(), Instant(0) + Duration::from_secs(100));
     let mut truths = BTreeMap::<u64, Pose>::new();
     let mut entered: Option<(Pose, Pose)> = None;
     let (mut way, mut last) = (0.0, None);

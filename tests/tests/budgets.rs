@@ -13,10 +13,12 @@ use ubimap_sim_host::{
     channel::fault::Faults,
     run::{
         fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
-        simulate::{RESOLUTION, Room, config},
+        room_stage::RoomStage,
+        simulate::{RESOLUTION, config},
     },
     world::{Scenario, World},
 };
+use ubimap_tests::deployments::bare;
 
 /// Readings of a scan.
 const BEAMS: usize = 30;
@@ -29,7 +31,7 @@ fn other_formats_are_compared_by_what_is_published() {
     let config = Config { pose_source, ..Config::new(RobotId(1), model) };
     let mut memory = [AgentMemory::new(&config, 150, OWN_TILES, FUSED_TILES)];
     let faults = Faults::default();
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1, None).unwrap();
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(Millimetres(50))).unwrap();
     assert!(fleet.run(&mut OneScan::default(), |_| {}).unwrap());
 
     let mut columns = Vec::new();
@@ -114,7 +116,7 @@ fn sent(mut stage: impl Stage, faults: Faults) -> (u64, u32) {
     let pose_source = PoseSource::Odometry(Pose::default());
     let config = Config { pose_source, ..Config::new(RobotId(1), model) };
     let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, Millimetres(50), 1, None).unwrap();
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(Millimetres(50))).unwrap();
     fleet.run(&mut stage, |_| {}).unwrap();
     let vectors = fleet.server().distance_vectors(RobotId(1));
     (fleet.robots()[0].agent().statistics().bytes_sent, vectors)
@@ -208,9 +210,9 @@ fn cross(faults: Faults) -> Seen {
     let beams = world.robots()[0].sensor().beams();
     let memory = configs.iter().map(|it| AgentMemory::new(it, beams, OWN_TILES, FUSED_TILES));
     let mut memory: Vec<AgentMemory> = memory.collect();
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, 1, None).unwrap();
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, 1, bare(RESOLUTION)).unwrap();
     let mut seen = Seen::default();
-    let level = fleet.run(&mut Room::new(world, END), |fleet| seen.look(fleet)).unwrap();
+    let level = fleet.run(&mut RoomStage::new(world, END), |fleet| seen.look(fleet)).unwrap();
     assert!(level, "the robots do not hold one map in the end");
 
     // The cameras fall silent: nothing is covered any more, and the robot knows.

@@ -8,6 +8,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     channel::serial::{SerialError, SerialPort},
+    deployment::Life,
     run::serve::{Attached, CAPTURE_INTERVAL, Station, Wire},
 };
 use ubimap_tests::{
@@ -48,7 +49,7 @@ fn a_robot_gets_a_session_the_time_and_its_pose_and_all_again_from_the_next_serv
     let mut asked = (0, station.now());
     turn_until(&mut station, "the clocks agree", Duration::from_secs(60), |station| {
         let now = station.now();
-        let times = station.server().time_requests(ROBOT);
+        let times = station.deployment().server().time_requests(ROBOT);
         if times != asked.0 {
             asked = (times, now);
         }
@@ -71,7 +72,7 @@ fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> St
     port.write(&noise.bytes(700)).unwrap();
     let wire = NoisyWire { port, noise: Noise(noise.next()), quiet: 0, writes: 0 };
     let attached = Attached::new("the firmware".into(), Box::new(wire), Some(pose));
-    Station::new(RESOLUTION, Epoch(epoch), vec![attached], None).unwrap()
+    Station::new(RESOLUTION, Life::new(Epoch(epoch)), vec![attached], None).unwrap()
 }
 
 /// Waits until the robot says that it stands where the camera saw it, at a moment that is that of
@@ -79,7 +80,7 @@ fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> St
 #[track_caller]
 fn wait_for_pose(station: &mut Station, pose: Pose, patience: Duration) {
     turn_until(station, "the robot knows its pose", patience, |station| {
-        let state = station.server().state(ROBOT);
+        let state = station.deployment().server().state(ROBOT);
         let Some((found, time)) = state.and_then(|state| state.pose.zip(state.time)) else {
             return false;
         };

@@ -20,7 +20,10 @@ use ubimap_sim_host::{
     channel::fault::Faults,
     run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
 };
-use ubimap_tests::floor_view::{FloorView, Spoils};
+use ubimap_tests::{
+    deployments::bare,
+    floor_view::{FloorView, Spoils},
+};
 
 const VIEW: FloorView = FloorView::USUAL;
 /// The grey of the objects, unless a test says otherwise: the floor is 140.
@@ -256,7 +259,7 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
     let config = Config { pose_source, max_range: 2_000, near, ..Config::new(RobotId(1), model) };
     let mut memory = [AgentMemory::new(&config, COLUMNS, OWN_TILES, FUSED_TILES)];
     let mut fleet =
-        Fleet::new(&[config], &mut memory, Faults::default(), Millimetres(50), 1, None).unwrap();
+        Fleet::new(&[config], &mut memory, Faults::default(), 1, bare(Millimetres(50))).unwrap();
     fleet.run(&mut Script { events }, |_| {}).unwrap();
 
     let mut walls = [0; 4];

@@ -5,19 +5,18 @@
 //! and what makes them of floating point numbers gives zero for NaN and saturates.
 
 use proptest::{collection::vec, prelude::*};
-use serde::Serialize;
 use ubimap_agent::{
     Agent, Config,
     sense::{ScanError, SensorModel},
 };
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, MAX_FRAME, SessionId},
+    frame::{DEFAULT_FRAME, MAX_FRAME, SessionId},
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
     message::{
-        Certainty, Digests, EventCode, FixSource, Freshness, Hello, Messages, ParameterAction,
-        ParameterCommand, ParameterValue, Path, Peer, Peers, PoseFix, Refusal, RefusalReason,
-        Request, Stop, Stored, TileDigest, TileUpdateHead, TimeReply, ToRobotKind, Waypoint,
-        Writer, decode,
+        self as protocol, Body, Certainty, Digests, EventCode, FixSource, Freshness, Hello,
+        ParameterAction, ParameterCommand, ParameterValue, Path, Peer, Peers, PoseFix, Refusal,
+        RefusalReason, Request, Reset, Stop, Stored, TileDigest, TileUpdateHead, TimeReply,
+        ToRobot, ToRobotKind, Waypoint, Writer,
     },
     tile::{Cell, Epoch, Layer, Stamp, Tile, TileEncoder, TileId, Version},
     time::{Duration, Instant},
@@ -127,11 +126,10 @@ fn message() -> impl Strategy<Value = Message> {
         half_width,
     });
     let certainty = any::<(u16, u16, u16)>();
-    let fix = (vec((moment(), pose()), 1..4), certainty).prop_filter_map(
-        "fixes in order",
-        |(fixes, (x, y, heading))| {
+    let fix = ((moment(), pose()), vec((moment(), pose()), 0..3), certainty).prop_map(
+        |(newest, before, (x, y, heading))| {
             let certainty = Certainty { x, y, heading };
-            PoseFix::from_fixes(fixes.into_iter(), certainty, FixSource::Camera)
+            PoseFix::from_fixes(newest, before.into_iter(), certainty, FixSource::Camera)
         },
     );
     let digest =
@@ -204,7 +202,7 @@ fn input() -> impl Strategy<Value = Input> {
 
 /// The server's end of a link.
 struct Server {
-    link: Endpoint<(), 8, DEFAULT_FRAME>,
+    link: Endpoint<ToRobot, (), 8, DEFAULT_FRAME>,
     hello: Option<Hello>,
     sessions: u32,
     terms: Terms,
@@ -214,7 +212,7 @@ impl Server {
     fn new(resolution: Millimetres) -> Self {
         let frame = DEFAULT_FRAME as u16;
         Self {
-            link: Endpoint::new(Direction::ToRobot),
+            link: Endpoint::new(),
             hello: None,
             sessions: 0,
             terms: Terms { resolution, frame, server_epoch: 1, stores: false },
@@ -225,15 +223,15 @@ impl Server {
     fn hear(&mut self, mut bytes: &[u8], now: Instant) {
         while let Some(received) = self.link.receive(&mut bytes, now) {
             if let Received::Handshake(message) = received {
-                self.hello = decode::<Hello>(message.body).ok().map(|(hello, _)| hello);
+                self.hello = message.decode().ok();
             }
         }
     }
 
     /// The bytes of a handshake's frame.
-    fn handshake(&mut self, kind: ToRobotKind, body: &impl Serialize) -> Vec<u8> {
+    fn handshake(&mut self, body: &impl Body<ToRobot>) -> Vec<u8> {
         let mut out = vec![0; MAX_FRAME];
-        let len = self.link.handshake(kind as u8, body, &mut out).expect("it fits");
+        let len = self.link.handshake(body, &mut out).expect("it fits");
         out.truncate(len);
         out
     }
@@ -246,7 +244,7 @@ impl Server {
         let Answer::Welcome(welcome) = answer(&self.hello?, &self.terms, session, epoch) else {
             return None;
         };
-        let frame = self.handshake(ToRobotKind::Welcome, &welcome);
+        let frame = self.handshake(&welcome);
         self.link.begin(session, DEFAULT_FRAME);
         Some(frame)
     }
@@ -255,10 +253,7 @@ impl Server {
     fn frame(&mut self, kind: u8, body: &[u8], now: Instant) -> Option<Vec<u8>> {
         let mut out = vec![0; MAX_FRAME];
         let sent = self.link.poll_transmit(now, &mut out, true, |writer, _| {
-            let fits = writer.push_with(kind, |room| {
-                room.get_mut(..body.len())?.copy_from_slice(body);
-                Some(body.len())
-            });
+            let fits = writer.push_encoded(protocol::Message::new(kind, body));
             if fits { Fill::Datagram } else { Fill::Nothing }
         })?;
         out.truncate(sent.len);
@@ -267,38 +262,36 @@ impl Server {
 }
 
 impl Message {
-    /// Its kind and body.
+    /// The number of its kind, and its body.
     fn bytes(&self) -> (u8, Vec<u8>) {
-        fn of(kind: ToRobotKind, body: &impl Serialize) -> (u8, Vec<u8>) {
-            let mut buffer = [0; MAX_FRAME];
-            let mut writer = Writer::new(&mut buffer);
-            assert!(writer.push(kind as u8, body));
-            let len = writer.len();
-            let mut messages = Messages::new(&buffer[..len]);
-            (kind as u8, messages.next().unwrap().unwrap().body.to_vec())
-        }
+        let mut buffer = [0; MAX_FRAME];
+        let mut writer = Writer::new(&mut buffer);
+        assert!(self.write(&mut writer));
+        let len = writer.len();
+        let written = protocol::Messages::<ToRobot>::new(&buffer[..len]).next().unwrap().unwrap();
+        (written.number, written.body.to_vec())
+    }
+
+    fn write(&self, writer: &mut Writer<'_, ToRobot>) -> bool {
         match self {
-            Self::Time(it) => of(ToRobotKind::TimeReply, it),
-            Self::Fix(it) => of(ToRobotKind::PoseFix, it),
-            Self::Request(it) => of(ToRobotKind::Request, it),
-            Self::Peers(it) => of(ToRobotKind::Peers, it),
-            Self::Path(it) => of(ToRobotKind::Path, it),
-            Self::Stop(it) => of(ToRobotKind::Stop, it),
-            Self::Parameter(it) => of(ToRobotKind::Parameter, it),
-            Self::Stored(it) => of(ToRobotKind::Stored, it),
-            Self::Digests(it) => of(ToRobotKind::Digests, it),
-            Self::Freshness(it) => of(ToRobotKind::Freshness, it),
+            Self::Time(it) => writer.push(it),
+            Self::Fix(it) => writer.push(it),
+            Self::Request(it) => writer.push(it),
+            Self::Peers(it) => writer.push(it),
+            Self::Path(it) => writer.push(it),
+            Self::Stop(it) => writer.push(it),
+            Self::Parameter(it) => writer.push(it),
+            Self::Stored(it) => writer.push(it),
+            Self::Digests(it) => writer.push(it),
+            Self::Freshness(it) => writer.push(it),
             &Self::Tile { layer, id, stamp, base, cells } => {
-                let mut body = vec![0; MAX_FRAME];
-                let head = TileUpdateHead { layer, seconds: cells };
-                let head = head.encode(&mut body).unwrap().len();
-                let mut tile = Tile::UNKNOWN;
-                tile.low[3] = cells;
-                let mut encoder = TileEncoder::new(&mut body[head..]);
-                let _ = encoder.push(id, stamp, base, 0, &Tile::UNKNOWN, &tile);
-                let len = encoder.finish().unwrap_or(0);
-                body.truncate(head + len);
-                (ToRobotKind::TileUpdate as u8, body)
+                writer.push_with(&TileUpdateHead { layer, seconds: cells }, |coded| {
+                    let mut tile = Tile::UNKNOWN;
+                    tile.low[3] = cells;
+                    let mut encoder = TileEncoder::new(coded);
+                    let _ = encoder.push(id, stamp, base, 0, &Tile::UNKNOWN, &tile);
+                    Some(encoder.finish().unwrap_or(0))
+                })
             }
         }
     }
@@ -356,7 +349,7 @@ fn put(agent: &mut Agent<'_>, server: &mut Server, input: Input, now: Instant) {
                 if unread(&after) != unread(&counted) {
                     assert_eq!(unread(&after), unread(&counted) + 1);
                     // Of a tile update that breaks off, what came before it stands.
-                    if kind != ToRobotKind::TileUpdate as u8 {
+                    if kind != u8::from(ToRobotKind::TileUpdate) {
                         assert_eq!(state(agent), before, "kind {kind} was not read, and believed");
                     }
                 }
@@ -376,7 +369,7 @@ fn put(agent: &mut Agent<'_>, server: &mut Server, input: Input, now: Instant) {
             }
         }
         Input::Reset => {
-            let frame = server.handshake(ToRobotKind::Reset, &());
+            let frame = server.handshake(&Reset);
             agent.receive(&frame, now);
             assert_eq!(state(agent), before);
         }
@@ -396,7 +389,7 @@ fn put(agent: &mut Agent<'_>, server: &mut Server, input: Input, now: Instant) {
         Input::Refusal => {
             let nonce = server.hello.map_or(0, |hello| hello.nonce);
             let refusal = Refusal { nonce, reason: RefusalReason::Resolution(Millimetres(1)) };
-            let frame = server.handshake(ToRobotKind::Refusal, &refusal);
+            let frame = server.handshake(&refusal);
             agent.receive(&frame, now);
             assert_eq!(state(agent), before);
         }
@@ -444,10 +437,11 @@ fn each_bad_input_is_told() {
     connect(&mut agent, &mut server);
     let at = |millis: u64| Instant(millis * 1_000);
     let fix = |millis: u64, x: f64| {
-        let fixes = [(at(millis), Pose::from_metres(x, 0.0, 0.0))];
+        let fix = (at(millis), Pose::from_metres(x, 0.0, 0.0));
         let certainty = Certainty { x: 20, y: 20, heading: 100 };
-        let fix = PoseFix::from_fixes(fixes.into_iter(), certainty, FixSource::Camera);
-        Input::Message(Message::Fix(fix.unwrap()))
+        let before = std::iter::empty();
+        let fix = PoseFix::from_fixes(fix, before, certainty, FixSource::Camera);
+        Input::Message(Message::Fix(fix))
     };
     let scan = |millis| Input::Scan { taken: at(millis), readings: vec![3_000; BEAMS] };
 

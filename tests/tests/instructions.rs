@@ -6,7 +6,7 @@ use std::{cell::RefCell, rc::Rc};
 use clap::Parser;
 use ubimap_agent::sense::SensorModel;
 use ubimap_sim_host::{
-    log::{self, Slicing},
+    recording::{self, Slicing},
     run::{options::ReplayOptions, replay},
 };
 use ubimap_tests::{
@@ -80,7 +80,7 @@ fn no_row_of_a_recorded_frame_takes_more_than_its_bound() {
     let (mut input, mut bounds) = (Vec::new(), Vec::new());
     for (folder, bound) in RECORDED {
         let Some(folder) = data::file(folder) else { return };
-        let log = log::read(&folder, None, Slicing::default()).unwrap();
+        let log = recording::read(&folder, None, Slicing::default()).unwrap();
         let SensorModel::Pinhole { focal, centre } = log.sensor.model() else {
             panic!("{:?}", log.sensor)
         };

@@ -10,9 +10,10 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::Faults,
+    deployment,
     run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
 };
-use ubimap_tests::script::Script;
+use ubimap_tests::{deployments::deployed, script::Script};
 
 const READINGS: usize = 30;
 const ROBOT: RobotId = RobotId(1);
@@ -74,9 +75,10 @@ fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
     let config = Config::new(ROBOT, model);
     let mut memory = [AgentMemory::new(&config, READINGS, OWN_TILES, FUSED_TILES)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, config.resolution, 1, None).unwrap();
     // Nobody tells it by what it sees.
-    fleet.leave_errors();
+    let deployment =
+        deployment::Config { corrects_errors: false, ..deployment::Config::new(config.resolution) };
+    let fleet = Fleet::new(&[config], &mut memory, faults, 1, deployed(deployment)).unwrap();
     let mut drive = Drive { fleet, driven: 0 };
 
     // The clocks agree, the cameras see it.

@@ -13,7 +13,7 @@ use ubimap_sim_host::{
     channel::fault::Faults,
     run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
 };
-use ubimap_tests::script::Script;
+use ubimap_tests::{deployments::bare, script::Script};
 
 const BEAMS: usize = 61;
 /// A cell on the way that is looked along, 1.5 m off.
@@ -28,7 +28,7 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
     let config = Config::new(RobotId(1), sensor);
     let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, config.resolution, 1, None).unwrap();
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(config.resolution)).unwrap();
     let mut codes = Vec::new();
     let mut millis = 0;
     for &(seconds, stands) in times {

@@ -15,10 +15,13 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::Faults,
+    deployment::{
+        self,
+        registry::{RegisteredRobot, Registry},
+    },
     run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
-    server::Footprint,
 };
-use ubimap_tests::script::Script;
+use ubimap_tests::{deployments::deployed, script::Script};
 
 /// Beams of a half circle.
 const BEAMS: usize = 181;
@@ -110,12 +113,14 @@ fn run(way: Way, told: Told) -> Drawn {
     }
     let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, config.resolution, 1, None).unwrap();
-    let [mut half_length, half_width] = BODY.map(|half| (half * 1_000.0) as u16);
+    let [mut length_m, width_m] = BODY.map(|half| 2.0 * half);
     if matches!(told, Told::Short(_)) {
-        half_length = half_width;
+        length_m = width_m;
     }
-    fleet.set_footprint(RobotId(2), Footprint { half_length, half_width });
+    let other = RegisteredRobot::new(2, 0.1, 0.3, [length_m, width_m]);
+    let registry = Registry { robots: vec![other] };
+    let deployment = deployment::Config { registry, ..deployment::Config::new(config.resolution) };
+    let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, deployed(deployment)).unwrap();
 
     let mut drawn = Drawn { wrong: BTreeSet::new(), walls: BTreeSet::new() };
     let side = config.resolution.metres();

@@ -13,19 +13,21 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 use ubimap_sim_host::{
-    camera::{FrameSource, Observation},
+    camera::Observation,
     channel::fault::Faults,
+    deployment::{self, Config},
     grid::OccupancyGrid,
     mapping::{RosMerge, ServedLayer},
     report::{PoseErrors, TruthScores},
     run::{
         fleet::{Event, Fleet, OWN_TILES, Stage},
+        room_stage::RoomStage,
         scoring,
-        simulate::{RESOLUTION, Room, config, memory, registry},
+        simulate::{RESOLUTION, config, deployment_config, memory},
     },
     world::{Scenario, World},
 };
-use ubimap_tests::seeds::seeds;
+use ubimap_tests::{deployments::deployed, seeds::seeds};
 
 /// What stood in a cell must be gone so long after the person has left it.
 const GONE_AFTER: Duration = Duration::from_secs(5);
@@ -51,7 +53,7 @@ type Ways = Rc<RefCell<Vec<Bodies>>>;
 
 /// A room of which somebody writes down where everybody is.
 struct Watched {
-    room: Room,
+    room: RoomStage,
     ways: Ways,
 }
 
@@ -287,13 +289,8 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, seed)).collect();
     let mut memory = memory(&world, &configs, OWN_TILES);
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, RESOLUTION, seed, None).unwrap();
-    for (robot, footprint) in registry(&scenario).footprints() {
-        fleet.set_footprint(robot, footprint);
-    }
-    fleet.look_through(
-        registry(&scenario).observer(FrameSource::cameras(&world), RESOLUTION).unwrap(),
-    );
+    let deployment = Config { keeps_sightings: true, ..deployment_config(&scenario, &world, true) };
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, seed, deployed(deployment)).unwrap();
     // A cell beside a surface may be taken for it.
     let surfaces = world.truth().surfaces.iter();
     let solid: BTreeSet<(i32, i32)> = surfaces.flat_map(|it| around(it, 2)).collect();
@@ -302,7 +299,8 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     let (ros, ground) = <(RefCell<RosMerge>, RefCell<LostGround>)>::default();
     let (ros, ground) = (Rc::new(ros), Rc::new(ground));
     let watch = (ros.clone(), ground.clone());
-    fleet.watch(Box::new(move |observation| {
+    fleet.listen(Box::new(move |event| {
+        let deployment::Event::Observed(observation) = event else { return };
         watch.0.borrow_mut().observe(observation);
         if failed.is_some() {
             watch.1.borrow_mut().observe(observation);
@@ -310,7 +308,7 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     }));
     let ways = Ways::default();
     let (mut ghosts, mut lost, mut taken_over) = (Ghosts::default(), None, Vec::new());
-    let room = Room::filmed(world, Instant(0) + long);
+    let room = RoomStage::filmed(world, Instant(0) + long);
     let mut stage = Watched { room, ways: ways.clone() };
     let converged = fleet.run(&mut stage, |fleet| {
         ghosts.look(fleet, &ways, &solid, &mut ros.borrow_mut());

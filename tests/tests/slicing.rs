@@ -14,7 +14,7 @@ use ubimap_protocol::{
     time::Instant,
     units::{Angle, Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::log::{self, DepthSlice, Log, PixelModel, Slicing};
+use ubimap_sim_host::recording::{self, DepthSlice, Log, PixelModel, Slicing};
 use ubimap_tests::data;
 
 /// A folder of frames and its intrinsics, as the README of the data has them: fx, fy, cx, cy, and
@@ -154,7 +154,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 fn read(folder: &Path, slice: DepthSlice, pixels: PixelModel) -> Log {
-    log::read(folder, None, Slicing { slice, pixels }).unwrap()
+    recording::read(folder, None, Slicing { slice, pixels }).unwrap()
 }
 
 #[test]

@@ -12,7 +12,7 @@ use kornia_image::{Image, ImageSize};
 use ubimap_protocol::{time::Instant, units::Millimetres};
 use ubimap_sim_host::{
     camera::{FrameSource, Picture},
-    perception::markers::{Identifier, TagDetector, Window},
+    perception::markers::{Identifier, ImageRegion, TagDetector},
     world::{Scenario, World},
 };
 use ubimap_tests::data;
@@ -44,7 +44,7 @@ fn middle(corners: &[[f64; 2]]) -> [f64; 2] {
 }
 
 fn ours(picture: &Picture) -> Vec<Tag> {
-    let markers = TagDetector::default().detect(picture, Window::all(picture));
+    let markers = TagDetector::default().detect(picture, ImageRegion::all(picture));
     let tag = |identifier| match identifier {
         Identifier::Tag(number) => number,
         Identifier::Colours { .. } => panic!("a tag detector"),

@@ -3,7 +3,7 @@
 //! ubimap-tests --test vectors`; those of a released version never change.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     env,
     fmt::Debug,
     io::Write,
@@ -11,14 +11,15 @@ use std::{
     sync::Once,
 };
 
-use serde::{Serialize, de::DeserializeOwned};
 use serde_json::{Value, json};
 use ubimap_protocol::{
-    frame::{
-        Direction, FrameKind, Header, MIN_VERSION, SessionId, VERSION, cobs, crc32, open, seal,
-    },
+    checksum::crc32,
+    frame::{Direction, FrameKind, Header, MIN_VERSION, SessionId, VERSION, cobs, open, seal},
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
-    message::{Hello, MalformedMessage, Messages, Writer, decode},
+    message::{
+        Body, Encoded, Hello, MalformedMessage, Message, Messages, ToRobot, ToRobotKind, ToServer,
+        ToServerKind, Traffic, Writer,
+    },
     tile::{
         Applied, BaseMissing, Digest, Epoch, MAX_TILES_PER_UPDATE, Replica, Stamp, TILE_CELLS,
         TileDecoder, TileEncoder, TileError, TileId, Version, tile_hash,
@@ -76,14 +77,12 @@ fn stuff(contents: &[u8]) -> Vec<u8> {
 /// A frame from its parts, the messages written one by one.
 fn frame(way: Direction, session: SessionId, header: Header, payload: &[u8]) -> Vec<u8> {
     let mut buffer = vec![0; payload.len() + 8];
-    let mut writer = Writer::new(&mut buffer);
+    // How messages are written does not depend on their direction.
+    let mut writer = Writer::<ToServer>::new(&mut buffer);
     for message in Messages::new(payload) {
         // Bytes that are no messages are for frames alone.
         let Ok(message) = message else { return finish(way, session, header, payload) };
-        assert!(writer.push_with(message.kind, |body| {
-            body.get_mut(..message.body.len())?.copy_from_slice(message.body);
-            Some(message.body.len())
-        }));
+        assert!(writer.push_encoded(message));
     }
     let len = writer.len();
     finish(way, session, header, &buffer[..len])
@@ -127,25 +126,27 @@ fn frames_read_and_write() {
 }
 
 /// Decodes a body into JSON and back, and writes it again.
-struct Body<'a> {
-    body: &'a [u8],
+struct Rewritten<'a> {
     fields: &'a Value,
 }
 
-impl BodyVisitor for Body<'_> {
+impl BodyVisitor for Rewritten<'_> {
     type Output = Result<(Value, Vec<u8>, Vec<u8>), MalformedMessage>;
 
-    fn visit<T: Serialize + DeserializeOwned + PartialEq + Debug>(self) -> Self::Output {
-        let (message, rest) = decode::<T>(self.body)?;
+    fn visit<D: Traffic, T: Body<D> + PartialEq + Debug>(
+        self,
+        body: Encoded<'_, T>,
+    ) -> Self::Output {
+        let (message, rest) = body.split()?;
         if !self.fields.is_null() {
             let said: T = serde_json::from_value(self.fields.clone()).unwrap();
             assert_eq!(said, message);
         }
         let mut buffer = [0; 1024];
-        let mut writer = Writer::new(&mut buffer);
-        assert!(writer.push(1, &message));
+        let mut writer = Writer::<D>::new(&mut buffer);
+        assert!(writer.push(&message));
         let len = writer.len();
-        let written = Messages::new(&buffer[..len]).next().unwrap().unwrap();
+        let written = Messages::<D>::new(&buffer[..len]).next().unwrap().unwrap();
         Ok((serde_json::to_value(&message).unwrap(), rest.to_vec(), written.body.to_vec()))
     }
 }
@@ -153,29 +154,31 @@ impl BodyVisitor for Body<'_> {
 #[test]
 fn messages_read_and_write() {
     let mut seen = BTreeSet::new();
-    let mut times = [[0; 16]; 2];
+    let mut times = [BTreeMap::new(), BTreeMap::new()];
     for case in list(&cases("messages")) {
         assert!(seen.insert(text(case, "name").to_owned()), "twice: {case}");
         let way = direction(text(case, "direction"));
         let (kind, body) = (number(case, "kind") as u8, bytes(case, "body"));
-        let read = visit_body(way, kind, Body { body: &body, fields: &case["fields"] });
+        let read = visit_body(way, kind, &body, Rewritten { fields: &case["fields"] });
         let (fields, rest, mut written) = read.expect("a known kind").expect("a good message");
         assert_eq!(fields, case["fields"], "{case}");
         assert_eq!(hex(&rest), text(case, "rest"), "{case}");
         written.extend(rest);
         assert_eq!(hex(&written), hex(&body), "{case}");
-        times[way as usize][usize::from(kind)] += 1;
+        *times[usize::from(way == Direction::ToRobot)].entry(kind).or_insert(0) += 1;
     }
-    assert!(times[0][..=10].iter().chain(&times[1][..=14]).all(|&times| times >= 2), "{times:?}");
+    let to_server = ToServerKind::ALL.iter().map(|&kind| times[0].get(&kind.into()));
+    let to_robot = ToRobotKind::ALL.iter().map(|&kind| times[1].get(&kind.into()));
+    assert!(to_server.chain(to_robot).all(|times| times >= Some(&2)), "{times:?}");
 }
 
 #[test]
 fn payloads_are_split() {
     for case in list(&cases("payloads")) {
         let payload = bytes(case, "payload");
-        let messages: Vec<_> = Messages::new(&payload)
+        let messages: Vec<_> = Messages::<ToRobot>::new(&payload)
             .map(|message| message.expect("a good one"))
-            .map(|message| json!({ "kind": message.kind, "body": hex(message.body) }))
+            .map(|message| json!({ "kind": message.number, "body": hex(message.body) }))
             .collect();
         assert_eq!(Value::Array(messages), case["messages"], "{case}");
     }
@@ -270,8 +273,8 @@ fn digests() {
 
 #[test]
 fn the_transcript_of_a_session() {
-    type End = Endpoint<u8, 8, 1024>;
-    let mut ends = [End::new(Direction::ToServer), End::new(Direction::ToRobot)];
+    let mut robot = Endpoint::<ToServer, u8, 8, 1024>::new();
+    let mut server = Endpoint::<ToRobot, u8, 8, 1024>::new();
     let mut kinds = Vec::new();
     for line in list(&cases("handshake")["transcript"]) {
         let way = direction(text(line, "direction"));
@@ -281,35 +284,49 @@ fn the_transcript_of_a_session() {
         let (header, payload) =
             Header::decode(open(session, way, &contents).expect("a good seal")).unwrap();
         assert_eq!(hex(&frame(way, session, header, payload)), hex(&wire), "{line}");
-        let to = &mut ends[usize::from(way == Direction::ToServer)];
-        if session != SessionId::NONE && to.session() == SessionId::NONE {
-            ends.iter_mut().for_each(|end| end.begin(session, 250));
+        if session != SessionId::NONE && robot.session() == SessionId::NONE {
+            robot.begin(session, 250);
+            server.begin(session, 250);
         }
         if line["lost"].as_bool().unwrap() {
             continue;
         }
-        let to = &mut ends[usize::from(way == Direction::ToServer)];
-        let mut input = &wire[..];
-        match to.receive(&mut input, Instant(0)).expect("a frame") {
-            Received::Handshake(message) => {
-                assert_eq!(session, SessionId::NONE);
-                kinds.push(message.kind);
-            }
-            Received::Session(messages) => {
-                assert_ne!(session, SessionId::NONE);
-                kinds.extend(messages.map(|message| message.unwrap().kind));
-            }
-            Received::Bad => panic!("{line}"),
-        }
+        kinds.extend(match way {
+            Direction::ToServer => numbers(&mut server, &wire, session),
+            Direction::ToRobot => numbers(&mut robot, &wire, session),
+        });
     }
     assert_eq!(kinds, [7, 1, 1, 2, 4, 2, 3, 0, 5, 0, 13, 0, 11]);
-    assert!(ends.iter().all(|end| end.counters().bad + end.counters().refused == 0));
+    for counters in [robot.counters(), server.counters()] {
+        assert_eq!(counters.bad + counters.refused, 0);
+    }
+}
+
+/// The numbers of the kinds of messages in a frame of a session, or of none.
+fn numbers<D: Traffic>(
+    end: &mut Endpoint<D, u8, 8, 1024>,
+    mut wire: &[u8],
+    session: SessionId,
+) -> Vec<u8> {
+    match end.receive(&mut wire, Instant(0)).expect("a frame") {
+        Received::Handshake(message) => {
+            assert_eq!(session, SessionId::NONE);
+            vec![message.number]
+        }
+        Received::Session(messages) => {
+            assert_ne!(session, SessionId::NONE);
+            messages.map(|message| message.unwrap().number).collect()
+        }
+        Received::Bad => panic!("a bad frame"),
+    }
 }
 
 #[test]
 fn hellos_are_answered() {
     for case in list(&cases("handshake")["answers"]) {
-        let hello: Hello = decode(&bytes(case, "hello")).unwrap().0;
+        let hello = bytes(case, "hello");
+        let hello = Message::<ToServer>::new(ToServerKind::Hello.into(), &hello);
+        let hello = hello.decode::<Hello>().unwrap();
         let terms = Terms {
             resolution: Millimetres(number(case, "resolution") as i32),
             frame: number(case, "frame") as u16,
@@ -318,10 +335,10 @@ fn hellos_are_answered() {
         };
         let session = SessionId(number(case, "session") as u32);
         let mut buffer = [0; 64];
-        let mut writer = Writer::new(&mut buffer);
+        let mut writer = Writer::<ToRobot>::new(&mut buffer);
         match answer(&hello, &terms, session, number(case, "first_epoch") as u32) {
-            Answer::Welcome(welcome) => assert!(writer.push(1, &welcome)),
-            Answer::Refusal(refusal) => assert!(writer.push(5, &refusal)),
+            Answer::Welcome(welcome) => assert!(writer.push(&welcome)),
+            Answer::Refusal(refusal) => assert!(writer.push(&refusal)),
         }
         let len = writer.len();
         assert_eq!(u64::from(buffer[0]), number(case, "kind"), "{case}");
@@ -332,7 +349,7 @@ fn hellos_are_answered() {
 #[test]
 fn reliable_frames_are_acknowledged() {
     for case in list(&cases("window")) {
-        let mut end = Endpoint::<u8, 8, 64>::new(Direction::ToRobot);
+        let mut end = Endpoint::<ToRobot, u8, 8, 64>::new();
         end.begin(SessionId(number(case, "session") as u32), 64);
         for frame in list(&case["frames"]) {
             let before = end.counters();
@@ -377,7 +394,8 @@ fn error_of(wire: &[u8], way: Direction, session: SessionId) -> Option<&'static 
         return Some("kind");
     }
     if within.is_none() {
-        return (!matches!(Messages::new(payload).next(), Some(Ok(_)))).then_some("payload");
+        return (!matches!(Messages::<ToServer>::new(payload).next(), Some(Ok(_))))
+            .then_some("payload");
     }
     if !(MIN_VERSION..=VERSION).contains(&header.version) {
         return Some("version");
@@ -393,7 +411,7 @@ fn what_is_no_good_is_refused() {
         let wire = bytes(case, "wire");
         assert_eq!(error_of(&wire, way, SessionId(session)), Some(text(case, "error")), "{case}");
         // The endpoint says the same, and reads the good frame that follows.
-        let mut end = Endpoint::<u8, 8, FRAME_LIMIT>::new(Direction::ToRobot);
+        let mut end = Endpoint::<ToRobot, u8, 8, FRAME_LIMIT>::new();
         end.begin(SessionId(session), FRAME_LIMIT);
         let header = Header { version: 1, kind: FrameKind::Datagram, sequence: 0 };
         let good = frame(way, SessionId(session), header, &[200, 0]);
@@ -411,7 +429,7 @@ fn what_is_no_good_is_refused() {
     }
     for case in list(&refused["payloads"]) {
         let payload = bytes(case, "payload");
-        let read: Vec<_> = Messages::new(&payload).collect();
+        let read: Vec<_> = Messages::<ToServer>::new(&payload).collect();
         let (last, before) = read.split_last().unwrap();
         assert_eq!(last, &Err(MalformedMessage), "{case}");
         assert_eq!(before.len() as u64, number(case, "messages_before"), "{case}");
@@ -420,7 +438,7 @@ fn what_is_no_good_is_refused() {
     for case in list(&refused["messages"]) {
         let way = direction(text(case, "direction"));
         let (kind, body) = (number(case, "kind") as u8, bytes(case, "body"));
-        let read = visit_body(way, kind, Body { body: &body, fields: &Value::Null });
+        let read = visit_body(way, kind, &body, Rewritten { fields: &Value::Null });
         assert_eq!(read.expect("a known kind"), Err(MalformedMessage), "{case}");
         assert_eq!(text(case, "error"), "malformed");
     }

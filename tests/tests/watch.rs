@@ -15,20 +15,21 @@ use ubimap_protocol::{
     units::{Millimetres, RobotId},
 };
 use ubimap_sim_host::{
-    camera::FrameSource,
     channel::fault::Faults,
+    deployment::Config,
     report::WatchReport,
     run::{
         Outcome,
         fleet::Fleet,
         options::WatchOptions,
-        recording::{Recorded, Recording},
-        simulate::{RESOLUTION, Room, registry},
+        record::{Recorded, Recording},
+        room_stage::RoomStage,
+        simulate::{RESOLUTION, deployment_config},
         watch,
     },
     world::{Scenario, World},
 };
-use ubimap_tests::data;
+use ubimap_tests::{data, deployments::deployed};
 
 /// Two cameras whose frames overtake each other and get lost, a robot with a tag and one with a
 /// colour marker, and somebody who walks.
@@ -110,22 +111,17 @@ fn what_a_simulation_recorded_gives_what_it_gave() {
     let scenario = Scenario::from_toml(SCENARIO, "two cameras").unwrap();
     let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
     // No robot says itself where it is, as in a recording.
-    let mut fleet = Fleet::new(&[], &mut [], Faults::default(), RESOLUTION, 1, None).unwrap();
-    let registry = registry(&scenario);
-    for (robot, footprint) in registry.footprints() {
-        fleet.set_footprint(robot, footprint);
-    }
-    let cameras = FrameSource::cameras(&world);
-    fleet.look_through(registry.observer(cameras, RESOLUTION).unwrap());
-    let written = Recording::create(&recording, cameras, &registry).unwrap();
-    let stage = Room::filmed(world, Instant(0) + Duration::from_secs(7));
+    let config = Config { keeps_sightings: true, ..deployment_config(&scenario, &world, true) };
+    let written = Recording::create(&recording, &config.cameras, &config.registry).unwrap();
+    let mut fleet = Fleet::new(&[], &mut [], Faults::default(), 1, deployed(config)).unwrap();
+    let stage = RoomStage::filmed(world, Instant(0) + Duration::from_secs(7));
     let mut stage = Recorded { stage, recording: Some(written) };
     fleet.run(&mut stage, |_| {}).unwrap();
     stage.finish().unwrap();
 
     let outcome = watched(&recording);
     let report = &outcome.report;
-    let mut sightings = fleet.sightings().to_vec();
+    let mut sightings = fleet.deployment().sightings().to_vec();
     sightings.sort_by_key(|(captured, it)| (it.robot, *captured));
     let live: Vec<[i64; 5]> = sightings
         .iter()

@@ -3,8 +3,8 @@
 use ubimap_protocol::{
     link::ClockSync,
     message::{
-        Ack, Digests, EventCode, FixSource, Freshness, Message, Messages, ParameterCommand,
-        PoseFix, Refusal, Request, Stored, TileUpdateHead, TimeReply, ToRobotKind, Welcome, decode,
+        Digests, Encoded, EventCode, FixSource, Message, Messages, ParameterCommand, PoseFix,
+        Refusal, Request, Stored, ToRobot, ToRobotMessage, Welcome,
     },
     tile::Layer,
     time::Instant,
@@ -26,11 +26,11 @@ pub(super) enum Knock {
 }
 
 impl Knock {
-    pub(super) fn parse(message: Message<'_>) -> Option<Self> {
-        match ToRobotKind::from_number(message.kind)? {
-            ToRobotKind::Welcome => Some(Self::Welcome(decode(message.body).ok()?.0)),
-            ToRobotKind::Refusal => Some(Self::Refusal(decode(message.body).ok()?.0)),
-            ToRobotKind::Reset => Some(Self::Reset),
+    pub(super) fn parse(message: Message<'_, ToRobot>) -> Option<Self> {
+        match message.by_kind()? {
+            ToRobotMessage::Welcome(welcome) => Some(Self::Welcome(welcome.decode().ok()?)),
+            ToRobotMessage::Refusal(refusal) => Some(Self::Refusal(refusal.decode().ok()?)),
+            ToRobotMessage::Reset(_) => Some(Self::Reset),
             _ => None,
         }
     }
@@ -52,16 +52,13 @@ pub(super) struct Inbox<'a, 'b> {
 }
 
 impl Inbox<'_, '_> {
-    pub(super) fn take(&mut self, messages: Messages<'_>, now: Instant) {
+    pub(super) fn take(&mut self, messages: Messages<'_, ToRobot>, now: Instant) {
         for message in messages.map_while(Result::ok) {
-            if message.kind == Ack::KIND {
-                continue;
-            }
-            let Some(kind) = ToRobotKind::from_number(message.kind) else {
+            let Some(message) = message.by_kind() else {
                 self.statistics.unknown_messages = self.statistics.unknown_messages.wrapping_add(1);
                 continue;
             };
-            if self.one(kind, message.body, now).is_none() {
+            if self.one(message, now).is_none() {
                 self.statistics.malformed_messages =
                     self.statistics.malformed_messages.wrapping_add(1);
             }
@@ -69,53 +66,68 @@ impl Inbox<'_, '_> {
     }
 
     /// `None` if the message cannot be read.
-    fn one(&mut self, kind: ToRobotKind, body: &[u8], now: Instant) -> Option<()> {
-        match kind {
-            ToRobotKind::TimeReply => self.clock.reply(&decode::<TimeReply>(body).ok()?.0, now),
-            ToRobotKind::PoseFix => self.fix(&decode::<PoseFix>(body).ok()?.0, now),
-            ToRobotKind::TileUpdate => {
-                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
+    fn one(&mut self, message: ToRobotMessage<'_>, now: Instant) -> Option<()> {
+        match message {
+            // The link has taken it.
+            ToRobotMessage::Ack(_) => {}
+            ToRobotMessage::TimeReply(reply) => self.clock.reply(&reply.decode().ok()?, now),
+            ToRobotMessage::PoseFix(fix) => self.fix(&fix.decode().ok()?, now),
+            ToRobotMessage::TileUpdate(update) => {
+                let (head, coded) = update.split().ok()?;
                 if head.layer == Layer::Robot {
                     return None;
                 }
                 self.fused.update(head.layer, coded).ok()?;
             }
-            ToRobotKind::Request => {
-                let (request, _) = decode::<Request>(body).ok()?;
-                let pool = &mut self.map.pool;
-                if request.tiles.is_empty() {
-                    self.publisher.requested(pool, None, now);
-                }
-                for &tile in &request.tiles {
-                    self.publisher.requested(pool, Some(tile), now);
-                }
-            }
-            ToRobotKind::Peers | ToRobotKind::Obstacles | ToRobotKind::Path | ToRobotKind::Stop => {
-                self.commands.take(kind, body)?
-            }
-            ToRobotKind::Parameter => *self.command = Some(decode(body).ok()?.0),
-            ToRobotKind::Stored => {
-                for &(id, stamp) in &decode::<Stored>(body).ok()?.0.tiles {
-                    self.map.pool.stored(id, stamp);
-                }
-            }
-            ToRobotKind::Digests => {
-                let (digests, _) = decode::<Digests>(body).ok()?;
-                if digests.layer == Layer::Robot {
-                    return None;
-                }
-                self.fused.compare(&digests);
-            }
-            ToRobotKind::Freshness => {
-                let (freshness, _) = decode::<Freshness>(body).ok()?;
+            ToRobotMessage::Request(request) => self.requested(&request.decode().ok()?, now),
+            ToRobotMessage::Peers(_)
+            | ToRobotMessage::Obstacles(_)
+            | ToRobotMessage::Path(_)
+            | ToRobotMessage::Stop(_) => self.commands.take(message)?,
+            ToRobotMessage::Parameter(command) => *self.command = Some(command.decode().ok()?),
+            ToRobotMessage::Stored(stored) => self.stored(stored)?,
+            ToRobotMessage::Digests(digests) => self.compare(digests)?,
+            ToRobotMessage::Freshness(freshness) => {
+                let freshness = freshness.decode().ok()?;
                 // Before the clocks agree its age is not known.
                 if let Some(moment) = self.clock.to_local(freshness.time) {
                     self.fused.confirm(&freshness, moment);
                 }
             }
-            // They belong into handshake frames.
-            ToRobotKind::Welcome | ToRobotKind::Refusal | ToRobotKind::Reset => return None,
+            // These belong in handshake frames.
+            ToRobotMessage::Welcome(_) | ToRobotMessage::Refusal(_) | ToRobotMessage::Reset(_) => {
+                return None;
+            }
         }
+        Some(())
+    }
+
+    fn requested(&mut self, request: &Request, now: Instant) {
+        let pool = &mut self.map.pool;
+        if request.tiles.is_empty() {
+            self.publisher.requested(pool, None, now);
+        }
+        for &tile in &request.tiles {
+            self.publisher.requested(pool, Some(tile), now);
+        }
+    }
+
+    // Long messages are not decoded in `one`, where they would add to the stack of every other.
+    #[inline(never)]
+    fn stored(&mut self, stored: Encoded<'_, Stored>) -> Option<()> {
+        for &(id, stamp) in &stored.decode().ok()?.tiles {
+            self.map.pool.stored(id, stamp);
+        }
+        Some(())
+    }
+
+    #[inline(never)]
+    fn compare(&mut self, digests: Encoded<'_, Digests>) -> Option<()> {
+        let digests = digests.decode().ok()?;
+        if digests.layer == Layer::Robot {
+            return None;
+        }
+        self.fused.compare(&digests);
         Some(())
     }
 

@@ -4,10 +4,10 @@ use ubimap_protocol::{
     frame::{DEFAULT_FRAME, MIN_VERSION, SessionId, VERSION},
     link::{ClockSync, Fill, Received},
     message::{
-        EventCode, Hello, ParameterAction, ParameterCommand, Refusal, State, ToServerKind, Welcome,
+        Event, EventCode, Hello, ParameterAction, ParameterCommand, Refusal, State, Welcome,
     },
     tile::Epoch,
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use super::{
@@ -18,12 +18,8 @@ use super::{
 use crate::{
     config::Config,
     parameters::{carry_out, push_report},
+    timing::{HURRY, RESET_SILENCE, STATE_INTERVAL},
 };
-
-/// Between two states; what keeps an idle session alive.
-const STATE_INTERVAL: Duration = Duration::from_secs(2);
-/// By then the scans taken up to an event are in the map.
-const HURRY: Duration = Duration::from_millis(300);
 
 impl Agent<'_> {
     /// Takes bytes from the server, in pieces of any size.
@@ -115,7 +111,7 @@ impl Agent<'_> {
     /// The server knows no session here. One who merely says so, while the session lives, is not
     /// believed.
     fn reset(&mut self, now: Instant) {
-        if self.is_connected() && now.since(self.heard) > Duration::from_millis(300) {
+        if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
             self.link.end();
             self.knocking.restart(now);
         }
@@ -188,25 +184,26 @@ impl Agent<'_> {
             let before = writer.len();
             if let Some(request) = clock.poll_request(now) {
                 // What finds no room is asked again.
-                let _ = writer.push(ToServerKind::TimeRequest as u8, &request);
+                let _ = writer.push(&request);
             }
             if *next_state <= now {
                 *next_state = now + STATE_INTERVAL;
-                let state = State { time: server_moment, pose, odometry, cells_refused };
-                // The smallest frames have no room for all of it.
-                let short = State { odometry: None, ..state };
-                let shortest = State { pose: None, ..short };
-                let kind = ToServerKind::State as u8;
-                let _ = [state, short, shortest].iter().any(|state| writer.push(kind, state));
+                // The smallest frames have no room for both poses.
+                let _ = writer.push_longest(0..=2, |poses| State {
+                    time: server_moment,
+                    pose: pose.filter(|_| poses > 0),
+                    odometry: odometry.filter(|_| poses > 1),
+                    cells_refused,
+                });
             }
             vectors.push(writer);
             let alone = writer.len() == before;
-            publisher.push_digests(&mut map.pool, fused, writer, alone, now);
+            publisher.push_digests(&map.pool, writer, alone, now);
             if writer.len() > before || !reliable {
                 return Fill::Datagram;
             }
             let to_server = |moment| clock.to_server(moment);
-            let push_event = |event: &_| writer.push(ToServerKind::Event as u8, event);
+            let push_event = |event: &Event| writer.push(event);
             if let Some(code) = events.send(to_server, push_event) {
                 return Fill::Reliable(Token::Event(code));
             }
@@ -214,7 +211,7 @@ impl Agent<'_> {
                 return Fill::Reliable(Token::Other);
             }
             if let Some(interest) = fused.untold()
-                && writer.push(ToServerKind::Interest as u8, &interest)
+                && writer.push(&interest)
             {
                 // Told as far as the window is concerned: the link sees to the rest.
                 fused.told(interest.number);
@@ -249,7 +246,7 @@ impl Agent<'_> {
             resolution: self.config.resolution,
             fused_tiles: self.fused.capacity().min(usize::from(u16::MAX)) as u16,
         };
-        let len = self.link.handshake(ToServerKind::Hello as u8, &hello, out)?;
+        let len = self.link.handshake(&hello, out)?;
         self.statistics.bytes_sent = self.statistics.bytes_sent.wrapping_add(len as u64);
         Some(len)
     }

@@ -3,7 +3,7 @@
 use ubimap_protocol::{
     frame::SessionId,
     message::{DistanceVector, EventCode},
-    time::{Duration, Instant},
+    time::Instant,
     units::{Angle, Pose},
 };
 
@@ -11,9 +11,10 @@ use super::Agent;
 use crate::{
     config::Config,
     locate::Located,
-    map::{PeerMasks, Selected, Surround, View},
+    map::{PeerMasks, ScanContext, Selected, Surround},
     sense::{Beam, Columns, ScanError},
     share::DistanceVectors,
+    timing::CLOCKS_DISAGREE,
 };
 
 impl Agent<'_> {
@@ -109,7 +110,7 @@ impl Agent<'_> {
             let moment = server_moment.unwrap_or(taken);
             // One of much later was told before the clocks agreed, in the robot's.
             let is_newer = |(newest, _): (Instant, _)| {
-                newest < moment || newest.since(moment) > Duration::from_secs(10)
+                newest < moment || newest.since(moment) > CLOCKS_DISAGREE
             };
             if self.latest_pose.is_none_or(is_newer) {
                 self.latest_pose = Some((moment, pose));
@@ -168,7 +169,7 @@ impl Agent<'_> {
             let variances = variances.unwrap_or_default();
             // What an unseen robot draws a cell to the side becomes a second wall.
             let range = if blind { variances.reach(resolution, max_range) } else { max_range };
-            let view = View { pose, moment, range, resolution, mask };
+            let view = ScanContext { pose, moment, range, resolution, mask };
             // Without the server's time they mean nothing.
             let peers = self.commands.peers().filter(|_| server_moment.is_some());
             let peers = PeerMasks::new(peers, &view, variances);

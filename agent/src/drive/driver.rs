@@ -2,7 +2,7 @@
 
 use ubimap_protocol::{
     message::Waypoint,
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
@@ -11,12 +11,15 @@ use super::{
     look::{Gaze, LookAround},
     near::NearPoints,
     plan::PlanError,
+    planning_window::{GroundRow, Mover, PlanningWindow, WindowInputs},
     reason::Reason,
     safety::{Health, Safety, SafetyLimits},
     search::{End, Outcome, Search},
-    window::{GroundRow, Mover, View, Window},
 };
-use crate::trigonometry::radians;
+use crate::{
+    timing::{AVOIDED_FOR, HINDERED_WAIT, MAP_LOOK_INTERVAL, NO_WAY_RETRY, REPLAN_INTERVAL},
+    trigonometry::radians,
+};
 
 /// What does not change while the robot drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,18 +75,8 @@ pub struct Inputs<'i> {
     pub movers: &'i [Mover],
 }
 
-/// How often the map is looked at.
-const REFRESH: Duration = Duration::from_millis(500);
-/// How often a way is looked for again.
-const REPLAN: Duration = Duration::from_secs(4);
-/// How long is waited for a way to become clear before another one is looked for.
-const PATIENCE: Duration = Duration::from_secs(3);
 /// How far it must have driven for that wait to be over, in millimetres.
 const STRETCH: u32 = 200;
-/// How long what was waited for counts as an obstacle.
-const AVOIDED: Duration = Duration::from_secs(10);
-/// How long is waited when there is no way.
-const RETRY: Duration = Duration::from_secs(2);
 /// Steps are no longer than this for what is reckoned with, in seconds.
 const LONGEST_STEP: f32 = 0.2;
 
@@ -214,7 +207,7 @@ impl Driver {
     }
 
     /// The ground as it was last looked at.
-    pub fn window(&self) -> &Window {
+    pub fn window(&self) -> &PlanningWindow {
         &self.search.window
     }
 
@@ -232,7 +225,7 @@ impl Driver {
         let amiss = self.safety.check(&inputs.health, self.command);
         let (command, reason) = match (amiss, inputs.health.pose) {
             (None, Some((pose, unsure))) => {
-                let sight = Step { inputs, pose, unsure, elapsed, now };
+                let sight = StepContext { inputs, pose, unsure, elapsed, now };
                 self.go_on(&sight, &ground)
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
@@ -255,13 +248,13 @@ impl Driver {
 
     fn go_on(
         &mut self,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         match self.phase {
             Phase::Resting(reason) => (self.follower.stand(), reason),
             Phase::Stuck { why, since } => {
-                if step.now.since(since) >= RETRY {
+                if step.now.since(since) >= NO_WAY_RETRY {
                     self.set_out();
                 }
                 (self.follower.stand(), Reason::NoWay(why))
@@ -300,7 +293,7 @@ impl Driver {
     }
 
     /// Begins a search, or goes on with one.
-    fn search(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+    fn search(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if !self.is_begun {
             self.is_begun = true;
             self.search.begin(self.goal(), step.pose, self.config.resolution);
@@ -340,12 +333,12 @@ impl Driver {
         }
     }
 
-    /// What windows are made from; without `near` what moves is no obstacle.
-    fn view<'v>(&self, step: &Step<'v>, none: &'v NearPoints) -> View<'v> {
+    /// The inputs of the planning window; without `near` what moves is no obstacle.
+    fn view<'v>(&self, step: &StepContext<'v>, none: &'v NearPoints) -> WindowInputs<'v> {
         // What walks by is no obstacle; what has been waited for is.
-        let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED);
+        let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED_FOR);
         let motion = &self.config.motion;
-        View {
+        WindowInputs {
             pose: step.pose,
             resolution: self.config.resolution,
             level: 0,
@@ -358,8 +351,8 @@ impl Driver {
     }
 
     /// Looks at the map again, and whether the path still leads to something.
-    fn look(&mut self, step: &Step<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
-        if step.now.since(self.looked) < REFRESH {
+    fn look(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
+        if step.now.since(self.looked) < MAP_LOOK_INTERVAL {
             return;
         }
         self.looked = step.now;
@@ -367,7 +360,7 @@ impl Driver {
         self.search.fill(0, &self.view(step, &none), ground);
         let leads = match self.end {
             End::Frontier(at, 0) => self.search.is_frontier(at),
-            _ => step.now.since(self.planned) < REPLAN,
+            _ => step.now.since(self.planned) < REPLAN_INTERVAL,
         };
         let clear = self.follower.is_clear(&self.search.window, step.pose);
         if !(leads && clear) {
@@ -378,7 +371,7 @@ impl Driver {
     }
 
     /// Drives along the path.
-    fn drive(&mut self, step: &Step<'_>) -> (DriveCommand, Reason) {
+    fn drive(&mut self, step: &StepContext<'_>) -> (DriveCommand, Reason) {
         let sight = Sight {
             pose: step.pose,
             unsure: step.unsure,
@@ -403,7 +396,7 @@ impl Driver {
 
     /// Waits for what hinders it, and then goes round it. Only a stretch driven shows that the way
     /// is clear again: until then the reason stays.
-    fn wait(&mut self, reason: Reason, step: &Step<'_>) -> Reason {
+    fn wait(&mut self, reason: Reason, step: &StepContext<'_>) -> Reason {
         let hindered = match (self.hindered, reason) {
             (None, Reason::Driving) => return reason,
             (None, _) => Hindered { since: step.now, at: step.pose, reason },
@@ -416,7 +409,7 @@ impl Driver {
             return Reason::Driving;
         }
         self.hindered = Some(hindered);
-        if reason != Reason::Driving && step.now.since(hindered.since) >= PATIENCE {
+        if reason != Reason::Driving && step.now.since(hindered.since) >= HINDERED_WAIT {
             self.hindered = Some(Hindered { since: step.now, ..hindered });
             self.avoided = Some(step.now);
             self.set_out();
@@ -425,7 +418,7 @@ impl Driver {
     }
 
     /// At the end of the path.
-    fn arrive(&mut self, step: &Step<'_>) -> Reason {
+    fn arrive(&mut self, step: &StepContext<'_>) -> Reason {
         if self.phase != Phase::Driving {
             // Another path is being looked for.
             self.has_path = false;
@@ -462,11 +455,11 @@ impl Driver {
         &mut self,
         gaze: Gaze,
         mut look: LookAround,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let Config { resolution, explore_covered, .. } = self.config;
-        if step.now.since(self.looked) >= REFRESH {
+        if step.now.since(self.looked) >= MAP_LOOK_INTERVAL {
             self.looked = step.now;
             look.look(&gaze, step.pose, resolution, explore_covered, ground);
         }
@@ -483,14 +476,14 @@ impl Driver {
     fn look_at(
         &mut self,
         look: Look,
-        step: &Step<'_>,
+        step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
         let turned = look.turned + radians(step.pose.heading - look.last.heading);
         let look = Look { turned, last: step.pose, ..look };
         self.phase = Phase::Looking(look);
         let done = turned.abs() > core::f32::consts::TAU;
-        if done || step.now.since(self.looked) >= REFRESH {
+        if done || step.now.since(self.looked) >= MAP_LOOK_INTERVAL {
             self.looked = step.now;
             let none = NearPoints::default();
             let view = self.view(step, &none);
@@ -507,8 +500,8 @@ impl Driver {
     }
 }
 
-/// What a step has to do with.
-struct Step<'s> {
+/// The inputs of one step, and what follows from them.
+struct StepContext<'s> {
     inputs: &'s Inputs<'s>,
     pose: Pose,
     unsure: f32,

@@ -10,8 +10,8 @@ use ubimap_protocol::{
 use super::{
     near::NearPoints,
     path::MAX_POINTS,
+    planning_window::{Mover, PlanningWindow},
     root::root,
-    window::{Mover, Window},
 };
 use crate::trigonometry::{radians, sin_cos};
 
@@ -113,7 +113,7 @@ pub struct Sight<'s> {
     /// What the cameras see.
     pub movers: &'s [Mover],
     /// The map.
-    pub window: &'s Window,
+    pub window: &'s PlanningWindow,
     /// Since the last step, in seconds.
     pub elapsed: f32,
 }
@@ -195,7 +195,7 @@ impl Follower {
     }
 
     /// Whether what is left of the path is clear in a window.
-    pub fn is_clear(&self, window: &Window, pose: Pose) -> bool {
+    pub fn is_clear(&self, window: &PlanningWindow, pose: Pose) -> bool {
         let mut from = Waypoint { x: pose.x, y: pose.y };
         let ahead = self.route.get(self.at + 1..).unwrap_or_default();
         // From where it may stand too near to something it may leave.

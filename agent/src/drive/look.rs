@@ -7,7 +7,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
-use super::window::GroundRow;
+use super::planning_window::GroundRow;
 use crate::trigonometry::{angle, radians, sin_cos};
 
 /// Rays that are looked along.

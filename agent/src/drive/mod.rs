@@ -1,6 +1,6 @@
 //! From the map to the wheels.
 //!
-//! A [`Window`] of the map about the robot says where it may be; a [`Planner`] finds the way there
+//! A [`PlanningWindow`] of the map about the robot says where it may be; a [`Planner`] finds the way there
 //! to a goal or to the frontier that is worth most; a [`Follower`] drives it as fast as what its
 //! own sensor sees allows; [`Safety`] lets it stand when something is amiss; a [`Driver`] ties them
 //! together. [`Stops`] are Ahmed's way, who
@@ -14,12 +14,12 @@ mod near;
 mod path;
 mod plan;
 mod plane;
+mod planning_window;
 mod reason;
 mod root;
 mod safety;
 mod search;
 mod stops;
-mod window;
 
 #[cfg(test)]
 mod oracle;
@@ -34,7 +34,7 @@ pub use near::{MAX_POINTS, NearPoints};
 pub use path::Path;
 pub use plan::{PlanError, Planner, Progress, Target};
 pub use plane::{Place, Plane, SIDE};
+pub use planning_window::{GivenUp, GroundRow, MAX_LEVEL, Mover, PlanningWindow, WindowInputs};
 pub use reason::Reason;
 pub use safety::{Health, Safety, SafetyLimits};
 pub use stops::Stops;
-pub use window::{GivenUp, GroundRow, MAX_LEVEL, Mover, View, Window};

@@ -45,11 +45,11 @@ impl Rooms {
     }
 
     /// A window from cell (0, 0) on.
-    fn window(&self, radius: u16) -> Window {
+    fn window(&self, radius: u16) -> PlanningWindow {
         let middle = Millimetres(32 * CELL);
         let pose = Pose { x: middle, y: middle, ..Pose::default() };
         let near = NearPoints::default();
-        let view = View {
+        let view = WindowInputs {
             pose,
             resolution: Millimetres(CELL),
             level: 0,
@@ -59,7 +59,7 @@ impl Rooms {
             given_up: &[],
             explore_covered: true,
         };
-        let mut window = Window::default();
+        let mut window = PlanningWindow::default();
         window.fill(&view, |column, row| self.row(column, row));
         window
     }
@@ -81,7 +81,7 @@ fn between(a: Place, b: Place) -> f64 {
 }
 
 /// Whether a line between two cells' middles touches free cells only, by clipping the line to the cell, a formulation of its own.
-fn sees(window: &Window, a: Place, b: Place) -> bool {
+fn sees(window: &PlanningWindow, a: Place, b: Place) -> bool {
     let ((ax, ay), (bx, by)) = (a.column_and_row(), b.column_and_row());
     let range = |p: i32, q: i32| p.min(q)..=p.max(q);
     range(ay, by).all(|y| {
@@ -104,7 +104,7 @@ fn sees(window: &Window, a: Place, b: Place) -> bool {
 }
 
 /// The exact shortest way, in cells, of those that are no longer than `most`.
-fn shortest(window: &Window, start: Place, goal: Place, most: f64) -> f64 {
+fn shortest(window: &PlanningWindow, start: Place, goal: Place, most: f64) -> f64 {
     let free = (0..SIDE * SIDE).map(place).filter(|&it| window.free.has(it));
     let nodes = free.filter(|&it| between(start, it) + between(it, goal) <= most + 1e-9);
     let nodes = nodes.collect::<Vec<_>>();
@@ -129,7 +129,7 @@ fn shortest(window: &Window, start: Place, goal: Place, most: f64) -> f64 {
 }
 
 /// Whether steps to the four neighbours lead from one cell to another.
-fn is_reachable(window: &Window, start: Place, goal: Place) -> bool {
+fn is_reachable(window: &PlanningWindow, start: Place, goal: Place) -> bool {
     let mut found = Plane::EMPTY;
     let mut todo = vec![start];
     while let Some(at) = todo.pop() {
@@ -145,7 +145,7 @@ fn is_reachable(window: &Window, start: Place, goal: Place) -> bool {
     start == goal || found.has(goal)
 }
 
-fn plan(window: &Window, start: Place, target: Target) -> Result<Path, PlanError> {
+fn plan(window: &PlanningWindow, start: Place, target: Target) -> Result<Path, PlanError> {
     let mut planner = std::boxed::Box::<Planner>::default();
     planner.begin(window, start, target)?;
     for _ in 0..SIDE * SIDE {

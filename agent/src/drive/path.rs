@@ -8,7 +8,7 @@ use super::plane::Place;
 pub(super) const MAX_POINTS: usize = 32;
 
 /// Cells of a window in the order in which they are driven through, the start among them. Each
-/// [sees](super::Window::sees) the next.
+/// [sees](super::PlanningWindow::sees) the next.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Path {
     /// The points.

@@ -11,8 +11,8 @@ use heapless::Vec;
 use super::{
     path::{MAX_POINTS, Path},
     plane::{Place, Plane, SIDE},
+    planning_window::{Line, PlanningWindow},
     root::root,
-    window::{Line, Window},
 };
 
 /// The most corners of a window.
@@ -108,7 +108,7 @@ pub struct Planner {
     exit: Place,
 }
 
-const _: () = assert!(size_of::<Planner>() + size_of::<Window>() <= 8 * 1024);
+const _: () = assert!(size_of::<Planner>() + size_of::<PlanningWindow>() <= 8 * 1024);
 
 impl Default for Planner {
     fn default() -> Self {
@@ -132,7 +132,7 @@ impl Planner {
     /// [`PlanError`].
     pub fn begin(
         &mut self,
-        window: &Window,
+        window: &PlanningWindow,
         start: Place,
         target: Target,
     ) -> Result<(), PlanError> {
@@ -239,7 +239,7 @@ impl Planner {
     }
 
     /// Expands so many corners at the most, each for some 200 instructions for each corner.
-    pub fn step(&mut self, window: &Window, most: usize) -> Progress {
+    pub fn step(&mut self, window: &PlanningWindow, most: usize) -> Progress {
         for _ in 0..most {
             let Some(index) = self.next(window) else {
                 return Progress::Failed(match self.target {
@@ -262,7 +262,7 @@ impl Planner {
     }
 
     /// The most promising node that is seen.
-    fn next(&mut self, window: &Window) -> Option<usize> {
+    fn next(&mut self, window: &PlanningWindow) -> Option<usize> {
         loop {
             let (mut best, mut least) = (None, f32::MAX);
             for (index, node) in self.nodes.iter().enumerate() {
@@ -284,7 +284,7 @@ impl Planner {
 
     /// A node with the best parent, of those that are done, that sees it.
     #[inline(never)]
-    fn settled(&mut self, index: usize, mut node: Node, window: &Window) -> Node {
+    fn settled(&mut self, index: usize, mut node: Node, window: &PlanningWindow) -> Node {
         let rest = node.promise - node.way;
         let is_goal = index <= self.goals;
         let (mut best, mut from) = (f32::MAX, 0);
@@ -320,7 +320,7 @@ impl Planner {
 
     /// Promises the others a way by a node that is done.
     #[inline(never)]
-    fn expand(&mut self, index: usize, from: Node, window: &Window) {
+    fn expand(&mut self, index: usize, from: Node, window: &PlanningWindow) {
         let Self { nodes, goals, prices, target, exit, .. } = self;
         let goal = nodes.get(1).copied();
         for (other, node) in nodes.iter_mut().enumerate() {
@@ -377,7 +377,12 @@ impl Planner {
 
 /// Whether a node sees another: what it costs more for what is dear in between, and where the line
 /// leaves the window towards a goal outside.
-fn sight(from: &Node, to: &Node, is_goal: bool, window: &Window) -> Option<(f32, Option<Place>)> {
+fn sight(
+    from: &Node,
+    to: &Node,
+    is_goal: bool,
+    window: &PlanningWindow,
+) -> Option<(f32, Option<Place>)> {
     let place = Place::new(from.x.into(), from.y.into())?;
     match window.line(place, (to.x.into(), to.y.into())) {
         Line::Clear { dear } => Some((DEAR * dear as f32, None)),

@@ -7,6 +7,7 @@ use ubimap_protocol::{
 };
 
 use super::{follow::DriveCommand, reason::Reason, root::root};
+use crate::timing::{SCAN_STALE, SERVER_SILENT, WHEELS_RETRY};
 
 /// What is taken for amiss.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,11 +28,11 @@ impl Default for SafetyLimits {
     /// Two seconds of silence, a scan of 0.5 s, 15 cm.
     fn default() -> Self {
         Self {
-            silence: Some(Duration::from_secs(2)),
-            scan_age: Duration::from_millis(500),
+            silence: Some(SERVER_SILENT),
+            scan_age: SCAN_STALE,
             most_unsure: 150.0,
             fence: None,
-            retry: Duration::from_secs(5),
+            retry: WHEELS_RETRY,
         }
     }
 }

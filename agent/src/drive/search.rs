@@ -14,7 +14,9 @@ use super::{
     path::MAX_POINTS,
     plan::{PlanError, Planner, Progress, Target},
     plane::{Place, SIDE},
-    window::{GivenUp, GroundRow, MAX_LEVEL, View, Window, frontier_reach},
+    planning_window::{
+        GivenUp, GroundRow, MAX_LEVEL, PlanningWindow, WindowInputs, frontier_reach,
+    },
 };
 
 /// The points of a way.
@@ -61,7 +63,7 @@ struct Attempt {
 /// Looks for routes.
 #[derive(Debug)]
 pub(super) struct Search {
-    pub(super) window: Window,
+    pub(super) window: PlanningWindow,
     planner: Planner,
     given_up: Vec<GivenUp, MOST_GIVEN_UP>,
     /// `None` for the frontier that is worth most.
@@ -76,7 +78,7 @@ pub(super) struct Search {
 impl Search {
     pub(super) fn new() -> Self {
         Self {
-            window: Window::default(),
+            window: PlanningWindow::default(),
             planner: Planner::default(),
             given_up: Vec::new(),
             goal: None,
@@ -107,7 +109,7 @@ impl Search {
     /// Goes on, expanding so many corners at the most. A step fills a window or works in it.
     pub(super) fn step(
         &mut self,
-        view: &View<'_>,
+        view: &WindowInputs<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
         corners: usize,
     ) -> Outcome {
@@ -135,10 +137,10 @@ impl Search {
     pub(super) fn fill(
         &mut self,
         level: u32,
-        view: &View<'_>,
+        view: &WindowInputs<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) {
-        let view = View { level, given_up: &self.given_up, ..*view };
+        let view = WindowInputs { level, given_up: &self.given_up, ..*view };
         self.window.fill(&view, ground);
     }
 
@@ -149,7 +151,7 @@ impl Search {
 
     /// Passes over what can't be seen from a point, as far as a window of this level would find it
     /// there again. `false` if too much has been given up.
-    pub(super) fn give_up(&mut self, at: Waypoint, level: u32, view: &View<'_>) -> bool {
+    pub(super) fn give_up(&mut self, at: Waypoint, level: u32, view: &WindowInputs<'_>) -> bool {
         let cell = view.resolution.0.saturating_mul(1 << level.min(MAX_LEVEL));
         let reach = frontier_reach(view.radius, cell);
         self.given_up.push(GivenUp { at, reach }).is_ok()
@@ -225,7 +227,7 @@ impl Search {
     }
 
     /// Another window, or the end.
-    fn try_otherwise(&mut self, error: PlanError, view: &View<'_>) -> Outcome {
+    fn try_otherwise(&mut self, error: PlanError, view: &WindowInputs<'_>) -> Outcome {
         let Attempt { level, finest, beyond, via } = self.attempt;
         if let Some((_, End::Frontier(at, level))) = via
             && self.give_up(at, level, view)

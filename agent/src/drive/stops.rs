@@ -1,15 +1,9 @@
 //! Stopping for each scan, to be localised where the robot stands (Ahmed 3: "after every move, the
 //! robots needed to wait so that the tracking system locks their current position").
 
-use ubimap_protocol::{
-    time::{Duration, Instant},
-    units::Pose,
-};
+use ubimap_protocol::{time::Instant, units::Pose};
 
-use crate::map::Gate;
-
-/// A robot that no camera sees goes on after so long, and maps nothing there.
-const UNSEEN: Duration = Duration::from_secs(3);
+use crate::{map::Gate, timing::UNSEEN_STOP};
 
 /// Drives from scan to scan.
 #[derive(Clone, Copy, Debug)]
@@ -52,7 +46,9 @@ impl Stops {
             Phase::Driving(from) if self.gate.opens(from, odometry) => Phase::Stopping(odometry),
             Phase::Stopping(before) if before == odometry => Phase::Standing(now),
             Phase::Stopping(_) => Phase::Stopping(odometry),
-            Phase::Standing(since) if now.since(since) >= UNSEEN => Phase::Driving(Some(odometry)),
+            Phase::Standing(since) if now.since(since) >= UNSEEN_STOP => {
+                Phase::Driving(Some(odometry))
+            }
             phase => phase,
         };
         !matches!(self.phase, Phase::Driving(_))

@@ -11,10 +11,7 @@ use super::{
     covariance::{Axis, Covariance},
     odometry::MotionNoise,
 };
-use crate::trigonometry::{radians, round, sin_cos};
-
-/// Radians in a binary angle unit.
-pub(super) const RADIANS: f32 = core::f32::consts::TAU / 65_536.0;
+use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 
 /// A fix further off than this is rejected: the square of its Mahalanobis distance, which is
 /// chi-squared with three degrees of freedom. One good fix of a thousand is beyond.
@@ -272,21 +269,21 @@ mod tests {
     }
 
     #[derive(Clone, Copy, Debug)]
-    enum Step {
+    enum FilterInput {
         Drive(i32, i32, u16, f32),
         Wander(f32),
         Take(i32, i32, u16, u16),
     }
 
-    fn step() -> impl Strategy<Value = Step> {
+    fn step() -> impl Strategy<Value = FilterInput> {
         let way = || prop_oneof![8 => -200..200i32, 1 => -30_000..30_000i32, 1 => any::<i32>()];
         prop_oneof![
             8 => (way(), way(), any::<u16>(), 0.0..4_000.0f32)
-                .prop_map(|(x, y, turn, seconds)| Step::Drive(x, y, turn, seconds)),
-            1 => (0.0..4_000.0f32).prop_map(Step::Wander),
+                .prop_map(|(x, y, turn, seconds)| FilterInput::Drive(x, y, turn, seconds)),
+            1 => (0.0..4_000.0f32).prop_map(FilterInput::Wander),
             // Off by up to half a metre; any certainty.
             6 => (-500..500i32, -500..500i32, any::<u16>(), any::<u16>())
-                .prop_map(|(x, y, turn, deviation)| Step::Take(x, y, turn, deviation)),
+                .prop_map(|(x, y, turn, deviation)| FilterInput::Take(x, y, turn, deviation)),
         ]
     }
 
@@ -301,7 +298,7 @@ mod tests {
             let mut estimate = Estimate::of(&fix(0, 0, 0, start), odometry.heading);
             for step in steps {
                 match step {
-                    Step::Drive(x, y, turn, seconds) => {
+                    FilterInput::Drive(x, y, turn, seconds) => {
                         let to = Pose {
                             x: odometry.x + Millimetres(x),
                             y: odometry.y + Millimetres(y),
@@ -310,8 +307,8 @@ mod tests {
                         estimate.drive(odometry, to, seconds, &noise);
                         odometry = to;
                     }
-                    Step::Wander(seconds) => estimate.wander(seconds),
-                    Step::Take(x, y, turn, deviation) if !estimate.is_lost() => {
+                    FilterInput::Wander(seconds) => estimate.wander(seconds),
+                    FilterInput::Take(x, y, turn, deviation) if !estimate.is_lost() => {
                         let Pose { x: at_x, y: at_y, heading } = estimate.pose(odometry.heading);
                         let turn = Angle((turn as i16 / 20) as u16);
                         let seen = fix(at_x.0, at_y.0, (heading + turn).0, deviation);
@@ -322,7 +319,7 @@ mod tests {
                         };
                         estimate.take(&Fix { pose, ..seen }, odometry.heading);
                     }
-                    Step::Take(..) => {}
+                    FilterInput::Take(..) => {}
                 }
                 prop_assert!(is_positive(&estimate.covariance), "{estimate:?} after {step:?}");
                 let length = estimate.rotation.into_inner().norm_sqr();

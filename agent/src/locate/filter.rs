@@ -16,10 +16,8 @@ use super::{
     history::{HISTORY_SPAN, History},
     odometry::{MotionNoise, between},
 };
+use crate::timing::BRIDGED_GAP;
 
-/// Readings of the odometry further apart than this say too little of what lies between, and so
-/// do fixes. A robot that brakes with 1 m/s^2 strays by 15 mm from the straight way.
-pub(super) const WIDEST_GAP: Duration = Duration::from_millis(350);
 /// Readings of the odometry that are remembered, and how far apart they are at least: as long as
 /// a scan waits in any case. Who brakes like that strays by a millimetre in between.
 const READINGS: usize = 15;
@@ -256,7 +254,7 @@ impl Filter {
         let after = self.odometry.iter().find(|(at, _)| *at > moment);
         let ((from, before), (to, after)) = before.zip(after)?;
         let turned = (after.heading - before.heading).0 as i16;
-        if to.since(from) > WIDEST_GAP || turned.unsigned_abs() > STEADY {
+        if to.since(from) > BRIDGED_GAP || turned.unsigned_abs() > STEADY {
             return None;
         }
         let part = seconds(moment.since(from)) / seconds(to.since(from));
@@ -303,7 +301,7 @@ impl Filter {
             let odometry = next.and_then(|(next, pose)| {
                 let gap = next.since(belief.moment);
                 let part = seconds(length) / seconds(gap);
-                (gap <= WIDEST_GAP).then(|| between(belief.odometry, *pose, part))
+                (gap <= BRIDGED_GAP).then(|| between(belief.odometry, *pose, part))
             });
             belief.go(to, odometry, &self.noise);
         };

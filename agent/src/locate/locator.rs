@@ -3,21 +3,20 @@
 
 use ubimap_protocol::{
     message::Certainty,
-    time::{Duration, Instant},
+    time::Instant,
     units::{Angle, Millimetres, Pose},
 };
 
 use super::{
-    estimate::{RADIANS, Variances},
-    filter::{Backwards, Filter, FixError, FixOutcome, WIDEST_GAP, seconds},
+    estimate::Variances,
+    filter::{Backwards, Filter, FixError, FixOutcome, seconds},
     odometry::{MotionNoise, OdometryNoise, between},
     systematic::SystematicErrors,
 };
-
-/// Fixes that are further apart have stopped. Soon after the last one the robot still knows well
-/// where it is, and what it then sees tells where it goes on to. Shorter than the interval of
-/// distance vectors, which are answered by a fix each.
-const BLIND_AFTER: Duration = Duration::from_millis(350);
+use crate::{
+    timing::{BLIND_AFTER, BRIDGED_GAP},
+    trigonometry::RADIANS,
+};
 
 /// Where the poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,7 +97,7 @@ impl Locator {
         }
         let local = local.ok_or(FixError::Untimed)?;
         // Clocks agree but so far.
-        if local > now + WIDEST_GAP {
+        if local > now + BRIDGED_GAP {
             return Err(FixError::Future);
         }
         self.filter.fix(server, local, pose, certainty)
@@ -158,7 +157,7 @@ impl Locator {
 
     /// Whether a measurement may come, late or after the moment, that tells more of it.
     fn may_know_better(&self, moment: Instant, now: Instant) -> bool {
-        let fresh = |newest: Instant| now.since(newest) <= WIDEST_GAP;
+        let fresh = |newest: Instant| now.since(newest) <= BRIDGED_GAP;
         let odometry = self.filter.newest_odometry().map(|(newest, _)| newest);
         if !self.takes_fixes {
             return odometry.is_none_or(|newest| newest < moment);
@@ -181,7 +180,7 @@ impl Locator {
         let (last, next) = self.filter.fixes_around(moment);
         let after = next.and_then(|next| Some((next, self.filter.at(next)?)));
         if let Some((last, (next, to))) = last.zip(after)
-            && next.since(last) <= WIDEST_GAP
+            && next.since(last) <= BRIDGED_GAP
             && let Some(from) = self.filter.at(last)
         {
             let part = seconds(moment.since(last)) / seconds(next.since(last));
@@ -207,6 +206,7 @@ impl Locator {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ubimap_protocol::time::Duration;
 
     fn pose(x: i32, y: i32, degrees: f64) -> Pose {
         Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle::from_degrees(degrees) }

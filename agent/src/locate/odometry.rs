@@ -2,8 +2,7 @@
 
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
-use super::estimate::RADIANS;
-use crate::trigonometry::round;
+use crate::trigonometry::{RADIANS, round};
 
 /// How odometry departs from the truth: standard deviations, whose squares grow with the way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

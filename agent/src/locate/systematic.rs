@@ -12,11 +12,8 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
-use super::{
-    estimate::RADIANS,
-    odometry::{MotionNoise, OdometryNoise},
-};
-use crate::trigonometry::{radians, round, sin_cos};
+use super::odometry::{MotionNoise, OdometryNoise};
+use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 
 /// Between two fixes that are compared: at least this way in millimetres, straight but for so much
 /// in radians, or such a turn; no longer than this.

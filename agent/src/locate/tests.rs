@@ -17,7 +17,7 @@ use super::{
 };
 
 const GATE: f64 = 16.27;
-const WIDEST_GAP: u64 = 350_000;
+const BRIDGED_GAP: u64 = 350_000;
 const UNKNOWN: [f64; 3] = [6.0e6, 6.0e6, 6.6];
 
 /// A squared distance so near the gate, as a part of it, may fall on either side: odometry is
@@ -170,7 +170,7 @@ fn odometry_at(readings: &[Timed<Pose>], moment: u64) -> Option<Vector3<f64>> {
     let part = (moment - before.0) as f64 / (after.0 - before.0) as f64;
     let mut way = state(after.1) - state(before.1);
     way.z = wrap(way.z);
-    (after.0 - before.0 <= WIDEST_GAP).then(|| state(before.1) + way * part)
+    (after.0 - before.0 <= BRIDGED_GAP).then(|| state(before.1) + way * part)
 }
 
 fn state(pose: Pose) -> Vector3<f64> {

@@ -4,6 +4,7 @@ use core::ops::Range;
 
 use ubimap_protocol::{
     tile::{TILE_SIDE, Tile, TileId},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
@@ -12,10 +13,13 @@ use super::{
     own_tile::{OwnTile, Pool},
     policy::Policy,
     projection::Projection,
-    trace::{Grain, PixelCounts, trace},
-    window::{Piece, Window, below, words_of},
+    scan_window::{Piece, ScanWindow, below, words_of},
+    trace::{Grain, Part, PixelCounts, trace},
 };
-use crate::sense::{Beam, Validity};
+use crate::{
+    sense::{Beam, Validity},
+    timing::AGEING_INTERVAL,
+};
 
 /// The longest range that can be mapped, in cells.
 pub const MAX_RADIUS: usize = 1000;
@@ -97,30 +101,32 @@ pub struct Surround<'m> {
     pub masked: Option<[u32; TILE_SIDE]>,
 }
 
-/// Adds a piece to the evidence of its tile. Apart, so that the loop over its rows has all registers.
-#[inline(never)]
-fn weigh(tile: &mut OwnTile, piece: Piece<'_>, merged: Option<&Tile>) -> bool {
-    let first = piece.first_row;
-    match merged {
-        None => tile.evidence.add(first, piece.fill()),
-        Some(merged) => tile.evidence.add_beside(first, piece.fill(), merged),
+impl<'m> Surround<'m> {
+    /// The cells of which nothing is to be said.
+    #[inline(always)]
+    fn left_out(&mut self) -> Option<&[u32; TILE_SIDE]> {
+        let Some(masked) = &mut self.masked else { return self.covered };
+        let covered = self.covered.into_iter().flatten();
+        masked.iter_mut().zip(covered).for_each(|(row, covered)| *row |= covered);
+        Some(masked)
     }
-}
-
-fn grain(config: &MappingConfig, beams: &[Beam]) -> Grain {
-    Grain::new(beams, config.resolution, config.max_range, config.validity, config.policy)
 }
 
 /// The map of one robot.
 #[derive(Debug)]
 pub struct LocalMap<'b> {
-    config: MappingConfig,
+    resolution: Millimetres,
+    near: u16,
+    mounting: Pose,
+    policy: Policy,
     grain: Grain,
     /// Holds no sighting between two scans.
     scratch: &'b mut [RowSighting],
     /// The tiles.
     pub pool: Pool<'b>,
     scans: u32,
+    /// When the evidence is to age next.
+    next_ageing: Instant,
 }
 
 impl<'b> LocalMap<'b> {
@@ -132,18 +138,43 @@ impl<'b> LocalMap<'b> {
         pool: Pool<'b>,
     ) -> Self {
         scratch.fill(RowSighting::default());
+        let MappingConfig { resolution, near, mounting, policy, .. } = config;
         let grain = grain(&config, beams);
-        Self { config, grain, scratch, pool, scans: 0 }
+        let next_ageing = Instant(0);
+        Self { resolution, near, mounting, policy, grain, scratch, pool, scans: 0, next_ageing }
     }
 
     /// From now on the sensor is mounted otherwise, or other readings count; this is its new table.
     pub(crate) fn configure(&mut self, config: MappingConfig, beams: &[Beam]) {
-        self.config = config;
+        let MappingConfig { resolution, near, mounting, policy, .. } = config;
+        (self.resolution, self.near) = (resolution, near);
+        (self.mounting, self.policy) = (mounting, policy);
         self.grain = grain(&config, beams);
     }
 
-    /// Adds what a scan that was taken at a pose (`base_link` in `map`) saw up to so many mm away.
-    /// `around` gives what the server says of a tile. `None` if the map does not reach there.
+    /// When to call [`LocalMap::timeout`] at the latest.
+    pub fn poll_timeout(&self) -> Instant {
+        self.next_ageing
+    }
+
+    /// Lets the evidence age if it is due: what speaks against the `merged` map, but has not become
+    /// enough to be told, is forgotten.
+    pub fn timeout<'m>(&mut self, now: Instant, merged: impl Fn(TileId) -> Option<&'m Tile>) {
+        if now < self.next_ageing {
+            return;
+        }
+        self.next_ageing = now + AGEING_INTERVAL;
+        for tile in self.pool.tiles_mut() {
+            if let Some(known) = tile.id.and_then(&merged) {
+                tile.evidence.settle(known, tile.publication.sent());
+            }
+        }
+    }
+
+    /// Adds what a scan that was taken at a pose (`base_link` in `map`) saw, as far as `range`
+    /// millimetres. `around` gives what the server says of a tile. `None` if the map does not reach
+    /// that far.
+    #[inline(never)]
     pub fn add<'m>(
         &mut self,
         beams: &[Beam],
@@ -151,35 +182,20 @@ impl<'b> LocalMap<'b> {
         (pose, range): (Pose, u16),
         around: impl Fn(TileId) -> Surround<'m>,
     ) -> Option<Mapped> {
-        let whole = self.grain.reach;
-        self.grain.reach = whole.within(range);
-        let mapped = self.draw(beams, readings, (pose, range.min(self.config.max_range)), around);
-        self.grain.reach = whole;
-        mapped
-    }
-
-    #[inline(always)]
-    fn draw<'m>(
-        &mut self,
-        beams: &[Beam],
-        readings: &[u16],
-        (pose, range): (Pose, u16),
-        around: impl Fn(TileId) -> Surround<'m>,
-    ) -> Option<Mapped> {
-        let MappingConfig { resolution, near, mounting, policy, .. } = self.config;
+        let Self { resolution, near, mounting, policy, .. } = *self;
         self.scans = self.scans.wrapping_add(1);
+        let reach = self.grain.reach.within(range);
         let projection = Projection::new(pose, mounting, resolution);
-        let near_cells = Near::new(&projection, near, resolution);
         let mut mapped = Mapped::default();
         // Whether there were hits that were not known.
         let mut news = false;
-        let mut start = 0;
         let count = beams.len().min(readings.len());
         // The whole scan, or as much of it at a time as the scratch memory has room for.
-        let mut end = count;
+        let (mut start, mut end) = (0, count);
         while start < count {
             let part = beams.get(start..end)?;
-            let Some(mut window) = Window::over(part, range, &projection, self.scratch) else {
+            let Some(mut window) = ScanWindow::over(part, reach.range, &projection, self.scratch)
+            else {
                 if end - start <= 2 {
                     return None;
                 }
@@ -190,57 +206,20 @@ impl<'b> LocalMap<'b> {
                 return None;
             }
             let readings = readings.get(start..end)?;
+            let part = Part { beams: part, readings, is_continued: start > 0 };
             let projection = projection.within(window.corner());
-
-            let nearest = trace(
-                &mut window,
-                &projection,
-                &self.grain,
-                part,
-                readings,
-                start > 0,
-                &mut mapped.pixels,
-            );
+            let grain = &self.grain;
+            let nearest = trace(&mut window, &projection, grain, &reach, part, &mut mapped.pixels);
             // In a corner of the square, at the farthest.
-            let any_near = nearest <= u32::from(near) * 91 / 64;
+            let near_cells = (nearest <= u32::from(near) * 91 / 64)
+                .then(|| Near::new(&projection, near, resolution));
             let Self { pool, scans, .. } = self;
             window.for_each_piece(|piece| {
-                let Surround { merged, covered, mut masked } = around(piece.id);
-                let left_out = match &mut masked {
-                    None => covered,
-                    Some(masked) => {
-                        let covered = covered.into_iter().flatten();
-                        masked.iter_mut().zip(covered).for_each(|(row, covered)| *row |= covered);
-                        Some(&*masked)
-                    }
-                };
-                let mut memory;
-                let piece = match left_out {
-                    None => piece,
-                    Some(left_out) => {
-                        memory = [RowSighting::default(); 2 * TILE_SIDE];
-                        piece.without(left_out, &mut memory)
-                    }
-                };
-                if piece.says_nothing() {
-                    return;
+                let surround = around(piece.id);
+                match weigh(pool, *scans, piece, surround, near_cells.as_ref()) {
+                    Ok(is_news) => news |= is_news,
+                    Err(Refused(cells)) => mapped.cells_refused += cells,
                 }
-                let Some(tile) = pool.find_or_begin(piece.id, *scans) else {
-                    let cells = piece.fill().map(|row| row.known().count_ones());
-                    mapped.cells_refused += cells.sum::<u32>();
-                    return;
-                };
-                tile.dirty = true;
-                let first = piece.first_row;
-                if any_near {
-                    let near = near_cells.within(piece.id);
-                    let end = near.rows.end.min(first + piece.len());
-                    let rows = near.rows.start.max(first)..end;
-                    let hits = piece.hits(rows.start.wrapping_sub(first)..end.wrapping_sub(first));
-                    let hits = hits.map(|hit| hit & near.columns);
-                    tile.evidence.add_near(rows.start, hits, merged);
-                }
-                news |= weigh(tile, piece, merged);
             });
             if end == count {
                 break;
@@ -253,6 +232,65 @@ impl<'b> LocalMap<'b> {
         }
         Some(mapped)
     }
+}
+
+/// The cells that a piece spoke of and that found no room in the pool.
+struct Refused(u32);
+
+/// Adds a piece of scan `scan` to the evidence of its tile. Returns whether there were hits that were not
+/// known.
+#[inline(always)]
+fn weigh(
+    pool: &mut Pool<'_>,
+    scan: u32,
+    piece: Piece<'_>,
+    mut surround: Surround<'_>,
+    near: Option<&Near>,
+) -> Result<bool, Refused> {
+    let merged = surround.merged;
+    let mut memory;
+    let piece = match surround.left_out() {
+        None => piece,
+        Some(left_out) => {
+            memory = [RowSighting::default(); 2 * TILE_SIDE];
+            piece.without(left_out, &mut memory)
+        }
+    };
+    if piece.says_nothing() {
+        return Ok(false);
+    }
+    let Some(tile) = pool.find_or_begin(piece.id, scan) else {
+        return Err(Refused(piece.fill().map(|row| row.known().count_ones()).sum()));
+    };
+    tile.dirty = true;
+    if let Some(near) = near {
+        weigh_near(tile, &piece, &near.within(piece.id), merged);
+    }
+    Ok(count(tile, piece, merged))
+}
+
+/// Counts the near hits of a piece once more.
+#[inline(always)]
+fn weigh_near(tile: &mut OwnTile, piece: &Piece<'_>, near: &NearCells, merged: Option<&Tile>) {
+    let first = piece.first_row;
+    let end = near.rows.end.min(first + piece.len());
+    let rows = near.rows.start.max(first)..end;
+    let hits = piece.hits(rows.start.wrapping_sub(first)..end.wrapping_sub(first));
+    tile.evidence.add_near(rows.start, hits.map(|hit| hit & near.columns), merged);
+}
+
+/// Counts a piece. Not inlined, so that the loop over its rows has all registers.
+#[inline(never)]
+fn count(tile: &mut OwnTile, piece: Piece<'_>, merged: Option<&Tile>) -> bool {
+    let first = piece.first_row;
+    match merged {
+        None => tile.evidence.add(first, piece.fill()),
+        Some(merged) => tile.evidence.add_beside(first, piece.fill(), merged),
+    }
+}
+
+fn grain(config: &MappingConfig, beams: &[Beam]) -> Grain {
+    Grain::new(beams, config.resolution, config.max_range, config.validity, config.policy)
 }
 
 #[cfg(test)]

@@ -10,16 +10,16 @@ mod own_tile;
 mod peers;
 mod policy;
 mod projection;
+mod scan_window;
 mod selection;
 mod trace;
-mod window;
 
 pub use evidence::{Evidence, RowSighting};
 pub use gate::Gate;
 pub use local_map::{LocalMap, MAX_RADIUS, Mapped, MappingConfig, Surround, scratch_words};
 pub use own_tile::{OwnTile, Pool};
 pub use peers::PeerMask;
-pub(crate) use peers::{PeerMasks, View};
+pub(crate) use peers::{PeerMasks, ScanContext};
 pub use policy::Policy;
 pub use projection::MIN_RESOLUTION;
 pub use selection::{Selected, Selection};

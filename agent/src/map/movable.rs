@@ -21,13 +21,11 @@
 
 use ubimap_protocol::{
     tile::{TILE_SIDE, Tile},
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use super::evidence::Evidence;
-
-/// After the last change, until what has changed counts as fixed.
-pub(super) const CALM: Duration = Duration::from_secs(600);
+use crate::timing::CALM;
 
 /// The western cell of each block in a word of two rows, where the low bit of its state is; the high
 /// bit is beside it.

@@ -14,9 +14,10 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
-use super::window::below;
+use super::scan_window::below;
 use crate::{
     locate::Variances,
+    timing::PEER_LOST,
     trigonometry::{radians, sin_cos},
 };
 
@@ -30,8 +31,6 @@ pub enum PeerMask {
     Square,
 }
 
-/// A robot that has not been heard of for longer may be anywhere.
-const LOST: Duration = Duration::from_secs(3);
 /// How far a robot may have gone, and turned, since it was seen: mm/s, rad/s.
 const SPEED: f32 = 500.0;
 const TURN: f32 = 1.0;
@@ -45,9 +44,9 @@ const ANY_TURN: f32 = 10.0;
 /// The variance of a reading, in parts of its square: a 64th.
 const READING: f32 = 1.0 / 4_096.0;
 
-/// A scan, as far as it matters to those in view.
+/// The scan in which peers are masked.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct View {
+pub(crate) struct ScanContext {
     /// `base_link` in `map` when it was taken.
     pub(crate) pose: Pose,
     /// When that was, in the server's clock.
@@ -70,20 +69,20 @@ pub(crate) struct PeerMasks {
 
 impl PeerMasks {
     /// Of those robots that may be in view. `unsure` says how unsure the scan's pose is.
-    pub(crate) fn new(peers: Option<&Peers>, view: &View, unsure: Variances) -> Self {
-        let mut near = Self { masks: Vec::new(), side: view.resolution.0.clamp(1, 1 << 16) };
+    pub(crate) fn new(peers: Option<&Peers>, scan: &ScanContext, unsure: Variances) -> Self {
+        let mut near = Self { masks: Vec::new(), side: scan.resolution.0.clamp(1, 1 << 16) };
         for (peers, peer) in
             peers.into_iter().flat_map(|it| it.peers.iter().map(move |peer| (it, peer)))
         {
-            let reach = u32::from(view.range) + u32::from(peer.half_length);
+            let reach = u32::from(scan.range) + u32::from(peer.half_length);
             let reach = reach + u32::from(peer.half_width) + FARTHEST;
             let off = |here: Millimetres, there: Millimetres| (there - here).0.unsigned_abs();
-            let off = off(view.pose.x, peer.pose.x).max(off(view.pose.y, peer.pose.y));
+            let off = off(scan.pose.x, peer.pose.x).max(off(scan.pose.y, peer.pose.y));
             let seen = peers.time - Duration(u64::from(u32::from(peer.age) * 10_000));
-            let age = view.moment.0.abs_diff(seen.0);
-            if off <= reach && age <= LOST.0 {
+            let age = scan.moment.0.abs_diff(seen.0);
+            if off <= reach && age <= PEER_LOST.0 {
                 // There is room for each.
-                let _ = near.masks.push(Mask::new(peer, age as u32, view, unsure));
+                let _ = near.masks.push(Mask::new(peer, age as u32, scan, unsure));
             }
         }
         near
@@ -125,19 +124,19 @@ struct Mask {
 
 impl Mask {
     /// A robot whose pose is so many microseconds older, or newer, than the scan.
-    fn new(peer: &Peer, age: u32, view: &View, unsure: Variances) -> Self {
+    fn new(peer: &Peer, age: u32, scan: &ScanContext, unsure: Variances) -> Self {
         let seconds = age as f32 * 1.0e-6;
         let off = |here: Millimetres, there: Millimetres| (there - here).0 as f32;
-        let (dx, dy) = (off(view.pose.x, peer.pose.x), off(view.pose.y, peer.pose.y));
+        let (dx, dy) = (off(scan.pose.x, peer.pose.x), off(scan.pose.y, peer.pose.y));
         let variance = SEEN_POSITION
             + unsure.position / 2.0
             + (unsure.heading + READING) * (dx * dx + dy * dy);
         // Two standard deviations. A hit in the outermost corner of a cell is in that cell.
-        let room = 2.0 * sqrtf(variance) + SPEED * seconds + view.resolution.0 as f32 * 0.71;
+        let room = 2.0 * sqrtf(variance) + SPEED * seconds + scan.resolution.0 as f32 * 0.71;
 
         let (length, width) = (f32::from(peer.half_length), f32::from(peer.half_width));
         let all_round = sqrtf(length * length + width * width);
-        let (heading, turned) = match view.mask {
+        let (heading, turned) = match scan.mask {
             PeerMask::Footprint => (peer.pose.heading, SEEN_TURN + TURN * seconds),
             PeerMask::Square => (Angle(0), ANY_TURN),
         };
@@ -202,14 +201,20 @@ mod tests {
         Peer { robot: RobotId(2), pose, age: 0, half_length, half_width }
     }
 
-    fn view(mask: PeerMask, moment: u64) -> View {
+    fn scan(mask: PeerMask, moment: u64) -> ScanContext {
         let resolution = Millimetres(SIDE);
-        View { pose: Pose::default(), moment: Instant(moment), range: 4_000, resolution, mask }
+        ScanContext {
+            pose: Pose::default(),
+            moment: Instant(moment),
+            range: 4_000,
+            resolution,
+            mask,
+        }
     }
 
-    fn masks(peer: Peer, view: &View) -> PeerMasks {
+    fn masks(peer: Peer, scan: &ScanContext) -> PeerMasks {
         let peers = Peers { time: Instant(10_000_000), peers: [peer].into_iter().collect() };
-        PeerMasks::new(Some(&peers), view, Variances::default())
+        PeerMasks::new(Some(&peers), scan, Variances::default())
     }
 
     /// How many cells of the tiles around the origin are left out.
@@ -225,8 +230,8 @@ mod tests {
             x in -3_000..3_000i32, y in -3_000..3_000i32, heading: u16,
             half_length in 0..900u16, half_width in 0..900u16,
         ) {
-            let view = view(PeerMask::Footprint, 10_000_000);
-            let masks = masks(peer(at(x, y, heading), half_length, half_width), &view);
+            let scan = scan(PeerMask::Footprint, 10_000_000);
+            let masks = masks(peer(at(x, y, heading), half_length, half_width), &scan);
             let [mask] = masks.masks[..] else { panic!() };
             let (sin, cos) = libm::sincos(Angle(heading).radians());
             for id in (-3..3i16).flat_map(|y| (-3..3i16).map(move |x| TileId { x, y })) {
@@ -255,7 +260,7 @@ mod tests {
     #[test]
     fn a_footprint_takes_less_than_the_square_and_more_when_unheard_of() {
         let body = peer(at(1_500, 300, 5_000), 600, 150);
-        let count = |mask, moment| count(&masks(body, &view(mask, moment)));
+        let count = |mask, moment| count(&masks(body, &scan(mask, moment)));
         let (square, footprint) =
             (count(PeerMask::Square, 10_000_000), count(PeerMask::Footprint, 10_000_000));
         assert!(2 * footprint < square, "{footprint} of {square}");
@@ -278,10 +283,10 @@ mod tests {
         };
         let unsure = Variances::default();
         for x in [6_001, i32::MAX, i32::MIN] {
-            let view = view(PeerMask::Footprint, 0);
-            assert!(PeerMasks::new(Some(&peers(x)), &view, unsure).masks.is_empty());
+            let scan = scan(PeerMask::Footprint, 0);
+            assert!(PeerMasks::new(Some(&peers(x)), &scan, unsure).masks.is_empty());
         }
-        assert!(PeerMasks::new(None, &view(PeerMask::Footprint, 0), unsure).masks.is_empty());
+        assert!(PeerMasks::new(None, &scan(PeerMask::Footprint, 0), unsure).masks.is_empty());
     }
 
     #[test]
@@ -291,7 +296,7 @@ mod tests {
                 time: Instant(0),
                 peers: [peer(at(2_000, 0, 0), 300, 200)].into_iter().collect(),
             };
-            let masks = PeerMasks::new(Some(&peers), &view(PeerMask::Square, 0), variances);
+            let masks = PeerMasks::new(Some(&peers), &scan(PeerMask::Square, 0), variances);
             masks.masks[0].width
         };
         let sure = room(Variances::default());

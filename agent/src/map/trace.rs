@@ -15,8 +15,8 @@ use ubimap_protocol::units::Millimetres;
 
 use super::{
     policy::Policy,
-    projection::{Corner, Point, Projection},
-    window::Window,
+    projection::{Corner, Direction, Point, Projection},
+    scan_window::ScanWindow,
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
@@ -55,7 +55,7 @@ pub(super) struct Grain {
     tolerance: u32,
     /// Millimetres of reading times beams that fit [`SPAN`] cells side by side.
     spread: u32,
-    /// Up to where scans are mapped.
+    /// How far scans are mapped at most.
     pub(super) reach: Reach,
     /// Millimetres of reading times beams that fit half a cell.
     bridge: u32,
@@ -67,10 +67,11 @@ pub(super) struct Grain {
     validity: Validity,
 }
 
-/// Up to where a scan is mapped: millimetres.
+/// How far a scan is mapped: millimetres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Reach {
-    range: u16,
+    /// From the sensor, whatever a beam's reading means.
+    pub(super) range: u16,
     /// Readings up to this one are within it, whatever their beam.
     surely: u32,
     /// Those from this one on are beyond it, whatever their beam.
@@ -78,7 +79,7 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    /// Cut down to this range.
+    /// This reach, but no farther than `range`.
     pub(super) fn within(self, range: u16) -> Self {
         if range >= self.range {
             return self;
@@ -163,6 +164,20 @@ impl Grain {
                 || self.validity.counts_at(readings, index, reading))
     }
 
+    /// Within a radian, in millimetres: a robot that stands before a wall sees it bend.
+    #[inline(always)]
+    fn near(&self) -> u32 {
+        2 * SPAN * self.margin
+    }
+
+    /// Whether a gap of so many beams is too narrow for a cell that no beam crosses. Near the robot, which
+    /// goes there next, half a cell is wide enough.
+    #[inline(always)]
+    fn bridges(&self, beams: u32, range: u32) -> bool {
+        let bridge = if range > self.near() { 2 * self.bridge } else { self.bridge };
+        beams.wrapping_mul(range) <= bridge
+    }
+
     /// How far a surface goes on in a line, to `end` at most, from a beam on that ends on it. One
     /// beam in some is looked at, and those between the last of them and the next. The first of
     /// them says how the line goes, if what lies half way is on it too.
@@ -199,13 +214,13 @@ impl Grain {
     #[inline(never)]
     fn last_within(
         &self,
-        beams: &[Beam],
-        readings: &[u16],
+        reach: &Reach,
+        (beams, readings): (&[Beam], &[u16]),
         (from, stride, steps): (usize, usize, usize),
     ) -> usize {
         let reading = |index: usize| readings.get(index).copied().unwrap_or(0);
         let is_within = |index: usize| {
-            beams.get(index).is_some_and(|&beam| self.reach.has(beam, reading(index).into()))
+            beams.get(index).is_some_and(|&beam| reach.has(beam, reading(index).into()))
         };
         let (mut within, mut beyond) = (0, steps + 1);
         while beyond - within > 1 {
@@ -226,10 +241,10 @@ impl Grain {
     #[inline(never)]
     fn nothing_up_to(
         &self,
-        beams: &[Beam],
-        readings: &[u16],
+        reach: &Reach,
+        (beams, readings): (&[Beam], &[u16]),
         (from, end, stride): (usize, usize, usize),
-        reach: u32,
+        farthest: u32,
     ) -> usize {
         let mut last = from;
         let mut stride = stride;
@@ -241,19 +256,85 @@ impl Grain {
             let reading = u32::from(reading);
             if index < end
                 && reading.wrapping_sub(self.counting.0) <= self.counting.1
-                && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
+                && (reading >= reach.beyond || !reach.has(beam, reading))
             {
                 last = index;
             } else if stride > 1 {
                 stride = 1;
             } else {
                 let comes_in = index < end
-                    && reading + self.tolerance > reach
+                    && reading + self.tolerance > farthest
                     && self.counts(readings, index, reading as u16);
                 return if comes_in { index } else { last };
             }
         }
     }
+}
+
+/// A part of a scan: beams, and as many readings.
+#[derive(Clone, Copy)]
+pub(super) struct Part<'s> {
+    pub(super) beams: &'s [Beam],
+    pub(super) readings: &'s [u16],
+    /// Whether the first beam was the last one of the part before.
+    pub(super) is_continued: bool,
+}
+
+/// Draws a part of a scan, as far as `reach`. Returns the nearest hit, in millimetres of reading.
+#[inline(never)]
+pub(super) fn trace(
+    window: &mut ScanWindow<'_>,
+    projection: &Projection,
+    grain: &Grain,
+    reach: &Reach,
+    part: Part<'_>,
+    pixels: &mut PixelCounts,
+) -> u32 {
+    let Part { beams, readings, is_continued } = part;
+    let mut outline = Outline::new(window, projection);
+    let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
+    let mut is_first_invalid = false;
+    let mut index = 0;
+    while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
+        if !grain.counts(readings, index, reading) || beam == Beam::NONE {
+            let gap = gap(readings, index);
+            invalid += gap as u32;
+            is_first_invalid |= index == 0;
+            index += gap;
+            outline.is_broken = true;
+            continue;
+        }
+        let reading = u32::from(reading);
+        let hit = reach.has(beam, reading).then_some(reading);
+        let farthest = match hit {
+            Some(reading) => reading - grain.margin,
+            None => beam.reading_at(reach.range),
+        };
+        kept += 1;
+        if let Some(reading) = hit {
+            nearest = nearest.min(reading);
+        }
+        outline.go_on(grain, beams, (index, beam), farthest, hit);
+        index = outline.pass_over(grain, reach, (beams, readings), hit);
+    }
+    outline.close();
+    let seen = (readings.len() as u32).saturating_sub(u32::from(is_continued));
+    // The first one has been counted with the part before.
+    let again = if is_first_invalid { &mut invalid } else { &mut kept };
+    *again = again.saturating_sub(u32::from(is_continued));
+    *pixels += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
+    nearest
+}
+
+/// How many readings from `index` on say nothing: that one, and those without a return that follow.
+#[inline(always)]
+fn gap(readings: &[u16], index: usize) -> usize {
+    // Where nothing comes back, often much does not.
+    let rest = readings.get(index + 1..).unwrap_or_default();
+    let (fours, _) = rest.as_chunks();
+    let gap = 4 * fours.iter().take_while(|four| **four == [0; 4]).count();
+    let rest = rest.get(gap..).unwrap_or_default();
+    gap + 1 + rest.iter().take_while(|&&reading| reading == 0).count()
 }
 
 /// One end of the polygon.
@@ -266,124 +347,127 @@ struct End {
     hit: Option<Point>,
 }
 
-/// Draws a part of a scan. `continued`: the first beam was the last one of the part before.
-/// Returns the nearest hit, in millimetres of reading.
-#[inline(never)]
-pub(super) fn trace(
-    window: &mut Window<'_>,
-    projection: &Projection,
-    grain: &Grain,
-    beams: &[Beam],
-    readings: &[u16],
-    continued: bool,
-    pixels: &mut PixelCounts,
-) -> u32 {
-    let sensor = projection.sensor();
-    let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
-    let mut is_first_invalid = false;
-    // As if an end at the sensor itself came before.
-    let mut last = End { index: 0, reach: 0, at: sensor, hit: None };
-    // Whether there is a beam that says nothing behind the last end.
-    let mut is_broken = true;
-    // Within a radian: who stands before a wall sees it bend.
-    let near = 2 * SPAN * grain.margin;
-    let mut index = 0;
-    while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
-        if !grain.counts(readings, index, reading) || beam == Beam::NONE {
-            // Where nothing comes back, often much does not.
-            let rest = readings.get(index + 1..).unwrap_or_default();
-            let (fours, _) = rest.as_chunks();
-            let gap = 4 * fours.iter().take_while(|four| **four == [0; 4]).count();
-            let rest = rest.get(gap..).unwrap_or_default();
-            let gap = gap + 1 + rest.iter().take_while(|&&reading| reading == 0).count();
-            invalid += gap as u32;
-            is_first_invalid |= index == 0;
-            index += gap;
-            is_broken = true;
-            continue;
-        }
-        let reading = u32::from(reading);
-        let is_hit = grain.reach.has(beam, reading);
-        let reach =
-            if is_hit { reading - grain.margin } else { beam.reading_at(grain.reach.range) };
-        kept += 1;
-        let direction = projection.direction(beam);
-        let at = projection.corner(direction, reach);
-        let mut from = sensor;
-        let mut surface = None;
-        let passed = index - last.index;
-        let least = last.reach.min(reach);
-        // A gap narrower than a cell holds none that no beam crosses. Close by, where the robot goes
-        // next, half of that.
-        let bridge = if least > near { 2 * grain.bridge } else { grain.bridge };
-        if is_broken && (passed as u32).wrapping_mul(least) > bridge {
-            window.edge(last.at, sensor);
-        } else {
-            from = last.at;
-            if (is_broken || passed == 1) && last.reach.abs_diff(reach) > JUMP {
-                // Only the nearer range is claimed between them.
-                let mut step = direction;
-                if last.reach >= reach
-                    && let Some(&beam) = beams.get(last.index)
-                {
-                    step = projection.direction(beam);
-                }
-                let step = projection.corner(step, least);
-                window.edge(from, step);
-                from = step;
-            } else {
-                surface = last.hit;
-            }
-        }
-        window.edge(from, at);
-        let mut hit = None;
-        if is_hit {
-            let to = projection.point(direction, reading);
-            if let Some(surface) = surface {
-                window.surface(surface, to, passed as i32);
-            }
-            window.hit(to);
-            nearest = nearest.min(reading);
-            hit = Some(to);
-        }
-        is_broken = false;
-        last = End { index, reach, at, hit };
+/// The polygon as far as it has been drawn.
+struct Outline<'a, 'w> {
+    window: &'a mut ScanWindow<'w>,
+    projection: &'a Projection,
+    sensor: Corner,
+    last: End,
+    /// Whether there is a beam that says nothing behind the last end.
+    is_broken: bool,
+}
 
-        // Where the surface goes on, or nothing is in range, up to some cells further.
-        let here = index;
-        index += 1;
-        let ahead = grain.spread.checked_div(reach.max(near)).unwrap_or(0) as usize;
+impl<'a, 'w> Outline<'a, 'w> {
+    #[inline(always)]
+    fn new(window: &'a mut ScanWindow<'w>, projection: &'a Projection) -> Self {
+        let sensor = projection.sensor();
+        // As if an end at the sensor itself came before.
+        let last = End { index: 0, reach: 0, at: sensor, hit: None };
+        Self { window, projection, sensor, last, is_broken: true }
+    }
+
+    /// Draws up to the end of a beam, `farthest` of whose reading is free and which ends on a
+    /// surface at `reading`, if it does.
+    #[inline(always)]
+    fn go_on(
+        &mut self,
+        grain: &Grain,
+        beams: &[Beam],
+        (index, beam): (usize, Beam),
+        farthest: u32,
+        reading: Option<u32>,
+    ) {
+        let direction = self.projection.direction(beam);
+        let at = self.projection.corner(direction, farthest);
+        let passed = index - self.last.index;
+        let (from, surface) = self.join(grain, beams, direction, farthest, passed);
+        self.window.edge(from, at);
+        let hit = reading.map(|reading| {
+            let to = self.projection.point(direction, reading);
+            if let Some(surface) = surface {
+                self.window.surface(surface, to, passed as i32);
+            }
+            self.window.hit(to);
+            to
+        });
+        self.is_broken = false;
+        self.last = End { index, reach: farthest, at, hit };
+    }
+
+    /// Draws from the last end to where the edge to the next one begins: there if no room for a cell is
+    /// between them, else from the sensor. Returns that corner, and the last hit if the surface goes on
+    /// from it.
+    #[inline(always)]
+    fn join(
+        &mut self,
+        grain: &Grain,
+        beams: &[Beam],
+        direction: Direction,
+        farthest: u32,
+        passed: usize,
+    ) -> (Corner, Option<Point>) {
+        let last = self.last;
+        let least = last.reach.min(farthest);
+        if self.is_broken && !grain.bridges(passed as u32, least) {
+            self.window.edge(last.at, self.sensor);
+            return (self.sensor, None);
+        }
+        if !(self.is_broken || passed == 1) || last.reach.abs_diff(farthest) <= JUMP {
+            return (last.at, last.hit);
+        }
+        // Only the nearer range is claimed between them.
+        let step = match beams.get(last.index) {
+            Some(&beam) if last.reach >= farthest => self.projection.direction(beam),
+            _ => direction,
+        };
+        let step = self.projection.corner(step, least);
+        self.window.edge(last.at, step);
+        (step, None)
+    }
+
+    /// The next beam to be drawn on: those in between end where the surface goes on, or are out of
+    /// range as the last one is. `reading` is that of the last end, if it is a hit.
+    #[inline(always)]
+    fn pass_over(
+        &mut self,
+        grain: &Grain,
+        reach: &Reach,
+        (beams, readings): (&[Beam], &[u16]),
+        reading: Option<u32>,
+    ) -> usize {
+        let here = self.last.index;
+        let next = here + 1;
+        let farthest = self.last.reach;
+        let ahead = grain.spread.checked_div(farthest.max(grain.near())).unwrap_or(0) as usize;
         if ahead < 2 * SPAN as usize {
-            continue;
+            return next;
         }
         let stride = ahead / CHECKS + 1;
-        if is_hit {
-            let end = grain.surface_up_to(readings, (here, here + ahead, stride), reading);
-            index = index.max(end);
-            if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
-                && !grain.reach.has(beam, reading.into())
-            {
-                // A surface that leaves the range.
-                let way = (here, stride, (end - here) / stride);
-                let end = grain.last_within(beams, readings, way);
-                if let Some(((&beam, &reading), from)) =
-                    beams.get(end).zip(readings.get(end)).zip(last.hit)
-                {
-                    let to = projection.point(projection.direction(beam), reading.into());
-                    window.surface(from, to, (end - here) as i32);
-                    window.hit(to);
-                }
-            }
-        } else {
+        let Some(reading) = reading else {
             let way = (here, here + ahead, stride);
-            index = index.max(grain.nothing_up_to(beams, readings, way, reach));
+            return next.max(grain.nothing_up_to(reach, (beams, readings), way, farthest));
+        };
+        let end = grain.surface_up_to(readings, (here, here + ahead, stride), reading);
+        if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
+            && !reach.has(beam, reading.into())
+        {
+            // A surface that leaves the range.
+            let way = (here, stride, (end - here) / stride);
+            let end = grain.last_within(reach, (beams, readings), way);
+            if let Some(((&beam, &reading), from)) =
+                beams.get(end).zip(readings.get(end)).zip(self.last.hit)
+            {
+                let to = self.projection.point(self.projection.direction(beam), reading.into());
+                self.window.surface(from, to, (end - here) as i32);
+                self.window.hit(to);
+            }
         }
+        end.max(next)
     }
-    window.edge(last.at, sensor);
-    let seen = (readings.len() as u32).saturating_sub(u32::from(continued));
-    // The first one has been counted with the part before.
-    let again = if is_first_invalid { &mut invalid } else { &mut kept };
-    *again = again.saturating_sub(u32::from(continued));
-    *pixels += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };
-    nearest
+
+    /// Draws the edge that closes the polygon.
+    #[inline(always)]
+    fn close(self) {
+        self.window.edge(self.last.at, self.sensor);
+    }
 }

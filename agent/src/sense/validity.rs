@@ -48,7 +48,7 @@ impl Validity {
     /// Readings close to the last one that was looked at closely need no look of their own: they
     /// cost two and a half instructions each on a Cortex-M4, those that lie elsewhere a hundred.
     pub fn clean(&self, readings: &mut [u16]) {
-        let mut window = Window::NO_RETURN;
+        let mut window = ReadingWindow::NO_RETURN;
         // Around the last reading that counted: readings that do.
         let mut interval = (1, 0);
         // The reading before, as it came; 0 if it does not count.
@@ -74,7 +74,7 @@ impl Validity {
                     continue;
                 };
                 interval = counted;
-                window = Window::within(interval, self.flying);
+                window = ReadingWindow::within(interval, self.flying);
             }
             window.follow(here, interval);
             let is_apart = before != 0 && before.abs_diff(here) > self.flying;
@@ -137,7 +137,7 @@ impl Validity {
 /// of two, so that two readings can be held against it in one word: what the lower one borrows
 /// from the upper one changes nothing, for it then lies outside itself.
 #[derive(Clone, Copy)]
-struct Window {
+struct ReadingWindow {
     /// Its least reading, in both halves of the word.
     low: u32,
     /// The bits that a reading less that one has only if it lies outside, in both halves.
@@ -150,7 +150,7 @@ fn pair(first: u16, second: u16) -> u32 {
     u32::from(first) | u32::from(second) << 16
 }
 
-impl Window {
+impl ReadingWindow {
     /// Readings that are looked at together.
     const LOOK: usize = 8;
 

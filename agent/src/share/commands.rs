@@ -2,7 +2,7 @@
 //! kind.
 
 use serde::de::DeserializeOwned;
-use ubimap_protocol::message::{Obstacles, Path, Peers, Stop, ToRobotKind, decode};
+use ubimap_protocol::message::{Encoded, Obstacles, Path, Peers, Stop, ToRobotMessage};
 
 /// The newest commands and surroundings.
 #[derive(Clone, Debug, Default)]
@@ -14,23 +14,23 @@ pub struct Commands {
 }
 
 impl Commands {
-    /// Takes a message of these kinds; one that is older than what is known is passed over. `None`
-    /// if it cannot be read.
-    // Apart from other messages: read, these are the longest, and would be on the stack below all.
+    /// Takes a message of these kinds; one that is older than what is known is ignored. `None` if it
+    /// cannot be read, or is of another kind.
+    // Not inlined: these are the longest messages, and would add to the stack of every other.
     #[inline(never)]
-    pub(crate) fn take(&mut self, kind: ToRobotKind, body: &[u8]) -> Option<()> {
-        match kind {
-            ToRobotKind::Stop => {
-                keep(&mut self.stop, body, |known, stop| known.number < stop.number)
+    pub(crate) fn take(&mut self, message: ToRobotMessage<'_>) -> Option<()> {
+        match message {
+            ToRobotMessage::Stop(stop) => {
+                keep(&mut self.stop, stop, |known, stop| known.number < stop.number)
             }
-            ToRobotKind::Path => {
-                keep(&mut self.path, body, |known, path| known.number < path.number)
+            ToRobotMessage::Path(path) => {
+                keep(&mut self.path, path, |known, path| known.number < path.number)
             }
-            ToRobotKind::Peers => {
-                keep(&mut self.peers, body, |known, peers| known.time < peers.time)
+            ToRobotMessage::Peers(peers) => {
+                keep(&mut self.peers, peers, |known, peers| known.time < peers.time)
             }
-            ToRobotKind::Obstacles => {
-                keep(&mut self.obstacles, body, |known, obstacles| known.time < obstacles.time)
+            ToRobotMessage::Obstacles(obstacles) => {
+                keep(&mut self.obstacles, obstacles, |known, obstacles| known.time < obstacles.time)
             }
             _ => None,
         }
@@ -65,10 +65,10 @@ impl Commands {
 /// Keeps a message if it is newer than the one that is known.
 fn keep<T: DeserializeOwned>(
     known: &mut Option<T>,
-    body: &[u8],
+    message: Encoded<'_, T>,
     is_newer: impl FnOnce(&T, &T) -> bool,
 ) -> Option<()> {
-    let (told, _) = decode(body).ok()?;
+    let told = message.decode().ok()?;
     if known.as_ref().is_none_or(|known| is_newer(known, &told)) {
         *known = Some(told);
     }
@@ -78,17 +78,17 @@ fn keep<T: DeserializeOwned>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::message::{Messages, Writer};
+    use ubimap_protocol::message::{Messages, ToRobot, Writer};
 
     #[test]
     fn the_highest_number_holds_in_any_order() {
         let mut commands = Commands::default();
         let mut take = |number, stop| {
             let mut buffer = [0; 16];
-            let mut writer = Writer::new(&mut buffer);
-            assert!(writer.push(ToRobotKind::Stop as u8, &Stop { number, stop }));
-            let message = Messages::new(&buffer).next().unwrap().unwrap();
-            assert_eq!(commands.take(ToRobotKind::Stop, message.body), Some(()));
+            let mut writer = Writer::<ToRobot>::new(&mut buffer);
+            assert!(writer.push(&Stop { number, stop }));
+            let message = Messages::<ToRobot>::new(&buffer).next().unwrap().unwrap();
+            assert_eq!(commands.take(message.by_kind().unwrap()), Some(()));
             commands.must_stop()
         };
         assert!(take(2, true));

@@ -2,14 +2,12 @@
 //! pose.
 
 use ubimap_protocol::{
-    message::{DistanceVector, ToServerKind, Writer},
+    message::{DistanceVector, ToServer, Writer},
     time::{Duration, Instant},
 };
 
-/// A robot that stands still tells nothing new: one in a minute at most.
-const STANDING_INTERVAL: Duration = Duration::from_secs(60);
-/// One without fixes gets one in answer to each that the server can place on the map.
-const BLIND_INTERVAL: Duration = Duration::from_secs(1);
+use crate::timing::{BLIND_VECTOR_INTERVAL, STANDING_VECTOR_INTERVAL};
+
 /// From the first ones the server finds the robot's constant errors: so many are sent as often.
 const FIRST: u8 = 24;
 
@@ -38,8 +36,8 @@ impl DistanceVectors {
     /// Whether one is due from a scan of this moment (robot's clock).
     pub(crate) fn is_due(&self, taken: Instant, moves: bool, blind: bool) -> bool {
         let wait = match (moves, blind) {
-            (false, _) => self.interval.max(STANDING_INTERVAL),
-            (true, _) if blind || self.first > 0 => self.interval.min(BLIND_INTERVAL),
+            (false, _) => self.interval.max(STANDING_VECTOR_INTERVAL),
+            (true, _) if blind || self.first > 0 => self.interval.min(BLIND_VECTOR_INTERVAL),
             (true, _) => self.interval,
         };
         self.last.is_none_or(|last| taken >= last + wait)
@@ -54,9 +52,8 @@ impl DistanceVectors {
     }
 
     /// Adds the one that waits to a frame that has room for it.
-    pub(crate) fn push(&mut self, writer: &mut Writer<'_>) {
-        let sent = |vector: &mut _| writer.push(ToServerKind::DistanceVector as u8, vector);
-        self.waiting.take_if(sent);
+    pub(crate) fn push(&mut self, writer: &mut Writer<'_, ToServer>) {
+        self.waiting.take_if(|vector| writer.push(vector));
     }
 }
 

@@ -3,11 +3,10 @@
 use heapless::Vec;
 use ubimap_protocol::{
     message::{Event, EventCode},
-    time::{Duration, Instant},
+    time::Instant,
 };
 
-/// An event of one code is told no sooner again than this after the last one.
-const INTERVAL: Duration = Duration::from_secs(10);
+use crate::timing::EVENT_INTERVAL;
 
 /// One for each code that the agent has.
 const MOST: usize = 10;
@@ -42,7 +41,7 @@ impl Events {
         match self.raised.iter_mut().find(|raised| raised.code == code) {
             Some(last) => {
                 let is_awaited = matches!(code, EventCode::PathDone | EventCode::PathBlocked);
-                let is_news = is_awaited || at >= last.at + INTERVAL;
+                let is_news = is_awaited || at >= last.at + EVENT_INTERVAL;
                 if last.progress == Progress::Arrived && is_news {
                     *last = new;
                 }

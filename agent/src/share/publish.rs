@@ -2,20 +2,18 @@
 
 use heapless::Vec;
 use ubimap_protocol::{
-    message::{Digests, TileDigest, TileUpdateHead, ToServerKind, Writer},
+    message::{Digests, TileDigest, TileUpdateHead, ToServer, Writer},
     tile::{Epoch, Layer, Row, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version, tile_hash},
     time::{Duration, Instant},
 };
 
 use super::receive::FusedMap;
-use crate::map::{OwnTile, Pool};
+use crate::{
+    map::{OwnTile, Pool},
+    timing::DIGEST_INTERVAL,
+};
 
-/// Bytes of a [`TileUpdateHead`] at the most.
-const HEAD_LEN: usize = 6;
-
-/// How often the states of a few tiles are told, and of how many at once: a pool of 32 in three
-/// minutes, for 3 bytes a second. In as long a change must have been seen often enough to be told.
-const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
+/// The most tiles whose states are told at once.
 const DIGESTS: usize = 2;
 
 /// When to send what has changed, and what became of it.
@@ -60,20 +58,18 @@ impl Publisher {
     }
 
     /// Adds the states of the next few tiles that the server should hold, if it is time. What finds
-    /// no room is left for the next frame, unless there is nothing else in this one. With it, what
-    /// spoke against the `merged` map, but not enough, is forgotten.
+    /// no room is left for the next frame, unless there is nothing else in this one.
     pub fn push_digests(
         &mut self,
-        pool: &mut Pool<'_>,
-        merged: &FusedMap<'_>,
-        writer: &mut Writer<'_>,
+        pool: &Pool<'_>,
+        writer: &mut Writer<'_, ToServer>,
         alone: bool,
         now: Instant,
     ) {
         if now < self.next_digest {
             return;
         }
-        let mut digests = Digests { layer: Layer::Robot, tiles: Vec::new() };
+        let mut tiles = Vec::<_, DIGESTS>::new();
         let mut last = self.digested;
         for _ in 0..DIGESTS {
             let level = |tile: &OwnTile| !tile.dirty && tile.publication.is_acknowledged();
@@ -82,19 +78,19 @@ impl Publisher {
             let Some((tile, id)) = tile.and_then(|tile| Some((tile, tile.id?))) else { break };
             let stamp = Stamp { epoch: tile.epoch, version: tile.publication.version() };
             let hash = tile_hash(tile.publication.sent());
-            let _ = digests.tiles.push(TileDigest { id, stamp, hash });
+            let _ = tiles.push(TileDigest { id, stamp, hash });
         }
-        let mut told = digests.tiles.is_empty();
-        while !told && !digests.tiles.is_empty() {
-            told = writer.push(ToServerKind::Digests as u8, &digests);
-            if !told {
-                last = digests.tiles.pop().and(digests.tiles.last()).map(|digest| digest.id);
-            }
-        }
-        if told || alone {
-            self.digested = last;
+        let told = writer.push_longest(1..=tiles.len(), |count| {
+            let tiles = tiles.get(..count).unwrap_or_default();
+            Digests { layer: Layer::Robot, tiles: Vec::from_slice(tiles).unwrap_or_default() }
+        });
+        if told.is_some() || tiles.is_empty() || alone {
+            self.digested = match told {
+                Some(count) if count < tiles.len() => tiles.get(count - 1).map(|digest| digest.id),
+                Some(_) => last,
+                None => None,
+            };
             self.next_digest = now + DIGEST_INTERVAL;
-            settle(pool, merged);
         }
     }
 
@@ -121,7 +117,7 @@ impl Publisher {
         &mut self,
         pool: &mut Pool<'_>,
         merged: &FusedMap<'_>,
-        writer: &mut Writer<'_>,
+        writer: &mut Writer<'_, ToServer>,
         now: Instant,
     ) -> Option<u16> {
         if self.poll_timeout()? > now {
@@ -130,11 +126,8 @@ impl Publisher {
         let frame = self.frame.wrapping_add(1);
         let head = TileUpdateHead { layer: Layer::Robot, seconds: self.newest_scan };
         let mut blocked = false;
-        let written = writer.push_with(ToServerKind::TileUpdate as u8, |body| {
-            let mut head_bytes = [0u8; HEAD_LEN];
-            let head = head.encode(&mut head_bytes)?;
-            body.get_mut(..head.len())?.copy_from_slice(head);
-            let mut encoder = TileEncoder::new(body.get_mut(head.len()..)?);
+        let written = writer.push_with(&head, |coded| {
+            let mut encoder = TileEncoder::new(coded);
             // In order of their ids: the next id is then coded in a few bits.
             let mut done = None;
             while let Some(tile) = next_tile(pool, done) {
@@ -152,7 +145,7 @@ impl Publisher {
                 blocked |=
                     !tile.publication.push(&mut encoder, id, epoch, version, &mut cells, frame);
             }
-            Some(head.len() + encoder.finish()?)
+            encoder.finish()
         });
         if written {
             self.frame = frame;
@@ -244,15 +237,6 @@ fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
     cells
 }
 
-/// What tiles don't have to tell starts from the server's map again where that says free.
-fn settle(pool: &mut Pool<'_>, merged: &FusedMap<'_>) {
-    for tile in pool.tiles_mut() {
-        if let Some(known) = tile.id.and_then(|id| merged.tile(id)) {
-            tile.evidence.settle(known, tile.publication.sent());
-        }
-    }
-}
-
 /// The first tile after `done`, in order of ids, that is dirty and of which no update is under
 /// way.
 fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut OwnTile> {
@@ -282,10 +266,15 @@ fn place_after(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{map::RowSighting, share::FusedTile};
+    use crate::{
+        Config,
+        map::{LocalMap, RowSighting},
+        sense::SensorModel,
+        share::FusedTile,
+    };
     use ubimap_protocol::{
-        message::{Messages, decode},
-        units::{Millimetres, Pose},
+        message::Messages,
+        units::{Millimetres, Pose, RobotId},
     };
 
     /// A pool of tiles that the server has.
@@ -307,16 +296,15 @@ mod tests {
     #[test]
     fn in_small_frames_the_digests_of_all_tiles_take_turns() {
         let mut places = [OwnTile::FREE; 3];
-        let mut pool = acknowledged(&mut places);
-        let merged = FusedMap::new(&mut []);
+        let pool = acknowledged(&mut places);
         let mut publisher = Publisher::new(Duration(0));
         let mut tell = |room: usize, alone: bool, now: Instant| {
             let mut buffer = [0u8; 60];
             let mut writer = Writer::new(&mut buffer[..room]);
-            publisher.push_digests(&mut pool, &merged, &mut writer, alone, now);
+            publisher.push_digests(&pool, &mut writer, alone, now);
             let len = writer.len();
-            let message = Messages::new(&buffer[..len]).next()?.unwrap();
-            let digests = decode::<Digests>(message.body).unwrap().0;
+            let message = Messages::<ToServer>::new(&buffer[..len]).next()?.unwrap();
+            let digests = message.decode::<Digests>().unwrap();
             Some(digests.tiles.iter().map(|it| it.id.x).collect::<std::vec::Vec<_>>())
         };
         let mut now = Instant(0);
@@ -344,8 +332,8 @@ mod tests {
             let mut writer = Writer::new(&mut buffer);
             publisher.fill(pool, &merged, &mut writer, Instant(9)).unwrap();
             let len = writer.len();
-            let message = Messages::new(&buffer[..len]).next().unwrap().unwrap();
-            decode::<TileUpdateHead>(message.body).unwrap().0.seconds
+            let message = Messages::<ToServer>::new(&buffer[..len]).next().unwrap().unwrap();
+            message.decode::<TileUpdateHead>().unwrap().seconds
         };
         assert_eq!(told(&mut publisher, &mut pool), 7_000);
         publisher.begin_session(&mut pool, true, Instant(9));
@@ -353,6 +341,7 @@ mod tests {
         publisher.begin_session(&mut pool, false, Instant(9));
         assert_eq!(told(&mut publisher, &mut pool), 0);
     }
+
     #[test]
     fn hits_that_are_minutes_apart_say_nothing_against_the_map_and_those_of_one_moment_do() {
         let mut places = [FusedTile::FREE; 4];
@@ -369,21 +358,19 @@ mod tests {
         assert_eq!(merged.update(Layer::Fused, &out[..len]), Ok(()));
 
         let mut places = [OwnTile::FREE; 1];
-        let mut pool = Pool::new(&mut places);
-        let mut publisher = Publisher::new(Duration(0));
+        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
+        let config = Config::new(RobotId(1), sensor);
+        let mut map = LocalMap::new((&config).into(), &[], &mut [], Pool::new(&mut places));
         // What there is to tell after ten hits.
         let mut told = |apart: Duration| {
-            pool.begin_anew(Epoch(0));
+            map.pool.begin_anew(Epoch(0));
             for hit in 1..=10 {
-                let now = Instant(hit * apart.micros());
-                let tile = pool.find_or_begin(id, 1).unwrap();
+                let tile = map.pool.find_or_begin(id, 1).unwrap();
                 let sighting = RowSighting { free: 0, hit: 1 };
                 tile.evidence.add_beside(3, [sighting].into_iter(), merged.tile(id).unwrap());
-                let mut buffer = [0; 60];
-                let mut writer = Writer::new(&mut buffer);
-                publisher.push_digests(&mut pool, &merged, &mut writer, true, now);
+                map.timeout(Instant(hit * apart.micros()), |id| merged.tile(id));
             }
-            news(pool.find(id).unwrap(), merged.tile(id)).row(3).high
+            news(map.pool.find(id).unwrap(), merged.tile(id)).row(3).high
         };
         assert_eq!(told(Duration::from_millis(100)), 1);
         assert_eq!(told(Duration::from_secs(60)), 0);

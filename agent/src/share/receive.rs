@@ -3,7 +3,7 @@
 
 use heapless::Vec;
 use ubimap_protocol::{
-    message::{Digests, Freshness, Interest, MAX_REQUESTS, Request, ToServerKind, Writer},
+    message::{Digests, Freshness, Interest, MAX_REQUESTS, Request, ToServer, Writer},
     tile::{
         BaseMissing, Epoch, Layer, Replica, Stamp, TILE_SIDE, Tile, TileDecoder, TileError, TileId,
         Version, tile_hash,
@@ -12,7 +12,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
-use crate::map::Surround;
+use crate::{map::Surround, timing::COVERAGE_STALE};
 
 /// One place in the pool: a tile of the fused layer, and the same of the coverage layer. Both are
 /// of the server's epoch.
@@ -89,8 +89,8 @@ fn ticks(moment: Instant) -> u32 {
     ((moment.micros() >> 10) as u32).max(1)
 }
 
-/// Coverage is fresh for a second, in [`ticks`].
-const FRESH: u32 = 976;
+/// How long coverage is fresh, in [`ticks`].
+const FRESH: u32 = (COVERAGE_STALE.0 >> 10) as u32;
 
 /// The server's tiles that the robot holds, in the caller's memory.
 #[derive(Debug)]
@@ -129,25 +129,21 @@ impl Missing {
     }
 
     /// Asks for them, as many as there is room for, once. `false` if there are none.
-    fn push(&mut self, writer: &mut Writer<'_>) -> bool {
+    fn push(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         if self.all {
             let request = Request { layer: self.layer, tiles: Vec::new() };
-            self.all = !writer.push(ToServerKind::Request as u8, &request);
+            self.all = !writer.push(&request);
             return !self.all;
         }
-        for count in (1..=self.tiles.len()).rev() {
-            let mut request = Request { layer: self.layer, tiles: self.tiles.clone() };
-            request.tiles.truncate(count);
-            if writer.push(ToServerKind::Request as u8, &request) {
-                let mut rest = Vec::new();
-                for &id in self.tiles.iter().skip(count) {
-                    let _ = rest.push(id);
-                }
-                self.tiles = rest;
-                return true;
-            }
+        let asked = writer.push_longest(1..=self.tiles.len(), |count| {
+            let tiles = self.tiles.get(..count).unwrap_or_default();
+            Request { layer: self.layer, tiles: Vec::from_slice(tiles).unwrap_or_default() }
+        });
+        if let Some(count) = asked {
+            let rest = self.tiles.get(count..).unwrap_or_default();
+            self.tiles = Vec::from_slice(rest).unwrap_or_default();
         }
-        false
+        asked.is_some()
     }
 }
 
@@ -256,7 +252,7 @@ impl<'b> FusedMap<'b> {
 
     /// Asks for the tiles that are to be asked for, as many as there is room for, once. `false`
     /// if there are none.
-    pub fn push_request(&mut self, writer: &mut Writer<'_>) -> bool {
+    pub fn push_request(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         self.missing.iter_mut().any(|missing| missing.push(writer))
     }
 
@@ -275,6 +271,8 @@ impl<'b> FusedMap<'b> {
     ///
     /// # Errors
     /// What follows a [`TileError`] is not read; what came before it holds.
+    // Not inlined, like `compare` and `confirm`: decoding adds to the stack of every other message.
+    #[inline(never)]
     pub fn update(&mut self, layer: Layer, coded: &[u8]) -> Result<(), TileError> {
         let mut decoder = TileDecoder::new(coded);
         let epoch = self.epoch;
@@ -297,6 +295,7 @@ impl<'b> FusedMap<'b> {
 
     /// Takes the states of some tiles of the server's: those of which an older state or other
     /// cells are held are asked for.
+    #[inline(never)]
     pub fn compare(&mut self, digests: &Digests) {
         let (layer, epoch) = (digests.layer, self.epoch);
         for digest in &digests.tiles {
@@ -315,6 +314,7 @@ impl<'b> FusedMap<'b> {
     }
 
     /// Takes the confirmation that coverage tiles were the newest at `moment` (robot's clock).
+    #[inline(never)]
     pub fn confirm(&mut self, freshness: &Freshness, moment: Instant) {
         let Some(interest) = self.interest.filter(|it| it.number == freshness.interest) else {
             return;
@@ -358,7 +358,7 @@ impl<'b> FusedMap<'b> {
 mod tests {
     use super::*;
     use ubimap_protocol::{
-        message::{Messages, decode},
+        message::Messages,
         tile::{Epoch, Stamp, TileEncoder, Version},
     };
 
@@ -381,8 +381,8 @@ mod tests {
             let mut writer = Writer::new(&mut buffer);
             assert!(map.push_request(&mut writer) && !map.push_request(&mut writer));
             let len = writer.len();
-            let message = Messages::new(&buffer[..len]).next().unwrap().unwrap();
-            decode::<Request>(message.body).unwrap().0.tiles.len()
+            let message = Messages::<ToServer>::new(&buffer[..len]).next().unwrap().unwrap();
+            message.decode::<Request>().unwrap().tiles.len()
         };
         assert_eq!((asked(8), asked(9), asked(3)), (8, 0, 3));
     }

@@ -11,7 +11,9 @@
 pub mod cobs;
 mod seal;
 
-pub use seal::{Direction, SEAL_LEN, SessionId, crc32, open, seal};
+pub use seal::{SEAL_LEN, open, seal};
+
+pub use crate::{message::Direction, units::SessionId};
 
 /// The version of the wire format that this crate speaks.
 pub const VERSION: u8 = 1;

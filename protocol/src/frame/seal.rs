@@ -3,33 +3,10 @@
 //! On a trusted wire it is a CRC-32. It is computed over the session and the direction as well,
 //! though these do not travel: a frame of another session, or one's own echo, does not pass.
 
-use crc::{CRC_32_ISO_HDLC, Crc};
+use crate::{checksum::CRC, message::Direction, units::SessionId};
 
 /// Bytes that the seal adds to a frame.
 pub const SEAL_LEN: usize = 4;
-
-const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-
-/// Which way a frame goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Direction {
-    /// From a robot to the server.
-    ToServer = 0,
-    /// From the server to a robot.
-    ToRobot = 1,
-}
-
-/// The number of a session, chosen by the server; zero outside any session (handshake).
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize,
-)]
-pub struct SessionId(pub u32);
-
-impl SessionId {
-    /// No session: the frames of the handshake.
-    pub const NONE: Self = Self(0);
-}
 
 /// The seal of a frame's header and payload.
 pub fn seal(session: SessionId, direction: Direction, contents: &[u8]) -> [u8; SEAL_LEN] {
@@ -48,23 +25,9 @@ pub fn open(session: SessionId, direction: Direction, frame: &[u8]) -> Option<&[
     good.then_some(contents)
 }
 
-/// The CRC-32 (ISO-HDLC) of some bytes; also the hash of tiles and maps.
-pub fn crc32(parts: &[&[u8]]) -> u32 {
-    let mut digest = CRC.digest();
-    for part in parts {
-        digest.update(part);
-    }
-    digest.finalize()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_crc_is_the_catalogues() {
-        assert_eq!(crc32(&[b"123456789"]), 0xCBF4_3926);
-    }
 
     #[test]
     fn a_seal_holds_for_one_session_and_direction() {

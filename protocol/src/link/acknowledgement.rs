@@ -3,20 +3,14 @@
 
 use heapless::Vec;
 
-use super::round_trip::RoundTrip;
-use crate::{
-    frame::SEQUENCE_MODULUS,
-    message::Ack,
-    time::{Duration, Instant},
+use super::{
+    round_trip::RoundTrip,
+    timing::{ACK_DELAY, ACK_REPEATS},
 };
+use crate::{frame::SEQUENCE_MODULUS, message::Ack, time::Instant};
 
 /// How far ahead of the oldest frame missing a sender may go: what an [`Ack`] can tell.
 const SPAN: u16 = 33;
-/// How long an acknowledgement may wait for a frame to travel in.
-const DELAY: Duration = Duration::from_millis(5);
-/// When an acknowledgement is repeated on a link that loses frames. It is short, and what is
-/// lost with it is a whole frame sent again.
-const REPEATS: [Duration; 2] = [Duration::from_millis(40), Duration::from_millis(70)];
 /// For how many frames after a sign of loss acknowledgements are repeated.
 const WARY: u8 = 32;
 
@@ -70,8 +64,8 @@ impl ReceiveWindow {
             _ => return Arrival::Refused,
         };
         self.wary = self.wary.saturating_sub(1);
-        self.repeats_left = if self.wary > 0 { REPEATS.len() } else { 0 };
-        let soon = now + DELAY;
+        self.repeats_left = if self.wary > 0 { ACK_REPEATS.len() } else { 0 };
+        let soon = now + ACK_DELAY;
         self.due = Some(self.due.map_or(soon, |due| due.min(soon)));
         arrival
     }
@@ -88,8 +82,8 @@ impl ReceiveWindow {
 
     /// The acknowledgement has left.
     pub(super) fn acknowledged(&mut self, now: Instant) {
-        let repeat = REPEATS.len().checked_sub(self.repeats_left);
-        self.due = repeat.and_then(|repeat| REPEATS.get(repeat)).map(|&wait| now + wait);
+        let repeat = ACK_REPEATS.len().checked_sub(self.repeats_left);
+        self.due = repeat.and_then(|repeat| ACK_REPEATS.get(repeat)).map(|&wait| now + wait);
         self.repeats_left = self.repeats_left.saturating_sub(1);
     }
 }

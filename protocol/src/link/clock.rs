@@ -4,6 +4,7 @@
 //! fastest of each way in the recent past met the least queueing: half the difference between
 //! the two is the offset of the clocks.
 
+use super::timing::{FIRST_TIME_INTERVAL, TIME_INTERVAL, TIME_REPLY_LOST};
 use crate::{
     message::{TimeReply, TimeRequest},
     time::{Duration, Instant},
@@ -14,12 +15,8 @@ const PER_GENERATION: u8 = 8;
 const GENERATIONS: usize = 8;
 /// Clocks drift apart: an older minimum counts as slower, by 1/2^16 (15 ppm) of its age.
 const DRIFT_SHIFT: u32 = 16;
-/// Between exchanges until the first minima are good, and after.
-const EAGER: Duration = Duration::from_millis(125);
-const EAGER_EXCHANGES: u8 = 64;
-const INTERVAL: Duration = Duration::from_secs(5);
-/// A reply that takes longer is as good as lost.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// Exchanges until the first minima are good.
+const FIRST_EXCHANGES: u8 = 64;
 
 /// The fastest way there and back of a few exchanges, in microseconds by two clocks.
 #[derive(Clone, Copy, Debug)]
@@ -80,8 +77,8 @@ impl ClockSync {
         let nonce = self.next_nonce;
         self.next_nonce = self.next_nonce.wrapping_add(1);
         self.pending = Some((nonce, now));
-        let eager = self.exchanges < EAGER_EXCHANGES;
-        self.next_request = now + if eager { EAGER } else { INTERVAL };
+        let is_first = self.exchanges < FIRST_EXCHANGES;
+        self.next_request = now + if is_first { FIRST_TIME_INTERVAL } else { TIME_INTERVAL };
         Some(TimeRequest { nonce })
     }
 
@@ -95,7 +92,7 @@ impl ClockSync {
         let Some((_, sent)) = self.pending.take_if(|(nonce, _)| *nonce == reply.nonce) else {
             return;
         };
-        if now.since(sent) > PATIENCE {
+        if now.since(sent) > TIME_REPLY_LOST {
             return;
         }
         let replied = reply.received.0.saturating_add(u64::from(reply.held_micros));

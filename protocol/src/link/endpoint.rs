@@ -1,13 +1,16 @@
 //! One end of a link: bytes in, messages out; messages in, frames out.
 
+use core::marker::PhantomData;
+
 use super::acknowledgement::{Arrival, ReceiveWindow, SendWindow};
 use crate::{
     frame::{
-        DEFAULT_FRAME, Direction, FrameKind, HEADER_LEN, Header, MIN_VERSION, SEAL_LEN,
-        SEQUENCE_MODULUS, SessionId, VERSION, cobs, open, payload_capacity, seal,
+        DEFAULT_FRAME, FrameKind, HEADER_LEN, Header, MIN_VERSION, SEAL_LEN, SEQUENCE_MODULUS,
+        VERSION, cobs, open, payload_capacity, seal,
     },
-    message::{Ack, Message, Messages, Writer, decode},
+    message::{Ack, Body, Message, Messages, Traffic, Writer},
     time::Instant,
+    units::SessionId,
 };
 
 /// In a frame with less room than this for messages an acknowledgement travels alone: beside it
@@ -35,15 +38,15 @@ pub struct Counters {
     pub refused: u32,
 }
 
-/// What came in.
+/// What came in, in direction `D`.
 #[derive(Debug)]
-pub enum Received<'a> {
+pub enum Received<'a, D> {
     /// A message outside any session.
-    Handshake(Message<'a>),
-    /// The messages of a frame of this session, each frame once. Acknowledgements are among them
-    /// and have been seen to.
-    Session(Messages<'a>),
-    /// Something that is no frame of this session, or breaks a rule of the protocol.
+    Handshake(Message<'a, D>),
+    /// The messages of a frame of this session, each frame once. Acknowledgements are among them,
+    /// and have been taken.
+    Session(Messages<'a, D>),
+    /// No frame of this session, or one that breaks a rule of the protocol.
     Bad,
 }
 
@@ -67,12 +70,13 @@ pub struct Transmit<T> {
     pub token: Option<T>,
 }
 
-/// One end of a link. `WINDOW` reliable frames may be under way (at most 32), of at most `FRAME`
-/// bytes on the wire; about `(WINDOW + 1) * FRAME` bytes of memory, and `FRAME` of stack to write one. `T` marks reliable frames for
-/// the owner.
+/// One end of a link, which sends messages of direction `D`. At most `WINDOW` reliable frames are in
+/// flight (at most 32), of at most `FRAME` bytes on the wire. `T` is the token by which the owner
+/// knows a reliable frame. Memory: about `(WINDOW + 1) * FRAME` bytes, and `FRAME` of stack while a
+/// frame is written.
 #[derive(Debug)]
-pub struct Endpoint<T, const WINDOW: usize, const FRAME: usize> {
-    outgoing: Direction,
+pub struct Endpoint<D, T, const WINDOW: usize, const FRAME: usize> {
+    direction: PhantomData<D>,
     session: SessionId,
     /// Bytes of a frame on the wire, as agreed.
     frame: usize,
@@ -83,11 +87,19 @@ pub struct Endpoint<T, const WINDOW: usize, const FRAME: usize> {
     counters: Counters,
 }
 
-impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME> {
-    /// An end whose frames go this way, without a session.
-    pub fn new(outgoing: Direction) -> Self {
+impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Default
+    for Endpoint<D, T, WINDOW, FRAME>
+{
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T, WINDOW, FRAME> {
+    /// An end without a session.
+    pub fn new() -> Self {
         Self {
-            outgoing,
+            direction: PhantomData,
             session: SessionId::NONE,
             frame: FRAME.min(DEFAULT_FRAME),
             decoder: cobs::Decoder::default(),
@@ -136,11 +148,12 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
 
     /// Takes bytes from the front of `input` until there is something to say of them. Call it
     /// until it returns `None`: then the input is used up.
-    pub fn receive(&mut self, input: &mut &[u8], now: Instant) -> Option<Received<'_>> {
-        let incoming = match self.outgoing {
-            Direction::ToServer => Direction::ToRobot,
-            Direction::ToRobot => Direction::ToServer,
-        };
+    pub fn receive(
+        &mut self,
+        input: &mut &[u8],
+        now: Instant,
+    ) -> Option<Received<'_, D::Opposite>> {
+        let incoming = D::Opposite::DIRECTION;
         let Self { decoder, counters, session, receiving, sending, .. } = self;
         let Ok(frame) = decoder.next(input)? else {
             counters.bad = counters.bad.wrapping_add(1);
@@ -182,13 +195,14 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
                 Arrival::Refused => return refuse(counters),
             }
         }
-        for message in Messages::new(payload) {
-            match message {
-                Ok(Message { kind: Ack::KIND, body }) => match decode::<Ack>(body) {
-                    Ok((ack, _)) => sending.acknowledge(ack, now),
-                    Err(_) => counters.refused = counters.refused.wrapping_add(1),
-                },
-                Ok(_) => {}
+        for message in Messages::<D::Opposite>::new(payload) {
+            let ack = match message {
+                Ok(message) if message.number != D::Opposite::ACK.into() => continue,
+                Ok(message) => message.decode::<Ack>(),
+                Err(malformed) => Err(malformed),
+            };
+            match ack {
+                Ok(ack) => sending.acknowledge(ack, now),
                 Err(_) => counters.refused = counters.refused.wrapping_add(1),
             }
         }
@@ -203,23 +217,18 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
 
     /// Writes a frame of the handshake: one message, sealed outside any session. `None` if it
     /// does not fit.
-    pub fn handshake<M: serde::Serialize>(
-        &mut self,
-        kind: u8,
-        body: &M,
-        out: &mut [u8],
-    ) -> Option<usize> {
+    pub fn handshake<M: Body<D>>(&mut self, body: &M, out: &mut [u8]) -> Option<usize> {
         let header = Header { version: VERSION, kind: FrameKind::Handshake, sequence: 0 };
         let mut scratch = [0; FRAME];
         let (head, payload) = scratch.split_first_chunk_mut::<HEADER_LEN>()?;
         *head = header.encode();
-        let mut writer = Writer::new(payload);
-        if !writer.push(kind, body) {
+        let mut writer = Writer::<D>::new(payload);
+        if !writer.push(body) {
             return None;
         }
         let len = HEADER_LEN + writer.len();
         let contents = scratch.get(..len)?;
-        let tail = seal(SessionId::NONE, self.outgoing, contents);
+        let tail = seal(SessionId::NONE, D::DIRECTION, contents);
         self.counters.sent = self.counters.sent.wrapping_add(1);
         cobs::encode([contents, &tail], out)
     }
@@ -234,7 +243,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         now: Instant,
         out: &mut [u8],
         urgent: bool,
-        fill: impl FnOnce(&mut Writer<'_>, bool) -> Fill<T>,
+        fill: impl FnOnce(&mut Writer<'_, D>, bool) -> Fill<T>,
     ) -> Option<Transmit<T>> {
         if self.session == SessionId::NONE {
             return None;
@@ -251,7 +260,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
 
     fn send_again(&mut self, now: Instant, out: &mut [u8]) -> Option<Transmit<T>> {
         let (contents, token) = self.sending.resend(now)?;
-        let tail = seal(self.session, self.outgoing, contents);
+        let tail = seal(self.session, D::DIRECTION, contents);
         let len = cobs::encode([contents, &tail], out)?;
         self.counters.sent = self.counters.sent.wrapping_add(1);
         self.counters.retransmissions = self.counters.retransmissions.wrapping_add(1);
@@ -262,7 +271,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         &mut self,
         now: Instant,
         out: &mut [u8],
-        fill: impl FnOnce(&mut Writer<'_>, bool) -> Fill<T>,
+        fill: impl FnOnce(&mut Writer<'_, D>, bool) -> Fill<T>,
     ) -> Option<Transmit<T>> {
         let sequence = self.sending.next_sequence();
         let room = payload_capacity(self.frame.min(out.len()));
@@ -272,7 +281,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         let due = self.receiving.due().is_some_and(|due| due <= now);
         let alone = room < ROOM_FOR_TWO;
         let owed = self.receiving.owed().filter(|_| due || !alone);
-        let acknowledges = owed.is_some_and(|ack| writer.push(Ack::KIND, &ack));
+        let acknowledges = owed.is_some_and(|ack| writer.push(&ack));
         let empty = writer.len();
         let filled = match alone && acknowledges {
             true => Fill::Nothing,
@@ -289,7 +298,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
         let len = HEADER_LEN + writer.len();
         *head = Header { version: VERSION, kind, sequence }.encode();
         let contents = scratch.get(..len)?;
-        let tail = seal(self.session, self.outgoing, contents);
+        let tail = seal(self.session, D::DIRECTION, contents);
         let wire = cobs::encode([contents, &tail], out)?;
         debug_assert!(contents.len() + SEAL_LEN <= FRAME);
         if let Some(token) = token {
@@ -313,7 +322,7 @@ impl<T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<T, WINDOW, FRAME
     }
 }
 
-fn refuse<'a>(counters: &mut Counters) -> Option<Received<'a>> {
+fn refuse<'a, D>(counters: &mut Counters) -> Option<Received<'a, D>> {
     counters.refused = counters.refused.wrapping_add(1);
     Some(Received::Bad)
 }
@@ -321,34 +330,47 @@ fn refuse<'a>(counters: &mut Counters) -> Option<Received<'a>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        frame::Direction,
+        message::{Request, ToRobot, ToServer},
+        tile::{Layer, TileId},
+    };
 
-    type End = Endpoint<u32, 8, 64>;
+    type End<D> = Endpoint<D, u32, 8, 64>;
 
-    fn pair() -> (End, End) {
-        let mut robot = End::new(Direction::ToServer);
-        let mut server = End::new(Direction::ToRobot);
+    fn pair() -> (End<ToServer>, End<ToRobot>) {
+        let (mut robot, mut server) = (End::new(), End::new());
         robot.begin(SessionId(77), 64);
         server.begin(SessionId(77), 64);
         (robot, server)
     }
 
-    fn send(end: &mut End, now: u64, token: Option<u32>) -> std::vec::Vec<u8> {
+    /// A message that carries a number in either direction.
+    fn numbered(x: i16) -> Request {
+        Request { layer: Layer::Robot, tiles: core::iter::once(TileId { x, y: 0 }).collect() }
+    }
+
+    fn send<D: Traffic>(end: &mut End<D>, now: i16, token: Option<u32>) -> std::vec::Vec<u8>
+    where
+        Request: Body<D>,
+    {
         let mut out = [0u8; 64];
-        let sent = end.poll_transmit(Instant(now), &mut out, false, |writer, _| {
-            assert!(writer.push(9, &now));
+        let sent = end.poll_transmit(Instant(now as u64), &mut out, false, |writer, _| {
+            assert!(writer.push(&numbered(now)));
             token.map_or(Fill::Datagram, Fill::Reliable)
         });
         out[..sent.unwrap().len].to_vec()
     }
 
-    fn numbers(end: &mut End, mut bytes: &[u8], now: u64) -> std::vec::Vec<u64> {
+    fn numbers<D: Traffic>(end: &mut End<D>, mut bytes: &[u8], now: u64) -> std::vec::Vec<i16>
+    where
+        Request: Body<D::Opposite>,
+    {
         let mut numbers = std::vec::Vec::new();
         while let Some(received) = end.receive(&mut bytes, Instant(now)) {
             if let Received::Session(messages) = received {
-                numbers.extend(messages.filter_map(|message| {
-                    let message = message.ok()?;
-                    (message.kind == 9).then(|| decode::<u64>(message.body).unwrap().0)
-                }));
+                let requests = messages.filter_map(|message| message.ok()?.decode().ok());
+                numbers.extend(requests.map(|request: Request| request.tiles[0].x));
             }
         }
         numbers
@@ -381,7 +403,7 @@ mod tests {
         let mut out = [0u8; 64];
         let mut poll = |fill: Fill<u32>| {
             let sent = robot.poll_transmit(due, &mut out, true, |writer, _| {
-                assert!(writer.push(9, &1u8));
+                assert!(writer.push(&numbered(1)));
                 fill
             });
             sent.map(|sent| sent.token)
@@ -399,9 +421,9 @@ mod tests {
         let frame = send(&mut robot, 5, Some(1));
         numbers(&mut server, &frame, 5);
         let mut out = [0u8; 64];
-        let mut fill = |server: &mut End, now: Instant| {
-            let longest = |writer: &mut Writer<'_>, _| {
-                assert!(writer.push_with(9, |body| (body.len() >= 21).then_some(21)));
+        let mut fill = |server: &mut End<ToRobot>, now: Instant| {
+            let longest = |writer: &mut Writer<'_, ToRobot>, _| {
+                assert!(writer.push_encoded(Message::new(9, &[0; 21])));
                 Fill::Datagram
             };
             let len = server.poll_transmit(now, &mut out, false, longest).unwrap().len;

@@ -4,16 +4,16 @@
 //! session it does not know answers with a reset, and the robot knocks at once: a rebooted side
 //! is noticed with the first frame that reaches it.
 
+use super::timing::{HELLO_WAIT, REFUSED_WAIT};
 use crate::{
-    frame::{MAX_FRAME, MIN_FRAME, MIN_VERSION, SessionId, VERSION},
+    frame::{MAX_FRAME, MIN_FRAME, MIN_VERSION, VERSION},
     message::{Hello, Refusal, RefusalReason, Welcome},
     time::{Duration, Instant},
-    units::Millimetres,
+    units::{Millimetres, SessionId},
 };
 
-const FIRST_WAIT: Duration = Duration::from_millis(200);
+/// How often the wait for an answer to a hello is doubled.
 const DOUBLINGS: u32 = 4;
-const REFUSED_WAIT: Duration = Duration::from_secs(10);
 
 /// The robot's side: when to say hello.
 #[derive(Debug)]
@@ -41,7 +41,7 @@ impl Knocking {
     pub fn poll(&mut self, now: Instant) -> bool {
         let due = now >= self.next;
         if due {
-            self.next = now + Duration(FIRST_WAIT.0 << self.knocks.min(DOUBLINGS));
+            self.next = now + Duration(HELLO_WAIT.0 << self.knocks.min(DOUBLINGS));
             self.knocks = self.knocks.saturating_add(1);
         }
         due

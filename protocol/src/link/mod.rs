@@ -9,6 +9,7 @@ mod clock;
 mod endpoint;
 mod handshake;
 mod round_trip;
+mod timing;
 
 pub use clock::ClockSync;
 pub use endpoint::{Counters, Endpoint, Fill, Received, Transmit};

@@ -1,22 +1,57 @@
-//! Messages: one file a direction. A frame carries any number of them, each as a kind (one byte),
-//! the length of its body (a varint) and the body (postcard).
+//! What the server and its robots say to each other.
+//!
+//! A frame carries any number of messages, each as a kind (one byte), the length of its body (a
+//! varint) and the body (postcard). One file for each direction lists its kinds and their bodies;
+//! [`ToServer`] and [`ToRobot`] are the directions as types, and [`Body`] ties a type to its kind.
+//!
+//! ```
+//! use ubimap_protocol::message::{Messages, Stop, ToRobot, ToRobotMessage, Writer};
+//!
+//! let mut payload = [0; 40];
+//! let mut writer = Writer::<ToRobot>::new(&mut payload);
+//! assert!(writer.push(&Stop { number: 7, stop: true }));
+//! let len = writer.len();
+//!
+//! for message in Messages::<ToRobot>::new(&payload[..len]).flatten() {
+//!     match message.by_kind() {
+//!         Some(ToRobotMessage::Stop(stop)) => assert_eq!(stop.decode().unwrap().number, 7),
+//!         Some(other) => println!("not of interest: {other:?}"),
+//!         None => println!("a kind of a later version: {}", message.number),
+//!     }
+//! }
+//! ```
+//!
+//! A message does not travel the wrong way:
+//!
+//! ```compile_fail,E0277
+//! use ubimap_protocol::message::{Stop, ToServer, Writer};
+//!
+//! let mut payload = [0; 40];
+//! let mut writer = Writer::<ToServer>::new(&mut payload);
+//! let _ = writer.push(&Stop { number: 7, stop: true });
+//! ```
 
+mod direction;
 mod reader;
+mod shared;
+mod table;
 mod to_robot;
 mod to_server;
 mod wire;
 
+pub use direction::{Body, Direction, ToRobot, ToServer, Traffic};
+pub use shared::{
+    Ack, Digests, MAX_DIGESTS, MAX_PARAMETERS, MAX_REQUESTS, ParameterValue, Request, TileDigest,
+    TileUpdateHead,
+};
 pub use to_robot::{
     Certainty, EarlierFix, FixSource, Freshness, MAX_EARLIER_FIXES, MAX_FRESH_BYTES, MAX_OBSTACLES,
     MAX_PEERS, MAX_STORED, MAX_WAYPOINTS, Obstacle, ObstacleClass, Obstacles, ParameterAction,
-    ParameterCommand, Path, Peer, Peers, PoseFix, Refusal, RefusalReason, Stop, Stored, TimeReply,
-    ToRobotKind, Waypoint, Welcome,
+    ParameterCommand, Path, Peer, Peers, PoseFix, Refusal, RefusalReason, Reset, Stop, Stored,
+    TimeReply, ToRobotKind, ToRobotMessage, Waypoint, Welcome,
 };
 pub use to_server::{
-    DistanceVector, Event, EventCode, Hello, Interest, MAX_COLUMNS, MAX_DETAIL, MAX_REQUESTS,
-    ParameterOutcome, ParameterReport, Request, Severity, State, TimeRequest, ToServerKind,
+    DistanceVector, Event, EventCode, Hello, Interest, MAX_COLUMNS, MAX_DETAIL, ParameterOutcome,
+    ParameterReport, Severity, State, TimeRequest, ToServerKind, ToServerMessage,
 };
-pub use wire::{
-    Ack, Digests, MAX_DIGESTS, MAX_PARAMETERS, MalformedMessage, Message, Messages, ParameterValue,
-    TileDigest, TileUpdateHead, Writer, decode,
-};
+pub use wire::{Encoded, MalformedMessage, Message, Messages, Writer};

@@ -3,75 +3,36 @@
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
-use super::wire::ParameterValue;
+use super::{
+    shared::{Digests, ParameterValue, Request, TileUpdateHead},
+    table::messages,
+};
 use crate::{
-    frame::SessionId,
     tile::{Stamp, TileId},
     time::Instant,
-    units::{Millimetres, Pose, RobotId},
+    units::{Millimetres, Pose, RobotId, SessionId},
 };
 
-/// The kinds of messages to a robot. Kind 0 is [`Ack`](super::Ack).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum ToRobotKind {
-    /// [`Welcome`], in a handshake frame.
-    Welcome = 1,
-    /// [`TimeReply`].
-    TimeReply = 2,
-    /// A [`TileUpdateHead`](super::TileUpdateHead) and coded tiles of the server's layers.
-    TileUpdate = 3,
-    /// [`PoseFix`].
-    PoseFix = 4,
-    /// [`Refusal`], in a handshake frame.
-    Refusal = 5,
-    /// [`Request`](super::Request).
-    Request = 6,
-    /// In a handshake frame, without a body: the server has no session here, say hello.
-    Reset = 7,
-    /// [`Peers`].
-    Peers = 8,
-    /// [`Obstacles`].
-    Obstacles = 9,
-    /// [`Path`].
-    Path = 10,
-    /// [`Stop`].
-    Stop = 11,
-    /// [`ParameterCommand`].
-    Parameter = 12,
-    /// [`Stored`].
-    Stored = 13,
-    /// [`Digests`](super::Digests) of the server's layers.
-    Digests = 14,
-    /// [`Freshness`].
-    Freshness = 15,
+messages! {
+    ToRobot, against ToServer: ToRobotKind, ToRobotMessage;
+    1 Welcome(Welcome),
+    2 TimeReply(TimeReply),
+    3 TileUpdate(TileUpdateHead),
+    4 PoseFix(PoseFix),
+    5 Refusal(Refusal),
+    6 Request(Request),
+    7 Reset(Reset),
+    8 Peers(Peers),
+    9 Obstacles(Obstacles),
+    10 Path(Path),
+    11 Stop(Stop),
+    12 Parameter(ParameterCommand),
+    13 Stored(Stored),
+    14 Digests(Digests),
+    15 Freshness(Freshness),
 }
 
-impl ToRobotKind {
-    /// The kind of this number, or `None` for one that this version does not know.
-    pub fn from_number(number: u8) -> Option<Self> {
-        Some(match number {
-            1 => Self::Welcome,
-            2 => Self::TimeReply,
-            3 => Self::TileUpdate,
-            4 => Self::PoseFix,
-            5 => Self::Refusal,
-            6 => Self::Request,
-            7 => Self::Reset,
-            8 => Self::Peers,
-            9 => Self::Obstacles,
-            10 => Self::Path,
-            11 => Self::Stop,
-            12 => Self::Parameter,
-            13 => Self::Stored,
-            14 => Self::Digests,
-            15 => Self::Freshness,
-            _ => return None,
-        })
-    }
-}
-
-/// Answers a hello: the session begins.
+/// Answers a hello in a handshake frame: the session begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Welcome {
     /// The nonce of the hello.
@@ -91,7 +52,7 @@ pub struct Welcome {
     pub stores: bool,
 }
 
-/// Answers a hello: why there can be no session.
+/// Answers a hello in a handshake frame: why there can be no session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refusal {
     /// The nonce of the hello.
@@ -115,6 +76,11 @@ pub enum RefusalReason {
     /// The robot's frames are smaller than the server can work with; it needs this many bytes.
     Frame(u16),
 }
+
+/// Tells a robot that the server has no session with it, in a handshake frame: it is to say hello.
+/// An empty body.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Reset;
 
 /// Answers a time request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -199,17 +165,17 @@ impl PoseFix {
         }))
     }
 
-    /// The message for these fixes, newest first, as many as it holds. Steps in time that it
-    /// can't express (over an hour) end it. `None` if there is no fix.
+    /// The message for the newest fix and those before it, newest first: as many as it holds, up
+    /// to the first step in time that it cannot express (over an hour).
     pub fn from_fixes(
-        mut fixes: impl Iterator<Item = (Instant, Pose)>,
+        (time, pose): (Instant, Pose),
+        before: impl Iterator<Item = (Instant, Pose)>,
         certainty: Certainty,
         source: FixSource,
-    ) -> Option<Self> {
-        let (time, pose) = fixes.next()?;
+    ) -> Self {
         let mut earlier = Vec::new();
         let mut last = (time, pose);
-        for fix in fixes {
+        for fix in before {
             let Ok(before_micros) = u32::try_from(last.0.since(fix.0).micros()) else { break };
             let step = EarlierFix {
                 before_micros,
@@ -222,7 +188,7 @@ impl PoseFix {
             }
             last = fix;
         }
-        Some(Self { time, pose, certainty, source, earlier })
+        Self { time, pose, certainty, source, earlier }
     }
 }
 
@@ -389,9 +355,8 @@ mod tests {
             (Instant(100_000), pose(0, 0, 0)),
             (Instant(50_000), pose(0, 0, 0)),
         ];
-        let message =
-            PoseFix::from_fixes(fixes.into_iter(), Certainty::default(), FixSource::Camera)
-                .unwrap();
+        let (newest, before) = (fixes[0], fixes[1..].iter().copied());
+        let message = PoseFix::from_fixes(newest, before, Certainty::default(), FixSource::Camera);
         let read: std::vec::Vec<_> = message.fixes().collect();
         assert_eq!(read, fixes[..4]);
     }

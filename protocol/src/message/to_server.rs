@@ -3,59 +3,31 @@
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
-use super::wire::{MAX_PARAMETERS, ParameterValue};
+use super::{
+    shared::{Digests, MAX_PARAMETERS, ParameterValue, Request, TileUpdateHead},
+    table::messages,
+};
 use crate::{
-    tile::{Layer, TileId},
+    tile::TileId,
     time::Instant,
     units::{Angle, Millimetres, Pose, RobotId},
 };
 
-/// The kinds of messages to the server. Kind 0 is [`Ack`](super::Ack).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum ToServerKind {
-    /// [`Hello`], in a handshake frame.
-    Hello = 1,
-    /// [`TimeRequest`].
-    TimeRequest = 2,
-    /// A [`TileUpdateHead`](super::TileUpdateHead) and coded tiles of the robot's layer.
-    TileUpdate = 3,
-    /// [`State`].
-    State = 4,
-    /// [`Interest`].
-    Interest = 5,
-    /// [`Request`].
-    Request = 6,
-    /// [`DistanceVector`].
-    DistanceVector = 7,
-    /// [`Event`].
-    Event = 8,
-    /// [`Digests`](super::Digests) of the robot's layer.
-    Digests = 9,
-    /// [`ParameterReport`].
-    ParameterReport = 10,
+messages! {
+    ToServer, against ToRobot: ToServerKind, ToServerMessage;
+    1 Hello(Hello),
+    2 TimeRequest(TimeRequest),
+    3 TileUpdate(TileUpdateHead),
+    4 State(State),
+    5 Interest(Interest),
+    6 Request(Request),
+    7 DistanceVector(DistanceVector),
+    8 Event(Event),
+    9 Digests(Digests),
+    10 ParameterReport(ParameterReport),
 }
 
-impl ToServerKind {
-    /// The kind of this number, or `None` for one that this version does not know.
-    pub fn from_number(number: u8) -> Option<Self> {
-        Some(match number {
-            1 => Self::Hello,
-            2 => Self::TimeRequest,
-            3 => Self::TileUpdate,
-            4 => Self::State,
-            5 => Self::Interest,
-            6 => Self::Request,
-            7 => Self::DistanceVector,
-            8 => Self::Event,
-            9 => Self::Digests,
-            10 => Self::ParameterReport,
-            _ => return None,
-        })
-    }
-}
-
-/// Opens a conversation: who the robot is and what it can do.
+/// Opens a conversation, in a handshake frame: who the robot is and what it can do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
     /// The newest version of the protocol that the robot speaks.
@@ -271,16 +243,4 @@ pub enum ParameterOutcome {
     Unknown,
     /// The value is out of its range; nothing was changed.
     OutOfRange,
-}
-
-/// The most tiles that one [`Request`] can name.
-pub const MAX_REQUESTS: usize = 8;
-
-/// Asks for whole tiles: an update came for a base that is not held. The same in both directions.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Request {
-    /// The layer of the tiles.
-    pub layer: Layer,
-    /// Which tiles; none means all.
-    pub tiles: Vec<TileId, MAX_REQUESTS>,
 }

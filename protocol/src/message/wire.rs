@@ -1,123 +1,143 @@
-//! How messages stand in a frame, and those that both directions share.
+//! How messages stand in a frame's payload: read and written one after another.
 
-use core::cell::Cell;
+use core::{cell::Cell, fmt, marker::PhantomData, ops::RangeInclusive};
 
-use heapless::Vec;
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde::de::DeserializeOwned;
 
-use super::reader::Reader;
-use crate::tile::{Layer, Stamp, TileId};
-
-/// Acknowledges reliable frames. The same in both directions, kind 0.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Ack {
-    /// All reliable frames before this sequence number have arrived.
-    pub next: u16,
-    /// Bit `i` set: the frame `next + 1 + i` has arrived as well.
-    pub later: u32,
-}
-
-impl Ack {
-    /// The kind of this message, in both directions.
-    pub const KIND: u8 = 0;
-}
-
-/// The most parameters of a robot.
-pub const MAX_PARAMETERS: usize = 16;
-
-/// A parameter and its value; SPEC.md lists the parameters, their units and ranges.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ParameterValue {
-    /// Which parameter.
-    pub parameter: u16,
-    /// Its value, in its unit.
-    pub value: i32,
-}
-
-/// The most tiles in one [`Digests`].
-pub const MAX_DIGESTS: usize = 8;
-
-/// What the writer of a layer has, of a few of its tiles: whoever holds an older state, or other
-/// cells, asks for the tile. The same in both directions.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Digests {
-    /// The layer.
-    pub layer: Layer,
-    /// The tiles.
-    pub tiles: Vec<TileDigest, MAX_DIGESTS>,
-}
-
-/// The state of one tile.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TileDigest {
-    /// Which tile.
-    pub id: TileId,
-    /// Its state.
-    pub stamp: Stamp,
-    /// The hash of its cells ([`tile_hash`](crate::tile::tile_hash)).
-    pub hash: u32,
-}
-
-/// What precedes the coded tiles in the body of a tile update.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TileUpdateHead {
-    /// The layer that the tiles belong to.
-    pub layer: Layer,
-    /// When the newest scan in them was taken: whole seconds of the server's clock; for the
-    /// server's layers, the map time.
-    pub seconds: u32,
-}
-
-impl TileUpdateHead {
-    /// Writes the head at the start of a message body. `None` if it does not fit.
-    pub fn encode(self, body: &mut [u8]) -> Option<&[u8]> {
-        Some(postcard::to_slice(&self, body).ok()?)
-    }
-}
+use super::{
+    direction::{Body, Traffic},
+    reader::Reader,
+};
 
 /// A body that is not what its kind says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MalformedMessage;
 
-/// Reads the fixed part of a message body; what follows it is given back as well.
-pub fn decode<T: DeserializeOwned>(body: &[u8]) -> Result<(T, &[u8]), MalformedMessage> {
-    let mut reader = Reader::new(body);
-    let message = T::deserialize(&mut reader).map_err(|_| MalformedMessage)?;
-    Ok((message, reader.rest().map_err(|_| MalformedMessage)?))
+/// A message body that has not been decoded.
+pub struct Encoded<'a, T> {
+    body: &'a [u8],
+    decoded: PhantomData<T>,
 }
 
-/// One message of a frame, undecoded.
+impl<'a, T: DeserializeOwned> Encoded<'a, T> {
+    pub(super) fn new(body: &'a [u8]) -> Self {
+        Self { body, decoded: PhantomData }
+    }
+
+    /// The body. Bytes after it, fields that a later version has added, are passed over.
+    ///
+    /// # Errors
+    /// [`MalformedMessage`] if it cannot be read.
+    pub fn decode(self) -> Result<T, MalformedMessage> {
+        decode(&mut Reader::new(self.body))
+    }
+
+    /// The fixed part of the body and the bytes that follow it, such as the coded tiles of an
+    /// update.
+    ///
+    /// # Errors
+    /// [`MalformedMessage`] if the fixed part cannot be read.
+    pub fn split(self) -> Result<(T, &'a [u8]), MalformedMessage> {
+        let mut reader = Reader::new(self.body);
+        let head = decode(&mut reader)?;
+        Ok((head, reader.rest().map_err(|_| MalformedMessage)?))
+    }
+}
+
+// By hand: `derive` would ask the same of the body's type.
+impl<T> Clone for Encoded<'_, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Encoded<'_, T> {}
+
+impl<T> fmt::Debug for Encoded<'_, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Encoded").field(&self.body).finish()
+    }
+}
+
+fn decode<T: DeserializeOwned>(reader: &mut Reader<'_>) -> Result<T, MalformedMessage> {
+    T::deserialize(reader).map_err(|_| MalformedMessage)
+}
+
+/// One message of direction `D`, of any kind, not decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Message<'a> {
-    /// The kind; what it means depends on the direction.
-    pub kind: u8,
-    /// The body.
+pub struct Message<'a, D> {
+    /// The number of its kind, known or not.
+    pub number: u8,
+    /// Its body.
     pub body: &'a [u8],
+    direction: PhantomData<D>,
 }
 
-/// The messages of a frame's payload.
+impl<'a, D: Traffic> Message<'a, D> {
+    /// A message of a kind with this number.
+    pub fn new(number: u8, body: &'a [u8]) -> Self {
+        Self { number, body, direction: PhantomData }
+    }
+
+    /// Its kind, or `None` if this version does not know it.
+    pub fn kind(self) -> Option<D::Kind> {
+        D::kind(self.number)
+    }
+
+    /// The message by its kind, whose body is then decoded as the type that belongs to the kind.
+    /// `None` if this version does not know the kind.
+    pub fn by_kind(self) -> Option<D::Message<'a>> {
+        D::message(self.number, self.body)
+    }
+
+    /// The body as `T`.
+    ///
+    /// # Errors
+    /// [`MalformedMessage`] if the message is of another kind or cannot be read.
+    pub fn decode<T: Body<D>>(self) -> Result<T, MalformedMessage> {
+        self.encoded()?.decode()
+    }
+
+    /// The body that begins with `T`: see [`Encoded::split`].
+    ///
+    /// # Errors
+    /// [`MalformedMessage`] if the message is of another kind or `T` cannot be read.
+    pub fn split<T: Body<D>>(self) -> Result<(T, &'a [u8]), MalformedMessage> {
+        self.encoded()?.split()
+    }
+
+    fn encoded<T: Body<D>>(self) -> Result<Encoded<'a, T>, MalformedMessage> {
+        if self.number != T::KIND.into() {
+            return Err(MalformedMessage);
+        }
+        Ok(Encoded::new(self.body))
+    }
+}
+
+/// The messages of a frame's payload, in direction `D`.
 #[derive(Clone, Debug)]
-pub struct Messages<'a> {
+pub struct Messages<'a, D> {
     rest: &'a [u8],
+    direction: PhantomData<D>,
 }
 
-impl<'a> Messages<'a> {
+impl<'a, D: Traffic> Messages<'a, D> {
     /// The messages of this payload.
     pub fn new(payload: &'a [u8]) -> Self {
-        Self { rest: payload }
+        Self { rest: payload, direction: PhantomData }
     }
 
-    fn split(&mut self) -> Option<Message<'a>> {
-        let (&kind, rest) = self.rest.split_first()?;
-        let (len, rest) = decode::<u16>(rest).ok()?;
+    fn split(&mut self) -> Option<Message<'a, D>> {
+        let (&number, rest) = self.rest.split_first()?;
+        let (len, rest) = Encoded::<u16>::new(rest).split().ok()?;
         let (body, rest) = rest.split_at_checked(usize::from(len))?;
         self.rest = rest;
-        Some(Message { kind, body })
+        Some(Message::new(number, body))
     }
 }
 
-impl<'a> Iterator for Messages<'a> {
-    type Item = Result<Message<'a>, MalformedMessage>;
+impl<'a, D: Traffic> Iterator for Messages<'a, D> {
+    type Item = Result<Message<'a, D>, MalformedMessage>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.rest.is_empty() {
@@ -131,20 +151,21 @@ impl<'a> Iterator for Messages<'a> {
     }
 }
 
-/// Writes messages, one after another, into the payload of a frame.
+/// Writes messages of direction `D`, one after another, into the payload of a frame.
 #[derive(Debug)]
-pub struct Writer<'a> {
+pub struct Writer<'a, D> {
     buffer: &'a mut [u8],
     len: usize,
+    direction: PhantomData<D>,
 }
 
 /// The most bytes that kind and length take.
 const HEAD_LEN: usize = 3;
 
-impl<'a> Writer<'a> {
+impl<'a, D: Traffic> Writer<'a, D> {
     /// Writes into this buffer from its start.
     pub fn new(buffer: &'a mut [u8]) -> Self {
-        Self { buffer, len: 0 }
+        Self { buffer, len: 0, direction: PhantomData }
     }
 
     /// Bytes written so far.
@@ -164,31 +185,72 @@ impl<'a> Writer<'a> {
 
     /// Adds a message. `false`, and nothing written, if it does not fit.
     #[must_use]
-    pub fn push<T: Serialize>(&mut self, kind: u8, body: &T) -> bool {
-        self.push_with(kind, |buffer| Some(postcard::to_slice(body, buffer).ok()?.len()))
+    pub fn push<T: Body<D>>(&mut self, body: &T) -> bool {
+        self.write(T::KIND.into(), |space| Some(postcard::to_slice(body, space).ok()?.len()))
+            .is_some()
     }
 
-    /// Adds a message whose body `fill` writes; it returns the length, or `None` to write none
-    /// after all. `false`, and nothing written, then or if it does not fit.
+    /// Adds a message whose body begins with `head`; `rest` writes what follows it and returns its
+    /// length, or `None` to write no message after all. `false`, and nothing written, then or if it
+    /// does not fit.
     #[must_use]
-    pub fn push_with(&mut self, kind: u8, fill: impl FnOnce(&mut [u8]) -> Option<usize>) -> bool {
-        self.try_push(kind, fill).is_some()
+    pub fn push_with<T: Body<D>>(
+        &mut self,
+        head: &T,
+        rest: impl FnOnce(&mut [u8]) -> Option<usize>,
+    ) -> bool {
+        let written = self.write(T::KIND.into(), |space| {
+            let head_len = postcard::to_slice(head, space).ok()?.len();
+            Some(head_len + rest(space.get_mut(head_len..)?)?)
+        });
+        written.is_some()
     }
 
-    fn try_push(&mut self, kind: u8, fill: impl FnOnce(&mut [u8]) -> Option<usize>) -> Option<()> {
+    /// Adds the longest message that fits: `body` makes it with a number of elements, and the
+    /// numbers of `counts` are tried from the last to the first. Returns the number that fitted;
+    /// `None`, and nothing written, if none did.
+    #[must_use]
+    pub fn push_longest<T: Body<D>>(
+        &mut self,
+        counts: RangeInclusive<usize>,
+        mut body: impl FnMut(usize) -> T,
+    ) -> Option<usize> {
+        let (least, mut count) = counts.into_inner();
+        while count >= least {
+            if self.push(&body(count)) {
+                return Some(count);
+            }
+            count = count.checked_sub(1)?;
+        }
+        None
+    }
+
+    /// Adds a message that is encoded already, of whatever kind. `false`, and nothing written, if it
+    /// does not fit.
+    #[must_use]
+    pub fn push_encoded(&mut self, message: Message<'_, D>) -> bool {
+        let Message { number, body, .. } = message;
+        let written = self.write(number, |space| {
+            space.get_mut(..body.len())?.copy_from_slice(body);
+            Some(body.len())
+        });
+        written.is_some()
+    }
+
+    fn write(&mut self, number: u8, body: impl FnOnce(&mut [u8]) -> Option<usize>) -> Option<()> {
         // The body is written where the longest head would end, then moved down to the real one.
         let space = self.buffer.get_mut(self.len..)?.get_mut(HEAD_LEN..)?;
-        let body_len = fill(space)?;
-        self.close(kind, body_len)
+        let body_len = body(space)?;
+        self.close(number, body_len)
     }
 
     /// Puts the head before a body that has been written. Apart, so that it is in the firmware
     /// once and not for each kind of message.
     #[inline(never)]
-    fn close(&mut self, kind: u8, body_len: usize) -> Option<()> {
+    fn close(&mut self, number: u8, body_len: usize) -> Option<()> {
         let space = self.buffer.get_mut(self.len..)?;
         let (head, body) = space.split_at_mut_checked(HEAD_LEN)?;
-        *head.first_mut()? = kind;
+        *head.first_mut()? = number;
         let len_len =
             postcard::to_slice(&u16::try_from(body_len).ok()?, head.get_mut(1..)?).ok()?.len();
         if body_len > body.len() {
@@ -207,33 +269,79 @@ impl<'a> Writer<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        message::{
+            Ack, Request, TileUpdateHead, ToRobot, ToRobotKind, ToServer, ToServerKind,
+            ToServerMessage,
+        },
+        tile::{Layer, TileId},
+    };
     use proptest::prelude::*;
 
     #[test]
     fn messages_read_back_in_order() {
         let mut buffer = [0u8; 300];
-        let mut writer = Writer::new(&mut buffer);
+        let mut writer = Writer::<ToServer>::new(&mut buffer);
         let ack = Ack { next: 7, later: 5 };
-        assert!(writer.push(Ack::KIND, &ack));
-        assert!(writer.push_with(9, |body| {
-            body[..200].fill(3);
+        let head = TileUpdateHead { layer: Layer::Robot, seconds: 9 };
+        assert!(writer.push(&ack));
+        assert!(writer.push_with(&head, |rest| {
+            rest[..200].fill(3);
             Some(200)
         }));
-        assert!(!writer.push_with(9, |_| None));
-        assert!(!writer.push_with(9, |body| (body.len() >= 200).then_some(200)));
+        assert!(!writer.push_with(&head, |_| None));
+        assert!(!writer.push_with(&head, |rest| (rest.len() >= 200).then_some(200)));
+        assert!(writer.push_encoded(Message::new(99, &[1, 2])));
         let len = writer.len();
-        let mut messages = Messages::new(&buffer[..len]);
+        let mut messages = Messages::<ToServer>::new(&buffer[..len]);
         let first = messages.next().unwrap().unwrap();
-        assert_eq!((first.kind, decode::<Ack>(first.body)), (0, Ok((ack, &[][..]))));
-        let second = messages.next().unwrap().unwrap();
-        assert_eq!((second.kind, second.body), (9, &[3u8; 200][..]));
+        assert_eq!((first.number, first.decode()), (0, Ok(ack)));
+        assert_eq!(first.decode::<TileUpdateHead>(), Err(MalformedMessage), "of another kind");
+        let second = messages.next().unwrap().unwrap().by_kind().unwrap();
+        let ToServerMessage::TileUpdate(update) = second else { panic!("{second:?}") };
+        assert_eq!(update.split(), Ok((head, &[3u8; 200][..])));
+        let third = messages.next().unwrap().unwrap();
+        assert_eq!((third.number, third.body, third.kind()), (99, &[1u8, 2][..], None));
+        assert!(third.by_kind().is_none());
         assert_eq!(messages.next(), None);
+    }
+
+    #[test]
+    fn the_longest_message_that_fits_is_written() {
+        let request = |count| Request {
+            layer: Layer::Robot,
+            tiles: core::iter::repeat_n(TileId { x: 1, y: 1 }, count).collect(),
+        };
+        // Three bytes for kind and length while it is written, layer, count, two for each tile.
+        for (room, expected) in [(4, None), (5, None), (7, Some(1)), (10, Some(2)), (99, Some(4))] {
+            let mut buffer = [0u8; 99];
+            let mut writer = Writer::<ToRobot>::new(&mut buffer[..room]);
+            assert_eq!(writer.push_longest(1..=4, request), expected, "{room}");
+            let len = writer.len();
+            let written = Messages::<ToRobot>::new(&buffer[..len]).next();
+            let written = written.map(|message| message.unwrap().decode());
+            assert_eq!(written, expected.map(|count| Ok(request(count))), "{room}");
+        }
+    }
+
+    #[test]
+    fn kinds_and_numbers_belong_to_each_other() {
+        fn check<D: Traffic>(all: &[D::Kind]) {
+            let known: std::vec::Vec<u8> =
+                (0..=u8::MAX).filter(|&it| D::kind(it).is_some()).collect();
+            let numbers: std::vec::Vec<u8> = all.iter().map(|&kind| kind.into()).collect();
+            assert_eq!(known, numbers);
+            assert!(all.iter().all(|&kind| D::kind(kind.into()) == Some(kind)));
+            assert!(known.iter().all(|&number| D::message(number, &[]).is_some()));
+        }
+        check::<ToServer>(ToServerKind::ALL);
+        check::<ToRobot>(ToRobotKind::ALL);
     }
 
     proptest! {
         #[test]
         fn any_bytes_end(payload in proptest::collection::vec(any::<u8>(), 0..300)) {
-            let count = Messages::new(&payload).count();
+            let count = Messages::<ToServer>::new(&payload).count();
             prop_assert!(count <= payload.len());
         }
     }

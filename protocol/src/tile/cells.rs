@@ -9,8 +9,8 @@
 
 use super::{
     Row, TILE_SIDE, Tile,
-    codec::TileHeader,
     context::{self, Models},
+    header::TileHeader,
     range_coder::{Decoder, Encoder, Model},
 };
 
@@ -150,6 +150,7 @@ pub(super) fn take(
     *coder = hot;
 }
 
+/// Reads the cells of a row in some columns.
 #[inline(always)]
 fn take_row<'a>(
     mut coder: Decoder<'a>,
@@ -189,18 +190,8 @@ fn take_row<'a>(
         }
         let from = x;
         let end = if west == West::NEWLY_FREE { alike } else { x + 1 };
-        let at_occupied = context::occupied(at);
-        let mut occupied = models[usize::from(at_occupied)];
-        let mut is_occupied = coder.bit_inlined(&mut occupied);
-        while !is_occupied {
-            x += 1;
-            if x == end || !coder.bit_inlined(&mut changed) {
-                break;
-            }
-            is_occupied = coder.bit_inlined(&mut occupied);
-        }
-        models[usize::from(at)] = changed;
-        models[usize::from(at_occupied)] = occupied;
+        let is_occupied;
+        (coder, x, is_occupied) = take_free(coder, models, at, changed, from, end);
         row.low |= Columns { from, to: x }.mask();
         west = West::NEWLY_FREE;
         if is_occupied {
@@ -216,6 +207,34 @@ fn take_row<'a>(
         }
     }
     (coder, row)
+}
+
+/// Reads cells of context `at` that were unknown and have turned free, from column `from` to `end` at
+/// most; that the first one has changed has been read, with the model `changed`. Returns the column of
+/// the first cell that is not free, and whether it is occupied.
+#[inline(always)]
+fn take_free<'a>(
+    mut coder: Decoder<'a>,
+    models: &mut Models,
+    at: u8,
+    mut changed: Model,
+    from: usize,
+    end: usize,
+) -> (Decoder<'a>, usize, bool) {
+    let at_occupied = context::occupied(at);
+    let mut occupied = models[usize::from(at_occupied)];
+    let mut is_occupied = coder.bit_inlined(&mut occupied);
+    let mut x = from;
+    while !is_occupied {
+        x += 1;
+        if x == end || !coder.bit_inlined(&mut changed) {
+            break;
+        }
+        is_occupied = coder.bit_inlined(&mut occupied);
+    }
+    models[usize::from(at)] = changed;
+    models[usize::from(at_occupied)] = occupied;
+    (coder, x, is_occupied)
 }
 
 #[inline(never)]
@@ -382,15 +401,6 @@ impl Columns {
 }
 
 impl TileHeader {
-    fn ends_tile(&self) -> bool {
-        self.end == super::TILE_CELLS
-    }
-
-    /// The rows of which the part holds cells.
-    fn rows(&self) -> core::ops::Range<usize> {
-        usize::from(self.start) / TILE_SIDE..usize::from(self.end).div_ceil(TILE_SIDE)
-    }
-
     /// The columns of row `y` that the part holds.
     fn columns(&self, y: usize) -> Columns {
         let first = y * TILE_SIDE;

@@ -6,32 +6,15 @@
 use super::{
     Epoch, Stamp, TILE_SIDE, Tile, TileId, Version, cells,
     context::{self, Models},
+    header::{TILE_CELLS, TileHeader},
     range_coder::{Decoder, Encoder},
 };
-
-/// Cells of a tile, row by row from the south-west.
-pub const TILE_CELLS: u16 = (TILE_SIDE * TILE_SIDE) as u16;
 
 /// Cells in a row of a tile.
 const SIDE: u16 = TILE_SIDE as u16;
 
 /// The most tiles that one update may hold: bounds the work of a decoder.
 pub const MAX_TILES_PER_UPDATE: usize = 32;
-
-/// What precedes the cells of one tile in an update.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TileHeader {
-    /// Which tile.
-    pub id: TileId,
-    /// The state that the tile is in once all parts have arrived.
-    pub stamp: Stamp,
-    /// The version (of the same epoch) that it builds upon; `None`: on nothing, it is whole.
-    pub base: Option<Version>,
-    /// The first cell of this part, row by row from the south-west.
-    pub start: u16,
-    /// The cell after the last of this part; 1,024 ends the tile.
-    pub end: u16,
-}
 
 /// Orders of the Exp-Golomb codes in a tile's header.
 const FIRST_ID_ORDER: u32 = 3;

@@ -1,7 +1,7 @@
 //! Hashes by which two sides find out whether they hold the same.
 
 use super::{Stamp, TILE_SIDE, Tile, TileId};
-use crate::frame::crc32;
+use crate::checksum::crc32;
 
 /// The hash of a tile's cells: the CRC-32 of its low plane's rows and then its high plane's, each
 /// a little-endian word.

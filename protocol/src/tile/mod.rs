@@ -4,6 +4,7 @@ mod cells;
 mod codec;
 mod context;
 mod digest;
+mod header;
 #[cfg(test)]
 mod plain;
 mod planes;
@@ -11,10 +12,9 @@ mod range_coder;
 mod replica;
 mod stamp;
 
-pub use codec::{
-    MAX_TILES_PER_UPDATE, TILE_CELLS, TileDecoder, TileEncoder, TileError, TileHeader,
-};
+pub use codec::{MAX_TILES_PER_UPDATE, TileDecoder, TileEncoder, TileError};
 pub use digest::{Digest, tile_hash};
+pub use header::{TILE_CELLS, TileHeader};
 pub use planes::{Cell, Layer, Row, TILE_SIDE, Tile, TileId, cell_of};
 pub use replica::{Applied, BaseMissing, Publication, Replica};
 pub use stamp::{Epoch, Stamp, Version};

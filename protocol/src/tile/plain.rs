@@ -20,14 +20,14 @@ fn others(old: u8) -> [u8; 3] {
     }
 }
 
-/// What is there when a cell is coded.
-struct Scene<'a> {
+/// A part of a tile that is being coded, with the tile before and after the update.
+struct CodedPart<'a> {
     part: &'a TileHeader,
     old: &'a Tile,
     new: &'a Tile,
 }
 
-impl Scene<'_> {
+impl CodedPart<'_> {
     fn holds(&self, x: usize, y: usize) -> bool {
         let at = y * TILE_SIDE + x;
         (usize::from(self.part.start)..usize::from(self.part.end)).contains(&at)
@@ -58,17 +58,17 @@ impl Scene<'_> {
     }
 }
 
-fn put(coder: &mut Encoder<'_>, models: &mut Models, scene: &Scene<'_>) -> u16 {
-    let part = scene.part;
+fn put(coder: &mut Encoder<'_>, models: &mut Models, coded: &CodedPart<'_>) -> u16 {
+    let part = coded.part;
     let spare = if part.end == TILE_CELLS { 2 } else { 0 };
     let mut fitted = part.start;
     for y in 0..TILE_SIDE {
-        let columns: Vec<_> = (0..TILE_SIDE).filter(|&x| scene.holds(x, y)).collect();
+        let columns: Vec<_> = (0..TILE_SIDE).filter(|&x| coded.holds(x, y)).collect();
         let Some(&last) = columns.last() else { continue };
-        let changed = columns.iter().any(|&x| scene.has_changed(x, y));
-        coder.bit(&mut models[scene.row_context(y)], changed);
+        let changed = columns.iter().any(|&x| coded.has_changed(x, y));
+        coder.bit(&mut models[coded.row_context(y)], changed);
         for x in columns.into_iter().filter(|_| changed) {
-            put_cell(coder, models, scene, x, y);
+            put_cell(coder, models, coded, x, y);
             if coder.fits(spare) {
                 fitted = (y * TILE_SIDE + x + 1) as u16;
             }
@@ -82,9 +82,15 @@ fn put(coder: &mut Encoder<'_>, models: &mut Models, scene: &Scene<'_>) -> u16 {
     part.end
 }
 
-fn put_cell(coder: &mut Encoder<'_>, models: &mut Models, scene: &Scene<'_>, x: usize, y: usize) {
-    let around = scene.around(x, y);
-    let (old, new) = (scene.old.cell(x, y).code(), scene.new.cell(x, y).code());
+fn put_cell(
+    coder: &mut Encoder<'_>,
+    models: &mut Models,
+    coded: &CodedPart<'_>,
+    x: usize,
+    y: usize,
+) {
+    let around = coded.around(x, y);
+    let (old, new) = (coded.old.cell(x, y).code(), coded.new.cell(x, y).code());
     if old == 0 {
         let at = around.of_unknown();
         coder.bit(&mut models[at], new != 0);
@@ -110,14 +116,14 @@ fn put_cell(coder: &mut Encoder<'_>, models: &mut Models, scene: &Scene<'_>, x: 
 fn take(coder: &mut Decoder<'_>, models: &mut Models, part: &TileHeader, tile: &mut Tile) {
     let old = *tile;
     for y in 0..TILE_SIDE {
-        let holds = |x: usize| Scene { part, old: &old, new: &old }.holds(x, y);
+        let holds = |x: usize| CodedPart { part, old: &old, new: &old }.holds(x, y);
         let columns: Vec<_> = (0..TILE_SIDE).filter(|&x| holds(x)).collect();
-        let row = Scene { part, old: &old, new: tile }.row_context(y);
+        let row = CodedPart { part, old: &old, new: tile }.row_context(y);
         if columns.is_empty() || !coder.bit(&mut models[row]) {
             continue;
         }
         for x in columns {
-            let around = Scene { part, old: &old, new: tile }.around(x, y);
+            let around = CodedPart { part, old: &old, new: tile }.around(x, y);
             let code = take_cell(coder, models, around, old.cell(x, y).code());
             tile.set(x, y, Cell::from_code(code));
         }
@@ -269,13 +275,13 @@ proptest! {
             let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
             old.set(x, y, new.cell(x, y));
         }
-        let scene = Scene { part: &part, old: &old, new: &new };
+        let coded = CodedPart { part: &part, old: &old, new: &new };
         let (mut out, mut plain_out) = ([0; 700], [0; 700]);
         let (mut coder, mut plain) =
             (Encoder::new(&mut out[..room]), Encoder::new(&mut plain_out[..room]));
         let (mut models, mut plain_models) = (context::models(), context::models());
         let fitted = cells::put(&mut coder, &mut models, &part, &old, &new);
-        let plain_fitted = put(&mut plain, &mut plain_models, &scene);
+        let plain_fitted = put(&mut plain, &mut plain_models, &coded);
         // Cells that are alike are not parted, nor are they in two rows.
         prop_assert!(fitted <= plain_fitted && plain_fitted - fitted < TILE_SIDE as u16);
         prop_assert_eq!(fitted == part.end, plain_fitted == part.end);

@@ -319,35 +319,35 @@ mod tests {
     use proptest::prelude::*;
 
     #[derive(Clone, Debug)]
-    enum Step {
+    enum Symbol {
         Bit(usize, bool),
         Plain(u32, u32),
         Golomb(u32, u32),
         Signed(i32, u32),
     }
 
-    impl Step {
+    impl Symbol {
         fn encode(&self, encoder: &mut Encoder<'_>, models: &mut [Model; 4]) {
             match *self {
-                Step::Bit(model, bit) => encoder.bit(&mut models[model], bit),
-                Step::Plain(value, count) => encoder.plain(value, count),
-                Step::Golomb(value, order) => encoder.golomb(value, order),
-                Step::Signed(value, order) => encoder.signed(value, order),
+                Symbol::Bit(model, bit) => encoder.bit(&mut models[model], bit),
+                Symbol::Plain(value, count) => encoder.plain(value, count),
+                Symbol::Golomb(value, order) => encoder.golomb(value, order),
+                Symbol::Signed(value, order) => encoder.signed(value, order),
             }
         }
     }
 
-    fn steps() -> impl Strategy<Value = std::vec::Vec<Step>> {
-        let skewed = (0usize..4, prop::bool::weighted(0.03)).prop_map(|(m, b)| Step::Bit(m, b));
+    fn steps() -> impl Strategy<Value = std::vec::Vec<Symbol>> {
+        let skewed = (0usize..4, prop::bool::weighted(0.03)).prop_map(|(m, b)| Symbol::Bit(m, b));
         let step = prop_oneof![
             8 => skewed,
-            2 => (0usize..4, any::<bool>()).prop_map(|(m, b)| Step::Bit(m, b)),
-            1 => (any::<u32>(), 0u32..=32).prop_map(|(v, n)| Step::Plain(v, n)),
-            1 => (0u32..100_000, 0u32..6).prop_map(|(v, k)| Step::Golomb(v, k)),
-            1 => (any::<u32>(), 0u32..6).prop_map(|(v, k)| Step::Golomb(v, k)),
-            1 => (any::<u32>(), 0u32..6).prop_map(|(v, k)| Step::Golomb(u32::MAX - v % 40, k)),
-            1 => (-40_000i32..40_000, 0u32..6).prop_map(|(v, k)| Step::Signed(v, k)),
-            1 => (any::<i32>(), 0u32..6).prop_map(|(v, k)| Step::Signed(v, k)),
+            2 => (0usize..4, any::<bool>()).prop_map(|(m, b)| Symbol::Bit(m, b)),
+            1 => (any::<u32>(), 0u32..=32).prop_map(|(v, n)| Symbol::Plain(v, n)),
+            1 => (0u32..100_000, 0u32..6).prop_map(|(v, k)| Symbol::Golomb(v, k)),
+            1 => (any::<u32>(), 0u32..6).prop_map(|(v, k)| Symbol::Golomb(v, k)),
+            1 => (any::<u32>(), 0u32..6).prop_map(|(v, k)| Symbol::Golomb(u32::MAX - v % 40, k)),
+            1 => (-40_000i32..40_000, 0u32..6).prop_map(|(v, k)| Symbol::Signed(v, k)),
+            1 => (any::<i32>(), 0u32..6).prop_map(|(v, k)| Symbol::Signed(v, k)),
         ];
         proptest::collection::vec(step, 0..400)
     }
@@ -367,15 +367,15 @@ mod tests {
             let mut models = [Model(32_768); 4];
             for step in &steps {
                 match *step {
-                    Step::Bit(model, bit) => prop_assert_eq!(decoder.bit(&mut models[model]), bit),
-                    Step::Plain(value, count) => {
+                    Symbol::Bit(model, bit) => prop_assert_eq!(decoder.bit(&mut models[model]), bit),
+                    Symbol::Plain(value, count) => {
                         let mask = (1u64 << count) - 1;
                         prop_assert_eq!(u64::from(decoder.plain(count)), u64::from(value) & mask);
                     }
-                    Step::Golomb(value, order) => {
+                    Symbol::Golomb(value, order) => {
                         prop_assert_eq!(decoder.golomb(order), Some(value));
                     }
-                    Step::Signed(value, order) => {
+                    Symbol::Signed(value, order) => {
                         prop_assert_eq!(decoder.signed(order), Some(value));
                     }
                 }
@@ -409,7 +409,7 @@ mod tests {
             let mut tight = Encoder::new(&mut small[..room]);
             let mut models = [Model(32_768); 4];
             for step in &steps {
-                if let Step::Bit(model, bit) = *step {
+                if let Symbol::Bit(model, bit) = *step {
                     let mut same = models[model];
                     wide.bit(&mut same, bit);
                     tight.bit(&mut models[model], bit);

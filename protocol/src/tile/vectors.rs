@@ -129,52 +129,18 @@ fn refused() -> Vec<Value> {
         start: 0,
         end: TILE_CELLS,
     };
-    let version = |version| TileHeader {
-        stamp: Stamp { version: Version(version), ..header.stamp },
-        ..header
-    };
-    let whole = |header| TileHeader { base: None, ..header };
-    let mut cases = vec![
-        ("an empty update", vec![], "malformed", 0),
-        ("version zero", written(&[whole(version(0))]), "malformed", 0),
-        (
-            "a base that is as new",
-            written(&[TileHeader { base: Some(Version(5)), ..header }]),
-            "malformed",
-            0,
-        ),
-        ("base zero", written(&[TileHeader { base: Some(Version(0)), ..header }]), "malformed", 0),
-        (
-            "a part that ends where it starts",
-            written(&[TileHeader { start: 9, end: 9, ..header }]),
-            "malformed",
-            0,
-        ),
-        (
-            "a part that ends before it starts",
-            written(&[TileHeader { start: 9, end: 8, ..header }]),
-            "malformed",
-            0,
-        ),
+    let whole = TileHeader { base: None, ..header };
+    let mut cases = bad_headers(header);
+    cases.extend([
         (
             "more bytes than it says",
-            [&written(&[whole(header)])[..], &[1, 2, 3, 4, 5]].concat(),
+            [&written(&[whole])[..], &[1, 2, 3, 4, 5]].concat(),
             "malformed",
             1,
         ),
         ("nothing but ones", vec![0xFF; 60], "malformed", 0),
-    ];
-    let mut second = vec![0; 64];
-    let mut encoder = TileEncoder::new(&mut second);
-    let east = TileHeader { id: TileId { x: i16::MAX, y: 0 }, ..whole(header) };
-    encoder.try_push(&east, &Tile::UNKNOWN, &Tile::UNKNOWN);
-    let TileEncoder { mut coder, mut models, .. } = encoder;
-    coder.bit(&mut models[context::MORE], true);
-    coder.signed(1, 0);
-    coder.signed(0, 0);
-    let len = coder.finish().unwrap();
-    second.truncate(len);
-    cases.push(("a second tile beyond the grid", second, "malformed", 1));
+        ("a second tile beyond the grid", beyond_the_grid(whole), "malformed", 1),
+    ]);
     let beyond = raw(|encoder| {
         encoder.signed(32_768, super::FIRST_ID_ORDER);
         encoder.signed(0, super::FIRST_ID_ORDER);
@@ -192,11 +158,43 @@ fn refused() -> Vec<Value> {
         encoder.bit(&mut models[context::TO_END], true);
     });
     cases.push(("a part from the start that says otherwise", start_zero, "malformed", 0));
-    let many: Vec<_> =
-        (0..33).map(|x| TileHeader { id: TileId { x, y: 0 }, ..whole(header) }).collect();
+    let many: Vec<_> = (0..33).map(|x| TileHeader { id: TileId { x, y: 0 }, ..whole }).collect();
     cases.push(("one tile too many", written(&many), "too many tiles", 32));
-    let case = |(name, coded, error, before): &(&str, Vec<u8>, &str, i32)| json!({ "name": name, "coded": hex(coded), "error": error, "tiles_before": before });
+    let case = |(name, coded, error, before): &Refused| json!({ "name": name, "coded": hex(coded), "error": error, "tiles_before": before });
     cases.iter().map(case).collect()
+}
+
+/// A name, the update, why it is refused, and the tiles that are read before that.
+type Refused = (&'static str, Vec<u8>, &'static str, i32);
+
+/// Updates of one tile whose header contradicts itself.
+fn bad_headers(header: TileHeader) -> Vec<Refused> {
+    let version_zero = Stamp { version: Version(0), ..header.stamp };
+    let headers = [
+        ("version zero", TileHeader { base: None, stamp: version_zero, ..header }),
+        ("a base that is as new", TileHeader { base: Some(Version(5)), ..header }),
+        ("base zero", TileHeader { base: Some(Version(0)), ..header }),
+        ("a part that ends where it starts", TileHeader { start: 9, end: 9, ..header }),
+        ("a part that ends before it starts", TileHeader { start: 9, end: 8, ..header }),
+    ];
+    let mut cases = vec![("an empty update", vec![], "malformed", 0)];
+    cases.extend(headers.map(|(name, header)| (name, written(&[header]), "malformed", 0)));
+    cases
+}
+
+/// An update whose second tile is to the east of the easternmost one.
+fn beyond_the_grid(header: TileHeader) -> Vec<u8> {
+    let mut update = vec![0; 64];
+    let mut encoder = TileEncoder::new(&mut update);
+    let east = TileHeader { id: TileId { x: i16::MAX, y: 0 }, ..header };
+    encoder.try_push(&east, &Tile::UNKNOWN, &Tile::UNKNOWN);
+    let TileEncoder { mut coder, mut models, .. } = encoder;
+    coder.bit(&mut models[context::MORE], true);
+    coder.signed(1, 0);
+    coder.signed(0, 0);
+    let len = coder.finish().unwrap();
+    update.truncate(len);
+    update
 }
 
 /// An update of these headers, whatever they say, with one free cell in each tile.

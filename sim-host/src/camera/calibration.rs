@@ -1,6 +1,9 @@
-//! What is known of a fixed camera: the pinhole of each of its sensors, and where it is.
+//! The calibration of a fixed camera: the pinhole and pose of each of its sensors, and the noise of its
+//! depths.
 
 use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::{depth_noise::DepthNoise, error::CalibrationError};
 
 /// How the pixels of a sensor look out: a pinhole with radial-tangential distortion. The centre of
 /// the first pixel is at (0, 0).
@@ -34,28 +37,10 @@ pub struct Lens {
 pub struct Calibration {
     /// The sensor of depth.
     pub depth: Option<Lens>,
+    /// The noise of its depths.
+    pub depth_noise: DepthNoise,
     /// The sensor of pictures.
     pub picture: Option<Lens>,
-}
-
-/// Why no camera can be like this.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum CalibrationError {
-    /// An image of no size, or of one that no sensor has.
-    #[error("an image of {0} x {1} pixels; give a width and a height from 1 to 16384")]
-    Size(u32, u32),
-    /// A focal length that is not positive, or not finite.
-    #[error("focal lengths of {0} and {1} pixels; both must be positive")]
-    Focal(f64, f64),
-    /// The optical axis is far outside the image, or nowhere.
-    #[error("an optical axis through pixel ({0}, {1}); it must be near the image")]
-    Axis(f64, f64),
-    /// A coefficient that is not finite, or bends the image over itself.
-    #[error("distortion that folds the image over itself; check the order k1, k2, p1, p2, k3")]
-    Distortion,
-    /// The pose is not finite.
-    #[error("a pose that is not finite")]
-    Pose,
 }
 
 /// Rounds of the fixed point that undoes the distortion.

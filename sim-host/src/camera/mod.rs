@@ -6,6 +6,8 @@
 
 mod calibration;
 mod cameras_file;
+mod depth_noise;
+mod error;
 mod frame;
 mod thing;
 
@@ -16,8 +18,10 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-pub use calibration::{Calibration, CalibrationError, Intrinsics, Lens};
+pub use calibration::{Calibration, Intrinsics, Lens};
 pub use cameras_file::{CAMERAS_FILE, CamerasFile, MountedCamera};
+pub use depth_noise::DepthNoise;
+pub use error::CalibrationError;
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
 pub use thing::{LAYERS, Thing};
 

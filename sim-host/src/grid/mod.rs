@@ -4,11 +4,13 @@
 //! system, and what map files become when they enter it. [`read_map`], [`pgm`] and [`yaml`] read and write such files
 //! in the form of ROS's `map_server`; [`compare`] scores one grid against another.
 
+mod clusters;
 mod occupancy;
 pub(crate) mod raster;
 mod ros_map;
 mod score;
 
+pub(crate) use clusters::clusters;
 pub use occupancy::{CellCounts, GridError, MAX_CELLS, OccupancyGrid};
 pub use raster::RasterError;
 pub use ros_map::{MapError, Thresholds, pgm, read_map, yaml};

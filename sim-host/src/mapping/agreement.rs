@@ -12,7 +12,7 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-use super::fused_layer::Mask;
+use super::mask::Mask;
 
 /// Contradictions below this many are what people, and other robots, and poses that err, leave.
 const LEAST: u32 = 64;

@@ -5,18 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
     tile::{Cell, TILE_CELLS, TILE_SIDE, Tile, TileId},
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use super::{robot_layer::SeenTile, runs::runs};
-use crate::camera::Observation;
-
-/// What a camera has said for so long holds: another camera that sees the foot of the same wall
-/// does not make it free, and one that is dead does not keep anybody in the map.
-const HOLDS: Duration = Duration::from_secs(1);
-/// A cell that was out of view for longer has come back: what robots have said of it meanwhile no
-/// longer holds. Cells are looked at twice a second at least.
-const AWAY: Duration = Duration::from_millis(1_500);
+use crate::{
+    camera::Observation,
+    timing::{CELL_AWAY, EVIDENCE_HOLDS},
+};
 
 /// The camera evidence.
 #[derive(Clone, Debug, Default)]
@@ -78,7 +74,7 @@ impl CameraLayer {
         }
         self.newest = self.newest.max(captured);
         self.moving.retain(|_, (captured, tiles)| {
-            let holds = self.newest.since(*captured) <= HOLDS;
+            let holds = self.newest.since(*captured) <= EVIDENCE_HOLDS;
             changed.extend(tiles.keys().filter(|_| !holds));
             holds
         });
@@ -95,6 +91,15 @@ impl CameraLayer {
             CameraTile { id, seen: SeenTile { tile: still.tile, seconds }, cameras }
         });
         tiles.collect()
+    }
+
+    /// Some of what was taken to be kept could not be: it is taken again.
+    pub fn not_kept(&mut self, tiles: &[CameraTile]) {
+        for tile in tiles {
+            if let Some(still) = self.still.get_mut(&tile.id) {
+                still.is_unkept = true;
+            }
+        }
     }
 
     /// Whether [`CameraLayer::take_unkept`] has something.
@@ -167,7 +172,7 @@ impl Still {
         let is_held = known == Cell::Occupied
             && cell == Cell::Free
             && by != camera
-            && captured.since(when) <= HOLDS;
+            && captured.since(when) <= EVIDENCE_HOLDS;
         // Only who said what stands there takes it back.
         let is_anothers = cell == Cell::Unknown && by != camera;
         if captured < when || is_held || is_anothers {
@@ -176,7 +181,7 @@ impl Still {
         *seen = (captured, camera);
         self.is_unkept = true;
         self.tile.set(x, y, cell);
-        known != cell || captured.since(when) > AWAY
+        known != cell || captured.since(when) > CELL_AWAY
     }
 }
 

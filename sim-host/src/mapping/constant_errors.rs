@@ -13,12 +13,12 @@ use ubimap_protocol::{
     units::{Angle, Pose, RobotId},
 };
 
+use crate::timing::FIX_GAP;
+
 /// A stretch that is long enough for its course, in metres: it is measured then, and again whenever it
 /// is so much longer. The longest time that it may take.
 const STRETCH_M: f64 = 0.6;
 const STRETCH_TIME: Duration = Duration::from_secs(8);
-/// Fixes further apart than this leave open what the robot did in between.
-const WIDEST_GAP: Duration = Duration::from_millis(400);
 /// A stretch of fewer fixes may have been anything but straight.
 const LEAST_FIXES: usize = 6;
 /// A robot that turns by more than this ends its stretch, in degrees: beyond the noise of fixes.
@@ -237,7 +237,7 @@ impl Stretch {
             return None;
         }
         let broken = first.zip(last).is_some_and(|((begun, first), (last, _))| {
-            moment.since(last) > WIDEST_GAP
+            moment.since(last) > FIX_GAP
                 || moment.since(begun) > STRETCH_TIME
                 || (seen.heading - first.heading).degrees().abs() > TURN_DEG
         });

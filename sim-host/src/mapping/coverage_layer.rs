@@ -7,12 +7,9 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::{runs::runs, served_layer::ServedLayer};
-use crate::camera::Observation;
+use super::{mask::Mask, runs::runs, served_layer::ServedLayer};
+use crate::{camera::Observation, timing::COVERAGE_HOLDS};
 
-/// A cell is covered for so long after the frame was captured in which a camera saw it. Cells are
-/// looked at twice a second at least.
-const COVERED_FOR: Duration = Duration::from_millis(700);
 /// The layer is computed anew this often: a camera that dies leaves its cells blind within a second.
 const INTERVAL: Duration = Duration::from_millis(250);
 
@@ -26,9 +23,6 @@ pub struct CoverageLayer {
     /// When to compute it anew, as long as anything is covered or was.
     due: Option<Instant>,
 }
-
-/// The cells of a tile, a word for each row.
-type Mask = [u32; TILE_SIDE];
 
 impl CoverageLayer {
     /// Takes the cells of a frame, in any order of frames. Costs a few nanoseconds for each cell.
@@ -55,7 +49,7 @@ impl CoverageLayer {
         // All that was covered is looked at again, also where nobody sees it any more.
         let mut covered: BTreeMap<TileId, Mask> =
             self.served.tiles().map(|(id, ..)| (id, [0; TILE_SIDE])).collect();
-        self.frames.retain(|(captured, _)| now < *captured + COVERED_FOR);
+        self.frames.retain(|(captured, _)| now < *captured + COVERAGE_HOLDS);
         for (id, seen) in self.frames.iter().flat_map(|(_, tiles)| tiles) {
             let mask = covered.entry(*id).or_default();
             for (row, seen) in mask.iter_mut().zip(seen) {

@@ -5,7 +5,7 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::{agreement::Weight, robot_layer::SeenTile};
+use super::{agreement::Weight, mask::Mask, robot_layer::SeenTile};
 
 /// The map's time goes in steps of so many seconds.
 const STEP_S: u32 = 10;
@@ -21,9 +21,6 @@ const MOVABLE_S: u32 = 300;
 /// A cell keeps changing if free and occupied have followed each other so often, in the order of
 /// time of the last words of all who know it.
 const CHANGES: usize = 3;
-
-/// Cells of a tile, a word for each row.
-pub type Mask = [u32; TILE_SIDE];
 
 /// The time by which the map ages: seconds of the server's clock, in steps of ten.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]

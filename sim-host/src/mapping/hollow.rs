@@ -3,10 +3,7 @@
 
 use ubimap_protocol::tile::{Cell, TILE_CELLS, TILE_SIDE, Tile};
 
-use super::{
-    fused_layer::{MapTime, Mask},
-    robot_layer::SeenTile,
-};
+use super::{fused_layer::MapTime, mask::Mask, robot_layer::SeenTile};
 
 /// What is farther than so many cells from anything free is no surface: nobody can have seen it but
 /// by an error, as the noise of a far look draws it behind a wall, or from above.

@@ -12,7 +12,7 @@
 
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::view::{Allowance, Place, Survey, View, noise_mm};
+use super::ray_table::{Allowance, RayTable, Survey, Zone};
 
 /// Depths of each pixel that are learnt from, and the time from one to the next.
 const SAMPLES: usize = 15;
@@ -95,9 +95,9 @@ pub struct Background {
 
 impl Background {
     /// Of a camera that has not seen anything.
-    pub fn new(view: &View) -> Self {
-        let pixels = view.pixels();
-        let nowhere = 2 * view.cells();
+    pub fn new(rays: &RayTable) -> Self {
+        let pixels = rays.pixels();
+        let nowhere = 2 * rays.cells();
         let mut totals = vec![0; nowhere + 2];
         totals[nowhere + 1] = pixels as u32;
         Self {
@@ -122,22 +122,22 @@ impl Background {
 
     /// Takes an image that was captured at a time, in the order of capture. Cells that are `taken`,
     /// by a robot or by somebody who walks, are not learnt.
-    pub fn learn(&mut self, view: &View, depths: &[u16], captured: Instant, taken: &[bool]) {
+    pub fn learn(&mut self, rays: &RayTable, depths: &[u16], captured: Instant, taken: &[bool]) {
         let Some(samples) = &mut self.samples else {
             self.gather(depths);
-            return self.tend(view, depths, captured, taken);
+            return self.tend(rays, depths, captured, taken);
         };
         if captured < self.due {
             return;
         }
         self.due = captured + SAMPLE_INTERVAL;
         let sample = |(pixel, &depth): (usize, &u16)| {
-            if is_taken(view, pixel, depth, taken) { 0 } else { depth }
+            if is_taken(rays, pixel, depth, taken) { 0 } else { depth }
         };
         samples.extend(depths.iter().enumerate().map(sample));
         if samples.len() >= SAMPLES * depths.len() {
             let samples = self.samples.take().unwrap_or_default();
-            self.settle_all(view, &samples);
+            self.settle_all(rays, &samples);
         }
     }
 
@@ -171,21 +171,21 @@ impl Background {
     }
 
     /// What a pixel counts for where it agrees, as [`Background::homes`] has it, found anew.
-    pub(super) fn settle(&self, view: &View, pixel: usize) -> u32 {
+    pub(super) fn settle(&self, rays: &RayTable, pixel: usize) -> u32 {
         let candidate = &self.candidates[pixel];
-        let slot = match view.place(pixel, self.depth[pixel], Allowance::Learnt) {
+        let slot = match rays.zone(pixel, self.depth[pixel], Allowance::Learnt) {
             _ if candidate.is_doubtful => self.totals.len() - 1,
-            Place::Floor(cell) => 2 * cell as usize,
-            Place::Band(cell, _) => 2 * cell as usize + 1,
+            Zone::Floor(cell) => 2 * cell as usize,
+            Zone::Band(cell, _) => 2 * cell as usize + 1,
             // What has come stands on the floor; what was always there may hang.
-            Place::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
-            Place::Above(..) | Place::Nowhere => self.totals.len() - 1,
+            Zone::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
+            Zone::Above(..) | Zone::Nowhere => self.totals.len() - 1,
         };
         slot as u32
     }
 
     /// Ends the learning: what most of the farthest samples of each pixel are about.
-    fn settle_all(&mut self, view: &View, samples: &[u16]) {
+    fn settle_all(&mut self, rays: &RayTable, samples: &[u16]) {
         let pixels = self.depth.len();
         let mut seen = Vec::with_capacity(SAMPLES);
         for pixel in 0..pixels {
@@ -197,16 +197,16 @@ impl Background {
             }
             seen.sort_unstable();
             let far = seen[seen.len() - 1 - seen.len() / TRIM];
-            let room = &seen[seen.partition_point(|depth| *depth < far - margin(far))..];
+            let room = &seen[seen.partition_point(|depth| *depth < far - margin(rays, far))..];
             let sum = room.iter().map(|depth| u32::from(*depth)).sum();
             self.agreed[pixel] = Agreed { sum, count: room.len() as u32 };
-            self.settle_again(view, pixel);
+            self.settle_again(rays, pixel);
         }
     }
 
     /// Finds anew how deep the background of a pixel is, the window about that, and what the pixel
     /// counts for.
-    fn settle_again(&mut self, view: &View, pixel: usize) {
+    fn settle_again(&mut self, rays: &RayTable, pixel: usize) {
         let agreed = &mut self.agreed[pixel];
         let fresh = core::mem::take(&mut self.fresh[pixel]);
         agreed.sum += fresh.sum;
@@ -215,18 +215,18 @@ impl Background {
         if agreed.count >= MOST_AGREED {
             *agreed = Agreed { sum: agreed.sum / 2, count: agreed.count / 2 };
         }
-        let margin = margin(mean);
+        let margin = margin(rays, mean);
         self.low[pixel] = mean - margin;
         self.span[pixel] = 2 * margin;
-        let Survey { side, reach, .. } = view.survey();
-        let (noise, side) = (noise_mm(i64::from(mean)), i64::from(side.0));
+        let Survey { side, reach, .. } = rays.survey();
+        let (noise, side) = (rays.sigma_mm(mean), i64::from(side.0));
         // A sensor that gives no depth beyond its reach cuts the noise off: the mean would be nearer
         // than what is there.
         let is_good = i64::from(mean) + i64::from(margin) <= i64::from(reach.0)
             && 4 * noise * noise <= side * side * i64::from(agreed.count);
         self.depth[pixel] = if is_good { mean } else { 0 };
         self.totals[self.home[pixel] as usize] -= 1;
-        self.home[pixel] = self.settle(view, pixel);
+        self.home[pixel] = self.settle(rays, pixel);
         self.totals[self.home[pixel] as usize] += 1;
     }
 
@@ -242,54 +242,54 @@ impl Background {
     }
 
     /// Looks at some of the rows for what has changed for good.
-    fn tend(&mut self, view: &View, depths: &[u16], captured: Instant, taken: &[bool]) {
+    fn tend(&mut self, rays: &RayTable, depths: &[u16], captured: Instant, taken: &[bool]) {
         let now_s = (captured.0 / 1_000_000) as u32;
-        let width = view.size().0 as usize;
+        let width = rays.size().0 as usize;
         let rows = depths.chunks(width).enumerate().skip(self.turn as usize);
         for (row, depths) in rows.step_by(ROWS_BETWEEN as usize) {
             for (pixel, &depth) in (row * width..).zip(depths) {
-                if is_taken(view, pixel, depth, taken) {
+                if is_taken(rays, pixel, depth, taken) {
                     // Those that agreed may have been of somebody's legs.
                     self.fresh[pixel] = Agreed::default();
                 } else {
-                    self.look(view, pixel, depth, now_s);
+                    self.look(rays, pixel, depth, now_s);
                 }
-                self.settle_again(view, pixel);
+                self.settle_again(rays, pixel);
             }
         }
         self.turn = (self.turn + 1) % ROWS_BETWEEN;
     }
 
     /// Looks at one pixel: whether it still sees its background, or something that may become it.
-    fn look(&mut self, view: &View, pixel: usize, depth: u16, now_s: u32) {
+    fn look(&mut self, rays: &RayTable, pixel: usize, depth: u16, now_s: u32) {
         if self.fresh[pixel].count > 0 {
-            self.candidates[pixel].is_doubtful = self.is_doubtful(view, pixel);
+            self.candidates[pixel].is_doubtful = self.is_doubtful(rays, pixel);
         }
-        if let Some(other) = self.sees_other(pixel, depth) {
-            if self.uncovers(view, pixel, other) {
-                self.replace(view, pixel, other, false);
+        if let Some(other) = self.sees_other(rays, pixel, depth) {
+            if self.uncovers(rays, pixel, other) {
+                self.replace(rays, pixel, other, false);
             } else if let Some(depth) = other.mean() {
-                self.consider(view, pixel, depth, now_s);
+                self.consider(rays, pixel, depth, now_s);
             }
         } else if depth > 0 {
             let candidate = &mut self.candidates[pixel];
-            let may_be = depth.abs_diff(candidate.depth) <= spread(depth);
+            let may_be = depth.abs_diff(candidate.depth) <= spread(rays, depth);
             candidate.looks = if may_be { candidate.looks.saturating_sub(1) } else { 0 };
         }
     }
 
     /// The depths that agreed since the last look, if they are of something else than the background:
     /// their mean lies off.
-    fn other_of_late(&self, pixel: usize) -> Option<Agreed> {
+    fn other_of_late(&self, rays: &RayTable, pixel: usize) -> Option<Agreed> {
         let fresh = self.fresh[pixel];
-        is_other(fresh, self.agreed[pixel]).then_some(fresh)
+        is_other(rays, fresh, self.agreed[pixel]).then_some(fresh)
     }
 
     /// Whether what agreed since the last look is something else than the floor that is the background,
     /// or may be the floor where something in the way is: somebody stood on it when it was learnt.
-    fn is_doubtful(&self, view: &View, pixel: usize) -> bool {
+    fn is_doubtful(&self, rays: &RayTable, pixel: usize) -> bool {
         let is_in_the_way = |depth, allowance| {
-            matches!(view.place(pixel, depth, allowance), Place::Band(..) | Place::Above(..))
+            matches!(rays.zone(pixel, depth, allowance), Zone::Band(..) | Zone::Above(..))
         };
         let fresh = self.fresh[pixel];
         let means = self.agreed[pixel].mean().zip(fresh.mean());
@@ -297,7 +297,7 @@ impl Background {
             if is_in_the_way(before, Allowance::Learnt) {
                 !is_in_the_way(mean, Allowance::Mean(fresh.count))
             } else {
-                self.other_of_late(pixel).is_some()
+                self.other_of_late(rays, pixel).is_some()
             }
         })
     }
@@ -306,8 +306,8 @@ impl Background {
     /// nearer to the candidate than to the background, for noise makes what stands a little before
     /// that agree with it now and then; and those that have agreed of late, which then do not count,
     /// if their mean lies off.
-    fn sees_other(&mut self, pixel: usize, depth: u16) -> Option<Agreed> {
-        if let Some(other) = self.other_of_late(pixel) {
+    fn sees_other(&mut self, rays: &RayTable, pixel: usize, depth: u16) -> Option<Agreed> {
+        if let Some(other) = self.other_of_late(rays, pixel) {
             self.fresh[pixel] = Agreed::default();
             return Some(other);
         }
@@ -326,23 +326,23 @@ impl Background {
     /// Whether several depths, which agreed, show what was hidden by something that is in the way of
     /// the robots: who stood in view as long as the room was learnt, so little before the floor that
     /// this is in the window, has left. The floor itself hides nothing.
-    fn uncovers(&self, view: &View, pixel: usize, seen: Agreed) -> bool {
+    fn uncovers(&self, rays: &RayTable, pixel: usize, seen: Agreed) -> bool {
         let is_farther = self.agreed[pixel].mean() < seen.mean();
         let home = self.home[pixel] as usize;
-        seen.count > 1 && is_farther && home < 2 * view.cells() && home % 2 == 1
+        seen.count > 1 && is_farther && home < 2 * rays.cells() && home % 2 == 1
     }
 
     /// Takes something else for the background of a pixel.
-    fn replace(&mut self, view: &View, pixel: usize, seen: Agreed, has_come: bool) {
+    fn replace(&mut self, rays: &RayTable, pixel: usize, seen: Agreed, has_come: bool) {
         self.candidates[pixel] = Candidate { has_come, ..Candidate::default() };
         self.agreed[pixel] = seen;
-        self.settle_again(view, pixel);
+        self.settle_again(rays, pixel);
     }
 
     /// A pixel sees something else than its background.
-    fn consider(&mut self, view: &View, pixel: usize, depth: u16, now_s: u32) {
+    fn consider(&mut self, rays: &RayTable, pixel: usize, depth: u16, now_s: u32) {
         let candidate = &mut self.candidates[pixel];
-        if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread(depth) {
+        if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread(rays, depth) {
             *candidate = Candidate { depth, looks: 1, since_s: now_s, ..*candidate };
             return;
         }
@@ -353,13 +353,13 @@ impl Background {
         candidate.looks = candidate.looks.saturating_add(1);
         let Candidate { depth, looks, since_s, .. } = *candidate;
         let is_nearer = depth < self.low[pixel] + self.span[pixel] / 2;
-        let is_floor = matches!(view.place(pixel, depth, Allowance::Measured), Place::Floor(_));
+        let is_floor = matches!(rays.zone(pixel, depth, Allowance::Measured), Zone::Floor(_));
         let may_be_somebody = if self.low[pixel] > 0 { is_nearer } else { !is_floor };
         let (enough, seconds) = if may_be_somebody { STAY } else { UNCOVERED };
         if looks >= enough && now_s.saturating_sub(since_s) >= seconds {
             let looks = u32::from(looks);
             let seen = Agreed { sum: u32::from(depth) * looks, count: looks };
-            self.replace(view, pixel, seen, is_nearer);
+            self.replace(rays, pixel, seen, is_nearer);
         }
     }
 }
@@ -367,27 +367,27 @@ impl Background {
 /// Whether depths are of something else than those that agreed: their mean is farther off than three of
 /// its sigmas. Of two things in one window, as the floor and the feet of who stands on it now and then,
 /// this lets neither draw the mean to it.
-fn is_other(depths: Agreed, agreed: Agreed) -> bool {
+fn is_other(rays: &RayTable, depths: Agreed, agreed: Agreed) -> bool {
     let Some((mean, before)) = depths.mean().zip(agreed.mean()) else { return false };
     let off = u32::from(mean.abs_diff(before));
-    off * off * depths.count > u32::from(margin(before)).pow(2)
+    off * off * depths.count > u32::from(margin(rays, before)).pow(2)
 }
 
 /// Depths that differ by no more may be of one thing: three sigmas.
-fn spread(depth: u16) -> u16 {
-    (SLACK_MM + 3 * noise_mm(i64::from(depth))) as u16
+fn spread(rays: &RayTable, depth: u16) -> u16 {
+    (SLACK_MM + 3 * rays.sigma_mm(depth)).min(i64::from(u16::MAX)) as u16
 }
 
 /// Half the width of the window about a depth: three sigmas, and never all of the depth.
-fn margin(depth: u16) -> u16 {
-    spread(depth).min(depth / 2)
+fn margin(rays: &RayTable, depth: u16) -> u16 {
+    spread(rays, depth).min(depth / 2)
 }
 
 /// Whether a pixel sees something over a cell that is taken.
-fn is_taken(view: &View, pixel: usize, depth: u16, taken: &[bool]) -> bool {
-    match view.place(pixel, depth, Allowance::Measured) {
-        Place::Band(cell, _) | Place::Above(cell, _) => taken[cell as usize],
-        Place::Floor(_) | Place::Nowhere => false,
+fn is_taken(rays: &RayTable, pixel: usize, depth: u16, taken: &[bool]) -> bool {
+    match rays.zone(pixel, depth, Allowance::Measured) {
+        Zone::Band(cell, _) | Zone::Above(cell, _) => taken[cell as usize],
+        Zone::Floor(_) | Zone::Nowhere => false,
     }
 }
 
@@ -395,37 +395,38 @@ fn is_taken(view: &View, pixel: usize, depth: u16, taken: &[bool]) -> bool {
 mod tests {
     use super::*;
     use crate::{
-        camera::DepthImage,
+        camera::{DepthImage, DepthNoise},
         perception::testing::{lens, noisy, render},
     };
 
     /// A floor, and legs on it all over, so little before it that at five metres their noise is in the
     /// window of the floor.
-    fn floor_and_legs() -> (View, DepthImage, DepthImage) {
+    fn floor_and_legs() -> (RayTable, DepthImage, DepthImage) {
         let lens = lens(160, 60, [0.0, 0.0, 2.8], [4.0, 3.0, 0.0]);
+        let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
         let floor = render(&lens, 0.0, &[]);
         let legs = DepthImage::from_fn(160, 60, |x, y| {
             let depth = floor.get_pixel(x, y)[0];
-            image::Luma([depth - 2 * noise_mm(i64::from(depth)) as u16])
+            image::Luma([depth - 2 * rays.sigma_mm(depth) as u16])
         });
-        (View::new(&lens, Survey::default()), floor, legs)
+        (rays, floor, legs)
     }
 
     #[test]
     fn who_stands_on_it_now_and_then_does_not_draw_the_floor_towards_the_camera() {
-        let (view, floor, legs) = floor_and_legs();
-        let taken = vec![false; view.cells()];
-        let mut background = Background::new(&view);
+        let (rays, floor, legs) = floor_and_legs();
+        let taken = vec![false; rays.cells()];
+        let mut background = Background::new(&rays);
         // Five images a second; two seconds of six somebody stands there.
         for frame in 0..450 {
             let is_there = frame % 30 < 10;
-            let image = noisy(if is_there { &legs } else { &floor }, frame, 980);
-            background.learn(&view, &image, Instant(frame * 200_000), &taken);
+            let image = noisy(if is_there { &legs } else { &floor }, &DepthNoise::D435, frame, 980);
+            background.learn(&rays, &image, Instant(frame * 200_000), &taken);
         }
         let depths = floor.iter().zip(&background.depth);
         let far = depths.filter(|(floor, learnt)| (4_500..6_000).contains(*floor) && **learnt > 0);
         let off = far.map(|(floor, learnt)| {
-            (i64::from(*floor) - i64::from(*learnt)) as f64 / noise_mm(i64::from(*floor)) as f64
+            (i64::from(*floor) - i64::from(*learnt)) as f64 / rays.sigma_mm(*floor) as f64
         });
         let off: Vec<f64> = off.collect();
         let mean = off.iter().sum::<f64>() / off.len() as f64;
@@ -434,10 +435,10 @@ mod tests {
     }
 
     /// How many pixels between 4.5 and 5.5 m count for floor, and for something in the way.
-    fn far(view: &View, floor: &DepthImage, background: &Background) -> [usize; 2] {
+    fn far(rays: &RayTable, floor: &DepthImage, background: &Background) -> [usize; 2] {
         let homes = floor.iter().zip(background.homes());
         let far = homes.filter(|(floor, _)| (4_500..5_500).contains(*floor));
-        let far = far.filter(|&(_, &home)| (home as usize) < 2 * view.cells());
+        let far = far.filter(|&(_, &home)| (home as usize) < 2 * rays.cells());
         far.fold([0; 2], |mut counts, (_, home)| {
             counts[(home % 2) as usize] += 1;
             counts
@@ -446,16 +447,16 @@ mod tests {
 
     #[test]
     fn where_somebody_stands_who_is_hidden_by_noise_no_floor_is_seen() {
-        let (view, floor, legs) = floor_and_legs();
-        let taken = vec![false; view.cells()];
-        let mut background = Background::new(&view);
-        let (comes, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
+        let (rays, floor, legs) = floor_and_legs();
+        let taken = vec![false; rays.cells()];
+        let mut background = Background::new(&rays);
+        let (comes, ends) = (70, 70 + 2 * u64::from(ROWS_BETWEEN));
         let mut learn = |frames: core::ops::Range<u64>, image: &DepthImage| {
             for frame in frames {
-                let image = noisy(image, frame, 980);
-                background.learn(&view, &image, Instant(frame * 200_000), &taken);
+                let image = noisy(image, &DepthNoise::D435, frame, 980);
+                background.learn(&rays, &image, Instant(frame * 200_000), &taken);
             }
-            far(&view, &floor, &background)
+            far(&rays, &floor, &background)
         };
         let [before, blocked] = learn(0..comes, &floor);
         assert!(before > 2_000 && 50 * blocked < before, "{before} and {blocked} pixels");
@@ -465,18 +466,28 @@ mod tests {
 
     #[test]
     fn who_stood_in_view_while_the_room_was_learnt_leaves_nothing_behind() {
-        let (view, floor, legs) = floor_and_legs();
-        let taken = vec![false; view.cells()];
-        let mut background = Background::new(&view);
-        let in_the_way = |background: &Background| far(&view, &floor, background)[1];
+        let (rays, floor, legs) = floor_and_legs();
+        let taken = vec![false; rays.cells()];
+        let mut background = Background::new(&rays);
+        let in_the_way = |background: &Background| far(&rays, &floor, background)[1];
         // Five images a second, the last as late as each pixel has been looked at twice.
         let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
         for frame in 0..leaves {
-            background.learn(&view, &noisy(&legs, frame, 980), Instant(frame * 200_000), &taken);
+            background.learn(
+                &rays,
+                &noisy(&legs, &DepthNoise::D435, frame, 980),
+                Instant(frame * 200_000),
+                &taken,
+            );
         }
         let before = in_the_way(&background);
         for frame in leaves..ends {
-            background.learn(&view, &noisy(&floor, frame, 980), Instant(frame * 200_000), &taken);
+            background.learn(
+                &rays,
+                &noisy(&floor, &DepthNoise::D435, frame, 980),
+                Instant(frame * 200_000),
+                &taken,
+            );
         }
         let after = in_the_way(&background);
         assert!(before > 1_000 && 10 * after < before, "{before} pixels, then {after}");

@@ -2,7 +2,7 @@
 
 use ubimap_protocol::tile::Cell;
 
-use super::{evidence::Evidence, view::View};
+use super::{evidence::Evidence, ray_table::RayTable};
 
 /// Fewer pixels than this prove nothing: mixed pixels at the edges of things lie anywhere between
 /// the edge and what is behind it, yet seldom several over one cell.
@@ -32,33 +32,33 @@ const SHADOW: i32 = 3;
 /// 5. unknown, which takes back what this camera said, if it was occupied and is no longer solid;
 /// 6. else not seen.
 pub(super) fn cells(
-    view: &View,
+    rays: &RayTable,
     totals: &[u32],
     evidence: &Evidence,
     movable: &[bool],
     under: &[bool],
     said: &mut [Cell],
 ) -> Vec<((i32, i32), Cell)> {
-    let foot = view.foot();
+    let foot = rays.foot();
     let is_solid = |cell: usize| {
         let [floor, solid] = [totals[2 * cell], totals[2 * cell + 1]];
         solid >= FEWEST
-            && (solid >= floor || is_edge(view, totals, cell))
-            && is_ridge(view, |it| totals[2 * it + 1], foot, cell)
+            && (solid >= floor || is_edge(rays, totals, cell))
+            && is_ridge(rays, |it| totals[2 * it + 1], foot, cell)
     };
     let is_floor = |cell: usize| {
         let (floor, _) = evidence.pixels(cell);
-        floor >= 2 && 2 * floor >= view.expected(cell)
+        floor >= 2 && 2 * floor >= rays.expected(cell)
     };
     let is_movable = |cell: usize| {
-        let is_ridge = || is_ridge(view, |it| evidence.figure_pixels(it), foot, cell);
+        let is_ridge = || is_ridge(rays, |it| evidence.figure_pixels(it), foot, cell);
         movable[cell] && (!is_floor(cell) || is_ridge())
     };
     let stands =
         |cell: &usize| 2 * evidence.pixels(*cell).1 >= totals[2 * cell + 1] && is_solid(*cell);
-    let mut shadow = vec![false; view.cells()];
-    for cell in (0..view.cells()).filter(stands) {
-        for behind in (1..=SHADOW).filter_map(|steps| on_sight(view, foot, cell, steps)) {
+    let mut shadow = vec![false; rays.cells()];
+    for cell in (0..rays.cells()).filter(stands) {
+        for behind in (1..=SHADOW).filter_map(|steps| on_sight(rays, foot, cell, steps)) {
             shadow[behind] = true;
         }
     }
@@ -85,37 +85,37 @@ pub(super) fn cells(
         said[cell] = code;
         Some(code)
     };
-    (0..view.cells()).filter_map(|cell| Some((view.in_map(cell), code(cell)?))).collect()
+    (0..rays.cells()).filter_map(|cell| Some((rays.in_map(cell), code(cell)?))).collect()
 }
 
 /// Whether nothing has been learnt of a cell next to one, although its floor would be seen if what is
 /// in the way over the one did not hide it: a wall that is seen edge on, with floor before it.
-fn is_edge(view: &View, totals: &[u32], cell: usize) -> bool {
-    let (x, y) = view.in_map(cell);
+fn is_edge(rays: &RayTable, totals: &[u32], cell: usize) -> bool {
+    let (x, y) = rays.in_map(cell);
     [(1, 0), (0, 1), (-1, 0), (0, -1)]
         .into_iter()
-        .filter_map(|(east, north)| view.index((x + east, y + north)))
-        .any(|it| view.expected(it) >= FEWEST && totals[2 * it] == 0 && totals[2 * it + 1] == 0)
+        .filter_map(|(east, north)| rays.index((x + east, y + north)))
+        .any(|it| rays.expected(it) >= FEWEST && totals[2 * it] == 0 && totals[2 * it + 1] == 0)
 }
 
 /// Whether none of the two cells before and the two behind has more than three times as many pixels
 /// of something in the way.
-fn is_ridge(view: &View, pixels: impl Fn(usize) -> u32, foot: (i32, i32), cell: usize) -> bool {
+fn is_ridge(rays: &RayTable, pixels: impl Fn(usize) -> u32, foot: (i32, i32), cell: usize) -> bool {
     let most = 3 * pixels(cell);
     [-2, -1, 1, 2]
         .into_iter()
-        .all(|steps| on_sight(view, foot, cell, steps).is_none_or(|beside| pixels(beside) <= most))
+        .all(|steps| on_sight(rays, foot, cell, steps).is_none_or(|beside| pixels(beside) <= most))
 }
 
 /// The cell so many steps behind another one on the line of sight, before it if they are negative.
-fn on_sight(view: &View, foot: (i32, i32), cell: usize, steps: i32) -> Option<usize> {
-    let (x, y) = view.in_map(cell);
+fn on_sight(rays: &RayTable, foot: (i32, i32), cell: usize, steps: i32) -> Option<usize> {
+    let (x, y) = rays.in_map(cell);
     let way = (x - foot.0, y - foot.1);
     let longest = way.0.abs().max(way.1.abs()).max(1);
     // To the nearest cell, halves away from zero.
     let along =
         |way: i32| (2 * way * steps + way.signum() * steps.signum() * longest) / (2 * longest);
-    view.index((x + along(way.0), y + along(way.1)))
+    rays.index((x + along(way.0), y + along(way.1)))
 }
 
 #[cfg(test)]
@@ -123,29 +123,30 @@ mod tests {
     use ubimap_protocol::time::Instant;
 
     use super::*;
+    use crate::camera::DepthNoise;
     use crate::perception::{
         background::Background,
+        ray_table::Survey,
         testing::{lens, noisy, render},
-        view::Survey,
     };
 
     #[test]
     fn a_wall_that_is_seen_edge_on_is_no_floor() {
         let lens = lens(640, 480, [0.2, 0.2, 2.8], [3.0, 2.7, 0.0]);
-        let view = View::new(&lens, Survey::default());
+        let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
         // Its face takes up a fifth of its cells.
         let wall = [[-1.0, -0.2, 0.0], [6.0, 0.06, 3.0]];
         let image = render(&lens, 0.0, &[wall]);
-        let mut background = Background::new(&view);
-        let free = vec![false; view.cells()];
+        let mut background = Background::new(&rays);
+        let free = vec![false; rays.cells()];
         for frame in 0..30 {
             let captured = Instant(frame * 300_000);
-            background.learn(&view, &noisy(&image, frame, 980), captured, &free);
+            background.learn(&rays, &noisy(&image, &DepthNoise::D435, frame, 980), captured, &free);
         }
-        let mut said = vec![Cell::Unknown; view.cells()];
+        let mut said = vec![Cell::Unknown; rays.cells()];
         let mut evidence = Evidence::default();
-        evidence.fuse(&view, &background, &noisy(&image, 99, 980));
-        let cells = cells(&view, background.totals(), &evidence, &free, &free, &mut said);
+        evidence.fuse(&rays, &background, &noisy(&image, &DepthNoise::D435, 99, 980));
+        let cells = cells(&rays, background.totals(), &evidence, &free, &free, &mut said);
         let mut walls = 0;
         for ((x, y), cell) in cells.into_iter().filter(|((x, _), _)| (45..60).contains(x)) {
             walls += usize::from(y == 1);

@@ -11,7 +11,7 @@ use crate::camera::LAYERS;
 use super::{
     background::Background,
     changes::{Changes, WORD, ones},
-    view::{Allowance, Place, View},
+    ray_table::{Allowance, RayTable, Zone},
 };
 
 /// A layer of a height profile is 128 mm high.
@@ -40,15 +40,15 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Takes the depths of an image, in millimetres and as many as the view has pixels.
-    pub fn fuse(&mut self, view: &View, background: &Background, depths: &[u16]) {
-        self.clear(view);
+    /// Takes the depths of an image, in millimetres and one for each ray.
+    pub fn fuse(&mut self, rays: &RayTable, background: &Background, depths: &[u16]) {
+        self.clear(rays);
         self.counts.clear();
         self.counts.extend_from_slice(background.totals());
         let homes = background.homes();
         let counts = self.counts.as_mut_slice();
         let nowhere = counts.len() - 1;
-        let changes = Changes::of(background, depths, view.size().0 as usize, |blank| {
+        let changes = Changes::of(background, depths, rays.size().0 as usize, |blank| {
             for &pixel in blank {
                 counts[homes[pixel] as usize] -= 1;
             }
@@ -59,7 +59,7 @@ impl Evidence {
                 let (pixel, is) = (first + at, |word: u64| word >> at & 1 > 0);
                 self.counts[homes[pixel] as usize] -= 1;
                 if is(word.backed) {
-                    self.add(view, pixel, depths[pixel], is(word.nearer));
+                    self.add(rays, pixel, depths[pixel], is(word.nearer));
                 } else {
                     self.counts[nowhere] += 1;
                 }
@@ -69,15 +69,15 @@ impl Evidence {
 
     /// The same, pixel by pixel: what agrees with the background is taken to be as deep as that,
     /// then each point is put into its cell.
-    pub fn scatter(&mut self, view: &View, background: &Background, depths: &[u16]) {
-        self.clear(view);
+    pub fn scatter(&mut self, rays: &RayTable, background: &Background, depths: &[u16]) {
+        self.clear(rays);
         self.counts.clear();
         self.counts.resize(background.totals().len(), 0);
         for (pixel, &depth) in depths.iter().enumerate() {
             if background.agrees(pixel, depth) {
-                self.counts[background.settle(view, pixel) as usize] += 1;
-            } else if depth > 0 && is_backed(view, background, depths, pixel) {
-                self.add(view, pixel, depth, background.is_nearer(pixel, depth));
+                self.counts[background.settle(rays, pixel) as usize] += 1;
+            } else if depth > 0 && is_backed(rays, background, depths, pixel) {
+                self.add(rays, pixel, depth, background.is_nearer(pixel, depth));
             } else {
                 *self.nowhere() += 1;
             }
@@ -100,8 +100,8 @@ impl Evidence {
         self.figures.get(cell).map_or(0, |figure| figure.pixels)
     }
 
-    fn clear(&mut self, view: &View) {
-        self.figures.resize(view.cells(), Figure::default());
+    fn clear(&mut self, rays: &RayTable) {
+        self.figures.resize(rays.cells(), Figure::default());
         for cell in self.touched.drain(..) {
             self.figures[cell as usize] = Figure::default();
         }
@@ -109,13 +109,13 @@ impl Evidence {
 
     /// Counts a pixel that sees something else than its background, nearer or farther than that.
     #[inline]
-    fn add(&mut self, view: &View, pixel: usize, depth: u16, is_nearer: bool) {
+    fn add(&mut self, rays: &RayTable, pixel: usize, depth: u16, is_nearer: bool) {
         // The window has the noise in it already.
         let allowance = if is_nearer { Allowance::None } else { Allowance::Measured };
-        match view.place(pixel, depth, allowance) {
+        match rays.zone(pixel, depth, allowance) {
             // Behind the background is what it hid.
-            Place::Floor(cell) => self.counts[2 * cell as usize] += 1,
-            Place::Band(cell, height) | Place::Above(cell, height) if is_nearer => {
+            Zone::Floor(cell) => self.counts[2 * cell as usize] += 1,
+            Zone::Band(cell, height) | Zone::Above(cell, height) if is_nearer => {
                 let figure = &mut self.figures[cell as usize];
                 if figure.pixels == 0 {
                     self.touched.push(cell);
@@ -126,7 +126,7 @@ impl Evidence {
                 *layer = layer.saturating_add(1);
             }
             // What stands behind has to be learnt first.
-            Place::Band(..) | Place::Above(..) | Place::Nowhere => *self.nowhere() += 1,
+            Zone::Band(..) | Zone::Above(..) | Zone::Nowhere => *self.nowhere() += 1,
         }
     }
 
@@ -139,8 +139,8 @@ impl Evidence {
 
 /// Whether a neighbour in the row and one in the column are on the same side of their background: a
 /// pixel that stands out alone is noise, or mixed at an edge, and one without a background cannot.
-fn is_backed(view: &View, background: &Background, depths: &[u16], pixel: usize) -> bool {
-    let width = view.size().0 as usize;
+fn is_backed(rays: &RayTable, background: &Background, depths: &[u16], pixel: usize) -> bool {
+    let width = rays.size().0 as usize;
     let side = |pixel: usize| background.side(pixel, depths.get(pixel).copied().unwrap_or(0));
     let own = side(pixel);
     let is_same = |pixel: usize| side(pixel) == own;
@@ -155,29 +155,30 @@ mod tests {
     use ubimap_protocol::time::Instant;
 
     use super::*;
+    use crate::camera::DepthNoise;
     use crate::perception::{
+        ray_table::Survey,
         testing::{Cuboid, lens, noisy, render},
-        view::Survey,
     };
 
-    /// A view of a room with a box in it, and its background after the first seconds.
+    /// The rays of a camera in a room with a box, and its background after the first seconds.
     fn learnt(
         width: u32,
         at: [f64; 3],
         room: &[Cuboid],
         seed: u64,
-    ) -> (View, Background, crate::camera::Lens) {
+    ) -> (RayTable, Background, crate::camera::Lens) {
         let lens = lens(width, 60, at, [1.0, 1.0, 0.0]);
-        let view = View::new(&lens, Survey::default());
-        let mut background = Background::new(&view);
+        let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
+        let mut background = Background::new(&rays);
         let empty = render(&lens, 0.01, room);
         for frame in 0..15 {
-            let image = noisy(&empty, seed + frame, 980);
-            let taken = vec![false; view.cells()];
-            background.learn(&view, &image, Instant(frame * 300_000), &taken);
+            let image = noisy(&empty, &DepthNoise::D435, seed + frame, 980);
+            let taken = vec![false; rays.cells()];
+            background.learn(&rays, &image, Instant(frame * 300_000), &taken);
         }
         assert!(background.is_learnt());
-        (view, background, lens)
+        (rays, background, lens)
     }
 
     proptest! {
@@ -195,18 +196,18 @@ mod tests {
         ) {
             let cuboid = |(x, y, z): (f64, f64, f64)| [[x, y, 0.0], [x + 0.3, y + 0.4, z]];
             let at = [eye.0, eye.1, eye.2];
-            let (view, mut background, lens) = learnt(width, at, &[cuboid(stands)], seed);
+            let (rays, mut background, lens) = learnt(width, at, &[cuboid(stands)], seed);
             let scenes = [vec![cuboid(stands), cuboid(comes)], vec![cuboid(comes)], vec![]];
             let (mut fast, mut plain) = (Evidence::default(), Evidence::default());
-            let taken = vec![false; view.cells()];
+            let taken = vec![false; rays.cells()];
             for (turn, scene) in (0_u64..).zip(scenes.iter().cycle().take(60)) {
-                let image = noisy(&render(&lens, 0.0, scene), seed ^ turn, good);
-                fast.fuse(&view, &background, &image);
-                plain.scatter(&view, &background, &image);
+                let image = noisy(&render(&lens, 0.0, scene), &DepthNoise::D435, seed ^ turn, good);
+                fast.fuse(&rays, &background, &image);
+                plain.scatter(&rays, &background, &image);
                 prop_assert_eq!(&fast, &plain);
                 let figures = fast.figures.iter().map(|it| it.pixels).sum::<u32>();
                 prop_assert_eq!(fast.counts.iter().sum::<u32>() + figures, width * 60);
-                background.learn(&view, &image, Instant(5_000_000 + turn * 1_000_000), &taken);
+                background.learn(&rays, &image, Instant(5_000_000 + turn * 1_000_000), &taken);
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use ubimap_protocol::{
     tile::Cell,
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
@@ -12,18 +12,17 @@ use super::{
     detector::{Detector, label},
     evidence::Evidence,
     footprint::Footprint,
+    ray_table::{RayTable, Survey},
     things::things,
     tracks::Tracks,
-    view::{Survey, View},
 };
-use crate::camera::{Calibration, DepthImage, Frame, Lens, Observation};
+use crate::{
+    camera::{Calibration, DepthImage, Frame, Lens, Observation},
+    timing::{CLOCK_TOLERANCE, FRAME_LATE},
+};
 
 /// About a robot, where its sides and the error of its pose may put pixels.
 const ROBOT_MARGIN: Millimetres = Millimetres(100);
-/// Frames that are older say nothing of the present.
-const OLDEST: Duration = Duration::from_secs(5);
-/// Clocks may differ by so much.
-const CLOCKS: Duration = Duration::from_millis(100);
 
 /// Why a frame says nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -73,7 +72,7 @@ pub enum FrameError {
 #[derive(Debug)]
 pub struct Eye {
     camera: usize,
-    view: View,
+    rays: RayTable,
     background: Background,
     evidence: Evidence,
     /// What was said of each cell last.
@@ -86,15 +85,15 @@ pub struct Eye {
 }
 
 impl Eye {
-    /// The camera of a number; `None` if it has no depth sensor. Costs as [`View::new`] does, and
+    /// The camera of a number; `None` if it has no depth sensor. Costs as [`RayTable::new`] does, and
     /// 40 bytes for each pixel.
     pub fn new(camera: usize, calibration: &Calibration, survey: Survey) -> Option<Self> {
-        let view = View::new(&calibration.depth?, survey);
+        let rays = RayTable::new(&calibration.depth?, &calibration.depth_noise, survey);
         Some(Self {
             camera,
-            background: Background::new(&view),
-            said: vec![Cell::Unknown; view.cells()],
-            view,
+            background: Background::new(&rays),
+            said: vec![Cell::Unknown; rays.cells()],
+            rays,
             evidence: Evidence::default(),
             tracks: Tracks::default(),
             newest: Instant::default(),
@@ -128,48 +127,48 @@ impl Eye {
         robots: &[(Footprint, Pose)],
     ) -> Result<Observation, FrameError> {
         let depths = self.check(frame, now)?;
-        self.evidence.fuse(&self.view, &self.background, depths);
+        self.evidence.fuse(&self.rays, &self.background, depths);
 
-        let side = self.view.survey().side;
-        let mut under = vec![false; self.view.cells()];
+        let side = self.rays.survey().side;
+        let mut under = vec![false; self.rays.cells()];
         // A cell is under a robot if any of it is: its corner is 0.7 sides from its middle.
         self.mark(&mut under, robots, Millimetres(side.0 * 7 / 10));
-        let mut taken = vec![false; self.view.cells()];
+        let mut taken = vec![false; self.rays.cells()];
         self.mark(&mut taken, robots, ROBOT_MARGIN);
-        let view = &self.view;
+        let rays = &self.rays;
         let figures = self.evidence.figures().filter(|(cell, _)| !taken[*cell]);
-        let mut things = things(figures.map(|(cell, figure)| (view.in_map(cell), figure)));
+        let mut things = things(figures.map(|(cell, figure)| (rays.in_map(cell), figure)));
         if let (Some((lens, detector)), Some(picture)) = (&mut self.detector, &frame.picture) {
             label(&mut things, &detector.detect(picture), lens, side.metres());
         }
-        let mut movable = vec![false; view.cells()];
+        let mut movable = vec![false; rays.cells()];
         for cell in things.iter().flat_map(|thing| &thing.cells) {
-            if let Some(index) = view.index(*cell) {
+            if let Some(index) = rays.index(*cell) {
                 movable[index] = true;
             }
         }
         let cells =
-            cells(view, self.background.totals(), &self.evidence, &movable, &under, &mut self.said);
+            cells(rays, self.background.totals(), &self.evidence, &movable, &under, &mut self.said);
 
         self.tracks.observe(frame.captured, &things, side);
         if frame.captured >= self.newest {
             self.newest = frame.captured;
             for walker in self.tracks.now().filter(|track| track.has_walked) {
-                for cell in walker.cells(side).filter_map(|cell| self.view.index(cell)) {
+                for cell in walker.cells(side).filter_map(|cell| self.rays.index(cell)) {
                     taken[cell] = true;
                 }
             }
-            self.background.learn(&self.view, depths, frame.captured, &taken);
+            self.background.learn(&self.rays, depths, frame.captured, &taken);
         }
         let (camera, captured) = (self.camera, frame.captured);
         Ok(Observation { camera, captured, cells, things, ..Observation::default() })
     }
 
     fn mark(&self, marked: &mut [bool], robots: &[(Footprint, Pose)], margin: Millimetres) {
-        let side = self.view.survey().side;
+        let side = self.rays.survey().side;
         let cells =
             robots.iter().flat_map(|(footprint, pose)| footprint.cells(*pose, margin, side));
-        for cell in cells.filter_map(|cell| self.view.index(cell)) {
+        for cell in cells.filter_map(|cell| self.rays.index(cell)) {
             marked[cell] = true;
         }
     }
@@ -180,14 +179,14 @@ impl Eye {
             return Err(FrameError::Camera(frame.camera, camera));
         }
         let (early, late) = (frame.captured.since(now), now.since(frame.captured));
-        if early > CLOCKS {
+        if early > CLOCK_TOLERANCE {
             return Err(FrameError::Future { camera, millis: early.micros() / 1_000 });
         }
-        if late > OLDEST {
+        if late > FRAME_LATE {
             return Err(FrameError::Stale { camera, millis: late.micros() / 1_000 });
         }
         let depths = frame.depth.as_ref().ok_or(FrameError::NoDepth(camera))?;
-        let (found, expected) = (depths.dimensions(), self.view.size());
+        let (found, expected) = (depths.dimensions(), self.rays.size());
         if found != expected {
             return Err(FrameError::Size { camera, found, expected });
         }

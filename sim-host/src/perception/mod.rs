@@ -1,13 +1,14 @@
 //! From what cameras see to what it is.
 //!
-//! An [`Eye`] is one fixed depth camera: its [`View`] is what is computed once, its [`Background`]
-//! what is learnt of the empty room, and the [`Evidence`] of each image becomes cells and things.
+//! An [`Eye`] is one fixed depth camera: its [`RayTable`] is computed once, its [`Background`] is learnt
+//! from the empty room, and the [`Evidence`] of each image becomes cells and things.
 //! [`Tracks`] follow the things over all cameras. The [`robots::Localiser`] finds the robots' [`markers`].
 //! The [`Observer`] ties both together.
 
 mod background;
 mod cells;
 mod changes;
+mod depth_sigma;
 mod detector;
 mod evidence;
 mod eye;
@@ -15,12 +16,12 @@ mod footprint;
 pub mod markers;
 mod motion;
 mod observer;
+mod ray_table;
 pub mod robots;
 #[cfg(test)]
 mod testing;
 mod things;
 mod tracks;
-mod view;
 
 pub use background::Background;
 pub use detector::{Detection, Detector};
@@ -28,6 +29,5 @@ pub use evidence::{Evidence, Figure};
 pub use eye::{Eye, FrameError};
 pub use footprint::Footprint;
 pub use observer::Observer;
-pub use things::things_of_cells;
+pub use ray_table::{RayTable, Survey};
 pub use tracks::{Lying, Posture, Track, Tracks};
-pub use view::{Survey, View};

@@ -11,16 +11,16 @@ use super::{
     eye::{Eye, FrameError},
     footprint::Footprint,
     markers::{Identifier, Mount},
+    ray_table::Survey,
     robots::{Localiser, RegistryError, SightingEvent},
-    view::Survey,
 };
-use crate::camera::{Calibration, Frame, Observation};
+use crate::{
+    camera::{Calibration, Frame, Observation},
+    timing::SIGHTING_HOLDS,
+};
 
 /// Between two looks at the depths of one camera: people move a quarter of a metre.
 const LOOK_INTERVAL: Duration = Duration::from_millis(190);
-/// A robot that no picture shows may be in a depth image, which sees wider: it is taken to be where
-/// it was so long ago.
-const REMEMBERED: Duration = Duration::from_millis(500);
 
 /// All cameras, and what they know of the robots.
 #[derive(Debug)]
@@ -89,7 +89,7 @@ impl Observer {
             Observation { camera: frame.camera, captured, robots, ..Observation::default() };
         let mut poses: BTreeMap<RobotId, Pose> = told.into_iter().collect();
         let recent = |&(_, &(moment, _)): &(&RobotId, &(Instant, Pose))| {
-            moment.since(captured).max(captured.since(moment)) <= REMEMBERED
+            moment.since(captured).max(captured.since(moment)) <= SIGHTING_HOLDS
         };
         poses
             .extend(self.localised.iter().filter(recent).map(|(&robot, &(_, pose))| (robot, pose)));

@@ -9,10 +9,11 @@ use ubimap_protocol::{
 };
 
 use super::motion::Motion;
-use crate::camera::{LAYERS, Thing};
+use crate::{
+    camera::{LAYERS, Thing},
+    timing::THING_LOST,
+};
 
-/// What has not been seen for so long is gone.
-const MEMORY: Duration = Duration::from_secs(1);
 /// A thing this far from where a track should be is something else, in metres.
 const GATE_M: f64 = 0.8;
 /// Whatever has been this fast, and this far from where it began, has walked: metres a second, and
@@ -118,7 +119,7 @@ impl Tracks {
                 self.lying.extend(track.falls());
             }
         }
-        self.tracks.retain(|track| self.moment.since(track.seen) <= MEMORY);
+        self.tracks.retain(|track| self.moment.since(track.seen) <= THING_LOST);
         for (index, thing) in things.iter().enumerate().filter(|(index, _)| !taken.contains(index))
         {
             self.number = self.number.wrapping_add(1);
@@ -256,10 +257,8 @@ fn extent(thing: &Thing, side: Millimetres) -> ([f64; 2], f64) {
 
 #[cfg(test)]
 mod tests {
-    use ubimap_protocol::tile::Cell;
-
     use super::*;
-    use crate::perception::things_of_cells;
+    use crate::grid::clusters;
 
     const SIDE: Millimetres = Millimetres(50);
 
@@ -275,7 +274,8 @@ mod tests {
     }
 
     fn things(cells: impl Iterator<Item = (i32, i32)>) -> Vec<Thing> {
-        things_of_cells(&cells.map(|cell| (cell, Cell::Movable)).collect::<Vec<_>>())
+        let clusters = clusters(cells.collect()).into_iter();
+        clusters.map(|cells| Thing { cells, ..Thing::default() }).collect()
     }
 
     fn at(millis: u64) -> Instant {

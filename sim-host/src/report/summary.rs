@@ -217,6 +217,20 @@ fn ratio(part: f64, whole: u64) -> f64 {
 /// A table of the robots, and a line for each of the other figures.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.write_robots(f)?;
+        self.write_map(f)?;
+        self.write_scores(f)?;
+        let verdict = if self.map.converged { "all hold the same map" } else { "NOT converged" };
+        writeln!(
+            f,
+            "{verdict}, digest {}; {:.1} s simulated in {:.1} s",
+            self.map.digest, self.simulated_s, self.elapsed_s
+        )
+    }
+}
+
+impl Report {
+    fn write_robots(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
             "robot   scans  mapped  up (map) bytes   down bytes  bytes/mapped  resent  lost  evicted  refused"
@@ -237,6 +251,10 @@ impl fmt::Display for Report {
                 robot.cells_refused,
             )?;
         }
+        Ok(())
+    }
+
+    fn write_map(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let map = &self.map;
         writeln!(
             f,
@@ -254,7 +272,11 @@ impl fmt::Display for Report {
             each(self.comparison.zlib_tiles_bytes),
             each(self.comparison.obstacle_distance_bytes),
             each(self.comparison.occupancy_grid_update_bytes),
-        )?;
+        )
+    }
+
+    /// The figures that only some runs have.
+    fn write_scores(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(truth) = self.truth {
             writeln!(
                 f,
@@ -288,12 +310,7 @@ impl fmt::Display for Report {
                 sighted.count, sighted.rmse_m, sighted.rmse_deg
             )?;
         }
-        let verdict = if map.converged { "all hold the same map" } else { "NOT converged" };
-        writeln!(
-            f,
-            "{verdict}, digest {}; {:.1} s simulated in {:.1} s",
-            map.digest, self.simulated_s, self.elapsed_s
-        )
+        Ok(())
     }
 }
 

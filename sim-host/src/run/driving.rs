@@ -6,13 +6,15 @@ use ubimap_agent::drive::{Config, DriveCommand, Gaze, Motion, SafetyLimits};
 use ubimap_protocol::{
     tile::{Cell as MapCell, TILE_SIDE, TileId},
     time::{Duration, Instant},
+    units::Millimetres,
 };
 
-use super::{fleet::Fleet, options::MotionName, simulate::RESOLUTION};
+use super::{fleet::Fleet, options::MotionName};
 use crate::{
     camera::FrameSource,
     mapping::ServedLayer,
     report::DrivingSummary,
+    server::coordination::Settings,
     world::{SimRobot, World},
 };
 
@@ -31,18 +33,25 @@ const ALL: f64 = 0.99;
 /// How often it is looked at.
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// Lets the server coordinate, and all robots that have a route drive themselves.
-pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World, motion: MotionName) {
+/// How robots of a world are told where to drive.
+pub(super) fn coordination(world: &World) -> Settings {
     let ranges = world.robots().iter().map(|robot| robot.sensor().max_range_m());
     let range_m = ranges.fold(f64::INFINITY, f64::min);
-    fleet.coordinate(range_m.min(VIEW_M), range_m, LOOK);
+    let view_m = range_m.min(VIEW_M);
+    Settings { view_m, range_m, look: LOOK, ..Settings::default() }
+}
+
+/// Lets all robots that have a route drive themselves.
+pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World, motion: MotionName) {
+    let resolution = fleet.deployment().resolution();
     for robot in world.robots().iter().filter(|robot| robot.drives()) {
-        fleet.let_drive(robot.id(), config(robot), motion == MotionName::StopAndWait);
+        let stops = motion == MotionName::StopAndWait;
+        fleet.let_drive(robot.id(), config(robot, resolution), stops);
     }
 }
 
 /// What a simulated robot's driver knows of it.
-fn config(robot: &SimRobot) -> Config {
+fn config(robot: &SimRobot, resolution: Millimetres) -> Config {
     let [speed, turn, acceleration] = robot.limits();
     let usual = Motion::default();
     let motion = Motion {
@@ -61,7 +70,7 @@ fn config(robot: &SimRobot) -> Config {
         radius: motion.radius,
     };
     let looks_at_goal = Some(gaze);
-    Config { motion, safety, resolution: RESOLUTION, looks_at_goal, ..Config::default() }
+    Config { motion, safety, resolution, looks_at_goal, ..Config::default() }
 }
 
 /// What a command means for the wheels: metres and radians a second.
@@ -103,7 +112,7 @@ impl BlindGround {
 
     /// Looks whether all is mapped.
     pub(super) fn look(&self, fleet: &Fleet<'_>) {
-        let now = Instant(0) + fleet.elapsed();
+        let now = fleet.now();
         if self.mapped.get().is_none() && now >= self.next.get() {
             self.next.set(now + INTERVAL);
             if self.known(fleet.server().fused()) >= ALL {
@@ -114,11 +123,11 @@ impl BlindGround {
 
     /// What came of the run.
     pub(super) fn summary(&self, fleet: &Fleet<'_>, world: &World) -> DrivingSummary {
-        let contacts = world.contacts();
+        let (contacts, resolution) = (world.contacts(), fleet.deployment().resolution());
         DrivingSummary {
             collisions: contacts.collisions,
             touches: contacts.touches,
-            blind_m2: self.cells.len() as f64 * RESOLUTION.metres().powi(2),
+            blind_m2: self.cells.len() as f64 * resolution.metres().powi(2),
             blind_mapped: self.known(fleet.server().fused()),
             mapped_s: self.mapped.get().map(|it| it.micros() as f64 / 1e6),
         }

@@ -9,7 +9,7 @@ use super::fleet::{Fleet, Robot};
 use crate::{
     grid::OccupancyGrid,
     report::{Comparison, HexDigest, MapSummary, Marker, MarkerKind, Pixels, Report, RobotSummary},
-    server::{EventLog, Server},
+    server::EventLog,
 };
 
 /// The report of a run, but for what only the command knows.
@@ -20,9 +20,8 @@ pub(super) fn report(
     converged: bool,
     tiles: usize,
 ) -> Report {
-    let robots = fleet.robots().iter().enumerate();
     let robots: Vec<RobotSummary> =
-        robots.map(|(port, robot)| summary(fleet.server(), port, robot, tiles)).collect();
+        fleet.robots().iter().map(|robot| summary(fleet, robot, tiles)).collect();
     for robot in robots.iter().filter(|robot| robot.cells_refused > 0) {
         log::warn!(
             "robot {} had no room for {} cells: its {tiles} tiles were full; --tiles gives it more",
@@ -45,7 +44,9 @@ pub(super) fn report(
     Report::new(seed, robots, map, comparison)
 }
 
-fn summary(server: &Server, port: usize, robot: &Robot<'_>, tiles: usize) -> RobotSummary {
+fn summary(fleet: &Fleet<'_>, robot: &Robot<'_>, tiles: usize) -> RobotSummary {
+    let server = fleet.server();
+    let port = fleet.deployment().port(robot.port());
     let counted = robot.agent().statistics();
     let mut digest = Digest::default();
     if let Some(layer) = server.layer(robot.id()) {
@@ -65,7 +66,7 @@ fn summary(server: &Server, port: usize, robot: &Robot<'_>, tiles: usize) -> Rob
         },
         bytes_up: counted.bytes_sent,
         bytes_up_map: counted.bytes_sent_map,
-        bytes_down: server.bytes_sent(port),
+        bytes_down: port.map_or(0, |port| port.bytes_sent),
         retransmissions: robot.agent().link_counters().retransmissions.into(),
         frames_lost: robot.frames_lost(),
         tiles: tiles as u64,

@@ -1,6 +1,6 @@
-//! Agents and the server, joined by channels under virtual time.
+//! Robots and a deployment, joined by channels under virtual time.
 //!
-//! Nothing here waits: the clock jumps from event to event, each agent and the server come back
+//! Nothing here waits: the clock jumps from event to event, each robot and the deployment come back
 //! when they asked to, and the same seed gives the same bytes.
 
 use ubimap_agent::{
@@ -12,21 +12,18 @@ use ubimap_agent::{
 };
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MAX_FRAME},
-    tile::{Epoch, Layer, Stamp, TILE_SIDE, TileId, tile_hash},
+    tile::{TILE_SIDE, TileId},
     time::{Duration, Instant},
-    units::{Millimetres, Pose, RobotId},
+    units::{Pose, RobotId},
 };
 
-use super::{
-    RunError,
-    keeper::{self, Keeper},
-};
+use super::keeper::Keeper;
 use crate::{
-    camera::{Frame, Observation, Sighting},
+    camera::{Frame, Observation},
     channel::fault::{FaultWire, Faults},
-    perception::Observer,
+    deployment::{self, Deployment, PortId},
     report::{Comparison, Published},
-    server::{Footprint, Server},
+    server::Server,
     store::StoreError,
 };
 
@@ -37,7 +34,7 @@ pub const FUSED_TILES: usize = 64;
 /// Scans that can wait for their poses on a robot.
 const WAITING_SCANS: usize = 4;
 
-/// Something that happens at a moment of the server's clock.
+/// Something that happens at a moment of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// A robot, by its place in the fleet, takes a scan.
@@ -154,6 +151,8 @@ impl RobotClock {
 /// One robot with its channel.
 pub struct Robot<'b> {
     id: RobotId,
+    /// Its port of the deployment.
+    port: PortId,
     clock: RobotClock,
     agent: Agent<'b>,
     /// What drives it, if it does not drive a route.
@@ -185,6 +184,11 @@ impl Robot<'_> {
         self.id
     }
 
+    /// Its port of the deployment.
+    pub fn port(&self) -> PortId {
+        self.port
+    }
+
     /// What drives it, if it drives itself.
     pub fn pilot(&self) -> Option<&Pilot> {
         self.pilot.as_deref()
@@ -195,7 +199,7 @@ impl Robot<'_> {
         &self.agent
     }
 
-    /// Whether it leaves a cell to the cameras at a moment of the server's clock.
+    /// Whether it leaves a cell to the cameras at a moment of the run.
     pub fn is_left_to_cameras(&self, now: Instant, (x, y): (i32, i32)) -> bool {
         let Some(id) = TileId::of_cell(x, y) else { return false };
         let around = self.agent.fused_tiles().around(id, self.clock.local(now));
@@ -215,52 +219,47 @@ impl Robot<'_> {
         comparison
     }
 
-    /// Where it believes that it has been, and when by the server's clock.
+    /// Where it believes that it has been, and when since the run began.
     pub fn path(&self) -> &[(Instant, Pose)] {
         &self.path
     }
 }
 
 /// Hears every frame that a robot or the server sends, before its channel does anything to it:
-/// which robot's channel, which way, and the bytes.
+/// the robot, the direction, and the bytes.
 pub type Tap<'t> = Box<dyn FnMut(RobotId, Direction, &[u8]) + 't>;
 
-/// Hears what every frame of a camera says, before the server does.
-pub type Watch<'w> = Box<dyn FnMut(&Observation) + 'w>;
+/// Hears every event of the deployment.
+pub type Listener<'l> = Box<dyn FnMut(&deployment::Event) + 'l>;
 
-/// All robots and the server.
+/// A deployment and its robots, on one virtual clock.
 pub struct Fleet<'b> {
-    server: Server,
-    observer: Option<Observer>,
-    /// What the cameras localised, and when by the run's clock.
-    sightings: Vec<(Instant, Sighting)>,
+    deployment: Deployment,
     robots: Vec<Robot<'b>>,
     keeper: Option<Keeper>,
-    /// When the run began.
-    began: Instant,
+    /// Since the run began.
     now: Instant,
     frame: Vec<u8>,
     tap: Option<Tap<'b>>,
-    watch: Option<Watch<'b>>,
+    listener: Option<Listener<'b>>,
 }
 
-/// A run goes on for so long after the last event, if not all hold the same map before.
+/// How long a run goes on after the last event, unless all hold the same map before.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 impl<'b> Fleet<'b> {
-    /// A robot for each configuration; `memory` has one entry for each as well. With a keeper the
-    /// server and its clock go on from what is in the file.
+    /// A robot for each configuration, at a port of its own; `memory` has one entry for each as
+    /// well.
     ///
     /// # Errors
-    /// [`RunError::Agent`] and [`RunError::Store`].
+    /// [`ConfigError`].
     pub fn new(
         configs: &[Config],
         memory: &'b mut [AgentMemory],
         faults: Faults,
-        resolution: Millimetres,
         seed: u64,
-        keeper: Option<Keeper>,
-    ) -> Result<Self, RunError> {
+        mut deployment: Deployment,
+    ) -> Result<Self, ConfigError> {
         let robots = configs.iter().zip(memory).map(|(config, memory)| {
             let id = config.robot;
             let wire = |way: u64| {
@@ -268,6 +267,7 @@ impl<'b> Fleet<'b> {
             };
             Ok(Robot {
                 id,
+                port: deployment.open_port(),
                 beams: memory.beams.len(),
                 clock: RobotClock::of(id, seed),
                 agent: Agent::new(*config, memory.lend())?,
@@ -279,33 +279,21 @@ impl<'b> Fleet<'b> {
                 bytes_noted: 0,
             })
         });
-        let robots = robots.collect::<Result<Vec<_>, ConfigError>>()?;
-        let server = keeper::server(keeper.as_ref(), resolution, Epoch(1), robots.len())?;
-        let began = keeper.as_ref().map_or(Instant(0), Keeper::begins);
-        let frame = vec![0; MAX_FRAME];
+        let robots = robots.collect::<Result<_, ConfigError>>()?;
         Ok(Self {
-            server,
-            observer: None,
-            sightings: Vec::new(),
+            deployment,
             robots,
-            keeper,
-            began,
-            now: began,
-            frame,
+            keeper: None,
+            now: Instant(0),
+            frame: vec![0; MAX_FRAME],
             tap: None,
-            watch: None,
+            listener: None,
         })
     }
 
-    /// Has the frames of cameras looked at.
-    pub fn look_through(&mut self, observer: Observer) {
-        self.observer = Some(observer);
-    }
-
-    /// What the cameras localised in their frames, and when each was captured, from the beginning
-    /// of the run.
-    pub fn sightings(&self) -> &[(Instant, Sighting)] {
-        &self.sightings
+    /// Has what the deployment hands out written to a file from now on.
+    pub fn keep(&mut self, keeper: Keeper) {
+        self.keeper = Some(keeper);
     }
 
     /// Has every frame of the links heard from now on.
@@ -313,25 +301,9 @@ impl<'b> Fleet<'b> {
         self.tap = Some(tap);
     }
 
-    /// Has every observation heard from now on.
-    pub fn watch(&mut self, watch: Watch<'b>) {
-        self.watch = Some(watch);
-    }
-
-    /// The server.
-    pub fn server(&self) -> &Server {
-        &self.server
-    }
-
-    /// What a robot takes up, for the others to know.
-    pub fn set_footprint(&mut self, robot: RobotId, footprint: Footprint) {
-        self.server.set_footprint(robot, footprint);
-    }
-
-    /// Lets the server say where robots drive: a frontier is in view from so far, by sensors that
-    /// see so far, both in metres, and looked at for so long.
-    pub fn coordinate(&mut self, view_m: f64, range_m: f64, look: Duration) {
-        self.server.coordinate(view_m, range_m, look);
+    /// Has every event of the deployment heard from now on.
+    pub fn listen(&mut self, listener: Listener<'b>) {
+        self.listener = Some(listener);
     }
 
     /// Lets a robot drive itself, and explore; if it is to stop for scans, where its gate opens.
@@ -342,14 +314,18 @@ impl<'b> Fleet<'b> {
                 pilot.stop_for_scans(Stops::new(robot.agent.config().gate));
             }
             robot.pilot = Some(pilot);
-            self.server.explore(robot.id);
+            self.deployment.explore(robot.id, true);
         }
     }
 
-    /// The server leaves the robots' constant errors as they are, and tells nobody in blind ground
-    /// where it is.
-    pub fn leave_errors(&mut self) {
-        self.server.leave_errors();
+    /// The deployment.
+    pub fn deployment(&self) -> &Deployment {
+        &self.deployment
+    }
+
+    /// Its server.
+    pub fn server(&self) -> &Server {
+        self.deployment.server()
     }
 
     /// The robots.
@@ -357,23 +333,18 @@ impl<'b> Fleet<'b> {
         &self.robots
     }
 
-    /// When the run began by the server's clock: zero, unless the server goes on from a file.
-    pub fn began(&self) -> Instant {
-        self.began
-    }
-
-    /// How long the run has lasted.
-    pub fn elapsed(&self) -> Duration {
-        self.now.since(self.began)
-    }
-
-    /// The server's time.
+    /// The time since the run began.
     pub fn now(&self) -> Instant {
         self.now
     }
 
+    /// How long the run has lasted.
+    pub fn elapsed(&self) -> Duration {
+        self.now.since(Instant(0))
+    }
+
     /// Runs until the stage has ended and all hold the same map, or until patience ends. Returns
-    /// whether they do. `watch` sees it after every event.
+    /// whether they do. `watch` sees the fleet after every event.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -383,9 +354,8 @@ impl<'b> Fleet<'b> {
         mut watch: impl FnMut(&Self),
     ) -> Result<bool, StoreError> {
         while let Some(next) = stage.next_event() {
-            self.run_until(self.began + next.since(Instant(0)))?;
-            let now = Instant(self.now.since(self.began).micros());
-            while let Some(event) = stage.poll(now) {
+            self.run_until(next)?;
+            while let Some(event) = stage.poll(self.now) {
                 if let Event::Drive { robot } = event {
                     if let Some(command) = self.drive(robot) {
                         stage.drive(robot, command);
@@ -394,7 +364,7 @@ impl<'b> Fleet<'b> {
                     self.happen(event);
                 }
             }
-            self.drain();
+            self.drain()?;
             watch(self);
         }
         let end = self.now + PATIENCE;
@@ -409,35 +379,30 @@ impl<'b> Fleet<'b> {
         while let Some(next) = self.next_due().filter(|&next| next < until) {
             self.now = self.now.max(next);
             self.deliver();
-            if let Some(keeper) = &mut self.keeper {
-                keeper.keep(&mut self.server, self.now)?;
-            }
-            self.drain();
+            self.drain()?;
         }
         self.now = self.now.max(until);
         Ok(())
     }
 
-    /// When a frame arrives, or an agent or the server wants to come back.
+    /// When a frame arrives, or a robot or the deployment wants to come back.
     fn next_due(&self) -> Option<Instant> {
-        let robots = self.robots.iter().enumerate().flat_map(|(port, robot)| {
+        let robots = self.robots.iter().flat_map(|robot| {
             [
                 robot.up.next_delivery(),
                 robot.down.next_delivery(),
                 Some(robot.clock.server(robot.agent.poll_timeout())),
-                self.server.poll_timeout(port, self.now),
             ]
         });
-        let commit = self.keeper.as_ref().map(|keeper| keeper.poll_timeout(&self.server));
-        robots.chain(commit).flatten().min()
+        robots.chain([self.deployment.poll_timeout(self.now)]).flatten().min()
     }
 
     fn deliver(&mut self) {
         let now = self.now;
-        for (port, robot) in self.robots.iter_mut().enumerate() {
+        for robot in &mut self.robots {
             while let Some(bytes) = robot.up.poll(now) {
-                let known = self.server.receive(port, &bytes, now);
-                debug_assert!(known.is_ok());
+                let is_open = self.deployment.receive(robot.port, &bytes, now);
+                debug_assert!(is_open.is_ok());
             }
             let local = robot.clock.local(now);
             while let Some(bytes) = robot.down.poll(now) {
@@ -445,7 +410,7 @@ impl<'b> Fleet<'b> {
             }
             robot.agent.timeout(local);
         }
-        self.server.timeout(now);
+        self.deployment.timeout(now);
     }
 
     /// What the wheels of a robot shall do, if it drives itself.
@@ -471,105 +436,52 @@ impl<'b> Fleet<'b> {
                 if let Some(pilot) = &mut robot.pilot {
                     pilot.scan(&robot.agent, &readings, local);
                 }
-                robot.path.extend(robot.agent.pose());
+                let pose = robot.agent.pose();
+                robot.path.extend(pose.map(|(at, pose)| (self.deployment.since_began(at), pose)));
             }
             Event::Odometry { robot, pose } => {
                 let Some(robot) = self.robots.get_mut(robot) else { return };
                 let local = robot.clock.local(self.now);
                 robot.agent.odometry(local, pose, local);
             }
-            Event::Frame(frame) => self.look(frame),
-            Event::Observation(mut observation) => {
-                observation.captured = self.began + observation.captured.since(Instant(0));
-                self.observe(&observation);
-            }
+            Event::Frame(frame) => self.deployment.frame(frame, self.now),
+            Event::Observation(observation) => self.deployment.observe(observation),
         }
-    }
-
-    fn look(&mut self, mut frame: Frame) {
-        let Some(observer) = &mut self.observer else { return };
-        let since_began = frame.captured;
-        frame.captured = self.began + since_began.since(Instant(0));
-        let told = self.server.whereabouts(frame.captured);
-        let (observation, fault) = observer.observe(&frame, self.now, told);
-        if let Some(fault) = fault {
-            log::warn!("{fault}");
-        }
-        while let Some((captured, event)) = observer.poll_event() {
-            self.server.sighting_event(captured, event);
-        }
-        self.sightings.extend(observation.robots.iter().map(|&it| (since_began, it)));
-        self.observe(&observation);
-    }
-
-    fn observe(&mut self, observation: &Observation) {
-        if let Some(watch) = &mut self.watch {
-            watch(observation);
-        }
-        self.server.observe(observation);
     }
 
     /// Drains the outputs of all, until none has any left.
-    fn drain(&mut self) {
+    fn drain(&mut self) -> Result<(), StoreError> {
         let now = self.now;
-        for (port, robot) in self.robots.iter_mut().enumerate() {
-            let local = robot.clock.local(now);
-            let id = robot.id;
-            let mut hear = |direction, frame: &[u8]| {
-                if let Some(tap) = &mut self.tap {
-                    tap(id, direction, frame);
-                }
-            };
+        if let Some(keeper) = &mut self.keeper {
+            keeper.keep(&mut self.deployment, now)?;
+        }
+        let mut hear = |robot, direction, frame: &[u8]| {
+            if let Some(tap) = &mut self.tap {
+                tap(robot, direction, frame);
+            }
+        };
+        for robot in &mut self.robots {
+            let (id, local) = (robot.id, robot.clock.local(now));
             while let Some(len) = robot.agent.poll_transmit(local, &mut self.frame[..DEFAULT_FRAME])
             {
-                hear(Direction::ToServer, &self.frame[..len]);
+                hear(id, Direction::ToServer, &self.frame[..len]);
                 robot.up.send(now, &self.frame[..len]);
             }
             robot.take_note();
-            while let Some(len) = self.server.poll_transmit(port, now, &mut self.frame) {
-                hear(Direction::ToRobot, &self.frame[..len]);
+        }
+        while let Some((port, len)) = self.deployment.poll_transmit(now, &mut self.frame) {
+            if let Some(robot) = self.robots.iter_mut().find(|robot| robot.port == port) {
+                hear(robot.id, Direction::ToRobot, &self.frame[..len]);
                 robot.down.send(now, &self.frame[..len]);
             }
         }
-        self.server.age(now);
-    }
-
-    /// Whether the server holds the newest version of every tile that each robot has published,
-    /// and every fused tile that a robot holds is the server's newest, hash for hash; and all of it
-    /// is on disk, if the server keeps anything.
-    pub fn has_converged(&self) -> bool {
-        !self.server.has_unsaved()
-            && self.robots.iter().all(|robot| {
-                robot.agent.is_idle()
-                    && self.server.is_level(robot.id)
-                    && self.server_holds_all_of(robot)
-                    && self.all_held_is_newest(robot)
-            })
-    }
-
-    fn server_holds_all_of(&self, robot: &Robot<'_>) -> bool {
-        let Some(layer) = self.server.layer(robot.id) else {
-            return robot.agent.own_tiles().tiles().next().is_none();
-        };
-        robot.agent.own_tiles().tiles().all(|tile| {
-            let stamp = Stamp { epoch: tile.epoch(), version: tile.publication().version() };
-            let held = tile.id().and_then(|id| layer.held(id, tile.epoch()));
-            held.is_some_and(|(held, cells)| {
-                held == stamp && tile_hash(cells) == tile_hash(tile.publication().sent())
-            })
-        })
-    }
-
-    fn all_held_is_newest(&self, robot: &Robot<'_>) -> bool {
-        robot.agent.fused_tiles().tiles(Layer::Fused).all(|(id, replica)| {
-            let newest = self.server.fused().get(id);
-            newest.is_some_and(|(version, cells)| {
-                let stamp = Stamp { epoch: self.server.epoch(), version };
-                !replica.is_partial()
-                    && replica.stamp() == stamp
-                    && tile_hash(replica.tile()) == tile_hash(cells)
-            })
-        })
+        while let Some((_, event)) = self.deployment.poll_event() {
+            log::log!(event.level(), "{event}");
+            if let Some(listener) = &mut self.listener {
+                listener(&event);
+            }
+        }
+        Ok(())
     }
 }
 

@@ -1,7 +1,9 @@
-//! What joins a source, agents, channels and the server into one run: one file for each of
-//! `ubimap`'s commands, and their options.
+//! What drives a deployment: a file for each of `ubimap`'s commands, their options, and the fleet
+//! of simulated robots. Each driver brings a clock, sources and channels; what is decided is
+//! decided in the [`deployment`](crate::deployment).
 
 pub mod compare;
+mod convergence;
 mod driving;
 mod figures;
 pub mod fleet;
@@ -9,9 +11,10 @@ pub mod keeper;
 pub mod options;
 pub mod place;
 mod progress;
-pub mod recording;
-pub mod registry;
+pub mod record;
 pub mod replay;
+mod robots_file;
+pub mod room_stage;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;
@@ -27,8 +30,8 @@ use ubimap_agent::{ConfigError, map::MAX_RADIUS};
 use crate::{
     channel::serial::SerialError,
     grid::{self, GridError, MapError, OccupancyGrid},
-    log::{FramesError, LogError},
     perception::robots::RegistryError,
+    recording::{FramesError, LogError},
     report::{self, Marker, OutputError, OutputFolder, Report},
     store::StoreError,
     world::ScenarioError,

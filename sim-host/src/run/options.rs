@@ -11,7 +11,7 @@ use ubimap_protocol::{
 
 use crate::{
     channel::fault::Faults,
-    log::{DepthSlice, Format, PixelModel, Slicing},
+    recording::{DepthSlice, Format, PixelModel, Slicing},
     world::NAMED,
 };
 

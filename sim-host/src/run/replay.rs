@@ -20,11 +20,12 @@ use super::{
 };
 use crate::{
     camera::{Observation, Sighting},
+    deployment::{self, Deployment},
     grid::OccupancyGrid,
-    log::{self, Log, LoggedScan},
+    recording::{self, Log, LoggedScan},
 };
 
-/// The robots boot so long before the first scan: time to meet the server.
+/// How long before the first scan the robots boot: time to meet the server.
 const BOOT: Duration = Duration::from_secs(5);
 /// Between two frames of the ceiling cameras.
 const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
@@ -37,28 +38,35 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
 /// The same, with every frame heard.
 pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
-    let log = log::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
-    log.notes.iter().for_each(|note| ::log::info!("{note}"));
-    let mut recording = Recording::of(&log, usize::from(options.robots));
+    let log =
+        recording::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
+    log.notes.iter().for_each(|note| log::info!("{note}"));
+    let mut stage = LogStage::of(&log, usize::from(options.robots));
 
     let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
     let configs: Vec<Config> =
-        (1..=recording.robots as u16).map(|robot| config(RobotId(robot), &log, options)).collect();
+        (1..=stage.robots as u16).map(|robot| config(RobotId(robot), &log, options)).collect();
     let readings = log.sensor.readings();
     let mut memory: Vec<AgentMemory> = configs
         .iter()
         .map(|config| AgentMemory::new(config, readings, own_tiles, FUSED_TILES))
         .collect();
     let faults = options.run.channel.faults();
-    let keeper = options.run.keeper(options.resolution)?;
-    let mut fleet =
-        Fleet::new(&configs, &mut memory, faults, options.resolution, options.run.seed, keeper)?;
-    // A log's poses are given: between scans they are drawn out, and no course shows an error.
-    fleet.leave_errors();
+    let (keeper, life) = options.run.keeper(options.resolution)?;
+    // The poses of a log are interpolated between scans: no course shows an error.
+    let deployment = deployment::Config {
+        corrects_errors: false,
+        ..deployment::Config::new(options.resolution)
+    };
+    let deployment = Deployment::new(deployment, life)?;
+    let mut fleet = Fleet::new(&configs, &mut memory, faults, options.run.seed, deployment)?;
+    if let Some(keeper) = keeper {
+        fleet.keep(keeper);
+    }
     fleet.tap(tap);
 
-    let progress = Progress::new(recording.end(), options.run.json);
-    let converged = fleet.run(&mut recording, |fleet| progress.at(Instant(0) + fleet.elapsed()))?;
+    let progress = Progress::new(stage.end(), options.run.json);
+    let converged = fleet.run(&mut stage, |fleet| progress.at(fleet.now()))?;
     progress.finish();
 
     let fused = fleet.server().fused();
@@ -88,15 +96,14 @@ fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
     }
 }
 
-/// A log on its way through the robots.
-struct Recording {
+/// The scans of a log as events.
+struct LogStage {
     events: VecDeque<(Instant, Event)>,
     robots: usize,
 }
 
-impl Recording {
-    /// Cuts the log into segments of as equal a length as can be; there are never more robots
-    /// than scans.
+impl LogStage {
+    /// Cuts the log into segments of nearly equal length; there are never more robots than scans.
     fn of(log: &Log, robots: usize) -> Self {
         let robots = robots.min(log.scans.len());
         let mut events = Vec::new();
@@ -115,7 +122,7 @@ impl Recording {
     }
 }
 
-impl Stage for Recording {
+impl Stage for LogStage {
     fn next_event(&self) -> Option<Instant> {
         Some(self.events.front()?.0)
     }
@@ -190,7 +197,7 @@ fn between(from: [f64; 3], to: [f64; 3], part: f64) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::{Format, Sensor};
+    use crate::recording::{Format, Sensor};
 
     fn log(scans: usize) -> Log {
         let scan = |index: usize| LoggedScan {
@@ -210,9 +217,9 @@ mod tests {
 
     #[test]
     fn segments_run_side_by_side_and_lose_no_scan() {
-        let recording = Recording::of(&log(10), 3);
+        let stage = LogStage::of(&log(10), 3);
         let mut scans = [const { Vec::new() }; 3];
-        for (moment, event) in &recording.events {
+        for (moment, event) in &stage.events {
             if let Event::Scan { robot, readings } = event {
                 scans[*robot].push((moment.0 / 1_000_000, readings[0]));
             }
@@ -220,7 +227,7 @@ mod tests {
         assert_eq!(scans[0], [(5, 0), (7, 1), (9, 2)]);
         assert_eq!(scans[1], [(5, 3), (7, 4), (9, 5)]);
         assert_eq!(scans[2], [(5, 6), (7, 7), (9, 8), (11, 9)]);
-        assert_eq!(Recording::of(&log(2), 5).robots, 2);
+        assert_eq!(LogStage::of(&log(2), 5).robots, 2);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
-use super::{RunError, fleet::Fleet, simulate::RESOLUTION};
+use super::{RunError, fleet::Fleet};
 use crate::{
     camera::FrameSource,
     grid::{self, OccupancyGrid},
@@ -34,7 +34,6 @@ pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     errors(robots.flat_map(|(robot, track)| {
         let path = robot.path().iter();
         path.filter_map(|&(moment, pose)| {
-            let moment = Instant(moment.since(fleet.began()).micros());
             Some((pose, true_pose(track, moment).filter(|_| moment.0 >= SETTLED.0)?))
         })
     }))
@@ -44,7 +43,7 @@ pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
 pub fn sighting_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let tracks: BTreeMap<_, _> =
         fleet.robots().iter().map(|robot| robot.id()).zip(tracks).collect();
-    errors(fleet.sightings().iter().filter_map(|&(captured, sighting)| {
+    errors(fleet.deployment().sightings().iter().filter_map(|&(captured, sighting)| {
         let track = tracks.get(&sighting.robot)?;
         Some((sighting.pose, true_pose(track, captured).filter(|_| drives(track, captured))?))
     }))
@@ -95,7 +94,8 @@ struct Ground {
 }
 
 impl Ground {
-    fn of(world: &World) -> Result<Self, RunError> {
+    /// In cells of this side.
+    fn of(world: &World, side: Millimetres) -> Result<Self, RunError> {
         let truth = world.truth();
         let cameras = 0..FrameSource::cameras(world).len();
         let covered: BTreeSet<_> = cameras.flat_map(|camera| world.covered(camera)).collect();
@@ -108,15 +108,15 @@ impl Ground {
         let surfaces = || truth.surfaces.iter().copied();
         let free = || truth.free.iter().map(|&cell| (cell, Cell::Free));
         let occupied = |cell| (cell, Cell::Occupied);
-        let whole = of_cells(surfaces().map(occupied).chain(free()))?;
-        let seen = of_cells(surfaces().filter(is_seen).map(occupied).chain(free()))?;
+        let whole = of_cells(surfaces().map(occupied).chain(free()), side)?;
+        let seen = of_cells(surfaces().filter(is_seen).map(occupied).chain(free()), side)?;
         Ok(Self { covered, passed, whole, seen })
     }
 }
 
 /// The map against the truth of a world that has run.
 pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError> {
-    let Ground { covered, passed, whole, seen } = Ground::of(world)?;
+    let Ground { covered, passed, whole, seen } = Ground::of(world, side_of(map))?;
     let map = &without_bodies(map, world);
     // What the map says must be true; of what is true it must say what has been seen.
     let scores = grid::compare(map, &whole, None);
@@ -174,14 +174,14 @@ fn without_bodies(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
 
 /// A picture of where a map is wrong.
 pub(super) fn error_picture(map: &OccupancyGrid, world: &World) -> Result<RgbImage, RunError> {
-    let ground = Ground::of(world)?;
+    let ground = Ground::of(world, side_of(map))?;
     let map = &without_bodies(map, world);
     Ok(report::render_error(map, &ground.whole, &ground.seen))
 }
 
 /// The cells of which a map says something.
 fn known(map: &OccupancyGrid) -> BTreeSet<(i32, i32)> {
-    let first = map.origin_m().map(|it| (it / RESOLUTION.metres()).round() as i32);
+    let first = map.origin_m().map(|it| (it / map.resolution_m()).round() as i32);
     let cells = map.cells().iter().enumerate().filter(|(_, cell)| **cell != Cell::Unknown);
     cells
         .map(|(index, _)| {
@@ -191,12 +191,20 @@ fn known(map: &OccupancyGrid) -> BTreeSet<(i32, i32)> {
         .collect()
 }
 
-fn of_cells(cells: impl Iterator<Item = ((i32, i32), Cell)>) -> Result<OccupancyGrid, RunError> {
+/// The side of a map's cells.
+fn side_of(map: &OccupancyGrid) -> Millimetres {
+    Millimetres::from_metres(map.resolution_m())
+}
+
+fn of_cells(
+    cells: impl Iterator<Item = ((i32, i32), Cell)>,
+    side: Millimetres,
+) -> Result<OccupancyGrid, RunError> {
     let mut tiles = BTreeMap::<TileId, Tile>::new();
     for ((x, y), cell) in cells {
         let Some(id) = TileId::of_cell(x, y) else { continue };
         let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
         tiles.entry(id).or_default().set(within(x), within(y), cell);
     }
-    Ok(OccupancyGrid::from_tiles(tiles.iter().map(|(&id, tile)| (id, tile)), RESOLUTION)?)
+    Ok(OccupancyGrid::from_tiles(tiles.iter().map(|(&id, tile)| (id, tile)), side)?)
 }

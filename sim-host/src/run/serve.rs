@@ -1,12 +1,13 @@
 //! `ubimap serve`: the camera server on serial ports, in real time.
 //!
-//! Until real cameras come, it serves robots on a bench: each one stands where it is said to
-//! stand, and gets a fix of that pose as often as a camera would send one.
+//! A deployment driven by the wall clock. Until real cameras come it serves robots on a bench: each
+//! one stands at a given pose, and gets a fix of it as often as a camera would send one.
 
 use std::time::{self, SystemTime};
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
+    link::Counters,
     message::{Event, State},
     tile::Epoch,
     time::{Duration, Instant},
@@ -21,26 +22,27 @@ use super::{
 use crate::{
     camera::{Observation, Sighting},
     channel::serial::{SerialError, SerialPort},
+    deployment::{Config, Deployment, Life, PortId, PortStatus},
     report::{EventSummary, PortSummary, ServeReport, StateSummary},
-    server::{self, EventLog, Server},
+    server::{self, EventLog},
     store::StoreError,
 };
 
-/// Between two frames of the camera that there will be: 15 Hz.
+/// Between two frames of the camera that the bench stands for: 15 Hz.
 pub const CAPTURE_INTERVAL: Duration = Duration::from_micros(66_667);
 
-/// The longest wait for a byte, shared by all ports: what arrives at one of them meanwhile is
-/// taken for that much younger than it is.
+/// The longest wait for a byte, shared by all ports. What arrives at one of them meanwhile is taken
+/// for younger than it is by as much.
 const LONGEST_WAIT: Duration = Duration::from_millis(4);
-/// The shortest wait that is one.
+/// The shortest wait that lets the processor rest.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 
 /// Serves until the time is over or every port has hung up.
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
     let ports = open(options)?;
-    let keeper = options.store.as_deref();
-    let keeper = keeper.map(|path| Keeper::open(path, options.resolution, epoch())).transpose()?;
-    let mut station = Station::new(options.resolution, epoch(), ports, keeper)?;
+    let resolution = options.resolution;
+    let (keeper, life) = keeper::open(options.store.as_deref(), resolution, epoch())?;
+    let mut station = Station::new(resolution, life, ports, keeper)?;
     let end = options.duration.map(|duration| station.now() + duration);
     while station.is_attached() && end.is_none_or(|end| station.now() < end) {
         station.turn()?;
@@ -107,11 +109,13 @@ pub struct Attached {
     wire: Option<Box<dyn Wire>>,
     stands: Option<Pose>,
     robot: Option<RobotId>,
-    /// What the robot said last, and when.
+    /// What the robot said last, and when by the server's clock.
     said: Option<(Instant, State)>,
     stalled: bool,
     bytes_up: u64,
     bytes_down: u64,
+    /// What the link had counted when the wire hung up.
+    counted: Option<Counters>,
 }
 
 impl Attached {
@@ -127,72 +131,136 @@ impl Attached {
             stalled: false,
             bytes_up: 0,
             bytes_down: 0,
+            counted: None,
         }
     }
 
-    /// Says what a wire that failed has to say; one that has hung up is let go.
-    fn failed(&mut self, error: &SerialError) {
-        match error {
-            // What does not go out is lost, as on any bad link.
-            SerialError::Stalled { .. } if self.stalled => {}
-            SerialError::Stalled { .. } => log::warn!("{error}"),
-            _ => {
-                log::warn!("{error}");
-                self.wire = None;
+    /// Writes a frame. Bytes that a stalled wire does not take are lost, as on any bad link.
+    fn write(&mut self, frame: &[u8]) {
+        let Some(wire) = &mut self.wire else { return };
+        match wire.write(frame) {
+            Ok(()) => {
+                self.stalled = false;
+                self.bytes_down += frame.len() as u64;
+            }
+            Err(error) => self.failed(&error),
+        }
+    }
+
+    /// Reads what comes within a time. Returns the number of bytes.
+    fn read_within(&mut self, buffer: &mut [u8], wait: time::Duration) -> usize {
+        let Some(wire) = &mut self.wire else { return 0 };
+        match wire.read_within(buffer, wait) {
+            Ok(count) => {
+                self.bytes_up += count as u64;
+                count
+            }
+            Err(error) => {
+                self.failed(&error);
+                0
             }
         }
-        self.stalled = self.wire.is_some();
+    }
+
+    /// Logs the failure of a wire; one that has hung up is dropped.
+    fn failed(&mut self, error: &SerialError) {
+        let is_stalled = matches!(error, SerialError::Stalled { .. });
+        if !(is_stalled && self.stalled) {
+            log::warn!("{error}");
+        }
+        if !is_stalled {
+            self.wire = None;
+        }
+        self.stalled = is_stalled;
+    }
+
+    /// Takes note of what the port's robot has said, and logs it if it is new.
+    fn note(&mut self, status: &PortStatus, now: Instant) {
+        self.robot = status.robot.or(self.robot);
+        if let (Some(robot), Some(state)) = (status.robot, status.state)
+            && self.said.is_none_or(|(_, said)| said != state)
+        {
+            self.said = Some((now, state));
+            log::info!("{}: robot {} is {}", self.name, robot.0, described(now, &state));
+        }
     }
 }
 
-/// The server joined with its wires, on the clock of the wall.
+/// What stands for a camera on the bench: it sees each robot with a session where it is said to
+/// stand.
+#[derive(Debug, Default)]
+struct BenchCamera {
+    next: Instant,
+}
+
+impl BenchCamera {
+    /// The frame that is due. Frames that are late by more than one interval are left out.
+    fn poll(
+        &mut self,
+        now: Instant,
+        robots: impl Iterator<Item = (RobotId, Pose)>,
+    ) -> Option<Observation> {
+        if now < self.next {
+            return None;
+        }
+        let interval = CAPTURE_INTERVAL.micros();
+        let captured = Instant(now.micros() / interval * interval);
+        self.next = captured + CAPTURE_INTERVAL;
+        let robots = robots.map(|(robot, pose)| Sighting::usual(robot, pose)).collect();
+        Some(Observation { captured, robots, ..Observation::default() })
+    }
+}
+
+/// A deployment joined with its wires, on the wall clock.
 pub struct Station {
-    server: Server,
-    ports: Vec<Attached>,
+    deployment: Deployment,
+    ports: Vec<(PortId, Attached)>,
     keeper: Option<Keeper>,
+    camera: BenchCamera,
     started: time::Instant,
-    /// What the server's clock showed then.
-    began: Instant,
-    next_capture: Instant,
     buffer: Vec<u8>,
 }
 
 impl Station {
-    /// A server that starts now; with a keeper it goes on from what is in the file. Without one
-    /// its epoch is `epoch`, which should be greater than in its lives before.
+    /// A deployment whose life begins now. What it hands out goes to the keeper, if there is one.
     ///
     /// # Errors
-    /// [`StoreError`].
+    /// [`RunError::Registry`]; a deployment without markers has no reason for it.
     pub fn new(
         resolution: Millimetres,
-        epoch: Epoch,
-        ports: Vec<Attached>,
+        life: Life,
+        wires: Vec<Attached>,
         keeper: Option<Keeper>,
-    ) -> Result<Self, StoreError> {
+    ) -> Result<Self, RunError> {
+        let mut deployment = Deployment::new(Config::new(resolution), life)?;
+        let ports = wires.into_iter().map(|wire| (deployment.open_port(), wire)).collect();
         Ok(Self {
-            server: keeper::server(keeper.as_ref(), resolution, epoch, ports.len())?,
+            deployment,
             ports,
-            began: keeper.as_ref().map_or(Instant(0), Keeper::begins),
             keeper,
+            camera: BenchCamera::default(),
             started: time::Instant::now(),
-            next_capture: Instant(0),
             buffer: vec![0; 4 * MAX_FRAME],
         })
     }
 
-    /// The server.
-    pub fn server(&self) -> &Server {
-        &self.server
+    /// The deployment.
+    pub fn deployment(&self) -> &Deployment {
+        &self.deployment
     }
 
-    /// The server's time.
+    /// The time since the station started.
     pub fn now(&self) -> Instant {
-        self.began + Duration::from_micros(self.started.elapsed().as_micros() as u64)
+        Instant(self.started.elapsed().as_micros() as u64)
     }
 
     /// Whether any wire is left.
     pub fn is_attached(&self) -> bool {
-        self.ports.iter().any(|port| port.wire.is_some())
+        self.wired() > 0
+    }
+
+    fn wired(&self) -> u64 {
+        self.ports.iter().filter(|(_, port)| port.wire.is_some()).count() as u64
     }
 
     /// Does what is due and takes what comes, or comes within a few milliseconds.
@@ -200,21 +268,73 @@ impl Station {
     /// # Errors
     /// [`StoreError`].
     pub fn turn(&mut self) -> Result<(), StoreError> {
-        self.capture();
         let now = self.now();
-        (0..self.ports.len()).for_each(|port| self.transmit(port, now));
-        let wired = self.ports.iter().filter(|port| port.wire.is_some()).count() as u64;
-        let until_due = self.next_due(now).since(now).min(LONGEST_WAIT);
-        let wait = Duration(until_due.micros() / wired.max(1)).max(SHORTEST_WAIT);
-        for port in 0..self.ports.len() {
-            self.receive(port, time::Duration::from_micros(wait.micros()));
+        let stands = self.ports.iter().filter_map(|(port, wire)| {
+            Some((self.deployment.port(*port).ok()?.robot?, wire.stands?))
+        });
+        if let Some(observation) = self.camera.poll(now, stands) {
+            self.deployment.observe(observation);
         }
+        self.drain()?;
+        let wait = self.wait();
+        for index in 0..self.ports.len() {
+            self.receive(index, wait);
+            self.drain()?;
+        }
+        self.close_ports();
+        self.deployment.timeout(self.now());
+        self.drain()
+    }
+
+    /// Closes the ports of wires that have hung up.
+    fn close_ports(&mut self) {
+        for (port, wire) in self.ports.iter_mut().filter(|(_, wire)| wire.wire.is_none()) {
+            if let Ok(status) = self.deployment.port(*port) {
+                wire.counted = Some(status.link);
+                // It is open, or it would have no status.
+                let _ = self.deployment.close_port(*port);
+            }
+        }
+    }
+
+    /// How long to wait at each port.
+    fn wait(&self) -> time::Duration {
         let now = self.now();
-        self.server.timeout(now);
-        match &mut self.keeper {
-            Some(keeper) => keeper.keep(&mut self.server, now),
-            None => Ok(()),
+        let due = self.deployment.poll_timeout(now).into_iter().chain([self.camera.next]).min();
+        let until_due = due.map_or(LONGEST_WAIT, |due| due.since(now)).min(LONGEST_WAIT);
+        let wait = Duration(until_due.micros() / self.wired().max(1)).max(SHORTEST_WAIT);
+        time::Duration::from_micros(wait.micros())
+    }
+
+    fn receive(&mut self, index: usize, wait: time::Duration) {
+        let Some((port, wire)) = self.ports.get_mut(index) else { return };
+        let count = wire.read_within(&mut self.buffer, wait);
+        if count == 0 {
+            return;
         }
+        let now = Instant(self.started.elapsed().as_micros() as u64);
+        // The port is open: the wire has not hung up.
+        let _ = self.deployment.receive(*port, &self.buffer[..count], now);
+        if let Ok(status) = self.deployment.port(*port) {
+            wire.note(&status, self.deployment.server_time(now));
+        }
+    }
+
+    /// Drains the outputs.
+    fn drain(&mut self) -> Result<(), StoreError> {
+        let now = self.now();
+        if let Some(keeper) = &mut self.keeper {
+            keeper.keep(&mut self.deployment, now)?;
+        }
+        while let Some((port, len)) = self.deployment.poll_transmit(now, &mut self.buffer) {
+            if let Some((_, wire)) = self.ports.iter_mut().find(|(id, _)| *id == port) {
+                wire.write(&self.buffer[..len]);
+            }
+        }
+        while let Some((_, event)) = self.deployment.poll_event() {
+            log::log!(event.level(), "{event}");
+        }
+        Ok(())
     }
 
     /// What became of the robots so far.
@@ -222,92 +342,30 @@ impl Station {
         ServeReport {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
-            ports: (0..).zip(&self.ports).map(|(index, port)| self.summary(index, port)).collect(),
+            ports: self.ports.iter().map(|(port, wire)| self.summary(*port, wire)).collect(),
             elapsed_s: self.started.elapsed().as_secs_f64(),
         }
     }
 
-    /// The camera's frames: a fix for each robot with a session. Frames that are late by more than
-    /// one interval are left out.
-    fn capture(&mut self) {
-        let now = self.now();
-        if now < self.next_capture {
-            return;
-        }
-        let interval = CAPTURE_INTERVAL.micros();
-        let captured = Instant(now.micros() / interval * interval);
-        self.next_capture = captured + CAPTURE_INTERVAL;
-        let robots = self.ports.iter().enumerate();
-        let robots = robots.filter_map(|(port, it)| {
-            Some(Sighting::usual(self.server.robot_at(port)?, it.stands?))
-        });
-        let robots = robots.collect();
-        self.server.observe(&Observation { captured, robots, ..Observation::default() });
-    }
-
-    fn next_due(&self, now: Instant) -> Instant {
-        let ports = self.ports.iter().enumerate().filter(|(_, port)| port.wire.is_some());
-        let due = ports.filter_map(|(port, _)| self.server.poll_timeout(port, now)).min();
-        due.map_or(self.next_capture, |due| due.min(self.next_capture))
-    }
-
-    fn transmit(&mut self, index: usize, now: Instant) {
-        let Some(port) = self.ports.get_mut(index) else { return };
-        while let Some(wire) = &mut port.wire
-            && let Some(len) = self.server.poll_transmit(index, now, &mut self.buffer)
-        {
-            match wire.write(&self.buffer[..len]) {
-                Ok(()) => {
-                    port.stalled = false;
-                    port.bytes_down += len as u64;
-                }
-                Err(error) => port.failed(&error),
-            }
-        }
-    }
-
-    fn receive(&mut self, index: usize, wait: time::Duration) {
-        let Some(port) = self.ports.get_mut(index) else { return };
-        let Some(wire) = &mut port.wire else { return };
-        let count = match wire.read_within(&mut self.buffer, wait) {
-            Ok(count) => count,
-            Err(error) => return port.failed(&error),
-        };
-        if count == 0 {
-            return;
-        }
-        port.bytes_up += count as u64;
-        let now = self.began + Duration::from_micros(self.started.elapsed().as_micros() as u64);
-        // There is a port of the server for each wire.
-        let _ = self.server.receive(index, &self.buffer[..count], now);
-        port.robot = self.server.robot_at(index).or(port.robot);
-        let state = self.server.robot_at(index).and_then(|robot| self.server.state(robot));
-        if let (Some(state), Some(robot)) = (state, port.robot)
-            && port.said.is_none_or(|(_, said)| said != state)
-        {
-            port.said = Some((now, state));
-            log::info!("{}: robot {} is {}", port.name, robot.0, described(now, &state));
-        }
-        self.transmit(index, now);
-    }
-
-    fn summary(&self, index: usize, port: &Attached) -> PortSummary {
-        let counted = self.server.link_counters(index);
-        let events = port.robot.and_then(|robot| self.server.events(robot));
+    fn summary(&self, port: PortId, wire: &Attached) -> PortSummary {
+        let server = self.deployment.server();
+        let status = self.deployment.port(port).ok();
+        let link = status.map(|it| it.link).or(wire.counted).unwrap_or_default();
+        let events = wire.robot.and_then(|robot| server.events(robot));
         PortSummary {
-            port: port.name.clone(),
-            robot: port.robot.map(|robot| robot.0),
-            session: self.server.robot_at(index).is_some(),
-            hung_up: port.wire.is_none(),
-            state: port.said.map(|(received, state)| described(received, &state)),
+            port: wire.name.clone(),
+            robot: wire.robot.map(|robot| robot.0),
+            session: status.is_some_and(|it| it.robot.is_some()),
+            hung_up: wire.wire.is_none(),
+            state: wire.said.map(|(received, state)| described(received, &state)),
             events: events.map_or(0, EventLog::count),
             newest_events: events.map(summaries).unwrap_or_default(),
-            time_requests: port.robot.map_or(0, |robot| self.server.time_requests(robot)),
-            frames_received: counted.received,
-            frames_bad: counted.bad,
-            retransmissions: counted.retransmissions,
-            bytes_up: port.bytes_up,
-            bytes_down: port.bytes_down,
+            time_requests: wire.robot.map_or(0, |robot| server.time_requests(robot)),
+            frames_received: link.received,
+            frames_bad: link.bad,
+            retransmissions: link.retransmissions,
+            bytes_up: wire.bytes_up,
+            bytes_down: wire.bytes_down,
         }
     }
 }

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::{RunError, figures, fleet::Fleet, simulate::RESOLUTION};
+use super::{RunError, figures, fleet::Fleet};
 use crate::{
     grid::OccupancyGrid,
     report::{self, Marker},
@@ -19,7 +19,7 @@ pub(super) struct TimeLapse {
 }
 
 impl TimeLapse {
-    /// Of a run that lasts so long.
+    /// For a run of this length.
     pub(super) fn new(duration: Duration) -> Self {
         Self { duration, frames: Vec::new() }
     }
@@ -30,7 +30,7 @@ impl TimeLapse {
         let due = self.duration.micros() >> FRAMES.saturating_sub(taken + 1);
         let now = Instant(0) + fleet.elapsed();
         if taken < FRAMES && now.micros() >= due {
-            // A map that can't become a grid is told of at the end.
+            // A map that can't become a grid is an error at the end.
             self.frames.extend(grid(fleet).ok().map(|grid| (grid, figures::markers(fleet))));
         }
     }
@@ -44,5 +44,5 @@ impl TimeLapse {
 /// The fused map as it is now.
 pub(super) fn grid(fleet: &Fleet<'_>) -> Result<OccupancyGrid, RunError> {
     let tiles = fleet.server().fused().tiles().map(|(id, _, tile)| (id, tile));
-    Ok(OccupancyGrid::from_tiles(tiles, RESOLUTION)?)
+    Ok(OccupancyGrid::from_tiles(tiles, fleet.deployment().resolution())?)
 }

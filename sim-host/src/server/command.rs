@@ -1,15 +1,24 @@
 //! What a robot is told to do.
 
-use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobotKind, Writer};
+use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobot, Writer};
 
-/// A command. It arrives for certain.
+/// Parameter commands with this number and above are the server's own; users' are below.
+pub(super) const FIRST_OWN_NUMBER: u16 = 0xC000;
+
+/// Whether the number of a parameter command, or of its answer, is one of the server's own.
+pub(super) fn is_own(number: u16) -> bool {
+    number >= FIRST_OWN_NUMBER
+}
+
+/// A command. It is sent until the robot has acknowledged it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Stop, or drive again. Goes before everything else.
+    /// Stop, or drive again. It goes before everything else.
     Stop(Stop),
     /// Where to drive.
     Path(Path),
-    /// Asks for parameters, or sets one. It is answered.
+    /// Asks for parameters, or sets one. The robot answers it. Numbers from 0xC000 on are reserved
+    /// for the server.
     Parameter(ParameterCommand),
 }
 
@@ -31,11 +40,11 @@ impl Command {
     }
 
     /// Adds the message to a frame. `false` if it does not fit.
-    pub(super) fn write(&self, writer: &mut Writer<'_>) -> bool {
+    pub(super) fn write(&self, writer: &mut Writer<'_, ToRobot>) -> bool {
         match self {
-            Self::Stop(stop) => writer.push(ToRobotKind::Stop as u8, stop),
-            Self::Path(path) => writer.push(ToRobotKind::Path as u8, path),
-            Self::Parameter(command) => writer.push(ToRobotKind::Parameter as u8, command),
+            Self::Stop(stop) => writer.push(stop),
+            Self::Path(path) => writer.push(path),
+            Self::Parameter(command) => writer.push(command),
         }
     }
 }

@@ -2,111 +2,141 @@
 
 use ubimap_protocol::{
     message::{
-        Ack, Digests, Event, EventCode, Interest, Messages, Request, Severity, State, TileDigest,
-        TileUpdateHead, TimeRequest, ToServerKind, decode,
+        Digests, Event, EventCode, Messages, State, TileDigest, TileUpdateHead, ToServer,
+        ToServerMessage,
     },
     tile::{Layer, tile_hash},
     time::Instant,
 };
 
-use super::{events::described, session::Session, surroundings::Surroundings};
+use super::{session::Session, surroundings::Surroundings};
 use crate::mapping::{RobotLayer, Updated};
+
+/// What the messages of a frame have changed.
+#[derive(Debug, Default)]
+pub(super) struct Taken {
+    /// The tiles that were updated.
+    pub(super) updated: Updated,
+    /// What has happened on the robot.
+    pub(super) events: Vec<Event>,
+    /// Messages of an unknown kind.
+    pub(super) unknown: u32,
+    /// Messages that could not be read.
+    pub(super) malformed: u32,
+}
+
+impl Taken {
+    /// The codes of the events that this version knows.
+    pub(super) fn codes(&self) -> impl Iterator<Item = EventCode> {
+        self.events.iter().filter_map(|event| EventCode::from_number(event.code))
+    }
+}
 
 /// The parts of the server that the messages of one robot go to.
 pub(super) struct Inbox<'a> {
-    pub(super) session: &'a mut Session,
-    pub(super) layer: &'a mut RobotLayer,
-    pub(super) surroundings: &'a mut Surroundings,
-    pub(super) updated: &'a mut Updated,
-    /// What has happened on the robot.
-    pub(super) happened: &'a mut Vec<EventCode>,
+    session: &'a mut Session,
+    layer: &'a mut RobotLayer,
+    surroundings: &'a mut Surroundings,
+    taken: Taken,
 }
 
-impl Inbox<'_> {
-    /// Returns how many messages were of an unknown kind, and how many could not be read.
-    pub(super) fn take(&mut self, messages: Messages<'_>, now: Instant) -> (u32, u32) {
-        let (mut unknown, mut malformed) = (0, 0);
-        for message in messages.map_while(Result::ok).filter(|it| it.kind != Ack::KIND) {
-            match ToServerKind::from_number(message.kind) {
-                None => unknown += 1,
-                Some(kind) => malformed += u32::from(self.one(kind, message.body, now).is_none()),
-            }
-        }
-        (unknown, malformed)
+impl<'a> Inbox<'a> {
+    pub(super) fn new(
+        session: &'a mut Session,
+        layer: &'a mut RobotLayer,
+        surroundings: &'a mut Surroundings,
+    ) -> Self {
+        Self { session, layer, surroundings, taken: Taken::default() }
     }
 
-    /// Whether the state that the robot tells of, or a newer one, is held.
+    /// Takes the messages of a frame.
+    pub(super) fn take(mut self, messages: Messages<'_, ToServer>, now: Instant) -> Taken {
+        for message in messages.map_while(Result::ok) {
+            match message.by_kind() {
+                None => self.taken.unknown += 1,
+                Some(message) => {
+                    self.taken.malformed += u32::from(self.take_one(message, now).is_none());
+                }
+            }
+        }
+        self.taken
+    }
+
+    /// `None` if the message cannot be read.
+    fn take_one(&mut self, message: ToServerMessage<'_>, now: Instant) -> Option<()> {
+        match message {
+            // The link has taken it.
+            ToServerMessage::Ack(_) => {}
+            ToServerMessage::TimeRequest(request) => {
+                self.session.time_requested(request.decode().ok()?.nonce, now);
+            }
+            ToServerMessage::State(state) => self.state(state.decode().ok()?, now),
+            ToServerMessage::Interest(interest) => {
+                self.session.interested(interest.decode().ok()?);
+            }
+            ToServerMessage::Request(request) => {
+                self.session.requested(&request.decode().ok()?);
+            }
+            ToServerMessage::TileUpdate(update) => {
+                let (head, coded) = update.split().ok()?;
+                self.tile_update(&head, coded, now)?;
+            }
+            ToServerMessage::Digests(digests) => self.digests(&digests.decode().ok()?),
+            ToServerMessage::ParameterReport(report) => {
+                self.session.parameters(report.decode().ok()?);
+            }
+            ToServerMessage::Event(event) => {
+                let event = event.decode().ok()?;
+                self.session.event(event.clone(), now);
+                self.taken.events.push(event);
+            }
+            ToServerMessage::DistanceVector(vector) => self.session.vector(vector.decode().ok()?),
+            // It belongs in a handshake frame.
+            ToServerMessage::Hello(_) => return None,
+        }
+        Some(())
+    }
+
+    fn state(&mut self, state: State, now: Instant) {
+        self.session.state(state);
+        if let State { time: Some(moment), pose: Some(pose), .. } = state {
+            // A robot can't know where it will be.
+            self.surroundings.robot(self.session.robot(), moment.min(now), pose);
+        }
+    }
+
+    fn tile_update(&mut self, head: &TileUpdateHead, coded: &[u8], now: Instant) -> Option<()> {
+        if head.layer != Layer::Robot {
+            return None;
+        }
+        // Nor can it have seen what is yet to come.
+        let seconds = head.seconds.min((now.micros() / 1_000_000) as u32);
+        let (mut updated, result) = self.layer.update(coded, seconds);
+        let all = &mut self.taken.updated;
+        all.too_much |= updated.too_much;
+        all.tiles.append(&mut updated.tiles);
+        all.complete.append(&mut updated.complete);
+        if let Some(missing) = updated.missing {
+            self.session.ask_for(missing);
+        }
+        result.ok()
+    }
+
+    fn digests(&mut self, digests: &Digests) {
+        for digest in digests.tiles.iter().filter(|_| digests.layer == Layer::Robot) {
+            if !self.holds(digest) {
+                self.session.ask_for(digest.id);
+            } else if let Some(stamp) = self.layer.on_disk(digest.id, digest.stamp.epoch) {
+                // That it is on disk may have been said in an earlier session, and lost.
+                self.session.stored(digest.id, stamp);
+            }
+        }
+    }
+
+    /// Whether the state that the robot reports, or a newer one, is held.
     fn holds(&self, told: &TileDigest) -> bool {
         self.layer.held(told.id, told.stamp.epoch).is_some_and(|(held, cells)| {
             held > told.stamp || held == told.stamp && tile_hash(cells) == told.hash
         })
-    }
-
-    /// `None` if the message cannot be read.
-    fn one(&mut self, kind: ToServerKind, body: &[u8], now: Instant) -> Option<()> {
-        match kind {
-            ToServerKind::TimeRequest => {
-                self.session.time_requested(decode::<TimeRequest>(body).ok()?.0.nonce, now);
-            }
-            ToServerKind::State => {
-                let (state, _) = decode::<State>(body).ok()?;
-                self.session.state = Some(state);
-                if let State { time: Some(moment), pose: Some(pose), .. } = state {
-                    // Nobody can tell where it will be.
-                    self.surroundings.robot(self.session.robot, moment.min(now), pose);
-                }
-            }
-            ToServerKind::Interest => {
-                self.session.interested(decode::<Interest>(body).ok()?.0);
-            }
-            ToServerKind::Request => {
-                self.session.requested(&decode::<Request>(body).ok()?.0);
-            }
-            ToServerKind::TileUpdate => {
-                let (head, coded) = decode::<TileUpdateHead>(body).ok()?;
-                if head.layer != Layer::Robot {
-                    return None;
-                }
-                // Nobody has seen what is yet to come.
-                let seconds = head.seconds.min((now.micros() / 1_000_000) as u32);
-                let (mut updated, result) = self.layer.update(coded, seconds);
-                self.updated.too_much |= updated.too_much;
-                self.updated.tiles.append(&mut updated.tiles);
-                self.updated.complete.append(&mut updated.complete);
-                if let Some(missing) = updated.missing {
-                    self.session.ask_for(missing);
-                }
-                result.ok()?;
-            }
-            ToServerKind::Digests => {
-                let (digests, _) = decode::<Digests>(body).ok()?;
-                for digest in digests.tiles.iter().filter(|_| digests.layer == Layer::Robot) {
-                    if !self.holds(digest) {
-                        self.session.ask_for(digest.id);
-                    } else if let Some(stamp) = self.layer.on_disk(digest.id, digest.stamp.epoch) {
-                        // The robot may have been told in an earlier session that it has lost.
-                        self.session.stored(digest.id, stamp);
-                    }
-                }
-            }
-            ToServerKind::ParameterReport => {
-                self.session.reported(decode(body).ok()?.0);
-            }
-            ToServerKind::Event => {
-                let (event, _) = decode::<Event>(body).ok()?;
-                let robot = self.session.robot.0;
-                let level = match event.severity {
-                    Severity::Info => log::Level::Info,
-                    Severity::Warning | Severity::Error => log::Level::Warn,
-                };
-                log::log!(level, "robot {robot}: {}", described(&event));
-                self.happened.extend(EventCode::from_number(event.code));
-                self.session.events.add(now, event);
-            }
-            ToServerKind::DistanceVector => self.session.looked(decode(body).ok()?.0),
-            // It belongs into a handshake frame.
-            ToServerKind::Hello => return None,
-        }
-        Some(())
     }
 }

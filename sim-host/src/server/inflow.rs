@@ -1,25 +1,26 @@
-//! How much is read of what comes in at a port.
+//! A limit to the bytes that are read from a port.
 
 use ubimap_protocol::time::{Duration, Instant};
 
-/// A byte takes so long: 40 kB a second, several times what the serial links of robots carry.
+/// The time that each byte is charged: 40 kB a second, several times what the serial links of robots
+/// carry.
 const BYTE: Duration = Duration::from_micros(25);
-/// So much may come at once: 80 kB.
+/// The longest that a port may be charged ahead: a burst of 80 kB.
 const BURST: Duration = Duration::from_secs(2);
 
-/// Bytes beyond the measure are lost, as on a bad link: work and memory for one port are bounded,
-/// and the others come to their turn.
+/// A leaky bucket. Bytes beyond it are dropped, as on a bad link, so that one port can claim only
+/// a bounded share of work and memory.
 #[derive(Debug, Default)]
 pub(super) struct Inflow {
-    /// When what has come in would have come in byte by byte.
+    /// Until when the port is charged.
     busy_until: Instant,
     floods: bool,
 }
 
 impl Inflow {
-    /// How many of so many bytes are read.
+    /// How many of a number of bytes are read.
     pub(super) fn admit(&mut self, bytes: usize, now: Instant) -> usize {
-        // Further ahead it can only be because the clock has been set back.
+        // It is further ahead only if the clock was set back.
         let is_ahead = now < self.busy_until && self.busy_until <= now + BURST;
         let begin = if is_ahead { self.busy_until } else { now };
         self.floods &= begin > now;
@@ -27,11 +28,11 @@ impl Inflow {
         let admitted = room.min(bytes as u64);
         self.busy_until = begin + Duration(admitted * BYTE.micros());
         self.floods |= admitted < bytes as u64;
-        // No more than there are.
+        // At most `bytes`, so it fits.
         admitted as usize
     }
 
-    /// Whether more comes in than is read.
+    /// Whether bytes are being dropped.
     pub(super) fn floods(&self) -> bool {
         self.floods
     }

@@ -1,9 +1,9 @@
-//! One way in, and the session there.
+//! One port, and the session on it.
 
 use ubimap_protocol::{
-    frame::{Direction, SessionId},
+    frame::SessionId,
     link::{Answer, Counters, Received},
-    message::{Hello, Message, Messages, ToRobotKind, ToServerKind, Writer, decode},
+    message::{Hello, Messages, Reset, ToServer, Writer},
     time::{Duration, Instant},
     units::RobotId,
 };
@@ -11,55 +11,52 @@ use ubimap_protocol::{
 use super::{
     command::Command,
     inflow::Inflow,
-    scene::Scene,
     session::{Link, Session},
+    snapshot::Snapshot,
 };
+use crate::timing::SESSION_SILENT;
 
-/// At most this often a robot is told that it has no session here.
+/// The shortest time between two messages to a robot that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
-/// A robot states how it fares every two seconds. A session of which nothing has been heard for so
-/// long (not even seven states on a bad link), where frames of something else come in, is not the one
-/// that the robot has: an old hello may have opened it.
-const SILENCE: Duration = Duration::from_secs(15);
 
-/// A serial port, a simulated channel. At most one robot is behind it.
+/// A serial port or a simulated channel, with at most one robot behind it.
 #[derive(Debug)]
 pub(super) struct Port {
     link: Link,
     inflow: Inflow,
     session: Option<Session>,
-    /// A frame of the handshake that is due.
+    /// The handshake frame to be sent.
     answer: Option<Answer>,
-    reset: Reset,
-    /// Messages of unknown kinds, and such that could not be read.
+    reset: PendingReset,
+    /// Messages of unknown kinds, and messages that could not be read.
     unknown: u32,
     malformed: u32,
     bytes_sent: u64,
 }
 
 #[derive(Debug, Default)]
-struct Reset {
+struct PendingReset {
     due: bool,
     last: Option<Instant>,
 }
 
-/// What a frame brings.
+/// The contents of a frame.
 pub(super) enum Brought<'p> {
-    /// Nothing for anybody but the port.
+    /// Nothing that concerns anything but the port.
     Nothing,
     Hello(Hello),
-    /// What the robot of the session says. [`Port::taken`] is to be called afterwards.
-    Messages(&'p mut Session, Messages<'p>),
+    /// Messages of the session. Call [`Port::taken`] afterwards.
+    Messages(&'p mut Session, Messages<'p, ToServer>),
 }
 
 impl Default for Port {
     fn default() -> Self {
         Self {
-            link: Link::new(Direction::ToRobot),
+            link: Link::new(),
             inflow: Inflow::default(),
             session: None,
             answer: None,
-            reset: Reset::default(),
+            reset: PendingReset::default(),
             unknown: 0,
             malformed: 0,
             bytes_sent: 0,
@@ -68,7 +65,7 @@ impl Default for Port {
 }
 
 impl Port {
-    /// What is read of bytes that come in, and whether it is now that more comes than is read.
+    /// The bytes that are read of those that came in, and whether a flood begins with them.
     pub(super) fn admit<'b>(&mut self, bytes: &'b [u8], now: Instant) -> (&'b [u8], bool) {
         let was_flooded = self.inflow.floods();
         let admitted = self.inflow.admit(bytes.len(), now);
@@ -80,26 +77,26 @@ impl Port {
         let Self { link, session, reset, malformed, .. } = self;
         Some(match (link.receive(bytes, now)?, session) {
             (Received::Bad, session) => {
-                let heard = session.as_ref().map(|session| session.heard);
-                reset.due |= heard.is_none_or(|heard| now.since(heard) >= SILENCE);
+                let is_silent = |session: &mut Session| session.silent_for(now) >= SESSION_SILENT;
+                reset.due |= session.as_mut().is_none_or(is_silent);
                 Brought::Nothing
             }
-            (Received::Handshake(message), _) => match parse_hello(message) {
-                Some(hello) => Brought::Hello(hello),
-                None => {
+            (Received::Handshake(message), _) => match message.decode() {
+                Ok(hello) => Brought::Hello(hello),
+                Err(_) => {
                     *malformed += 1;
                     Brought::Nothing
                 }
             },
             (Received::Session(messages), Some(session)) => {
-                session.heard = now;
+                session.hear(now);
                 Brought::Messages(session, messages)
             }
             (Received::Session(_), None) => Brought::Nothing,
         })
     }
 
-    /// The messages of a frame have been taken: so many were of an unknown kind, and so many could
+    /// The messages of a frame have been taken: how many were of an unknown kind, and how many could
     /// not be read.
     pub(super) fn taken(&mut self, unknown: u32, malformed: u32) {
         self.unknown += unknown;
@@ -111,17 +108,16 @@ impl Port {
         }
     }
 
-    /// The session that a hello has been answered with, if it goes on.
+    /// The session that answered this hello, if it is still open.
     pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
         let session = self.session.as_ref()?;
-        let is_answered = session.robot == hello.robot && session.nonce == hello.nonce;
-        is_answered.then(|| self.link.session())
+        session.answers(hello).then(|| self.link.session())
     }
 
-    /// Begins a session with frames of so many bytes.
+    /// Begins a session with frames of at most `frame` bytes.
     pub(super) fn begin(&mut self, id: SessionId, frame: u16, session: Session) {
         self.link.begin(id, usize::from(frame));
-        // A reset that was due was for what came before.
+        // A pending reset was for the session before.
         self.reset.due = false;
         self.session = Some(session);
     }
@@ -132,7 +128,7 @@ impl Port {
         self.session.take()
     }
 
-    /// The answer to a hello is to be sent.
+    /// Queues the answer to a hello.
     pub(super) fn answer(&mut self, answer: Answer) {
         self.answer = Some(answer);
     }
@@ -147,7 +143,7 @@ impl Port {
 
     /// The robot of the session.
     pub(super) fn robot(&self) -> Option<RobotId> {
-        self.session().map(|session| session.robot)
+        self.session().map(Session::robot)
     }
 
     /// Whether a command fits the frames that were agreed on.
@@ -158,11 +154,12 @@ impl Port {
     /// Writes the next frame that is due. Returns its length.
     pub(super) fn poll_transmit(
         &mut self,
-        scene: &Scene<'_>,
+        snapshot: &Snapshot<'_>,
         now: Instant,
         out: &mut [u8],
     ) -> Option<usize> {
-        let len = self.poll_handshake(now, out).or_else(|| self.poll_session(scene, now, out))?;
+        let len =
+            self.poll_handshake(now, out).or_else(|| self.poll_session(snapshot, now, out))?;
         self.bytes_sent += len as u64;
         Some(len)
     }
@@ -170,39 +167,44 @@ impl Port {
     fn poll_handshake(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
         match self.answer.take() {
             Some(Answer::Welcome(welcome)) => {
-                return self.link.handshake(ToRobotKind::Welcome as u8, &welcome, out);
+                return self.link.handshake(&welcome, out);
             }
             Some(Answer::Refusal(refusal)) => {
-                return self.link.handshake(ToRobotKind::Refusal as u8, &refusal, out);
+                return self.link.handshake(&refusal, out);
             }
             None => {}
         }
         if !self.reset.due || self.reset.ready_at() > now {
             return None;
         }
-        self.reset = Reset { due: false, last: Some(now) };
-        self.link.handshake(ToRobotKind::Reset as u8, &(), out)
+        self.reset = PendingReset { due: false, last: Some(now) };
+        self.link.handshake(&Reset, out)
     }
 
-    fn poll_session(&mut self, scene: &Scene<'_>, now: Instant, out: &mut [u8]) -> Option<usize> {
+    fn poll_session(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        now: Instant,
+        out: &mut [u8],
+    ) -> Option<usize> {
         let session = self.session.as_mut()?;
         let urgent = session.is_urgent(now);
         let sent = self.link.poll_transmit(now, out, urgent, |writer, reliable| {
-            session.fill(scene, now, writer, reliable)
+            session.fill(snapshot, now, writer, reliable)
         })?;
-        session.budget.spend(sent.len as u64, now);
+        session.sent(sent.len, now);
         Some(sent.len)
     }
 
     /// When there is something to send.
-    pub(super) fn poll_timeout(&self, scene: &Scene<'_>, now: Instant) -> Option<Instant> {
+    pub(super) fn poll_timeout(&self, snapshot: &Snapshot<'_>, now: Instant) -> Option<Instant> {
         if self.answer.is_some() {
             return Some(now);
         }
         let reset = self.reset.due.then(|| self.reset.ready_at());
         let reliable = self.link.can_send_reliable();
         let session = self.session();
-        let messages = session.and_then(|session| session.poll_timeout(scene, reliable, now));
+        let messages = session.and_then(|session| session.poll_timeout(snapshot, reliable, now));
         [reset, self.link.poll_timeout(), messages].into_iter().flatten().min()
     }
 
@@ -216,32 +218,26 @@ impl Port {
         self.link.counters()
     }
 
-    /// Messages of unknown kinds, and such that could not be read.
+    /// Messages of unknown kinds, and messages that could not be read.
     pub(super) fn unread(&self) -> (u32, u32) {
         (self.unknown, self.malformed)
     }
 }
 
-impl Reset {
+impl PendingReset {
     fn ready_at(&self) -> Instant {
         self.last.map_or(Instant(0), |last| last + RESET_INTERVAL)
-    }
-}
-
-fn parse_hello(message: Message<'_>) -> Option<Hello> {
-    match ToServerKind::from_number(message.kind)? {
-        ToServerKind::Hello => Some(decode(message.body).ok()?.0),
-        _ => None,
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::server::Server;
+    use crate::server::{CommandError, Server};
     use ubimap_protocol::{
         frame::{MAX_FRAME, MIN_VERSION, VERSION},
-        link::Terms,
+        link::{Endpoint, Terms},
+        message::Stop,
         units::Millimetres,
     };
 
@@ -259,9 +255,8 @@ mod tests {
             fused_tiles: 16,
         };
         let mut out = [0u8; 250];
-        let len = Link::new(Direction::ToServer)
-            .handshake(ToServerKind::Hello as u8, &hello, &mut out)
-            .unwrap();
+        let mut robot = Endpoint::<ToServer, (), 1, MAX_FRAME>::new();
+        let len = robot.handshake(&hello, &mut out).unwrap();
         out[..len].to_vec()
     }
 
@@ -271,7 +266,7 @@ mod tests {
         std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
     }
 
-    /// An old hello must not shut the robot out whose session it has ended.
+    /// An old hello must not lock out the robot whose session it has ended.
     #[test]
     fn a_session_that_only_an_old_hello_speaks_for_is_reset() {
         let mut server = Server::new(TERMS, 1);
@@ -281,7 +276,7 @@ mod tests {
         let soon = Instant(0) + Duration::from_secs(1);
         server.receive(0, &of_the_session_before, soon).unwrap();
         assert_eq!(drain(&mut server, soon), 0, "a frame may be damaged");
-        let later = Instant(0) + SILENCE;
+        let later = Instant(0) + SESSION_SILENT;
         server.receive(0, &of_the_session_before, later).unwrap();
         assert_eq!(drain(&mut server, later), 1);
         assert_eq!(server.robot_at(0), Some(RobotId(1)));
@@ -293,11 +288,34 @@ mod tests {
         let garbage = [7u8, 7, 0];
         server.receive(0, &garbage, Instant(0)).unwrap();
         assert_eq!(drain(&mut server, Instant(0)), 1);
-        // The next one must wait for a while, and a hello comes before.
+        // The next one has to wait, and a hello comes first.
         server.receive(0, &garbage, Instant(1)).unwrap();
         assert_eq!(drain(&mut server, Instant(1)), 0);
         server.receive(0, &hello(5), Instant(2)).unwrap();
         assert_eq!(drain(&mut server, Instant(2)), 1);
         assert_eq!(server.poll_timeout(0, Instant(2)), None);
+    }
+
+    /// A robot that is unplugged and plugged in elsewhere gets what it was told again, and what it
+    /// has reported is not lost.
+    #[test]
+    fn the_session_of_a_port_that_was_closed_continues_on_another_one() {
+        let mut server = Server::new(TERMS, 1);
+        server.receive(0, &hello(5), Instant(0)).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        let stop = Command::Stop(Stop { number: 1, stop: true });
+        server.command(RobotId(1), stop.clone()).unwrap();
+        assert_eq!(drain(&mut server, Instant(0)), 1);
+        server.close_port(0).unwrap();
+        assert!(server.receive(0, &[0], Instant(1)).is_err() && server.robot_at(0).is_none());
+        assert_eq!(server.command(RobotId(1), stop), Err(CommandError::NoSession(RobotId(1))));
+
+        let port = server.open_port();
+        assert_eq!((port, server.ports().collect::<Vec<_>>()), (1, vec![1]));
+        server.receive(port, &hello(6), Instant(2)).unwrap();
+        let mut out = [0u8; MAX_FRAME];
+        let frames = std::iter::from_fn(|| server.poll_transmit(port, Instant(2), &mut out));
+        assert_eq!(frames.count(), 2, "a welcome and the stop");
+        assert_eq!(server.waiting(RobotId(1)), 0);
     }
 }

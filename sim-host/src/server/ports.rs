@@ -1,9 +1,11 @@
-//! All ways in, and which robot has its session where.
+//! All ports, and which robot has its session where.
+
+use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     frame::SessionId,
     link::{Answer, Terms, answer},
-    message::Hello,
+    message::{Hello, RefusalReason},
     tile::Epoch,
     time::Instant,
     units::RobotId,
@@ -11,14 +13,17 @@ use ubimap_protocol::{
 
 use super::{command::Command, port::Port, session::Session};
 
-/// The ports. A robot has one session.
+/// The open ports. A robot has at most one session.
 #[derive(Debug)]
 pub(super) struct Ports {
-    ports: Vec<Port>,
+    open: BTreeMap<usize, Port>,
+    next_port: usize,
+    /// Sessions of robots whose port was closed: their next ones continue from them.
+    parted: BTreeMap<RobotId, Session>,
     next_session: u32,
 }
 
-/// A port that the server does not have.
+/// A port that is not open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the server has no port {0}")]
 pub struct NoSuchPort(pub usize);
@@ -34,71 +39,115 @@ pub enum CommandError {
     TooLong(RobotId),
 }
 
+/// What became of a hello.
+pub(super) enum Greeted {
+    /// The robot has a new session.
+    Joined,
+    /// It has the session that it asks for.
+    Known,
+    Refused(RefusalReason),
+}
+
 impl Ports {
-    pub(super) fn new(ports: usize, server_epoch: u32) -> Self {
+    /// None are open.
+    pub(super) fn new(server_epoch: u32) -> Self {
         Self {
-            ports: (0..ports).map(|_| Port::default()).collect(),
+            open: BTreeMap::new(),
+            next_port: 0,
+            parted: BTreeMap::new(),
             // Sessions of different lives of the server must differ.
             next_session: server_epoch.wrapping_mul(0x9E37_79B9) | 1,
         }
     }
 
+    /// Opens a port. Numbers count up from zero and are never used again.
+    pub(super) fn open(&mut self) -> usize {
+        let port = self.next_port;
+        self.next_port += 1;
+        self.open.insert(port, Port::default());
+        port
+    }
+
+    /// Closes a port; what waits to be sent there is lost.
+    pub(super) fn close(&mut self, port: usize) -> Result<(), NoSuchPort> {
+        let mut closed = self.open.remove(&port).ok_or(NoSuchPort(port))?;
+        if let Some(session) = closed.end() {
+            self.parted.insert(session.robot(), session);
+        }
+        Ok(())
+    }
+
     pub(super) fn get(&self, port: usize) -> Result<&Port, NoSuchPort> {
-        self.ports.get(port).ok_or(NoSuchPort(port))
+        self.open.get(&port).ok_or(NoSuchPort(port))
     }
 
     pub(super) fn get_mut(&mut self, port: usize) -> Result<&mut Port, NoSuchPort> {
-        self.ports.get_mut(port).ok_or(NoSuchPort(port))
+        self.open.get_mut(&port).ok_or(NoSuchPort(port))
+    }
+
+    /// The open ports, in the order in which they were opened.
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Port> {
+        self.open.values()
+    }
+
+    /// The numbers of the open ports from this one on.
+    pub(super) fn numbers_from(&self, port: usize) -> impl Iterator<Item = usize> {
+        self.open.range(port..).map(|(&number, _)| number)
     }
 
     pub(super) fn sessions(&self) -> impl Iterator<Item = &Session> {
-        self.ports.iter().filter_map(Port::session)
+        self.open.values().filter_map(Port::session)
     }
 
-    /// The session of a robot.
+    /// The session of a robot, if its port is open.
     pub(super) fn session(&self, robot: RobotId) -> Option<&Session> {
-        self.sessions().find(|session| session.robot == robot)
+        self.sessions().find(|session| session.robot() == robot)
     }
 
-    /// The session of a robot.
+    /// The session of a robot, also if its port was closed.
+    pub(super) fn last_session(&self, robot: RobotId) -> Option<&Session> {
+        self.session(robot).or_else(|| self.parted.get(&robot))
+    }
+
+    /// The session of a robot, if its port is open.
     pub(super) fn session_mut(&mut self, robot: RobotId) -> Option<&mut Session> {
         self.port_of(robot)?.session_mut()
     }
 
     fn port_of(&mut self, robot: RobotId) -> Option<&mut Port> {
-        self.ports.iter_mut().find(|port| port.robot() == Some(robot))
+        self.open.values_mut().find(|port| port.robot() == Some(robot))
     }
 
-    /// Answers a hello that came in at a port: a robot that is welcome has a session there, whose
-    /// own tiles begin with this epoch.
+    /// Answers a hello that came in at a port. A robot that is welcome has a session there, and
+    /// begins its own tiles with this epoch.
     pub(super) fn greet(
         &mut self,
-        index: usize,
+        port: usize,
         hello: &Hello,
         (terms, first_epoch): (&Terms, Epoch),
         now: Instant,
-    ) -> Result<(), NoSuchPort> {
-        let known = self.get(index)?.session_of(hello);
+    ) -> Result<Greeted, NoSuchPort> {
+        let known = self.get(port)?.session_of(hello);
         let id = known.unwrap_or(SessionId(self.next_session.max(1)));
         let answered = answer(hello, terms, id, first_epoch.0);
-        match answered {
+        let greeted = match &answered {
             Answer::Welcome(welcome) if known.is_none() => {
                 self.next_session = self.next_session.wrapping_add(1);
-                let mut session = Session::new(hello.robot, hello.nonce, hello.fused_tiles, now);
+                let mut session = Session::new(hello, now);
                 // It may have moved to another port.
-                if let Some(last) = self.port_of(hello.robot).and_then(Port::end) {
+                let last = self.port_of(hello.robot).and_then(Port::end);
+                let last = last.or_else(|| self.parted.remove(&hello.robot));
+                if let Some(last) = last {
                     session.continue_from(last);
                 }
-                self.get_mut(index)?.begin(id, welcome.frame, session);
-                log::info!("robot {} has a session on port {index}", hello.robot.0);
+                self.get_mut(port)?.begin(id, welcome.frame, session);
+                Greeted::Joined
             }
-            Answer::Welcome(_) => {}
-            Answer::Refusal(refusal) => {
-                log::warn!("robot {} is refused: {:?}", hello.robot.0, refusal.reason);
-            }
-        }
-        self.get_mut(index)?.answer(answered);
-        Ok(())
+            Answer::Welcome(_) => Greeted::Known,
+            Answer::Refusal(refusal) => Greeted::Refused(refusal.reason),
+        };
+        self.get_mut(port)?.answer(answered);
+        Ok(greeted)
     }
 
     /// A command for a robot.

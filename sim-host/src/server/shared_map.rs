@@ -1,43 +1,44 @@
-//! The map: the layers of all who see, and the fused layer that they make.
+//! The map: the layers of the cameras and of each robot, and the fused layer made of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
     tile::{Epoch, Tile, TileId},
-    time::{Duration, Instant},
+    time::Instant,
     units::RobotId,
 };
 
-use crate::mapping::{
-    Agreements, CameraLayer, MapTime, Mask, RobotLayer, SeenTile, ServedLayer, Sight, Weight,
-    clear, fuse, hollow,
+use crate::{
+    camera::Observation,
+    mapping::{
+        Agreements, CameraLayer, CameraTile, MapTime, Mask, RobotLayer, SeenTile, ServedLayer,
+        Sight, TileRecord, Weight, clear, fuse, hollow,
+    },
+    timing::ROBOT_GONE,
 };
 
-/// A robot that no camera has seen for longer may be anywhere.
-const STANDS: Duration = Duration::from_secs(10);
-
-/// The layers, and what follows from them.
+/// The layers, and everything that is derived from them.
 #[derive(Debug, Default)]
 pub(super) struct SharedMap {
-    pub(super) cameras: CameraLayer,
-    pub(super) layers: BTreeMap<RobotId, RobotLayer>,
+    cameras: CameraLayer,
+    layers: BTreeMap<RobotId, RobotLayer>,
     agreements: Agreements,
-    /// As of the present step of the map's time; a robot that is not among them has the full one.
+    /// In the present step of the map's time; robots without an entry have the full weight.
     weights: BTreeMap<RobotId, Weight>,
-    /// Tiles of robots that have changed since the weights were found.
+    /// Tiles of robots that have changed since the weights were computed.
     unweighed: BTreeSet<TileId>,
     time: MapTime,
-    /// What all have seen of each tile, with what nobody sees and with the robots upon it, and what
-    /// of that cameras see.
+    /// Each tile as fused, before surfaces are hollowed and robots are cleared from it, and what of
+    /// it is in sight of cameras.
     whole: BTreeMap<TileId, (Tile, Sight)>,
     fused: ServedLayer,
-    /// Tiles with something movable, which is forgotten in time.
+    /// Tiles with movable cells, which are forgotten in time.
     ageing: BTreeSet<TileId>,
-    /// Tiles with something in sight, which goes out of it in time.
+    /// Tiles with cells in sight, which go out of sight in time.
     in_sight: BTreeSet<TileId>,
     /// The cells that each robot takes up, and when cameras saw it there.
     under: BTreeMap<RobotId, (Instant, BTreeMap<TileId, Mask>)>,
-    /// Tiles that would be other ones without the robots upon them.
+    /// Tiles that would differ if no robot stood on them.
     hiding: BTreeSet<TileId>,
 }
 
@@ -50,7 +51,22 @@ impl SharedMap {
         self.time
     }
 
-    /// What a robot's word counts for.
+    /// What a robot has seen.
+    pub(super) fn layer(&self, robot: RobotId) -> Option<&RobotLayer> {
+        self.layers.get(&robot)
+    }
+
+    /// The same, to add to it; call [`SharedMap::changed`] with the tiles that have changed.
+    pub(super) fn layer_mut(&mut self, robot: RobotId) -> &mut RobotLayer {
+        self.layers.entry(robot).or_default()
+    }
+
+    /// What all robots have seen.
+    pub(super) fn layers(&self) -> &BTreeMap<RobotId, RobotLayer> {
+        &self.layers
+    }
+
+    /// How much a robot's word counts.
     pub(super) fn weight(&self, robot: RobotId) -> Weight {
         self.weights.get(&robot).copied().unwrap_or(Weight::FULL)
     }
@@ -74,7 +90,7 @@ impl SharedMap {
         under
     }
 
-    /// What all have seen of a tile but one robot.
+    /// A tile fused from everything but the layer of one robot.
     pub(super) fn without(&self, robot: Option<RobotId>, id: TileId) -> Tile {
         self.fused_with(&self.cameras.seen(id), robot, id)
     }
@@ -87,7 +103,7 @@ impl SharedMap {
         fuse(cameras, &others, self.time)
     }
 
-    /// What the cameras know of a tile; the robots upon it are movable.
+    /// What the cameras know of a tile; robots on it are movable.
     pub(super) fn in_view(&self, id: TileId) -> Tile {
         let mut tile = self.cameras.tile(id);
         for (y, mask) in self.under(id).into_iter().enumerate() {
@@ -96,6 +112,52 @@ impl SharedMap {
             tile.set_row(y, row);
         }
         tile
+    }
+
+    /// Takes the cells of a frame. Returns the tiles that have changed, for [`SharedMap::changed`].
+    pub(super) fn see(&mut self, observation: &Observation) -> BTreeSet<TileId> {
+        self.cameras.observe(observation)
+    }
+
+    /// The tiles of a robot's epochs below this one are void.
+    pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) {
+        let void = self.layer_mut(robot).retire(first_epoch);
+        self.changed(&void);
+    }
+
+    /// A tile of a robot is on disk.
+    pub(super) fn stored(&mut self, robot: RobotId, record: &TileRecord) {
+        if let Some(layer) = self.layers.get_mut(&robot) {
+            layer.kept(record);
+        }
+    }
+
+    /// Takes back a tile of a robot from disk.
+    pub(super) fn restore(&mut self, robot: RobotId, record: &TileRecord) {
+        if self.layer_mut(robot).restore(record) {
+            self.changed(&BTreeSet::from([record.id]));
+        }
+    }
+
+    /// Takes back what cameras had seen from disk.
+    pub(super) fn restore_camera_tile(&mut self, tile: &CameraTile) {
+        self.cameras.restore(tile);
+        self.changed(&BTreeSet::from([tile.id]));
+    }
+
+    /// What cameras have seen since this was last called.
+    pub(super) fn take_unkept(&mut self) -> Vec<CameraTile> {
+        self.cameras.take_unkept()
+    }
+
+    /// Some of that could not be kept.
+    pub(super) fn not_kept(&mut self, tiles: &[CameraTile]) {
+        self.cameras.not_kept(tiles);
+    }
+
+    /// Whether [`SharedMap::take_unkept`] has something.
+    pub(super) fn has_unkept(&self) -> bool {
+        self.cameras.has_unkept()
     }
 
     /// Computes the fused tiles anew whose sources have changed.
@@ -116,7 +178,7 @@ impl SharedMap {
         self.look(id, tile, &cameras);
     }
 
-    /// Takes what all have seen of a tile, and what of that these cameras see now.
+    /// Takes a tile as fused, and publishes it and its neighbours if that has changed it.
     fn look(&mut self, id: TileId, tile: Tile, cameras: &SeenTile) {
         let sight = Sight::of(&tile, cameras, self.time);
         set_member(&mut self.in_sight, id, !sight.is_empty());
@@ -174,13 +236,14 @@ impl SharedMap {
         other.into_iter().for_each(|id| self.publish(id));
     }
 
-    /// Takes how many points of a distance vector lie on what cameras see, and how many in the free.
+    /// Takes how many points of a distance vector lie on what cameras see, and how many in free space.
     pub(super) fn looked(&mut self, robot: RobotId, agree: u32, contradict: u32) {
         self.agreements.looked(robot, agree, contradict);
     }
 
-    /// Goes on to a step of the map's time: the robots' weights are found anew, and what moves is
-    /// forgotten. The robots that have begun to disagree with the others.
+    /// Brings the map to a moment. At each step of the map's time the robots' weights are computed
+    /// again, and what is movable is forgotten. Returns the robots that have begun to disagree with
+    /// the others.
     pub(super) fn age(&mut self, now: Instant) -> Vec<RobotId> {
         let time = MapTime::at(now);
         if time <= self.time {
@@ -189,7 +252,7 @@ impl SharedMap {
         self.time = time;
         let mut bared = BTreeSet::new();
         self.under.retain(|_, (captured, masks)| {
-            let stands = now.since(*captured) <= STANDS;
+            let stands = now.since(*captured) <= ROBOT_GONE;
             if !stands {
                 bared.extend(masks.keys().copied().filter(|id| self.hiding.contains(id)));
             }
@@ -212,7 +275,7 @@ impl SharedMap {
                 disagree.extend((last == Weight::FULL).then_some(robot));
             }
         }
-        // What is not fused anew is as it was, but may be out of sight: that costs little.
+        // The other tiles are as before, but cells may have gone out of sight.
         for id in self.in_sight.difference(&other).copied().collect::<Vec<_>>() {
             if let Some(&(tile, _)) = self.whole.get(&id) {
                 self.look(id, tile, &self.cameras.seen(id));
@@ -232,7 +295,7 @@ impl SharedMap {
     }
 }
 
-/// The tile that lies so many tiles to the east and to the north.
+/// The tile at an offset, in tiles.
 fn beside(id: TileId, east: i16, north: i16) -> Option<TileId> {
     Some(TileId { x: id.x.checked_add(east)?, y: id.y.checked_add(north)? })
 }

@@ -1,25 +1,23 @@
-//! Who and what is about: the robots, and what the cameras see moving.
+//! The robots, people and things around, with their newest positions.
 
 use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     message::{Obstacle, Peer},
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose, RobotId},
 };
 
 use crate::{
     camera::Observation,
-    perception::{Footprint, Lying, Track, Tracks, things_of_cells},
+    perception::{Footprint, Lying, Track, Tracks},
+    timing::POSE_STALE,
 };
 
-/// Whoever is farther away is not near: metres.
+/// Robots are told of peers and obstacles up to this distance, in metres.
 const NEAR_M: f64 = 8.0;
-/// A robot that nothing has been heard of for longer may be anywhere. One out of view says itself
-/// where it is, every two seconds.
-const LOST: Duration = Duration::from_millis(2_500);
 
-/// All that is about.
+/// Robots, people and things.
 #[derive(Debug, Default)]
 pub(super) struct Surroundings {
     robots: BTreeMap<RobotId, (Instant, Pose)>,
@@ -44,23 +42,16 @@ impl Surroundings {
         }
     }
 
-    /// Takes what a frame of a camera says of what moves, cells of this side.
+    /// Takes the things that a frame shows, in cells of this side.
     pub(super) fn observe(&mut self, observation: &Observation, side: Millimetres) {
         let captured = observation.captured;
-        // A frame without cells says nothing of them.
+        // A frame without cells says nothing about things.
         if !observation.cells.is_empty() {
-            let of_cells;
-            let things = if observation.things.is_empty() {
-                of_cells = things_of_cells(&observation.cells);
-                &of_cells
-            } else {
-                &observation.things
-            };
-            self.tracks.observe(captured, things, side);
+            self.tracks.observe(captured, &observation.things, side);
         }
     }
 
-    /// Somebody who lies on the floor: told once each time.
+    /// A person who has come to lie on the floor, once each time.
     pub(super) fn poll_lying(&mut self) -> Option<Lying> {
         self.tracks.poll_lying()
     }
@@ -70,7 +61,7 @@ impl Surroundings {
         let recent = self
             .robots
             .iter()
-            .filter(move |(_, (at, _))| moment.since(*at).max(at.since(moment)) <= LOST);
+            .filter(move |(_, (at, _))| moment.since(*at).max(at.since(moment)) <= POSE_STALE);
         recent.map(|(&robot, &(_, pose))| (robot, pose))
     }
 
@@ -83,7 +74,8 @@ impl Surroundings {
     pub(super) fn peers(&self, robot: RobotId) -> Vec<Peer> {
         let newest = self.peers_moment(robot).unwrap_or_default();
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
-        let recent = self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= LOST);
+        let recent =
+            self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= POSE_STALE);
         let peers = recent.map(|(id, moment, pose)| {
             let Footprint { half_length, half_width } = self.footprint(id);
             let age = (newest.since(moment).micros() / 10_000).min(255) as u8;
@@ -93,25 +85,24 @@ impl Surroundings {
         nearest_first(peers)
     }
 
-    /// All robots of which anything was ever heard: when and where they were last, and what they
-    /// take up.
+    /// All robots ever heard of: when and where they were last, and what they take up.
     pub(super) fn robots(&self) -> impl Iterator<Item = (RobotId, Instant, Pose, Footprint)> {
         self.robots.iter().map(|(&id, &(moment, pose))| {
             (id, moment, pose, self.footprints.get(&id).copied().unwrap_or_default())
         })
     }
 
-    /// All that moves.
+    /// All people and things.
     pub(super) fn all_obstacles(&self) -> Vec<Obstacle> {
         self.tracks.now().map(|track| obstacle(&track)).collect()
     }
 
-    /// The newest moment of what moves.
+    /// The moment of the obstacles' positions.
     pub(super) fn obstacles_moment(&self) -> Instant {
         self.tracks.moment()
     }
 
-    /// What moves near a robot, nearest first.
+    /// The people and things near a robot, nearest first.
     pub(super) fn obstacles(&self, robot: RobotId) -> Vec<Obstacle> {
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
         let obstacles = self.tracks.now().map(|track| {

@@ -1,10 +1,13 @@
-//! What happens so many times a second.
+//! What happens at a rate.
 
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::{STEP, scenario::CameraConfig};
+use super::scenario::CameraConfig;
 
-/// Something that happens so many times a second, at steps.
+/// The step in which everything moves; frames and scans are taken at its multiples.
+pub const STEP: Duration = Duration::from_millis(10);
+
+/// Something that happens at a rate, in steps of the world.
 pub(super) struct Cadence {
     rate: f64,
     count: u64,
@@ -30,14 +33,14 @@ impl Cadence {
     }
 }
 
-/// When a camera takes frames, and how long they are under way at least.
-pub(super) struct FrameTimes {
+/// When a camera takes frames, and their minimum latency.
+pub(super) struct FrameSchedule {
     frames: Cadence,
     latency: Duration,
     fails: Option<Instant>,
 }
 
-impl FrameTimes {
+impl FrameSchedule {
     pub(super) fn new(config: &CameraConfig) -> Self {
         let micros = |micros: f64| micros.round() as u64;
         Self {

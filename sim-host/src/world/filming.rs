@@ -12,7 +12,7 @@ use rand_distr::{Distribution, Exp1};
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::{
-    cadence::FrameTimes,
+    cadence::FrameSchedule,
     render::{FrameCamera, Scene},
     scenario::CameraConfig,
 };
@@ -30,7 +30,7 @@ pub(super) struct Filming {
 /// When one camera takes frames.
 struct Shutter {
     camera: FrameCamera,
-    times: FrameTimes,
+    times: FrameSchedule,
     /// The mean of what is added to the latency, in microseconds.
     jitter: f64,
     lost: f64,
@@ -65,7 +65,7 @@ impl Filming {
             let camera = FrameCamera::new(config, in_colour, noise);
             Ok(Shutter {
                 camera: camera.map_err(|error| (index, error))?,
-                times: FrameTimes::new(config),
+                times: FrameSchedule::new(config),
                 jitter: config.latency_jitter_ms * 1000.0,
                 lost: config.lost_frames,
                 dice,

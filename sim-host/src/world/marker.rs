@@ -25,7 +25,7 @@ const HUES: [Colour; 6] = [
 
 /// A marker in the middle of a robot's top.
 #[derive(Clone, Debug)]
-pub(super) struct Marker {
+pub(super) struct MarkerPlate {
     pattern: Pattern,
     /// Half of its side with everything that belongs to it, in metres.
     half: f32,
@@ -40,7 +40,7 @@ enum Pattern {
     Blank,
 }
 
-impl Marker {
+impl MarkerPlate {
     pub(super) fn new(config: &RobotConfig) -> Self {
         let askew = config.identifier_askew_deg.to_radians();
         let size = config.marker_size_m as f32;

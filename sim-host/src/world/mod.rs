@@ -1,28 +1,30 @@
 //! The simulated room: walls, furniture, doors, people, robots and cameras.
 //!
-//! Read in this order: `scenario` (what a TOML file says) and `growth` (what a map adds), `shapes` and `room` (what stands still,
-//! and rays through it), `changes` (what is moved all the same), `truth` (what a perfect map would
-//! say), `route`, `people` and `robots` (what moves; `marker` and `tag`: what robots wear),
-//! `places` (who can't be or go where), `stereo` and `sensor` (what robots measure), `mounting`, `render` and
-//! `filming` (the frames of cameras), `passed` (the ground that robots have passed), `reachable`
-//! (the ground that they can stand on), and `cameras` (ideal ones, which say at once what they see).
+//! Read in this order: `scenario` (the TOML file) and `growth` (what a map adds), `shapes` and `room`
+//! (what stands still, and rays through it), `changes` (what is moved during a run), `truth` (the perfect
+//! map), `plane_pose`, `route`, `people` and `robots` (what moves; `marker` and `tag`: what robots wear),
+//! `places` (checks of starts and routes), `stereo` and `sensor` (what sensors measure), `mounting`, `render`
+//! and `filming` (the frames of cameras), `passed` (the ground that robots have passed), `reachable`
+//! (the ground that they can stand on), `ideal_camera` and `ideal_cameras` (observations without frames).
 //! [`World`] ties them together.
 //!
-//! The world moves in steps of [`STEP`], whoever asks it and how often: everything that it reports
-//! depends on the scenario, the resolution and the seed alone. Each robot, person and camera throws
-//! dice of its own, so that one robot fewer leaves the noise of the others as it was.
+//! The world moves in steps of [`STEP`], however it is polled: all that it reports depends only on
+//! the scenario, the resolution and the seed. Each robot, person and camera has its own random numbers
+//! (`streams`).
 
 mod cadence;
-mod cameras;
 mod changes;
 mod filming;
 mod fixed_parts;
 mod growth;
+mod ideal_camera;
+mod ideal_cameras;
 mod marker;
 mod mounting;
 mod passed;
 mod people;
 mod places;
+mod plane_pose;
 mod reachable;
 mod render;
 mod robots;
@@ -32,27 +34,25 @@ mod scenario;
 mod sensor;
 mod shapes;
 mod stereo;
+mod streams;
 mod tag;
 mod truth;
 
 #[cfg(test)]
 mod tests;
 
-use std::{
-    collections::{BTreeMap, VecDeque},
-    sync::Arc,
-};
+use std::{collections::VecDeque, sync::Arc};
 
 use parry2d_f64::glamx::DVec2;
-use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use ubimap_protocol::{
-    time::{Duration, Instant},
+    time::Instant,
     units::{Millimetres, Pose},
 };
 
 use crate::camera::{Calibration, Frame, FrameSource, Observation, Source};
 
+pub use cadence::STEP;
 pub use fixed_parts::{FixedOutline, FixedPart};
 pub use people::Person;
 pub use robots::SimRobot;
@@ -67,19 +67,17 @@ pub use sensor::RangeSensor;
 pub use tag::TAGS;
 pub use truth::Truth;
 
-use cadence::{Cadence, FrameTimes};
-use cameras::{Camera, SeenRobot};
+use cadence::Cadence;
 use changes::Changes;
 use filming::Filming;
+use ideal_cameras::IdealCameras;
 use passed::Passed;
 use render::{Part, Scene};
 use robots::Contact;
-use room::{Cells, Room};
+use room::{CellGrid, Room};
 use route::Body;
 use shapes::Prism;
-
-/// The step in which everything moves; frames and scans are taken at its multiples.
-pub const STEP: Duration = Duration::from_millis(10);
+use streams::Stream;
 
 /// One scan of one robot.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,21 +108,19 @@ pub struct Contacts {
 pub struct World {
     room: Arc<Room>,
     changes: Changes,
-    cells: Cells,
+    cells: CellGrid,
     slice_height: f64,
     starts: Vec<DVec2>,
     truth: Truth,
     passed: Passed,
     people: Vec<Person>,
     robots: Vec<SimRobot>,
-    cameras: Vec<IdealCamera>,
+    cameras: IdealCameras,
     filming: Filming,
     scanners: Vec<(Cadence, ChaCha8Rng)>,
     now: Instant,
     contacts: Contacts,
     scans: VecDeque<ScanEvent>,
-    /// Observations under way, by arrival, then capture, then camera.
-    observations: BTreeMap<(Instant, Instant, usize), Observation>,
 }
 
 impl World {
@@ -143,48 +139,35 @@ impl World {
         }
         let changes = Changes::new(scenario, walls);
         let room = changes.room()?;
-        let cells = Cells::of(&room, resolution.metres(), scenario)?;
+        let cells = CellGrid::of(&room, resolution.metres(), scenario)?;
         for room in changes.rooms() {
             places::check(scenario, &room?)?;
         }
         let starts: Vec<DVec2> = scenario.robots.iter().map(places::start).collect();
         let before = Truth::default();
         let truth = truth::truth(&room, cells, scenario.slice_height_m, &starts, &before);
-        let dice = |who: Dice, number: usize| {
-            let mut dice = ChaCha8Rng::seed_from_u64(seed);
-            dice.set_stream((who as u64) << 32 | number as u64);
-            dice
-        };
-        let cameras = scenario.cameras.iter().enumerate().map(|(index, config)| {
-            let dice = dice(Dice::Camera, index);
-            IdealCamera {
-                camera: Camera::new(config, &room, cells, scenario.robot_height_m(), dice),
-                times: FrameTimes::new(config),
-                cells: Cadence::new(config.cells_rate_hz),
-            }
-        });
+        let cameras =
+            IdealCameras::new(scenario, &room, cells, |index| Stream::Camera.rng(seed, index));
         let in_colour = scenario.robots.iter().any(|robot| robot.marker == MarkerConfig::Colour);
-        let filming = Filming::new(&scenario.cameras, in_colour, |index| dice(Dice::Frame, index));
+        let filming =
+            Filming::new(&scenario.cameras, in_colour, |index| Stream::Frame.rng(seed, index));
         let filming = filming.map_err(|(index, error)| {
             scenario.invalid(format!("cameras[{index}]"), format!("has {error}"))
         })?;
         let people = scenario.people.iter().enumerate();
-        let robots = || scenario.robots.iter().enumerate();
+        let people = people
+            .map(|(index, config)| Person::new(config, index, Stream::Person.rng(seed, index)));
+        let robots = scenario.robots.iter().enumerate().map(|(index, config)| {
+            SimRobot::new(config, index, Stream::Odometry.rng(seed, config.id.into()))
+        });
+        let scanners = scenario.robots.iter().map(|config| {
+            (Cadence::new(config.sensor.rate_hz), Stream::Scan.rng(seed, config.id.into()))
+        });
         let mut world = Self {
-            cameras: cameras.collect(),
-            people: people
-                .map(|(index, config)| Person::new(config, index, dice(Dice::Person, index)))
-                .collect(),
-            robots: robots()
-                .map(|(index, config)| {
-                    SimRobot::new(config, index, dice(Dice::Odometry, config.id.into()))
-                })
-                .collect(),
-            scanners: robots()
-                .map(|(_, config)| {
-                    (Cadence::new(config.sensor.rate_hz), dice(Dice::Scan, config.id.into()))
-                })
-                .collect(),
+            cameras,
+            people: people.collect(),
+            robots: robots.collect(),
+            scanners: scanners.collect(),
             room: Arc::new(room),
             changes,
             cells,
@@ -196,7 +179,6 @@ impl World {
             now: Instant::default(),
             contacts: Contacts::default(),
             scans: VecDeque::new(),
-            observations: BTreeMap::new(),
         };
         world.measure();
         Ok(world)
@@ -260,8 +242,7 @@ impl World {
 
     /// The cells that a camera sees when nobody is there: the ground that is not blind.
     pub fn covered(&self, camera: usize) -> Vec<(i32, i32)> {
-        let views = self.cameras.get(camera).map_or(&[][..], |ideal| ideal.camera.views());
-        views.iter().map(|view| view.cell).collect()
+        self.cameras.visible(camera).collect()
     }
 
     /// The ground that robots of this radius can stand on when those that have a route come from
@@ -289,9 +270,7 @@ impl World {
             self.room = Arc::new(room);
             self.truth =
                 truth::truth(&self.room, self.cells, self.slice_height, &self.starts, &self.truth);
-            for ideal in &mut self.cameras {
-                ideal.camera.look_again(&self.room);
-            }
+            self.cameras.look_again(&self.room);
         }
         for index in 0..self.people.len() {
             let mut others = self.bodies(None, Some(index));
@@ -350,27 +329,7 @@ impl World {
                 truth: robot.truth(),
             });
         }
-        for (index, ideal) in self.cameras.iter_mut().enumerate() {
-            if !ideal.times.is_due(self.now) {
-                continue;
-            }
-            let with_cells = ideal.cells.is_due(self.now);
-            let robots: Vec<SeenRobot> = self.robots.iter().map(SeenRobot::of).collect();
-            let people: Vec<Body> = self.people.iter().map(Person::body).collect();
-            let frame = ideal.camera.frame(&self.room, &robots, &people, with_cells);
-            if ideal.times.has_failed(self.now) {
-                continue;
-            }
-            let observation = Observation {
-                camera: index,
-                captured: self.now,
-                robots: frame.robots,
-                cells: frame.cells,
-                ..Observation::default()
-            };
-            let arrival = self.now + ideal.times.latency();
-            self.observations.insert((arrival, self.now, index), observation);
-        }
+        self.cameras.take(self.now, &self.room, &self.robots, &self.people);
         self.filming.take(self.now, || scene(&self.room, &self.robots, &self.people));
     }
 
@@ -398,14 +357,11 @@ impl World {
 impl Source for World {
     fn poll(&mut self, now: Instant) -> Option<Observation> {
         self.advance(now);
-        let first = self.observations.first_entry()?;
-        (first.key().0 <= now).then(|| first.remove())
+        self.cameras.poll(now)
     }
 
     fn next_arrival(&self) -> Option<Instant> {
-        let under_way = self.observations.keys().map(|&(arrival, ..)| arrival).next();
-        let coming = self.cameras.iter().filter_map(|ideal| ideal.times.next_arrival());
-        under_way.into_iter().chain(coming).min()
+        self.cameras.next_arrival()
     }
 }
 
@@ -430,21 +386,4 @@ impl FrameSource for World {
     fn next_arrival(&self) -> Option<Instant> {
         self.filming.next_arrival()
     }
-}
-
-/// An ideal camera, when it looks, and which of its frames say something about cells.
-struct IdealCamera {
-    camera: Camera,
-    times: FrameTimes,
-    cells: Cadence,
-}
-
-/// Who throws dice; each of a kind has a number besides.
-#[derive(Clone, Copy)]
-enum Dice {
-    Camera = 1,
-    Person = 2,
-    Odometry = 3,
-    Scan = 4,
-    Frame = 5,
 }

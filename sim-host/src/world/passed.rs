@@ -4,8 +4,9 @@ use libm::{atan2, cos, sin};
 use parry2d_f64::{bounding_volume::Aabb, glamx::DVec2};
 
 use super::{
-    robots::{PlanePose, SimRobot},
-    room::{Cells, Room},
+    plane_pose::PlanePose,
+    robots::SimRobot,
+    room::{CellGrid, Room},
 };
 
 /// How near a robot must have come, in metres.
@@ -21,12 +22,12 @@ pub(super) struct Passed {
 }
 
 impl Passed {
-    pub(super) fn new(cells: Cells, robots: usize) -> Self {
+    pub(super) fn new(cells: CellGrid, robots: usize) -> Self {
         Self { seen: vec![false; cells.count()], looked: vec![None; robots] }
     }
 
     /// A robot's sensor looks, as it is really mounted.
-    pub(super) fn look(&mut self, index: usize, robot: &SimRobot, room: &Room, cells: Cells) {
+    pub(super) fn look(&mut self, index: usize, robot: &SimRobot, room: &Room, cells: CellGrid) {
         let pose = robot.pose();
         let moved = |last: &PlanePose| {
             last.position.distance(pose.position) >= STEP
@@ -53,7 +54,7 @@ impl Passed {
     }
 
     /// The cells whose centres have been seen; what is solid has none that could be.
-    pub(super) fn cells(&self, cells: Cells) -> impl Iterator<Item = (i32, i32)> {
+    pub(super) fn cells(&self, cells: CellGrid) -> impl Iterator<Item = (i32, i32)> {
         let seen = self.seen.iter().enumerate().filter(|(_, seen)| **seen);
         seen.map(move |(index, _)| cells.cell(index))
     }

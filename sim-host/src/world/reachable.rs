@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use parry2d_f64::glamx::DVec2;
 
 use super::{
-    room::{Cells, Room},
+    room::{CellGrid, Room},
     route::Body,
 };
 
@@ -14,7 +14,7 @@ use super::{
 /// in metres, and the height.
 pub(super) fn ground(
     room: &Room,
-    cells: Cells,
+    cells: CellGrid,
     starts: impl Iterator<Item = DVec2>,
     standing: &[Body],
     [radius, room_about, height]: [f64; 3],

@@ -10,7 +10,8 @@ use rand_distr::{Distribution, StandardNormal};
 use ubimap_protocol::units::{Pose, RobotId};
 
 use super::{
-    marker::{Colour, Marker},
+    marker::{Colour, MarkerPlate},
+    plane_pose::PlanePose,
     render::{Paint, Part},
     route::{Body, Route},
     scenario::{OdometryConfig, RobotConfig},
@@ -34,20 +35,6 @@ const PATIENCE: f64 = 5.0;
 /// A robot that has moved no farther from where it ran into something leans against it still, in
 /// metres.
 const LEANS: f64 = 0.05;
-
-/// A position in metres and a heading in radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct PlanePose {
-    pub(super) position: DVec2,
-    pub(super) heading: f64,
-}
-
-impl PlanePose {
-    /// The same on the wire.
-    pub(super) fn quantised(self) -> Pose {
-        Pose::from_metres(self.position.x, self.position.y, self.heading)
-    }
-}
 
 /// What stops a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +62,7 @@ pub struct SimRobot {
     height: f64,
     /// Length and width of a box; none of a cylinder.
     sides: Option<DVec2>,
-    marker: Marker,
+    marker: MarkerPlate,
     /// How far the identifier is turned against the robot.
     askew: f64,
     sensor: RangeSensor,
@@ -145,7 +132,7 @@ impl SimRobot {
             radius: config.radius_m,
             height: config.height_m,
             sides: config.box_m.map(DVec2::from),
-            marker: Marker::new(config),
+            marker: MarkerPlate::new(config),
             askew: config.identifier_askew_deg.to_radians(),
             sensor: RangeSensor::new(&config.sensor),
             truth: PlanePose { position: start, heading: config.start.heading_deg.to_radians() },

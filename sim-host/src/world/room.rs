@@ -196,7 +196,7 @@ impl Room {
 
 /// The cells of `map` that the room fills: columns and rows from a first cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Cells {
+pub(super) struct CellGrid {
     pub(super) first: (i32, i32),
     pub(super) columns: usize,
     pub(super) rows: usize,
@@ -204,7 +204,7 @@ pub(super) struct Cells {
     pub(super) side: f64,
 }
 
-impl Cells {
+impl CellGrid {
     /// The cells that cover the room.
     pub(super) fn of(room: &Room, side: f64, scenario: &Scenario) -> Result<Self, ScenarioError> {
         let (low, high) = (room.bounds.mins / side, room.bounds.maxs / side);

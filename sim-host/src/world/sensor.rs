@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use ubimap_protocol::units::Pose;
 
 use super::{
-    robots::PlanePose,
+    plane_pose::PlanePose,
     room::Room,
     route::Body,
     scenario::{SensorConfig, SensorPreset},

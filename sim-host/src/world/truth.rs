@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use parry2d_f64::glamx::{DVec2, DVec3};
 
-use super::room::{Cells, Room};
+use super::room::{CellGrid, Room};
 
 /// How far before a surface one must be able to look, in metres.
 const AIR: f64 = 0.01;
@@ -28,7 +28,7 @@ pub struct Truth {
 /// no starts.
 pub(super) fn truth(
     room: &Room,
-    cells: Cells,
+    cells: CellGrid,
     height: f64,
     starts: &[DVec2],
     before: &Truth,
@@ -47,7 +47,7 @@ pub(super) fn truth(
 /// nothing blocks.
 fn reach(
     room: &Room,
-    cells: Cells,
+    cells: CellGrid,
     height: f64,
     starts: &[DVec2],
     before: &[(i32, i32)],
@@ -92,7 +92,7 @@ fn reach(
     reached
 }
 
-fn surfaces(room: &Room, cells: Cells, height: f64, reached: &[bool]) -> BTreeSet<(i32, i32)> {
+fn surfaces(room: &Room, cells: CellGrid, height: f64, reached: &[bool]) -> BTreeSet<(i32, i32)> {
     let mut surfaces = BTreeSet::new();
     for prism in room.prisms().iter().filter(|prism| prism.spans(height)) {
         for (point, normal) in prism.footprint.boundary(cells.side / 8.0) {
@@ -110,7 +110,7 @@ fn surfaces(room: &Room, cells: Cells, height: f64, reached: &[bool]) -> BTreeSe
 }
 
 /// Whether the centre of a reached cell about a point is in its sight.
-fn is_seen(room: &Room, cells: Cells, point: DVec3, reached: &[bool]) -> bool {
+fn is_seen(room: &Room, cells: CellGrid, point: DVec3, reached: &[bool]) -> bool {
     let (x, y) = cells.cell_at(point.truncate());
     (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy))).any(|cell| {
         cells.index(cell).is_some_and(|index| reached[index])

@@ -2,17 +2,17 @@
 
 use std::fs;
 
-use serde::Serialize;
 use serde_json::{Value, json};
 use ubimap_protocol::{
     frame::{Direction, FrameKind, Header, SessionId, cobs, seal},
     link::{Answer, Terms, answer},
     message::{
-        Ack, Certainty, Digests, DistanceVector, EarlierFix, Event, FixSource, Freshness, Hello,
-        Interest, Obstacle, ObstacleClass, Obstacles, ParameterAction, ParameterCommand,
-        ParameterOutcome, ParameterReport, ParameterValue, Path, Peer, Peers, PoseFix, Refusal,
-        RefusalReason, Request, Severity, State, Stop, Stored, TileDigest, TileUpdateHead,
-        TimeReply, TimeRequest, Waypoint, Welcome, Writer,
+        Ack, Body, Certainty, Digests, DistanceVector, EarlierFix, Event, FixSource, Freshness,
+        Hello, Interest, Message, Messages, Obstacle, ObstacleClass, Obstacles, ParameterAction,
+        ParameterCommand, ParameterOutcome, ParameterReport, ParameterValue, Path, Peer, Peers,
+        PoseFix, Refusal, RefusalReason, Request, Reset, Severity, State, Stop, Stored, TileDigest,
+        TileUpdateHead, TimeReply, TimeRequest, ToRobot, ToServer, Traffic, Waypoint, Welcome,
+        Writer,
     },
     tile::{
         Cell, Digest, Epoch, Layer, Replica, Row, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
@@ -81,18 +81,32 @@ fn header(kind: FrameKind, sequence: u16) -> Header {
 }
 
 /// One message in its frame: kind, length, body.
-fn message<T: Serialize>(kind: u8, body: &T) -> Vec<u8> {
+fn message<D: Traffic>(body: &impl Body<D>) -> Vec<u8> {
+    written::<D>(|writer| writer.push(body))
+}
+
+/// The same of a message whose body begins with `head`.
+fn message_with<D: Traffic>(head: &impl Body<D>, rest: &[u8]) -> Vec<u8> {
+    written::<D>(|writer| {
+        writer.push_with(head, |space| {
+            space[..rest.len()].copy_from_slice(rest);
+            Some(rest.len())
+        })
+    })
+}
+
+fn written<D: Traffic>(write: impl FnOnce(&mut Writer<'_, D>) -> bool) -> Vec<u8> {
     let mut buffer = [0; 1024];
     let mut writer = Writer::new(&mut buffer);
-    assert!(writer.push(kind, body));
+    assert!(write(&mut writer));
     let len = writer.len();
     buffer[..len].to_vec()
 }
 
 fn frames() -> Value {
-    let hello = message(1, &small_hello());
-    let ack = message(0, &Ack { next: 5, later: 2 });
-    let request = message(2, &TimeRequest { nonce: 7 });
+    let hello = message::<ToServer>(&small_hello());
+    let ack = message::<ToRobot>(&Ack { next: 5, later: 2 });
+    let request = message::<ToServer>(&TimeRequest { nonce: 7 });
     let cases = [
         ("handshake", TO_SERVER, 0, header(FrameKind::Handshake, 0), hello),
         ("datagram", TO_SERVER, 0xA1B2_C3D4, header(FrameKind::Datagram, 3), request.clone()),
@@ -110,7 +124,7 @@ fn frames() -> Value {
             TO_SERVER,
             0,
             Header { version: 7, ..header(FrameKind::Handshake, 0) },
-            message(1, &Hello { version: 7, min_version: 6, ..small_hello() }),
+            message::<ToServer>(&Hello { version: 7, min_version: 6, ..small_hello() }),
         ),
     ];
     let case =
@@ -162,95 +176,63 @@ const LAST: Stamp = Stamp { epoch: Epoch(u32::MAX), version: Version(u32::MAX) }
 struct Cases(Vec<Value>);
 
 impl Cases {
-    fn add<T: Serialize>(&mut self, direction: Direction, kind: u8, name: &str, body: &T) {
-        self.add_with(direction, kind, name, body, &[]);
+    fn add<D: Traffic>(&mut self, name: &str, body: &impl Body<D>) {
+        self.add_with::<D>(name, body, &[]);
     }
 
-    fn add_with<T: Serialize>(
-        &mut self,
-        direction: Direction,
-        kind: u8,
-        name: &str,
-        fixed: &T,
-        rest: &[u8],
-    ) {
-        let whole = message(kind, fixed);
-        // Kind, and a length of one or two bytes.
-        let head = if whole.len() - 2 < 128 { 2 } else { 3 };
-        let body = [&whole[head..], rest].concat();
+    fn add_with<D: Traffic>(&mut self, name: &str, head: &impl Body<D>, rest: &[u8]) {
+        let bytes = message_with::<D>(head, rest);
+        let message = Messages::<D>::new(&bytes).next().unwrap().unwrap();
         self.0.push(json!({
-            "name": name, "direction": direction_name(direction), "kind": kind,
-            "body": hex(&body), "fields": serde_json::to_value(fixed).unwrap(), "rest": hex(rest),
+            "name": name, "direction": direction_name(D::DIRECTION), "kind": message.number,
+            "body": hex(message.body), "fields": serde_json::to_value(head).unwrap(),
+            "rest": hex(rest),
         }));
     }
 }
 
 fn messages() -> Value {
     let mut cases = Cases(Vec::new());
-    for direction in [TO_SERVER, TO_ROBOT] {
-        let name = |what: &str| format!("{what} {}", direction_name(direction));
-        cases.add(direction, 0, &name("ack small"), &Ack { next: 5, later: 0 });
-        cases.add(direction, 0, &name("ack extreme"), &Ack { next: 2047, later: u32::MAX });
-        let layer = if direction == TO_SERVER { Layer::Robot } else { Layer::Fused };
-        let coded = update_of(1000, |encoder| {
-            encoder
-                .push(TileId { x: 1, y: -1 }, stamp(2, 1), None, 0, &Tile::UNKNOWN, &room())
-                .unwrap();
-        });
-        cases.add_with(
-            direction,
-            3,
-            &name("tile update small"),
-            &TileUpdateHead { layer, seconds: 60 },
-            &coded,
-        );
-        cases.add_with(
-            direction,
-            3,
-            &name("tile update extreme"),
-            &TileUpdateHead { layer: Layer::Coverage, seconds: u32::MAX },
-            &coded,
-        );
-        cases.add(
-            direction,
-            6,
-            &name("request small"),
-            &Request { layer, tiles: [].into_iter().collect() },
-        );
-        cases.add(
-            direction,
-            6,
-            &name("request extreme"),
-            &Request { layer, tiles: [CORNER; 8].into_iter().collect() },
-        );
-        let digest =
-            TileDigest { id: TileId { x: -1, y: 1 }, stamp: stamp(1, 9), hash: 0x1234_5678 };
-        let kind = if direction == TO_SERVER { 9 } else { 14 };
-        cases.add(
-            direction,
-            kind,
-            &name("digests small"),
-            &Digests { layer, tiles: [digest].into_iter().collect() },
-        );
-        let digest = TileDigest { id: CORNER, stamp: LAST, hash: u32::MAX };
-        cases.add(
-            direction,
-            kind,
-            &name("digests extreme"),
-            &Digests { layer, tiles: [digest; 8].into_iter().collect() },
-        );
-    }
+    both_ways::<ToServer>(&mut cases, Layer::Robot);
+    both_ways::<ToRobot>(&mut cases, Layer::Fused);
     to_server(&mut cases);
     to_robot(&mut cases);
     Value::Array(cases.0)
 }
 
+fn both_ways<D: Traffic>(cases: &mut Cases, layer: Layer)
+where
+    TileUpdateHead: Body<D>,
+    Request: Body<D>,
+    Digests: Body<D>,
+{
+    let name = |what: &str| format!("{what} {}", direction_name(D::DIRECTION));
+    cases.add::<D>(&name("ack small"), &Ack { next: 5, later: 0 });
+    cases.add::<D>(&name("ack extreme"), &Ack { next: 2047, later: u32::MAX });
+    let coded = update_of(1000, |encoder| {
+        encoder
+            .push(TileId { x: 1, y: -1 }, stamp(2, 1), None, 0, &Tile::UNKNOWN, &room())
+            .unwrap();
+    });
+    let head = TileUpdateHead { layer, seconds: 60 };
+    cases.add_with::<D>(&name("tile update small"), &head, &coded);
+    let head = TileUpdateHead { layer: Layer::Coverage, seconds: u32::MAX };
+    cases.add_with::<D>(&name("tile update extreme"), &head, &coded);
+    let request = Request { layer, tiles: [].into_iter().collect() };
+    cases.add::<D>(&name("request small"), &request);
+    let request = Request { layer, tiles: [CORNER; 8].into_iter().collect() };
+    cases.add::<D>(&name("request extreme"), &request);
+    let digest = TileDigest { id: TileId { x: -1, y: 1 }, stamp: stamp(1, 9), hash: 0x1234_5678 };
+    let digests = Digests { layer, tiles: [digest].into_iter().collect() };
+    cases.add::<D>(&name("digests small"), &digests);
+    let digest = TileDigest { id: CORNER, stamp: LAST, hash: u32::MAX };
+    let digests = Digests { layer, tiles: [digest; 8].into_iter().collect() };
+    cases.add::<D>(&name("digests extreme"), &digests);
+}
+
 fn to_server(cases: &mut Cases) {
-    let to = TO_SERVER;
-    cases.add(to, 1, "hello small", &small_hello());
-    cases.add(
-        to,
-        1,
+    cases.add::<ToServer>("hello small", &small_hello());
+    cases.add::<ToServer>(
         "hello extreme",
         &Hello {
             version: 255,
@@ -262,18 +244,18 @@ fn to_server(cases: &mut Cases) {
             fused_tiles: u16::MAX,
         },
     );
-    cases.add_with(to, 1, "hello with a field that was added later", &small_hello(), &[1, 2, 3]);
-    cases.add(to, 2, "time request small", &TimeRequest { nonce: 0 });
-    cases.add(to, 2, "time request extreme", &TimeRequest { nonce: u16::MAX });
-    cases.add(
-        to,
-        4,
+    cases.add_with::<ToServer>(
+        "hello with a field that was added later",
+        &small_hello(),
+        &[1, 2, 3],
+    );
+    cases.add::<ToServer>("time request small", &TimeRequest { nonce: 0 });
+    cases.add::<ToServer>("time request extreme", &TimeRequest { nonce: u16::MAX });
+    cases.add::<ToServer>(
         "state small",
         &State { time: None, pose: None, odometry: None, cells_refused: 0 },
     );
-    cases.add(
-        to,
-        4,
+    cases.add::<ToServer>(
         "state usual",
         &State {
             time: Some(Instant(61_500_000)),
@@ -282,21 +264,15 @@ fn to_server(cases: &mut Cases) {
             cells_refused: 2,
         },
     );
-    cases.add(
-        to,
-        4,
+    cases.add::<ToServer>(
         "state extreme",
         &State { time: Some(END), pose: Some(FAR), odometry: Some(FAR), cells_refused: u32::MAX },
     );
-    cases.add(
-        to,
-        5,
+    cases.add::<ToServer>(
         "interest small",
         &Interest { number: 1, from: TileId { x: -2, y: -2 }, to: TileId { x: 1, y: 1 } },
     );
-    cases.add(
-        to,
-        5,
+    cases.add::<ToServer>(
         "interest extreme",
         &Interest {
             number: u32::MAX,
@@ -304,9 +280,7 @@ fn to_server(cases: &mut Cases) {
             to: TileId { x: i16::MAX, y: i16::MAX },
         },
     );
-    cases.add(
-        to,
-        7,
+    cases.add::<ToServer>(
         "distance vector small",
         &DistanceVector {
             time: Instant(0),
@@ -316,9 +290,7 @@ fn to_server(cases: &mut Cases) {
             distances: [].into_iter().collect(),
         },
     );
-    cases.add(
-        to,
-        7,
+    cases.add::<ToServer>(
         "distance vector usual",
         &DistanceVector {
             time: Instant(61_500_000),
@@ -328,9 +300,7 @@ fn to_server(cases: &mut Cases) {
             distances: [0, 1, 60, 254, 255].into_iter().collect(),
         },
     );
-    cases.add(
-        to,
-        7,
+    cases.add::<ToServer>(
         "distance vector extreme",
         &DistanceVector {
             time: END,
@@ -340,15 +310,11 @@ fn to_server(cases: &mut Cases) {
             distances: [255; 64].into_iter().collect(),
         },
     );
-    cases.add(
-        to,
-        8,
+    cases.add::<ToServer>(
         "event small",
         &Event { time: None, severity: Severity::Info, code: 1, detail: "".try_into().unwrap() },
     );
-    cases.add(
-        to,
-        8,
+    cases.add::<ToServer>(
         "event usual",
         &Event {
             time: Some(Instant(5)),
@@ -357,9 +323,7 @@ fn to_server(cases: &mut Cases) {
             detail: "räder".try_into().unwrap(),
         },
     );
-    cases.add(
-        to,
-        8,
+    cases.add::<ToServer>(
         "event extreme",
         &Event {
             time: Some(END),
@@ -370,16 +334,12 @@ fn to_server(cases: &mut Cases) {
     );
     let value = |parameter, value| ParameterValue { parameter, value };
     for outcome in [ParameterOutcome::Unknown, ParameterOutcome::OutOfRange] {
-        cases.add(
-            to,
-            10,
+        cases.add::<ToServer>(
             &format!("parameter report {outcome:?}"),
             &ParameterReport { number: 1, outcome, values: [].into_iter().collect() },
         );
     }
-    cases.add(
-        to,
-        10,
+    cases.add::<ToServer>(
         "parameter report usual",
         &ParameterReport {
             number: 4,
@@ -387,9 +347,7 @@ fn to_server(cases: &mut Cases) {
             values: [value(1, 120), value(2, -35), value(3, 300)].into_iter().collect(),
         },
     );
-    cases.add(
-        to,
-        10,
+    cases.add::<ToServer>(
         "parameter report extreme",
         &ParameterReport {
             number: u16::MAX,
@@ -400,11 +358,8 @@ fn to_server(cases: &mut Cases) {
 }
 
 fn to_robot(cases: &mut Cases) {
-    let to = TO_ROBOT;
-    cases.add(to, 1, "welcome small", &small_welcome());
-    cases.add(
-        to,
-        1,
+    cases.add::<ToRobot>("welcome small", &small_welcome());
+    cases.add::<ToRobot>(
         "welcome extreme",
         &Welcome {
             nonce: u32::MAX,
@@ -416,22 +371,16 @@ fn to_robot(cases: &mut Cases) {
             stores: false,
         },
     );
-    cases.add(
-        to,
-        2,
+    cases.add::<ToRobot>(
         "time reply small",
         &TimeReply { nonce: 0, received: Instant(0), held_micros: 0 },
     );
-    cases.add(
-        to,
-        2,
+    cases.add::<ToRobot>(
         "time reply extreme",
         &TimeReply { nonce: u16::MAX, received: END, held_micros: u32::MAX },
     );
     let certainty = Certainty { x: 20, y: 20, heading: 182 };
-    cases.add(
-        to,
-        4,
+    cases.add::<ToRobot>(
         "pose fix small",
         &PoseFix {
             time: Instant(61_500_000),
@@ -442,9 +391,7 @@ fn to_robot(cases: &mut Cases) {
         },
     );
     let step = EarlierFix { before_micros: 100_000, dx: 10, dy: -10, turn: -546 };
-    cases.add(
-        to,
-        4,
+    cases.add::<ToRobot>(
         "pose fix usual",
         &PoseFix {
             time: Instant(61_500_000),
@@ -456,9 +403,7 @@ fn to_robot(cases: &mut Cases) {
     );
     let step = EarlierFix { before_micros: u32::MAX, dx: i32::MIN, dy: i32::MAX, turn: i16::MIN };
     let most = Certainty { x: u16::MAX, y: u16::MAX, heading: u16::MAX };
-    cases.add(
-        to,
-        4,
+    cases.add::<ToRobot>(
         "pose fix extreme",
         &PoseFix {
             time: END,
@@ -473,16 +418,14 @@ fn to_robot(cases: &mut Cases) {
         ("refusal resolution", RefusalReason::Resolution(Millimetres(50))),
         ("refusal frame", RefusalReason::Frame(32)),
     ] {
-        cases.add(to, 5, name, &Refusal { nonce: 99, reason });
+        cases.add::<ToRobot>(name, &Refusal { nonce: 99, reason });
     }
-    cases.add(
-        to,
-        5,
+    cases.add::<ToRobot>(
         "refusal extreme",
         &Refusal { nonce: u32::MAX, reason: RefusalReason::Version { min: 255, current: 255 } },
     );
-    cases.add(to, 7, "reset", &());
-    cases.add_with(to, 7, "reset with a field that was added later", &(), &[9]);
+    cases.add::<ToRobot>("reset", &Reset);
+    cases.add_with::<ToRobot>("reset with a field that was added later", &Reset, &[9]);
     let peer = Peer {
         robot: RobotId(2),
         pose: pose(1000, 2000, 3000),
@@ -490,9 +433,7 @@ fn to_robot(cases: &mut Cases) {
         half_length: 150,
         half_width: 120,
     };
-    cases.add(
-        to,
-        8,
+    cases.add::<ToRobot>(
         "peers small",
         &Peers { time: Instant(61_500_000), peers: [peer].into_iter().collect() },
     );
@@ -503,7 +444,10 @@ fn to_robot(cases: &mut Cases) {
         half_length: u16::MAX,
         half_width: u16::MAX,
     };
-    cases.add(to, 8, "peers extreme", &Peers { time: END, peers: [peer; 8].into_iter().collect() });
+    cases.add::<ToRobot>(
+        "peers extreme",
+        &Peers { time: END, peers: [peer; 8].into_iter().collect() },
+    );
     let thing = |class| Obstacle {
         number: 1,
         class,
@@ -514,9 +458,7 @@ fn to_robot(cases: &mut Cases) {
         radius: 250,
     };
     let classes = [ObstacleClass::Person, ObstacleClass::Movable, ObstacleClass::Fixed];
-    cases.add(
-        to,
-        9,
+    cases.add::<ToRobot>(
         "obstacles small",
         &Obstacles {
             time: Instant(61_500_000),
@@ -532,64 +474,53 @@ fn to_robot(cases: &mut Cases) {
         velocity_y: i16::MAX,
         radius: u16::MAX,
     };
-    cases.add(
-        to,
-        9,
+    cases.add::<ToRobot>(
         "obstacles extreme",
         &Obstacles { time: END, obstacles: [thing; 12].into_iter().collect() },
     );
-    cases.add(to, 10, "path small", &Path { number: 1, waypoints: [].into_iter().collect() });
+    cases.add::<ToRobot>("path small", &Path { number: 1, waypoints: [].into_iter().collect() });
     let point = Waypoint { x: Millimetres(i32::MIN), y: Millimetres(i32::MAX) };
-    cases.add(
-        to,
-        10,
+    cases.add::<ToRobot>(
         "path extreme",
         &Path { number: u32::MAX, waypoints: [point; 16].into_iter().collect() },
     );
-    cases.add(to, 11, "stop small", &Stop { number: 1, stop: true });
-    cases.add(to, 11, "stop extreme", &Stop { number: u32::MAX, stop: false });
-    cases.add(
-        to,
-        12,
+    cases.add::<ToRobot>("stop small", &Stop { number: 1, stop: true });
+    cases.add::<ToRobot>("stop extreme", &Stop { number: u32::MAX, stop: false });
+    cases.add::<ToRobot>(
         "parameter list",
         &ParameterCommand { number: 1, action: ParameterAction::List },
     );
-    cases.add(
-        to,
-        12,
+    cases.add::<ToRobot>(
         "parameter get",
         &ParameterCommand { number: 2, action: ParameterAction::Get(3) },
     );
     let value = ParameterValue { parameter: u16::MAX, value: i32::MIN };
-    cases.add(
-        to,
-        12,
+    cases.add::<ToRobot>(
         "parameter set",
         &ParameterCommand { number: u16::MAX, action: ParameterAction::Set(value) },
     );
-    cases.add(
-        to,
-        13,
+    cases.add::<ToRobot>(
         "stored small",
         &Stored { tiles: [(TileId { x: 1, y: -1 }, stamp(2, 1))].into_iter().collect() },
     );
-    cases.add(
-        to,
-        13,
+    cases.add::<ToRobot>(
         "stored extreme",
         &Stored { tiles: [(CORNER, LAST); 8].into_iter().collect() },
     );
     let (time, tiles) = (Instant(61_500_000), [0b0000_0110, 0, 0b1000_0000].into_iter().collect());
-    cases.add(to, 15, "freshness small", &Freshness { time, interest: 1, first: 0, tiles });
+    cases.add::<ToRobot>("freshness small", &Freshness { time, interest: 1, first: 0, tiles });
     let (interest, first) = (u32::MAX, u16::MAX);
     let tiles = [0xFF; 32].into_iter().collect();
-    cases.add(to, 15, "freshness extreme", &Freshness { time: END, interest, first, tiles });
+    cases.add::<ToRobot>("freshness extreme", &Freshness { time: END, interest, first, tiles });
 }
 
 fn payloads() -> Value {
-    let ack = message(0, &Ack { next: 5, later: 2 });
-    let long = message(200, &"x".repeat(130));
-    let stop = message(11, &Stop { number: 1, stop: true });
+    let ack = message::<ToRobot>(&Ack { next: 5, later: 2 });
+    let long = written::<ToRobot>(|writer| {
+        let text = [&[0x82, 0x01][..], &[b'x'; 130]].concat();
+        writer.push_encoded(Message::new(200, &text))
+    });
+    let stop = message::<ToRobot>(&Stop { number: 1, stop: true });
     let cases = [
         ("nothing", vec![], vec![]),
         ("two messages", [&ack[..], &stop].concat(), vec![&ack, &stop]),
@@ -862,57 +793,64 @@ fn transcript() -> Value {
     let coded = update_of(200, |encoder| {
         encoder.push(id, stamp(1, 1), None, 0, &Tile::UNKNOWN, &room()).unwrap();
     });
-    let mut update = [0; 300];
-    let mut writer = Writer::new(&mut update);
-    assert!(writer.push_with(3, |body| {
-        let mut head = [0; 8];
-        let head = TileUpdateHead { layer: Layer::Robot, seconds: 60 }.encode(&mut head)?;
-        body[..head.len()].copy_from_slice(head);
-        body[head.len()..head.len() + coded.len()].copy_from_slice(&coded);
-        Some(head.len() + coded.len())
-    }));
-    let len = writer.len();
-    let update = update[..len].to_vec();
+    let update =
+        message_with::<ToServer>(&TileUpdateHead { layer: Layer::Robot, seconds: 60 }, &coded);
     let state = State { time: None, pose: None, odometry: None, cells_refused: 0 };
     let interest = Interest { number: 1, from: TileId { x: -2, y: -2 }, to: TileId { x: 1, y: 1 } };
-    let ack = |next, later| message(0, &Ack { next, later });
+    let ack = |next, later| message::<ToRobot>(&Ack { next, later });
     say(
         "the server has restarted and knows no session",
         TO_ROBOT,
         0,
         handshake,
-        &[message(7, &())],
+        &[message::<ToRobot>(&Reset)],
     );
-    say("the robot says hello", TO_SERVER, 0, handshake, &[message(1, &small_hello())]);
-    say("the server welcomes it", TO_ROBOT, 0, handshake, &[message(1, &small_welcome())]);
+    say("the robot says hello", TO_SERVER, 0, handshake, &[message::<ToServer>(&small_hello())]);
+    say("the server welcomes it", TO_ROBOT, 0, handshake, &[message::<ToRobot>(&small_welcome())]);
     say(
         "time is asked for, and a state told",
         TO_SERVER,
         session,
         datagram(0),
-        &[message(2, &TimeRequest { nonce: 0 }), message(4, &state)],
+        &[message::<ToServer>(&TimeRequest { nonce: 0 }), message::<ToServer>(&state)],
     );
     say(
         "the time",
         TO_ROBOT,
         session,
         datagram(0),
-        &[message(2, &TimeReply { nonce: 0, received: Instant(61_000_000), held_micros: 120 })],
+        &[message::<ToRobot>(&TimeReply {
+            nonce: 0,
+            received: Instant(61_000_000),
+            held_micros: 120,
+        })],
     );
-    say("a window of interest (lost)", TO_SERVER, session, reliable(0), &[message(5, &interest)]);
+    say(
+        "a window of interest (lost)",
+        TO_SERVER,
+        session,
+        reliable(0),
+        &[message::<ToServer>(&interest)],
+    );
     say("a tile", TO_SERVER, session, reliable(1), std::slice::from_ref(&update));
     say("the tile is acknowledged", TO_ROBOT, session, datagram(1), &[ack(0, 1)]);
-    say("the window again", TO_SERVER, session, reliable(0), &[message(5, &interest)]);
+    say("the window again", TO_SERVER, session, reliable(0), &[message::<ToServer>(&interest)]);
     say("both are acknowledged", TO_ROBOT, session, datagram(2), &[ack(2, 0)]);
     say(
         "the tile is on disk",
         TO_ROBOT,
         session,
         reliable(0),
-        &[message(13, &Stored { tiles: [(id, stamp(1, 1))].into_iter().collect() })],
+        &[message::<ToRobot>(&Stored { tiles: [(id, stamp(1, 1))].into_iter().collect() })],
     );
     say("which is acknowledged", TO_SERVER, session, datagram(1), &[ack(1, 0)]);
-    say("a stop", TO_ROBOT, session, reliable(1), &[message(11, &Stop { number: 1, stop: true })]);
+    say(
+        "a stop",
+        TO_ROBOT,
+        session,
+        reliable(1),
+        &[message::<ToRobot>(&Stop { number: 1, stop: true })],
+    );
     Value::Array(lines)
 }
 
@@ -943,11 +881,11 @@ fn answers() -> Value {
     ];
     let case = |(name, hello, terms): &(&str, Hello, Terms)| {
         let answer = match answer(hello, terms, SessionId(77), 5) {
-            Answer::Welcome(welcome) => message(1, &welcome),
-            Answer::Refusal(refusal) => message(5, &refusal),
+            Answer::Welcome(welcome) => message::<ToRobot>(&welcome),
+            Answer::Refusal(refusal) => message::<ToRobot>(&refusal),
         };
         json!({
-            "name": name, "hello": hex(&message(1, hello)[2..]), "resolution": terms.resolution.0,
+            "name": name, "hello": hex(&message::<ToServer>(hello)[2..]), "resolution": terms.resolution.0,
             "frame": terms.frame, "server_epoch": terms.server_epoch, "stores": terms.stores,
             "session": 77, "first_epoch": 5, "kind": answer[0], "body": hex(&answer[2..]),
         })
@@ -991,12 +929,12 @@ fn window() -> Value {
         let frames: Vec<_> = arrivals
             .iter()
             .map(|&(sequence, outcome)| {
-                let payload = message(9, &());
+                let payload = [9, 0];
                 let wire = sealed(TO_SERVER, 5, header(FrameKind::Reliable, sequence), &payload);
                 json!({ "sequence": sequence, "wire": hex(&wire), "outcome": outcome })
             })
             .collect();
-        let answer = sealed(TO_ROBOT, 5, header(FrameKind::Datagram, 0), &message(0, ack));
+        let answer = sealed(TO_ROBOT, 5, header(FrameKind::Datagram, 0), &message::<ToRobot>(ack));
         json!({
             "name": name, "session": 5, "frames": frames, "next": ack.next, "later": ack.later,
             "answer": hex(&answer),
@@ -1007,7 +945,7 @@ fn window() -> Value {
 
 fn refused_frames() -> Value {
     let good = |kind, payload: &[u8]| sealed(TO_SERVER, 5, header(kind, 0), payload);
-    let stop = message(11, &Stop { number: 1, stop: true });
+    let stop = message::<ToRobot>(&Stop { number: 1, stop: true });
     let datagram = good(FrameKind::Datagram, &stop);
     let mut flipped = datagram.clone();
     flipped[5] ^= 0x10;
@@ -1036,7 +974,7 @@ fn refused_frames() -> Value {
         ("the reserved kind", reserved, "header"),
         (
             "a handshake within a session",
-            good(FrameKind::Handshake, &message(1, &small_hello())),
+            good(FrameKind::Handshake, &message::<ToServer>(&small_hello())),
             "kind",
         ),
         (
@@ -1072,7 +1010,7 @@ fn refused_frames() -> Value {
 }
 
 fn refused_payloads() -> Value {
-    let stop = message(11, &Stop { number: 1, stop: true });
+    let stop = message::<ToRobot>(&Stop { number: 1, stop: true });
     let with = |tail: &[u8]| [&stop[..], tail].concat();
     let cases = [
         ("a kind without a length", with(&[9]), 1),

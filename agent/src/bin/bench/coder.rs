@@ -4,7 +4,7 @@ use core::hint::black_box;
 
 use ubimap_protocol::{
     frame::DEFAULT_FRAME,
-    message::{Messages, TileUpdateHead, decode},
+    message::{Messages, TileUpdateHead, ToServer},
     tile::{Epoch, Replica, Stamp, Tile, TileDecoder, TileEncoder, TileId, Version},
 };
 
@@ -17,8 +17,8 @@ pub(crate) fn run(bench: &mut Bench, message: &[u8]) -> Option<()> {
 
 /// The whole tile of a message of which most is known.
 fn fullest_tile(message: &[u8]) -> Option<Tile> {
-    let message = Messages::new(message).next()?.ok()?;
-    let (_, coded) = decode::<TileUpdateHead>(message.body).ok()?;
+    let message = Messages::<ToServer>::new(message).next()?.ok()?;
+    let (_, coded) = message.split::<TileUpdateHead>().ok()?;
     let mut decoder = TileDecoder::new(coded);
     let mut fullest = Tile::UNKNOWN;
     while let Some(header) = decoder.header().ok()? {

@@ -6,7 +6,7 @@ use cortex_m::singleton;
 use ubimap_agent::{
     drive::{
         Follower, GroundRow, MAX_POINTS, Motion, Mover, NearPoints, Place, PlanError, Planner,
-        Progress, SIDE, Sight, Target, View, Window,
+        PlanningWindow, Progress, SIDE, Sight, Target, WindowInputs,
     },
     sense::Beam,
 };
@@ -80,8 +80,9 @@ impl Scene {
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let planner = singleton!(: Option<Planner> = None)?.get_or_insert_with(Planner::default);
-    let window = singleton!(: Option<Window> = None)?.get_or_insert_with(Window::default);
-    let size = size_of::<Planner>() + size_of::<Window>();
+    let window =
+        singleton!(: Option<PlanningWindow> = None)?.get_or_insert_with(PlanningWindow::default);
+    let size = size_of::<Planner>() + size_of::<PlanningWindow>();
     cortex_m_semihosting::hprintln!("{:>12}  bytes of a planner and its window", size);
     let (start, goal) = (Place { x: 5, y: 5 }, Place { x: 58, y: 58 });
     for (name, scene) in [
@@ -105,10 +106,10 @@ pub(super) fn run(bench: &mut Bench) -> Option<()> {
 }
 
 /// The window of a scene, its south-western corner the map's origin.
-fn fill(scene: Scene, window: &mut Window) {
+fn fill(scene: Scene, window: &mut PlanningWindow) {
     let near = NearPoints::default();
     let middle = Millimetres(SIDE as i32 / 2 * RESOLUTION.0);
-    let view = View {
+    let view = WindowInputs {
         pose: Pose { x: middle, y: middle, ..Pose::default() },
         resolution: RESOLUTION,
         level: 0,
@@ -124,7 +125,7 @@ fn fill(scene: Scene, window: &mut Window) {
 /// The points of the way.
 fn plan(
     planner: &mut Planner,
-    window: &mut Window,
+    window: &mut PlanningWindow,
     start: Place,
     target: Target,
 ) -> Result<usize, PlanError> {
@@ -139,7 +140,7 @@ fn plan(
 }
 
 /// A step in the middle of a curve, with things all around and people about.
-fn follow(bench: &mut Bench, window: &mut Window) -> Option<()> {
+fn follow(bench: &mut Bench, window: &mut PlanningWindow) -> Option<()> {
     fill(Scene::Empty, window);
     let mut beams = [Beam::default(); MAX_POINTS];
     let model = ubimap_agent::sense::SensorModel::Radial { first: -3.1, step: 6.2 / 64.0 };

@@ -35,9 +35,9 @@ use ubimap_agent::{
     share::{FusedMap, FusedTile, Publisher},
 };
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, SessionId, payload_capacity},
+    frame::{DEFAULT_FRAME, SessionId, payload_capacity},
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
-    message::{Certainty, FixSource, Hello, PoseFix, TimeReply, ToRobotKind, Writer, decode},
+    message::{Body, Certainty, FixSource, Hello, PoseFix, TimeReply, ToRobot, Writer},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
@@ -129,7 +129,7 @@ fn publish(
 #[inline(never)]
 fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
     let mut agent = Agent::new(Config::new(RobotId(1), sensor()), memory).ok()?;
-    let mut server = Endpoint::<(), 1, DEFAULT_FRAME>::new(Direction::ToRobot);
+    let mut server = Endpoint::<ToRobot, (), 1, DEFAULT_FRAME>::new();
     let mut frame = [0; DEFAULT_FRAME];
     let mut now = Instant(0);
 
@@ -137,7 +137,7 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
     let Some(Received::Handshake(message)) = server.receive(&mut frame.get(..len)?, now) else {
         return None;
     };
-    let (hello, _) = decode::<Hello>(message.body).ok()?;
+    let hello = message.decode::<Hello>().ok()?;
     let terms = Terms {
         resolution: RESOLUTION,
         frame: DEFAULT_FRAME as u16,
@@ -145,22 +145,23 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
         stores: false,
     };
     let Answer::Welcome(welcome) = answer(&hello, &terms, SessionId(1), 1) else { return None };
-    let len = server.handshake(ToRobotKind::Welcome as u8, &welcome, &mut frame)?;
+    let len = server.handshake(&welcome, &mut frame)?;
     agent.receive(frame.get(..len)?, now);
     server.begin(welcome.session, DEFAULT_FRAME);
 
     // The clocks agree: the first request has the nonce 0.
     agent.poll_transmit(now, &mut frame)?;
     let reply = TimeReply { nonce: 0, received: now, held_micros: 0 };
-    let len = datagram(&mut server, ToRobotKind::TimeReply, &reply, &mut frame, now)?;
+    let len = datagram(&mut server, &reply, &mut frame, now)?;
     agent.receive(frame.get(..len)?, now);
 
     // Each time three of four are known, as at 15 Hz without a loss.
     for count in 1..=5u64 {
         now = Instant(count * 66_667);
-        let fixes = (0..count).rev().map(|fix| (Instant((fix + 1) * 66_667), POSE));
-        let fix = PoseFix::from_fixes(fixes, Certainty::default(), FixSource::Camera)?;
-        let len = datagram(&mut server, ToRobotKind::PoseFix, &fix, &mut frame, now)?;
+        let before = (1..count).rev().map(|fix| (Instant(fix * 66_667), POSE));
+        let certainty = Certainty::default();
+        let fix = PoseFix::from_fixes((now, POSE), before, certainty, FixSource::Camera);
+        let len = datagram(&mut server, &fix, &mut frame, now)?;
         let bytes = frame.get(..len)?;
         if count == 5 {
             let name = format_args!("a frame of {} bytes with a pose fix, received", bytes.len());
@@ -174,14 +175,13 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
 
 /// A frame with one message. Its length.
 fn datagram(
-    server: &mut Endpoint<(), 1, DEFAULT_FRAME>,
-    kind: ToRobotKind,
-    message: &impl serde::Serialize,
+    server: &mut Endpoint<ToRobot, (), 1, DEFAULT_FRAME>,
+    message: &impl Body<ToRobot>,
     frame: &mut [u8],
     now: Instant,
 ) -> Option<usize> {
     let sent = server.poll_transmit(now, frame, false, |writer, _| {
-        if writer.push(kind as u8, message) { Fill::Datagram } else { Fill::Nothing }
+        if writer.push(message) { Fill::Datagram } else { Fill::Nothing }
     })?;
     Some(sent.len)
 }

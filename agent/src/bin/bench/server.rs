@@ -1,15 +1,14 @@
 //! The server that an agent's stack is measured with. It has an own frame for what it says, and
 //! none of it is inlined: its stack is not the agent's.
 
-use serde::Serialize;
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, SessionId},
+    frame::{DEFAULT_FRAME, SessionId},
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
     message::{
-        Certainty, Digests, FixSource, Freshness, Hello, Interest, Obstacle, ObstacleClass,
+        Body, Certainty, Digests, FixSource, Freshness, Hello, Interest, Obstacle, ObstacleClass,
         Obstacles, ParameterAction, ParameterCommand, ParameterValue, Path, Peer, Peers, PoseFix,
-        Request, Stop, Stored, TileDigest, TileUpdateHead, TimeReply, TimeRequest, ToRobotKind,
-        ToServerKind, Waypoint, decode,
+        Request, Reset, Stop, Stored, TileDigest, TileUpdateHead, TimeReply, TimeRequest, ToRobot,
+        ToRobotKind, ToServerMessage, Waypoint,
     },
     tile::{Epoch, Layer, Stamp, TILE_CELLS, Tile, TileEncoder, TileId, Version},
     time::Instant,
@@ -23,7 +22,7 @@ const LOST: u32 = 11;
 
 /// The server's side of one link.
 pub(super) struct Server {
-    link: Endpoint<(), 3, DEFAULT_FRAME>,
+    link: Endpoint<ToRobot, (), 3, DEFAULT_FRAME>,
     frame: [u8; DEFAULT_FRAME],
     heard: u32,
     /// What has not been answered yet.
@@ -41,7 +40,7 @@ impl Server {
     #[inline(never)]
     pub(super) fn begin(place: &mut Option<Self>) -> &mut Self {
         place.get_or_insert_with(|| Self {
-            link: Endpoint::new(Direction::ToRobot),
+            link: Endpoint::new(),
             frame: [0; DEFAULT_FRAME],
             heard: 0,
             hello: None,
@@ -66,7 +65,7 @@ impl Server {
         if self.link.session() != SessionId::NONE {
             return None;
         }
-        let len = self.link.handshake(ToRobotKind::Reset as u8, &(), &mut self.frame)?;
+        let len = self.link.handshake(&Reset, &mut self.frame)?;
         self.frame.get(..len)
     }
 
@@ -79,13 +78,11 @@ impl Server {
         }
         while let Some(received) = self.link.receive(&mut bytes, now) {
             match received {
-                Received::Handshake(message) => {
-                    self.hello = decode(message.body).ok().map(|(hello, _)| hello);
-                }
+                Received::Handshake(message) => self.hello = message.decode().ok(),
                 Received::Session(messages) => {
                     for message in messages.flatten() {
-                        if message.kind == ToServerKind::TimeRequest as u8 {
-                            self.request = decode(message.body).ok().map(|(request, _)| request);
+                        if let Some(ToServerMessage::TimeRequest(request)) = message.by_kind() {
+                            self.request = request.decode().ok();
                         }
                     }
                 }
@@ -107,7 +104,7 @@ impl Server {
         let hello = self.hello.take()?;
         let session = SessionId(self.epoch);
         let Answer::Welcome(welcome) = answer(&hello, &terms, session, 1) else { return None };
-        let len = self.link.handshake(ToRobotKind::Welcome as u8, &welcome, &mut self.frame)?;
+        let len = self.link.handshake(&welcome, &mut self.frame)?;
         self.link.begin(welcome.session, DEFAULT_FRAME);
         self.frame.get(..len)
     }
@@ -117,7 +114,7 @@ impl Server {
     pub(super) fn reply(&mut self, now: Instant) -> Option<&[u8]> {
         let nonce = self.request.take()?.nonce;
         let reply = TimeReply { nonce, received: now, held_micros: 0 };
-        self.send(ToRobotKind::TimeReply, &reply, now)
+        self.send(&reply, now)
     }
 
     /// A message of this kind when the robot has taken so many scans.
@@ -146,24 +143,24 @@ impl Server {
                     let stamp = Stamp { epoch, version: Version(1) };
                     let _ = tiles.push(TileDigest { id, stamp, hash: number });
                 }
-                self.send(kind, &Digests { layer: Layer::Fused, tiles }, now)
+                self.send(&Digests { layer: Layer::Fused, tiles }, now)
             }
             ToRobotKind::Freshness => {
                 let mut tiles = heapless::Vec::new();
                 tiles.resize(2, u8::MAX).ok()?;
                 let interest = interest?.number;
-                self.send(kind, &Freshness { time, interest, first: 0, tiles }, now)
+                self.send(&Freshness { time, interest, first: 0, tiles }, now)
             }
             ToRobotKind::Request => {
                 let tiles = heapless::Vec::new();
-                self.send(kind, &Request { layer: Layer::Robot, tiles }, now)
+                self.send(&Request { layer: Layer::Robot, tiles }, now)
             }
             ToRobotKind::Stored => {
                 let mut tiles = heapless::Vec::new();
                 for id in ids() {
                     let _ = tiles.push((id, Stamp { epoch: Epoch(1), version: Version(number) }));
                 }
-                self.send(kind, &Stored { tiles }, now)
+                self.send(&Stored { tiles }, now)
             }
             ToRobotKind::Peers => {
                 let mut peers = heapless::Vec::new();
@@ -174,7 +171,7 @@ impl Server {
                     let robot = RobotId(robot);
                     let _ = peers.push(Peer { robot, pose, age: 3, half_length, half_width });
                 }
-                self.send(kind, &Peers { time, peers }, now)
+                self.send(&Peers { time, peers }, now)
             }
             ToRobotKind::Obstacles => {
                 let mut obstacles = heapless::Vec::new();
@@ -184,20 +181,20 @@ impl Server {
                     let one = Obstacle { number, class, x, y, velocity_x, velocity_y, radius };
                     let _ = obstacles.push(one);
                 }
-                self.send(kind, &Obstacles { time, obstacles }, now)
+                self.send(&Obstacles { time, obstacles }, now)
             }
             ToRobotKind::Path => {
                 let mut waypoints = heapless::Vec::new();
                 waypoints.resize(16, Waypoint { x, y }).ok()?;
-                self.send(kind, &Path { number, waypoints }, now)
+                self.send(&Path { number, waypoints }, now)
             }
             ToRobotKind::Parameter => {
                 // The sensor's mounting, or all of them.
                 let set = ParameterAction::Set(ParameterValue { parameter: 1, value: 10 });
                 let action = if count.is_multiple_of(2) { set } else { ParameterAction::List };
-                self.send(kind, &ParameterCommand { number: count as u16, action }, now)
+                self.send(&ParameterCommand { number: count as u16, action }, now)
             }
-            ToRobotKind::Stop => self.send(kind, &Stop { number, stop: false }, now),
+            ToRobotKind::Stop => self.send(&Stop { number, stop: false }, now),
             _ => None,
         }
     }
@@ -206,11 +203,11 @@ impl Server {
     #[inline(never)]
     fn fix(&mut self, count: u64, now: Instant) -> Option<&[u8]> {
         let newest = if count.is_multiple_of(10) { count.saturating_sub(7) } else { count };
-        let fixes = (newest.saturating_sub(3)..=newest).rev();
-        let fixes = fixes.map(|count| (Instant(count * INTERVAL.0), pose(count)));
+        let fix = |count| (Instant(count * INTERVAL.0), pose(count));
+        let before = (newest.saturating_sub(3)..newest).rev().map(fix);
         let certainty = Certainty { x: 20, y: 20, heading: 182 };
-        let fix = PoseFix::from_fixes(fixes, certainty, FixSource::Camera)?;
-        self.send(ToRobotKind::PoseFix, &fix, now)
+        let fix = PoseFix::from_fixes(fix(newest), before, certainty, FixSource::Camera);
+        self.send(&fix, now)
     }
 
     /// A part of a tile that is half noise: of the fused layer, then of the other.
@@ -226,11 +223,10 @@ impl Server {
         let mut end = None;
         let sent = self.link.poll_transmit(now, &mut self.frame, true, |writer, reliable| {
             let written = reliable
-                && writer.push_with(ToRobotKind::TileUpdate as u8, |body| {
-                    let head = TileUpdateHead { layer, seconds: 9 }.encode(body)?.len();
-                    let mut encoder = TileEncoder::new(body.get_mut(head..)?);
+                && writer.push_with(&TileUpdateHead { layer, seconds: 9 }, |coded| {
+                    let mut encoder = TileEncoder::new(coded);
                     end = encoder.push(id, stamp, None, start, &Tile::UNKNOWN, &tile);
-                    Some(head + encoder.finish()?)
+                    encoder.finish()
                 });
             if written { Fill::Reliable(()) } else { Fill::Nothing }
         })?;
@@ -240,9 +236,9 @@ impl Server {
     }
 
     #[inline(never)]
-    fn send(&mut self, kind: ToRobotKind, message: &impl Serialize, now: Instant) -> Option<&[u8]> {
+    fn send(&mut self, message: &impl Body<ToRobot>, now: Instant) -> Option<&[u8]> {
         let sent = self.link.poll_transmit(now, &mut self.frame, true, |writer, _| {
-            if writer.push(kind as u8, message) { Fill::Datagram } else { Fill::Nothing }
+            if writer.push(message) { Fill::Datagram } else { Fill::Nothing }
         })?;
         self.frame.get(..sent.len)
     }

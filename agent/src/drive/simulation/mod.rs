@@ -31,9 +31,9 @@ const BEAMS: usize = 192;
 const RANGE: f64 = 4_000.0;
 
 /// A room: `#` is a wall. The first line is the north.
-struct Room(Vec<Vec<u8>>);
+struct DrawnRoom(Vec<Vec<u8>>);
 
-impl Room {
+impl DrawnRoom {
     fn new(drawing: &str) -> Self {
         Self(drawing.split_whitespace().rev().map(|line| line.into()).collect())
     }
@@ -124,7 +124,7 @@ enum Wheels {
 }
 
 struct Simulation {
-    room: Room,
+    room: DrawnRoom,
     people: Vec<Person>,
     /// Whether cameras tell of the people.
     is_told: bool,
@@ -158,7 +158,7 @@ impl Simulation {
     /// A robot at a place in metres that looks along x.
     fn new(drawing: &str, x: f64, y: f64) -> Self {
         let mut it = Self {
-            room: Room::new(drawing),
+            room: DrawnRoom::new(drawing),
             people: Vec::new(),
             is_told: true,
             wheels: Wheels::Work,

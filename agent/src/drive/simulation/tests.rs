@@ -105,7 +105,7 @@ fn it_goes_to_a_goal_beyond_the_window_and_says_why_it_can_not() {
     it.run(10.0);
     assert_eq!(it.told.len(), 2, "said once: {:?}", it.told);
     // Somebody opens it.
-    it.room = Room::new(DOOR);
+    it.room = DrawnRoom::new(DOOR);
     it.map.fill(Row::default());
     it = it.with_map();
     it.until(Reason::Arrived, 30.0);
@@ -119,7 +119,7 @@ fn a_door_that_closes_under_the_path_is_not_run_into() {
         it.go(3.0, 1.2);
         it.run(1.5);
         assert!(it.command.speed > 100);
-        it.room = Room::new(&closed);
+        it.room = DrawnRoom::new(&closed);
         if is_drawn {
             it = it.with_map();
         }

@@ -14,12 +14,12 @@ const RESOLUTION: Millimetres = Millimetres(50);
 
 /// Walls as line segments, in metres; drawn into cells by stepping along them, and seen by
 /// intersecting rays: nothing of the map is used for what is seen.
-struct Room {
+struct WalledRoom {
     walls: Vec<[[f64; 2]; 2]>,
     tiles: BTreeMap<TileId, Tile>,
 }
 
-impl Room {
+impl WalledRoom {
     fn new(walls: Vec<[[f64; 2]; 2]>, inside: [[f64; 2]; 2]) -> Self {
         let mut room = Self { walls, tiles: BTreeMap::new() };
         let cell = |metres: f64| (metres / 0.05).floor() as i32;
@@ -89,7 +89,7 @@ const WIDE: Search =
     Search { position: Millimetres(500), turn: Angle(2_730), prior: Prior::Nothing };
 
 /// 6 x 4 m with a slanted cupboard and a pillar.
-fn furnished() -> Room {
+fn furnished() -> WalledRoom {
     let walls = vec![
         [[0.02, 0.03], [6.01, 0.03]],
         [[6.01, 0.03], [6.01, 4.04]],
@@ -99,7 +99,7 @@ fn furnished() -> Room {
         [[4.5, 1.0], [4.8, 1.0]],
         [[4.5, 1.0], [4.5, 1.3]],
     ];
-    Room::new(walls, [[0.05, 0.05], [6.0, 4.0]])
+    WalledRoom::new(walls, [[0.05, 0.05], [6.0, 4.0]])
 }
 
 /// Where a robot sees too little it may not be found; where it is found it is there, as far as the
@@ -182,10 +182,10 @@ fn most_places_in_a_room_tell_all_three() {
     assert!(found >= 200 && 4 * good >= 3 * found, "{found} {good}");
 }
 
-fn corridor(more: &[[[f64; 2]; 2]]) -> Room {
+fn corridor(more: &[[[f64; 2]; 2]]) -> WalledRoom {
     let walls = [[[-9.0, 0.02], [9.0, 0.02]], [[-9.0, 2.04], [9.0, 2.04]]];
     let walls = walls.iter().chain(more).copied().collect();
-    Room::new(walls, [[-9.0, 0.05], [9.0, 2.0]])
+    WalledRoom::new(walls, [[-9.0, 0.05], [9.0, 2.0]])
 }
 
 #[test]
@@ -251,10 +251,10 @@ fn a_place_that_looks_like_another_is_none() {
 }
 
 /// 3.6 m wide.
-fn hall(more: &[[[f64; 2]; 2]]) -> Room {
+fn hall(more: &[[[f64; 2]; 2]]) -> WalledRoom {
     let walls = [[[-9.0, -0.78], [19.0, -0.78]], [[-9.0, 2.82], [19.0, 2.82]]];
     let walls = walls.iter().chain(more).copied().collect();
-    Room::new(walls, [[-9.0, -0.75], [19.0, 2.8]])
+    WalledRoom::new(walls, [[-9.0, -0.75], [19.0, 2.8]])
 }
 
 #[test]

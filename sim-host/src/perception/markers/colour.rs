@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 
 use image::RgbImage;
 use libm::hypot;
-use serde::{Deserialize, Serialize};
 
-use super::{Identifier, Marker, Window};
+use super::{
+    image_region::ImageRegion,
+    marker::{Hue, Identifier, Marker},
+};
 
 /// A channel more than another by this is a colour.
 const COLOURED: u8 = 50;
@@ -23,25 +25,6 @@ const LIGHT: u8 = 120;
 /// The standard deviation of a middle's coordinate, in pixels.
 const MIDDLE_NOISE_PX: f64 = 0.15;
 
-/// The colours that are told apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-#[expect(missing_docs, reason = "their names say all")]
-pub enum Hue {
-    Red,
-    Yellow,
-    Green,
-    Cyan,
-    Blue,
-    Magenta,
-}
-
-impl Hue {
-    /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Red, Self::Yellow, Self::Green, Self::Cyan, Self::Blue, Self::Magenta];
-}
-
 /// Pixels of one colour that touch each other.
 struct Blob {
     hue: Hue,
@@ -49,10 +32,10 @@ struct Blob {
     middle: [f64; 2],
 }
 
-/// The colour markers in a window of a picture. A pair of blobs may be one without being a marker:
+/// The colour markers in a region of a picture. A pair of blobs may be one without being a marker:
 /// [`locate`](super::locate) refuses those that are not of its size.
-pub fn detect_colours(picture: &RgbImage, window: Window) -> Vec<Marker> {
-    let blobs = blobs(picture, window);
+pub fn detect_colours(picture: &RgbImage, region: ImageRegion) -> Vec<Marker> {
+    let blobs = blobs(picture, region);
     let mut markers = Vec::new();
     for head in &blobs {
         for tail in blobs.iter().filter(|tail| tail.hue != head.hue) {
@@ -82,10 +65,10 @@ fn are_pair(head: &Blob, tail: &Blob, picture: &RgbImage) -> bool {
         && is_light()
 }
 
-fn blobs(picture: &RgbImage, window: Window) -> Vec<Blob> {
+fn blobs(picture: &RgbImage, region: ImageRegion) -> Vec<Blob> {
     let mut rest: BTreeMap<(u32, u32), Hue> = BTreeMap::new();
-    for row in window.top..window.top + window.height {
-        for column in window.left..window.left + window.width {
+    for row in region.top..region.top + region.height {
+        for column in region.left..region.left + region.width {
             if let Some(hue) = hue(picture.get_pixel(column, row).0) {
                 rest.insert((row, column), hue);
             }

@@ -4,7 +4,7 @@
 use libm::{atan2, hypot, sincos, sqrt};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 
-use super::Marker;
+use super::marker::Marker;
 use crate::camera::Lens;
 
 /// Steps of Gauss-Newton at the most; three are enough.

@@ -3,7 +3,7 @@
 use libm::sincos;
 use ubimap_protocol::units::RobotId;
 
-use super::Identifier;
+use super::marker::Identifier;
 
 /// How far the middles of a colour marker's head and tail are from its middle, in parts of its
 /// side.

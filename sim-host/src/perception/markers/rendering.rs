@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-use super::{Hue, Window, locate::on_plane};
+use super::{image_region::ImageRegion, locate::on_plane, marker::Hue};
 use crate::camera::{Intrinsics, Lens, Picture};
 
 /// The first tags of the family, row by row from the upper left, as the family's authors list them.
@@ -161,10 +161,10 @@ pub(in crate::perception) fn render_grey(
 }
 
 fn draw(lens: &Lens, plate: &Plate, canvas: &mut [[f32; 3]]) {
-    let Some(window) = window(lens, plate) else { return };
+    let Some(region) = region(lens, plate) else { return };
     let (sine, cosine) = sincos(plate.pose[2]);
-    for row in window.top..window.top + window.height {
-        for column in window.left..window.left + window.width {
+    for row in region.top..region.top + region.height {
+        for column in region.left..region.left + region.width {
             let (mut sum, mut covered) = ([0.0; 3], 0.0);
             for sample in 0..SAMPLES * SAMPLES {
                 let at = |index: usize| (index as f64 + 0.5) / SAMPLES as f64 - 0.5;
@@ -205,7 +205,7 @@ fn meet(lens: &Lens, plate: &Plate, pixel: [f64; 2], [sine, cosine]: [f64; 2]) -
     Some([met[0] * (1.0 + slope * slope).sqrt(), met[1]])
 }
 
-fn window(lens: &Lens, plate: &Plate) -> Option<Window> {
+fn region(lens: &Lens, plate: &Plate) -> Option<ImageRegion> {
     let corners: Option<Vec<[f64; 2]>> =
         plate.corners(1.4).map(|corner| lens.project(&corner)).collect();
     let corners = corners?;
@@ -217,7 +217,7 @@ fn window(lens: &Lens, plate: &Plate) -> Option<Window> {
     };
     let (left, width) = bound(0, lens.intrinsics().width);
     let (top, height) = bound(1, lens.intrinsics().height);
-    Some(Window { left, top, width, height })
+    Some(ImageRegion { left, top, width, height })
 }
 
 fn blur(canvas: &mut [[f32; 3]], width: usize) {

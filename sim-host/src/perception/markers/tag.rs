@@ -4,7 +4,10 @@ use apriltag::{Detector, DetectorBuilder, Family, Image, detector::QuadThreshold
 use measurements::Angle;
 use noisy_float::prelude::r32;
 
-use super::{Identifier, Marker, Window};
+use super::{
+    image_region::ImageRegion,
+    marker::{Identifier, Marker},
+};
 use crate::camera::Picture;
 
 /// Wrong modules of a tag that are put right. Any two of the family differ in eleven, so that more
@@ -41,18 +44,18 @@ impl Default for TagDetector {
 }
 
 impl TagDetector {
-    /// The tags that lie wholly in a window of a picture, by number. Takes about 10 ns a pixel
+    /// The tags that lie wholly in a region of a picture, by number. Takes about 10 ns a pixel
     /// where there is little to see, and up to 30.
-    pub fn detect(&mut self, picture: &Picture, window: Window) -> Vec<Marker> {
-        if window.width < SMALLEST_PX || window.height < SMALLEST_PX {
+    pub fn detect(&mut self, picture: &Picture, region: ImageRegion) -> Vec<Marker> {
+        if region.width < SMALLEST_PX || region.height < SMALLEST_PX {
             return Vec::new();
         }
-        let Some(image) = grey(picture, window) else { return Vec::new() };
+        let Some(image) = grey(picture, region) else { return Vec::new() };
         let detections = self.detector.detect(&image);
         let markers = detections.iter().filter_map(|detection| {
             let pixel = |[column, row]: [f64; 2]| {
                 // Its first pixel's centre is at one half.
-                [column + f64::from(window.left) - 0.5, row + f64::from(window.top) - 0.5]
+                [column + f64::from(region.left) - 0.5, row + f64::from(region.top) - 0.5]
             };
             Some(Marker {
                 identifier: Identifier::Tag(u16::try_from(detection.id()).ok()?),
@@ -84,21 +87,21 @@ fn thresholds() -> QuadThresholds {
     }
 }
 
-/// The brightness of a window, as the detector takes it. `None` if it is not within the picture.
-fn grey(picture: &Picture, window: Window) -> Option<Image> {
-    let (width, rows) = (window.width as usize, window.height as usize);
+/// The brightness of a region, as the detector takes it. `None` if it is not within the picture.
+fn grey(picture: &Picture, region: ImageRegion) -> Option<Image> {
+    let (width, rows) = (region.width as usize, region.height as usize);
     let mut image = Image::zeros_with_alignment(width, rows, ALIGNMENT).ok()?;
     let stride = image.stride();
     let buffer = image.as_slice_mut();
-    for (row, line) in (window.top as usize..).zip(buffer.chunks_exact_mut(stride)).take(rows) {
+    for (row, line) in (region.top as usize..).zip(buffer.chunks_exact_mut(stride)).take(rows) {
         let line = line.get_mut(..width)?;
         match picture {
             Picture::Grey(grey) => {
-                let first = row * grey.width() as usize + window.left as usize;
+                let first = row * grey.width() as usize + region.left as usize;
                 line.copy_from_slice(grey.as_raw().get(first..first + width)?);
             }
             Picture::Colour(colour) => {
-                let first = 3 * (row * colour.width() as usize + window.left as usize);
+                let first = 3 * (row * colour.width() as usize + region.left as usize);
                 let pixels = colour.as_raw().get(first..first + 3 * width)?.chunks_exact(3);
                 for (to, pixel) in line.iter_mut().zip(pixels) {
                     // BT.601, in parts of 256.
@@ -127,8 +130,8 @@ mod tests {
         let mut detector = TagDetector::default();
         for width in (1..40).chain([63, 64]) {
             for height in (1..40).chain([63, 64]) {
-                let window = Window { left: 0, top: 0, width, height };
-                assert!(detector.detect(&picture, window).is_empty(), "{width} x {height}");
+                let region = ImageRegion { left: 0, top: 0, width, height };
+                assert!(detector.detect(&picture, region).is_empty(), "{width} x {height}");
             }
         }
     }

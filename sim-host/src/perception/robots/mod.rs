@@ -1,33 +1,31 @@
 //! From the frames of all cameras to where the robots are.
 
 mod events;
+mod identifier_track;
 mod search;
 #[cfg(test)]
 mod tests;
-mod track;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use ubimap_protocol::{
     message::Certainty,
-    time::{Duration, Instant},
+    time::Instant,
     units::{Pose, RobotId},
 };
 
 pub use events::SightingEvent;
 
 use self::{
+    identifier_track::{IdentifierTrack, Trouble},
     search::{Expected, Search},
-    track::{Track, Trouble},
 };
 use super::markers::{Identifier, Marker, Mount, Placement, locate};
-use crate::camera::{Calibration, Frame, Lens, Sighting};
+use crate::{
+    camera::{Calibration, Frame, Lens, Sighting},
+    timing::{STRANGER_AWAY, STRANGER_CONFIRMED},
+};
 
-/// An identifier that was away for longer is told of again.
-const AWAY: Duration = Duration::from_secs(10);
-/// A number that nobody registered is told of when it is read twice within this time: chance
-/// patterns are read once.
-const AGAIN: Duration = Duration::from_secs(1);
 /// A marker that fits no pose of its robot in so many views, and in none between them, is not level:
 /// one that is blurred or half hidden fits soon again.
 const NOT_LEVEL: u32 = 4;
@@ -53,7 +51,7 @@ pub struct Localiser {
     lenses: Vec<Option<Lens>>,
     mounts: BTreeMap<Identifier, Mount>,
     search: Search,
-    tracks: BTreeMap<Identifier, Track>,
+    tracks: BTreeMap<Identifier, IdentifierTrack>,
     /// Markers that were where no robot carries them when they were last seen, and in how many views.
     not_there: BTreeMap<Identifier, u32>,
     /// When a number that nobody registered was last read, and whether that has been told.
@@ -177,9 +175,12 @@ impl Localiser {
 
     fn meet_stranger(&mut self, identifier: Identifier, captured: Instant) {
         let known = self.strangers.get(&identifier).copied();
-        let known = known.filter(|(last, _)| captured.since(*last) <= AWAY);
+        let known = known.filter(|(last, _)| captured.since(*last) <= STRANGER_AWAY);
         let mut told = known.is_some_and(|(_, told)| told);
-        if !told && known.is_some_and(|(last, _)| last < captured && captured.since(last) <= AGAIN)
+        if !told
+            && known.is_some_and(|(last, _)| {
+                last < captured && captured.since(last) <= STRANGER_CONFIRMED
+            })
         {
             self.events.push_back((captured, SightingEvent::Unregistered(identifier)));
             told = true;

@@ -6,13 +6,12 @@ use ubimap_protocol::time::{Duration, Instant};
 
 use crate::{
     camera::{Lens, Picture},
-    perception::markers::{Marker, Mount, Placement, TagDetector, Window, detect_colours},
+    perception::markers::{ImageRegion, Marker, Mount, Placement, TagDetector, detect_colours},
+    timing::MARKER_LOST,
 };
 
 /// Between two searches of a camera's whole picture.
 const EVERYWHERE: Duration = Duration::from_millis(500);
-/// A robot not seen for so long is looked for nowhere in particular.
-const GIVEN_UP: Duration = Duration::from_secs(1);
 /// How far from its expected place a marker is looked for, in metres, and by how much more for each
 /// second since it was last seen.
 const REACH_M: f64 = 0.03;
@@ -59,21 +58,21 @@ impl Search {
         lens: &Lens,
         expected: &[Expected],
     ) -> Vec<Marker> {
-        let windows = match self.everywhere.get_mut(camera) {
+        let regions = match self.everywhere.get_mut(camera) {
             // The second where the clock has been set back.
             Some(next) if *next <= captured || captured + EVERYWHERE < *next => {
                 *next = captured + EVERYWHERE;
-                vec![Window::all(picture)]
+                vec![ImageRegion::all(picture)]
             }
-            _ => merged(expected.iter().filter_map(|it| it.window(lens, picture)).collect()),
+            _ => merged(expected.iter().filter_map(|it| it.region(lens, picture)).collect()),
         };
         let mut markers = Vec::new();
-        for window in windows {
-            markers.extend(self.tags.detect(picture, window));
+        for region in regions {
+            markers.extend(self.tags.detect(picture, region));
             if let Picture::Colour(image) = picture
                 && self.colours
             {
-                markers.extend(detect_colours(image, window));
+                markers.extend(detect_colours(image, region));
             }
         }
         without_repeats(markers)
@@ -81,8 +80,8 @@ impl Search {
 }
 
 impl Expected {
-    fn window(&self, lens: &Lens, picture: &Picture) -> Option<Window> {
-        if self.unseen > GIVEN_UP {
+    fn region(&self, lens: &Lens, picture: &Picture) -> Option<ImageRegion> {
+        if self.unseen > MARKER_LOST {
             return None;
         }
         let (sine, cosine) = libm::sincos(self.placement.heading_rad);
@@ -93,26 +92,26 @@ impl Expected {
         let seconds = self.unseen.micros() as f64 / 1e6;
         let reach_m = HALF_DIAGONAL * self.mount.side_m + REACH_M + REACH_M_S * seconds;
         let focal = lens.intrinsics().fx.max(lens.intrinsics().fy);
-        Window::about(lens.project(&middle)?, reach_m * focal / depth, picture)
+        ImageRegion::about(lens.project(&middle)?, reach_m * focal / depth, picture)
     }
 }
 
 /// Windows that overlap are made one where that saves pixels.
-fn merged(mut windows: Vec<Window>) -> Vec<Window> {
-    let mut merged: Vec<Window> = Vec::new();
-    while let Some(window) = windows.pop() {
+fn merged(mut regions: Vec<ImageRegion>) -> Vec<ImageRegion> {
+    let mut merged: Vec<ImageRegion> = Vec::new();
+    while let Some(region) = regions.pop() {
         let saves =
-            |other: &Window| other.with(&window).pixels() <= other.pixels() + window.pixels();
+            |other: &ImageRegion| other.with(&region).pixels() <= other.pixels() + region.pixels();
         match merged.iter().position(saves) {
             // What they make together may save more with others.
-            Some(index) => windows.push(merged.swap_remove(index).with(&window)),
-            None => merged.push(window),
+            Some(index) => regions.push(merged.swap_remove(index).with(&region)),
+            None => merged.push(region),
         }
     }
     merged
 }
 
-/// A marker in two windows is one.
+/// A marker in two regions is one.
 fn without_repeats(markers: Vec<Marker>) -> Vec<Marker> {
     let mut once: Vec<Marker> = Vec::with_capacity(markers.len());
     for marker in markers {
@@ -136,10 +135,10 @@ mod tests {
 
     #[test]
     fn windows_are_merged_where_that_saves_pixels() {
-        let square = |left, top| Window { left, top, width: 10, height: 10 };
+        let square = |left, top| ImageRegion { left, top, width: 10, height: 10 };
         assert_eq!(
             merged(vec![square(0, 0), square(100, 0), square(0, 1), square(8, 8)]),
-            [square(8, 8), square(100, 0), Window { height: 11, ..square(0, 0) }]
+            [square(8, 8), square(100, 0), ImageRegion { height: 11, ..square(0, 0) }]
         );
     }
 

@@ -1,3 +1,5 @@
+use ubimap_protocol::time::Duration;
+
 use super::{super::markers::rendering::*, *};
 use crate::{camera::Picture, perception::markers::Hue};
 
@@ -14,7 +16,7 @@ fn plate(number: usize, pose: [f64; 3]) -> Plate {
 }
 
 fn camera(lens: Lens) -> Calibration {
-    Calibration { depth: None, picture: Some(lens) }
+    Calibration { picture: Some(lens), ..Calibration::default() }
 }
 
 fn frame(number: u64, camera: usize, lens: &Lens, plates: &[Plate]) -> Frame {

@@ -3,7 +3,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::{DepthImage, Intrinsics, Lens};
+use super::{DepthImage, DepthNoise, Intrinsics, Lens};
 
 /// An upright box: its south-west bottom corner and its north-east top corner, in metres.
 pub(crate) type Cuboid = [[f64; 3]; 2];
@@ -45,9 +45,8 @@ pub(crate) fn render(lens: &Lens, floor_m: f64, boxes: &[Cuboid]) -> DepthImage 
     })
 }
 
-/// The depth with the noise and the dropouts of a stereo camera, drawn from a seed: `good` in a
-/// thousand pixels measure.
-pub(crate) fn noisy(image: &DepthImage, seed: u64, good: u64) -> DepthImage {
+/// The depths with noise and dropouts, drawn from a seed: `good` in a thousand pixels measure.
+pub(crate) fn noisy(image: &DepthImage, noise: &DepthNoise, seed: u64, good: u64) -> DepthImage {
     let mut state = seed.wrapping_mul(2).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let mut dice = move || {
         state ^= state << 13;
@@ -57,8 +56,8 @@ pub(crate) fn noisy(image: &DepthImage, seed: u64, good: u64) -> DepthImage {
     };
     let mut noisy = image.clone();
     for depth in noisy.iter_mut().filter(|depth| **depth > 0) {
-        let sigma = f64::from(*depth) * f64::from(*depth) / 240_000.0;
-        // Twelve dice of one make a bell of sigma one.
+        let sigma = 1000.0 * noise.sigma_m(f64::from(*depth) / 1000.0);
+        // The sum of twelve uniform numbers has a standard deviation of one.
         let bell = (0..12).map(|_| (dice() % 1_000) as f64 / 1_000.0).sum::<f64>() - 6.0;
         let measures = dice() % 1_000 < good;
         *depth = if measures { (f64::from(*depth) + sigma * bell).round() as u16 } else { 0 };

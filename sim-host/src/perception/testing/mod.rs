@@ -1,6 +1,6 @@
-//! What the tests of this folder need.
+//! Synthetic depth images for the tests of this folder.
 
-use crate::camera::{DepthImage, Intrinsics, Lens};
+use crate::camera::{DepthImage, DepthNoise, Intrinsics, Lens};
 
 mod boxes;
 

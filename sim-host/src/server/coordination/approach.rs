@@ -1,100 +1,88 @@
-//! From where a robot looks at a frontier: near, on its way, and in nobody's.
+//! The place from which a robot looks at a frontier: near, on its way, and not in anybody's.
 
 use super::{
-    frontiers::{Frontier, Sight},
+    frontiers::{Frontier, Vantage},
     ground::{Disc, Ground, Point},
     route::{Terrain, Ways},
+    settings::ViewpointCosts,
 };
-
-/// Of places on one straight way the last is the best: what is left of it counts more than what is
-/// driven.
-const LAST: f64 = 1.5;
-/// A view without a known surface behind the frontier is so much worse, in metres.
-const UNBACKED_M: f64 = 0.5;
-/// To turn by a radian takes as long as so many metres of way.
-const TURN_M: f64 = 0.35;
-/// As long as others have to pass where a robot would stand it waits: so many metres.
-const WAIT_M: f64 = 3.0;
-/// A place so near to the robot lies in no direction, in metres.
-const HERE_M: f64 = 0.1;
-/// Who goes so far sees afresh what it has before it, in metres.
-const AFRESH_M: f64 = 0.5;
 
 /// How a robot can come to look at frontiers.
 pub(super) struct Approach<'a> {
     pub(super) ground: &'a Ground,
     pub(super) terrain: Terrain<'a>,
-    /// Where it sets out, and where it looks, in radians.
+    /// Where it starts, and its heading in radians.
     pub(super) from: Point,
     pub(super) heading: f64,
-    /// The cells where it would stand in somebody's way.
+    /// Whether it would be in another robot's way, for each cell.
     pub(super) in_the_way: Vec<bool>,
-    /// From where it has been tried in vain.
+    /// Places from which frontiers were looked at in vain.
     pub(super) tried: &'a [Disc],
+    /// How the places are compared.
+    pub(super) rules: &'a ViewpointCosts,
 }
 
 /// Where to stand to look at a frontier.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct View {
+pub(super) struct Viewpoint {
     pub(super) place: Point,
     /// The way there, and turning and waiting, in metres.
     pub(super) cost_m: f64,
 }
 
 impl Approach<'_> {
-    /// For each of these frontiers the place from which it is in view that the robot passes last on
-    /// the shortest way to it, none of those that were tried in vain: it looks there as it drives,
-    /// and need not stop. One search.
-    pub(super) fn views(&self, frontiers: &[&Frontier]) -> Vec<Option<View>> {
+    /// For each frontier the viewpoint that the robot passes last on the shortest way to it, but none
+    /// of those that were tried in vain: the robot looks as it drives by and need not stop. One
+    /// search.
+    pub(super) fn views(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         frontiers.iter().map(|frontier| self.view(frontier, ways.as_ref()?)).collect()
     }
 
-    /// For each of these frontiers where to look again at what keeps robots from it: of all places
-    /// that it can go to, but those near itself and those tried in vain, the nearest to the
-    /// frontier. One search.
-    pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<View>> {
+    /// For each frontier the reachable place nearest to it, to look again at what blocks the way.
+    /// Places near the robot and those that were tried in vain are left out. One search.
+    pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         let view = |at| {
             let cost_m = ways.as_ref()?.metres(at)?;
-            Some(View { place: self.ground.place(at), cost_m })
+            Some(Viewpoint { place: self.ground.place(at), cost_m })
         };
-        let is_afresh = |view: &View| (view.place - self.from).norm() >= AFRESH_M;
+        let is_afresh = |view: &Viewpoint| (view.place - self.from).norm() >= self.rules.afresh_m;
         let places = (0..self.ground.len()).filter(|&at| !self.in_the_way[at]).filter_map(view);
-        let places: Vec<View> =
+        let places: Vec<Viewpoint> =
             places.filter(|view| is_afresh(view) && self.is_untried(view)).collect();
         let nearest = |frontier: &&Frontier| {
-            let away = |view: &View| (view.place - frontier.place).norm();
+            let away = |view: &Viewpoint| (view.place - frontier.place).norm();
             places.iter().copied().min_by(|a, b| away(a).total_cmp(&away(b)))
         };
         frontiers.iter().map(nearest).collect()
     }
 
-    fn is_untried(&self, view: &View) -> bool {
+    fn is_untried(&self, view: &Viewpoint) -> bool {
         self.tried.iter().all(|disc| (view.place - disc.centre).norm() > disc.radius)
     }
 
-    fn view(&self, frontier: &Frontier, ways: &Ways<'_>) -> Option<View> {
-        let view = |&Sight { at, away_m, is_backed }: &Sight| {
+    fn view(&self, frontier: &Frontier, ways: &Ways<'_>) -> Option<Viewpoint> {
+        let view = |&Vantage { at, away_m, is_backed }: &Vantage| {
             let place = self.ground.place(at);
-            let waiting = if self.in_the_way[at] { WAIT_M } else { 0.0 };
+            let waiting = if self.in_the_way[at] { self.rules.wait_m } else { 0.0 };
             let cost_m = ways.metres(at)? + self.turn_m(place) + waiting;
-            let doubt = if is_backed { 0.0 } else { UNBACKED_M };
-            Some((cost_m + LAST * away_m + doubt, View { place, cost_m }))
+            let doubt = if is_backed { 0.0 } else { self.rules.unbacked_m };
+            Some((cost_m + self.rules.away * away_m + doubt, Viewpoint { place, cost_m }))
         };
-        let views = frontier.sights.iter().filter_map(view);
+        let views = frontier.vantages.iter().filter_map(view);
         let views = views.filter(|(_, view)| self.is_untried(view));
         views.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, view)| view)
     }
 
-    /// What turning towards a place is worth, in metres.
+    /// The cost of turning towards a place, in metres.
     fn turn_m(&self, place: Point) -> f64 {
         let way = place - self.from;
-        if way.norm() < HERE_M {
+        if way.norm() < self.rules.here_m {
             return 0.0;
         }
         let off = libm::atan2(way.y, way.x) - self.heading;
-        TURN_M * libm::acos(libm::cos(off))
+        self.rules.turn_m * libm::acos(libm::cos(off))
     }
 }
 
@@ -102,7 +90,8 @@ impl Approach<'_> {
 mod tests {
     use super::*;
     use crate::server::coordination::{
-        frontiers::{NEAREST_M, frontiers},
+        frontiers::frontiers,
+        settings::Settings,
         tests::plan::{Plan, drawn},
     };
 
@@ -111,25 +100,29 @@ mod tests {
         let plan = Plan::room(8.0, 6.0);
         let ground = drawn(&plan, |x, _| x > 6.0);
         let from = Point::new(1.0, 3.0);
-        let found = frontiers(&ground, 2.0, 4.0);
+        let settings = Settings { view_m: 2.0, ..Settings::default() };
+        let (nearest_m, turn_m) = (settings.frontiers.nearest_m, settings.viewpoints.turn_m);
+        let found = frontiers(&ground, &settings);
         let off = |it: &&Frontier| (it.place.y - 3.0).abs();
         let middle = found.iter().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap();
         let view = |heading: f64, tried: &[Disc], is_in_the_way: &dyn Fn(Point) -> bool| {
             let in_the_way = (0..ground.len()).map(|at| is_in_the_way(ground.place(at))).collect();
-            let terrain = Terrain::new(&ground, 0.3);
-            let approach = Approach { ground: &ground, terrain, from, heading, in_the_way, tried };
+            let terrain = Terrain::new(&ground, 0.3, &settings);
+            let rules = &settings.viewpoints;
+            let approach =
+                Approach { ground: &ground, terrain, from, heading, in_the_way, tried, rules };
             approach.views(&[middle])[0]
         };
         let nowhere = |_| false;
         let best = view(0.0, &[], &nowhere).unwrap();
         // It need not be looked at straight: it is a metre long on both sides.
         let away = (best.place - middle.place).norm();
-        assert!((NEAREST_M..NEAREST_M + 1.0).contains(&away), "{best:?}");
+        assert!((nearest_m..nearest_m + 1.0).contains(&away), "{best:?}");
         let straight = (middle.place - from).norm();
-        assert!(best.cost_m < straight && best.cost_m + NEAREST_M > 0.95 * straight, "{best:?}");
+        assert!(best.cost_m < straight && best.cost_m + nearest_m > 0.95 * straight, "{best:?}");
         // To turn round first takes time, and so does it to wait for others.
         let turned = view(core::f64::consts::PI, &[], &nowhere).unwrap();
-        assert!((turned.cost_m - best.cost_m - TURN_M * core::f64::consts::PI).abs() < 0.1);
+        assert!((turned.cost_m - best.cost_m - turn_m * core::f64::consts::PI).abs() < 0.1);
         let near = |place: Point| (place - best.place).norm() < 0.3;
         let beside = view(0.0, &[], &near).unwrap();
         assert!((beside.place - best.place).norm() >= 0.3, "{beside:?}");

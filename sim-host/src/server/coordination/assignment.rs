@@ -1,6 +1,6 @@
-//! Who goes to which frontier.
+//! Which robot goes to which frontier.
 
-/// A pair that must not be.
+/// The cost of a pair that must not be assigned.
 pub(super) const NEVER: i64 = 1 << 40;
 
 /// For each row a column of its own so that the sum of the costs is least, by the Hungarian method

@@ -1,4 +1,4 @@
-//! Sending robots aside that stand in the way of another one.
+//! Robots that stand in the way of another one are sent aside.
 
 use super::{
     ground::{Disc, Ground, Point},
@@ -6,11 +6,11 @@ use super::{
     route::{SPACING_M, Terrain},
 };
 
-/// Of the points of a route every third one is looked at, with that much more room.
+/// Every third point of a route is checked, with correspondingly more room around it.
 const STRIDE: usize = 3;
 
-/// Gives a robot its route, by its corners, and sends all aside that stand in its way: to the
-/// nearest places where they are in nobody's way. All or nothing; whether it was done.
+/// Gives a robot its route, by its corners, and sends the robots aside that stand in its way: to the
+/// nearest places where they are in nobody's way. All or nothing; returns whether it was done.
 ///
 /// `may_yield` says who can be sent, and `terrain` the ground for a robot. One search for each
 /// robot that stands in the way.

@@ -5,22 +5,9 @@ use ubimap_protocol::tile::Cell;
 use super::{
     ground::{Ground, Point},
     route::Ways,
+    settings::Settings,
 };
 
-/// Fewer cells side by side are noise.
-const LEAST_CELLS: usize = 4;
-/// A frontier is cut into pieces of this reach, in metres: several robots may share a long one.
-const PIECE_M: f64 = 1.0;
-/// Less ground in sight is not worth a drive, in square metres.
-const LEAST_GAIN_M2: f64 = 0.05;
-/// A frontier is looked at through cells of it that are so far apart, in metres: from one side of it
-/// there may be no room.
-const THROUGH_M: f64 = 0.3;
-/// A frontier is looked at from this far at least, in metres: sensors are blind before themselves.
-pub(super) const NEAREST_M: f64 = 0.4;
-/// A frontier is looked at so that its unknown ground is ahead: within 70 degrees (the cosine).
-/// Along the edge of a shadow nothing more is to be seen than what cast it.
-const AHEAD: f64 = 0.34;
 /// Rays by which ground in sight is found.
 const RAYS: usize = 32;
 
@@ -31,12 +18,12 @@ pub(super) struct Frontier {
     pub(super) place: Point,
     /// The most unknown ground that can be seen through one of its cells, in square metres.
     pub(super) gain_m2: f64,
-    pub(super) sights: Vec<Sight>,
+    pub(super) vantages: Vec<Vantage>,
 }
 
 /// A place from which a frontier is in view.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sight {
+pub(super) struct Vantage {
     /// The cell.
     pub(super) at: usize,
     /// How far the frontier is, in metres.
@@ -48,12 +35,13 @@ pub(super) struct Sight {
 impl Frontier {
     /// The way to the nearest place from which it is in view, in metres.
     pub(super) fn metres(&self, ways: &Ways<'_>) -> Option<f64> {
-        self.sights.iter().filter_map(|sight| ways.metres(sight.at)).min_by(f64::total_cmp)
+        self.vantages.iter().filter_map(|it| ways.metres(it.at)).min_by(f64::total_cmp)
     }
 }
 
-/// All frontiers of the ground, in view from so far, for sensors that see so far.
-pub(super) fn frontiers(ground: &Ground, view_m: f64, range_m: f64) -> Vec<Frontier> {
+/// All frontiers of the ground.
+pub(super) fn frontiers(ground: &Ground, settings: &Settings) -> Vec<Frontier> {
+    let rules = &settings.frontiers;
     let width = ground.width();
     let is_frontier = |at: usize| {
         let beside = [at.checked_sub(width), at.checked_sub(1), Some(at + 1), Some(at + width)];
@@ -64,11 +52,11 @@ pub(super) fn frontiers(ground: &Ground, view_m: f64, range_m: f64) -> Vec<Front
     let mut found = Vec::new();
     for first in 0..ground.len() {
         if open[first] {
-            let piece = piece(ground, &mut open, first);
-            found.extend(Some(piece).filter(|it| it.len() >= LEAST_CELLS));
+            let piece = piece(ground, &mut open, first, rules.piece_m);
+            found.extend(Some(piece).filter(|it| it.len() >= rules.least_cells));
         }
     }
-    let rays = Rays::new(ground, view_m);
+    let rays = Rays::new(ground, settings);
     let frontiers = found.into_iter().map(|cells| {
         let middle = cells.iter().fold(Point::origin(), |sum, &at| sum + ground.place(at).coords)
             / cells.len() as f64;
@@ -77,24 +65,25 @@ pub(super) fn frontiers(ground: &Ground, view_m: f64, range_m: f64) -> Vec<Front
         let at = nearest.unwrap_or(cells[0]);
         let mut through = vec![at];
         for &cell in &cells {
-            let away = |&it: &usize| (ground.place(it) - ground.place(cell)).norm() >= THROUGH_M;
+            let away =
+                |&it: &usize| (ground.place(it) - ground.place(cell)).norm() >= rules.through_m;
             if through.iter().all(away) {
                 through.push(cell);
             }
         }
-        let mut frontier = Frontier { place: ground.place(at), gain_m2: 0.0, sights: Vec::new() };
+        let mut frontier = Frontier { place: ground.place(at), gain_m2: 0.0, vantages: Vec::new() };
         for at in through {
             let (gain_m2, towards) = rays.gain(at);
             frontier.gain_m2 = frontier.gain_m2.max(gain_m2);
-            frontier.sights.extend(rays.sights(at, towards, range_m));
+            frontier.vantages.extend(rays.vantages(at, towards));
         }
         frontier
     });
-    frontiers.filter(|it| it.gain_m2 >= LEAST_GAIN_M2).collect()
+    frontiers.filter(|it| it.gain_m2 >= rules.least_gain_m2).collect()
 }
 
 /// Takes the cells of one piece of a frontier: neighbours of neighbours, not far from the first.
-fn piece(ground: &Ground, open: &mut [bool], first: usize) -> Vec<usize> {
+fn piece(ground: &Ground, open: &mut [bool], first: usize, piece_m: f64) -> Vec<usize> {
     let width = ground.width() as isize;
     let mut piece = vec![first];
     open[first] = false;
@@ -104,7 +93,7 @@ fn piece(ground: &Ground, open: &mut [bool], first: usize) -> Vec<usize> {
         for step in [1, -1, width, -width, width + 1, width - 1, 1 - width, -1 - width] {
             let beside = at.wrapping_add_signed(step);
             if open.get(beside) == Some(&true)
-                && (ground.place(beside) - ground.place(first)).norm() <= PIECE_M
+                && (ground.place(beside) - ground.place(first)).norm() <= piece_m
             {
                 open[beside] = false;
                 piece.push(beside);
@@ -117,20 +106,20 @@ fn piece(ground: &Ground, open: &mut [bool], first: usize) -> Vec<usize> {
 /// Looks along straight lines.
 struct Rays<'a> {
     ground: &'a Ground,
-    view_m: f64,
+    settings: &'a Settings,
     directions: Vec<nalgebra::Vector2<f64>>,
 }
 
 impl<'a> Rays<'a> {
-    fn new(ground: &'a Ground, view_m: f64) -> Self {
+    fn new(ground: &'a Ground, settings: &'a Settings) -> Self {
         let turn = |ray| core::f64::consts::TAU * ray as f64 / RAYS as f64;
         let direction = |ray| nalgebra::Vector2::new(libm::cos(turn(ray)), libm::sin(turn(ray)));
-        Self { ground, view_m, directions: (0..RAYS).map(direction).collect() }
+        Self { ground, settings, directions: (0..RAYS).map(direction).collect() }
     }
 
     /// The cells on a ray from a cell, that one left out, and how far they are in metres.
     fn ray(&self, from: usize, direction: usize) -> impl Iterator<Item = (f64, usize)> {
-        self.long_ray(from, direction, self.view_m)
+        self.long_ray(from, direction, self.settings.view_m)
     }
 
     /// The same, so many metres long.
@@ -185,31 +174,32 @@ impl<'a> Rays<'a> {
 
     /// The known free cells in sight of a cell, over free ground alone, from where what is unknown
     /// is ahead; and whether a sensor that sees so far has a wall behind it from there.
-    fn sights(&self, from: usize, towards: nalgebra::Vector2<f64>, range_m: f64) -> Vec<Sight> {
+    fn vantages(&self, from: usize, towards: nalgebra::Vector2<f64>) -> Vec<Vantage> {
+        let Settings { range_m, frontiers, .. } = self.settings;
         let ahead = |direction: &usize| {
-            -self.directions[*direction].dot(&towards) >= AHEAD * towards.norm()
+            -self.directions[*direction].dot(&towards) >= frontiers.ahead_cosine * towards.norm()
         };
-        let mut sights: Vec<Sight> = (0..RAYS)
+        let mut vantages: Vec<Vantage> = (0..RAYS)
             .filter(ahead)
             .flat_map(|direction| {
                 let ray = self.ray(from, direction);
                 let free = ray.take_while(|(metres, at)| {
                     // Beside the frontier there is more of it.
-                    let near = *metres < NEAREST_M && self.ground.is_blind(*at);
+                    let near = *metres < frontiers.nearest_m && self.ground.is_blind(*at);
                     near || self.ground.cell(*at) == Cell::Free
                 });
-                let far = free.filter(|(metres, _)| *metres >= NEAREST_M);
+                let far = free.filter(|(metres, _)| *metres >= frontiers.nearest_m);
                 let behind = (direction + RAYS / 2) % RAYS;
                 far.filter_map(move |(metres, at)| {
                     let is_backed = self.is_backed(from, behind, range_m - metres)?;
-                    Some(Sight { at, away_m: metres, is_backed })
+                    Some(Vantage { at, away_m: metres, is_backed })
                 })
             })
             .collect();
         // Of two ways to look from one cell the better one.
-        sights.sort_by_key(|sight| (sight.at, !sight.is_backed));
-        sights.dedup_by_key(|sight| sight.at);
-        sights
+        vantages.sort_by_key(|it| (it.at, !it.is_backed));
+        vantages.dedup_by_key(|it| it.at);
+        vantages
     }
 }
 
@@ -224,7 +214,7 @@ mod tests {
         // Unknown: the eastern quarter, and a little pocket.
         let hidden = |x: f64, y: f64| x > 6.0 || (x - 1.0).hypot(y - 1.0) < 0.08;
         let ground = drawn(&plan, hidden);
-        let found = frontiers(&ground, 2.0, 4.0);
+        let found = frontiers(&ground, &Settings { view_m: 2.0, ..Settings::default() });
         assert!(found.iter().all(|it| (it.place.x - 6.0).abs() < 0.1), "{found:?}");
         assert!(found.len() >= 3 && found.len() <= 6, "{}", found.len());
         // Across the edge half a disc of 2 m is to be seen: 17 or 18 of 32 rays.

@@ -6,19 +6,11 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
+use super::settings::Settings;
 use crate::mapping::ServedLayer;
 
 /// A place in `map`, in metres.
 pub(super) type Point = Point2<f64>;
-
-/// The map is cut to so many tiles on each side of the middle robot (64 m of 5 cm cells), so
-/// that a stray tile costs no memory.
-const REACH_TILES: i32 = 40;
-
-/// Unknown ground that is no farther than this from free ground may be driven upon, in cells: at
-/// the edge of what is known little is hidden, and a robot stops before what it sees there. Kept
-/// clear of like a wall, the edge would shut every narrow way until all about it is known.
-const EDGE_CELLS: u32 = 2;
 
 /// A disc in `map`, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,75 +37,80 @@ pub(super) struct Ground {
 }
 
 impl Ground {
-    /// Draws the ground from the map and what the cameras see. Unknown cells in `trodden`, where
-    /// robots stand, are taken for passable: a robot that has seen nothing yet must be able to
-    /// leave. `None` as long as nothing is known. Linear in the cells (0.03 microseconds each).
+    /// Draws the ground from the map and what the cameras see. Unknown cells in `trodden`, the
+    /// discs where robots stand, are passable. `None` while nothing is known. Linear in the cells
+    /// (0.03 microseconds each).
     pub(super) fn survey(
         fused: &ServedLayer,
         coverage: &ServedLayer,
-        resolution: Millimetres,
         trodden: &[Disc],
+        settings: &Settings,
     ) -> Option<Self> {
-        let side_m = Millimetres(resolution.0.max(1)).metres();
-        let middle = middle(trodden, side_m);
-        let near = |id: &TileId| {
-            (i32::from(id.x) - middle.0).abs() <= REACH_TILES
-                && (i32::from(id.y) - middle.1).abs() <= REACH_TILES
-        };
-        let tiles = || fused.tiles().map(|(id, ..)| id).filter(near);
-        // With one more on each side: there is where to look.
-        let west = tiles().map(|id| id.x).min()?.saturating_sub(1);
-        let east = tiles().map(|id| id.x).max()?.saturating_add(1);
-        let south = tiles().map(|id| id.y).min()?.saturating_sub(1);
-        let north = tiles().map(|id| id.y).max()?.saturating_add(1);
-        let first = TileId { x: west, y: south }.first_cell();
+        let side_m = Millimetres(settings.resolution.0.max(1)).metres();
+        let extent = Extent::of(fused, middle(trodden, side_m), settings.survey.reach_tiles)?;
+        let mut ground = Self::unknown(&extent, side_m);
+        for id in extent.tiles() {
+            ground.draw(id, fused, coverage);
+        }
+        ground.measure(trodden, settings.survey.edge_cells);
+        Some(ground)
+    }
+
+    /// Ground of which nothing is known.
+    fn unknown(extent: &Extent, side_m: f64) -> Self {
         let along = |from: i16, to: i16| (i32::from(to) - i32::from(from) + 1) as usize * TILE_SIDE;
-        let (width, height) = (along(west, east), along(south, north));
-        let mut ground = Self {
+        let width = along(extent.west, extent.east);
+        let cells = width * along(extent.south, extent.north);
+        Self {
             side_m,
-            first,
+            first: TileId { x: extent.west, y: extent.south }.first_cell(),
             width,
-            cells: vec![Cell::Unknown; width * height],
-            blind: vec![true; width * height],
+            cells: vec![Cell::Unknown; cells],
+            blind: vec![true; cells],
             walls: Vec::new(),
             movable: Vec::new(),
-        };
-        for id in (south..=north).flat_map(|y| (west..=east).map(move |x| TileId { x, y })) {
-            let (known, covered) = (fused.get(id), coverage.get(id));
-            if known.is_none() && covered.is_none() {
-                continue;
-            }
-            let (x, y) = id.first_cell();
-            let corner = (y - first.1) as usize * width + (x - first.0) as usize;
-            for y in 0..TILE_SIDE {
-                for x in 0..TILE_SIDE {
-                    let at = corner + y * width + x;
-                    let cell = known.map_or(Cell::Unknown, |(_, tile)| tile.cell(x, y));
-                    let is_covered = covered.is_some_and(|(_, it)| it.cell(x, y) == Cell::Free);
-                    ground.cells[at] = cell;
-                    ground.blind[at] = cell == Cell::Unknown && !is_covered;
-                }
+        }
+    }
+
+    /// Takes over a tile of the map and of what the cameras see.
+    fn draw(&mut self, id: TileId, fused: &ServedLayer, coverage: &ServedLayer) {
+        let (known, covered) = (fused.get(id), coverage.get(id));
+        if known.is_none() && covered.is_none() {
+            return;
+        }
+        let (x, y) = id.first_cell();
+        let corner = (y - self.first.1) as usize * self.width + (x - self.first.0) as usize;
+        for y in 0..TILE_SIDE {
+            for x in 0..TILE_SIDE {
+                let at = corner + y * self.width + x;
+                let cell = known.map_or(Cell::Unknown, |(_, tile)| tile.cell(x, y));
+                let is_covered = covered.is_some_and(|(_, it)| it.cell(x, y) == Cell::Free);
+                self.cells[at] = cell;
+                self.blind[at] = cell == Cell::Unknown && !is_covered;
             }
         }
-        let is_free: Vec<bool> = ground.cells.iter().map(|it| *it == Cell::Free).collect();
+    }
+
+    /// Measures how far every cell is from walls and from what is movable. Unknown cells more than
+    /// `edge_cells` from free ones count as walls.
+    fn measure(&mut self, trodden: &[Disc], edge_cells: u32) {
+        let is_free: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Free).collect();
         let is_wall = |(cell, to_free)| match cell {
-            Cell::Unknown => to_free > EDGE_CELLS * EDGE_CELLS,
+            Cell::Unknown => to_free > edge_cells * edge_cells,
             cell => cell == Cell::Occupied,
         };
-        let to_free = squared_distances(&is_free, width);
-        let mut is_wall: Vec<bool> =
-            ground.cells.iter().copied().zip(to_free).map(is_wall).collect();
+        let to_free = squared_distances(&is_free, self.width);
+        let mut is_wall: Vec<bool> = self.cells.iter().copied().zip(to_free).map(is_wall).collect();
         for disc in trodden {
-            ground.within(disc, |at| is_wall[at] &= ground.cells[at] != Cell::Unknown);
+            self.within(disc, |at| is_wall[at] &= self.cells[at] != Cell::Unknown);
         }
-        // The border stays shut: a search needs not look where the rectangle ends.
+        // The border stays closed: a search need not check where the rectangle ends.
         for (at, is_wall) in is_wall.iter_mut().enumerate() {
-            *is_wall |= ground.is_border(at);
+            *is_wall |= self.is_border(at);
         }
-        let is_movable: Vec<bool> = ground.cells.iter().map(|it| *it == Cell::Movable).collect();
-        ground.walls = squared_distances(&is_wall, width);
-        ground.movable = squared_distances(&is_movable, width);
-        Some(ground)
+        let is_movable: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Movable).collect();
+        self.walls = squared_distances(&is_wall, self.width);
+        self.movable = squared_distances(&is_movable, self.width);
     }
 
     pub(super) fn len(&self) -> usize {
@@ -207,7 +204,38 @@ impl Ground {
     }
 }
 
-/// The tile in the middle of the robots: the median, as one may say nonsense of where it is.
+/// The rectangle of tiles that is surveyed.
+struct Extent {
+    west: i16,
+    east: i16,
+    south: i16,
+    north: i16,
+}
+
+impl Extent {
+    /// The known tiles no farther than `reach` from a tile, and one more on each side: from there
+    /// a robot can look at them.
+    fn of(fused: &ServedLayer, middle: (i32, i32), reach: i32) -> Option<Self> {
+        let near = |id: &TileId| {
+            (i32::from(id.x) - middle.0).abs() <= reach
+                && (i32::from(id.y) - middle.1).abs() <= reach
+        };
+        let tiles = || fused.tiles().map(|(id, ..)| id).filter(near);
+        Some(Self {
+            west: tiles().map(|id| id.x).min()?.saturating_sub(1),
+            east: tiles().map(|id| id.x).max()?.saturating_add(1),
+            south: tiles().map(|id| id.y).min()?.saturating_sub(1),
+            north: tiles().map(|id| id.y).max()?.saturating_add(1),
+        })
+    }
+
+    fn tiles(&self) -> impl Iterator<Item = TileId> + use<> {
+        let columns = self.west..=self.east;
+        (self.south..=self.north).flat_map(move |y| columns.clone().map(move |x| TileId { x, y }))
+    }
+}
+
+/// The tile in the middle of the robots: the median, as a robot may report a nonsensical pose.
 fn middle(trodden: &[Disc], side_m: f64) -> (i32, i32) {
     let tile_m = side_m * TILE_SIDE as f64;
     let median = |along: fn(&Disc) -> f64| {
@@ -291,7 +319,7 @@ mod tests {
     #[test]
     fn places_and_cells_agree() {
         let fused = layer(|x, y| if x == y { Cell::Occupied } else { Cell::Free });
-        let ground = Ground::survey(&fused, &fused, Millimetres(50), &[]).unwrap();
+        let ground = Ground::survey(&fused, &fused, &[], &Settings::default()).unwrap();
         for (x, y) in [(-32, 0), (31, 31), (0, 0), (-1, 7)] {
             let place = Point::new((f64::from(x) + 0.5) * 0.05, (f64::from(y) + 0.5) * 0.05);
             let at = ground.at(place).unwrap();
@@ -308,7 +336,7 @@ mod tests {
         let fused = layer(|x, _| if x < 0 { Cell::Free } else { Cell::Unknown });
         let coverage = layer(|_, y| if y < 8 { Cell::Free } else { Cell::Unknown });
         let robot = Disc { centre: Point::new(0.5, 0.8), radius: 0.2 };
-        let ground = Ground::survey(&fused, &coverage, Millimetres(50), &[robot]).unwrap();
+        let ground = Ground::survey(&fused, &coverage, &[robot], &Settings::default()).unwrap();
         let at = |x, y| ground.at(Point::new(x, y)).unwrap();
         assert!(ground.is_blind(at(0.5, 0.8)) && !ground.is_blind(at(0.5, 0.2)));
         assert!(!ground.is_blind(at(-0.5, 0.8)));
@@ -321,7 +349,7 @@ mod tests {
         let mut tile = Tile::UNKNOWN;
         tile.set(0, 0, Cell::Free);
         fused.set(TileId { x: i16::MAX, y: i16::MIN }, tile);
-        let ground = Ground::survey(&fused, &fused, Millimetres(50), &[]).unwrap();
+        let ground = Ground::survey(&fused, &fused, &[], &Settings::default()).unwrap();
         assert_eq!(ground.len(), 4 * 3 * usize::from(TILE_CELLS));
     }
 

@@ -5,40 +5,7 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-use super::{ground::Point, situation::Whereabouts};
-
-/// Whoever has moved less stands, in metres.
-const STILL_M: f64 = 0.03;
-
-/// The end of a path is reached if a robot stops so near to it, in metres.
-pub(super) const ARRIVED_M: f64 = 0.25;
-
-/// Until the server has heard what a robot saw.
-const HEARD: Duration = Duration::from_millis(500);
-
-/// A frontier that a robot goes to look at.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Target {
-    /// Where the frontier was.
-    pub(super) frontier: Point,
-    /// Where to look at it from.
-    pub(super) view: Point,
-    /// Since when the robot stands there, and when it said that it had looked around.
-    pub(super) reached: Option<Instant>,
-    pub(super) looked: Option<Instant>,
-}
-
-impl Target {
-    /// A frontier to be looked at from a place.
-    pub(super) fn new(frontier: Point, view: Point) -> Self {
-        Self { frontier, view, reached: None, looked: None }
-    }
-
-    /// Whether the robot has looked at it, and the server has heard what it saw.
-    pub(super) fn is_heard_of(&self, now: Instant) -> bool {
-        self.looked.is_some_and(|looked| now.since(looked) >= HEARD)
-    }
-}
+use super::{ground::Point, settings::FollowingRules, situation::Whereabouts, target::Target};
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -46,25 +13,25 @@ pub(super) struct Member {
     pub(super) id: RobotId,
     /// Of a disc that holds it however it turns, in metres.
     pub(super) radius_m: f64,
-    /// Since when it has no session.
+    /// Since when it can't be reached.
     pub(super) lost: Option<Instant>,
-    /// Whether it goes where nobody has been when it has no goal.
+    /// Whether it explores while it has no goal.
     pub(super) explores: bool,
-    /// What a user wants; it goes before any frontier.
+    /// Where a user has sent it; that goes before any frontier.
     pub(super) goal: Option<Point>,
     pub(super) target: Option<Target>,
-    /// Since when it was told to stand, to be given another route from where it comes to stand.
+    /// When it was told to stop, to get another route from where it comes to a stand.
     pub(super) halted: Option<Instant>,
-    /// Since when somebody who is no robot stands before it.
+    /// Since when a person stands in its way.
     pub(super) held_up: Option<Instant>,
-    /// Since when it waits for a route, and when one is looked for again.
+    /// Since when it waits for a route, and when the search is repeated.
     pub(super) waits_since: Option<Instant>,
     pub(super) retry: Instant,
-    /// Whether it was said that there is no way to where it is to go.
+    /// Whether a notice said that there is no way to its goal.
     pub(super) is_told: bool,
-    /// When it was sent something last.
+    /// When it was last sent a path.
     pub(super) sent: Instant,
-    /// Where it looks, in radians in `map`.
+    /// Its heading, in radians in `map`.
     pub(super) heading: f64,
     still_at: Point,
     still_since: Instant,
@@ -93,12 +60,17 @@ impl Member {
         }
     }
 
-    /// It was seen. Whether it has come back after it was lost.
-    pub(super) fn see(&mut self, robot: &Whereabouts, now: Instant) -> bool {
+    /// It was seen. Returns whether it has come back after it was lost.
+    pub(super) fn see(
+        &mut self,
+        robot: &Whereabouts,
+        rules: &FollowingRules,
+        now: Instant,
+    ) -> bool {
         self.radius_m = robot.radius_m();
         self.heading = robot.pose.heading.radians();
         self.seen = self.seen.max(robot.moment);
-        if (robot.place() - self.still_at).norm() > STILL_M {
+        if (robot.place() - self.still_at).norm() > rules.still_m {
             (self.still_at, self.still_since) = (robot.place(), robot.moment);
         }
         let was_lost = self.lost.is_some();
@@ -106,25 +78,25 @@ impl Member {
         was_lost && robot.has_session
     }
 
-    /// For how long it was seen to stand.
+    /// For how long it has been seen to stand.
     pub(super) fn still_for(&self) -> Duration {
         self.seen.since(self.still_since)
     }
 
-    /// For how long nobody has seen it move. Where no camera sees it a robot that stands does not
-    /// say so anew, and one that drives says where it is now and then.
+    /// For how long nobody has seen it move. Where no camera sees it, a robot that stands does not
+    /// repeat where it is, and one that drives reports it every two seconds.
     pub(super) fn unmoved_for(&self, now: Instant) -> Duration {
         now.since(self.still_since)
     }
 
-    /// Where it is to go.
+    /// Its goal, or the place to look at its target from.
     pub(super) fn destination(&self) -> Option<Point> {
         self.goal.or(self.target.map(|target| target.view))
     }
 
-    /// Whether a place is where it is to go.
-    pub(super) fn is_there(&self, place: Point) -> bool {
-        self.destination().is_some_and(|it| (it - place).norm() <= ARRIVED_M)
+    /// Whether a place is near enough to its destination.
+    pub(super) fn is_there(&self, place: Point, rules: &FollowingRules) -> bool {
+        self.destination().is_some_and(|it| (it - place).norm() <= rules.arrived_m)
     }
 
     /// Whether it can be told to drive.
@@ -132,7 +104,7 @@ impl Member {
         self.lost.is_none() && self.halted.is_none()
     }
 
-    /// It is to go somewhere else.
+    /// It has a new destination.
     pub(super) fn set_out(&mut self, now: Instant) {
         self.is_told = false;
         self.retry = now;

@@ -15,20 +15,11 @@
 
 use ubimap_protocol::message::MAX_WAYPOINTS;
 
-use super::{ground::Point, route::SPACING_M};
+use super::{ground::Point, route::SPACING_M, settings::GrantingRules};
 
-/// Beyond its own radius a robot holds this much, in metres: what it may be off the points of its
-/// route.
-const MARGIN_M: f64 = 0.1;
-/// A robot looks for where it is on its route so many points ahead of where it was: the route may
-/// cross itself.
-const WINDOW: usize = 8;
-
-/// A robot is sent more of its route when so many points of what it knows are left, if that is so
-/// many more; and in any case before it has to brake.
-const SOON: usize = 12;
-const WORTH_SENDING: usize = 5;
-const HURRY: usize = 3;
+/// Points ahead of where a robot was on its route among which its place is looked for. A route may
+/// cross itself, so not all of it is searched.
+const SEARCHED_POINTS: usize = 8;
 
 /// What one robot holds and will need.
 #[derive(Clone, Debug)]
@@ -37,6 +28,8 @@ pub(super) struct Claim {
     position: Point,
     /// The radius of the discs that it holds, in metres.
     disc_m: f64,
+    /// The part of that beyond the robot's own radius while it follows a route, in metres.
+    margin_m: f64,
     /// The route; never empty. From point to point [`SPACING_M`] at most.
     points: Vec<Point>,
     /// Which of the points are its corners, the last one included.
@@ -49,16 +42,16 @@ pub(super) struct Claim {
 }
 
 impl Claim {
-    /// A robot of this radius, in metres, that stands at a place.
-    pub(super) fn standing(position: Point, radius_m: f64) -> Self {
-        let disc_m = radius_m + MARGIN_M;
+    /// A robot of this radius that stands at a place and may be this far off its route, in metres.
+    pub(super) fn standing(position: Point, radius_m: f64, margin_m: f64) -> Self {
+        let disc_m = radius_m + margin_m;
         let (points, corners) = (vec![position], vec![0]);
-        Self { position, disc_m, points, corners, tail: 0, granted: 0, sent: 0 }
+        Self { position, disc_m, margin_m, points, corners, tail: 0, granted: 0, sent: 0 }
     }
 
-    /// A robot that has nowhere to go is where it is, and takes no more than that.
+    /// A robot without a destination holds no more than it takes up.
     pub(super) fn set_radius(&mut self, radius_m: f64, has_nowhere_to_go: bool) {
-        self.disc_m = if has_nowhere_to_go { radius_m } else { radius_m + MARGIN_M };
+        self.disc_m = if has_nowhere_to_go { radius_m } else { radius_m + self.margin_m };
     }
 
     pub(super) fn position(&self) -> Point {
@@ -107,7 +100,7 @@ impl Claim {
     /// The points that it holds: those that it was granted and has not passed, and where it is if
     /// that is beside them.
     pub(super) fn held(&self) -> impl Iterator<Item = Point> {
-        let is_beside = self.off_m() > MARGIN_M;
+        let is_beside = self.off_m() > self.margin_m;
         let beside = is_beside.then_some(self.position);
         self.points[self.tail..=self.granted].iter().copied().chain(beside)
     }
@@ -117,25 +110,25 @@ impl Claim {
         (self.points[self.tail] - self.position).norm()
     }
 
-    /// The route that is not granted as yet.
+    /// The part of the route that is not granted yet.
     pub(super) fn ahead(&self) -> &[Point] {
         &self.points[self.granted + 1..]
     }
 
-    /// The point of the route so many metres before the robot, or its end.
+    /// The point of the route at a distance ahead of the robot, in metres, or the end of the route.
     pub(super) fn point_before(&self, metres: f64) -> Point {
         let at = self.tail + (metres / SPACING_M) as usize;
         self.points[at.min(self.points.len() - 1)]
     }
 
     /// The corners of what it was granted, the last granted point included, if it should be sent
-    /// them: it has so much more than it knows of, and comes near to the end of what it knows.
+    /// them: it was granted enough more than it knows, and comes near the end of what it knows.
     /// At most [`MAX_WAYPOINTS`] of them.
-    pub(super) fn poll_path(&mut self) -> Option<Vec<Point>> {
+    pub(super) fn poll_path(&mut self, rules: &GrantingRules) -> Option<Vec<Point>> {
         let known = self.sent.saturating_sub(self.tail);
         let more = self.granted.saturating_sub(self.sent);
-        let is_worth_it = more >= WORTH_SENDING || self.is_all_granted();
-        if more == 0 || known > HURRY && (known > SOON || !is_worth_it) {
+        let is_worth_it = more >= rules.least_points || self.is_all_granted();
+        if more == 0 || known > rules.urgent_points && (known > rules.low_points || !is_worth_it) {
             return None;
         }
         let corners =
@@ -145,7 +138,7 @@ impl Claim {
         Some(path.iter().map(|&at| self.points[at]).collect())
     }
 
-    /// The robot may not know of its path any more: it is sent again.
+    /// The robot may have forgotten its path: it is sent again.
     pub(super) fn forget_sent(&mut self) {
         self.sent = self.tail;
     }
@@ -155,9 +148,9 @@ impl Claim {
     pub(super) fn advance(&mut self, position: Point) {
         self.position = position;
         let off = |at: &usize| (self.points[*at] - position).norm();
-        let window = self.tail..=self.granted.min(self.tail + WINDOW);
+        let window = self.tail..=self.granted.min(self.tail + SEARCHED_POINTS);
         self.tail = window.min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(self.tail);
-        if self.is_at_end() && self.off_m() > MARGIN_M {
+        if self.is_at_end() && self.off_m() > self.margin_m {
             self.stand();
         }
     }
@@ -169,7 +162,7 @@ impl Claim {
 
     /// It stands where it is and holds no more than that.
     pub(super) fn stand(&mut self) {
-        *self = Self { disc_m: self.disc_m, ..Self::standing(self.position, 0.0) };
+        *self = Self { disc_m: self.disc_m, ..Self::standing(self.position, 0.0, self.margin_m) };
     }
 
     fn drop_ahead(&mut self) {
@@ -213,7 +206,7 @@ pub(super) enum Held {
     NotAtAll,
     /// Another robot holds the next place, or must go there first.
     ByRobots,
-    /// Somebody else stands there.
+    /// A person stands there.
     ByOthers,
 }
 
@@ -306,8 +299,8 @@ impl Reservations {
         is_safe
     }
 
-    /// Grants a robot its route up to so many metres before it as far as that is safe, and a place
-    /// is not held by robots, nor `taken` otherwise. What keeps it from more.
+    /// Grants a robot its route up to a distance ahead of it, in metres, as far as that is safe and no
+    /// place is held by a robot or `taken` otherwise. Returns what holds it back.
     pub(super) fn extend(
         &mut self,
         robot: usize,
@@ -370,7 +363,7 @@ mod tests {
     fn of(starts: &[Point]) -> Reservations {
         let mut all = Reservations::default();
         for (index, &start) in starts.iter().enumerate() {
-            all.insert(index, Claim::standing(start, 0.3));
+            all.insert(index, Claim::standing(start, 0.3, 0.1));
         }
         all
     }
@@ -381,9 +374,9 @@ mod tests {
         assert!(all.admit(&[(0, vec![at(0.0, 0.0), at(2.0, 0.0), at(2.0, 2.0)])]));
         assert_eq!(all.extend(0, 2.5, |_| false), Held::NotAtAll);
         assert!((all.claim(0).granted_end() - at(2.0, 0.5)).norm() < 1e-9);
-        let path = all.claim_mut(0).poll_path().unwrap();
+        let path = all.claim_mut(0).poll_path(&GrantingRules::default()).unwrap();
         assert_eq!(path, [at(2.0, 0.0), all.claim(0).granted_end()]);
-        assert_eq!(all.claim_mut(0).poll_path(), None, "it knows that");
+        assert_eq!(all.claim_mut(0).poll_path(&GrantingRules::default()), None, "it knows that");
         all.claim_mut(0).advance(at(0.52, 0.05));
         assert!(all.claim(0).off_m() < 0.06);
         assert!(all.claim(0).held().all(|point| point.x > 0.45));

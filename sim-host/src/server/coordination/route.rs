@@ -1,19 +1,16 @@
 //! Shortest ways over the ground for one robot.
 
-use super::ground::{Disc, Ground, Point};
+use super::{
+    ground::{Disc, Ground, Point},
+    settings::Settings,
+};
 
-/// What crossing a cell costs, times its length: roomy ground, ground with little room to spare,
-/// ground that something movable took up, places where somebody stands or a robot was held up.
+/// The cost of crossing a cell of roomy ground, times its length. What other ground costs is among
+/// the [`CrossingCosts`](super::settings::CrossingCosts).
 const ROOMY: u8 = 2;
-const TIGHT: u8 = 3;
-const MOVABLE: u8 = 12;
-/// A detour of up to six metres is made around somebody who stands in the way.
-pub(super) const STANDING: u8 = 12;
-/// And one of some twenty metres around a place where a robot said that it could not pass.
-pub(super) const HELD_UP: u8 = 40;
-/// A cell that can't be crossed, but left.
+/// A cell that can be left, but not entered.
 const SHUT: u8 = 0;
-/// Leaving ground where a robot has not the room that it should have.
+/// The cost of leaving ground where a robot has less room than it should.
 const LEAVING: u32 = 16;
 
 /// The length of a step between neighbours, straight and diagonal, in fifths of a cell: 1 % off.
@@ -29,52 +26,57 @@ const NEIGHBOURS: [(isize, isize, u32); 8] = [
     (-1, -1, DIAGONAL),
     (1, -1, DIAGONAL),
 ];
-/// More than any step raises the estimate of a whole way.
+/// The highest cost of crossing a cell.
+const DEAREST: u8 = 63;
+/// More than any step can raise the estimate of a whole way: [`DEAREST`] times a diagonal step, and
+/// the diagonal step that the estimate was for.
 const BUCKETS: usize = 512;
+const _: () = assert!(((DEAREST + ROOMY) as u32 * DIAGONAL) < BUCKETS as u32);
 /// From one point of a route to the next at most, in metres.
 pub(super) const SPACING_M: f64 = 0.1;
-/// Where there is so much more room than a robot needs, in metres, it is roomy.
-const TO_SPARE_M: f64 = 0.1;
 
 /// The ground as one robot may cross it.
 #[derive(Clone, Debug)]
 pub(super) struct Terrain<'a> {
     ground: &'a Ground,
     weights: Vec<u8>,
+    /// The weight of ground with little room to spare.
+    tight: u8,
 }
 
 impl<'a> Terrain<'a> {
-    /// The ground for a robot that needs so much room about its middle, in metres.
-    pub(super) fn new(ground: &'a Ground, room_m: f64) -> Self {
+    /// The ground for a robot that needs this much room around its middle, in metres.
+    pub(super) fn new(ground: &'a Ground, room_m: f64, settings: &Settings) -> Self {
+        let costs = &settings.costs;
         // From the middle of a cell to the middle of an occupied one; half of that is its own.
         let squared = |metres: f64| {
             let cells = metres / ground.side_m() + 0.5;
             (cells * cells).ceil() as u32
         };
-        let (least, roomy) = (squared(room_m), squared(room_m + TO_SPARE_M));
+        let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
             (wall, _) if wall < least => SHUT,
-            (_, movable) if movable < least => MOVABLE,
-            (wall, movable) if wall.min(movable) < roomy => TIGHT,
+            (_, movable) if movable < least => costs.movable.min(DEAREST),
+            (wall, movable) if wall.min(movable) < roomy => costs.tight.min(DEAREST),
             _ => ROOMY,
         };
-        Self { ground, weights: (0..ground.len()).map(weight).collect() }
+        let weights = (0..ground.len()).map(weight).collect();
+        Self { ground, weights, tight: costs.tight.min(DEAREST) }
     }
 
-    /// Makes a disc dear to cross.
+    /// Raises the cost of crossing a disc, to at most [`DEAREST`].
     pub(super) fn make_dear(&mut self, disc: &Disc, weight: u8) {
-        let Self { ground, weights } = self;
+        let Self { ground, weights, .. } = self;
         ground.within(disc, |at| {
             if weights[at] != SHUT {
-                weights[at] = weights[at].max(weight);
+                weights[at] = weights[at].max(weight.min(DEAREST));
             }
         });
     }
 
-    /// Shuts a disc, for a robot that starts from a place: what of it is nearer to its middle than
-    /// that place.
+    /// Closes a disc, shrunk if need be so that the place where the robot starts stays outside.
     pub(super) fn shut(&mut self, disc: &Disc, start: Point) {
-        let Self { ground, weights } = self;
+        let Self { ground, weights, .. } = self;
         let radius = disc.radius.min((start - disc.centre).norm() - ground.side_m());
         ground.within(&Disc { radius, ..*disc }, |at| weights[at] = SHUT);
     }
@@ -105,7 +107,7 @@ impl<'a> Terrain<'a> {
         ways.route(from, to)
     }
 
-    /// The cheapest way to the nearest cell that will do, if there is one.
+    /// The cheapest way to the nearest suitable cell, if there is one.
     pub(super) fn nearest(
         &self,
         from: Point,
@@ -115,8 +117,8 @@ impl<'a> Terrain<'a> {
         ways.route(from, self.ground.place(found?))
     }
 
-    /// Dijkstra's search, or A* where the estimate is not zero, until a cell will do. The queue is
-    /// one of buckets: all costs are small whole numbers (Dial 1969).
+    /// Dijkstra's search, or A* if the estimate is not zero, up to the first suitable cell. The queue
+    /// consists of buckets, as all costs are small whole numbers (Dial 1969).
     fn search(
         &self,
         start: usize,
@@ -199,7 +201,7 @@ impl<'a> Terrain<'a> {
         let steps = ((b - a).norm() / self.ground.side_m() * 2.0).ceil();
         (0..=steps as usize).all(|step| {
             let on_line = self.ground.at(a + (b - a) * (step as f64 / steps));
-            on_line.is_some_and(|at| (ROOMY..=dearest.max(TIGHT)).contains(&self.weights[at]))
+            on_line.is_some_and(|at| (ROOMY..=dearest.max(self.tight)).contains(&self.weights[at]))
         })
     }
 }
@@ -267,7 +269,7 @@ mod tests {
     fn a_route_goes_through_the_door_with_room_on_all_sides() {
         let plan = with_a_wall();
         let ground = drawn(&plan, |_, _| false);
-        let terrain = Terrain::new(&ground, 0.3);
+        let terrain = Terrain::new(&ground, 0.3, &Settings::default());
         let (from, to) = (Point::new(1.0, 1.0), Point::new(5.0, 1.0));
         let route = terrain.route(from, to).unwrap();
         assert_eq!((route[0], *route.last().unwrap()), (from, to));
@@ -284,23 +286,28 @@ mod tests {
                 assert!(plan.room_around(at) > 0.28, "{at} has {} m", plan.room_around(at));
             }
         }
-        assert_eq!(Terrain::new(&ground, 0.6).route(from, to), None, "the door is too narrow");
+        assert_eq!(
+            Terrain::new(&ground, 0.6, &Settings::default()).route(from, to),
+            None,
+            "the door is too narrow"
+        );
     }
 
     #[test]
     fn what_is_dear_is_gone_around_if_the_detour_is_short() {
         let plan = Plan::room(6.0, 4.0);
         let ground = drawn(&plan, |_, _| false);
-        let mut terrain = Terrain::new(&ground, 0.3);
+        let mut terrain = Terrain::new(&ground, 0.3, &Settings::default());
         let (from, to) = (Point::new(1.0, 2.0), Point::new(5.0, 2.0));
+        let standing = Settings::default().costs.standing;
         let somebody = Disc { centre: Point::new(3.0, 2.0), radius: 0.5 };
         assert!((length(&terrain.route(from, to).unwrap()) - 4.0).abs() < 1e-9);
-        terrain.make_dear(&somebody, STANDING);
+        terrain.make_dear(&somebody, standing);
         let around = terrain.route(from, to).unwrap();
         assert!(length(&around) > 4.1 && length(&around) < 4.5, "{}", length(&around));
         // Where there is no way around, it is crossed.
         let across = Disc { centre: Point::new(3.0, 2.0), radius: 2.2 };
-        terrain.make_dear(&across, STANDING);
+        terrain.make_dear(&across, standing);
         assert!(terrain.route(from, to).is_some());
         terrain.shut(&across, from);
         assert_eq!(terrain.route(from, to), None);
@@ -310,7 +317,7 @@ mod tests {
     fn a_robot_too_near_to_a_wall_can_leave_it_but_not_go_there() {
         let plan = Plan::room(6.0, 4.0);
         let ground = drawn(&plan, |_, _| false);
-        let terrain = Terrain::new(&ground, 0.3);
+        let terrain = Terrain::new(&ground, 0.3, &Settings::default());
         let (near, far) = (Point::new(0.15, 2.0), Point::new(3.0, 2.0));
         assert!(terrain.route(near, far).is_some());
         assert_eq!(terrain.route(far, near), None);

@@ -1,4 +1,4 @@
-//! What the coordinator is told, and what it tells.
+//! The coordinator's input, and its notices.
 
 use nalgebra::Vector2;
 use ubimap_protocol::{
@@ -8,9 +8,9 @@ use ubimap_protocol::{
 };
 
 use super::ground::{Disc, Point};
-use crate::{mapping::ServedLayer, server::Footprint};
+use crate::{mapping::ServedLayer, perception::Footprint};
 
-/// All that is known of the room.
+/// Everything that is known of the room.
 #[derive(Clone, Copy, Debug)]
 pub struct Situation<'a> {
     /// The map that everybody gets.
@@ -34,7 +34,7 @@ pub struct Whereabouts {
     pub pose: Pose,
     /// What it takes up.
     pub footprint: Footprint,
-    /// Whether it can be told anything.
+    /// Whether it can be commanded.
     pub has_session: bool,
 }
 
@@ -65,10 +65,10 @@ pub enum Notice {
     Reached,
     /// Its goal is refused.
     Refused(GoalError),
-    /// There is no way to its goal any more. It is looked for again now and then, which is not
-    /// said again.
+    /// There is no way to its goal any more. The search is repeated now and then, without another
+    /// notice.
     NoWay,
-    /// It can't go on along its path; another one is looked for.
+    /// It can't go on along its path, and will get another one.
     Blocked,
 }
 
@@ -84,10 +84,10 @@ impl Whereabouts {
     }
 }
 
-/// Somebody who is no robot.
+/// A person or a thing that moves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Passer {
-    /// The floor that he or she takes up now, and in a while.
+    /// The floor that is taken up now, in half a second and in a second.
     pub(super) discs: [Disc; 3],
 }
 

@@ -6,16 +6,21 @@ use image::{GrayImage, RgbImage};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Part, Scene,
     canvas::Canvas,
-    noise::{DepthNoise, PictureNoise},
+    noise::{PictureNoise, StereoNoise},
     paint,
     paint::Paint,
-    view::{Rectangle, View},
+    pinhole::{Pinhole, Rectangle},
+    scene::{Part, Scene},
 };
 use crate::{
-    camera::{Calibration, CalibrationError, DepthImage, Intrinsics, Picture},
-    world::{mounting::Mounting, room::Room, scenario::CameraConfig, shapes::Prism},
+    camera::{Calibration, CalibrationError, DepthImage, DepthNoise, Intrinsics, Picture},
+    world::{
+        mounting::Mounting,
+        room::Room,
+        scenario::{CameraConfig, DepthConfig},
+        shapes::Prism,
+    },
 };
 
 /// A depth sensor and one of pictures beside it.
@@ -26,14 +31,14 @@ pub(in super::super) struct FrameCamera {
     /// Bytes of light for each pixel of a picture.
     channels: usize,
     /// Made for the first frame.
-    stage: Option<Stage>,
+    drawing: Option<Drawing>,
 }
 
 /// What a camera that takes frames has drawn.
-struct Stage {
-    depth: Sensor,
-    picture: Sensor,
-    depth_noise: DepthNoise,
+struct Drawing {
+    depth: Imager,
+    picture: Imager,
+    depth_noise: StereoNoise,
     picture_noise: PictureNoise,
     /// The room that has been drawn.
     room: Arc<Room>,
@@ -56,12 +61,14 @@ impl FrameCamera {
         let fields = [picture.horizontal_fov_deg, picture.vertical_fov_deg];
         let picture =
             mounting.lens(picture.left_m, intrinsics(picture.width, picture.height, fields))?;
+        let DepthConfig { baseline_m, noise_px, .. } = config.depth;
+        let depth_noise = DepthNoise::stereo(depth.intrinsics().fx, baseline_m, noise_px)?;
         Ok(Self {
-            calibration: Calibration { depth: Some(depth), picture: Some(picture) },
+            calibration: Calibration { depth: Some(depth), depth_noise, picture: Some(picture) },
             config: config.clone(),
             dice,
             channels: if in_colour { 3 } else { 1 },
-            stage: None,
+            drawing: None,
         })
     }
 
@@ -82,58 +89,59 @@ impl FrameCamera {
         scene: &Scene,
         dice: &mut ChaCha8Rng,
     ) -> Option<(DepthImage, Picture)> {
-        Some(self.stage(&scene.room)?.take(&scene.moving, dice))
+        Some(self.drawing(&scene.room)?.take(&scene.moving, dice))
     }
 
     /// Depth in metres before any noise, row by row.
     #[cfg(test)]
     pub(in super::super) fn exact_depth(&mut self, scene: &Scene) -> Vec<f32> {
-        let stage = self.stage(&scene.room).unwrap();
-        let drawn = stage.depth.draw(&scene.moving);
-        let depth = stage.depth.canvas.depth.clone();
-        stage.depth.remove(&drawn);
+        let drawing = self.drawing(&scene.room).unwrap();
+        let drawn = drawing.depth.draw(&scene.moving);
+        let depth = drawing.depth.canvas.depth.clone();
+        drawing.depth.remove(&drawn);
         depth
     }
 
     /// With this room drawn.
-    fn stage(&mut self, room: &Arc<Room>) -> Option<&mut Stage> {
-        let Calibration { depth: Some(depth), picture: Some(picture) } = &self.calibration else {
+    fn drawing(&mut self, room: &Arc<Room>) -> Option<&mut Drawing> {
+        let Calibration { depth: Some(depth), picture: Some(picture), .. } = &self.calibration
+        else {
             return None;
         };
-        match &mut self.stage {
-            Some(stage) => stage.enter(room),
+        match &mut self.drawing {
+            Some(drawing) => drawing.enter(room),
             None => {
                 let focal = depth.intrinsics().fx;
-                let mut stage = Stage {
-                    depth: Sensor::new(View::new(depth), 0),
-                    picture: Sensor::new(View::new(picture), self.channels),
-                    depth_noise: DepthNoise::new(&self.config, focal, &mut self.dice),
+                let mut drawing = Drawing {
+                    depth: Imager::new(Pinhole::new(depth), 0),
+                    picture: Imager::new(Pinhole::new(picture), self.channels),
+                    depth_noise: StereoNoise::new(&self.config, focal, &mut self.dice),
                     picture_noise: PictureNoise::new(self.config.picture.noise, &mut self.dice),
                     room: room.clone(),
                     still: Vec::new(),
                     soft: Vec::new(),
                 };
-                stage.redraw(|sensor| vec![sensor.view.whole()]);
-                self.stage = Some(stage);
+                drawing.redraw(|sensor| vec![sensor.pinhole.whole()]);
+                self.drawing = Some(drawing);
             }
         }
-        self.stage.as_mut()
+        self.drawing.as_mut()
     }
 }
 
-impl Stage {
+impl Drawing {
     fn take(&mut self, moving: &[Part], dice: &mut ChaCha8Rng) -> (DepthImage, Picture) {
         let drawn = self.depth.draw(moving);
-        let depth = self.depth_noise.image(&self.depth.canvas, self.depth.view.width, dice);
+        let depth = self.depth_noise.image(&self.depth.canvas, self.depth.pinhole.width, dice);
         self.depth.remove(&drawn);
 
         let drawn = self.picture.draw(moving);
-        let spread = drawn.iter().map(|drawn| drawn.grown().within(&self.picture.view.whole()));
+        let spread = drawn.iter().map(|drawn| drawn.grown().within(&self.picture.pinhole.whole()));
         let spread: Vec<Rectangle> = spread.collect();
         for rectangle in &spread {
             self.picture.canvas.blur(rectangle, &mut self.soft);
         }
-        let View { width, height, .. } = self.picture.view;
+        let Pinhole { width, height, .. } = self.picture.pinhole;
         let channels = self.picture.canvas.channels;
         let bytes = self.picture_noise.add(&self.soft, width * channels, dice);
         self.picture.remove(&drawn);
@@ -163,16 +171,16 @@ impl Stage {
     }
 
     /// Draws the room again within each sensor's rectangles.
-    fn redraw(&mut self, within: impl Fn(&Sensor) -> Vec<Rectangle>) {
+    fn redraw(&mut self, within: impl Fn(&Imager) -> Vec<Rectangle>) {
         for sensor in [&mut self.depth, &mut self.picture] {
             for rectangle in within(sensor) {
                 sensor.draw_room(&self.room, &rectangle);
             }
             sensor.canvas = sensor.room.clone();
         }
-        let Sensor { view, room, .. } = &self.picture;
-        self.still.resize(view.width * view.height * room.channels, 0);
-        room.blur(&view.whole(), &mut self.still);
+        let Imager { pinhole, room, .. } = &self.picture;
+        self.still.resize(pinhole.width * pinhole.height * room.channels, 0);
+        room.blur(&pinhole.whole(), &mut self.still);
         self.soft.clone_from(&self.still);
     }
 }
@@ -184,27 +192,27 @@ fn intrinsics(width: u32, height: u32, [across, down]: [f64; 2]) -> Intrinsics {
 }
 
 /// One of a camera's sensors.
-struct Sensor {
-    view: View,
+struct Imager {
+    pinhole: Pinhole,
     /// The room alone.
     room: Canvas,
     /// The same, but for what moves while a frame is taken.
     canvas: Canvas,
 }
 
-impl Sensor {
-    fn new(view: View, channels: usize) -> Self {
-        let canvas = Canvas::new(&view, channels);
-        Self { view, room: canvas.clone(), canvas }
+impl Imager {
+    fn new(pinhole: Pinhole, channels: usize) -> Self {
+        let canvas = Canvas::new(&pinhole, channels);
+        Self { pinhole, room: canvas.clone(), canvas }
     }
 
     fn draw_room(&mut self, room: &Room, clip: &Rectangle) {
-        self.room.clear(&self.view, room.height(), clip);
+        self.room.clear(&self.pinhole, room.height(), clip);
         for (prism, key) in room.prisms().iter().zip(room.keys()) {
-            let bounds = self.view.bounds(prism).within(clip);
+            let bounds = self.pinhole.bounds(prism).within(clip);
             if !bounds.is_empty() {
                 let part = Part { prism: prism.clone(), paint: paint_of(key) };
-                self.room.draw(&self.view, &part, &bounds);
+                self.room.draw(&self.pinhole, &part, &bounds);
             }
         }
     }
@@ -217,17 +225,17 @@ impl Sensor {
         let pairs = before.prisms().iter().zip(after.prisms());
         pairs
             .filter(|(a, b)| !same(a, b))
-            .flat_map(|(a, b)| [self.view.bounds(a), self.view.bounds(b)])
+            .flat_map(|(a, b)| [self.pinhole.bounds(a), self.pinhole.bounds(b)])
             .filter(|bounds| !bounds.is_empty())
             .collect()
     }
 
     /// Draws what moves; gives where.
     fn draw(&mut self, parts: &[Part]) -> Vec<Rectangle> {
-        let bounds = parts.iter().map(|part| self.view.bounds(&part.prism));
+        let bounds = parts.iter().map(|part| self.pinhole.bounds(&part.prism));
         let bounds: Vec<Rectangle> = bounds.collect();
         for (part, bounds) in parts.iter().zip(&bounds).filter(|(_, bounds)| !bounds.is_empty()) {
-            self.canvas.draw(&self.view, part, bounds);
+            self.canvas.draw(&self.pinhole, part, bounds);
         }
         bounds.into_iter().filter(|bounds| !bounds.is_empty()).collect()
     }

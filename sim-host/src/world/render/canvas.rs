@@ -4,10 +4,10 @@ use parry2d_f64::glamx::{Vec2, Vec3};
 
 use super::{
     super::marker::Colour,
-    Part, paint,
-    paint::Paint,
+    paint::{self, Paint},
+    pinhole::{Pinhole, Rectangle},
+    scene::Part,
     solid::{Face, Hit, Solid},
-    view::{Rectangle, View},
 };
 
 /// Rays to a side of a pixel where a marker is.
@@ -25,10 +25,10 @@ pub(super) struct Canvas {
 }
 
 impl Canvas {
-    pub(super) fn new(view: &View, channels: usize) -> Self {
-        let pixels = view.width * view.height;
+    pub(super) fn new(pinhole: &Pinhole, channels: usize) -> Self {
+        let pixels = pinhole.width * pinhole.height;
         Self {
-            width: view.width,
+            width: pinhole.width,
             depth: vec![f32::INFINITY; pixels],
             channels,
             light: vec![0; pixels * channels],
@@ -36,12 +36,12 @@ impl Canvas {
     }
 
     /// Draws the empty room: its floor and its ceiling.
-    pub(super) fn clear(&mut self, view: &View, ceiling: f64, clip: &Rectangle) {
+    pub(super) fn clear(&mut self, pinhole: &Pinhole, ceiling: f64, clip: &Rectangle) {
         for row in clip.top..clip.bottom {
             self.depth[row * self.width..][clip.left..clip.right].fill(f32::INFINITY);
         }
-        let (floor, ceiling) = (-view.eye.z as f32, (ceiling - view.eye.z) as f32);
-        self.each(view, clip, |way, _| {
+        let (floor, ceiling) = (-pinhole.eye.z as f32, (ceiling - pinhole.eye.z) as f32);
+        self.each(pinhole, clip, |way, _| {
             let (height, face) =
                 if way.z < 0.0 { (floor, Face::Top) } else { (ceiling, Face::Bottom) };
             let colour = move |point| match face {
@@ -53,15 +53,15 @@ impl Canvas {
     }
 
     /// Draws a part where nothing hides it, within `clip`.
-    pub(super) fn draw(&mut self, view: &View, part: &Part, clip: &Rectangle) {
-        let solid = Solid::new(&part.prism, view.eye);
-        let eye = view.eye.as_vec3();
-        let pixel = 1.0 / view.focal() as f32;
-        self.each(view, clip, |way, limit| {
+    pub(super) fn draw(&mut self, pinhole: &Pinhole, part: &Part, clip: &Rectangle) {
+        let solid = Solid::new(&part.prism, pinhole.eye);
+        let eye = pinhole.eye.as_vec3();
+        let pixel = 1.0 / pinhole.focal() as f32;
+        self.each(pinhole, clip, |way, limit| {
             let hit = solid.hit(way, limit)?;
             let colour = move |point: Vec3| {
                 if part.paint.is_fine(point, hit.face, hit.at * pixel) {
-                    on_a_pixel(view, &part.paint, eye, way, point.z)
+                    on_a_pixel(pinhole, &part.paint, eye, way, point.z)
                 } else {
                     part.paint.colour(point, hit.face)
                 }
@@ -74,15 +74,15 @@ impl Canvas {
     /// it must not exceed, and says what it meets and which colour a point there has.
     fn each<C: FnOnce(Vec3) -> Colour>(
         &mut self,
-        view: &View,
+        pinhole: &Pinhole,
         clip: &Rectangle,
         cast: impl Fn(Vec3, f32) -> Option<(Hit, C)>,
     ) {
-        let eye = view.eye.as_vec3();
-        let half = Vec2::new(view.width as f32, view.height as f32) / 2.0;
+        let eye = pinhole.eye.as_vec3();
+        let half = Vec2::new(pinhole.width as f32, pinhole.height as f32) / 2.0;
         for row in clip.top..clip.bottom {
             for column in clip.left..clip.right {
-                let way = view.way(column as f32, row as f32);
+                let way = pinhole.way(column as f32, row as f32);
                 let index = row * self.width + column;
                 let Some((hit, colour)) = cast(way, self.depth[index]) else { continue };
                 self.depth[index] = hit.at;
@@ -152,11 +152,11 @@ impl Canvas {
 }
 
 /// The mean colour of a pixel that looks at a robot's top.
-fn on_a_pixel(view: &View, paint: &Paint, eye: Vec3, way: Vec3, top: f32) -> Colour {
+fn on_a_pixel(pinhole: &Pinhole, paint: &Paint, eye: Vec3, way: Vec3, top: f32) -> Colour {
     let mut mean = [0.0; 3];
     for index in 0..RAYS * RAYS {
         let offset = |index: usize| (index as f32 + 0.5) / RAYS as f32 - 0.5;
-        let way = way + view.step(offset(index % RAYS), offset(index / RAYS));
+        let way = way + pinhole.step(offset(index % RAYS), offset(index / RAYS));
         let point = eye + way * ((top - eye.z) / way.z);
         let colour = paint.colour(point, Face::Top);
         for (mean, part) in mean.iter_mut().zip(colour) {

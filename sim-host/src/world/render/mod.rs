@@ -1,6 +1,6 @@
 //! Frames of the simulated cameras: what their sensors would give.
 //!
-//! Upright prisms are drawn one after the other into an image of depths (`view`: which pixels,
+//! Upright prisms are drawn one after the other into an image of depths (`pinhole`: which pixels,
 //! `solid`: where their rays meet, `canvas`: the nearest wins). The room is drawn once for each
 //! camera; for a frame what moves is drawn into a copy, `noise` is added, and the copy is mended
 //! where something was drawn.
@@ -9,25 +9,10 @@ mod camera;
 mod canvas;
 mod noise;
 mod paint;
+mod pinhole;
+mod scene;
 mod solid;
-mod view;
-
-use std::sync::Arc;
-
-use super::{room::Room, shapes::Prism};
 
 pub(super) use camera::FrameCamera;
 pub(super) use paint::Paint;
-
-/// A part of something that is seen.
-#[derive(Clone, Debug)]
-pub(super) struct Part {
-    pub(super) prism: Prism,
-    pub(super) paint: Paint,
-}
-
-/// All that cameras can see at one moment.
-pub(super) struct Scene {
-    pub(super) room: Arc<Room>,
-    pub(super) moving: Vec<Part>,
-}
+pub(super) use scene::{Part, Scene};

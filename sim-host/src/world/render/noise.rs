@@ -24,13 +24,13 @@ const LENGTH: usize = 1 << 18;
 const SHARED: [f32; 3] = [0.5, 0.707_106_77, 0.5];
 
 /// The errors of a stereo camera's depth.
-pub(super) struct DepthNoise {
+pub(super) struct StereoNoise {
     stereo: Stereo,
     /// What is added to a disparity, in parts of a pixel; infinite where there is no match.
     field: Vec<f32>,
 }
 
-impl DepthNoise {
+impl StereoNoise {
     /// The noise of a sensor with this focal length in pixels.
     pub(super) fn new(camera: &CameraConfig, focal: f64, dice: &mut ChaCha8Rng) -> Self {
         let config = &camera.depth;

@@ -3,7 +3,7 @@
 use parry2d_f64::glamx::{DVec2, Vec2, Vec3};
 
 use super::{
-    super::marker::{Colour, Marker},
+    super::marker::{Colour, MarkerPlate},
     solid::Face,
 };
 
@@ -23,7 +23,7 @@ pub(in super::super) enum Paint {
         /// Of the body.
         colour: Colour,
         /// On its top.
-        marker: Marker,
+        marker: MarkerPlate,
         /// Its middle in `map`.
         middle: DVec2,
         /// Cosine and sine of its heading.

@@ -101,7 +101,8 @@ pub struct DepthConfig {
     pub min_range_m: f64,
     /// Between its two imagers.
     pub baseline_m: f64,
-    /// Standard deviation of a disparity, in pixels.
+    /// Standard deviation of a disparity, in pixels. The calibration states the noise of depths that
+    /// follows from it.
     pub noise_px: f64,
     /// The share of pixels that find no match, wherever they look.
     pub dropout: f64,

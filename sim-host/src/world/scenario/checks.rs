@@ -3,8 +3,9 @@
 use std::ops::RangeInclusive;
 
 use super::{
-    CameraConfig, DoorConfig, FootprintConfig, FurnitureConfig, MarkerConfig, PersonConfig,
-    PostureConfig, RobotConfig, Scenario, ScenarioError, SensorPreset,
+    CameraConfig, DoorConfig, FootprintConfig, FurnitureConfig, MarkerConfig, OdometryConfig,
+    PersonConfig, PostureConfig, RobotConfig, RouteConfig, Scenario, ScenarioError, SensorConfig,
+    SensorPreset,
 };
 use crate::world::TAGS;
 
@@ -202,7 +203,14 @@ impl Scenario {
         self.angle(&format!("{key}.start.heading_deg"), robot.start.heading_deg)?;
         self.number(&format!("{key}.radius_m"), robot.radius_m, 0.01..=10.0)?;
         self.number(&format!("{key}.height_m"), robot.height_m, 0.01..=self.room.height_m)?;
+        self.check_body(key, robot)?;
+        self.check_sensor(&format!("{key}.sensor"), &robot.sensor, robot.radius_m)?;
+        self.check_route(&format!("{key}.route"), &robot.route)?;
+        self.check_odometry(&format!("{key}.odometry"), &robot.odometry)
+    }
 
+    /// The box and the identifier on it.
+    fn check_body(&self, key: &str, robot: &RobotConfig) -> Result<(), ScenarioError> {
         if let Some(sides) = robot.box_m {
             for side in sides {
                 self.number(&format!("{key}.box_m"), side, 0.01..=2.0 * robot.radius_m)?;
@@ -223,12 +231,18 @@ impl Scenario {
             let problem = format!("is {id}; give a number from 0 to {}", TAGS - 1);
             return Err(self.invalid(format!("{key}.tag_id"), problem));
         }
-        self.angle(&format!("{key}.identifier_askew_deg"), robot.identifier_askew_deg)?;
+        self.angle(&format!("{key}.identifier_askew_deg"), robot.identifier_askew_deg)
+    }
 
-        let sensor = &robot.sensor;
-        let key_of = |name: &str| format!("{key}.sensor.{name}");
-        self.number(&key_of("x_m"), sensor.x_m, -robot.radius_m..=robot.radius_m)?;
-        self.number(&key_of("y_m"), sensor.y_m, -robot.radius_m..=robot.radius_m)?;
+    fn check_sensor(
+        &self,
+        key: &str,
+        sensor: &SensorConfig,
+        robot_radius_m: f64,
+    ) -> Result<(), ScenarioError> {
+        let key_of = |name: &str| format!("{key}.{name}");
+        self.number(&key_of("x_m"), sensor.x_m, -robot_radius_m..=robot_radius_m)?;
+        self.number(&key_of("y_m"), sensor.y_m, -robot_radius_m..=robot_radius_m)?;
         self.number(&key_of("height_m"), sensor.height_m, 0.0..=self.room.height_m)?;
         self.angle(&key_of("heading_deg"), sensor.heading_deg)?;
         self.angle(&key_of("askew_deg"), sensor.askew_deg)?;
@@ -243,17 +257,19 @@ impl Scenario {
         self.number(&key_of("min_range_m"), sensor.min_range_m, 0.0..=sensor.max_range_m)?;
         self.number(&key_of("rate_hz"), sensor.rate_hz, 0.01..=100.0)?;
         self.number(&key_of("noise_m"), sensor.noise_m, 0.0..=10.0)?;
-        self.number(&key_of("noise_ratio"), sensor.noise_ratio, 0.0..=1.0)?;
+        self.number(&key_of("noise_ratio"), sensor.noise_ratio, 0.0..=1.0)
+    }
 
-        let route = &robot.route;
-        let key_of = |name: &str| format!("{key}.route.{name}");
+    fn check_route(&self, key: &str, route: &RouteConfig) -> Result<(), ScenarioError> {
+        let key_of = |name: &str| format!("{key}.{name}");
         self.points(&key_of("waypoints_m"), &route.waypoints_m)?;
         self.number(&key_of("speed_m_s"), route.speed_m_s, 0.001..=10.0)?;
         self.number(&key_of("acceleration_m_s2"), route.acceleration_m_s2, 0.01..=100.0)?;
-        self.number(&key_of("turn_rate_deg_s"), route.turn_rate_deg_s, 0.1..=3600.0)?;
+        self.number(&key_of("turn_rate_deg_s"), route.turn_rate_deg_s, 0.1..=3600.0)
+    }
 
-        let odometry = &robot.odometry;
-        let key_of = |name: &str| format!("{key}.odometry.{name}");
+    fn check_odometry(&self, key: &str, odometry: &OdometryConfig) -> Result<(), ScenarioError> {
+        let key_of = |name: &str| format!("{key}.{name}");
         self.number(&key_of("slip"), odometry.slip, -0.9..=10.0)?;
         self.number(&key_of("turn_slip"), odometry.turn_slip, -0.9..=10.0)?;
         self.number(&key_of("drift_deg_per_m"), odometry.drift_deg_per_m, -360.0..=360.0)?;

@@ -8,7 +8,7 @@ use ubimap_protocol::{tile::Cell, units::RobotId};
 use super::{built_in, seconds, small_room, world};
 use crate::{
     camera::{Observation, Source},
-    world::{FootprintConfig, IdealCamera, Scenario, World, cameras::SeenRobot, route::Body},
+    world::{FootprintConfig, Scenario, World, ideal_camera::VisibleRobot, route::Body},
 };
 
 const ROOM: &str = "
@@ -70,10 +70,11 @@ fn is_in_picture(scenario: &Scenario, point: DVec3) -> bool {
 #[test]
 fn the_floor_in_view_is_what_small_steps_reach() {
     let scenario = small_room(ROOM);
-    let world = world(&scenario, 0);
+    let mut world = world(&scenario, 0);
     let eye = DVec3::from(scenario.cameras[0].position_m);
-    let views: BTreeMap<(i32, i32), Cell> =
-        world.cameras[0].camera.views().iter().map(|view| (view.cell, view.state)).collect();
+    let camera = world.cameras.cameras().next().unwrap();
+    let visible: BTreeMap<(i32, i32), Cell> =
+        camera.visible().iter().map(|it| (it.cell, it.state)).collect();
     let (mut free, mut occupied, mut blind) = (0, 0, 0);
     for (x, y) in (0..80).flat_map(|x| (0..60).map(move |y| (x, y))) {
         let centre = (DVec2::new(f64::from(x), f64::from(y)) + 0.5) * 0.05;
@@ -86,15 +87,15 @@ fn the_floor_in_view_is_what_small_steps_reach() {
         let floor = centre.extend(0.0);
         if stands == 0 {
             let expected = is_in_picture(&scenario, floor) && is_clear(&scenario, eye, floor);
-            assert_eq!(views.get(&(x, y)) == Some(&Cell::Free), expected, "floor {x}, {y}");
+            assert_eq!(visible.get(&(x, y)) == Some(&Cell::Free), expected, "floor {x}, {y}");
             *(if expected { &mut free } else { &mut blind }) += 1;
         } else if stands == 81 {
-            assert_ne!(views.get(&(x, y)), Some(&Cell::Free), "{x}, {y} is not free");
+            assert_ne!(visible.get(&(x, y)), Some(&Cell::Free), "{x}, {y} is not free");
             // The top of the box in its middle is open to the camera.
             let top = centre.extend(0.6);
             if holds(&scenario, top) && is_in_picture(&scenario, top) {
                 let expected = is_clear(&scenario, eye, top + DVec3::Z * 0.001);
-                assert!(!expected || views.get(&(x, y)) == Some(&Cell::Occupied), "top {x}, {y}");
+                assert!(!expected || visible.get(&(x, y)) == Some(&Cell::Occupied), "top {x}, {y}");
                 occupied += usize::from(expected);
             }
         }
@@ -104,14 +105,14 @@ fn the_floor_in_view_is_what_small_steps_reach() {
 
 #[test]
 fn what_overhangs_the_robots_hides_but_does_not_occupy() {
-    let world = world(&small_room(ROOM), 0);
+    let mut world = world(&small_room(ROOM), 0);
     let under_the_board = (64, 16);
     assert!(!world.covered(0).contains(&under_the_board));
     assert!(world.truth().free.contains(&under_the_board));
     // No cell of it is called occupied either.
     let board = |cell: &(i32, i32)| (43..73).contains(&cell.0) && (8..24).contains(&cell.1);
-    let views = world.cameras[0].camera.views();
-    assert!(views.iter().filter(|view| board(&view.cell)).all(|view| view.state == Cell::Free));
+    let visible = world.cameras.cameras().next().unwrap().visible();
+    assert!(visible.iter().filter(|it| board(&it.cell)).all(|it| it.state == Cell::Free));
 }
 
 /// All observations of the first seconds.
@@ -128,10 +129,10 @@ fn a_person_is_movable_and_casts_a_shadow() {
         waypoints_m = [[1.0, 1.0]]",
     )
     .people;
-    let cells = |scenario: &Scenario| -> BTreeMap<(i32, i32), Cell> {
-        observations(&mut world(scenario, 0), 0.2)[0].cells.iter().copied().collect()
-    };
-    let (without, with) = (cells(&empty), cells(&with_person));
+    let look = |scenario: &Scenario| observations(&mut world(scenario, 0), 0.2).remove(0);
+    let (empty, seen) = (look(&empty), look(&with_person));
+    let cells = |it: &Observation| it.cells.iter().copied().collect::<BTreeMap<_, _>>();
+    let (without, with) = (cells(&empty), cells(&seen));
     let eye = DVec2::new(0.1, 0.1);
     let mut shadow = 0;
     for (&(x, y), &state) in &without {
@@ -150,6 +151,8 @@ fn a_person_is_movable_and_casts_a_shadow() {
     let movable = with.values().filter(|&&state| state == Cell::Movable).count();
     // A disc of 0.2 m covers fifty cells, and touches some more.
     assert!((50..90).contains(&movable), "{movable}");
+    let [person] = &seen.things[..] else { panic!("{:?}", seen.things) };
+    assert_eq!((person.cells.len(), empty.things.len()), (movable, 0));
     assert!(shadow > 200, "{shadow}");
 }
 
@@ -188,7 +191,7 @@ fn a_localised_robot_is_no_obstacle_and_a_hidden_one_is_not_localised() {
 fn frames_come_at_their_rate_after_their_latency() {
     let mut world = built_in(1);
     let latency = 60_000;
-    let mut captured = vec![Vec::new(); world.cameras.len()];
+    let mut captured = vec![Vec::new(); world.cameras.cameras().count()];
     let mut with_cells = 0;
     let mut now = seconds(0.0);
     while let Some(next) = world.next_arrival().filter(|&next| next <= seconds(20.0)) {
@@ -228,16 +231,16 @@ fn shadows_are_what_small_steps_find() {
         for time in [0.0, 4.0, 9.5] {
             world.advance(seconds(time));
             let bodies = world.bodies(None, None);
-            let robots: Vec<SeenRobot> = world.robots().iter().map(SeenRobot::of).collect();
+            let robots: Vec<VisibleRobot> = world.robots().iter().map(VisibleRobot::of).collect();
             let people: Vec<Body> = bodies[robots.len()..].to_vec();
-            for IdealCamera { camera, .. } in &mut world.cameras {
+            for camera in world.cameras.cameras() {
                 let frame = camera.frame(&world.room, &robots, &people, true);
                 let listed: BTreeMap<(i32, i32), Cell> = frame.cells.into_iter().collect();
                 let eye = camera.position();
-                for view in camera.views() {
+                for seen in camera.visible() {
                     let steps = 1500;
                     let is_hidden = (0..=steps).any(|step| {
-                        let point = eye.lerp(view.target, f64::from(step) / f64::from(steps));
+                        let point = eye.lerp(seen.target, f64::from(step) / f64::from(steps));
                         bodies.iter().any(|body| {
                             point.z <= body.height
                                 && point.truncate().distance(body.centre) <= body.radius
@@ -245,18 +248,18 @@ fn shadows_are_what_small_steps_find() {
                     });
                     hidden_cells += usize::from(is_hidden);
                     // Small steps may miss a grazed edge; and a body hides what it touches.
-                    let is_listed = listed.get(&view.cell) == Some(&view.state);
-                    assert!(!(is_hidden && is_listed), "{:?} is hidden", view.cell);
+                    let is_listed = listed.get(&seen.cell) == Some(&seen.state);
+                    assert!(!(is_hidden && is_listed), "{:?} is hidden", seen.cell);
                     if !is_hidden && !is_listed {
                         let grazes = bodies.iter().any(|body| {
                             (0..=steps).any(|step| {
                                 let part = f64::from(step) / f64::from(steps);
-                                let point = eye.lerp(view.target, part);
+                                let point = eye.lerp(seen.target, part);
                                 point.z <= body.height + 0.01
                                     && point.truncate().distance(body.centre) <= body.radius + 0.04
                             })
                         });
-                        assert!(grazes, "{:?} is in sight", view.cell);
+                        assert!(grazes, "{:?} is in sight", seen.cell);
                     }
                 }
             }

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use libm::{cos, sin};
 use parry2d_f64::glamx::DVec2;
 
-use super::{super::room::Cells, built_in, seconds};
+use super::{super::room::CellGrid, built_in, seconds};
 use crate::{camera::Source, world::Scenario};
 
 #[test]
@@ -49,5 +49,5 @@ fn cameras_and_robots_together_see_the_room() {
 }
 
 fn cell_at(point: DVec2) -> (i32, i32) {
-    Cells { first: (0, 0), columns: 0, rows: 0, side: 0.05 }.cell_at(point)
+    CellGrid { first: (0, 0), columns: 0, rows: 0, side: 0.05 }.cell_at(point)
 }

@@ -107,6 +107,24 @@ fn depth_is_as_noisy_as_a_stereo_camera_of_that_baseline() {
 }
 
 #[test]
+fn the_calibration_states_the_noise_of_the_depths() {
+    for (baseline_m, noise_px) in [(0.05, 0.08), (0.05, 0.24), (0.095, 0.04)] {
+        let mut scenario = small_room(ABOVE);
+        let depth = &mut scenario.cameras[0].depth;
+        (depth.baseline_m, depth.noise_px) = (baseline_m, noise_px);
+        let mut camera = camera(&scenario, 0);
+        let (image, _) = camera.take(&scene_of(&world(&scenario, 1)), &mut dice(9)).unwrap();
+        let measured = image.pixels().filter(|pixel| pixel.0[0] > 0);
+        let squares: Vec<f64> =
+            measured.map(|pixel| (f64::from(pixel.0[0]) / 1000.0 - 2.5).powi(2)).collect();
+        let found = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+        let stated = camera.calibration().depth_noise.sigma_m(2.5);
+        // The millimetre for rounding is more than the rounding.
+        assert!((0.0..0.001).contains(&(stated - found)), "{stated} m stated, {found} m found");
+    }
+}
+
+#[test]
 fn what_stands_out_casts_a_shadow_to_its_left_where_there_is_no_depth() {
     let mut scenario = small_room(&format!(
         "[[furniture]]

@@ -15,83 +15,89 @@ fn complaint(from: &str, to: &str) -> String {
     }
 }
 
+/// The start and the first stop of the first robot.
+const START: &str = "start = { x_m = 5.6, y_m = 3.4, heading_deg = -90.0 }";
+const ROUTE: &str = "[[5.6, 1.6], [7.4, 1.6]";
+
+/// Numbers that can't be. Each change of the scenario makes one mistake: the text that is replaced, its
+/// replacement, and a part of the complaint.
+const NUMBERS: &[(&str, &str, &str)] = &[
+    ("duration_s = 120.0", "duration_s = nan", "duration_s is NaN"),
+    ("duration_s = 120.0", "duration_s = -1.0", "duration_s is -1"),
+    ("id = 2", "id = 1", "robots[1].id is 1"),
+    ("id = 2", "id = 2\nsensor.rate_hz = 0.0", "robots[1].sensor.rate_hz is 0"),
+    ("id = 2", "id = 2\nsensor.beams = 1", "robots[1].sensor.beams is 1"),
+    ("id = 2", "id = 2\nsensor.max_range_m = inf", "robots[1].sensor.max_range_m is inf"),
+    ("position_noise_m = 0.005", "position_noise_m = -0.1", "cameras[0].position_noise_m is -0.1"),
+    ("[[cameras]]", "[[cameras]]\nheading_deg = 0.0", "cameras[0] needs either look_at_m"),
+    ("[[cameras]]", "[[cameras]]\nrate_hz = 0.0", "cameras[0].rate_hz is 0"),
+    ("height_m = 3.0", "height_m = nan", "room.height_m is NaN"),
+    ("[[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]]", "[]", "room.outline_m needs"),
+    ("top_m = 1.9", "top_m = 0.0", "furniture[0].top_m is not above"),
+    (
+        "[0.05, 7.1], [0.9, 7.95]]",
+        "[0.9, 7.95], [0.3, 7.9], [0.05, 7.1]]",
+        "furniture[7].footprint.polygon.points_m is not a convex",
+    ),
+];
+
+/// Places that are taken or out of reach.
+const PLACES: &[(&str, &str, &str)] = &[
+    (
+        START,
+        "start = { x_m = 6.6, y_m = 0.5 }",
+        "robots[0].start is in or too near to room.walls[0]",
+    ),
+    (
+        START,
+        "start = { x_m = 2.3, y_m = 1.7 }",
+        "robots[0].start is in or too near to furniture[0]",
+    ),
+    (START, "start = { x_m = 12.0, y_m = 3.0 }", "robots[0].start is outside of the room"),
+    (
+        START,
+        "start = { x_m = 4.4, y_m = 2.7 }",
+        "robots[1].start touches who stands at robots[0].start",
+    ),
+    (
+        ROUTE,
+        "[[6.6, 0.5], [7.4, 1.6]",
+        "robots[0].route.waypoints_m[0] is in or too near to room.walls[0]",
+    ),
+    (
+        ROUTE,
+        "[[5.6, 0.6], [7.4, 0.6]",
+        "robots[0].route.waypoints_m[1] can't be reached from robots[0].route.waypoints_m[0]: the way touches room.walls[0]",
+    ),
+    (ROUTE, "[[5.6, nan], [7.4, 1.6]", "robots[0].route.waypoints_m[0] is NaN"),
+    (
+        "position_m = [0.2, 4.2, 2.8]",
+        "position_m = [-0.2, 4.2, 2.8]",
+        "cameras[0].position_m is outside",
+    ),
+    (
+        "position_m = [0.2, 4.2, 2.8]",
+        "position_m = [6.9, 4.6, 2.8]",
+        "cameras[0].position_m is inside a wall",
+    ),
+    (
+        "[[2.2, 4.9], ",
+        "[[0.45, 4.4], ",
+        "people[0].waypoints_m[0] is in or too near to furniture[6]",
+    ),
+];
+
+/// What is no scenario at all.
+const WORDS: &[(&str, &str, &str)] = &[
+    ("duration_s = 120.0", "duration_s = \"long\"", "line 7: invalid type"),
+    ("duration_s = 120.0", "duration_min = 2.0", "line 7: unknown field `duration_min`"),
+    ("duration_s = 120.0", "duration_s = ", "line 7: "),
+    ("id = 3", "id = 70000", "invalid value"),
+];
+
 #[test]
 fn every_mistake_is_one_line_with_file_and_key() {
-    let robot_1 = "start = { x_m = 5.6, y_m = 3.4, heading_deg = -90.0 }";
-    let first_route = "[[5.6, 1.6], [7.4, 1.6]";
-    let cases = [
-        // Numbers.
-        ("duration_s = 120.0", "duration_s = nan", "duration_s is NaN"),
-        ("duration_s = 120.0", "duration_s = -1.0", "duration_s is -1"),
-        ("id = 2", "id = 1", "robots[1].id is 1"),
-        ("id = 2", "id = 2\nsensor.rate_hz = 0.0", "robots[1].sensor.rate_hz is 0"),
-        ("id = 2", "id = 2\nsensor.beams = 1", "robots[1].sensor.beams is 1"),
-        ("id = 2", "id = 2\nsensor.max_range_m = inf", "robots[1].sensor.max_range_m is inf"),
-        (
-            "position_noise_m = 0.005",
-            "position_noise_m = -0.1",
-            "cameras[0].position_noise_m is -0.1",
-        ),
-        ("[[cameras]]", "[[cameras]]\nheading_deg = 0.0", "cameras[0] needs either look_at_m"),
-        ("[[cameras]]", "[[cameras]]\nrate_hz = 0.0", "cameras[0].rate_hz is 0"),
-        ("height_m = 3.0", "height_m = nan", "room.height_m is NaN"),
-        ("[[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]]", "[]", "room.outline_m needs"),
-        ("top_m = 1.9", "top_m = 0.0", "furniture[0].top_m is not above"),
-        (
-            "[0.05, 7.1], [0.9, 7.95]]",
-            "[0.9, 7.95], [0.3, 7.9], [0.05, 7.1]]",
-            "furniture[7].footprint.polygon.points_m is not a convex",
-        ),
-        // Places.
-        (
-            robot_1,
-            "start = { x_m = 6.6, y_m = 0.5 }",
-            "robots[0].start is in or too near to room.walls[0]",
-        ),
-        (
-            robot_1,
-            "start = { x_m = 2.3, y_m = 1.7 }",
-            "robots[0].start is in or too near to furniture[0]",
-        ),
-        (robot_1, "start = { x_m = 12.0, y_m = 3.0 }", "robots[0].start is outside of the room"),
-        (
-            robot_1,
-            "start = { x_m = 4.4, y_m = 2.7 }",
-            "robots[1].start touches who stands at robots[0].start",
-        ),
-        (
-            first_route,
-            "[[6.6, 0.5], [7.4, 1.6]",
-            "robots[0].route.waypoints_m[0] is in or too near to room.walls[0]",
-        ),
-        (
-            first_route,
-            "[[5.6, 0.6], [7.4, 0.6]",
-            "robots[0].route.waypoints_m[1] can't be reached from robots[0].route.waypoints_m[0]: the way touches room.walls[0]",
-        ),
-        (first_route, "[[5.6, nan], [7.4, 1.6]", "robots[0].route.waypoints_m[0] is NaN"),
-        (
-            "position_m = [0.2, 4.2, 2.8]",
-            "position_m = [-0.2, 4.2, 2.8]",
-            "cameras[0].position_m is outside",
-        ),
-        (
-            "position_m = [0.2, 4.2, 2.8]",
-            "position_m = [6.9, 4.6, 2.8]",
-            "cameras[0].position_m is inside a wall",
-        ),
-        (
-            "[[2.2, 4.9], ",
-            "[[0.45, 4.4], ",
-            "people[0].waypoints_m[0] is in or too near to furniture[6]",
-        ),
-        // Words.
-        ("duration_s = 120.0", "duration_s = \"long\"", "line 7: invalid type"),
-        ("duration_s = 120.0", "duration_min = 2.0", "line 7: unknown field `duration_min`"),
-        ("duration_s = 120.0", "duration_s = ", "line 7: "),
-        ("id = 3", "id = 70000", "invalid value"),
-    ];
-    for (from, to, expected) in cases {
+    for &(from, to, expected) in [NUMBERS, PLACES, WORDS].into_iter().flatten() {
         let said = complaint(from, to);
         assert!(said.starts_with("hall.toml"), "{said}");
         assert!(said.contains(expected), "for {to}: {said}");

@@ -62,7 +62,7 @@ fn measure(lens: &Lens, poses: impl Iterator<Item = [f64; 3]>) -> (Errors, Vec<f
     for (seed, pose) in (0..).zip(poses) {
         let plate = Plate::level(Paint::Tag(3), SIDE_M, HEIGHT_M, pose);
         let picture = render_grey(lens, &[plate], 5.0, seed);
-        let markers = detector.detect(&picture, Window::all(&picture));
+        let markers = detector.detect(&picture, ImageRegion::all(&picture));
         let [marker] = &markers[..] else { panic!("{pose:?}: {markers:?}") };
         assert_eq!(marker.identifier, Identifier::Tag(3));
         let found = locate(lens, marker, &mount.points(marker.identifier), HEIGHT_M).unwrap();

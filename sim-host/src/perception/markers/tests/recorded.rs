@@ -11,7 +11,7 @@ type Tag = (u16, Vec<[f64; 2]>);
 /// The tags in a picture.
 fn detected(path: &std::path::Path) -> Vec<Tag> {
     let picture = Picture::Colour(image::open(path).unwrap().to_rgb8());
-    let markers = TagDetector::default().detect(&picture, Window::all(&picture));
+    let markers = TagDetector::default().detect(&picture, ImageRegion::all(&picture));
     let tag = |marker: Marker| match marker.identifier {
         Identifier::Tag(number) => (number, marker.points),
         Identifier::Colours { .. } => panic!("a tag detector"),

@@ -91,11 +91,10 @@ impl Floor {
         };
         let bodies = starts.iter().map(body).collect();
         let settings = Settings {
-            resolution: Millimetres(50),
             view_m: 2.0,
             range_m: RANGE_M,
             look: Duration::from_millis(1_500),
-            first_path: 1,
+            ..Settings::default()
         };
         let mut floor = Self {
             plan,

@@ -1,13 +1,13 @@
 //! Floor plans, and the layers and the ground that are drawn from them.
 
-use ubimap_protocol::{
-    tile::{Cell, TILE_SIDE, Tile, TileId},
-    units::Millimetres,
-};
+use ubimap_protocol::tile::{Cell, TILE_SIDE, Tile, TileId};
 
 use crate::{
     mapping::ServedLayer,
-    server::coordination::ground::{Ground, Point},
+    server::coordination::{
+        ground::{Ground, Point},
+        settings::Settings,
+    },
 };
 
 pub(in crate::server::coordination) const SIDE_M: f64 = 0.05;
@@ -99,5 +99,5 @@ pub(in crate::server::coordination) fn drawn(
     let mut fused = ServedLayer::default();
     let seen = plan.places().filter(|it| !hides(middle(*it).x, middle(*it).y));
     set(&mut fused, seen.map(|it| (it, plan.cell(middle(it)))));
-    Ground::survey(&fused, &ServedLayer::default(), Millimetres(50), &[]).unwrap()
+    Ground::survey(&fused, &ServedLayer::default(), &[], &Settings::default()).unwrap()
 }

@@ -1,0 +1,463 @@
+//! The ground around the robot as planes of cells: where its centre may be, what is costly to cross,
+//! and where unmapped blind ground begins.
+
+use ubimap_protocol::{
+    message::Waypoint,
+    tile::{Row, TILE_SIDE},
+    units::{Millimetres, Pose},
+};
+
+use super::{
+    near::NearPoints,
+    plane::{Place, Plane, SIDE},
+    root::root,
+};
+use crate::trigonometry::{radians, sin_cos};
+
+/// The coarsest window: cells of four by four of the map's, 256 along a side.
+pub const MAX_LEVEL: u32 = 2;
+
+/// 32 cells of a row of the map: a row of a tile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct GroundRow {
+    /// What is known of them.
+    pub cells: Row,
+    /// Those that the cameras see.
+    pub covered: u32,
+}
+
+/// Something round that is not on the map, or moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mover {
+    /// Its middle, in `map`.
+    pub x: Millimetres,
+    /// Its middle, in `map`.
+    pub y: Millimetres,
+    /// Along `map`'s x, in millimetres a second.
+    pub velocity_x: i16,
+    /// Along `map`'s y, in millimetres a second.
+    pub velocity_y: i16,
+    /// In millimetres.
+    pub radius: u16,
+    /// Whether it is a person, who is waited for.
+    pub is_person: bool,
+}
+
+impl Mover {
+    /// Slower than this it stands, in millimetres a second.
+    const STANDS: u16 = 100;
+
+    /// Whether it stands.
+    pub fn stands(&self) -> bool {
+        self.velocity_x.unsigned_abs() < Self::STANDS
+            && self.velocity_y.unsigned_abs() < Self::STANDS
+    }
+}
+
+/// What a straight line crosses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Line {
+    /// Free cells, so many of which are dear.
+    Clear {
+        /// How many.
+        dear: u32,
+    },
+    /// Something else.
+    Blocked,
+    /// Free cells as far as the rim of the window, which this is the last one before.
+    Leaves(Place),
+}
+
+/// Blind ground that could not be seen from where it should have been: it is passed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GivenUp {
+    /// From where, in `map`.
+    pub at: Waypoint,
+    /// How far about it, in millimetres.
+    pub reach: u16,
+}
+
+/// The inputs of [`PlanningWindow::fill`].
+#[derive(Clone, Copy, Debug)]
+pub struct WindowInputs<'v> {
+    /// `base_link` in `map`: the window lies about it.
+    pub pose: Pose,
+    /// The side of the map's cells.
+    pub resolution: Millimetres,
+    /// The window's cells are 2 to the power of this times as wide, [`MAX_LEVEL`] at the most.
+    pub level: u32,
+    /// The circle that the robot needs, in millimetres.
+    pub radius: u16,
+    /// What its own sensor sees: occupied, map or no map.
+    pub near: &'v NearPoints,
+    /// What the cameras see. What stands is occupied; what moves is not.
+    pub movers: &'v [Mover],
+    /// Where blind ground has turned out to be out of sight.
+    pub given_up: &'v [GivenUp],
+    /// Whether ground that the cameras see is worth exploring, too.
+    pub explore_covered: bool,
+}
+
+/// 64 x 64 cells about the robot (1.5 KiB). The outermost are never entered.
+#[derive(Clone, Debug)]
+pub struct PlanningWindow {
+    /// Where the robot's middle may be: known, and at level 0 every point of such a cell is further
+    /// from everything occupied than its radius. In coarser windows, whose walls are as thick as
+    /// their cells, this holds for the middle: they are for finding a way, not for driving it.
+    pub free: Plane,
+    /// Of those, where something movable stood when it was last seen.
+    pub dear: Plane,
+    /// Whether there is any.
+    pub(super) has_dear: bool,
+    /// Of those, from where unmapped blind ground is near.
+    pub frontier: Plane,
+    /// The south-western corner in `map`, in millimetres.
+    corner: (i32, i32),
+    /// The side of a cell in millimetres.
+    cell: i32,
+}
+
+impl Default for PlanningWindow {
+    fn default() -> Self {
+        let [free, dear, frontier] = [Plane::EMPTY; 3];
+        Self { free, dear, frontier, has_dear: false, corner: (0, 0), cell: 1 }
+    }
+}
+
+impl PlanningWindow {
+    /// Looks at the map. `ground` gives, for a column of tiles and a row of cells of the map, 32
+    /// cells. Takes 1 KiB of stack.
+    pub fn fill(&mut self, view: &WindowInputs<'_>, ground: impl Fn(i32, i32) -> GroundRow) {
+        let level = view.level.min(MAX_LEVEL);
+        let resolution = view.resolution.0.max(1);
+        self.cell = resolution.saturating_mul(1 << level);
+        let corner =
+            |middle: Millimetres| middle.0.div_euclid(self.cell).saturating_sub(SIDE as i32 / 2);
+        let (west, south) = (corner(view.pose.x), corner(view.pose.y));
+        self.corner = (west.saturating_mul(self.cell), south.saturating_mul(self.cell));
+        let mut occupied = Plane::EMPTY;
+        self.read((west, south), level, &ground, view.explore_covered, &mut occupied);
+        self.clear_under(view, &mut occupied);
+        let standing = view.movers.iter().filter(|mover| mover.stands());
+        for mover in standing {
+            disc(self.relative(mover.x, mover.y), mover.radius.into(), self.cell, |y, cells| {
+                *occupied.row_mut(y) |= cells;
+            });
+        }
+        let to_window = self.of_robot(view.pose);
+        for &(x, y) in view.near.points() {
+            if let Some(place) = to_window(x, y) {
+                occupied.insert(place);
+            }
+        }
+        self.bound_frontier(view, &occupied);
+        self.inflate(view.radius, level, &occupied);
+    }
+
+    /// Reads the map: free, movable (into `dear`), blind and unknown (into `frontier`), occupied.
+    fn read(
+        &mut self,
+        (west, south): (i32, i32),
+        level: u32,
+        ground: &impl Fn(i32, i32) -> GroundRow,
+        explore_covered: bool,
+        occupied: &mut Plane,
+    ) {
+        let first = west.saturating_mul(1 << level);
+        let column = first.div_euclid(TILE_SIDE as i32);
+        let columns = (2 << level) + 1;
+        for y in 0..SIDE {
+            let (mut free, mut movable, mut settled, mut fixed) = (0, 0, 0, 0);
+            let row = south.saturating_add(y as i32).saturating_mul(1 << level);
+            for row in row..row.saturating_add(1 << level) {
+                for column in column..column.saturating_add(columns) {
+                    let GroundRow { cells: Row { low, high }, covered } = ground(column, row);
+                    let east = column.saturating_mul(TILE_SIDE as i32).saturating_sub(first);
+                    let at = |cells| shifted(squeezed(cells, level), east >> level);
+                    free |= at(low & !high);
+                    movable |= at(low & high);
+                    fixed |= at(high & !low);
+                    let seen = if explore_covered { 0 } else { covered };
+                    settled |= at(low | high | seen);
+                }
+            }
+            *self.free.row_mut(y) = free | movable;
+            *self.dear.row_mut(y) = movable;
+            *self.frontier.row_mut(y) = !settled;
+            *occupied.row_mut(y) = fixed;
+        }
+    }
+
+    /// Where the robot stands nothing else does.
+    fn clear_under(&mut self, view: &WindowInputs<'_>, occupied: &mut Plane) {
+        let Pose { x, y, .. } = view.pose;
+        disc(self.relative(x, y), view.radius.into(), self.cell, |y, cells| {
+            *self.free.row_mut(y) |= cells;
+            *self.dear.row_mut(y) &= !cells;
+            *self.frontier.row_mut(y) &= !cells;
+            *occupied.row_mut(y) &= !cells;
+        });
+    }
+
+    /// From the blind cells to those from where they are near, which takes in how far the robot
+    /// must stay away from a wall. It goes round walls, not through them.
+    fn bound_frontier(&mut self, view: &WindowInputs<'_>, occupied: &Plane) {
+        let mut open = self.free;
+        for y in 0..SIDE {
+            *open.row_mut(y) &= !occupied.row(y);
+        }
+        self.frontier.grow(&open, false);
+        for GivenUp { at, reach } in view.given_up {
+            disc(self.relative(at.x, at.y), i32::from(*reach), self.cell, |y, cells| {
+                *self.frontier.row_mut(y) &= !cells;
+            });
+        }
+        for step in 0..frontier_steps(view.radius, self.cell) {
+            self.frontier.grow(&open, step % 2 == 1);
+        }
+    }
+
+    /// Keeps the robot's middle so far from everything occupied that it has room.
+    fn inflate(&mut self, radius: u16, level: u32, occupied: &Plane) {
+        let mut near = Plane::EMPTY;
+        // A finer window will know better than a coarse one, whose walls are thick already.
+        let diagonal = if level == 0 { (i64::from(self.cell) * 1_448) >> 10 } else { 0 };
+        let reach = 2 * i64::from(radius) + diagonal;
+        inflate(occupied, reach, self.cell, &mut near);
+        for y in 0..SIDE {
+            let inner = if (1..SIDE - 1).contains(&y) { Plane::INNER } else { 0 };
+            *self.free.row_mut(y) &= !near.row(y) & inner;
+        }
+        if !self.dear.is_empty() {
+            near = Plane::EMPTY;
+            inflate(&self.dear, reach, self.cell, &mut near);
+            self.dear = near;
+        }
+        for y in 0..SIDE {
+            let free = self.free.row(y);
+            *self.dear.row_mut(y) &= free;
+            *self.frontier.row_mut(y) &= free;
+        }
+        self.has_dear = !self.dear.is_empty();
+    }
+
+    /// From the south-western corner, in millimetres.
+    fn relative(&self, x: Millimetres, y: Millimetres) -> (f32, f32) {
+        (x.0.saturating_sub(self.corner.0) as f32, y.0.saturating_sub(self.corner.1) as f32)
+    }
+
+    /// The cell of a point in `map`, counted from the corner; the point may be outside.
+    pub fn column_and_row(&self, point: Waypoint) -> (i32, i32) {
+        let along = |it: i32, corner: i32| it.saturating_sub(corner).div_euclid(self.cell.max(1));
+        (along(point.x.0, self.corner.0), along(point.y.0, self.corner.1))
+    }
+
+    /// The cell of a point in `map`, if it is within the window.
+    pub fn place(&self, point: Waypoint) -> Option<Place> {
+        let (x, y) = self.column_and_row(point);
+        Place::new(x, y)
+    }
+
+    /// From forward and left of a robot to the cell there.
+    pub(super) fn of_robot(&self, pose: Pose) -> impl Fn(f32, f32) -> Option<Place> + use<> {
+        let cells = 1.0 / self.cell as f32;
+        let (sin, cos) = sin_cos(radians(pose.heading));
+        let (sin, cos) = (sin * cells, cos * cells);
+        let (from_x, from_y) = self.relative(pose.x, pose.y);
+        let (from_x, from_y) = (from_x * cells, from_y * cells);
+        move |forward, left| {
+            let x = from_x + forward * cos - left * sin;
+            let y = from_y + forward * sin + left * cos;
+            // What is just outside lands on the rim, which is never free.
+            Place::new(x as i32, y as i32)
+        }
+    }
+
+    /// The middle of a cell in `map`.
+    pub fn middle(&self, place: Place) -> Waypoint {
+        let along = |corner: i32, at: u8| {
+            Millimetres(corner.saturating_add(i32::from(at) * self.cell + self.cell / 2))
+        };
+        Waypoint { x: along(self.corner.0, place.x), y: along(self.corner.1, place.y) }
+    }
+
+    /// The side of a cell in millimetres.
+    pub fn cell(&self) -> i32 {
+        self.cell
+    }
+
+    /// The free cell that is nearest to one within a few cells, itself if it is free.
+    pub(super) fn nearest_free(&self, to: Place) -> Option<Place> {
+        /// Further away than the pose and the map err.
+        const REACH: i32 = 6;
+        let (x, y) = to.column_and_row();
+        let about = (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dx, dy)));
+        let free = about.filter_map(|(dx, dy)| {
+            let place = Place::new(x + dx, y + dy).filter(|&it| self.free.has(it))?;
+            Some((dx * dx + dy * dy, place))
+        });
+        free.min_by_key(|&(square, _)| square).map(|(_, place)| place)
+    }
+
+    /// Whether the straight line between two cells' middles touches free cells only. About 20 instructions a cell.
+    pub fn sees(&self, from: Place, to: Place) -> bool {
+        matches!(self.line(from, to.column_and_row()), Line::Clear { .. })
+    }
+
+    /// What the straight line from a cell, itself not counted, to another crosses; the other may
+    /// be outside.
+    #[inline(never)]
+    pub(super) fn line(&self, from: Place, to: (i32, i32)) -> Line {
+        let (across, up) = (to.0 - i32::from(from.x), to.1 - i32::from(from.y));
+        // Most lines that are blocked are so at one of three points.
+        if Place::new(to.0, to.1).is_some() {
+            for quarters in [2, 1, 3] {
+                let along = |from: u8, way| (i32::from(from) + ((quarters * way + 2) >> 2)) as u8;
+                let place = Place { x: along(from.x, across), y: along(from.y, up) };
+                if !self.free.has(place) {
+                    return Line::Blocked;
+                }
+            }
+        }
+        let (east, step_y) = (across > 0, up.signum());
+        let (across, up) = (across.abs(), up.abs());
+        let mut cell = 1u64 << (from.x % 64);
+        let mut y = i32::from(from.y);
+        let mut row = self.free.row(from.y.into());
+        // Twice the ways to the next sides, each times the other's length: how much further the
+        // next column is.
+        let mut ahead = up - across;
+        let mut left = across + up;
+        let mut dear = 0;
+        while left > 0 {
+            let side = ahead;
+            if side <= 0 {
+                cell = if east { cell << 1 } else { cell >> 1 };
+                ahead += 2 * up;
+                left -= 1;
+            }
+            if side >= 0 {
+                y += step_y;
+                row = self.free.row(y as usize);
+                ahead -= 2 * across;
+                left -= 1;
+            }
+            // Through a corner between four: the two beside it, too.
+            let beside = side == 0 && {
+                let last = if east { cell >> 1 } else { cell << 1 };
+                row & last == 0 || self.free.row((y - step_y) as usize) & cell == 0
+            };
+            // The rim is never free: a line that leaves ends there.
+            if row & cell == 0 || beside {
+                let x = cell.trailing_zeros() as i32;
+                let rim = |it: i32| it == 0 || it == SIDE as i32 - 1;
+                if !rim(x) && !rim(y) {
+                    return Line::Blocked;
+                }
+                let last_x =
+                    if side > 0 { x } else { x - across.min(1) * if east { 1 } else { -1 } };
+                let last_y = if side < 0 { y } else { y - step_y };
+                return Place::new(last_x, last_y).map_or(Line::Blocked, Line::Leaves);
+            }
+            if self.has_dear && self.dear.row(y as usize) & cell != 0 {
+                dear += 1;
+            }
+        }
+        Line::Clear { dear }
+    }
+
+    /// Whether a straight line between two points of `map` crosses free cells only. What is
+    /// outside the window is not known to be otherwise.
+    pub fn is_clear(&self, from: Waypoint, to: Waypoint) -> bool {
+        match (self.place(from), self.place(to)) {
+            (Some(from), Some(to)) => self.sees(from, to),
+            (Some(from), None) => self.free.has(from),
+            _ => true,
+        }
+    }
+}
+
+/// How far about a cell of the frontier the ground is given up if it can't be seen from there, in
+/// millimetres.
+pub(super) fn frontier_reach(radius: u16, cell: i32) -> u16 {
+    let cells = frontier_steps(radius, cell) + 2;
+    u16::try_from(cells.saturating_mul(cell)).unwrap_or(u16::MAX)
+}
+
+/// From how many cells away a frontier is near: the robot can be there, whatever wall is beside it.
+fn frontier_steps(radius: u16, cell: i32) -> i32 {
+    (i32::from(radius) / cell.max(1) + 2).min(SIDE as i32)
+}
+
+/// 32 bits with each 2 or 4 neighbours made one.
+fn squeezed(mut cells: u32, level: u32) -> u32 {
+    for _ in 0..level {
+        cells = (cells | cells >> 1) & 0x5555_5555;
+        cells = (cells | cells >> 1) & 0x3333_3333;
+        cells = (cells | cells >> 2) & 0x0f0f_0f0f;
+        cells = (cells | cells >> 4) & 0x00ff_00ff;
+        cells = (cells | cells >> 8) & 0x0000_ffff;
+    }
+    cells
+}
+
+/// Cells that begin so many columns from the west, those that are within the window.
+fn shifted(cells: u32, east: i32) -> u64 {
+    let cells = u64::from(cells);
+    let by = east.unsigned_abs();
+    if east < 0 { cells.checked_shr(by) } else { cells.checked_shl(by) }.unwrap_or(0)
+}
+
+/// Gives the rows of a disc: the cells whose middles are in it.
+fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, u64)) {
+    let radius = radius as f32 / cell as f32;
+    let (x, y) = (x / cell as f32 - 0.5, y / cell as f32 - 0.5);
+    for row in 0..SIDE {
+        let aside = row as f32 - y;
+        let square = radius * radius - aside * aside;
+        if square < 0.0 {
+            continue;
+        }
+        let half = root(square);
+        let from = libm::ceilf(x - half).max(0.0) as u32;
+        let to = libm::floorf(x + half).min(SIDE as f32 - 1.0) as i32;
+        if to >= 0 && from <= to as u32 {
+            take(row, u64::MAX << (from % 64) & u64::MAX >> (63 - to as u32 % 64));
+        }
+    }
+}
+
+/// The most cells that an obstacle can grow.
+const MOST: usize = 24;
+
+/// Adds to `near` the cells whose middle is nearer to an occupied cell than half of `reach`.
+fn inflate(occupied: &Plane, reach: i64, cell: i32, near: &mut Plane) {
+    // All lengths doubled.
+    let gap = |cells: usize| (2 * cells as i64 - 1).max(0) * i64::from(cell);
+    // How far a cell reaches along the rows at so many rows from its own.
+    let widths: [u8; MOST + 1] = core::array::from_fn(|aside| {
+        let within = |along: &usize| gap(*along).pow(2) + gap(aside).pow(2) < reach.pow(2);
+        if within(&0) { 1 + (1..=MOST).take_while(within).count() as u8 } else { 0 }
+    });
+    for y in 0..SIDE {
+        let mut cells = occupied.row(y);
+        if cells == 0 {
+            continue;
+        }
+        let mut width = 1;
+        for (aside, &wanted) in widths.iter().enumerate().rev() {
+            while width < wanted {
+                cells |= cells << 1 | cells >> 1;
+                width += 1;
+            }
+            if wanted > 0 {
+                if y >= aside {
+                    *near.row_mut(y - aside) |= cells;
+                }
+                if y + aside < SIDE {
+                    *near.row_mut(y + aside) |= cells;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! The CRC-32 by which frames are sealed and tiles are compared.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+
+pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// The CRC-32 (ISO-HDLC) of these bytes, one part after another.
+pub fn crc32(parts: &[&[u8]]) -> u32 {
+    let mut digest = CRC.digest();
+    for part in parts {
+        digest.update(part);
+    }
+    digest.finalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_crc_is_the_catalogues() {
+        assert_eq!(crc32(&[b"123456789"]), 0xCBF4_3926);
+    }
+}

@@ -1,0 +1,79 @@
+//! Message bodies that travel in both directions.
+
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+
+use super::direction::{Body, Traffic};
+use crate::tile::{Layer, Stamp, TileId};
+
+/// Acknowledges reliable frames. Kind 0 in both directions.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ack {
+    /// All reliable frames before this sequence number have arrived.
+    pub next: u16,
+    /// Bit `i` set: the frame `next + 1 + i` has arrived as well.
+    pub later: u32,
+}
+
+impl<D: Traffic> Body<D> for Ack {
+    const KIND: D::Kind = D::ACK;
+}
+
+/// The fixed part of a tile update. The coded tiles follow it in the body
+/// ([`TileEncoder`](crate::tile::TileEncoder)).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TileUpdateHead {
+    /// The layer that the tiles belong to.
+    pub layer: Layer,
+    /// When the newest scan in them was taken: whole seconds of the server's clock; for the
+    /// server's layers, the map time.
+    pub seconds: u32,
+}
+
+/// The most tiles in one [`Digests`].
+pub const MAX_DIGESTS: usize = 8;
+
+/// The states of a few tiles of a layer at its writer. A receiver that holds an older state, or
+/// other cells, asks for the tile with a [`Request`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Digests {
+    /// The layer.
+    pub layer: Layer,
+    /// The tiles.
+    pub tiles: Vec<TileDigest, MAX_DIGESTS>,
+}
+
+/// The state of one tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TileDigest {
+    /// Which tile.
+    pub id: TileId,
+    /// Its state.
+    pub stamp: Stamp,
+    /// The hash of its cells ([`tile_hash`](crate::tile::tile_hash)).
+    pub hash: u32,
+}
+
+/// The most tiles that one [`Request`] can name.
+pub const MAX_REQUESTS: usize = 8;
+
+/// Asks the writer of a layer for whole tiles: an update came for a base that is not held.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Request {
+    /// The layer of the tiles.
+    pub layer: Layer,
+    /// Which tiles; an empty list means all.
+    pub tiles: Vec<TileId, MAX_REQUESTS>,
+}
+
+/// The most parameters of a robot.
+pub const MAX_PARAMETERS: usize = 16;
+
+/// A parameter and its value; SPEC.md lists the parameters, their units and ranges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ParameterValue {
+    /// Which parameter.
+    pub parameter: u16,
+    /// Its value, in its unit.
+    pub value: i32,
+}

@@ -1,0 +1,409 @@
+//! Cameras, the server and what is kept of it, joined: everything that the simulated room, a
+//! recording and real ports drive alike, each with a clock of its own.
+//!
+//! | file | what |
+//! |---|---|
+//! | `config` | what a deployment is made of, and what its earlier lives have left |
+//! | [`registry`] | the robots, and what cameras know them by |
+//! | `keeping` | when what must not be lost goes to the disk |
+//! | `port` | the handles of ports |
+//! | `event`, `status` | what it tells, and how it fares |
+
+mod config;
+mod event;
+mod keeping;
+mod port;
+pub mod registry;
+mod status;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use ubimap_protocol::{
+    frame::MAX_FRAME,
+    link::Terms,
+    time::Instant,
+    units::{Millimetres, RobotId},
+};
+
+use self::keeping::Keeping;
+use crate::{
+    camera::{Frame, Observation, Sighting},
+    perception::{Observer, robots::RegistryError},
+    server::{Command, CommandError, Server, coordination::GoalError},
+};
+
+pub use config::{Config, Kept, Life};
+pub use event::Event;
+pub use keeping::Batch;
+pub use port::{PortClosed, PortId};
+pub use status::{CameraStatus, PortStatus, Status};
+
+/// Events that wait to be polled, at the most: then the oldest are dropped.
+const MOST_EVENTS: usize = 1_000;
+
+/// A deployment: perception, the server, and what is to be kept of it. It owns no clock, port,
+/// camera or file.
+///
+/// - In go frames ([`frame`](Self::frame)), observations that were made of frames elsewhere, as in
+///   a thread for each camera ([`observe`](Self::observe)), the bytes of ports
+///   ([`receive`](Self::receive)), and commands ([`command`](Self::command),
+///   [`goal`](Self::goal), [`explore`](Self::explore)).
+/// - Out come records to be kept ([`poll_store`](Self::poll_store)), bytes for ports
+///   ([`poll_transmit`](Self::poll_transmit)) and events ([`poll_event`](Self::poll_event)).
+///
+/// It follows the law of this [crate]: after every input drain the three outputs, then come
+/// back at [`poll_timeout`](Self::poll_timeout), call [`timeout`](Self::timeout) and drain again.
+/// Records are drained first: what is on disk is acknowledged in the frames that follow. A batch
+/// that was written comes back by [`stored`](Self::stored). One that could not be written comes
+/// back by [`store_failed`](Self::store_failed): nothing of it is acknowledged, it is handed out
+/// again after a second, and everything else goes on.
+///
+/// All moments that go in and come out are by the caller's clock, which must never run backwards
+/// and should begin near zero. The server's clock, which robots follow, goes on from life to life:
+/// [`server_time`](Self::server_time) and [`since_began`](Self::since_began) convert.
+///
+/// ```
+/// use ubimap_protocol::{
+///     frame::MAX_FRAME,
+///     tile::Cell,
+///     time::{Duration, Instant},
+///     units::{Millimetres, Pose, RobotId},
+/// };
+/// use ubimap_sim_host::{
+///     camera::{Observation, Sighting},
+///     deployment::{Config, Deployment, Life},
+/// };
+///
+/// let mut deployment = Deployment::new(Config::new(Millimetres(50)), Life::default())?;
+/// let port = deployment.open_port();
+/// let mut sent = 0;
+///
+/// // For a second a camera sees a robot, the floor, and a wall 2 m to the east, ten times.
+/// let code = |x| if x == 40 { Cell::Occupied } else { Cell::Free };
+/// let cells: Vec<_> = (30..=40).flat_map(|x| (0..20).map(move |y| ((x, y), code(x)))).collect();
+/// let mut now = Instant(0);
+/// for tenth in 0..10 {
+///     let frame = Instant(0) + Duration::from_millis(100 * tenth);
+///     // What is due before comes first.
+///     while let Some(due) = deployment.poll_timeout(now).filter(|due| *due < frame) {
+///         now = now.max(due);
+///         deployment.timeout(now);
+///         sent += drain(&mut deployment, now);
+///     }
+///     now = frame;
+///     let robot = Sighting::usual(RobotId(1), Pose::from_metres(0.5, 0.5, 0.0));
+///     deployment.observe(Observation {
+///         captured: frame,
+///         robots: vec![robot],
+///         cells: cells.clone(),
+///         ..Observation::default()
+///     });
+///     // Something that is no frame comes in at the port.
+///     deployment.receive(port, &[1, 2, 3, 0], now)?;
+///     sent += drain(&mut deployment, now);
+/// }
+///
+/// let occupied = deployment.server().fused().tiles().map(|(.., tile)| tile.counts().2);
+/// assert_eq!(occupied.sum::<u32>(), 20);
+/// assert_eq!(deployment.server().whereabouts(now).count(), 1);
+/// assert!(sent > 0, "whoever is at the port is told that it has no session");
+///
+/// /// Drains the outputs. Returns the bytes sent.
+/// fn drain(deployment: &mut Deployment, now: Instant) -> usize {
+///     while let Some(batch) = deployment.poll_store(now) {
+///         deployment.stored(batch); // once it is on disk
+///     }
+///     let (mut frame, mut sent) = ([0; MAX_FRAME], 0);
+///     while let Some((_port, len)) = deployment.poll_transmit(now, &mut frame) {
+///         sent += len; // frame[..len] goes out at the port
+///     }
+///     while let Some((moment, event)) = deployment.poll_event() {
+///         println!("{moment:?}: {event}");
+///     }
+///     sent
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Deployment {
+    server: Server,
+    observer: Observer,
+    resolution: Millimetres,
+    keeping: Keeping,
+    /// What the server's clock shows when the caller's shows zero.
+    began: Instant,
+    /// The first port that is asked for frames next.
+    next_port: usize,
+    cameras: BTreeMap<usize, CameraStatus>,
+    events: VecDeque<(Instant, Event)>,
+    sightings: Option<Vec<(Instant, Sighting)>>,
+}
+
+impl Deployment {
+    /// A deployment without ports. If earlier lives have kept anything, the server and its clock go
+    /// on from there. A camera costs 40 bytes for each pixel of its depth sensor.
+    ///
+    /// # Errors
+    /// Every [`RegistryError`]: the robots' markers can't be told apart.
+    pub fn new(config: Config, life: Life) -> Result<Self, RegistryError> {
+        let observer = config.registry.observer(&config.cameras, config.resolution)?;
+        let began = life.begins();
+        Ok(Self {
+            server: server(&config, life),
+            observer,
+            resolution: config.resolution,
+            keeping: Keeping::new(began),
+            began,
+            next_port: 0,
+            cameras: BTreeMap::new(),
+            events: VecDeque::new(),
+            sightings: config.keeps_sightings.then(Vec::new),
+        })
+    }
+}
+
+/// What goes in.
+impl Deployment {
+    /// Opens a port: at most one robot is behind it.
+    pub fn open_port(&mut self) -> PortId {
+        PortId(self.server.open_port())
+    }
+
+    /// Closes a port. The session of the robot there ends; its next one, on any port, continues
+    /// from it.
+    ///
+    /// # Errors
+    /// [`PortClosed`].
+    pub fn close_port(&mut self, port: PortId) -> Result<(), PortClosed> {
+        self.server.close_port(port.0).map_err(|_| PortClosed(port))
+    }
+
+    /// Takes bytes that came in at a port, in pieces of any size. Bytes beyond the rate of any robot
+    /// are dropped, as on a bad link.
+    ///
+    /// # Errors
+    /// [`PortClosed`].
+    pub fn receive(&mut self, port: PortId, bytes: &[u8], now: Instant) -> Result<(), PortClosed> {
+        let now = self.server_time(now);
+        self.server.receive(port.0, bytes, now).map_err(|_| PortClosed(port))
+    }
+
+    /// Looks at a frame that has arrived from one of the cameras of the configuration. Takes up to
+    /// some ten milliseconds.
+    pub fn frame(&mut self, mut frame: Frame, now: Instant) {
+        let now = self.server_time(now);
+        frame.captured = self.server_time(frame.captured);
+        let told = self.server.whereabouts(frame.captured);
+        let (observation, fault) = self.observer.observe(&frame, now, told);
+        if let Some(fault) = fault {
+            self.add_event(now, Event::Frame(fault));
+        }
+        while let Some((captured, event)) = self.observer.poll_event() {
+            self.server.sighting_event(captured, event);
+        }
+        self.take(observation);
+    }
+
+    /// Takes what a frame says that was looked at elsewhere.
+    pub fn observe(&mut self, mut observation: Observation) {
+        observation.captured = self.server_time(observation.captured);
+        self.take(observation);
+    }
+
+    /// Takes an observation by the server's clock.
+    fn take(&mut self, mut observation: Observation) {
+        self.server.observe(&observation);
+        self.cameras.entry(observation.camera).or_default().add(&observation);
+        let captured = observation.captured;
+        observation.captured = self.since_began(captured);
+        if let Some(sightings) = &mut self.sightings {
+            sightings.extend(observation.robots.iter().map(|&it| (observation.captured, it)));
+        }
+        self.add_event(captured, Event::Observed(observation));
+    }
+
+    fn add_event(&mut self, moment: Instant, event: Event) {
+        if self.events.len() >= MOST_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back((moment, event));
+    }
+
+    /// Sends a command to a robot.
+    ///
+    /// # Errors
+    /// Every [`CommandError`].
+    pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), CommandError> {
+        self.server.command(robot, command)
+    }
+
+    /// Sends a robot to a place in `map`, in metres, if there is a coordinator.
+    ///
+    /// # Errors
+    /// Every [`GoalError`].
+    pub fn goal(
+        &mut self,
+        robot: RobotId,
+        place_m: [f64; 2],
+        now: Instant,
+    ) -> Result<(), GoalError> {
+        let now = self.server_time(now);
+        self.server.goal(robot, place_m, now)
+    }
+
+    /// Lets a robot explore while it has no goal, or no longer, if there is a coordinator.
+    pub fn explore(&mut self, robot: RobotId, explores: bool) {
+        self.server.explore(robot, explores);
+    }
+
+    /// Does what is due at `now`.
+    pub fn timeout(&mut self, now: Instant) {
+        let now = self.server_time(now);
+        self.server.timeout(now);
+    }
+}
+
+/// What comes out.
+impl Deployment {
+    /// The next batch of records to be written, if the life keeps anything.
+    #[must_use]
+    pub fn poll_store(&mut self, now: Instant) -> Option<Batch> {
+        let now = self.server_time(now);
+        self.keeping.poll(&mut self.server, now)
+    }
+
+    /// A batch is on disk, for good.
+    pub fn stored(&mut self, batch: Batch) {
+        self.keeping.stored(&mut self.server, &batch);
+    }
+
+    /// A batch could not be written, or not all of it. [`Deployment::poll_store`] hands it out
+    /// again.
+    pub fn store_failed(&mut self, batch: Batch, now: Instant) {
+        let now = self.server_time(now);
+        self.keeping.failed(&mut self.server, &batch, now);
+    }
+
+    /// Writes the next frame that is due at any port into `out`, which should have
+    /// [`MAX_FRAME`] bytes. Returns the port, and the length of the frame.
+    #[must_use]
+    pub fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<(PortId, usize)> {
+        let now = self.server_time(now);
+        // Without a port the map must age as well.
+        self.server.age(now);
+        while let Some(port) = self.server.port_from(self.next_port) {
+            self.next_port = port;
+            if let Some(len) = self.server.poll_transmit(port, now, out) {
+                return Some((PortId(port), len));
+            }
+            self.next_port += 1;
+        }
+        self.next_port = 0;
+        None
+    }
+
+    /// The next event, and when it happened. If nobody asks, only the newest are kept.
+    #[must_use]
+    pub fn poll_event(&mut self) -> Option<(Instant, Event)> {
+        let of_server = || self.server.poll_event().map(|(at, event)| (at, Event::Server(event)));
+        let (moment, event) = self.events.pop_front().or_else(of_server)?;
+        Some((self.since_began(moment), event))
+    }
+
+    /// When to come back at the latest to call [`Deployment::timeout`].
+    #[must_use]
+    pub fn poll_timeout(&self, now: Instant) -> Option<Instant> {
+        let now = self.server_time(now);
+        let due = [self.server.poll_any_timeout(now), self.keeping.poll_timeout(&self.server)];
+        due.into_iter().flatten().min().map(|due| self.since_began(due))
+    }
+}
+
+/// What can be asked.
+impl Deployment {
+    /// The server: the map, the robots, and what has happened. Its moments are by the server's
+    /// clock.
+    pub fn server(&self) -> &Server {
+        &self.server
+    }
+
+    /// The side of the map's cells.
+    pub fn resolution(&self) -> Millimetres {
+        self.resolution
+    }
+
+    /// How cameras and ports fare.
+    pub fn status(&self) -> Status {
+        let ports = self.server.ports().map(|port| self.status_of(port));
+        Status { cameras: self.cameras.clone(), ports: ports.collect() }
+    }
+
+    /// How a port fares.
+    ///
+    /// # Errors
+    /// [`PortClosed`].
+    pub fn port(&self, port: PortId) -> Result<PortStatus, PortClosed> {
+        let is_open = self.server.port_from(port.0) == Some(port.0);
+        if is_open { Ok(self.status_of(port.0)) } else { Err(PortClosed(port)) }
+    }
+
+    fn status_of(&self, port: usize) -> PortStatus {
+        let robot = self.server.robot_at(port);
+        PortStatus {
+            port: PortId(port),
+            robot,
+            state: robot.and_then(|robot| self.server.state(robot)),
+            link: self.server.link_counters(port),
+            bytes_sent: self.server.bytes_sent(port),
+        }
+    }
+
+    /// Where cameras saw robots in every frame, in the order in which frames came, and when it was
+    /// captured. Empty unless the configuration asks for them.
+    pub fn sightings(&self) -> &[(Instant, Sighting)] {
+        self.sightings.as_deref().unwrap_or_default()
+    }
+
+    /// Whether something is not on disk that must not be lost.
+    pub fn has_unsaved(&self) -> bool {
+        self.keeping.has_unsaved(&self.server)
+    }
+
+    /// A moment of the caller's clock by the server's.
+    pub fn server_time(&self, moment: Instant) -> Instant {
+        self.began + moment.since(Instant(0))
+    }
+
+    /// A moment of the server's clock by the caller's; zero for moments of earlier lives.
+    pub fn since_began(&self, moment: Instant) -> Instant {
+        Instant(0) + moment.since(self.began)
+    }
+}
+
+/// The server of a configuration, with what earlier lives have left.
+fn server(config: &Config, life: Life) -> Server {
+    let terms = Terms {
+        resolution: config.resolution,
+        frame: MAX_FRAME as u16,
+        server_epoch: life.epoch.0,
+        stores: life.kept.is_some(),
+    };
+    let mut server = Server::new(terms, 0);
+    for (robot, footprint) in config.registry.footprints() {
+        server.set_footprint(robot, footprint);
+    }
+    if let Some(settings) = config.coordination {
+        server.coordinate(settings);
+    }
+    if !config.corrects_errors {
+        server.leave_errors();
+    }
+    if let Some(kept) = life.kept {
+        kept.tiles.iter().for_each(|(robot, record)| server.restore(*robot, record));
+        kept.camera_tiles.iter().for_each(|tile| server.restore_camera_tile(tile));
+        kept.cures.iter().for_each(|record| server.restore_cured(record));
+    }
+    server
+}

@@ -1,0 +1,362 @@
+//! The folder of one recorded camera; [`frames`](super) describes its layout.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use image::ColorType;
+use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
+
+use super::{
+    error::FramesError,
+    frame_times::{self, FrameTime, FrameTimes, TIMES_FILE},
+};
+use crate::{
+    camera::{self, Calibration, CalibrationError, DepthNoise, Lens},
+    grid::raster,
+    recording::{
+        camera_poses::{CameraPose, has_poses, read_poses},
+        error::{FrameFault, LogError},
+        intrinsics::{self, DepthNoiseFile, IntrinsicsFile},
+        mounted::mounted,
+        numbered_files::{PICTURE_KINDS, depth_images, files_in, number_in},
+    },
+};
+
+/// Where the pictures are.
+pub(super) const PICTURES: &str = "color";
+
+/// One sensor of a camera: its intrinsics and poses as the files state them.
+#[derive(Debug)]
+pub(super) struct SensorFiles {
+    /// Of the images as they are on disk.
+    pub(super) intrinsics: IntrinsicsFile,
+    /// One for all frames, or one per frame.
+    poses: Vec<CameraPose>,
+}
+
+/// The images of one frame.
+#[derive(Debug)]
+pub(super) struct FrameFiles {
+    pub(super) time: FrameTime,
+    /// Index into [`CameraFolder::calibrations`].
+    pub(super) calibration: usize,
+    pub(super) depth: Option<PathBuf>,
+    pub(super) picture: Option<PathBuf>,
+}
+
+/// A camera's folder.
+#[derive(Debug)]
+pub(super) struct CameraFolder {
+    pub(super) path: PathBuf,
+    /// One for all frames, or one per frame.
+    pub(super) calibrations: Vec<Calibration>,
+    pub(super) depth: Option<SensorFiles>,
+    pub(super) picture: Option<SensorFiles>,
+    /// In the order of their numbers.
+    pub(super) frames: Vec<FrameFiles>,
+    /// Number of frames that have a time but no image.
+    pub(super) lost: u64,
+    /// Whether the times are those of a clock that other cameras share.
+    pub(super) has_clock: bool,
+    /// Notes for the user, one line each.
+    pub(super) notes: Vec<String>,
+}
+
+/// Depth image and picture of each frame, by number.
+type Images = BTreeMap<u128, (Option<PathBuf>, Option<PathBuf>)>;
+
+/// The folders of cameras in a folder: itself, or those below, in the order of their names.
+pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
+    let is_camera = |path: &Path| {
+        path.join("depth").is_dir() || path.join(PICTURES).is_dir() || has_poses(path)
+    };
+    if is_camera(path) {
+        return Ok(vec![path.to_owned()]);
+    }
+    let io_error = |error| LogError::Io { path: path.to_owned(), error };
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(io_error)? {
+        let below = entry.map_err(io_error)?.path();
+        found.extend(is_camera(&below).then_some(below));
+    }
+    found.sort();
+    if found.is_empty() {
+        return Err(FramesError::NoCamera { path: path.to_owned() });
+    }
+    Ok(found)
+}
+
+impl CameraFolder {
+    /// Reads everything but the pixels, and checks that the images have the size of the intrinsics.
+    pub(super) fn open(path: &Path) -> Result<Self, FramesError> {
+        let times_file = path.join(TIMES_FILE);
+        let (depth_files, picture_files) = image_files(path, times_file.is_file())?;
+        let has_pictures = !picture_files.is_empty();
+        let images = pair(&depth_files, picture_files)?;
+
+        let (mut notes, mut depth, mut picture) = (Vec::new(), None, None);
+        if !depth_files.is_empty() {
+            let (sensor, note) = SensorFiles::of_depth(path, images.len(), &depth_files)?;
+            notes.extend(note);
+            depth = Some(sensor);
+        }
+        if has_pictures {
+            picture = Some(SensorFiles::of_pictures(path, images.len(), depth.as_ref())?);
+        }
+        check_sizes(&images, depth.as_ref(), picture.as_ref())?;
+        let calibrations = calibrations(path, images.len(), depth.as_ref(), picture.as_ref())?;
+
+        let stated = frame_times::read(&times_file)?;
+        let has_clock = stated.is_some();
+        let times = stated.unwrap_or_else(|| {
+            let stamps = depth.as_ref().or(picture.as_ref()).and_then(SensorFiles::stamps);
+            let (times, note) = frame_times::by_rule(images.keys().copied(), stamps);
+            notes.extend(note);
+            times
+        });
+        if images.is_empty() {
+            notes.push("no image in it: none came".to_owned());
+        }
+        let lost = times.keys().filter(|number| !images.contains_key(number)).count() as u64;
+        let frames = frames(images, &times, &times_file, calibrations.len())?;
+        let path = path.to_owned();
+        Ok(Self { path, calibrations, depth, picture, frames, lost, has_clock, notes })
+    }
+
+    /// What it is called, and the frame too where each has a calibration of its own.
+    pub(super) fn name(&self, calibration: usize) -> String {
+        let name = self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy();
+        if self.calibrations.len() == 1 { name.into() } else { format!("{name}#{calibration}") }
+    }
+}
+
+impl SensorFiles {
+    /// With a note where the intrinsics are a guess.
+    fn of_depth(
+        folder: &Path,
+        frames: usize,
+        images: &[PathBuf],
+    ) -> Result<(Self, Option<String>), FramesError> {
+        let poses = poses(folder, frames)?;
+        // Only the well-known sets of images, which have a pose each, are known by their form.
+        let (intrinsics, note) = if poses.len() > 1 {
+            intrinsics::find(folder, images)?
+        } else {
+            let stated = match intrinsics::stated(folder)? {
+                None => mounted_intrinsics(folder, &images[0])?,
+                stated => stated,
+            };
+            (stated.ok_or_else(|| intrinsics::missing(folder))?, None)
+        };
+        Ok((Self { intrinsics, poses }, note))
+    }
+
+    /// What the pictures' own folder does not say is as that of the camera says.
+    fn of_pictures(
+        folder: &Path,
+        frames: usize,
+        depth: Option<&Self>,
+    ) -> Result<Self, FramesError> {
+        let pictures = &folder.join(PICTURES);
+        let own = intrinsics::stated(pictures)?;
+        let of_depth = depth.map(|depth| depth.intrinsics.clone());
+        let intrinsics = match own.or(of_depth) {
+            Some(intrinsics) => intrinsics,
+            None => intrinsics::stated(folder)?.ok_or_else(|| intrinsics::missing(pictures))?,
+        };
+        let poses = match depth {
+            Some(depth) if has_poses(pictures) => {
+                let (path, own) = read_poses(pictures)?;
+                if own.len() != 1 || depth.poses.len() != 1 {
+                    return Err(FramesError::TwoMoving { path });
+                }
+                own
+            }
+            Some(depth) => depth.poses.clone(),
+            None if has_poses(pictures) => poses(pictures, frames)?,
+            None => poses(folder, frames)?,
+        };
+        Ok(Self { intrinsics, poses })
+    }
+
+    /// When its images were taken, if each pose says so.
+    fn stamps(&self) -> Option<Vec<f64>> {
+        self.poses.iter().map(|pose| pose.stamp_s).collect()
+    }
+
+    /// Whether y points up in its images.
+    pub(super) fn is_upside_down(&self) -> bool {
+        self.intrinsics.fy < 0.0
+    }
+
+    /// Makes sure that an image has the size of the intrinsics.
+    fn check(&self, path: &Path, kind: Option<ColorType>) -> Result<(), FramesError> {
+        let (size, found) = raster::look(path)
+            .map_err(|error| FramesError::Damaged { path: path.to_owned(), error })?;
+        let (expected_width, expected_height) = (self.intrinsics.width, self.intrinsics.height);
+        let fault = if kind.is_some_and(|kind| kind != found) {
+            FrameFault::NotDepth
+        } else if size != (expected_width, expected_height) {
+            let (width, height) = size;
+            FrameFault::Size { width, height, expected_width, expected_height }
+        } else {
+            return Ok(());
+        };
+        Err(LogError::Frame { path: path.to_owned(), fault }.into())
+    }
+
+    /// As it is in a frame, whose first row is the top one.
+    fn lens(&self, frame: usize) -> Result<Lens, CalibrationError> {
+        let IntrinsicsFile { width, height, fx, fy, cx, mut cy, mut distortion, .. } =
+            self.intrinsics;
+        if self.is_upside_down() {
+            cy = f64::from(height) - 1.0 - cy;
+            // What bends the image downwards.
+            distortion[2] = -distortion[2];
+        }
+        let fy = fy.abs();
+        let pinhole = camera::Intrinsics { width, height, fx, fy, cx, cy, distortion };
+        let pose = &self.poses[frame.min(self.poses.len() - 1)];
+        let turn = Rotation3::from_matrix_unchecked(pose.rotation);
+        let place = Isometry3::from_parts(
+            Translation3::from(pose.position),
+            UnitQuaternion::from_rotation_matrix(&turn),
+        );
+        Lens::new(pinhole, place)
+    }
+}
+
+/// The depth images and the pictures of a camera's folder. With a file of times either may be missing:
+/// the images were then lost.
+fn image_files(
+    folder: &Path,
+    has_times: bool,
+) -> Result<(Vec<PathBuf>, Vec<PathBuf>), FramesError> {
+    let or_lost = |images| match images {
+        Err(LogError::Empty { .. }) if has_times => Ok(Vec::new()),
+        images => images,
+    };
+    let pictures = folder.join(PICTURES);
+    let pictures = if pictures.is_dir() { or_lost(picture_files(&pictures))? } else { Vec::new() };
+    let depths = match depth_images(folder) {
+        // A camera without a depth sensor.
+        Err(LogError::Empty { path, .. }) if path == folder && !pictures.is_empty() => Vec::new(),
+        images => or_lost(images)?,
+    };
+    Ok((depths, pictures))
+}
+
+fn picture_files(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
+    let files = files_in(folder, &PICTURE_KINDS)?;
+    if files.is_empty() {
+        let record = "picture (.png, .jpg, .bmp, .ppm or .pgm)";
+        return Err(LogError::Empty { path: folder.to_owned(), record });
+    }
+    Ok(files)
+}
+
+fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesError> {
+    let mut images = Images::new();
+    let depths = depths.iter().cloned().map(|path| (path, false));
+    for (path, is_picture) in depths.chain(pictures.into_iter().map(|path| (path, true))) {
+        let number = number_in(&path);
+        let (depth, picture) = images.entry(number).or_default();
+        let place = if is_picture { picture } else { depth };
+        if let Some(other) = place.replace(path.clone()) {
+            return Err(FramesError::SameNumber { path, other, number });
+        }
+    }
+    Ok(images)
+}
+
+/// Checks that all images have the size of their sensor's intrinsics.
+fn check_sizes(
+    images: &Images,
+    depth: Option<&SensorFiles>,
+    picture: Option<&SensorFiles>,
+) -> Result<(), FramesError> {
+    for (depth_file, picture_file) in images.values() {
+        if let (Some(sensor), Some(file)) = (depth, depth_file) {
+            sensor.check(file, Some(ColorType::L16))?;
+        }
+        if let (Some(sensor), Some(file)) = (picture, picture_file) {
+            sensor.check(file, None)?;
+        }
+    }
+    Ok(())
+}
+
+/// The frames with their times, in the order of their numbers.
+fn frames(
+    images: Images,
+    times: &FrameTimes,
+    times_file: &Path,
+    calibrations: usize,
+) -> Result<Vec<FrameFiles>, FramesError> {
+    let frame = |(index, (number, (depth, picture))): (usize, (u128, _))| {
+        let calibration = index.min(calibrations - 1);
+        match times.get(&number) {
+            Some(&time) => Ok(FrameFiles { time, calibration, depth, picture }),
+            None => {
+                let path = Option::or(depth, picture).unwrap_or_default();
+                Err(FramesError::NoTime { path, times: times_file.to_owned(), number })
+            }
+        }
+    };
+    images.into_iter().enumerate().map(frame).collect()
+}
+
+/// The intrinsics that a `cameras.toml` states for this folder, for depth images like this one.
+fn mounted_intrinsics(folder: &Path, image: &Path) -> Result<Option<IntrinsicsFile>, FramesError> {
+    let Some(camera) = mounted(folder)? else { return Ok(None) };
+    let ((width, height), _) = raster::look(image)
+        .map_err(|error| FramesError::Damaged { path: image.to_owned(), error })?;
+    Ok(camera.intrinsics(width, height).map(|pinhole| IntrinsicsFile::of(&pinhole, None)))
+}
+
+/// The poses of a folder: one, or as many as frames.
+fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
+    if !has_poses(folder)
+        && let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose())
+    {
+        let rotation = *pose.rotation.to_rotation_matrix().matrix();
+        return Ok(vec![CameraPose::mounted(pose.translation.vector, rotation)]);
+    }
+    let (path, poses) = read_poses(folder)?;
+    if poses.len() != 1 && poses.len() != frames {
+        return Err(FramesError::Poses { path, frames, poses: poses.len() });
+    }
+    Ok(poses)
+}
+
+fn calibrations(
+    path: &Path,
+    frames: usize,
+    depth: Option<&SensorFiles>,
+    picture: Option<&SensorFiles>,
+) -> Result<Vec<Calibration>, FramesError> {
+    let is_fixed = [depth, picture].into_iter().flatten().all(|sensor| sensor.poses.len() == 1);
+    let calibration = |frame| {
+        let lens = |sensor: Option<&SensorFiles>| sensor.map(|it| it.lens(frame)).transpose();
+        let depth_noise = match depth.and_then(|it| it.intrinsics.depth_noise) {
+            Some(DepthNoiseFile { constant_m, quadratic_per_m }) => {
+                DepthNoise::new(constant_m, quadratic_per_m)?
+            }
+            None => DepthNoise::default(),
+        };
+        Ok(Calibration { depth: lens(depth)?, depth_noise, picture: lens(picture)? })
+    };
+    let calibrations = (0..if is_fixed { 1 } else { frames }).map(calibration);
+    let refuse = |error| FramesError::Calibration { path: path.to_owned(), error };
+    let calibrations: Vec<Calibration> = calibrations.collect::<Result<_, _>>().map_err(refuse)?;
+    // Whoever carries a camera about says where it was in any frame.
+    if let [Calibration { depth, picture, .. }] = &calibrations[..]
+        && let Some(lens) = [depth, picture].into_iter().flatten().find(|it| it.centre().z <= 0.0)
+    {
+        let height_m = lens.centre().z;
+        return Err(FramesError::NotAboveFloor { path: path.to_owned(), height_m });
+    }
+    Ok(calibrations)
+}

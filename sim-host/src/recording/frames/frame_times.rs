@@ -1,0 +1,118 @@
+//! When recorded frames were captured and when they arrived: `times.txt`.
+
+use std::{collections::BTreeMap, path::Path};
+
+use super::error::FramesError;
+use crate::recording::{
+    error::Field,
+    lines::{Lines, number},
+    numbered_files::{PICTURE_KINDS, digits_of, number_in},
+    time_stamps,
+};
+
+/// The name of the file.
+pub(super) const TIMES_FILE: &str = "times.txt";
+
+/// No clock shows so many seconds: these are milliseconds, or less.
+const LATEST_S: f64 = 1e11;
+/// Nothing in a recording is farther apart: that is another clock, or one that was set.
+pub(super) const LONGEST_S: f64 = 86_400.0;
+
+/// The times of a frame, in seconds of the recording's clock.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FrameTime {
+    pub(super) captured_s: f64,
+    pub(super) arrived_s: f64,
+}
+
+/// The times of a camera's frames, by number.
+pub(super) type FrameTimes = BTreeMap<u128, FrameTime>;
+
+/// Reads a file of times; `None` without one.
+pub(super) fn read(path: &Path) -> Result<Option<FrameTimes>, FramesError> {
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let fault = |line, reason| FramesError::Time { path: path.to_owned(), line, reason };
+    let (mut times, mut written) = (FrameTimes::new(), BTreeMap::new());
+    let mut lines = Lines::open(path)?;
+    while let Some(line) = lines.next() {
+        let (at, text) = line?;
+        let words: Vec<&str> = text.split_ascii_whitespace().collect();
+        if words.first().is_none_or(|word| word.starts_with('#')) {
+            continue;
+        }
+        let (frame, time) = parse(&words).map_err(|reason| fault(at, reason))?;
+        times.insert(frame, time);
+        if let Some(other) = written.insert(frame, at) {
+            return Err(fault(at, format!("frame {frame} again, after line {other}")));
+        }
+    }
+    let in_order = times.iter().zip(times.iter().skip(1));
+    for ((_, FrameTime { captured_s: last, .. }), (frame, FrameTime { captured_s, .. })) in in_order
+    {
+        if captured_s <= last {
+            let reason = format!(
+                "frame {frame} was captured at {captured_s} s, and the one before it at {last} s; \
+                 later frames need higher numbers, and a clock that is not set back"
+            );
+            return Err(fault(written[frame], reason));
+        }
+        if captured_s - last > LONGEST_S {
+            let reason = format!(
+                "frame {frame} was captured at {captured_s} s, and the one before it at {last} s: \
+                 more than a day apart; a clock was set, or these are two recordings"
+            );
+            return Err(fault(written[frame], reason));
+        }
+    }
+    Ok(Some(times))
+}
+
+/// `NUMBER CAPTURED [ARRIVED]`, where the number may be the name of an image.
+fn parse(words: &[&str]) -> Result<(u128, FrameTime), String> {
+    let (name, captured, arrived) = match *words {
+        [name, captured] => (name, captured, captured),
+        [name, captured, arrived] => (name, captured, arrived),
+        _ => {
+            let reason = "a line has the frame's number, when it was captured, and perhaps when it \
+                          arrived, both in seconds";
+            return Err(reason.to_owned());
+        }
+    };
+    let (captured_s, arrived_s) = (seconds(captured)?, seconds(arrived)?);
+    if arrived_s < captured_s {
+        return Err(format!("arrived at {arrived_s} s, before it was captured at {captured_s} s"));
+    }
+    if arrived_s - captured_s > LONGEST_S {
+        return Err(format!(
+            "arrived at {arrived_s} s, a day after it was captured at {captured_s} s"
+        ));
+    }
+    let file = Path::new(name);
+    let is_image = file.extension().is_some_and(|it| PICTURE_KINDS.iter().any(|kind| it == *kind));
+    let frame = if is_image { number_in(file) } else { digits_of(name) };
+    Ok((frame, FrameTime { captured_s, arrived_s }))
+}
+
+fn seconds(word: &str) -> Result<f64, String> {
+    let value = number(word, Field::Named("time")).map_err(|fault| fault.to_string())?;
+    if (0.0..LATEST_S).contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("{value} is no time in seconds, from 0 to {LATEST_S}"))
+    }
+}
+
+/// The times of frames that have none of their own, and what the user should know of it: those of
+/// the poses, where each has one, or one each second.
+pub(super) fn by_rule(
+    frames: impl ExactSizeIterator<Item = u128>,
+    stamps: Option<Vec<f64>>,
+) -> (FrameTimes, Option<String>) {
+    let stamps = stamps.filter(|stamps| stamps.len() == frames.len());
+    let (times, note) = time_stamps::repair(stamps.as_deref(), frames.len());
+    let seconds = times.into_iter().map(|time| time.micros() as f64 / 1e6);
+    let times = seconds.map(|time| FrameTime { captured_s: time, arrived_s: time });
+    (frames.zip(times).collect(), note)
+}

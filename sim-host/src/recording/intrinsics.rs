@@ -1,0 +1,184 @@
+//! The intrinsics of a recorded camera: `intrinsics.toml` or Open3D's camera file.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{error::LogError, numbered_files::files_in};
+use crate::camera;
+
+/// The tangent of 85 degrees: half of the most that a pinhole is taken to see.
+const WIDEST: f64 = 11.4;
+
+/// Where intrinsics are written down.
+pub(super) const INTRINSICS_FILE: &str = "intrinsics.toml";
+
+/// What turns a depth image into points.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct IntrinsicsFile {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) fx: f64,
+    pub(super) fy: f64,
+    pub(super) cx: f64,
+    pub(super) cy: f64,
+    #[serde(default)]
+    pub(super) distortion: [f64; 5],
+    #[serde(default = "millimetres")]
+    pub(super) depth_per_metre: f64,
+    pub(super) depth_noise: Option<DepthNoiseFile>,
+    row: Option<u32>,
+}
+
+/// The coefficients of [`camera::DepthNoise`].
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DepthNoiseFile {
+    pub(super) constant_m: f64,
+    pub(super) quadratic_per_m: f64,
+}
+
+fn millimetres() -> f64 {
+    1000.0
+}
+
+/// Open3D's camera file; the matrix goes column by column.
+#[derive(Deserialize)]
+struct Open3dCamera {
+    width: u32,
+    height: u32,
+    intrinsic_matrix: [f64; 9],
+}
+
+impl IntrinsicsFile {
+    const ICL_NUIM: Self = Self {
+        width: 640,
+        height: 480,
+        fx: 481.2,
+        fy: -480.0,
+        cx: 319.5,
+        cy: 239.5,
+        distortion: [0.0; 5],
+        depth_per_metre: 5000.0,
+        depth_noise: None,
+        row: None,
+    };
+    const HANDHELD: Self = Self {
+        width: 640,
+        height: 480,
+        fx: 518.0,
+        fy: 519.0,
+        cx: 325.5,
+        cy: 253.5,
+        distortion: [0.0; 5],
+        depth_per_metre: 1000.0,
+        depth_noise: None,
+        row: None,
+    };
+
+    /// The file of a calibrated sensor whose depths are in millimetres.
+    pub(super) fn of(pinhole: &camera::Intrinsics, noise: Option<&camera::DepthNoise>) -> Self {
+        let camera::Intrinsics { width, height, fx, fy, cx, cy, distortion } = *pinhole;
+        let depth_per_metre = millimetres();
+        let depth_noise = noise.map(|noise| DepthNoiseFile {
+            constant_m: noise.constant_m(),
+            quadratic_per_m: noise.quadratic_per_m(),
+        });
+        Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, depth_noise, row: None }
+    }
+
+    /// Refuses what no camera has.
+    fn checked(self) -> Result<Self, String> {
+        let focal = |value: f64| value.is_finite() && value.abs() > 1.0;
+        let sees_too_much = |side: u32, focal: f64| f64::from(side) > 2.0 * WIDEST * focal.abs();
+        let sides = 1..=u32::from(u16::MAX);
+        if !sides.contains(&self.width) || !sides.contains(&self.height) {
+            Err("width and height must be from 1 to 65535".to_owned())
+        } else if !(focal(self.fx) && self.fx > 0.0 && focal(self.fy)) {
+            Err("fx must be more than one pixel, fy too (or less than minus one)".to_owned())
+        } else if sees_too_much(self.width, self.fx) || sees_too_much(self.height, self.fy) {
+            Err("fx and fy see more than 170 degrees; they are in pixels".to_owned())
+        } else if !(0.0..f64::from(self.width)).contains(&self.cx)
+            || !(0.0..f64::from(self.height)).contains(&self.cy)
+        {
+            Err("cx and cy must lie in the image".to_owned())
+        } else if !(1.0..=1e6).contains(&self.depth_per_metre) {
+            Err("depth_per_metre must be from 1 to 1000000".to_owned())
+        } else if self.row() >= self.height {
+            Err("row must lie in the image".to_owned())
+        } else {
+            Ok(self)
+        }
+    }
+
+    /// The row to slice: the one asked for, or the one on the optical axis.
+    pub(super) fn row(&self) -> u32 {
+        self.row.unwrap_or_else(|| (self.cy.round() as u32).min(self.height - 1))
+    }
+}
+
+/// The intrinsics that a folder states, if it states any.
+pub(super) fn stated(folder: &Path) -> Result<Option<IntrinsicsFile>, LogError> {
+    let toml_file = folder.join(INTRINSICS_FILE);
+    let text_of = |path: &Path| {
+        std::fs::read_to_string(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
+    };
+    let refuse = |path: &Path, reason: String| {
+        let reason = reason.lines().next().unwrap_or_default().to_owned();
+        LogError::Intrinsics { path: path.to_owned(), reason }
+    };
+    if toml_file.is_file() {
+        let parsed = toml::from_str::<IntrinsicsFile>(&text_of(&toml_file)?)
+            .map_err(|error| error.message().to_owned());
+        let intrinsics = parsed.and_then(IntrinsicsFile::checked);
+        return Ok(Some(intrinsics.map_err(|reason| refuse(&toml_file, reason))?));
+    }
+    if let Some(json_file) = files_in(folder, &["json"])?.first() {
+        let parsed = serde_json::from_str::<Open3dCamera>(&text_of(json_file)?);
+        let intrinsics = parsed.map_err(|error| error.to_string()).and_then(|camera| {
+            let [fx, _, _, _, fy, _, cx, cy, _] = camera.intrinsic_matrix;
+            let Open3dCamera { width, height, .. } = camera;
+            let distortion = [0.0; 5];
+            let pinhole = camera::Intrinsics { width, height, fx, fy, cx, cy, distortion };
+            IntrinsicsFile::of(&pinhole, None).checked()
+        });
+        return Ok(Some(intrinsics.map_err(|reason| refuse(json_file, reason))?));
+    }
+    Ok(None)
+}
+
+/// That a folder states no intrinsics.
+pub(super) fn missing(folder: &Path) -> LogError {
+    let reason = "missing; write width, height, fx, fy, cx, cy and depth_per_metre there";
+    LogError::Intrinsics { path: folder.join(INTRINSICS_FILE), reason: reason.to_owned() }
+}
+
+/// The intrinsics, and a note if they are a guess.
+pub(super) fn find(
+    folder: &Path,
+    images: &[PathBuf],
+) -> Result<(IntrinsicsFile, Option<String>), LogError> {
+    if let Some(stated) = stated(folder)? {
+        return Ok((stated, None));
+    }
+    if !folder.join("pose.txt").is_file() {
+        return Err(missing(folder));
+    }
+    let all_are = |extension: &str| {
+        images.iter().all(|image| image.extension().is_some_and(|found| found == extension))
+    };
+    let (intrinsics, whose) = if all_are("png") {
+        (IntrinsicsFile::ICL_NUIM, "ICL-NUIM's")
+    } else if all_are("pgm") {
+        (IntrinsicsFile::HANDHELD, "the slambook hand-held sensor's")
+    } else {
+        return Err(missing(folder));
+    };
+    let IntrinsicsFile { fx, fy, cx, cy, depth_per_metre, .. } = intrinsics;
+    let note = format!(
+        "no intrinsics; taking {whose} (fx {fx}, fy {fy}, cx {cx}, cy {cy}, {depth_per_metre} to \
+         the metre): write an intrinsics.toml if that is wrong"
+    );
+    Ok((intrinsics, Some(note)))
+}

@@ -1,0 +1,35 @@
+//! What was recorded once: logs of scans, and frames of cameras.
+//!
+//! [`read`] reads a log of range scans or depth rows, with poses or odometry; it recognises the format
+//! by the content:
+//!
+//! | format | content | poses | odometry |
+//! |---|---|---|---|
+//! | [`Format::Carmen`] | `FLASER` records, plain or gzipped | in corrected logs | in raw logs |
+//! | [`Format::Mines`] | a hobby lidar and wheel encoders, plain or gzipped | none | from the ticks |
+//! | [`Format::Rgbd`] | a folder of 16-bit depth images; one row of each | of the camera | none |
+//!
+//! What a log leaves open (missing time stamps, for instance) is settled by a documented rule, and
+//! [`Log::notes`] says so.
+//!
+//! [`RecordedFrames`] plays the frames of RGB-D cameras, image by image, and [`Recorder`] writes them;
+//! [`frames`] describes the layout on disk.
+
+mod camera_poses;
+mod depth_image;
+mod error;
+mod format;
+pub mod frames;
+mod intrinsics;
+mod lines;
+mod mounted;
+mod numbered_files;
+mod scans;
+mod time_stamps;
+
+pub use error::{Field, FrameFault, LineFault, LogError};
+pub use format::Format;
+pub use frames::{FramesError, RecordedFrames, Recorder};
+pub use scans::{
+    DepthSlice, Log, LoggedScan, PixelModel, Sensor, Slicing, concatenate, read, read_all,
+};

@@ -1,0 +1,277 @@
+//! Folders of depth images with the camera's poses; a slice of each image becomes a scan.
+//!
+//! ```text
+//! depth/*.png, *.pgm    16-bit grey; or the images lie in the folder itself
+//! pose.txt              one line for each image: [time] x y z qx qy qz qw
+//! trajectory.log        or five: three numbers, then the four rows of a matrix
+//! intrinsics.toml       width, height, fx, fy, cx, cy, distortion (k1, k2, p1, p2, k3; none),
+//!                       depth_per_metre (1000), row (cy); depth_noise is of no use here
+//! *.json                or Open3D's camera file; depth in millimetres
+//! ```
+//!
+//! Images are taken in the order of the numbers in their names, and there are as many as poses.
+//! Poses are camera to world, the camera's x to the right and z forward; y points down, or up if
+//! `fy` is negative. Which way is up in the world is not said: the mean of the cameras' own up axes
+//! is. A scan's pose in `map` is the camera's position and forward axis seen from above, x of `map`
+//! being the world's x (its y, if x is closer to the vertical).
+//!
+//! Two sets of frames are often passed on without their intrinsics, both 640 x 480 with a
+//! `pose.txt`: ICL-NUIM's (PNG) and a hand-held sensor's (PGM), from the slambook examples. A folder
+//! of that form without intrinsics is taken as one of them, and a note says so.
+
+use std::path::Path;
+
+use nalgebra::Vector3;
+
+use super::{
+    scan_log::{Log, LoggedScan},
+    slicing::{DepthSlice, Slicing, Stance},
+};
+use crate::recording::{
+    camera_poses::{CameraPose, read_poses},
+    error::{LineFault, LogError},
+    format::Format,
+    intrinsics,
+    numbered_files::depth_images,
+    time_stamps,
+};
+
+/// A camera that looks more steeply up or down than this draws no map.
+const STEEPEST_DEG: f64 = 75.0;
+
+/// A camera that looks more steeply than this is worth a note: its row is no level slice.
+const TILTED_DEG: f64 = 10.0;
+
+/// Reads a folder of depth images.
+pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
+    let images = depth_images(folder)?;
+    let (pose_file, poses) = read_poses(folder)?;
+    if images.len() != poses.len() {
+        let (images, poses) = (images.len(), poses.len());
+        return Err(LogError::Poses { path: pose_file, images, poses });
+    }
+    let (intrinsics, note) = intrinsics::find(folder, &images)?;
+    let mut notes: Vec<String> = note.into_iter().collect();
+    if intrinsics.distortion != [0.0; 5] {
+        notes.push("the distortion of the lens is left out of account".to_owned());
+    }
+
+    let planar = Plane::under(&poses, intrinsics.fy.signum())
+        .ok_or_else(|| LogError::NoPlane { path: pose_file.clone() })?;
+    let mut steepest_deg = 0.0_f64;
+    let mut planar_poses = Vec::new();
+    for pose in &poses {
+        let tilt_deg = planar.tilt_deg(pose);
+        if tilt_deg > STEEPEST_DEG {
+            let fault = LineFault::Steep { tilt_deg };
+            return Err(LogError::Line { path: pose_file, line: pose.line, fault });
+        }
+        steepest_deg = steepest_deg.max(tilt_deg);
+        planar_poses.push(planar.pose(pose));
+    }
+    if steepest_deg > TILTED_DEG && slicing.slice != DepthSlice::Height {
+        notes.push(format!(
+            "the camera is tilted by up to {steepest_deg:.0} degrees; its rows are no level \
+             slices, as --slice height gives"
+        ));
+    }
+    let slices: Result<Vec<_>, _> = images
+        .iter()
+        .zip(planar.stances(&poses))
+        .map(|(image, stance)| slicing.slice(image, &intrinsics, &stance))
+        .collect();
+
+    let stamps: Option<Vec<f64>> = poses.iter().map(|pose| pose.stamp_s).collect();
+    let (times, note) = time_stamps::repair(stamps.as_deref(), poses.len());
+    notes.extend(note);
+    let scans = slices?.into_iter().zip(times).zip(planar_poses).enumerate().map(
+        |(index, ((readings_mm, time), pose))| LoggedScan {
+            time,
+            readings_mm,
+            pose: Some(pose),
+            odometry: None,
+            line: index + 1,
+        },
+    );
+    let sensor = slicing.sensor(&intrinsics);
+    Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), notes })
+}
+
+/// The horizontal plane of a world, and `map`'s axes in it.
+struct Plane {
+    up: Vector3<f64>,
+    x: Vector3<f64>,
+    y: Vector3<f64>,
+    down_sign: f64,
+}
+
+impl Plane {
+    /// From the mean of the cameras' up axes; `None` if they cancel out. `down_sign` is 1 where the
+    /// camera's y points down, -1 where it points up, which makes the world a mirrored one.
+    fn under(poses: &[CameraPose], down_sign: f64) -> Option<Self> {
+        let sum: Vector3<f64> = poses.iter().map(|pose| pose.rotation.column(1).into_owned()).sum();
+        let mean = sum * (-down_sign / poses.len().max(1) as f64);
+        if mean.norm() < 0.2 {
+            return None;
+        }
+        let up = mean.normalize();
+        let seed = if up.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+        let x = (seed - up * up.dot(&seed)).normalize();
+        let y = up.cross(&x) * down_sign;
+        Some(Self { up, x, y, down_sign })
+    }
+
+    /// How far the camera looks above or below the horizon.
+    fn tilt_deg(&self, pose: &CameraPose) -> f64 {
+        self.up.dot(&pose.forward()).clamp(-1.0, 1.0).asin().to_degrees().abs()
+    }
+
+    /// How the cameras stood, above their mean height.
+    fn stances(&self, poses: &[CameraPose]) -> Vec<Stance> {
+        let height = |pose: &CameraPose| self.up.dot(&pose.position);
+        let mean = poses.iter().map(height).sum::<f64>() / poses.len().max(1) as f64;
+        let sinks = |pose: &CameraPose, axis: usize| -self.up.dot(&pose.rotation.column(axis));
+        let stance = |pose| Stance {
+            pitch: sinks(pose, 2).clamp(-1.0, 1.0).asin(),
+            roll: sinks(pose, 0).atan2(sinks(pose, 1) * self.down_sign),
+            above_m: height(pose) - mean,
+        };
+        poses.iter().map(stance).collect()
+    }
+
+    fn pose(&self, pose: &CameraPose) -> [f64; 3] {
+        let seen = |vector: &Vector3<f64>| (self.x.dot(vector), self.y.dot(vector));
+        let (x, y) = seen(&pose.position);
+        let (forward_x, forward_y) = seen(&pose.forward());
+        [x, y, forward_y.atan2(forward_x)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{ImageBuffer, Luma};
+
+    use super::*;
+    use crate::{
+        recording::{self, Sensor, scans::odometry::compose},
+        testing::{Folder, shared_data},
+    };
+
+    const INTRINSICS: &str = "width = 4\nheight = 3\nfx = 2.0\nfy = 2.0\ncx = 1.5\ncy = 1.0\n";
+
+    fn depth_png(folder: &Folder, name: &str, samples: [u16; 12]) {
+        let image: ImageBuffer<Luma<u16>, _> =
+            ImageBuffer::from_raw(4, 3, samples.to_vec()).unwrap();
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        folder.file(name, &bytes.into_inner());
+    }
+
+    fn two_frames(name: &str) -> Folder {
+        let folder = Folder::new(name);
+        depth_png(&folder, "depth/10.png", [5; 12]);
+        depth_png(&folder, "depth/9.png", [1, 1, 1, 1, 0, 1_000, 2_000, 65_535, 3, 3, 3, 3]);
+        folder.file("intrinsics.toml", INTRINSICS.as_bytes());
+        // The camera's z along the world's x, its y down along -z; then turned left by a quarter.
+        folder.file("pose.txt", b"1 2 0.5 -0.5 0.5 -0.5 0.5\n3 4 0.5 -0.70710678 0 0 0.70710678\n");
+        folder
+    }
+
+    #[test]
+    fn rows_and_poses_come_from_the_frames_in_their_order() {
+        let log = recording::read(two_frames("rgbd").path(), None, Slicing::default()).unwrap();
+        assert_eq!(log.sensor, Sensor::Pinhole { fx: 2.0, cx: 1.5, width: 4 });
+        assert_eq!(log.scans[0].readings_mm, [0, 1_000, 2_000, 0]);
+        assert_eq!(log.scans[1].readings_mm, [5; 4]);
+        let near = |pose: Option<[f64; 3]>, expected: [f64; 3]| {
+            let pose = pose.unwrap();
+            assert!(pose.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{pose:?}");
+        };
+        near(log.scans[0].pose, [1.0, 2.0, 0.0]);
+        near(log.scans[1].pose, [3.0, 4.0, std::f64::consts::FRAC_PI_2]);
+    }
+
+    #[test]
+    fn a_row_and_a_scale_can_be_asked_for() {
+        let folder = two_frames("rgbd-row");
+        let asked = format!("{INTRINSICS}row = 2\ndepth_per_metre = 5000\n");
+        folder.file("intrinsics.toml", asked.replace("5000", "100").as_bytes());
+        let log = read(folder.path(), Slicing::default()).unwrap();
+        assert_eq!(log.scans[0].readings_mm, [30; 4]);
+        folder.file("depth/9.pgm", b"P2 4 3 10000 0 0 0 0 0 0 0 0 1 2 9999 10000");
+        std::fs::remove_file(folder.path().join("depth/9.png")).unwrap();
+        let log = read(folder.path(), Slicing::default()).unwrap();
+        assert_eq!(log.scans[0].readings_mm[..2], [10, 20]);
+    }
+
+    #[test]
+    fn faults_name_the_file() {
+        let folder = two_frames("rgbd-faults");
+        let error = || read(folder.path(), Slicing::default()).unwrap_err().to_string();
+        let pose = std::fs::read(folder.path().join("pose.txt")).unwrap();
+        for (text, expected) in [
+            (&b"1 2 3 0 0 0 1\n"[..], "2 depth images but 1 pose"),
+            (b"1 2 3 0 0 0 1\n1 2 3 0 0 nan 1\n", "pose.txt:2: pose: \"nan\""),
+            (b"1 2 3 0 0 0 1\n1 2 3 0 0 0 0\n", "pose.txt:2: not a rotation"),
+            (b"1 2 3 0 0 0 1\n1 2 3 0 0 0\n", "pose.txt:2: 6 fields"),
+            (b"1 2 3 0 0 0 1\n1 2 3 1 0 0 0\n", "up"),
+            (b"\xff\xfe", "pose.txt:1: not text"),
+        ] {
+            folder.file("pose.txt", text);
+            let error = error();
+            assert!(error.contains(expected), "{error}");
+        }
+        folder.file("pose.txt", &pose);
+        for (text, expected) in [
+            (INTRINSICS.replace("fx = 2.0\n", ""), "fx"),
+            (INTRINSICS.replace("fx = 2.0", "fx = nan"), "fx"),
+            (INTRINSICS.replace("cy = 1.0", "cy = 9.0"), "cy"),
+            (INTRINSICS.replace("width = 4", "width = 5"), "4 x 3 pixels where 5 x 3"),
+        ] {
+            folder.file("intrinsics.toml", text.as_bytes());
+            let error = error();
+            assert!(error.contains(expected), "{error}");
+        }
+        folder.file("intrinsics.toml", INTRINSICS.as_bytes());
+        folder.file("depth/9.png", b"P5 4 3 255\n............");
+        assert!(error().contains("9.png"));
+        folder.file("depth/9.png", b"");
+        assert!(error().contains("9.png"));
+    }
+
+    /// Where the readings of a scan lie in `map`.
+    fn points(log: &Log, scan: &LoggedScan) -> Vec<[f64; 2]> {
+        let Sensor::Pinhole { fx, cx, .. } = log.sensor else { return Vec::new() };
+        let pose = scan.pose.unwrap();
+        let measured = scan.readings_mm.iter().enumerate().filter(|(_, depth)| **depth > 0);
+        measured
+            .map(|(column, depth)| {
+                let x = f64::from(*depth) / 1000.0;
+                let point = compose(pose, [x, (cx - column as f64) * x / fx, 0.0]);
+                [point[0], point[1]]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn recorded_frames_lie_on_each_other() {
+        // The hand-held camera and ICL-NUIM's turn away between some of their five frames.
+        for (name, share) in
+            [("rgbd_redwood", 0.9), ("rgbd_frames/icl_nuim", 0.15), ("rgbd_frames/handheld", 0.4)]
+        {
+            let Some(folder) = shared_data(name) else { continue };
+            let log = recording::read(&folder, None, Slicing::default()).unwrap();
+            assert_eq!((log.scans.len(), log.sensor.readings()), (5, 640), "{name}");
+            let mut matched = 0;
+            let mut measured = 0;
+            for pair in log.scans.windows(2) {
+                let (before, after) = (points(&log, &pair[0]), points(&log, &pair[1]));
+                let is_near =
+                    |p: &&[f64; 2]| before.iter().any(|q| (p[0] - q[0]).hypot(p[1] - q[1]) < 0.1);
+                matched += after.iter().filter(is_near).count();
+                measured += after.len();
+            }
+            assert!(matched as f64 > share * measured as f64, "{name}: {matched} of {measured}");
+        }
+    }
+}

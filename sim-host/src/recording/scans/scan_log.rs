@@ -1,0 +1,34 @@
+//! A log of scans, whatever format it was read from.
+
+use ubimap_protocol::time::Duration;
+
+use super::sensor::Sensor;
+use crate::recording::format::Format;
+
+/// One scan of a log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoggedScan {
+    /// Since the first scan; strictly increasing.
+    pub time: Duration,
+    /// In millimetres, one for each direction of [`Sensor`]; 0 for no return, whatever the log's code for it.
+    pub readings_mm: Vec<u16>,
+    /// The sensor in `map`: x and y in metres, heading in radians.
+    pub pose: Option<[f64; 3]>,
+    /// The robot in `odom`: x and y in metres, heading in radians.
+    pub odometry: Option<[f64; 3]>,
+    /// The line in its file, or the number of the frame, from 1.
+    pub line: usize,
+}
+
+/// A log: at least one scan, all of one sensor, all with a pose or none, all with odometry or none.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Log {
+    /// The format it was read from.
+    pub format: Format,
+    /// The sensor that took the scans.
+    pub sensor: Sensor,
+    /// The scans in order of time.
+    pub scans: Vec<LoggedScan>,
+    /// Notes for the user, one line each.
+    pub notes: Vec<String>,
+}

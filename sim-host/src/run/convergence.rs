@@ -1,0 +1,45 @@
+//! Whether all hold the same map.
+
+use ubimap_protocol::tile::{Layer, Stamp, tile_hash};
+
+use super::fleet::{Fleet, Robot};
+
+impl Fleet<'_> {
+    /// Whether the server holds the newest version of every tile that each robot has published,
+    /// and every fused tile that a robot holds is the server's newest, hash for hash; and all of it
+    /// is on disk, if the server keeps anything.
+    pub fn has_converged(&self) -> bool {
+        !self.deployment().has_unsaved()
+            && self.robots().iter().all(|robot| {
+                robot.agent().is_idle()
+                    && self.server().is_level(robot.id())
+                    && self.server_holds_all_of(robot)
+                    && self.all_held_is_newest(robot)
+            })
+    }
+
+    fn server_holds_all_of(&self, robot: &Robot<'_>) -> bool {
+        let Some(layer) = self.server().layer(robot.id()) else {
+            return robot.agent().own_tiles().tiles().next().is_none();
+        };
+        robot.agent().own_tiles().tiles().all(|tile| {
+            let stamp = Stamp { epoch: tile.epoch(), version: tile.publication().version() };
+            let held = tile.id().and_then(|id| layer.held(id, tile.epoch()));
+            held.is_some_and(|(held, cells)| {
+                held == stamp && tile_hash(cells) == tile_hash(tile.publication().sent())
+            })
+        })
+    }
+
+    fn all_held_is_newest(&self, robot: &Robot<'_>) -> bool {
+        robot.agent().fused_tiles().tiles(Layer::Fused).all(|(id, replica)| {
+            let newest = self.server().fused().get(id);
+            newest.is_some_and(|(version, cells)| {
+                let stamp = Stamp { epoch: self.server().epoch(), version };
+                !replica.is_partial()
+                    && replica.stamp() == stamp
+                    && tile_hash(replica.tile()) == tile_hash(cells)
+            })
+        })
+    }
+}

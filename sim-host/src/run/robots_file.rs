@@ -1,0 +1,90 @@
+//! The file `robots.toml`: which robots there are ([`Registry`]).
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use super::RunError;
+use crate::{deployment::registry::Registry, recording::LogError};
+
+/// The name of the file.
+pub(super) const FILE: &str = "robots.toml";
+
+/// Reads a file.
+///
+/// # Errors
+/// [`RunError::Robots`], and [`RunError::Log`] for a file that can't be read.
+pub(super) fn read(path: &Path) -> Result<Registry, RunError> {
+    let text =
+        fs::read_to_string(path).map_err(|error| LogError::Io { path: path.to_owned(), error })?;
+    Registry::from_toml(&text)
+        .map_err(|fault| RunError::Robots { path: path.to_owned(), reason: fault.to_string() })
+}
+
+/// Reads the file of a recording: the one that is named, or the only one in its folders. Without
+/// any there are no robots.
+///
+/// # Errors
+/// As [`read`].
+pub(super) fn find(named: Option<&Path>, folders: &[PathBuf]) -> Result<Registry, RunError> {
+    let there = folders.iter().map(|folder| folder.join(FILE)).filter(|path| path.is_file());
+    let there: Vec<PathBuf> = there.collect();
+    match (named, &there[..]) {
+        (Some(path), _) => read(path),
+        (None, [path]) => read(path),
+        (None, []) => {
+            log::info!("no {FILE}: no robot is known by its marker");
+            Ok(Registry::default())
+        }
+        (None, [first, path, ..]) => {
+            let reason =
+                format!("{} is there too; say with --robots which one counts", first.display());
+            Err(RunError::Robots { path: path.clone(), reason })
+        }
+    }
+}
+
+/// Writes the file into a folder.
+///
+/// # Errors
+/// [`RunError::Log`].
+pub(super) fn write(registry: &Registry, folder: &Path) -> Result<(), RunError> {
+    let path = folder.join(FILE);
+    let written = fs::write(&path, registry.to_toml());
+    Ok(written.map_err(|error| LogError::Io { path, error })?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Folder;
+
+    const ONE: &str = "[[robots]]\nid = 1\nmarker_size_m = 0.1\nheight_m = 0.3\n";
+
+    #[test]
+    fn what_is_written_is_found_again() {
+        let folder = Folder::new("registry");
+        let path = folder.file(FILE, ONE.as_bytes());
+        let folders = [folder.path().to_owned()];
+        let registry = find(None, &folders).unwrap();
+        assert_eq!(registry.robots.len(), 1);
+        fs::remove_file(path).unwrap();
+        assert_eq!(find(None, &folders).unwrap(), Registry::default());
+        write(&registry, folder.path()).unwrap();
+        assert_eq!(find(None, &folders).unwrap(), registry);
+    }
+
+    #[test]
+    fn faults_name_the_file_and_of_two_files_one_must_be_named() {
+        let folder = Folder::new("registry-faults");
+        let path = folder.file(FILE, ONE.replace("0.3", "nan").as_bytes());
+        let error = read(&path).unwrap_err().to_string();
+        assert!(error.contains("robots.toml: robot 1: height_m: NaN must be"), "{error}");
+        let other = folder.file("other/robots.toml", ONE.as_bytes());
+        let folders = [folder.path().to_owned(), folder.path().join("other")];
+        let error = find(None, &folders).unwrap_err().to_string();
+        assert!(error.contains("say with --robots which one counts"), "{error}");
+        assert!(find(Some(&other), &folders).is_ok());
+    }
+}

@@ -1,0 +1,186 @@
+//! The corrections of one robot.
+
+use std::collections::VecDeque;
+
+use ubimap_protocol::{
+    message::{Certainty, DistanceVector, FixSource, ParameterReport, PoseFix},
+    tile::Epoch,
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose, RobotId},
+};
+
+use super::{
+    blind::{BlindTrip, reach},
+    cure::{Cure, CureStep},
+};
+use crate::{
+    mapping::{ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points},
+    server::shared_map::SharedMap,
+    timing::{FIX_GAP, FIX_HISTORY, OUT_OF_VIEW},
+};
+
+/// Where a robot in view is looked for: at most this far from where cameras see it.
+const IN_VIEW: Search = Search {
+    position: Millimetres(100),
+    turn: Angle(2_600),
+    prior: Prior::Measured(Millimetres(25)),
+};
+/// The shortest time from one distance vector that is looked at to the next: an agent sends one a
+/// second.
+const LOOK_INTERVAL: Duration = Duration::from_millis(250);
+
+/// What the server makes of a distance vector.
+pub(super) enum Finding {
+    /// It was taken in blind ground and fits the map in one place.
+    Fix(PoseFix),
+    /// It was taken in view: how many of its points lie on what the cameras see, and how many lie
+    /// in free space.
+    Agreement(u32, u32),
+}
+
+/// One robot's fixes, constant errors and time in blind ground.
+#[derive(Debug, Default)]
+pub(super) struct RobotCorrection {
+    errors: ConstantErrors,
+    cure: Cure,
+    /// Distance vectors up to this moment were taken before the last correction.
+    corrected: Instant,
+    /// Where cameras saw it of late, corrected; newest last.
+    fixes: VecDeque<(Instant, Pose)>,
+    blind: Option<BlindTrip>,
+    next_look: Instant,
+}
+
+impl RobotCorrection {
+    /// A robot of which no more is known than what was done about its errors.
+    pub(super) fn of(record: &CureRecord) -> Self {
+        let cure = if record.is_over { Cure::None } else { Cure::LeftOff };
+        Self { errors: ConstantErrors::of(record.cured), cure, ..Self::default() }
+    }
+
+    /// What has been found of the robot's constant errors.
+    pub(super) fn errors(&self) -> &ConstantErrors {
+        &self.errors
+    }
+
+    /// Takes where a camera saw the robot, and returns where it was.
+    pub(super) fn fix(&mut self, captured: Instant, seen: Pose) -> Pose {
+        if self.fixes.back().is_some_and(|&(newest, _)| captured <= newest) {
+            return self.errors.corrected(seen);
+        }
+        let pose = self.errors.fix(captured, seen);
+        self.blind = None;
+        self.fixes.push_back((captured, pose));
+        self.fixes.retain(|&(moment, _)| captured.since(moment) <= FIX_HISTORY);
+        pose
+    }
+
+    /// Takes a distance vector of the robot. Takes some milliseconds.
+    pub(super) fn look(
+        &mut self,
+        robot: RobotId,
+        vector: &DistanceVector,
+        (map, resolution): (&SharedMap, Millimetres),
+        now: Instant,
+    ) -> Option<Finding> {
+        if now < self.next_look {
+            return None;
+        }
+        self.next_look = now + LOOK_INTERVAL;
+        let points = points(vector);
+        if let Some(pose) = self.seen_at(vector.time) {
+            let is_valid = vector.time > self.corrected;
+            return is_valid.then(|| self.compare(&points, pose, map, resolution));
+        }
+        let newest = self.fixes.back().map_or(Instant(0), |&(newest, _)| newest);
+        if vector.time < newest {
+            return None;
+        }
+        let unseen = vector.time.since(newest);
+        let blind = self.blind.get_or_insert_with(|| BlindTrip::after(unseen, vector.pose));
+        if unseen < OUT_OF_VIEW {
+            blind.remember(vector.pose, &points, resolution);
+            return None;
+        }
+        let found = blind.locate(robot, vector, &points, (map, resolution))?;
+        Some(Finding::Fix(fix_of(&found, vector.time)))
+    }
+
+    /// Where cameras saw it at a moment.
+    fn seen_at(&self, moment: Instant) -> Option<Pose> {
+        let after = self.fixes.iter().position(|&(fix, _)| fix >= moment)?;
+        let (to, end) = self.fixes[after];
+        let (from, start) = *self.fixes.get(after.checked_sub(1)?)?;
+        let gap = to.since(from);
+        if gap > FIX_GAP {
+            return None;
+        }
+        let part = moment.since(from).micros() as f64 / gap.micros() as f64;
+        let mix = |from: Millimetres, to: Millimetres| {
+            from + Millimetres(libm::round(f64::from((to - from).0) * part) as i32)
+        };
+        let turn = Angle::from_radians((end.heading - start.heading).radians() * part);
+        Some(Pose { x: mix(start.x, end.x), y: mix(start.y, end.y), heading: start.heading + turn })
+    }
+
+    /// Compares what the robot sees from where cameras see it with what they see. A constant error
+    /// explains part of the difference; the rest is how well they agree.
+    fn compare(
+        &mut self,
+        points: &[[f64; 2]],
+        pose: Pose,
+        map: &SharedMap,
+        resolution: Millimetres,
+    ) -> Finding {
+        let reach = reach(points, IN_VIEW);
+        let surfaces =
+            Surfaces::about(pose, reach, resolution, |id| map.in_view(id), &Trail::default());
+        let found = surfaces.find(points, pose, IN_VIEW);
+        if let Some(found) = found {
+            let [.., deviation] = found.deviations();
+            let turned = (found.pose.heading - pose.heading).degrees();
+            self.errors.turned(turned, deviation.to_degrees());
+        }
+        let (agree, contradict) =
+            surfaces.agreement(points, found.map_or(pose, |found| found.pose));
+        Finding::Agreement(agree, contradict)
+    }
+
+    /// The next step of a cure. `next` is the first epoch that the robot is not known to have used.
+    pub(super) fn poll_cure(&mut self, next: Epoch, now: Instant) -> Option<CureStep> {
+        let step = self.cure.poll(&mut self.errors, next, now);
+        if matches!(step, Some(CureStep::IdentifierCorrected)) {
+            self.fixes.clear();
+            self.corrected = now;
+        }
+        step
+    }
+
+    /// Takes the robot's answer to a command of a cure.
+    pub(super) fn reported(&mut self, report: &ParameterReport, now: Instant) -> Option<CureStep> {
+        let step = self.cure.reported(&mut self.errors, report, now);
+        if matches!(step, Some(CureStep::SensorCorrected)) {
+            self.corrected = now;
+        }
+        step
+    }
+}
+
+/// A match with the map as a fix. The correlations between its deviations are left out, which makes
+/// these wider.
+fn fix_of(found: &Match, time: Instant) -> PoseFix {
+    let [x, y, heading] = found.deviations();
+    // The casts saturate.
+    let certainty = Certainty {
+        x: x.ceil() as u16,
+        y: y.ceil() as u16,
+        heading: (heading / core::f64::consts::TAU * 65_536.0).ceil() as u16,
+    };
+    PoseFix {
+        time,
+        pose: found.pose,
+        certainty,
+        source: FixSource::MapMatch,
+        earlier: heapless::Vec::new(),
+    }
+}

@@ -1,0 +1,91 @@
+//! The coordinator, joined to what the server knows.
+
+use std::collections::BTreeSet;
+
+use ubimap_protocol::{message::EventCode, time::Instant, units::RobotId};
+
+use super::{
+    command::Command,
+    coordination::{Coordinator, GoalError, Notice, Settings, Situation, Whereabouts},
+    snapshot::Snapshot,
+};
+
+/// Who drives where.
+#[derive(Debug)]
+pub(super) struct Dispatch {
+    coordinator: Coordinator,
+    /// Robots that explore; the coordinator may not know of them yet.
+    explorers: BTreeSet<RobotId>,
+}
+
+impl Dispatch {
+    pub(super) fn new(settings: Settings) -> Self {
+        Self { coordinator: Coordinator::new(settings), explorers: BTreeSet::new() }
+    }
+
+    /// Lets a robot explore, or no longer.
+    pub(super) fn explore(&mut self, robot: RobotId, explores: bool) {
+        if explores {
+            self.explorers.insert(robot);
+        } else {
+            self.explorers.remove(&robot);
+            self.coordinator.set_exploring(robot, false);
+        }
+    }
+
+    /// Sends a robot to a place in `map`, in metres.
+    pub(super) fn goal(
+        &mut self,
+        robot: RobotId,
+        [x, y]: [f64; 2],
+        now: Instant,
+    ) -> Result<(), GoalError> {
+        self.coordinator.goal(robot, x, y, now)
+    }
+
+    /// A robot has reported an event.
+    pub(super) fn event(&mut self, robot: RobotId, code: EventCode, now: Instant) {
+        self.coordinator.event(robot, code, now);
+    }
+
+    pub(super) fn poll_timeout(&self) -> Instant {
+        self.coordinator.poll_timeout()
+    }
+
+    /// Lets the coordinator decide, if that is due. Returns whether it did: then its commands and
+    /// notices are to be drained. `is_reachable` says which robots can be commanded.
+    pub(super) fn tick(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        is_reachable: impl Fn(RobotId) -> bool,
+        now: Instant,
+    ) -> bool {
+        if now < self.poll_timeout() {
+            return false;
+        }
+        let robots = snapshot.surroundings.robots().map(|(robot, moment, pose, footprint)| {
+            let has_session = is_reachable(robot);
+            Whereabouts { robot, moment, pose, footprint, has_session }
+        });
+        let robots: Vec<Whereabouts> = robots.collect();
+        let obstacles = snapshot.surroundings.all_obstacles();
+        let Snapshot { fused, coverage, .. } = *snapshot;
+        let situation = Situation { fused, coverage, robots: &robots, obstacles: &obstacles };
+        self.coordinator.tick(&situation, now);
+        for &robot in &self.explorers {
+            // A robot that is not known yet will be.
+            let _ = self.coordinator.set_exploring(robot, true);
+        }
+        true
+    }
+
+    /// The next command for a robot.
+    pub(super) fn poll_command(&mut self) -> Option<(RobotId, Command)> {
+        self.coordinator.poll_command()
+    }
+
+    /// The next notice about a robot's drive.
+    pub(super) fn poll_notice(&mut self) -> Option<(RobotId, Notice)> {
+        self.coordinator.poll_notice()
+    }
+}

@@ -1,0 +1,268 @@
+//! The server's end of a conversation with one robot: a file for each subject.
+
+mod budget;
+mod fixes;
+mod news;
+mod orders;
+mod publishing;
+mod replies;
+mod said;
+mod tiles;
+
+use ubimap_protocol::{
+    frame::MAX_FRAME,
+    link::{Endpoint, Fill},
+    message::{
+        DistanceVector, Event, Hello, Interest, ParameterReport, PoseFix, Request, State, ToRobot,
+        Writer,
+    },
+    tile::{Stamp, TileId},
+    time::{Duration, Instant},
+    units::RobotId,
+};
+
+use self::{
+    budget::Budget,
+    fixes::Fixes,
+    news::News,
+    orders::Orders,
+    replies::Replies,
+    said::Said,
+    tiles::{NO_TILES, Tiles},
+};
+use super::{command::Command, snapshot::Snapshot};
+use crate::{camera::Sighting, timing::ROBOT_UNREACHABLE};
+
+/// Reliable frames in flight to one robot.
+const WINDOW: usize = 16;
+
+pub(super) type Link = Endpoint<ToRobot, u16, WINDOW, MAX_FRAME>;
+
+/// One robot's session.
+#[derive(Debug)]
+pub(super) struct Session {
+    robot: RobotId,
+    /// The nonce of the hello that it answers.
+    nonce: u32,
+    /// When anything was last heard in it.
+    heard: Instant,
+    said: Said,
+    fixes: Fixes,
+    replies: Replies,
+    orders: Orders,
+    tiles: Tiles,
+    news: News,
+    budget: Budget,
+}
+
+/// What came in.
+impl Session {
+    /// The session that a hello begins.
+    pub(super) fn new(hello: &Hello, now: Instant) -> Self {
+        Self {
+            robot: hello.robot,
+            nonce: hello.nonce,
+            heard: now,
+            said: Said::default(),
+            fixes: Fixes::default(),
+            replies: Replies::default(),
+            orders: Orders::default(),
+            tiles: Tiles::new(hello.fused_tiles, now),
+            news: News::default(),
+            budget: Budget::default(),
+        }
+    }
+
+    /// Takes over from an earlier session of the same robot: commands, and what it has reported.
+    pub(super) fn continue_from(&mut self, earlier: Self) {
+        self.said.continue_from(earlier.said);
+        self.orders.continue_from(earlier.orders);
+    }
+
+    pub(super) fn robot(&self) -> RobotId {
+        self.robot
+    }
+
+    /// Whether it answers this hello.
+    pub(super) fn answers(&self, hello: &Hello) -> bool {
+        self.robot == hello.robot && self.nonce == hello.nonce
+    }
+
+    /// Something of the robot has come in.
+    pub(super) fn hear(&mut self, now: Instant) {
+        self.heard = now;
+    }
+
+    /// How long nothing has come in.
+    pub(super) fn silent_for(&self, now: Instant) -> Duration {
+        now.since(self.heard)
+    }
+
+    /// Whether the robot can be expected to follow a command.
+    pub(super) fn is_reachable(&self, now: Instant) -> bool {
+        self.silent_for(now) < ROBOT_UNREACHABLE
+    }
+
+    pub(super) fn state(&mut self, state: State) {
+        self.said.add_state(state);
+    }
+
+    pub(super) fn event(&mut self, event: Event, received: Instant) {
+        self.said.add_event(event, received);
+    }
+
+    pub(super) fn time_requested(&mut self, nonce: u16, received: Instant) {
+        self.said.add_time_request();
+        self.replies.time(nonce, received);
+    }
+
+    pub(super) fn parameters(&mut self, report: ParameterReport) {
+        self.orders.answered(report.number);
+        self.said.add_parameters(report);
+    }
+
+    pub(super) fn vector(&mut self, vector: DistanceVector) {
+        self.said.add_vector(vector);
+    }
+
+    /// The robot's window has moved.
+    pub(super) fn interested(&mut self, interest: Interest) {
+        self.tiles.move_window(interest);
+    }
+
+    /// The robot lacks tiles of the server's.
+    pub(super) fn requested(&mut self, request: &Request) {
+        self.tiles.requested(request);
+    }
+
+    /// The robot has acknowledged a frame, by its token.
+    pub(super) fn acknowledged(&mut self, frame: u16) {
+        self.tiles.acknowledged(frame);
+    }
+
+    /// What the robot has said.
+    pub(super) fn said(&self) -> &Said {
+        &self.said
+    }
+
+    /// The same, to take what is read once.
+    pub(super) fn said_mut(&mut self) -> &mut Said {
+        &mut self.said
+    }
+}
+
+/// What is to go out.
+impl Session {
+    /// Adds a fix by a camera.
+    pub(super) fn fix(&mut self, moment: Instant, sighting: Sighting) {
+        self.fixes.add(moment, sighting);
+    }
+
+    /// Adds a fix by a match with the map.
+    pub(super) fn matched(&mut self, fix: PoseFix) {
+        self.fixes.add_matched(fix);
+    }
+
+    /// Adds a command.
+    pub(super) fn command(&mut self, command: Command) {
+        self.orders.add(command);
+    }
+
+    /// A state of one of the robot's tiles is on disk.
+    pub(super) fn stored(&mut self, id: TileId, stamp: Stamp) {
+        self.replies.stored(id, stamp);
+    }
+
+    /// Asks the robot for one of its tiles.
+    pub(super) fn ask_for(&mut self, id: TileId) {
+        self.replies.missing(id);
+    }
+
+    /// Whether something waits that goes before frames that are sent again: a pose, a stop.
+    pub(super) fn is_urgent(&self, now: Instant) -> bool {
+        self.fixes.is_ready(now) || self.orders.is_urgent()
+    }
+
+    /// Puts what is due into a frame: first what is urgent or soon stale.
+    pub(super) fn fill(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        now: Instant,
+        writer: &mut Writer<'_, ToRobot>,
+        reliable: bool,
+    ) -> Fill<u16> {
+        if reliable && self.orders.write_urgent(writer) {
+            return Fill::Reliable(NO_TILES);
+        }
+        let before = writer.len();
+        let is_affordable = self.budget.ready_at() <= now;
+        self.write_newest(snapshot, now, writer, is_affordable);
+        if writer.len() > before || !reliable {
+            return Fill::Datagram;
+        }
+        if self.orders.write(writer) || self.replies.write_reliable(writer) {
+            return Fill::Reliable(NO_TILES);
+        }
+        if is_affordable { self.tiles.write(snapshot, now, writer) } else { Fill::Nothing }
+    }
+
+    /// Adds messages of which only the newest counts, so that they are never sent again.
+    fn write_newest(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        now: Instant,
+        writer: &mut Writer<'_, ToRobot>,
+        is_affordable: bool,
+    ) {
+        let before = writer.len();
+        self.fixes.write(now, writer);
+        self.replies.write_times(now, writer);
+        if is_affordable {
+            self.tiles.write_confirmation(snapshot, now, writer);
+            let alone = writer.len() == before;
+            self.news.fill(snapshot.surroundings, self.robot, now, writer, alone);
+        }
+    }
+
+    /// A frame of this length was sent.
+    pub(super) fn sent(&mut self, bytes: usize, now: Instant) {
+        self.budget.spend(bytes as u64, now);
+    }
+
+    /// When there is something to send.
+    pub(super) fn poll_timeout(
+        &self,
+        snapshot: &Snapshot<'_>,
+        reliable: bool,
+        now: Instant,
+    ) -> Option<Instant> {
+        if self.replies.has_times()
+            || reliable && (self.orders.is_ready() || self.replies.has_reliable())
+        {
+            return Some(now);
+        }
+        let news = self.news.poll_timeout(snapshot.surroundings, self.robot);
+        let tiles = self.tiles.poll_timeout(snapshot, reliable);
+        let waiting = news.into_iter().chain(tiles).min();
+        let affordable = waiting.map(|due| due.max(self.budget.ready_at()));
+        affordable.into_iter().chain(self.fixes.poll_timeout(now)).min()
+    }
+
+    /// Messages that wait to be sent, tiles and news aside: only their newest state is sent.
+    pub(super) fn waiting(&self) -> usize {
+        self.fixes.waiting() + self.replies.waiting() + self.orders.waiting()
+    }
+
+    /// Peers and obstacles that messages had no room for, counted each time.
+    pub(super) fn left_out(&self) -> u64 {
+        self.news.left_out()
+    }
+
+    /// Whether the robot has acknowledged the newest state of every fused tile that it wants.
+    pub(super) fn is_level(&self, snapshot: &Snapshot<'_>) -> bool {
+        self.tiles.is_level(snapshot)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,277 @@
+//! One of the server's layers on its way to one robot: what the robot holds, and what is due.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    message::{
+        Digests, Freshness, Interest, MAX_DIGESTS, MAX_FRESH_BYTES, Request, TileDigest,
+        TileUpdateHead, ToRobot, Writer,
+    },
+    tile::{Layer, Publication, Stamp, Tile, TileEncoder, TileId, Version, tile_hash},
+    time::{Duration, Instant},
+};
+
+use crate::server::snapshot::Snapshot;
+
+/// From one message with digests of a few tiles to the next.
+const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
+/// The time in which all coverage tiles are confirmed once.
+const CONFIRM_INTERVAL: Duration = Duration::from_millis(250);
+/// A tile is confirmed if the robot holds what was the newest this long ago: a newer update is in
+/// flight.
+const CONFIRM_DELAY: Duration = Duration::from_millis(500);
+
+/// What a robot holds of one layer.
+#[derive(Debug)]
+pub(super) struct Publishing {
+    layer: Layer,
+    /// How long changes of a tile are gathered.
+    hold: Duration,
+    tiles: BTreeMap<TileId, Published>,
+    /// The tile whose digest was sent last, and when the next ones are due.
+    digested: Option<TileId>,
+    next_digests: Instant,
+    /// The index within the window of the tile to be confirmed next, and when.
+    confirmed: u16,
+    next_confirmation: Instant,
+}
+
+/// What a robot holds of one tile.
+#[derive(Debug, Default)]
+struct Published {
+    publication: Publication,
+    /// When it was last sent.
+    sent: Option<Instant>,
+    /// When the state that the robot has acknowledged was last the newest.
+    newest: Option<Instant>,
+}
+
+impl Publishing {
+    /// A robot that holds nothing.
+    pub(super) fn new(layer: Layer, hold: Duration, now: Instant) -> Self {
+        Self {
+            layer,
+            hold,
+            tiles: BTreeMap::new(),
+            digested: None,
+            next_digests: now + DIGEST_INTERVAL,
+            confirmed: 0,
+            next_confirmation: now,
+        }
+    }
+
+    /// The robot has dropped the tiles for which `kept` is false.
+    pub(super) fn retain(&mut self, kept: impl Fn(TileId) -> bool) {
+        self.tiles.retain(|&id, _| kept(id));
+    }
+
+    /// The robot could not read an update: that tile, and all that travelled with it, is sent
+    /// whole.
+    pub(super) fn requested(&mut self, request: &Request) {
+        for id in &request.tiles {
+            let Some(one) = self.tiles.get(id).map(|tile| tile.publication.clone()) else {
+                continue;
+            };
+            let tiles = self.tiles.values_mut();
+            tiles.filter(|it| it.publication.travelled_with(&one)).for_each(Published::forget);
+        }
+        if request.tiles.is_empty() {
+            self.tiles.values_mut().for_each(Published::forget);
+        }
+    }
+
+    pub(super) fn acknowledged(&mut self, frame: u16) {
+        for tile in self.tiles.values_mut() {
+            if tile.publication.acknowledge(frame) && tile.publication.is_acknowledged() {
+                tile.newest = tile.newest.max(tile.sent);
+            }
+        }
+    }
+
+    /// Adds tile updates, one tile to a message: a robot that has dropped a tile can't read what
+    /// follows it in the same message. Tiles that were sent longest ago go first. `empty` is the
+    /// length of the frame before the first tile. Returns whether everything due had room.
+    pub(super) fn fill(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        interest: &Interest,
+        now: Instant,
+        frame: u16,
+        writer: &mut Writer<'_, ToRobot>,
+        empty: usize,
+    ) -> bool {
+        let due = snapshot.layer(self.layer).within(interest).filter(|&(id, version, tile)| {
+            self.due(id, version, tile).is_some_and(|due| due <= now)
+        });
+        let mut due: Vec<_> = due.collect();
+        due.sort_by_key(|(id, ..)| self.tiles.get(id).and_then(|tile| tile.sent));
+        let layer = self.layer;
+        let seconds = (now.micros() / 1_000_000) as u32;
+        for (id, version, tile) in due {
+            let published = self.tiles.entry(id).or_default();
+            let first = writer.len() == empty;
+            let written = writer.push_with(&TileUpdateHead { layer, seconds }, |coded| {
+                let mut encoder = TileEncoder::new(coded);
+                let mut new = *tile;
+                let mut trial = published.publication.clone();
+                trial
+                    .push(&mut encoder, id, snapshot.epoch, version, &mut new, frame)
+                    .then_some(())?;
+                if trial.has_parts_left() && !first {
+                    // A tile is split only if it has a frame to itself.
+                    return None;
+                }
+                published.publication = trial;
+                encoder.finish()
+            });
+            if !written {
+                return false;
+            }
+            published.sent = Some(now);
+            if published.publication.has_parts_left() {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// When the next tile is due.
+    pub(super) fn next_tile(
+        &self,
+        snapshot: &Snapshot<'_>,
+        interest: &Interest,
+    ) -> Option<Instant> {
+        snapshot
+            .layer(self.layer)
+            .within(interest)
+            .filter_map(|(id, version, tile)| self.due(id, version, tile))
+            .min()
+    }
+
+    /// When there is something to send of a tile. One that has changed and changed back has a new
+    /// version all the same.
+    fn due(&self, id: TileId, version: Version, tile: &Tile) -> Option<Instant> {
+        let Some(Published { publication, sent, .. }) = self.tiles.get(&id) else {
+            return Some(Instant(0));
+        };
+        let newer = publication.version() != version;
+        let more = publication.is_ready() && (newer || publication.differs(tile));
+        let waits = sent.filter(|_| !publication.has_parts_left());
+        more.then(|| waits.map_or(Instant(0), |sent| sent + self.hold))
+    }
+
+    /// Whether the robot has acknowledged the newest state of every tile that it wants.
+    pub(super) fn is_level(&self, snapshot: &Snapshot<'_>, interest: &Interest) -> bool {
+        snapshot
+            .layer(self.layer)
+            .within(interest)
+            .all(|(id, version, tile)| self.has(id, version, tile))
+    }
+
+    /// Whether the robot has acknowledged this state of a tile.
+    fn has(&self, id: TileId, version: Version, tile: &Tile) -> bool {
+        self.tiles.get(&id).is_some_and(|published| published.has(version, tile))
+    }
+
+    pub(super) fn next_digests(&self) -> Instant {
+        self.next_digests
+    }
+
+    /// Adds the digests of the next few tiles that the robot should hold, if they are due.
+    pub(super) fn fill_digests(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        interest: &Interest,
+        now: Instant,
+        writer: &mut Writer<'_, ToRobot>,
+    ) {
+        if self.next_digests > now {
+            return;
+        }
+        self.next_digests = now + DIGEST_INTERVAL;
+        let level = snapshot
+            .layer(self.layer)
+            .within(interest)
+            .filter(|&(id, version, tile)| self.has(id, version, tile));
+        let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
+        let tiles: Vec<TileDigest> = next
+            .map(|(id, version, tile)| TileDigest {
+                id,
+                stamp: Stamp { epoch: snapshot.epoch, version },
+                hash: tile_hash(tile),
+            })
+            .collect();
+        // As many as fit.
+        let told = writer.push_longest(1..=tiles.len(), |count| {
+            let tiles = tiles[..count].iter().copied().collect();
+            Digests { layer: self.layer, tiles }
+        });
+        self.digested = told.map(|count| tiles[count - 1].id);
+    }
+
+    /// When tiles are to be confirmed, if there are any.
+    pub(super) fn next_confirmation(
+        &self,
+        snapshot: &Snapshot<'_>,
+        interest: &Interest,
+    ) -> Option<Instant> {
+        snapshot.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
+    }
+
+    /// Adds the confirmation of tiles that the robot holds as they were a moment ago. A window too
+    /// large for one message is confirmed in parts.
+    pub(super) fn fill_confirmation(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        interest: &Interest,
+        now: Instant,
+        writer: &mut Writer<'_, ToRobot>,
+    ) {
+        if self.next_confirmation(snapshot, interest).is_none_or(|next| next > now) {
+            return;
+        }
+        for (id, version, tile) in snapshot.layer(self.layer).within(interest) {
+            let published = self.tiles.get_mut(&id);
+            if let Some(published) = published.filter(|it| it.has(version, tile)) {
+                published.newest = Some(now);
+            }
+        }
+        let time = now - CONFIRM_DELAY;
+        let first = self.confirmed;
+        let mut tiles = heapless::Vec::<u8, MAX_FRESH_BYTES>::new();
+        let most = (8 * MAX_FRESH_BYTES).min(8 * writer.room().saturating_sub(12).max(1));
+        for (index, id) in interest.ids().skip(first.into()).take(most).enumerate() {
+            if self.tiles.get(&id).is_some_and(|tile| tile.newest >= Some(time)) {
+                // There is room for `most` of them.
+                let _ = tiles.resize(index / 8 + 1, 0);
+                tiles[index / 8] |= 1 << (index % 8);
+            }
+        }
+        let freshness = Freshness { time, interest: interest.number, first, tiles };
+        let all = interest.tiles();
+        self.confirmed = u16::try_from(u32::from(first) + most as u32)
+            .ok()
+            .filter(|next| u32::from(*next) < all)
+            .unwrap_or(0);
+        let rounds = u64::from(all).div_ceil(most as u64).max(1);
+        self.next_confirmation = now + Duration(CONFIRM_INTERVAL.micros() / rounds);
+        if !freshness.tiles.is_empty() {
+            // If it does not fit, the next one confirms these tiles.
+            let _ = writer.push(&freshness);
+        }
+    }
+}
+
+impl Published {
+    fn has(&self, version: Version, tile: &Tile) -> bool {
+        let publication = &self.publication;
+        publication.is_acknowledged()
+            && publication.version() == version
+            && publication.sent() == tile
+    }
+
+    fn forget(&mut self) {
+        self.publication.forget();
+        self.newest = None;
+    }
+}

@@ -1,0 +1,193 @@
+use std::collections::BTreeSet;
+
+use ubimap_protocol::{
+    frame::{MIN_VERSION, VERSION},
+    message::{Digests, Freshness, Messages, ToRobot},
+    tile::{Cell, Epoch, Tile},
+    units::{Millimetres, Pose},
+};
+
+use super::*;
+use crate::{mapping::ServedLayer, server::surroundings::Surroundings};
+
+const ID: TileId = TileId { x: 1, y: 0 };
+
+fn window(number: u32, west: i16) -> Interest {
+    let from = TileId { x: west, y: 0 };
+    Interest { number, from, to: TileId { x: west + 1, y: 1 } }
+}
+
+/// Nothing but a fused layer.
+fn snapshot(fused: &ServedLayer) -> Snapshot<'_> {
+    let (coverage, surroundings) = Box::leak(Box::default());
+    Snapshot { epoch: Epoch(1), fused, coverage, surroundings }
+}
+
+/// The session of a robot with room for four tiles.
+fn new_session() -> Session {
+    let hello = Hello {
+        version: VERSION,
+        min_version: MIN_VERSION,
+        robot: RobotId(1),
+        nonce: 7,
+        frame: 250,
+        resolution: Millimetres(50),
+        fused_tiles: 4,
+    };
+    Session::new(&hello, Instant(0))
+}
+
+/// Sends what is due, and has it acknowledged.
+fn tell(session: &mut Session, fused: &ServedLayer, now: Instant) {
+    let mut buffer = [0u8; 200];
+    let mut writer = Writer::new(&mut buffer);
+    let filled = session.fill(&snapshot(fused), now, &mut writer, true);
+    let Fill::Reliable(frame) = filled else { panic!("{filled:?}") };
+    session.acknowledged(frame);
+    assert!(session.is_level(&snapshot(fused)));
+}
+
+/// A session whose robot has the only fused tile.
+fn level(fused: &ServedLayer) -> Session {
+    let mut session = new_session();
+    session.interested(window(1, 0));
+    tell(&mut session, fused, Instant(0));
+    session
+}
+
+#[test]
+fn what_is_long_is_cut_to_a_small_frame() {
+    let mut session = new_session();
+    let far = Sighting::usual(RobotId(1), Pose::from_metres(-900.0, 900.0, 3.0));
+    (0..4).for_each(|hour| session.fix(Instant((hour + 1) * 3_600_000_000), far));
+    (0..8).for_each(|x| session.ask_for(TileId { x: 30_000 + x, y: -30_000 }));
+    let fused = ServedLayer::default();
+    let mut frames = 0;
+    let now = Instant(0);
+    while session.poll_timeout(&snapshot(&fused), true, now).is_some_and(|due| due <= now) {
+        let mut buffer = [0u8; 24];
+        let mut writer = Writer::new(&mut buffer);
+        let filled = session.fill(&snapshot(&fused), now, &mut writer, true);
+        assert!(!writer.is_empty(), "{filled:?} stands still");
+        frames += 1;
+    }
+    assert_eq!(frames, 1 + 3, "one with a fix, and three tiles in each of the others");
+}
+
+#[test]
+fn in_small_frames_the_digests_of_all_tiles_take_turns() {
+    let mut tile = Tile::UNKNOWN;
+    tile.set(3, 3, Cell::Free);
+    let mut fused = ServedLayer::default();
+    let ids = window(1, 0).ids().inspect(|&id| assert!(fused.set(id, tile)));
+    let ids: BTreeSet<TileId> = ids.collect();
+    let mut session = new_session();
+    session.interested(window(1, 0));
+    tell(&mut session, &fused, Instant(0));
+    let mut told = Vec::new();
+    for second in 1..60 {
+        let mut buffer = [0u8; 24];
+        let mut writer = Writer::new(&mut buffer);
+        session.fill(&snapshot(&fused), Instant(second * 1_000_000), &mut writer, true);
+        let len = writer.len();
+        for message in Messages::<ToRobot>::new(&buffer[..len]).map(Result::unwrap) {
+            let digests = message.decode::<Digests>().unwrap();
+            told.extend(digests.tiles.iter().map(|told| told.id));
+        }
+    }
+    assert!(told.iter().take(4).eq(&ids), "{told:?}");
+}
+
+#[test]
+fn a_tile_that_has_changed_back_is_sent_for_its_version() {
+    let mut fused = ServedLayer::default();
+    let (mut tile, mut other) = (Tile::UNKNOWN, Tile::UNKNOWN);
+    tile.set(3, 3, Cell::Free);
+    other.set(3, 3, Cell::Occupied);
+    fused.set(ID, tile);
+    let mut session = level(&fused);
+    fused.set(ID, other);
+    fused.set(ID, tile);
+    tell(&mut session, &fused, Instant(0) + tiles::FUSED_HOLD);
+}
+
+#[test]
+fn what_a_window_that_was_never_heard_of_left_out_is_sent_again() {
+    let mut tile = Tile::UNKNOWN;
+    tile.set(3, 3, Cell::Free);
+    let mut fused = ServedLayer::default();
+    fused.set(ID, tile);
+    let mut session = level(&fused);
+    session.interested(window(2, 1));
+    assert!(session.is_level(&snapshot(&fused)), "it has kept the tile");
+    // The third window may have been elsewhere.
+    session.interested(window(4, 0));
+    assert!(!session.is_level(&snapshot(&fused)));
+    assert!(session.poll_timeout(&snapshot(&fused), true, Instant(0)).is_some());
+}
+
+#[test]
+fn many_cameras_make_no_more_messages() {
+    let mut session = new_session();
+    let fused = ServedLayer::default();
+    let mut sent = Vec::new();
+    for step in 0..200u64 {
+        let now = Instant(step * 5_000);
+        // Four cameras, each at 12.5 Hz.
+        if step % 4 == 0 {
+            session.fix(now, Sighting::usual(RobotId(1), Pose::default()));
+        }
+        let mut buffer = [0u8; 200];
+        let mut writer = Writer::new(&mut buffer);
+        session.fill(&snapshot(&fused), now, &mut writer, true);
+        let len = writer.len();
+        for message in Messages::<ToRobot>::new(&buffer[..len]) {
+            let fix = message.unwrap().decode::<PoseFix>().unwrap();
+            sent.push(fix.fixes().map(|(moment, _)| moment).collect::<Vec<_>>());
+        }
+    }
+    assert!(sent.len() <= 17, "{}", sent.len());
+    let told: BTreeSet<Instant> = sent.into_iter().flatten().collect();
+    assert_eq!(told.len(), 49, "all of fifty but the newest");
+}
+
+#[test]
+fn coverage_is_confirmed_while_the_robot_holds_it() {
+    let mut tile = Tile::UNKNOWN;
+    tile.set(3, 3, Cell::Free);
+    let (fused, mut coverage) = (ServedLayer::default(), ServedLayer::default());
+    coverage.set(ID, tile);
+    let surroundings = Surroundings::default();
+    let mut session = new_session();
+    session.interested(window(1, 0));
+    // The tiles that are confirmed until then, and by when; frames with tiles get lost if so.
+    let mut confirmed = |coverage: &ServedLayer, until: u64, lost: bool| {
+        let snapshot =
+            Snapshot { epoch: Epoch(1), fused: &fused, coverage, surroundings: &surroundings };
+        let until = Instant(until * 1_000);
+        let mut newest = None;
+        while let Some(due) = session.poll_timeout(&snapshot, true, until).filter(|it| *it <= until)
+        {
+            let mut buffer = [0u8; 200];
+            let mut writer = Writer::new(&mut buffer);
+            let filled = session.fill(&snapshot, due, &mut writer, true);
+            let len = writer.len();
+            if let (Fill::Reliable(frame), false) = (filled, lost) {
+                session.acknowledged(frame);
+            }
+            for message in Messages::<ToRobot>::new(&buffer[..len]).map(Result::unwrap) {
+                if let Ok(freshness) = message.decode::<Freshness>() {
+                    assert_eq!((freshness.interest, freshness.first), (1, 0));
+                    assert_eq!(&freshness.tiles[..], [0b10], "the second tile of the window");
+                    newest = Some(freshness.time.0 / 1_000);
+                }
+            }
+        }
+        newest
+    };
+    assert_eq!(confirmed(&coverage, 3_000, false), Some(2_500));
+    tile.set(4, 3, Cell::Free);
+    coverage.set(ID, tile);
+    // What it holds was the newest until now.
+    assert_eq!(confirmed(&coverage, 6_000, true), Some(3_000));
+}

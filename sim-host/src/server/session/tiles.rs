@@ -1,0 +1,139 @@
+//! The server's tiles on their way to one robot.
+
+use ubimap_protocol::{
+    link::Fill,
+    message::{Interest, Request, ToRobot, Writer},
+    tile::{Layer, TileId},
+    time::{Duration, Instant},
+};
+
+use super::publishing::Publishing;
+use crate::server::snapshot::Snapshot;
+
+/// The token of frames in which no tile travels.
+pub(super) const NO_TILES: u16 = 0;
+/// Changes of a fused tile are gathered for this long, so that one message carries many.
+pub(super) const FUSED_HOLD: Duration = Duration::from_secs(1);
+/// Changes of a coverage tile are gathered for this long: robots depend on it sooner.
+const COVERAGE_HOLD: Duration = Duration::from_millis(500);
+/// From one burst of frames with tiles to the next: the robot must acknowledge each frame.
+const BURST_INTERVAL: Duration = Duration::from_millis(400);
+
+/// What a robot holds of the fused and the coverage layer within the window that it wants.
+#[derive(Debug)]
+pub(super) struct Tiles {
+    interest: Option<Interest>,
+    /// The most tiles of a layer that the robot has room for.
+    capacity: u16,
+    fused: Publishing,
+    coverage: Publishing,
+    /// The token of the newest frame with tiles.
+    frame: u16,
+    next_burst: Instant,
+}
+
+impl Tiles {
+    /// A robot that holds nothing, and has room for this many tiles of a layer.
+    pub(super) fn new(capacity: u16, now: Instant) -> Self {
+        Self {
+            interest: None,
+            capacity,
+            fused: Publishing::new(Layer::Fused, FUSED_HOLD, now),
+            coverage: Publishing::new(Layer::Coverage, COVERAGE_HOLD, now),
+            frame: NO_TILES,
+            next_burst: now,
+        }
+    }
+
+    /// The robot's window has moved: it has dropped what lies outside.
+    pub(super) fn move_window(&mut self, interest: Interest) {
+        let newer = self.interest.is_none_or(|now| now.number < interest.number);
+        if !newer || interest.tiles() > u32::from(self.capacity) {
+            return;
+        }
+        // If a window in between was lost on the way, the robot has dropped tiles for it as well.
+        let next = self.interest.is_none_or(|now| now.number.wrapping_add(1) == interest.number);
+        self.fused.retain(|id: TileId| next && interest.contains(id));
+        self.coverage.retain(|id: TileId| next && interest.contains(id));
+        self.interest = Some(interest);
+    }
+
+    /// The robot lacks tiles of the server's.
+    pub(super) fn requested(&mut self, request: &Request) {
+        match request.layer {
+            Layer::Robot => {}
+            Layer::Fused => self.fused.requested(request),
+            Layer::Coverage => self.coverage.requested(request),
+        }
+    }
+
+    /// The robot has acknowledged a frame, by its token.
+    pub(super) fn acknowledged(&mut self, frame: u16) {
+        self.fused.acknowledged(frame);
+        self.coverage.acknowledged(frame);
+    }
+
+    /// Adds the confirmation of coverage tiles to a frame, if it is due.
+    pub(super) fn write_confirmation(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        now: Instant,
+        writer: &mut Writer<'_, ToRobot>,
+    ) {
+        if let Some(interest) = &self.interest {
+            self.coverage.fill_confirmation(snapshot, interest, now, writer);
+        }
+    }
+
+    /// Adds tiles that are due to an empty frame, or else digests. The layers take turns in going
+    /// first.
+    pub(super) fn write(
+        &mut self,
+        snapshot: &Snapshot<'_>,
+        now: Instant,
+        writer: &mut Writer<'_, ToRobot>,
+    ) -> Fill<u16> {
+        let Some(interest) = self.interest else { return Fill::Nothing };
+        let empty = writer.len();
+        let frame = if self.frame == u16::MAX { NO_TILES + 1 } else { self.frame + 1 };
+        let mut all = true;
+        let is_burst_due = self.next_burst <= now;
+        for layer in self.in_turns().into_iter().filter(|_| is_burst_due) {
+            all &= layer.fill(snapshot, &interest, now, frame, writer, empty);
+        }
+        if writer.len() > empty {
+            self.next_burst = if all { now + BURST_INTERVAL } else { now };
+            self.frame = frame;
+            return Fill::Reliable(frame);
+        }
+        for layer in self.in_turns() {
+            layer.fill_digests(snapshot, &interest, now, writer);
+        }
+        Fill::Datagram
+    }
+
+    fn in_turns(&mut self) -> [&mut Publishing; 2] {
+        if self.frame.is_multiple_of(2) {
+            [&mut self.fused, &mut self.coverage]
+        } else {
+            [&mut self.coverage, &mut self.fused]
+        }
+    }
+
+    /// When there is something to send; tiles only if a reliable frame may go.
+    pub(super) fn poll_timeout(&self, snapshot: &Snapshot<'_>, reliable: bool) -> Option<Instant> {
+        let interest = self.interest.as_ref()?;
+        let confirmation = self.coverage.next_confirmation(snapshot, interest);
+        let layers = [&self.fused, &self.coverage].into_iter().filter(|_| reliable);
+        let due = layers.flat_map(|layer| {
+            let tile = layer.next_tile(snapshot, interest);
+            tile.map(|due| due.max(self.next_burst)).into_iter().chain([layer.next_digests()])
+        });
+        due.chain(confirmation).min()
+    }
+
+    /// Whether the robot has acknowledged the newest state of every fused tile that it wants.
+    pub(super) fn is_level(&self, snapshot: &Snapshot<'_>) -> bool {
+        self.interest.as_ref().is_none_or(|interest| self.fused.is_level(snapshot, interest))
+    }
+}

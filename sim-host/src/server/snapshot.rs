@@ -1,0 +1,23 @@
+//! What the server has for all robots, at one moment.
+
+use ubimap_protocol::tile::{Epoch, Layer};
+
+use super::surroundings::Surroundings;
+use crate::mapping::ServedLayer;
+
+/// The layers and the surroundings that sessions take their messages from.
+#[derive(Clone, Copy)]
+pub(super) struct Snapshot<'s> {
+    /// The epoch of the server's layers.
+    pub(super) epoch: Epoch,
+    pub(super) fused: &'s ServedLayer,
+    pub(super) coverage: &'s ServedLayer,
+    pub(super) surroundings: &'s Surroundings,
+}
+
+impl<'s> Snapshot<'s> {
+    /// One of the server's layers.
+    pub(super) fn layer(&self, layer: Layer) -> &'s ServedLayer {
+        if layer == Layer::Coverage { self.coverage } else { self.fused }
+    }
+}

@@ -1,0 +1,18 @@
+//! A pose in the plane.
+
+use parry2d_f64::glamx::DVec2;
+use ubimap_protocol::units::Pose;
+
+/// A position in metres and a heading in radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PlanePose {
+    pub(super) position: DVec2,
+    pub(super) heading: f64,
+}
+
+impl PlanePose {
+    /// Rounded to the units of the wire.
+    pub(super) fn quantised(self) -> Pose {
+        Pose::from_metres(self.position.x, self.position.y, self.heading)
+    }
+}

@@ -1,0 +1,24 @@
+//! Random numbers: an independent stream for everything that uses any, so that one robot fewer leaves
+//! the noise of the others unchanged.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+/// What a stream is for; the streams of a kind are numbered.
+#[derive(Clone, Copy)]
+pub(super) enum Stream {
+    Camera = 1,
+    Person = 2,
+    Odometry = 3,
+    Scan = 4,
+    Frame = 5,
+}
+
+impl Stream {
+    /// The stream of a number, from its beginning.
+    pub(super) fn rng(self, seed: u64, number: usize) -> ChaCha8Rng {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream((self as u64) << 32 | number as u64);
+        rng
+    }
+}

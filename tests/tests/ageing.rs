@@ -1,0 +1,127 @@
+//! What speaks against the server's map, but not often enough to be told, is forgotten, whether or not
+//! the robot can send anything.
+
+use ubimap_agent::{Agent, Config, sense::SensorModel};
+use ubimap_protocol::{
+    frame::DEFAULT_FRAME,
+    link::{Answer, Endpoint, Fill, Received, Terms, answer},
+    message::{
+        Body, Certainty, FixSource, Hello, PoseFix, TileUpdateHead, TimeReply, ToRobot, Writer,
+    },
+    tile::{Epoch, Layer, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version},
+    time::{Duration, Instant},
+    units::{Pose, RobotId, SessionId},
+};
+use ubimap_sim_host::run::fleet::AgentMemory;
+
+const BEAMS: usize = 12;
+/// From one beam to the next, in radians.
+const STEP: f32 = 0.2;
+/// Where the beam 0.1 radians from the x axis of `map` ends after [`READING`]: cell (41, 4).
+const ID: TileId = TileId { x: 1, y: 0 };
+const CELL: (usize, usize) = (9, 4);
+const READING: u16 = 2_100;
+
+/// The server's end of the link. It hears only what it must.
+struct Server {
+    link: Endpoint<ToRobot, (), 8, DEFAULT_FRAME>,
+}
+
+impl Server {
+    /// A server with a session, and the clocks agree.
+    fn connect(agent: &mut Agent<'_>, config: &Config) -> Self {
+        let mut link = Endpoint::new();
+        let mut out = [0; DEFAULT_FRAME];
+        let len = agent.poll_transmit(Instant(0), &mut out).expect("a hello");
+        let Some(Received::Handshake(hello)) = link.receive(&mut &out[..len], Instant(0)) else {
+            panic!("no hello")
+        };
+        let hello = hello.decode::<Hello>().unwrap();
+        let (resolution, frame) = (config.resolution, DEFAULT_FRAME as u16);
+        let terms = Terms { resolution, frame, server_epoch: 1, stores: false };
+        let Answer::Welcome(welcome) = answer(&hello, &terms, SessionId(1), 1) else {
+            panic!("refused")
+        };
+        let len = link.handshake(&welcome, &mut out).unwrap();
+        link.begin(welcome.session, DEFAULT_FRAME);
+        agent.receive(&out[..len], Instant(0));
+        // The first request for the time has the nonce 0.
+        agent.poll_transmit(Instant(0), &mut out).expect("a request for the time");
+        let mut server = Self { link };
+        let reply = TimeReply { nonce: 0, received: Instant(0), held_micros: 0 };
+        server.say(agent, Instant(0), &reply);
+        server
+    }
+
+    fn say(&mut self, agent: &mut Agent<'_>, now: Instant, message: &impl Body<ToRobot>) {
+        self.send(agent, now, |writer| writer.push(message));
+    }
+
+    fn send(
+        &mut self,
+        agent: &mut Agent<'_>,
+        now: Instant,
+        fill: impl FnOnce(&mut Writer<'_, ToRobot>) -> bool,
+    ) {
+        let mut out = [0; DEFAULT_FRAME];
+        let sent = self.link.poll_transmit(now, &mut out, true, |writer, _| {
+            assert!(fill(writer));
+            Fill::Datagram
+        });
+        agent.receive(&out[..sent.unwrap().len], now);
+    }
+}
+
+/// Whether the robot says that the cell is occupied after ten scans with a hit in it, where the
+/// server's map says free. It has a session, and its port never has room for a frame.
+fn contradicts(apart: Duration) -> bool {
+    let sensor = SensorModel::Radial { first: -1.1, step: STEP };
+    let config = Config::new(RobotId(3), sensor);
+    let mut memory = AgentMemory::new(&config, BEAMS, 8, 16);
+    let mut agent = Agent::new(config, memory.lend()).unwrap();
+    let mut server = Server::connect(&mut agent, &config);
+    let mut now = Instant(0);
+    for scan in 0..=10u32 {
+        let end = now + apart;
+        while now < end {
+            now = end.min(now + Duration::from_millis(500));
+            agent.timeout(now);
+        }
+        // Turned by one beam each time, to and fro, so that each scan is mapped.
+        let pose = Pose::from_metres(0.0, 0.0, f64::from(STEP) * f64::from(scan % 2));
+        let before = std::iter::empty();
+        let certainty = Certainty { x: 5, y: 5, heading: 50 };
+        let fix = PoseFix::from_fixes((now, pose), before, certainty, FixSource::Camera);
+        server.say(&mut agent, now, &fix);
+        agent.odometry(now, pose, now);
+        // The first scan says where the robot is, and nothing else.
+        let reading = if scan == 0 { 0 } else { READING };
+        agent.scan(now, &[reading; BEAMS], now).unwrap();
+        if scan == 0 {
+            say_free(&mut server, &mut agent, now);
+        }
+    }
+    assert_eq!(agent.statistics().mapped, 11);
+    let tile = agent.own_tiles().find(ID).expect("it was hit");
+    tile.row(CELL.1).high >> CELL.0 & 1 != 0
+}
+
+/// The server's map says that all cells of the tile are free.
+fn say_free(server: &mut Server, agent: &mut Agent<'_>, now: Instant) {
+    let free = Tile { low: [u32::MAX; TILE_SIDE], ..Tile::UNKNOWN };
+    let stamp = Stamp { epoch: Epoch(1), version: Version(1) };
+    server.send(agent, now, |writer| {
+        writer.push_with(&TileUpdateHead { layer: Layer::Fused, seconds: 0 }, |coded| {
+            let mut encoder = TileEncoder::new(coded);
+            encoder.push(ID, stamp, None, 0, &Tile::UNKNOWN, &free)?;
+            encoder.finish()
+        })
+    });
+    assert_eq!(agent.fused_tiles().tile(ID), Some(&free));
+}
+
+#[test]
+fn hits_that_are_minutes_apart_are_forgotten_even_where_nothing_can_be_sent() {
+    assert!(contradicts(Duration::from_secs(1)), "ten hits in ten seconds are a change");
+    assert!(!contradicts(Duration::from_secs(60)), "ten hits in ten minutes are noise");
+}
