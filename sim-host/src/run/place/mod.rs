@@ -1,12 +1,11 @@
 //! `ubimap place`: where to hang the cameras of a room.
 
+mod fault;
 pub mod options;
 mod progress;
 mod room;
 
 use std::{
-    fmt,
-    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -33,6 +32,7 @@ use crate::{
         PlacementSummary,
     },
 };
+pub use fault::PlaceFault;
 use options::{ModelName, PlaceOptions};
 use progress::PlacingProgress;
 
@@ -41,32 +41,6 @@ const MILP_SHARE: f64 = 0.75;
 
 /// Side of a cell of the picture of a drawn room, in metres.
 const PICTURE_CELL_M: f64 = 0.05;
-
-/// Why cameras can't be placed: one line that names the file or room.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{what}: {reason}")]
-pub struct PlaceFault {
-    /// The file, or the room.
-    what: String,
-    reason: String,
-    /// Whether there was no answer in time, to a question that may have one.
-    is_late: bool,
-}
-
-impl PlaceFault {
-    fn at(what: &str, reason: String) -> Self {
-        Self { what: what.to_owned(), reason, is_late: false }
-    }
-
-    fn of(path: &Path, reason: &dyn fmt::Display) -> Self {
-        Self::at(&path.display().to_string(), reason.to_string())
-    }
-
-    /// Whether what was asked for is at fault, and not the run.
-    pub fn is_bad_input(&self) -> bool {
-        !self.is_late
-    }
-}
 
 /// What placing cameras ends with.
 #[derive(Clone, Debug, PartialEq)]
@@ -117,9 +91,11 @@ pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
         }
     });
     progress.finish();
-    let placement = placement.map_err(|error| PlaceFault {
-        is_late: matches!(error, PlacementError::NotFound { .. } | PlacementError::Milp(_)),
-        ..PlaceFault::of(&options.room, &error)
+    let placement = placement.map_err(|error| match error {
+        PlacementError::NotFound { .. } | PlacementError::Milp(_) => {
+            PlaceFault::unanswered(&options.room, &error)
+        }
+        error => PlaceFault::in_file(&options.room, &error),
     })?;
     let mut report = summarise(options, &plan, &request, &placement);
     report.solved_s = solved_s;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use image::GenericImageView;
 
-use super::{PlaceFault, options::PlaceOptions};
+use super::{fault::PlaceFault, options::PlaceOptions};
 use crate::{
     grid::{self, OccupancyGrid, raster},
     placement::{
@@ -43,7 +43,7 @@ pub(super) fn read_room(options: &PlaceOptions) -> Result<(FloorPlan, f64), RunE
     };
     let heights = [ceiling_m, robot_height_m];
     let plan = FloorPlan::new(enclosure, obstacles, heights, options.cell)
-        .map_err(|error| PlaceFault::of(path, &error))?;
+        .map_err(|error| PlaceFault::in_file(path, &error))?;
     Ok((plan, height_m))
 }
 
@@ -69,13 +69,14 @@ fn obstacle(part: FixedPart) -> Obstacle {
 pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Table), RunError> {
     let (config, keys) = match path {
         None => (
-            config(toml::Table::new()).map_err(|reason| PlaceFault::at("camera", reason))?,
+            config(toml::Table::new())
+                .map_err(|reason| PlaceFault::in_file(Path::new("camera"), &reason))?,
             toml::Table::new(),
         ),
         Some(path) => {
             let text =
-                std::fs::read_to_string(path).map_err(|error| PlaceFault::of(path, &error))?;
-            let refuse = |reason: String| PlaceFault::of(path, &reason);
+                std::fs::read_to_string(path).map_err(|error| PlaceFault::in_file(path, &error))?;
+            let refuse = |reason: String| PlaceFault::in_file(path, &reason);
             let mut keys: toml::Table = toml::from_str(&text)
                 .map_err(|error| refuse(error.message().replace('\n', ", ")))?;
             if let Some(key) =
@@ -97,7 +98,7 @@ pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Tab
     if !is_camera {
         let reason = "fields of view must be from 1 to 170 degrees, range_m from 0.01 to 1000 m";
         let path = path.unwrap_or(Path::new("camera"));
-        return Err(PlaceFault::of(path, &reason).into());
+        return Err(PlaceFault::in_file(path, &reason).into());
     }
     let rest = keys.into_iter().filter(|(key, _)| {
         !["horizontal_fov_deg", "vertical_fov_deg", "range_m"].contains(&key.as_str())
@@ -138,7 +139,7 @@ fn from_intrinsics(keys: &mut toml::Table) -> Result<(), String> {
 
 /// For each cell of the floor whether an image marks it as critical.
 pub(super) fn read_critical(path: &Path, plan: &FloorPlan) -> Result<Vec<bool>, RunError> {
-    let refuse = |reason: String| PlaceFault::of(path, &reason);
+    let refuse = |reason: String| PlaceFault::in_file(path, &reason);
     let image = raster::read(path).map_err(|error| refuse(error.to_string()))?.image;
     let found = image.dimensions();
     let (wanted, of) = match plan.enclosure() {
