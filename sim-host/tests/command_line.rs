@@ -5,6 +5,9 @@ use std::{
     process::{Command, Output},
 };
 
+#[path = "command_line/place.rs"]
+mod place;
+
 fn ubimap(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_ubimap")).args(arguments).output().unwrap()
 }

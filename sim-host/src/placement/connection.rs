@@ -28,14 +28,15 @@ pub fn pieces(programme: &Programme, chosen: &[u32], shared: u16) -> Vec<usize> 
     graph.pieces(chosen)
 }
 
-/// The fewest pieces that any placement can have which covers all cells with candidates: cells that
-/// no chain of candidates connects are not connected by any choice of them.
+/// The fewest pieces of any placement that covers every cell with a demand and a candidate: cells
+/// that no chain of candidates connects are not connected by any choice of them.
 pub fn fewest_pieces(programme: &Programme) -> usize {
     let mut is_seen = vec![false; programme.demands.len()];
     let mut is_done = vec![false; programme.candidates()];
     let mut count = 0;
     for start in 0..is_seen.len() {
-        if is_seen[start] || programme.covered_by.row(start).is_empty() {
+        let is_demanded = programme.demands[start].at_least > 0;
+        if !is_demanded || is_seen[start] || programme.covered_by.row(start).is_empty() {
             continue;
         }
         count += 1;

@@ -31,6 +31,9 @@ const MOST_EXCHANGES: usize = 1_000_000;
 /// Exchanges between two reports.
 const EXCHANGES: usize = 500;
 
+/// The demand of a cell that need not be covered.
+const IGNORED: Demand = Demand { at_least: 0, at_most: ANY_OVERLAP, weight: 0, is_required: false };
+
 /// What is asked of a placement.
 #[derive(Clone, Debug)]
 pub struct Request {
@@ -313,6 +316,9 @@ impl Area {
         for (cell, &seen_by) in seen_by.iter().enumerate() {
             let is_twice = is_critical(cell) && rule == Some(CriticalRule::Twice);
             if rule == Some(CriticalRule::Only) && !is_critical(cell) {
+                // Nothing is asked of it, but overlap there connects cameras.
+                area.demands.push(IGNORED);
+                area.numbers[cell] = area.demands.len() as u32;
                 continue;
             }
             let is_weighted = is_critical(cell) && rule == Some(CriticalRule::Weighted);
@@ -331,7 +337,7 @@ impl Area {
             area.demands.push(Demand { at_least, at_most, weight, is_required });
             area.numbers[cell] = area.demands.len() as u32;
         }
-        if area.demands.is_empty() {
+        if area.demands.iter().all(|demand| *demand == IGNORED) {
             return Err(PlacementError::NothingSeen);
         }
         Ok(area)

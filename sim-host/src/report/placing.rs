@@ -134,36 +134,7 @@ impl Default for PlaceReport {
 
 impl fmt::Display for PlaceReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let PlacementSummary { cameras, covered, coverage, candidates, spacing_m, .. } =
-            &self.placement;
-        let FloorSummary { cells, cell_m, blind, lowered, left_out } = &self.floor;
-        writeln!(
-            f,
-            "{room}: {cameras} cameras cover {percent:.1} % of the floor, {covered} of {cells} \
-             cells of {cell_m} m",
-            room = self.room,
-            percent = 100.0 * coverage,
-        )?;
-        self.write_quality(f)?;
-        let shares = self.placement.by_overlap.iter().enumerate();
-        let shares: Vec<String> = shares
-            .map(|(overlap, &count)| format!("{overlap}: {:.1} %", percent(count, *cells)))
-            .collect();
-        writeln!(f, "cells by the cameras that see them: {}", shares.join(", "))?;
-        self.write_pieces(f)?;
-        writeln!(f, "{candidates} candidates, a place every {spacing_m} m ({} model)", self.model)?;
-        if *blind > 0 {
-            writeln!(f, "{blind} cells are blind: no candidate sees them")?;
-        }
-        if *lowered > 0 {
-            writeln!(
-                f,
-                "{lowered} cells are seen by as many candidates as there are, which is too few"
-            )?;
-        }
-        if *left_out > 0 {
-            writeln!(f, "{left_out} cells in small pieces of floor are left out")?;
-        }
+        f.write_str(&self.describe_placement())?;
         let stopped = if self.was_interrupted { ", interrupted" } else { "" };
         writeln!(
             f,
@@ -183,29 +154,63 @@ impl fmt::Display for PlaceReport {
 }
 
 impl PlaceReport {
-    fn write_quality(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let PlacementSummary { value, bound, gap, is_optimal, added, .. } = self.placement;
-        if is_optimal {
-            writeln!(f, "proved optimal")?;
-        } else {
-            let side = if value > bound { "least" } else { "most" };
-            writeln!(f, "{value}, at {side} {bound}: within {:.1} % of optimal", 100.0 * gap)?;
+    /// Coverage, overlap, optimality and candidates in words, one line each; neither times nor the
+    /// single cameras.
+    pub fn describe_placement(&self) -> String {
+        let PlacementSummary { cameras, covered, coverage, candidates, spacing_m, .. } =
+            &self.placement;
+        let FloorSummary { cells, cell_m, blind, lowered, left_out } = &self.floor;
+        let shares = self.placement.by_overlap.iter().enumerate();
+        let shares: Vec<String> = shares
+            .map(|(overlap, &count)| format!("{overlap}: {:.1} %", percent(count, *cells)))
+            .collect();
+        let mut lines = vec![format!(
+            "{room}: {cameras} cameras cover {percent:.1} % of the floor, {covered} of {cells} \
+             cells of {cell_m} m",
+            room = self.room,
+            percent = 100.0 * coverage,
+        )];
+        lines.extend(self.describe_optimality());
+        lines.push(format!("cells by the number of cameras that see them: {}", shares.join(", ")));
+        lines.push(self.describe_overlap_graph());
+        lines.push(format!(
+            "{candidates} candidates, a place every {spacing_m} m ({} model)",
+            self.model
+        ));
+        if *blind > 0 {
+            lines.push(format!("{blind} cells are blind: no candidate sees them"));
         }
-        if added > 0 {
-            writeln!(f, "{added} of the cameras were added to connect the overlap")?;
+        if *lowered > 0 {
+            lines.push(format!("{lowered} cells are seen by fewer candidates than required"));
         }
-        Ok(())
+        if *left_out > 0 {
+            lines.push(format!("{left_out} cells in small pieces of floor are left out"));
+        }
+        lines.iter().map(|line| format!("{line}\n")).collect()
     }
 
-    fn write_pieces(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn describe_optimality(&self) -> Vec<String> {
+        let PlacementSummary { value, bound, gap, is_optimal, added, .. } = self.placement;
+        let mut lines = vec![if is_optimal {
+            "proved optimal".to_owned()
+        } else {
+            let side = if value > bound { "least" } else { "most" };
+            format!("{value}, at {side} {bound}: within {:.1} % of optimal", 100.0 * gap)
+        }];
+        if added > 0 {
+            lines.push(format!("{added} of the cameras were added to connect the overlap"));
+        }
+        lines
+    }
+
+    fn describe_overlap_graph(&self) -> String {
         let PlacementSummary { pieces, fewest_pieces, .. } = self.placement;
         match (pieces, fewest_pieces) {
-            (0 | 1, _) => writeln!(f, "the overlap connects all cameras"),
+            (0 | 1, _) => "the overlap connects all cameras".to_owned(),
             (pieces, fewest) if pieces <= fewest => {
-                writeln!(f, "the overlap falls into {pieces} pieces, as the floor does")
+                format!("the overlap falls into {pieces} pieces, as the floor does")
             }
-            (pieces, fewest) => writeln!(
-                f,
+            (pieces, fewest) => format!(
                 "the overlap falls into {pieces} pieces ({fewest} are possible): calibration can't \
                  follow it everywhere; --connect adds cameras"
             ),

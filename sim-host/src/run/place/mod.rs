@@ -72,10 +72,10 @@ impl PlaceOutcome {
 /// What is wrong with the files or with what is asked for.
 pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
     let started = Instant::now();
+    let is_stopped = stop_by_signal();
     let (plan, height_m) = room::read_room(options)?;
     let (model, keys) = room::read_camera(options.camera.as_deref())?;
     let request = request(options, &plan, model, height_m)?;
-    let is_stopped = stop_by_signal();
     let progress = PlacingProgress::new(request.aim, options.json);
     let mut solved_s = 0.0;
     let placement = place(&plan, &request, &mut |stage| {
@@ -230,12 +230,8 @@ fn cameras_file(report: &PlaceReport, model: &CameraModel, keys: &toml::Table) -
         ..MountedCamera::default()
     });
     let file = CamerasFile { cameras: cameras.collect() };
-    let heading: String = report
-        .to_string()
-        .lines()
-        .take_while(|line| !line.starts_with("camera-"))
-        .map(|line| format!("# {line}\n"))
-        .collect();
+    let heading: String =
+        report.describe_placement().lines().map(|line| format!("# {line}\n")).collect();
     format!("{heading}\n{}", file.to_toml())
 }
 
