@@ -1,10 +1,10 @@
-//! The CRC-32 by which frames are sealed and tiles are compared.
+//! The CRC-32 that seals frames and identifies the contents of tiles.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 
 pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// The CRC-32 (ISO-HDLC) of these bytes, one part after another.
+/// The CRC-32 (ISO-HDLC) of the concatenation of `parts`.
 pub fn crc32(parts: &[&[u8]]) -> u32 {
     let mut digest = CRC.digest();
     for part in parts {
@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_crc_is_the_catalogues() {
+    fn the_crc_matches_the_catalogues_check_value() {
         assert_eq!(crc32(&[b"123456789"]), 0xCBF4_3926);
     }
 }

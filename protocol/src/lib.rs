@@ -1,26 +1,27 @@
-//! What travels between ubimap's server and its robots, and how it arrives.
+//! The protocol between ubimap's server and its robots: units, map tiles, messages, frames and link.
 //!
-//! Modules in the order in which data walks through them; each imports only those before it:
+//! The modules are layers, in the order in which outgoing data passes through them; each imports only
+//! those before it:
 //!
-//! 1. [`units`] and [`time`]: lengths, angles, poses and moments as integers of one unit each, so that
-//!    both sides of a link compute the same;
-//! 2. [`checksum`]: the CRC-32 that frames are sealed with and tiles are compared by;
+//! 1. [`units`] and [`time`]: lengths, angles, poses and times as integers with one unit each, so that
+//!    both sides of a link compute the same results;
+//! 2. [`checksum`]: the CRC-32 that seals frames and identifies the contents of tiles;
 //! 3. [`tile`]: the map. 32 x 32 cells in two bit planes, the state (epoch, version) of a tile, and the
-//!    codec of what has changed from one state to the next;
-//! 4. [`message`]: what the two sides say to each other, tiles among it. One table for each direction
-//!    ties numbers, kinds and bodies together;
-//! 5. [`frame`]: the envelope of some messages. A header, a seal by which another session's frames and
-//!    damaged ones are told apart, and stuffing between delimiters;
-//! 6. [`link`]: both ends of a conversation. A handshake that names every mismatch, frames that arrive
-//!    for certain and in any order, and the server's time on the robot.
+//!    codec for the changes from one state to the next;
+//! 4. [`message`]: the messages of both directions, tile updates among them. One table for each
+//!    direction ties together number, kind and body;
+//! 5. [`frame`]: the envelope around messages. A header, a seal that rejects damaged frames and those
+//!    of other sessions, and byte stuffing between delimiters;
+//! 6. [`link`]: both ends of a conversation. A handshake that reports every mismatch, reliable frames
+//!    (unordered), and the server's time on the robot.
 //!
-//! A change of the map goes down this list at its writer (a [`tile::TileEncoder`] writes into a
-//! [`message::Writer`], which an [`link::Endpoint`] offers and puts in a frame) and up again at its
-//! reader, where a [`tile::Replica`] takes it. `SPEC.md` has the bytes, for other implementations.
+//! The writer of a map change passes it down this list: a [`tile::TileEncoder`] writes into a
+//! [`message::Writer`], which a [`link::Endpoint`] offers and puts in a frame. The reader passes it
+//! up again, to a [`tile::Replica`]. `SPEC.md` specifies every byte, for other implementations.
 //!
-//! It owns no clock, no port, no thread and no heap: time is an argument, buffers are the caller's.
-//! **After every input (`receive`, or something new to say) call `poll_transmit` until it has nothing
-//! more, then come back at `poll_timeout`.**
+//! The crate is sans-IO: it has no clock, port, thread or heap. Time is an argument, and the caller
+//! owns the buffers. **After every input (`receive`, or new data to send) call `poll_transmit` until
+//! it returns `None`, then call it again at `poll_timeout`.**
 #![no_std]
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
-//! Time as an argument: integer microseconds, no clock of our own.
+//! Time as integer microseconds. Nothing here reads a clock: time is always an argument.
 
 use core::ops::{Add, Sub};
 
 use serde::{Deserialize, Serialize};
 
-/// A moment: microseconds since some start. Each side has a clock of its own; a moment of the
-/// server's clock is said to be so where it is used.
+/// A point in time: microseconds since a clock's start. Each side has its own clock; docs say "in the
+/// server's clock" where that one is meant.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
@@ -18,19 +18,19 @@ pub struct Instant(pub u64);
 pub struct Duration(pub u64);
 
 impl Instant {
-    /// The moment that many microseconds after the start.
+    /// The instant `micros` microseconds after the clock's start.
     pub const fn from_micros(micros: u64) -> Self {
         Self(micros)
     }
 
-    /// Microseconds since the start.
+    /// Microseconds since the clock's start.
     pub const fn micros(self) -> u64 {
         self.0
     }
 
-    /// Whole seconds since the start; they wrap after 136 years.
+    /// Whole seconds since the clock's start; wraps after 136 years.
     pub const fn seconds(self) -> u32 {
-        // In digits of 16 bits: dividing 64 bits costs a microcontroller a kilobyte of flash.
+        // Long division in 16-bit digits: a 64-bit division costs a microcontroller 1 kB of flash.
         const PER_SECOND: u32 = 1_000_000 >> 6;
         let (mut seconds, mut rest, mut digit) = (0u32, 0, 4);
         while digit > 0 {
@@ -42,7 +42,7 @@ impl Instant {
         seconds
     }
 
-    /// The earlier of two moments, one of which there may not be.
+    /// The earlier of the instants that are present.
     #[inline(never)]
     pub fn earlier(one: Option<Self>, other: Option<Self>) -> Option<Self> {
         match (one, other) {
@@ -51,7 +51,7 @@ impl Instant {
         }
     }
 
-    /// The time since an earlier moment; zero if that moment is later.
+    /// The time elapsed since `earlier`; zero if `earlier` is later than `self`.
     pub const fn since(self, earlier: Self) -> Duration {
         Duration(self.0.saturating_sub(earlier.0))
     }
@@ -107,7 +107,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn seconds_are_a_millionth(micros: u64, shift in 0u32..64) {
+        fn seconds_are_micros_divided_by_a_million(micros: u64, shift in 0u32..64) {
             let micros = micros >> shift;
             prop_assert_eq!(Instant(micros).seconds(), (micros / 1_000_000) as u32);
         }

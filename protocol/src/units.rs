@@ -1,4 +1,4 @@
-//! Quantities as they travel: integer millimetres and binary angles (ROS REP-103 axes).
+//! Quantities on the wire: integer millimetres and binary angles (ROS REP-103 axes).
 
 use core::ops::{Add, Neg, Sub};
 
@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 pub struct Millimetres(pub i32);
 
 impl Millimetres {
-    /// The nearest whole millimetre to a length in metres; saturates, and NaN gives zero.
+    /// Rounds a length in metres to the nearest millimetre; saturates, and NaN gives zero.
     pub fn from_metres(metres: f64) -> Self {
-        // Half away from zero, without `std`'s `round`.
+        // Rounds half away from zero; `f64::round` needs `std`.
         let scaled = metres * 1000.0;
         Self((scaled + if scaled < 0.0 { -0.5 } else { 0.5 }) as i32)
     }
@@ -38,19 +38,19 @@ impl Sub for Millimetres {
     }
 }
 
-/// A binary angle: 65,536 to a turn (0.0055 degrees), counter-clockwise from x. It wraps by itself.
+/// A binary angle: 65,536 to a turn (0.0055 degrees), counter-clockwise from x. Arithmetic wraps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Angle(pub u16);
 
 impl Angle {
-    /// The nearest binary angle to an angle in radians of any number of turns; NaN gives zero.
+    /// Rounds an angle in radians (any number of turns) to the nearest binary angle; NaN gives zero.
     pub fn from_radians(radians: f64) -> Self {
         let turns = radians * (65_536.0 / core::f64::consts::TAU);
         let rounded = turns + if turns < 0.0 { -0.5 } else { 0.5 };
         Self(rounded as i64 as u16)
     }
 
-    /// The nearest binary angle to an angle in degrees.
+    /// Rounds an angle in degrees (any number of turns) to the nearest binary angle.
     pub fn from_degrees(degrees: f64) -> Self {
         Self::from_radians(degrees.to_radians())
     }
@@ -65,7 +65,7 @@ impl Angle {
         self.radians().to_degrees()
     }
 
-    /// The smaller of the two ways round between the angles, in binary angle units (0 to 32,768).
+    /// The absolute difference between the angles, in binary angle units (0 to 32,768).
     pub fn distance(self, other: Self) -> u16 {
         (self.0.wrapping_sub(other.0) as i16).unsigned_abs()
     }
@@ -115,18 +115,18 @@ impl Pose {
     }
 }
 
-/// The number of a robot, unique in one deployment.
+/// The number of a robot, unique in a deployment.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 pub struct RobotId(pub u16);
 
-/// The number of a session, chosen by the server. Zero stands for no session: the handshake.
+/// The number of a session, chosen by the server. Zero means no session, as in handshake frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SessionId(pub u32);
 
 impl SessionId {
-    /// No session: frames of the handshake.
+    /// No session: handshake frames.
     pub const NONE: Self = Self(0);
 }
 

@@ -1,32 +1,32 @@
 //! The ubimap camera server, its simulated room and its tools.
 //!
-//! Folders in the order in which data walks through them; a folder imports only those above it:
+//! The folders in dataflow order; each imports only from those above it:
 //!
 //! 1. [`grid`]: occupancy grids, ROS map files, scores.
-//! 2. [`camera`]: what a camera reports, and the door (a trait) through which it comes.
-//! 3. [`perception`]: from what cameras see to what it is.
-//! 4. [`mapping`]: camera evidence, robot layers, the fused and the coverage layer.
-//! 5. [`server`]: a session for each robot, and who drives where.
-//! 6. [`deployment`]: perception, the server and what is kept of it, as one.
-//! 7. [`run`]: what drives a deployment, one file for each of `ubimap`'s commands.
+//! 2. [`camera`]: what a camera reports, and the trait that delivers it.
+//! 3. [`perception`]: turns camera frames into cells, people and robot poses.
+//! 4. [`mapping`]: camera evidence, robot layers, and the fused and coverage layers.
+//! 5. [`server`]: one session per robot, and the coordinator that decides who drives where.
+//! 6. [`deployment`]: perception, the server and persistence behind one interface.
+//! 7. [`run`]: the drivers of a deployment, one file per `ubimap` command.
 //!
-//! Beside them [`placement`] (where to hang cameras), [`channel`] (fault channel, serial ports),
-//! [`store`] (the layers on disk), [`recording`] (recorded logs and frames), [`report`] (figures and pictures) and [`timing`] (what counts as
-//! silent, lost or late). Apart from all, [`world`] is the simulated room; only [`run`] may import
-//! it.
+//! Beside them: [`placement`] (where to hang cameras), [`channel`] (fault channel, serial ports),
+//! [`store`] (layers on disk), [`recording`] (recorded logs and frames), [`report`] (figures and
+//! pictures) and [`timing`] (age limits of data). [`world`] is the simulated room; only [`run`] may
+//! import it.
 //!
-//! # The law
+//! # The driving rule
 //!
-//! Nothing above [`run`] owns a clock, a thread, a port or a file. Time is an argument, inputs go
-//! in by methods, outputs are polled, and the same inputs give the same outputs. Whoever drives a
-//! part of it keeps one law:
+//! Nothing above [`run`] owns a clock, a thread, a port or a file. Time is an argument, inputs are
+//! method calls, outputs are polled, and the same inputs give the same outputs. Every driver
+//! follows one rule:
 //!
-//! *After every input drain the outputs until none is left; then come back at the next input, or at
-//! `poll_timeout`, call `timeout`, and drain again.*
+//! *After every input, drain the outputs. Then return at the next input, or call `timeout` at
+//! `poll_timeout` and drain again.*
 //!
-//! The drivers differ in their clocks alone: the time of a simulation jumps from event to event
-//! ([`run::fleet`]), a recording has a clock of its own ([`run::watch`]), and ports need the clock
-//! on the wall ([`run::serve`]).
+//! The drivers differ only in their clocks: simulated time jumps from event to event
+//! ([`run::fleet`]), a recording uses its time stamps ([`run::watch`]), and serial ports use the
+//! wall clock ([`run::serve`]).
 
 pub mod camera;
 pub mod channel;

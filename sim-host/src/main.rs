@@ -1,4 +1,4 @@
-//! `ubimap`, the command line.
+//! The `ubimap` command line.
 
 use std::{
     fmt,
@@ -19,9 +19,9 @@ use ubimap_sim_host::{
     },
 };
 
-/// The run failed; a map on which not all agree counts as that.
+/// Exit code of a failed run, including one whose maps have not converged.
 const FAILED: u8 = 1;
-/// Bad use, or bad input.
+/// Exit code for wrong usage or invalid input.
 const BAD_INPUT: u8 = 2;
 
 /// One live indoor map shared by ceiling cameras and cheap robots.
@@ -38,7 +38,7 @@ enum Command {
     Replay(ReplayOptions),
     /// Run robots in a simulated room
     Simulate(SimulateOptions),
-    /// Play the camera server on recorded frames of fixed RGB-D cameras
+    /// Run the camera server on recorded frames of fixed RGB-D cameras
     Watch(WatchOptions),
     /// Find out where to hang a room's cameras
     Place(PlaceOptions),
@@ -74,7 +74,7 @@ fn main() -> ExitCode {
     })
 }
 
-/// Makes a run and hands out its results; `is_success` says of its report how it ended.
+/// Runs a command and writes its results; `is_success` decides the exit code from the report.
 fn finish<R: fmt::Display + Serialize>(
     (out, json): (Option<&Path>, bool),
     run: impl FnOnce() -> Result<Outcome<R>, RunError>,
@@ -104,7 +104,7 @@ fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     Ok(tell(&report, options.json, report.has_robot()))
 }
 
-/// Prints a report.
+/// Prints a report and returns the exit code.
 fn tell(report: &(impl fmt::Display + Serialize), json: bool, is_success: bool) -> ExitCode {
     print(&if json { json_pretty(report) } else { report.to_string() });
     if is_success { ExitCode::SUCCESS } else { ExitCode::from(FAILED) }
@@ -116,7 +116,7 @@ fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Logs go to standard error, from `info` on or as `RUST_LOG` says.
+/// Logs to standard error, at `info` and above unless `RUST_LOG` is set.
 fn start_logging() {
     let environment = env_logger::Env::default().default_filter_or("info");
     env_logger::Builder::from_env(environment)
@@ -127,7 +127,7 @@ fn start_logging() {
         .init();
 }
 
-/// Help and version go to standard output; all else is bad use, told in one line.
+/// Prints help and the version to standard output, and usage errors to standard error in one line.
 fn refuse_use(error: &clap::Error) -> ExitCode {
     if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) {
         print(&error.to_string());
@@ -155,11 +155,11 @@ fn refuse_use(error: &clap::Error) -> ExitCode {
 
 fn complain(message: &str) {
     let one_line = message.lines().collect::<Vec<_>>().join(" ");
-    // There is nobody left to tell if that fails.
+    // If standard error is closed, there is nowhere to report it.
     let _ = writeln!(io::stderr(), "ubimap: {one_line}");
 }
 
-/// To standard output; a reader that has gone away is no reason to fail.
+/// Prints to standard output, ignoring a closed pipe.
 fn print(text: &str) {
     let mut out = io::stdout().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());

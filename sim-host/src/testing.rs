@@ -1,26 +1,18 @@
-//! What tests need: the recorded data of others, and folders that clean up after themselves.
+//! Test support: recorded data, and temporary folders.
 
 use std::path::{Path, PathBuf};
 
-/// A file or folder of the recorded data, at `../shared/data` beside the repository or where
-/// `UBIMAP_DATA` points; says so and gives `None` where there is none.
-pub(crate) fn shared_data(name: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("UBIMAP_DATA").map(PathBuf::from);
-    // Tests run in the folder of their package.
-    let path = root.unwrap_or_else(|| PathBuf::from("../../shared/data")).join(name);
-    if path.exists() {
-        Some(path)
-    } else {
-        eprintln!("skipped: no recorded data {name} (set UBIMAP_DATA to its folder)");
-        None
-    }
-}
+#[path = "../../tests/src/data.rs"]
+#[expect(unreachable_pub, reason = "public in `tests`, whose file it is")]
+mod data;
 
-/// A folder of one test's own, gone when the test is over.
+pub(crate) use data::file as shared_data;
+
+/// A test's temporary folder, removed when dropped.
 pub(crate) struct Folder(PathBuf);
 
 impl Folder {
-    /// A new, empty folder; `name` tells the tests of one run apart.
+    /// Creates an empty folder; `name` distinguishes the tests of one run.
     pub(crate) fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("ubimap-{}-{name}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
@@ -28,12 +20,12 @@ impl Folder {
         Self(path)
     }
 
-    /// Where it is.
+    /// The folder's path.
     pub(crate) fn path(&self) -> &Path {
         &self.0
     }
 
-    /// Writes a file, with the folders on its way, and returns its path.
+    /// Writes a file, creating parent folders, and returns its path.
     pub(crate) fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.0.join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();

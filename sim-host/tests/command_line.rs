@@ -87,7 +87,7 @@ fn a_run_goes_on_from_the_file_of_the_one_before() {
     assert_eq!(known(&[&there, "--store", store]), first + second);
 
     std::fs::write(&path, "no map. ".repeat(100)).unwrap();
-    refused(&["simulate", "--store", store], "map.db: no file of ubimap's");
+    refused(&["simulate", "--store", store], "map.db: not a ubimap store");
 }
 
 #[test]

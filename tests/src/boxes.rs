@@ -1,20 +1,20 @@
-//! A world of axis-aligned boxes, and walks through it: cheap ranges for many short runs.
+//! A world of axis-aligned boxes, and walks through it: fast ranging for many short runs.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::sense::SensorModel;
 use ubimap_protocol::{time::Instant, units::Pose};
 
-/// A box that stands somewhere now and then; metres in `map`.
+/// A box that may come and go; metres in `map`.
 #[derive(Clone, Copy, Debug)]
 struct Block {
     low: [f64; 2],
     high: [f64; 2],
-    /// It is there and away in turn, for so many seconds; `None`: always there.
+    /// Period in seconds after which it alternately disappears and returns; `None`: always there.
     turns: Option<u64>,
 }
 
-/// A room with boxes in it, some of which come and go.
+/// A room with boxes, some of which come and go.
 #[derive(Clone, Debug)]
 pub struct Boxes {
     size: [f64; 2],
@@ -37,18 +37,18 @@ impl Boxes {
         Self { size, blocks }
     }
 
-    /// A point in the room.
+    /// A random point in the room.
     pub fn point(&self, rng: &mut ChaCha8Rng) -> [f64; 2] {
         self.size.map(|side| rng.random_range(-side / 2.0 + 0.2..side / 2.0 - 0.2))
     }
 
-    /// What a sensor at `pose` measures at a moment: millimetres, 0 for no return.
+    /// What a sensor at `pose` measures at a given time: millimetres, 0 for no return.
     pub fn scan(&self, sensor: Fan, pose: Pose, now: Instant) -> Vec<u16> {
         let from = [pose.x.metres(), pose.y.metres()];
         let beams = (0..sensor.beams).map(|beam| {
             let bearing = pose.heading.radians() + sensor.first() + beam as f64 * sensor.step();
             let range = self.range(from, [bearing.cos(), bearing.sin()], now);
-            // An odd beam finds nothing.
+            // Some beams have no return.
             if beam % 23 == 22 { 0 } else { (range * 1000.0).min(60_000.0) as u16 }
         });
         beams.collect()
@@ -69,7 +69,7 @@ impl Boxes {
 }
 
 impl Block {
-    /// How far away its surface is, from the outside or from within.
+    /// Distance to its surface, from the outside or from within.
     fn hit(&self, from: [f64; 2], way: [f64; 2]) -> Option<f64> {
         let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
         for axis in 0..2 {
@@ -82,12 +82,12 @@ impl Block {
     }
 }
 
-/// A range sensor of some beams, from right to left.
+/// A range sensor with a fan of beams, from right to left.
 #[derive(Clone, Copy, Debug)]
 pub struct Fan {
-    /// How many.
+    /// Number of beams.
     pub beams: usize,
-    /// From the first to the last, in radians.
+    /// Angle from the first to the last beam in radians.
     pub angle: f64,
 }
 
@@ -100,13 +100,13 @@ impl Fan {
         self.angle / (self.beams - 1) as f64
     }
 
-    /// The same for the agent.
+    /// The same sensor for the agent.
     pub fn model(self) -> SensorModel {
         SensorModel::Radial { first: self.first() as f32, step: self.step() as f32 }
     }
 }
 
-/// A way to and fro between a few places, so that ground is left and met again.
+/// A closed path between a few places, so that ground is left and revisited.
 #[derive(Clone, Debug)]
 pub struct Walk {
     places: Vec<[f64; 2]>,
@@ -114,14 +114,14 @@ pub struct Walk {
 }
 
 impl Walk {
-    /// A way between two to five places, at 0.3 to 3 m/s.
+    /// A path between two to five places, at 0.3 to 3 m/s.
     pub fn random(world: &Boxes, rng: &mut ChaCha8Rng) -> Self {
         let count = rng.random_range(2..6);
         let places = (0..count).map(|_| world.point(rng)).collect();
         Self { places, metres_per_second: rng.random_range(0.3..3.0) }
     }
 
-    /// Where it leads after a while.
+    /// The pose after the given time.
     pub fn pose(&self, elapsed: Instant) -> Pose {
         let mut left = elapsed.micros() as f64 / 1e6 * self.metres_per_second;
         let mut place = 0;

@@ -3,19 +3,18 @@
 use ubimap_protocol::units::Millimetres;
 use ubimap_sim_host::deployment::{Config, Deployment, Life};
 
-/// A deployment with cells of this side and nothing else: no cameras, no registered robots, no
-/// coordination, and nothing kept.
+/// A deployment with the given cell size, without cameras, robots, coordination or store.
 ///
 /// # Panics
-/// Never: there are no markers to be told apart.
+/// Never: there are no markers to confuse.
 pub fn bare(resolution: Millimetres) -> Deployment {
     deployed(Config::new(resolution))
 }
 
-/// The first life of a deployment that keeps nothing.
+/// The first life of a deployment without a store.
 ///
 /// # Panics
 /// If the robots' markers can't be told apart.
 pub fn deployed(config: Config) -> Deployment {
-    Deployment::new(config, Life::default()).expect("markers that can be told apart")
+    Deployment::new(config, Life::default()).expect("the markers can be told apart")
 }

@@ -1,5 +1,5 @@
-//! The server's store as it is to a server that may be killed at any moment: what has been
-//! confirmed is there in the next life; of what has not, some is.
+//! A model of the server's store for a server that may be killed at any time: confirmed writes are
+//! there in the next life, and an arbitrary part of the others.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -13,10 +13,10 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{mapping::TileRecord, server::Server};
 
-/// A write takes at most this long: also that of a disk that is busy.
+/// Maximum duration of a write in microseconds, as of a busy disk.
 const SLOWEST: u64 = 1_500_000;
 
-/// Tiles of a robot's own, and the version of each that it published last.
+/// A robot's own tiles, with the version of each that it published last.
 pub type Held = BTreeMap<(TileId, Epoch), Version>;
 
 /// The disk.
@@ -24,16 +24,16 @@ pub type Held = BTreeMap<(TileId, Epoch), Version>;
 pub struct Disk {
     tiles: BTreeMap<(RobotId, TileId, Epoch), TileRecord>,
     seconds: BTreeMap<(RobotId, TileId), [u32; TILE_CELLS as usize]>,
-    /// What is being written, and when each will be confirmed.
+    /// Writes in progress, with the time at which each will be confirmed.
     writes: VecDeque<(Instant, RobotId, TileRecord)>,
 }
 
 impl Disk {
-    /// Takes what the server has for it, and confirms what is written by `now`.
+    /// Starts the server's pending writes, and confirms those due by `now`.
     pub fn work(&mut self, server: &mut Server, now: Instant, rng: &mut ChaCha8Rng) {
         while let Some((robot, record)) = server.poll_store() {
             let at = now + Duration(rng.random_range(0..SLOWEST));
-            // One after the other.
+            // Writes are confirmed in order.
             let at = self.writes.back().map_or(at, |&(before, ..)| at.max(before));
             self.writes.push_back((at, robot, record));
         }
@@ -48,14 +48,14 @@ impl Disk {
         self.writes.front().map(|&(at, ..)| at)
     }
 
-    /// The server dies. Some of what was being written is on the disk all the same.
+    /// The server dies; part of the writes in progress are on disk nevertheless.
     pub fn survive(&mut self, rng: &mut ChaCha8Rng) {
         let written = rng.random_range(0..=self.writes.len());
         let writes: Vec<_> = self.writes.drain(..).take(written).collect();
         writes.into_iter().for_each(|(_, robot, record)| self.write(robot, record));
     }
 
-    /// Gives a new life of the server what there is.
+    /// Restores the stored records into a new life of the server.
     pub fn restore(&self, server: &mut Server) {
         for (&(robot, id, _), record) in &self.tiles {
             let seconds = self.seconds[&(robot, id)];
@@ -63,7 +63,7 @@ impl Disk {
         }
     }
 
-    /// The server knows every cell that there is.
+    /// Checks that the server knows every stored cell.
     ///
     /// # Panics
     /// If it does not.
@@ -74,11 +74,12 @@ impl Disk {
             let kept = seen.is_some_and(|seen| {
                 (0..TILE_SIDE).all(|y| known(&record.known, y) & !known(&seen.tile, y) == 0)
             });
-            assert!(kept, "{id:?} of robot {} was stored and is lost", robot.0);
+            assert!(kept, "{id:?} of robot {} was stored but is lost", robot.0);
         }
     }
 
-    /// What a robot takes for stored is there, and what it has given up of what it held before.
+    /// Checks that each tile is stored that a robot believes to be stored, or has discarded since
+    /// `before`.
     ///
     /// # Panics
     /// If it is not.
@@ -88,17 +89,22 @@ impl Disk {
             let Some(id) = tile.id() else { continue };
             held.insert((id, tile.epoch()), tile.publication().version());
             let stored = tile.stored() == Version(0) || self.has(robot, id, tile);
-            assert!(stored, "robot {} takes {id:?} {:?} for stored", robot.0, tile.stored());
+            assert!(stored, "robot {} believes that {id:?} {:?} is stored", robot.0, tile.stored());
         }
         for (&(id, epoch), &version) in before.iter().filter(|(key, _)| !held.contains_key(key)) {
             let there = self.tiles.get(&(robot, id, epoch));
             let stored = there.is_some_and(|record| record.stamp.version >= version);
-            assert!(stored || version == Version(0), "robot {} gave up {id:?} {epoch:?}", robot.0);
+            assert!(
+                stored || version == Version(0),
+                "robot {} discarded {id:?} {epoch:?} before it was stored",
+                robot.0
+            );
         }
         *before = held;
     }
 
-    /// The version that a robot takes for stored, and, if it is the last, its cells.
+    /// Whether the version that a robot believes to be stored is there, and, if it is the newest,
+    /// with the same cells.
     fn has(&self, robot: RobotId, id: TileId, tile: &OwnTile) -> bool {
         let Some(record) = self.tiles.get(&(robot, id, tile.epoch())) else { return false };
         let sent = tile.publication();

@@ -1,24 +1,29 @@
-//! What an image of the firmware holds: its symbols, and the memory it takes.
+//! Symbols and memory sizes of a firmware image.
 
-/// The parts of an ELF image (32 bits, little-endian) that the tests look at.
+/// The parts of an ELF image (32 bits, little-endian) that the tests examine.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Image {
-    /// The names of its symbols, as the compiler mangled them.
+    /// Names of the symbols, mangled.
     pub symbols: Vec<String>,
     /// Bytes of flash.
     pub flash: usize,
-    /// Bytes of RAM that are taken before the stack.
+    /// Bytes of static RAM.
     pub ram: usize,
 }
 
+/// Section type `SHT_SYMTAB`.
 const SYMBOL_TABLE: usize = 2;
+/// Section type `SHT_NOBITS`.
 const NO_BITS: usize = 8;
+/// Section flag `SHF_WRITE`.
 const WRITABLE: usize = 1;
+/// Section flag `SHF_ALLOC`.
 const ALLOCATED: usize = 2;
+/// Size of a symbol table entry.
 const SYMBOL_BYTES: usize = 16;
 
 impl Image {
-    /// Reads an image; `None` if it is not one.
+    /// Parses an image; `None` if it is not one.
     pub fn parse(elf: &[u8]) -> Option<Self> {
         if !elf.starts_with(b"\x7FELF\x01\x01") {
             return None;
@@ -44,7 +49,7 @@ impl Image {
         Some(image)
     }
 
-    /// The symbols of panics and of a heap: a robot's image holds none.
+    /// Symbols of panics and of a heap, which a robot's image must not contain.
     pub fn panics_and_heap(&self) -> Vec<&str> {
         let unwanted = ["panic", "_fail", "__rust_alloc"];
         let symbols = self.symbols.iter().map(String::as_str);

@@ -1,8 +1,9 @@
-//! The firmware, built for the reference board and run in QEMU.
+//! Builds the firmware for the reference board and runs it in QEMU.
 //!
-//! [`image`] builds an image, [`Emulator::start`] runs it with its serial port on a pseudo-terminal,
-//! [`count`] runs one that counts instructions to its end. A machine that can do neither gets one line from [`leave_out`], unless it was
-//! told (`CI` or `UBIMAP_REQUIRE_EMULATOR`) that the emulator is a must.
+//! [`image`] builds an image, [`Emulator::start`] runs it with its serial port on a
+//! pseudo-terminal, and [`count`] runs one that counts instructions to its end. On a machine that
+//! lacks the tools, [`leave_out`] prints one line, or fails if `CI` or `UBIMAP_REQUIRE_EMULATOR` is
+//! set.
 
 use std::{
     env, fmt,
@@ -14,17 +15,17 @@ use std::{
     time::Duration,
 };
 
-/// Whose instructions an image is made of; the emulator's core runs both.
+/// The instruction set of an image; the emulator's core runs both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Core {
-    /// That of the reference board: a Cortex-M4 with its floating point.
+    /// The reference board's Cortex-M4 with floating point.
     M4,
-    /// A Cortex-M0+, which divides by no instruction, and has no floating point.
+    /// A Cortex-M0+, without division instructions or floating point.
     M0,
 }
 
 impl Core {
-    /// What it is to the compiler.
+    /// The compiler's target.
     fn target(self) -> &'static str {
         match self {
             Self::M4 => "thumbv7em-none-eabihf",
@@ -32,7 +33,7 @@ impl Core {
         }
     }
 
-    /// The features of the agent that an image needs.
+    /// The agent's features that an image needs.
     fn features(self) -> &'static str {
         match self {
             Self::M4 => "firmware",
@@ -44,15 +45,15 @@ impl Core {
 /// The emulator.
 const QEMU: &str = "qemu-system-arm";
 
-/// How long the emulator may take to say where its serial port is.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Timeout for the emulator to name its serial port.
+const START_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Why the firmware does not run here.
+/// Why the firmware can't run here.
 #[derive(Clone, Debug)]
 pub enum EmulatorError {
-    /// The machine lacks something.
+    /// A tool is missing.
     Missing(&'static str),
-    /// Something is there and failed: what it said.
+    /// A tool failed, with its output.
     Failed(String),
 }
 
@@ -67,26 +68,26 @@ impl fmt::Display for EmulatorError {
 
 impl std::error::Error for EmulatorError {}
 
-/// Says on the terminal, in one line, that a test was left out because something is missing.
+/// Prints one line about a test that was skipped because something is missing.
 ///
 /// # Panics
 ///
-/// If something failed rather than was missing, or if nothing may be left out here.
+/// If something failed, or if the emulator is required.
 pub fn leave_out(test: &str, error: &EmulatorError) {
     let must = ["CI", "UBIMAP_REQUIRE_EMULATOR"].iter().any(|name| env::var_os(name).is_some());
     assert!(!must && matches!(error, EmulatorError::Missing(_)), "{test}: {error}");
-    // Not `eprintln`, whose output the test harness keeps from the user.
-    let _ = writeln!(io::stderr(), "left out: {test}: {error}");
+    // Not `eprintln`, whose output the test harness captures.
+    let _ = writeln!(io::stderr(), "skipped: {test}: {error}");
 }
 
-/// The firmware image, built when first asked for.
+/// The firmware image, built on first use.
 pub fn firmware() -> Result<PathBuf, EmulatorError> {
     static IMAGE: OnceLock<Result<PathBuf, EmulatorError>> = OnceLock::new();
     IMAGE.get_or_init(|| image("firmware", Core::M4)).clone()
 }
 
-/// Runs an image that counts instructions, one in a nanosecond of its clock, to its end. From its
-/// first line on, this input is at its serial port. What it printed.
+/// Runs an image that counts instructions, one per nanosecond of its clock, to its end. `input` is
+/// sent to its serial port after its first line of output. Returns the output.
 pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
     let mut qemu = qemu(image)
         .args(["-chardev", "stdio,id=input,signal=off", "-serial", "chardev:input"])
@@ -100,7 +101,7 @@ pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
         said.extend([&line.map_err(missing_or_failed)?, "\n"]);
         if let Some(mut port) = port.take() {
             let input = input.clone();
-            // It may end before it has read all.
+            // It may end before it has read everything.
             thread::spawn(move || port.write_all(&input));
         }
     }
@@ -109,7 +110,7 @@ pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
     if output.status.success() { Ok(said) } else { Err(EmulatorError::Failed(said)) }
 }
 
-/// The lines of a table that an image printed: what they count, and their names.
+/// The lines of a printed table: each count with its name.
 pub fn lines(table: &str) -> impl Iterator<Item = (u64, &str)> {
     table.lines().filter_map(|line| {
         let (number, name) = line.trim().split_once("  ")?;
@@ -117,7 +118,7 @@ pub fn lines(table: &str) -> impl Iterator<Item = (u64, &str)> {
     })
 }
 
-/// A running firmware; it ends with this value.
+/// A running firmware; dropping it stops the emulator.
 #[derive(Debug)]
 pub struct Emulator {
     qemu: Child,
@@ -133,18 +134,18 @@ impl Emulator {
             .spawn()
             .map_err(missing_or_failed)?;
         let said = qemu.stdout.take();
-        // From here on the emulator ends with this value, whatever happens.
+        // From here on, dropping the value stops the emulator.
         let mut emulator = Self { qemu, port: PathBuf::new() };
         let (found, port) = mpsc::channel();
         thread::spawn(move || {
-            // It may go on talking: read until it ends.
+            // Keep reading so that further output does not block it.
             for line in said.into_iter().flat_map(|out| BufReader::new(out).lines()).flatten() {
                 if let Some(path) = pseudo_terminal(&line) {
                     let _ = found.send(PathBuf::from(path));
                 }
             }
         });
-        match port.recv_timeout(PATIENCE) {
+        match port.recv_timeout(START_TIMEOUT) {
             Ok(port) => {
                 emulator.port = port;
                 Ok(emulator)
@@ -175,7 +176,7 @@ impl Drop for Emulator {
     }
 }
 
-/// The emulator with this image; what it says is piped.
+/// The emulator with this image and piped output.
 fn qemu(image: &Path) -> Command {
     let mut qemu = Command::new(QEMU);
     qemu.args(["-M", "netduinoplus2", "-display", "none", "-monitor", "none", "-kernel"]);
@@ -204,7 +205,8 @@ pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
         .args(["--features", core.features(), "--target", target, "--profile", "firmware"])
         .arg("--message-format=json-render-diagnostics")
         .current_dir(workspace())
-        // The host's flags are not for the board, and would replace those of `.cargo/config.toml`.
+        // The host's flags do not apply to the board, and would replace those of
+        // `.cargo/config.toml`.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
         .stdin(Stdio::null())
@@ -218,10 +220,10 @@ pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
         .split(|&byte| byte == b'\n')
         .filter_map(|line| serde_json::from_slice::<serde_json::Value>(line).ok())
         .find_map(|message| message["executable"].as_str().map(PathBuf::from))
-        .ok_or_else(|| EmulatorError::Failed("cargo named no executable".into()))
+        .ok_or_else(|| EmulatorError::Failed("cargo did not report an executable".into()))
 }
 
-/// A `cargo build` that can build for the board: the toolchain at hand if it has the target, else
+/// A `cargo build` for the board's target: the current toolchain if it has the target, else
 /// Debian's, which has the sources of `core`.
 fn compiler(target: &'static str) -> Result<Command, EmulatorError> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
@@ -255,7 +257,7 @@ fn compiler(target: &'static str) -> Result<Command, EmulatorError> {
     Ok(command)
 }
 
-/// What a program printed, or `None` if it is not there or failed.
+/// A program's output, or `None` if it is missing or failed.
 fn printed(program: &Path, arguments: &[&str]) -> Option<String> {
     let output = Command::new(program).args(arguments).stdin(Stdio::null()).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())

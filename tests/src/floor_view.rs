@@ -1,4 +1,4 @@
-//! What a grey camera near the floor sees: a small renderer, in `f64` and by geometry alone.
+//! Renders the view of a grey camera near the floor, in `f64` and from geometry only.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,47 +13,46 @@ pub struct FloorView {
     pub focal: f64,
     /// Lines from the bottom of the image up to the horizon.
     pub horizon: f64,
-    /// The camera above the floor, in millimetres.
+    /// Height of the camera above the floor in millimetres.
     pub height: f64,
 }
 
-/// What the picture is spoiled with.
+/// Disturbances of the picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Spoils {
-    /// Levels of grey by which a pixel is off, either way.
+    /// Maximum noise of a pixel in grey levels, in both directions.
     pub noise: u8,
-    /// Levels of grey between the light on the left and on the right side of the image.
+    /// Difference of the light between the left and right side of the image, in grey levels.
     pub gradient: f64,
-    /// Levels of grey between one tile of the floor and the next; they are 8 cm wide.
+    /// Difference between neighbouring floor tiles, in grey levels; they are 8 cm wide.
     pub tiles: f64,
-    /// What the noise is drawn from.
+    /// Seed of the noise.
     pub seed: u64,
 }
 
 impl FloorView {
-    /// The camera of the tests: 90 degrees, 15 cm above the floor. Its horizon is where table 1 of
-    /// Ahmed tends to infinity.
+    /// The camera of the tests: 90 degrees, 15 cm above the floor. Its horizon is where Ahmed's
+    /// table 1 tends to infinity.
     pub const USUAL: Self = Self { focal: 160.0, horizon: 144.0, height: 150.0 };
 
-    /// How far to the left an object in a column is, for each unit of depth.
+    /// Offset to the left of an object in a column, per unit of depth.
     pub fn left(&self, column: usize) -> f64 {
         (159.5 - column as f64) / self.focal
     }
 
-    /// How many lines of floor there are before an object at some depth (millimetres along the
-    /// optical axis).
+    /// Lines of floor below an object at some depth (millimetres along the optical axis).
     pub fn lines(&self, depth: f64) -> f64 {
         (self.horizon - self.focal * self.height / depth).max(0.0)
     }
 
-    /// The image of objects at some depth in each column, on a floor of grey 140.
+    /// The image of objects at the given depth in each column, on a floor of grey 140.
     pub fn render(&self, object: u8, depth: impl Fn(usize) -> f64, spoils: Spoils) -> Vec<u8> {
         let mut random = ChaCha8Rng::seed_from_u64(spoils.seed);
         let (columns, lines) = SIZE;
         let mut image = Vec::new();
         for line in 0..lines {
             for column in 0..columns {
-                // Of the middle of a pixel.
+                // At the centre of the pixel.
                 let below = self.horizon - (lines - line) as f64 + 0.5;
                 let floor = self.focal * self.height / below;
                 let surface = if below > 0.0 && floor < depth(column) {
@@ -70,7 +69,7 @@ impl FloorView {
         image
     }
 
-    /// The grey of the floor at a place.
+    /// The grey level of the floor at a point.
     fn floor(&self, x: f64, y: f64, spoils: Spoils) -> f64 {
         const TILE: f64 = 80.0;
         let odd = ((x / TILE).floor() + (y / TILE).floor()).rem_euclid(2.0);

@@ -1,6 +1,6 @@
-//! What is thrown at the protocol: any bytes, and any order of operations. Each target must end
-//! without a panic, whatever it is given. The fuzzer's workspace (`fuzz/`) and the corpus test
-//! share this file, so it depends on the protocol alone.
+//! Fuzz targets for the protocol: arbitrary bytes, and arbitrary sequences of operations. A target
+//! must not panic on any input. The fuzzer's workspace (`fuzz/`) and the corpus test share this
+//! file, so it depends on the protocol only.
 
 use std::fmt::Debug;
 
@@ -18,20 +18,20 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-/// Something to be done with a message body of whatever type.
+/// An operation on the body of a message of any type.
 pub trait BodyVisitor {
-    /// What comes of it.
+    /// The operation's result.
     type Output;
 
-    /// Does it.
+    /// Runs the operation.
     fn visit<D: Traffic, T: Body<D> + PartialEq + Debug>(
         self,
         body: Encoded<'_, T>,
     ) -> Self::Output;
 }
 
-/// Visits the body of a message as the type that its kind has. `None` for a kind that this version
-/// does not know.
+/// Visits the body of a message with the type for its kind. `None` for a kind unknown to this
+/// version.
 pub fn visit_body<V: BodyVisitor>(
     direction: Direction,
     number: u8,
@@ -73,7 +73,7 @@ pub fn visit_body<V: BodyVisitor>(
     })
 }
 
-/// A stream of bytes as frames: what can be read is written again, and read back.
+/// Decodes a byte stream into frames; what can be decoded is encoded and decoded again.
 pub fn frames(data: &[u8]) {
     let mut decoder = cobs::Decoder::<256>::default();
     let mut input = data;
@@ -92,7 +92,7 @@ pub fn frames(data: &[u8]) {
         }
     }
     assert!(read <= data.len());
-    // Whatever came before, a good frame is read.
+    // A valid frame is decoded after any input.
     let contents = Header { version: 1, kind: FrameKind::Datagram, sequence: 9 }.encode();
     let tail = seal(SessionId(1), Direction::ToServer, &contents);
     let mut wire = [0; 32];
@@ -110,8 +110,8 @@ pub fn frames(data: &[u8]) {
     assert_eq!(last.as_deref(), Some(&contents[..]));
 }
 
-/// Direction and kind in the first byte, then a body: what can be read is written again, and
-/// read back.
+/// Direction and kind in the first byte, then a body: what can be decoded is encoded and decoded
+/// again.
 pub fn messages(data: &[u8]) {
     let Some((&first, body)) = data.split_first() else { return };
     let direction = if first & 0x80 == 0 { Direction::ToServer } else { Direction::ToRobot };
@@ -138,7 +138,8 @@ impl BodyVisitor for RoundTrip {
     }
 }
 
-/// A tile update, to a replica and past it: what can be read is written again, and read back.
+/// A tile update, applied to a replica and decoded directly: what can be decoded is encoded and
+/// decoded again.
 pub fn tiles(data: &[u8]) {
     let mut decoder = TileDecoder::new(data);
     let mut read: Vec<(TileHeader, Tile)> = Vec::new();
@@ -148,7 +149,11 @@ pub fn tiles(data: &[u8]) {
                 let mut tile = Tile::UNKNOWN;
                 decoder.cells(&header, &mut tile);
                 for cell in (0..usize::from(header.start)).chain(usize::from(header.end)..1024) {
-                    assert_eq!(tile.cell(cell % 32, cell / 32).code(), 0, "outside of the part");
+                    assert_eq!(
+                        tile.cell(cell % 32, cell / 32).code(),
+                        0,
+                        "a cell outside of the part"
+                    );
                 }
                 read.push((header, tile));
             }
@@ -188,9 +193,10 @@ pub fn tiles(data: &[u8]) {
 
 type End<D> = Endpoint<D, u32, 8, 64>;
 
-/// Two ends of a link under any order of operations, each one or two bytes: send, deliver, lose,
-/// hold back, damage, let time pass, begin anew. Then the wire is good: everything that was sent
-/// reliably in the last session has arrived once, and is acknowledged.
+/// Two link endpoints under an arbitrary sequence of operations, of one or two bytes each: send,
+/// deliver, lose, hold back, damage, let time pass, start a new session. Then the wire recovers:
+/// everything sent reliably in the last session must have arrived exactly once, and be
+/// acknowledged.
 pub fn links(data: &[u8]) {
     let mut pair = Pair::new();
     // A frame must not be held back while a thousand others pass.
@@ -210,7 +216,7 @@ pub fn links(data: &[u8]) {
             }
             6 => {
                 let (at, bit) = (operations.next().unwrap_or(0), operation >> 3 & 7);
-                // Checksums are off while fuzzing: what is damaged would be believed.
+                // Checksums are off while fuzzing, so damaged frames would be accepted.
                 let frame = pair.wire[side].last_mut().filter(|_| !cfg!(fuzzing));
                 if let Some(frame) = frame
                     && let Some(byte) = {
@@ -231,11 +237,12 @@ pub fn links(data: &[u8]) {
 struct Pair {
     robot: End<ToServer>,
     server: End<ToRobot>,
-    /// What is on its way from each end.
+    /// Frames in flight from each end.
     wire: [Vec<Vec<u8>>; 2],
     session: u32,
     now: Instant,
-    /// Reliable numbers said by each end in this session, and what the other end heard of them.
+    /// Count of reliable numbers sent by each end in this session, and the numbers received from
+    /// the other end.
     said: [u32; 2],
     heard: [Vec<u32>; 2],
     acknowledged: [Vec<u32>; 2],
@@ -268,7 +275,7 @@ impl Pair {
         self.acknowledged = Default::default();
         self.wanted = Default::default();
         if cfg!(fuzzing) {
-            // Without checksums, frames of the session before would be believed.
+            // Without checksums, frames of the previous session would be accepted.
             self.wire = Default::default();
         }
     }
@@ -322,9 +329,9 @@ impl Pair {
         for side in [0, 1] {
             let all: Vec<u32> = (0..self.said[side]).collect();
             self.heard[1 - side].sort_unstable();
-            assert_eq!(self.heard[1 - side], all, "each number arrives, and once");
+            assert_eq!(self.heard[1 - side], all, "each number arrives exactly once");
             self.acknowledged[side].sort_unstable();
-            assert_eq!(self.acknowledged[side], all, "each number is acknowledged, and once");
+            assert_eq!(self.acknowledged[side], all, "each number is acknowledged exactly once");
         }
     }
 }
@@ -340,8 +347,8 @@ fn number_of(request: &Request) -> Option<u32> {
     request.tiles.first().map(|id| id.x as u32 | (id.y as u32) << 15)
 }
 
-/// Puts everything that an end has to send on the wire. What it wants to say is a number, sent
-/// reliably, or a datagram without one.
+/// Puts everything that an end has to send on the wire. `wanted` holds numbers to send reliably,
+/// and `None` for datagrams.
 fn send_all<D: Traffic>(
     end: &mut End<D>,
     wanted: &mut Vec<Option<u32>>,
@@ -373,10 +380,10 @@ fn send_all<D: Traffic>(
             wire.push(out[..sent.len].to_vec());
         }
     }
-    panic!("an end never stops sending");
+    panic!("an endpoint does not stop sending");
 }
 
-/// Gives an end a frame, and takes note of the numbers in it and of those that it acknowledges.
+/// Passes a frame to an end, and records the numbers received and acknowledged.
 fn hear<D: Traffic>(
     end: &mut End<D>,
     mut bytes: &[u8],

@@ -1,20 +1,23 @@
-//! The oracle of the onboard pipeline: a plain occupancy map, one line of cells for each beam, in
-//! floating point, of a scan or straight from a CARMEN log. It shares nothing with the code under test.
+//! The oracle for the onboard pipeline: a plain occupancy map with one line of cells per beam, in
+//! floating point, from a scan or a CARMEN log. It shares no code with the code under test.
 
 use std::{
     collections::{HashMap, HashSet},
     f64::consts::{FRAC_PI_2, PI},
 };
 
-/// Log odds of the cells that were seen.
+/// Log odds of the observed cells.
 pub type LogOdds = HashMap<(i32, i32), f64>;
 
+/// Log odds added to the cell in which a beam ends.
 const HIT: f64 = 0.85;
+/// Log odds added to a cell that a beam crosses.
 const MISS: f64 = -0.4;
+/// Maximum absolute log odds of a cell.
 const CLAMP: f64 = 4.0;
 
-/// The map of all `FLASER` records of a log: `resolution` and `max_range` in metres. Readings from
-/// `no_return` metres up say nothing.
+/// The map of all `FLASER` records of a log; `resolution` and `max_range` in metres. Readings of
+/// `no_return` metres or more are ignored.
 pub fn map(log: &str, resolution: f64, max_range: f64, no_return: f64) -> LogOdds {
     let mut cells = LogOdds::new();
     let mut mapped: Option<[f64; 3]> = None;
@@ -24,7 +27,7 @@ pub fn map(log: &str, resolution: f64, max_range: f64, no_return: f64) -> LogOdd
         let beams = numbers[0] as usize;
         let ranges = &numbers[1..=beams];
         let pose = [numbers[beams + 1], numbers[beams + 2], numbers[beams + 3]];
-        // The gate of the paper: 3.5 cm or 5 degrees.
+        // The paper's threshold: 3.5 cm or 5 degrees.
         let moved = mapped.is_none_or(|last| {
             let turn = (pose[2] - last[2] + PI).rem_euclid(2.0 * PI) - PI;
             (pose[0] - last[0]).hypot(pose[1] - last[1]) > 0.035 || turn.abs().to_degrees() > 5.0
@@ -52,17 +55,17 @@ pub fn map(log: &str, resolution: f64, max_range: f64, no_return: f64) -> LogOdd
     cells
 }
 
-/// What the beams of one scan say.
+/// The cells observed by the beams of one scan.
 #[derive(Clone, Debug, Default)]
 pub struct Seen {
-    /// Cells that a beam crossed, or ended in.
+    /// Cells that a beam crossed or ended in.
     pub crossed: HashSet<(i32, i32)>,
-    /// Cells that one ended in.
+    /// Cells that a beam ended in.
     pub hit: HashSet<(i32, i32)>,
 }
 
-/// One scan from a point, in metres: a bearing in `map` and a range for each beam. A range of 0 says
-/// nothing, one beyond `max_range` that the way there is free.
+/// One scan from a point, in metres: a bearing in `map` and a range for each beam. A range of 0 is
+/// ignored; one beyond `max_range` means that the way up to there is free.
 pub fn scan(
     from: [f64; 2],
     beams: impl Iterator<Item = (f64, f64)>,
@@ -83,7 +86,7 @@ pub fn scan(
     seen
 }
 
-/// Visits the cells that a ray crosses, once each, and then the one that it ends in.
+/// Visits each cell that a ray crosses once, and then its last one.
 fn ray(resolution: f64, from: [f64; 2], to: [f64; 2], mut visit: impl FnMut((i32, i32), bool)) {
     let cell = |point: [f64; 2]| {
         ((point[0] / resolution).floor() as i32, (point[1] / resolution).floor() as i32)

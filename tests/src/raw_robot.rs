@@ -1,4 +1,4 @@
-//! A robot that says whatever a test has it say, to a server and at once.
+//! A robot under a test's control, connected directly to a server.
 
 use std::collections::BTreeMap;
 
@@ -12,10 +12,10 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::server::Server;
 
-/// It acknowledges nothing, and what it says it says once.
+/// It sends no acknowledgements and does not retransmit.
 #[derive(Debug)]
 pub struct RawRobot {
-    /// Its number.
+    /// The robot's id.
     pub id: RobotId,
     port: usize,
     link: Endpoint<ToServer, (), 1, MAX_FRAME>,
@@ -23,10 +23,10 @@ pub struct RawRobot {
 }
 
 impl RawRobot {
-    /// A robot with a session at a port.
+    /// Opens a session at a port.
     ///
     /// # Panics
-    /// If the server gives it none.
+    /// If the server does not welcome it.
     pub fn connect(server: &mut Server, port: usize, id: RobotId, now: Instant) -> Self {
         let mut link = Endpoint::new();
         let hello = Hello {
@@ -40,9 +40,7 @@ impl RawRobot {
         };
         let mut out = [0; MAX_FRAME];
         let len = link.handshake(&hello, &mut out);
-        server
-            .receive(port, &out[..len.expect("a hello fits")], now)
-            .expect("there is such a port");
+        server.receive(port, &out[..len.expect("a hello fits")], now).expect("the port is open");
         let len = server.poll_transmit(port, now, &mut out).expect("a welcome");
         let session = match link.receive(&mut &out[..len], now) {
             Some(Received::Handshake(message)) => {
@@ -54,10 +52,10 @@ impl RawRobot {
         Self { id, port, link, versions: BTreeMap::new() }
     }
 
-    /// The next frame, with what `fill` writes.
+    /// The next frame, filled by `fill`.
     ///
     /// # Panics
-    /// If it does not fit.
+    /// If the contents do not fit.
     pub fn frame(
         &mut self,
         now: Instant,
@@ -65,19 +63,19 @@ impl RawRobot {
     ) -> Vec<u8> {
         let mut out = [0; MAX_FRAME];
         let sent = self.link.poll_transmit(now, &mut out, true, |writer, _| {
-            assert!(fill(writer), "it does not fit");
+            assert!(fill(writer), "the contents do not fit");
             Fill::Datagram
         });
         out[..sent.expect("a frame").len].to_vec()
     }
 
-    /// Says something.
+    /// Sends a message.
     pub fn say(&mut self, server: &mut Server, now: Instant, message: &impl Body<ToServer>) {
         let frame = self.frame(now, |writer| writer.push(message));
-        server.receive(self.port, &frame, now).expect("there is such a port");
+        server.receive(self.port, &frame, now).expect("the port is open");
     }
 
-    /// A frame with the whole of a tile as it has drawn it, in a second of the server's clock.
+    /// A frame with a complete tile, drawn at the given second of the server's clock.
     pub fn drawn(&mut self, now: Instant, seconds: u32, id: TileId, tile: &Tile) -> Vec<u8> {
         let version = self.versions.entry(id).or_default();
         *version += 1;
@@ -91,9 +89,9 @@ impl RawRobot {
         })
     }
 
-    /// Draws a tile now.
+    /// Sends a tile drawn now.
     pub fn draw(&mut self, server: &mut Server, now: Instant, id: TileId, tile: &Tile) {
         let frame = self.drawn(now, (now.micros() / 1_000_000) as u32, id, tile);
-        server.receive(self.port, &frame, now).expect("there is such a port");
+        server.receive(self.port, &frame, now).expect("the port is open");
     }
 }

@@ -1,6 +1,6 @@
-//! Routes as a person would script them for the robots of `room` and of `warehouse`: three sets of
-//! each, the first of them the scenario's own. They are what robots that drive themselves are
-//! measured by.
+//! Scripted routes for the robots of `room` and `warehouse`, as a person would choose them: three
+//! sets for each, of which the first is the scenario's own. Autonomous robots are compared with
+//! them.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use ubimap_sim_host::world::NAMED;
 /// The stops of each robot after its start.
 type Routes = &'static [&'static [[f64; 2]]];
 
-/// A built-in scenario with the routes of a set, as TOML; set 0 leaves it as it is.
+/// A built-in scenario as TOML with the routes of a set; set 0 is the scenario unchanged.
 ///
 /// # Panics
 /// If there is no such scenario or set.
@@ -29,12 +29,12 @@ pub fn scripted(scenario: &str, set: usize) -> String {
     })
 }
 
-/// How many sets there are for each scenario.
+/// Number of sets for each scenario.
 pub const SETS: usize = 3;
 
+/// The sets for `room` except the scenario's own.
 const ROOM: [Routes; SETS - 1] = [
-    // Each robot to the blind corner that is nearest to it, by the shortest way, and then along the
-    // walls there.
+    // Each robot to its nearest blind corner by the shortest route, and then along the walls there.
     &[
         &[
             [5.6, 1.6],
@@ -62,7 +62,7 @@ const ROOM: [Routes; SETS - 1] = [
             [6.3, 5.2],
         ],
     ],
-    // The store room along its southern wall first, the west from the north to the south.
+    // The store room along its southern wall first, and the west from north to south.
     &[
         &[
             [5.6, 1.6],
@@ -93,8 +93,9 @@ const ROOM: [Routes; SETS - 1] = [
     ],
 ];
 
+/// The sets for `warehouse` except the scenario's own.
 const WAREHOUSE: [Routes; SETS - 1] = [
-    // Each robot into the blind ground that is nearest to it: halves of the aisles, corners, ends.
+    // Each robot into its nearest blind ground: halves of the aisles, corners, ends.
     &[
         &[[1.0, 1.1], [1.0, 3.6], [8.9, 3.6], [1.0, 3.6], [1.0, 1.1]],
         &[[18.6, 1.1], [19.3, 2.0], [18.6, 3.6], [10.2, 3.6], [18.6, 3.6], [18.6, 1.1]],
@@ -107,7 +108,7 @@ const WAREHOUSE: [Routes; SETS - 1] = [
         &[[9.2, 1.0], [10.8, 0.7], [9.7, 2.4], [9.2, 1.0]],
         &[[9.9, 11.0], [8.8, 11.2], [10.8, 11.2], [9.9, 11.0]],
     ],
-    // The aisles from the middle by those who start there, the ends by the others.
+    // The aisles by the robots that start in the middle, the ends by the others.
     &[
         &[[1.0, 1.1], [0.5, 0.6], [1.0, 3.6], [4.5, 3.6], [1.0, 3.6], [1.0, 1.1]],
         &[[18.6, 1.1], [19.3, 0.6], [18.6, 3.6], [14.5, 3.6], [18.6, 3.6], [18.6, 1.1]],

@@ -1,11 +1,11 @@
-//! Events that are known beforehand, for a fleet.
+//! Scripted events for a fleet.
 
 use std::collections::VecDeque;
 
 use ubimap_protocol::time::Instant;
 use ubimap_sim_host::run::fleet::{Event, Stage};
 
-/// The events of a while, by time.
+/// Events, ordered by time.
 #[derive(Debug, Default)]
 pub struct Script(pub VecDeque<(Instant, Event)>);
 

@@ -1,4 +1,4 @@
-//! The tile updates of a replay: what their senders coded, and what they coded it from.
+//! The tile updates of a replay, with the states that their senders coded.
 
 use std::collections::BTreeMap;
 
@@ -14,29 +14,29 @@ use ubimap_protocol::{
 /// One tile of an update.
 #[derive(Clone, Debug)]
 pub struct TileChange {
-    /// What the update says of it.
+    /// The tile's header in the update.
     pub header: TileHeader,
-    /// What its receiver holds.
+    /// The receiver's state before.
     pub old: Tile,
-    /// What it is to hold once all parts have arrived.
+    /// The receiver's state after all parts have arrived.
     pub new: Tile,
 }
 
 /// The tile update of one frame.
 #[derive(Clone, Debug)]
 pub struct Update {
-    /// Which way it went.
+    /// Its direction.
     pub direction: Direction,
-    /// Bytes that there were for it.
+    /// Space for it in the frame, in bytes.
     pub room: usize,
-    /// Its bytes.
+    /// The coded update.
     pub coded: Vec<u8>,
     /// Its tiles.
     pub tiles: Vec<TileChange>,
 }
 
 impl Update {
-    /// Adds it to the input of the image that counts instructions over updates (its module tells
+    /// Appends it to the input of the image that counts instructions over updates (see there for
     /// the format).
     pub fn write(&self, input: &mut Vec<u8>) {
         input.push(self.direction as u8);
@@ -55,7 +55,7 @@ impl Update {
     }
 }
 
-/// Which rows differ, and these.
+/// Writes a mask of the rows that differ, and these rows.
 fn write_rows(input: &mut Vec<u8>, from: &Tile, to: &Tile) {
     let differ: Vec<_> = (0..TILE_SIDE).filter(|&y| from.row(y) != to.row(y)).collect();
     let rows = differ.iter().fold(0u32, |rows, y| rows | 1 << y);
@@ -66,14 +66,14 @@ fn write_rows(input: &mut Vec<u8>, from: &Tile, to: &Tile) {
     }
 }
 
-/// Gathers the updates on all links, to which nothing may happen on their way.
+/// Collects the updates on all links, which must be lossless.
 #[derive(Debug, Default)]
 pub struct Gathering {
     links: BTreeMap<RobotId, Link>,
     updates: Vec<Update>,
 }
 
-/// The two ends of a link, as far as they receive.
+/// The receiving side of both ends of a link.
 #[derive(Debug)]
 struct Link {
     server: Endpoint<ToRobot, (), 1, MAX_FRAME>,
@@ -82,7 +82,7 @@ struct Link {
     tiles: BTreeMap<(Layer, TileId), Held>,
 }
 
-/// A tile at its receiver, and the places in `updates` of the parts that wait for the last one.
+/// A tile at its receiver, and the positions in `updates` of the parts that wait for the last one.
 #[derive(Debug, Default)]
 struct Held {
     tile: Tile,
@@ -90,10 +90,10 @@ struct Held {
 }
 
 impl Gathering {
-    /// Hears a frame.
+    /// Adds a frame.
     ///
     /// # Panics
-    /// If it is not what an endpoint sends.
+    /// If an endpoint could not have sent it.
     pub fn hear(&mut self, robot: RobotId, direction: Direction, mut frame: &[u8]) {
         let link = self.links.entry(robot).or_insert_with(|| Link {
             server: Endpoint::new(),
@@ -126,13 +126,13 @@ impl Gathering {
         }
     }
 
-    /// All that was heard.
+    /// All collected updates.
     pub fn updates(self) -> Vec<Update> {
         self.updates
     }
 }
 
-/// Reads the updates among a frame's messages, of which `capacity` bytes would have fitted.
+/// Decodes the updates among a frame's messages, which had `capacity` bytes available.
 fn gather<D: Traffic>(
     messages: Messages<'_, D>,
     capacity: usize,
@@ -159,7 +159,7 @@ fn gather<D: Traffic>(
                     earlier.tiles[tile].new = held.tile;
                 }
             }
-            // Kind and length get three bytes before the body is moved up.
+            // The writer reserves three bytes for kind and length before it moves the body.
             let room = capacity - before - 3 - (body.len() - coded.len());
             updates.push(Update { direction: D::DIRECTION, room, coded: coded.to_vec(), tiles });
         }

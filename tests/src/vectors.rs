@@ -1,11 +1,11 @@
-//! The vectors of the protocol: files of cases whose bytes are given in hex.
+//! The protocol's test vectors: files of cases with bytes in hex.
 
 use std::{fs, path::PathBuf};
 
 use serde_json::Value;
 use ubimap_protocol::{frame::Direction, tile::Tile};
 
-/// Where the vectors are.
+/// The folder of the vectors.
 pub fn folder() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/vectors"))
 }
@@ -18,20 +18,20 @@ pub fn load(name: &str) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Bytes as hex digits.
+/// Encodes bytes in hex.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The bytes of hex digits; white space between them does not matter.
+/// Decodes hex; ignores white space.
 pub fn unhex(text: &str) -> Vec<u8> {
     let digits: Vec<_> = text.chars().filter(|it| !it.is_whitespace()).collect();
-    assert!(digits.len().is_multiple_of(2), "half a byte: {text}");
-    let digit = |it: char| it.to_digit(16).unwrap_or_else(|| panic!("no hex: {text}")) as u8;
+    assert!(digits.len().is_multiple_of(2), "odd number of hex digits: {text}");
+    let digit = |it: char| it.to_digit(16).unwrap_or_else(|| panic!("not hex: {text}")) as u8;
     digits.chunks(2).map(|pair| digit(pair[0]) << 4 | digit(pair[1])).collect()
 }
 
-/// The name of a direction.
+/// The name of a direction in the vectors.
 pub fn direction_name(direction: Direction) -> &'static str {
     match direction {
         Direction::ToServer => "to server",
@@ -39,22 +39,23 @@ pub fn direction_name(direction: Direction) -> &'static str {
     }
 }
 
-/// The direction of this name.
+/// The direction with this name.
 pub fn direction(name: &str) -> Direction {
     match name {
         "to server" => Direction::ToServer,
         "to robot" => Direction::ToRobot,
-        _ => panic!("no direction: {name}"),
+        _ => panic!("not a direction: {name}"),
     }
 }
 
-/// A tile's planes: the low one's rows and then the high one's, each a little-endian word.
+/// A tile's planes in hex: the rows of the low one, then those of the high one, each a
+/// little-endian word.
 pub fn planes(tile: &Tile) -> String {
     let words = tile.low.iter().chain(&tile.high);
     hex(&words.flat_map(|word| word.to_le_bytes()).collect::<Vec<_>>())
 }
 
-/// The tile of these planes.
+/// The tile with these planes.
 pub fn tile(planes: &str) -> Tile {
     let bytes = unhex(planes);
     assert_eq!(bytes.len(), 256, "a tile has 256 bytes");

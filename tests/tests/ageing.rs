@@ -1,5 +1,5 @@
-//! What speaks against the server's map, but not often enough to be told, is forgotten, whether or not
-//! the robot can send anything.
+//! Evidence against the server's map that is too rare to be reported is forgotten, even if the
+//! robot can't send anything.
 
 use ubimap_agent::{Agent, Config, sense::SensorModel};
 use ubimap_protocol::{
@@ -14,27 +14,31 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::run::fleet::AgentMemory;
 
+/// Beams of the sensor.
 const BEAMS: usize = 12;
-/// From one beam to the next, in radians.
+/// Angle between neighbouring beams in radians.
 const STEP: f32 = 0.2;
-/// Where the beam 0.1 radians from the x axis of `map` ends after [`READING`]: cell (41, 4).
+/// Tile of the cell (41, 4), in which the beam at 0.1 radians from the x axis of `map` ends after
+/// [`READING`].
 const ID: TileId = TileId { x: 1, y: 0 };
+/// Column and row of that cell in its tile.
 const CELL: (usize, usize) = (9, 4);
+/// The reading that hits the cell, in millimetres.
 const READING: u16 = 2_100;
 
-/// The server's end of the link. It hears only what it must.
+/// The server's end of the link. It receives only what the session needs.
 struct Server {
     link: Endpoint<ToRobot, (), 8, DEFAULT_FRAME>,
 }
 
 impl Server {
-    /// A server with a session, and the clocks agree.
+    /// Opens a session and synchronises the clocks.
     fn connect(agent: &mut Agent<'_>, config: &Config) -> Self {
         let mut link = Endpoint::new();
         let mut out = [0; DEFAULT_FRAME];
-        let len = agent.poll_transmit(Instant(0), &mut out).expect("a hello");
+        let len = agent.poll_transmit(Instant(0), &mut out).expect("a Hello");
         let Some(Received::Handshake(hello)) = link.receive(&mut &out[..len], Instant(0)) else {
-            panic!("no hello")
+            panic!("no Hello")
         };
         let hello = hello.decode::<Hello>().unwrap();
         let (resolution, frame) = (config.resolution, DEFAULT_FRAME as u16);
@@ -45,7 +49,7 @@ impl Server {
         let len = link.handshake(&welcome, &mut out).unwrap();
         link.begin(welcome.session, DEFAULT_FRAME);
         agent.receive(&out[..len], Instant(0));
-        // The first request for the time has the nonce 0.
+        // The first time request has the nonce 0.
         agent.poll_transmit(Instant(0), &mut out).expect("a request for the time");
         let mut server = Self { link };
         let reply = TimeReply { nonce: 0, received: Instant(0), held_micros: 0 };
@@ -72,8 +76,8 @@ impl Server {
     }
 }
 
-/// Whether the robot says that the cell is occupied after ten scans with a hit in it, where the
-/// server's map says free. It has a session, and its port never has room for a frame.
+/// Whether the robot marks the cell as occupied after ten scans with a hit in it, where the
+/// server's map is free. It has a session, but its port never has room for a frame.
 fn contradicts(apart: Duration) -> bool {
     let sensor = SensorModel::Radial { first: -1.1, step: STEP };
     let config = Config::new(RobotId(3), sensor);
@@ -87,14 +91,14 @@ fn contradicts(apart: Duration) -> bool {
             now = end.min(now + Duration::from_millis(500));
             agent.timeout(now);
         }
-        // Turned by one beam each time, to and fro, so that each scan is mapped.
+        // Alternates the heading by one beam, so that each scan is mapped.
         let pose = Pose::from_metres(0.0, 0.0, f64::from(STEP) * f64::from(scan % 2));
         let before = std::iter::empty();
         let certainty = Certainty { x: 5, y: 5, heading: 50 };
         let fix = PoseFix::from_fixes((now, pose), before, certainty, FixSource::Camera);
         server.say(&mut agent, now, &fix);
         agent.odometry(now, pose, now);
-        // The first scan says where the robot is, and nothing else.
+        // The first scan only initialises the pose.
         let reading = if scan == 0 { 0 } else { READING };
         agent.scan(now, &[reading; BEAMS], now).unwrap();
         if scan == 0 {
@@ -106,7 +110,7 @@ fn contradicts(apart: Duration) -> bool {
     tile.row(CELL.1).high >> CELL.0 & 1 != 0
 }
 
-/// The server's map says that all cells of the tile are free.
+/// Sends a tile whose cells are all free.
 fn say_free(server: &mut Server, agent: &mut Agent<'_>, now: Instant) {
     let free = Tile { low: [u32::MAX; TILE_SIDE], ..Tile::UNKNOWN };
     let stamp = Stamp { epoch: Epoch(1), version: Version(1) };
@@ -121,7 +125,7 @@ fn say_free(server: &mut Server, agent: &mut Agent<'_>, now: Instant) {
 }
 
 #[test]
-fn hits_that_are_minutes_apart_are_forgotten_even_where_nothing_can_be_sent() {
+fn hits_minutes_apart_are_forgotten_even_without_sending() {
     assert!(contradicts(Duration::from_secs(1)), "ten hits in ten seconds are a change");
     assert!(!contradicts(Duration::from_secs(60)), "ten hits in ten minutes are noise");
 }

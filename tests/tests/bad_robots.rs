@@ -1,5 +1,5 @@
-//! Robots that lie, that flood, whose clocks jump, and that are where they cannot be: the others are
-//! undisturbed, and the map is no worse.
+//! Robots that lie, flood, have jumping clocks, or are reported at impossible places must not
+//! disturb the others or degrade the map.
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
@@ -17,10 +17,13 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::raw_robot::RawRobot;
 
-/// Ground that a camera sees, ground where two honest robots have been, and ground where nobody has.
+/// A tile in view of a camera.
 const SEEN: TileId = TileId { x: 0, y: 0 };
+/// A tile that two honest robots have mapped, out of the cameras' view.
 const BLIND: TileId = TileId { x: 5, y: 0 };
+/// A tile without other observers.
 const NEW: TileId = TileId { x: 9, y: 0 };
+/// The dishonest robot.
 const LIAR: RobotId = RobotId(3);
 
 fn server() -> Server {
@@ -32,7 +35,7 @@ fn at(millis: u64) -> Instant {
     Instant(millis * 1_000)
 }
 
-/// Free, but for walls in the columns that are so many apart from one on.
+/// Free, except for walls in every `apart`-th column starting at `first`.
 fn walls(first: usize, apart: usize) -> Tile {
     let mut tile = Tile { low: [u32::MAX; TILE_SIDE], high: [0; TILE_SIDE] };
     for x in (first..TILE_SIDE).step_by(apart) {
@@ -41,7 +44,7 @@ fn walls(first: usize, apart: usize) -> Tile {
     tile
 }
 
-/// What a camera sees of [`SEEN`]: a wall in the first column, and robots.
+/// A camera's observation of [`SEEN`]: a wall in the first column, and robots.
 fn look(captured: Instant, robots: Vec<Sighting>) -> Observation {
     let seen = walls(0, TILE_SIDE);
     let side = TILE_SIDE as i32;
@@ -50,7 +53,7 @@ fn look(captured: Instant, robots: Vec<Sighting>) -> Observation {
     Observation { captured, robots, cells, ..Observation::default() }
 }
 
-/// Lets the server send what it has, and returns how many bytes that is at each port.
+/// Lets the server send everything that is due; returns the number of bytes for each port.
 fn drain(server: &mut Server, now: Instant) -> [usize; 3] {
     server.timeout(now);
     let mut out = [0; MAX_FRAME];
@@ -61,8 +64,8 @@ fn events(server: &Server) -> Vec<(RobotEvent, u64)> {
     server.robot_events().iter().map(|(event, count, _)| (event, count)).collect()
 }
 
-/// Two honest robots that map what no camera sees, and a third one that draws something else into
-/// each of these tiles every two seconds, for half a minute.
+/// Two honest robots map blind ground, while a third one draws something else into each of the
+/// tiles `lies` every two seconds, for half a minute.
 fn with_lies(in_view: bool, lies: &[TileId]) -> (Digest, [usize; 3], Server) {
     let mut server = server();
     let mut robots: Vec<RawRobot> = (0..3)
@@ -94,38 +97,38 @@ fn with_lies(in_view: bool, lies: &[TileId]) -> (Digest, [usize; 3], Server) {
 }
 
 #[test]
-fn a_robot_that_lies_where_cameras_see_the_floor_is_found_out_and_counts_nowhere() {
+fn a_robot_that_contradicts_the_cameras_loses_its_weight_everywhere() {
     let (truth, undisturbed, server) = with_lies(true, &[]);
     assert_eq!(events(&server), []);
     let (map, _, server) = with_lies(true, &[SEEN, NEW]);
-    assert_eq!(map, truth, "neither what is seen nor what it alone has been to");
+    assert_eq!(map, truth, "the lies must not appear in view or in ground only the liar has seen");
     assert_eq!(events(&server), [(RobotEvent::Disagrees(LIAR), 1)]);
     let weights = [1, 2, 3].map(|id| server.weight(RobotId(id)));
     assert_eq!(weights, [Weight::FULL, Weight::FULL, Weight::NONE]);
-    // Where cameras look, the others hear nothing of it at any time.
+    // In view of the cameras, the lies cause no traffic to the others at any time.
     let (map, sent, _) = with_lies(true, &[SEEN]);
     assert_eq!((map, sent[..2].to_vec()), (truth, undisturbed[..2].to_vec()));
 }
 
 #[test]
-fn in_blind_ground_a_lie_holds_for_one_step_of_the_map_if_two_have_seen_otherwise() {
+fn in_blind_ground_a_lie_lasts_one_map_step_against_two_witnesses() {
     let (truth, _, _) = with_lies(false, &[]);
     let (map, _, server) = with_lies(false, &[BLIND]);
     assert_eq!(map, truth);
     assert_eq!(events(&server), [(RobotEvent::Disagrees(LIAR), 1)]);
-    // Some of its walls are beside theirs.
+    // Some of its walls are next to the true ones.
     assert!(server.weight(LIAR) < Weight::FULL);
     assert_eq!([1, 2].map(|id| server.weight(RobotId(id))), [Weight::FULL; 2]);
 }
 
-/// What it sees: something in every direction, so far away.
+/// Its distance vector: a reading of `metres` in every direction.
 fn sees(time: Instant, pose: Pose, metres: f64) -> DistanceVector {
     let distances = (0..64).map(|_| (metres * 50.0) as u8).collect();
     DistanceVector { time, pose, first: Angle(0), step: 1_024, distances }
 }
 
 #[test]
-fn a_robot_that_sees_things_where_cameras_see_the_floor_counts_for_nothing_in_blind_ground() {
+fn false_distance_vectors_in_view_cost_the_weight_in_blind_ground() {
     let pose = Pose::from_metres(0.9, 0.8, 0.3);
     let mut server = server();
     let mut robot = RawRobot::connect(&mut server, 2, LIAR, at(0));
@@ -143,8 +146,8 @@ fn a_robot_that_sees_things_where_cameras_see_the_floor_counts_for_nothing_in_bl
     assert!(server.fused().get(NEW).is_some_and(|(_, tile)| *tile == Tile::UNKNOWN));
 }
 
-/// Bytes that the server sends to the two others while a robot sends so many frames with tiles in
-/// every tenth of a second; the map where they are; the frames that were read; the events.
+/// A third robot sends `frames` frames with tiles in every tenth of a second. Returns the bytes
+/// sent to the two others, their part of the map, the number of frames read, and the events.
 fn with_flood(frames: usize) -> (Vec<usize>, Tile, u32, Vec<(RobotEvent, u64)>) {
     let mut server = server();
     let mut robots: Vec<RawRobot> = (0..3)
@@ -171,20 +174,20 @@ fn with_flood(frames: usize) -> (Vec<usize>, Tile, u32, Vec<(RobotEvent, u64)>) 
 }
 
 #[test]
-fn a_robot_that_floods_is_not_read_and_the_others_do_not_notice() {
+fn a_flood_is_dropped_without_effect_on_others() {
     let (alone, map, _, none) = with_flood(0);
     assert_eq!(none, []);
     let (sent, same, read, events) = with_flood(200);
     assert!(sent == alone && map == same, "the others are disturbed");
     assert_eq!(events, [(RobotEvent::Floods(RobotId(3)), 1)]);
-    // 80 kB, and 40 kB a second.
+    // A burst of 80 kB, and then 40 kB/s.
     println!("{read} of 7,800 frames read");
     assert!((1_000..6_000).contains(&read), "{read} of 7,800");
 }
 
-/// Whoever says that it has seen something tomorrow is not believed for longer than others are.
+/// A robot that claims future observations must not be believed for longer than the others.
 #[test]
-fn a_robot_whose_clock_is_ahead_is_heard_as_of_now() {
+fn observations_from_the_future_count_as_now() {
     let mut server = server();
     let mut robots =
         [0, 1].map(|port| RawRobot::connect(&mut server, port, RobotId(port as u16), at(0)));
@@ -195,9 +198,9 @@ fn a_robot_whose_clock_is_ahead_is_heard_as_of_now() {
     assert_eq!(server.fused().get(BLIND).unwrap().1, &walls(4, 20));
 }
 
-/// The server's own clock is set back by an hour: sessions and the map go on.
+/// The server's clock is set back by an hour: sessions and the map must continue.
 #[test]
-fn a_server_whose_clock_is_set_back_goes_on() {
+fn a_server_continues_after_its_clock_is_set_back() {
     let mut server = server();
     let hour = 3_600_000;
     let mut robot = RawRobot::connect(&mut server, 0, RobotId(1), at(hour));
@@ -210,7 +213,7 @@ fn a_server_whose_clock_is_set_back_goes_on() {
 }
 
 #[test]
-fn what_cameras_see_and_cannot_be_a_pose_is_an_event_and_no_pose() {
+fn an_impossible_sighting_is_an_event_but_not_a_pose() {
     let mut server = server();
     let mut robot = RawRobot::connect(&mut server, 0, RobotId(1), at(0));
     robot.draw(&mut server, at(100), BLIND, &walls(3, 20));
@@ -223,13 +226,13 @@ fn what_cameras_see_and_cannot_be_a_pose_is_an_event_and_no_pose() {
     let told: Vec<_> = server.sighting_events().iter().collect();
     let ahead = SightingEvent::ClockAhead { camera: 2 };
     assert_eq!(told, [(jumped, 2, at(900)), (ahead, 1, at(300))]);
-    assert_eq!(drain(&mut server, at(1_000)), [0; 3], "no robot is told of it");
+    assert_eq!(drain(&mut server, at(1_000)), [0; 3], "no message to any robot");
     assert_eq!(server.whereabouts(at(1_000)).count(), 0);
     assert_eq!(server.fused().digest(), map);
 }
 
 #[test]
-fn where_a_robot_stands_nothing_else_does() {
+fn cells_below_a_robot_are_not_occupied() {
     let mut server = server();
     let mut robot = RawRobot::connect(&mut server, 0, RobotId(1), at(0));
     let mut chair = Tile { low: [u32::MAX; TILE_SIDE], ..Tile::UNKNOWN };
@@ -249,11 +252,13 @@ fn where_a_robot_stands_nothing_else_does() {
     see(&mut server, 1_100, Pose::from_metres(5.5 * tile_m, 3.0 * tile_m, 0.0));
     assert_eq!(code(&server), Cell::Occupied);
     see(&mut server, 900, upon);
-    assert_eq!(code(&server), Cell::Occupied, "a frame that comes late");
+    assert_eq!(code(&server), Cell::Occupied, "a late frame");
     see(&mut server, 1_200, upon);
     drain(&mut server, at(9_000));
     assert_eq!(code(&server), Cell::Free);
-    let later = server.poll_timeout(0, at(9_000)).expect("it will be anywhere");
+    let later = server
+        .poll_timeout(0, at(9_000))
+        .expect("a deadline at which the robot's position expires");
     assert!(later <= at(10_000));
     for step in 1..3 {
         drain(&mut server, at(9_000) + Duration::from_secs(10 * step));

@@ -1,4 +1,4 @@
-//! What the fuzzer has kept, and a few thousand changes of it that are the same in every run.
+//! Replays the fuzzer's corpus and a few thousand reproducible mutations of it.
 
 use std::{
     fs,
@@ -12,30 +12,30 @@ use ubimap_tests::{
     vectors::hex,
 };
 
-/// Changed inputs for each target.
+/// Number of mutated inputs per target.
 const CHANGED: usize = 3_000;
-/// The longest input that is made.
-const LONGEST: usize = 1_500;
-/// What no input may take, on a machine however busy: most take less than a millisecond.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Maximum length of a mutated input.
+const MAX_LEN: usize = 1_500;
+/// Timeout per input, even on a busy machine: most take less than a millisecond.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 #[test]
-fn frames_hold() {
+fn frames_do_not_panic() {
     run("frames", frames);
 }
 
 #[test]
-fn messages_hold() {
+fn messages_do_not_panic() {
     run("messages", messages);
 }
 
 #[test]
-fn tiles_hold() {
+fn tiles_do_not_panic() {
     run("tiles", tiles);
 }
 
 #[test]
-fn links_hold() {
+fn links_do_not_panic() {
     run("links", links);
 }
 
@@ -48,7 +48,7 @@ fn run(name: &str, target: fn(&[u8])) {
         for _ in 0..1 + dice.below(6) {
             change(&mut input, &kept, &mut dice);
         }
-        input.truncate(LONGEST);
+        input.truncate(MAX_LEN);
         check(target, &input);
     }
 }
@@ -65,9 +65,9 @@ fn kept(name: &str) -> Vec<Vec<u8>> {
 fn check(target: fn(&[u8]), input: &[u8]) {
     let start = Instant::now();
     let result = catch_unwind(AssertUnwindSafe(|| target(input)));
-    // The panic's own message has been printed above.
+    // The panic's own message was printed above.
     assert!(result.is_ok(), "the input was {}", hex(input));
-    assert!(start.elapsed() < PATIENCE, "too slow: {}", hex(input));
+    assert!(start.elapsed() < TIMEOUT, "too slow: {}", hex(input));
 }
 
 fn change(input: &mut Vec<u8>, kept: &[Vec<u8>], dice: &mut Dice) {

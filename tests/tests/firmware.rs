@@ -16,13 +16,13 @@ use ubimap_tests::{
     emulator::{Emulator, firmware, leave_out},
 };
 
-/// The robot that the firmware is.
+/// The firmware's robot id.
 const ROBOT: RobotId = RobotId(1);
-/// The side of the firmware's cells.
+/// The firmware's cell size.
 const RESOLUTION: Millimetres = Millimetres(50);
 
 #[test]
-fn the_image_fits_and_holds_neither_panics_nor_a_heap() {
+fn the_image_fits_and_has_no_panics_or_heap() {
     let path = match firmware() {
         Ok(path) => path,
         Err(error) => return leave_out("the firmware's image", &error),
@@ -34,7 +34,7 @@ fn the_image_fits_and_holds_neither_panics_nor_a_heap() {
 }
 
 #[test]
-fn a_robot_gets_a_session_the_time_and_its_pose_and_all_again_from_the_next_server() {
+fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
     let emulator = match firmware().and_then(|image| Emulator::start(&image)) {
         Ok(emulator) => emulator,
         Err(error) => return leave_out("the firmware's conversation with the server", &error),
@@ -44,8 +44,8 @@ fn a_robot_gets_a_session_the_time_and_its_pose_and_all_again_from_the_next_serv
     let pose = Pose::from_metres(1.25, -0.5, 1.0);
     let mut station = station(&emulator, 7, pose, &mut noise);
     wait_for_pose(&mut station, pose, Duration::from_secs(20));
-    // A robot that has used as many answers asks once in five seconds; one that does not hear
-    // them, or can make nothing of them, goes on asking eight times a second.
+    // A robot that has used enough replies asks every 5 s; one that gets no usable replies asks
+    // eight times per second.
     let mut asked = (0, station.now());
     turn_until(&mut station, "the clocks agree", Duration::from_secs(60), |station| {
         let now = station.now();
@@ -59,14 +59,14 @@ fn a_robot_gets_a_session_the_time_and_its_pose_and_all_again_from_the_next_serv
     assert!(report.ports[0].frames_bad > 0, "no noise arrived: {report:?}");
     drop(station);
 
-    // Its next life has another epoch and another clock; what the robot knew of the first one's
-    // session and time is of no use.
+    // The server's next life has another epoch and another clock; the robot's session and time of
+    // the first one are invalid.
     let pose = Pose::from_metres(-2.0, 3.0, -3.0);
     let mut station = self::station(&emulator, 8, pose, &mut noise);
     wait_for_pose(&mut station, pose, Duration::from_secs(20));
 }
 
-/// A server behind the emulator's port, to which noise has been said.
+/// A server on the emulator's port, after noise was sent to the firmware.
 fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> Station {
     let mut port = SerialPort::open(emulator.port(), 115_200).unwrap();
     port.write(&noise.bytes(700)).unwrap();
@@ -75,8 +75,8 @@ fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> St
     Station::new(RESOLUTION, Life::new(Epoch(epoch)), vec![attached], None).unwrap()
 }
 
-/// Waits until the robot says that it stands where the camera saw it, at a moment that is that of
-/// a frame of the camera by the server's clock.
+/// Waits until the robot reports the pose seen by the camera, at the capture time of a frame by the
+/// server's clock.
 #[track_caller]
 fn wait_for_pose(station: &mut Station, pose: Pose, patience: Duration) {
     turn_until(station, "the robot knows its pose", patience, |station| {
@@ -86,7 +86,7 @@ fn wait_for_pose(station: &mut Station, pose: Pose, patience: Duration) {
         };
         assert_eq!(found, pose);
         assert!(time <= station.now() && station.now().since(time).micros() < 500_000, "{time:?}");
-        assert_eq!(time.micros() % CAPTURE_INTERVAL.micros(), 0, "{time:?} is of no frame");
+        assert_eq!(time.micros() % CAPTURE_INTERVAL.micros(), 0, "{time:?} is not a capture time");
         true
     });
 }
@@ -101,14 +101,14 @@ fn turn_until(
     let start = station.now();
     while !done(station) {
         let waited = Duration::from_micros(station.now().since(start).micros());
-        assert!(waited < patience, "waited in vain until {what}: {:?}", station.report());
-        assert!(station.is_attached(), "hung up");
+        assert!(waited < patience, "timeout while waiting until {what}: {:?}", station.report());
+        assert!(station.is_attached(), "the emulator has disconnected");
         station.turn().unwrap();
     }
 }
 
-/// A port on which noise comes to the robot before every fifth piece, and from it after so many bytes,
-/// in whatever pieces they are read; it spoils what follows it.
+/// A port that inserts noise before every fifth write, and into the received bytes after every
+/// [`QUIET_BYTES`]; the noise corrupts the following frame.
 struct NoisyWire {
     port: SerialPort,
     noise: Noise,
@@ -117,7 +117,7 @@ struct NoisyWire {
     writes: u32,
 }
 
-/// A hello is a fifth as long: most get through.
+/// A Hello has a fifth of this length, so most get through.
 const QUIET_BYTES: usize = 150;
 
 impl Wire for NoisyWire {
@@ -146,7 +146,7 @@ impl Wire for NoisyWire {
     }
 }
 
-/// Bytes of all values: a linear congruence.
+/// Pseudo-random bytes from a linear congruential generator.
 struct Noise(u32);
 
 impl Noise {

@@ -1,5 +1,5 @@
-//! Imports run one way in every crate: a module takes from those before it alone, and no files take
-//! from each other in a circle.
+//! Imports run one way in every crate: a module imports only those before it, and files do not
+//! import each other in a cycle.
 
 use std::{
     collections::BTreeSet,
@@ -12,7 +12,7 @@ use graph::Graph;
 #[path = "imports/graph.rs"]
 mod graph;
 
-/// The folders of `sim-host`, and the others that each may import.
+/// The folders of `sim-host`, with the folders that each may import.
 const HOST: [(&str, &[&str]); 14] = [
     ("timing", &[]),
     ("grid", &[]),
@@ -48,20 +48,20 @@ const HOST: [(&str, &[&str]); 14] = [
 ];
 
 #[test]
-fn the_protocol_imports_only_what_its_docs_name_before() {
+fn the_protocol_imports_in_the_order_of_its_docs() {
     in_order_of_docs("protocol");
 }
 
 #[test]
-fn the_agent_imports_only_what_its_docs_name_before() {
+fn the_agent_imports_in_the_order_of_its_docs() {
     in_order_of_docs("agent");
 }
 
 #[test]
-fn a_folder_of_the_host_imports_only_those_it_may() {
+fn folders_of_the_host_import_only_permitted_ones() {
     let graph = Graph::read(&src("sim-host"));
     let known: BTreeSet<&str> = HOST.iter().map(|(folder, _)| *folder).collect();
-    assert_eq!(graph.roots(), known, "a folder that this test does not know");
+    assert_eq!(graph.roots(), known, "a folder is missing in HOST");
     let may = |user: &str, used: &str| {
         HOST.iter().any(|(folder, allowed)| *folder == user && allowed.contains(&used))
     };
@@ -69,10 +69,10 @@ fn a_folder_of_the_host_imports_only_those_it_may() {
 }
 
 #[test]
-fn no_files_import_each_other() {
+fn no_files_import_each_other_in_a_cycle() {
     for name in ["protocol", "agent", "sim-host"] {
         let found = circles(&Graph::read(&src(name)));
-        assert!(found.is_empty(), "circles in {name}: {found:#?}");
+        assert!(found.is_empty(), "import cycles in {name}: {found:#?}");
     }
 }
 
@@ -80,8 +80,8 @@ fn src(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name).join("src")
 }
 
-/// Every module in the root of a crate is named in the numbered list of the crate's docs, and imports
-/// only those that are named before it.
+/// Checks that every root module of a crate is in the numbered list of the crate's docs, and
+/// imports only those before it.
 fn in_order_of_docs(name: &str) {
     let graph = Graph::read(&src(name));
     let order = order_in_docs(&src(name), &graph.roots());
@@ -109,7 +109,7 @@ fn order_in_docs(src: &Path, modules: &BTreeSet<&str>) -> Vec<String> {
     order
 }
 
-/// Imports from one module in the crate's root to another that it may not import.
+/// Imports between root modules that are not permitted.
 fn wrong_imports(graph: &Graph, may: impl Fn(&str, &str) -> bool) -> Vec<String> {
     let wrong = graph.uses().into_iter().filter_map(|(user, used)| {
         let (from, to) = (user.first()?, used.first()?);
@@ -119,7 +119,7 @@ fn wrong_imports(graph: &Graph, may: impl Fn(&str, &str) -> bool) -> Vec<String>
     wrong.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// The circles of a crate as the names of their files.
+/// The import cycles of a crate, as file names.
 fn circles(graph: &Graph) -> BTreeSet<Vec<String>> {
     let names = |circle: Vec<&graph::Module>| {
         let mut files: Vec<_> =
@@ -130,9 +130,9 @@ fn circles(graph: &Graph) -> BTreeSet<Vec<String>> {
     graph.circles().into_iter().map(names).collect()
 }
 
-/// However an import is written, it is found, and led to the file that defines what is imported.
+/// Every form of import is found and attributed to the file with the definition.
 #[test]
-fn an_import_is_found_however_it_is_written() {
+fn every_form_of_import_is_found() {
     let src = Path::new(env!("CARGO_TARGET_TMPDIR")).join("imports");
     let files = [
         ("lib.rs", "mod a; mod b; mod c; #[cfg(test)] mod oracle;"),
@@ -172,7 +172,8 @@ fn an_import_is_found_however_it_is_written() {
     assert_eq!(uses, expected);
     assert_eq!(circles(&graph), BTreeSet::new());
     assert_eq!(wrong_imports(&graph, |user, _| user == "b"), ["a/inner.rs imports c"]);
-    // By a detour: a/inner.rs takes from c.rs, c.rs from a/other.rs, and that from a/inner.rs.
+    // An indirect cycle: a/inner.rs imports c.rs, which imports a/other.rs, which imports
+    // a/inner.rs.
     fs::write(src.join("c.rs"), "pub fn called() { crate::a::renamed::go(); }").unwrap();
     let circle = ["a/inner.rs", "a/other.rs", "c.rs"].map(String::from).to_vec();
     assert_eq!(circles(&Graph::read(&src)), BTreeSet::from([circle]));

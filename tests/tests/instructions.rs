@@ -1,5 +1,5 @@
-//! The table of instruction counts, from images in the emulator: those of `cargo instructions`, and
-//! the coder's over the tile updates of a real log.
+//! Instruction counts from images in the emulator: those of `cargo instructions`, and the coder's
+//! over the tile updates of a recorded log.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -15,11 +15,11 @@ use ubimap_tests::{
     updates::{Gathering, Update},
 };
 
-/// What a line of the tables may say at the most, by the ends of its name.
+/// Limits on the tables' lines, selected by the beginning and end of their names.
 const BOUNDS: [(&str, &str, u64); 20] = [
     ("a row of 640 to planes", "", 25_000),
     ("a row of 640 from a robot that stands", "", 2_500),
-    // With the row to planes half a million.
+    // Half a million together with the conversion of the row.
     ("the tiles that fit a frame", "", 475_000),
     ("a grey image", "", 600_000),
     ("a pose fix", "", 6_600),
@@ -40,16 +40,16 @@ const BOUNDS: [(&str, &str, u64); 20] = [
     ("bytes of a fused tile", "", 400),
 ];
 
-/// Folders of recorded depth frames, and the most that the middle row of a frame may take on new
-/// ground. 25,000 is wanted of each; where it says more, that is what it takes today, and may only
-/// improve.
+/// Folders of recorded depth frames, and limits on the middle row of a frame on new ground. The
+/// target is 25,000; higher values are today's counts, and may only be lowered.
 const RECORDED: [(&str, u64); 3] =
     [("rgbd_redwood", 25_000), ("rgbd_frames/icl_nuim", 25_000), ("rgbd_frames/handheld", 33_700)];
 
-/// Every so manieth update is taken: its bytes take the emulator longer than its coding.
+/// Only every fourth update is measured: transferring it to the emulator takes longer than coding
+/// it.
 const SAMPLE: usize = 4;
 
-/// What ends the updates.
+/// Marks the end of the updates.
 const END: u8 = 255;
 
 #[derive(Parser)]
@@ -67,7 +67,7 @@ fn no_stage_takes_more_than_its_bound() {
 }
 
 #[test]
-fn no_tile_update_of_a_real_log_takes_more_than_its_bound() {
+fn no_tile_update_of_a_recorded_log_takes_more_than_its_bound() {
     let Some(log) = data::file("carmen_corrected/intel-corrected.log.gz") else { return };
     match updates_table(&log) {
         Ok(table) => assert_eq!(bounded(&table), 8, "{table}"),
@@ -112,7 +112,7 @@ fn updates_table(log: &std::path::Path) -> Result<String, EmulatorError> {
     count(&image, input)
 }
 
-/// The tile updates of three robots on clean links, and of their server.
+/// The tile updates of three robots and their server on lossless links.
 fn updates(log: &std::path::Path) -> Vec<Update> {
     let words = ["replay".into(), log.as_os_str().to_owned(), "--robots".into(), "3".into()];
     let options = CommandLine::parse_from(words).options;
@@ -125,7 +125,8 @@ fn updates(log: &std::path::Path) -> Vec<Update> {
     gathering.take().updates()
 }
 
-/// Prints a table and compares its lines with their bounds: how many have one.
+/// Prints a table and compares its lines with their limits. Returns the number of lines with a
+/// limit.
 fn bounded(table: &str) -> usize {
     print!("{table}");
     let bound = |name: &str| {

@@ -1,4 +1,4 @@
-//! The merge: whatever order the states of a robot's tile come in, and however often, the server
+//! Merging: in whatever order and however often the states of a robot's tile arrive, the server
 //! ends with the same layer.
 
 use proptest::prelude::*;
@@ -22,7 +22,7 @@ fn states() -> impl Strategy<Value = Vec<Tile>> {
     })
 }
 
-/// A robot's tile in several epochs; all of its states, each with its stamp.
+/// All states of a robot's tile in several epochs, with their stamps.
 fn history() -> impl Strategy<Value = Vec<(Stamp, Tile)>> {
     proptest::collection::vec(states(), 1..5).prop_map(|epochs| {
         let numbered = |(epoch, states): (usize, Vec<Tile>)| {
@@ -35,7 +35,7 @@ fn history() -> impl Strategy<Value = Vec<(Stamp, Tile)>> {
     })
 }
 
-/// A history, and some of its states (the newest of each epoch among them, or not) in any order.
+/// A history, and an arbitrary selection of its states in any order.
 fn arrivals() -> impl Strategy<Value = (Vec<(Stamp, Tile)>, Vec<usize>, Vec<usize>)> {
     history().prop_flat_map(|history| {
         let indices: Vec<usize> = (0..history.len()).collect();
@@ -47,8 +47,8 @@ fn arrivals() -> impl Strategy<Value = (Vec<(Stamp, Tile)>, Vec<usize>, Vec<usiz
 fn coded(&(stamp, ref tile): &(Stamp, Tile)) -> Vec<u8> {
     let mut out = [0u8; 1_000];
     let mut encoder = TileEncoder::new(&mut out);
-    encoder.push(ID, stamp, None, 0, &Tile::UNKNOWN, tile).expect("it fits");
-    let len = encoder.finish().expect("it fits");
+    encoder.push(ID, stamp, None, 0, &Tile::UNKNOWN, tile).expect("the tile fits");
+    let len = encoder.finish().expect("the tile fits");
     out[..len].to_vec()
 }
 
@@ -59,13 +59,13 @@ fn apply<'a>(layer: &mut RobotLayer, states: impl Iterator<Item = &'a (Stamp, Ti
     }
 }
 
-/// What a layer holds: each epoch's newest state, and all of them joined.
+/// The contents of a layer: each epoch's newest state, and the joined tile.
 fn held(layer: &RobotLayer) -> (Vec<Option<(Stamp, Tile)>>, Option<Tile>) {
     let epoch = |epoch| layer.held(ID, Epoch(epoch)).map(|(stamp, tile)| (stamp, *tile));
     ((1..6).map(epoch).collect(), layer.seen(ID).map(|seen| seen.tile))
 }
 
-/// The same, as the design says it: of each cell the code of the newest epoch that knows it.
+/// The joined tile by the specification: each cell has the code of the newest epoch that knows it.
 fn joined(history: &[(Stamp, Tile)]) -> Tile {
     let mut newest: Vec<&(Stamp, Tile)> = history.iter().collect();
     newest.sort_by_key(|(stamp, _)| std::cmp::Reverse(*stamp));
@@ -75,7 +75,7 @@ fn joined(history: &[(Stamp, Tile)]) -> Tile {
 }
 
 proptest! {
-    /// Commutative and associative, and what comes twice changes nothing.
+    /// Merging is commutative, associative and idempotent.
     #[test]
     fn any_order_of_any_states_ends_in_one_layer((history, order, again) in arrivals()) {
         let mut in_order = RobotLayer::default();
@@ -91,7 +91,7 @@ proptest! {
         prop_assert_eq!(&held(&other), &expected);
     }
 
-    /// Whatever part of a history has come, what it knows is not lost to what comes later.
+    /// Known cells stay known, whatever arrives later.
     #[test]
     fn nothing_known_becomes_unknown((history, order, _) in arrivals()) {
         let mut layer = RobotLayer::default();
@@ -107,7 +107,8 @@ proptest! {
         }
     }
 
-    /// The fused tile does not depend on the order of the robots, nor on one who says nothing.
+    /// The fused tile does not depend on the order of the robots, nor on a robot without
+    /// observations.
     #[test]
     fn the_order_of_the_robots_does_not_matter(
         robots in proptest::collection::vec((states(), 0u32..400, 0u8..5), 0..6),

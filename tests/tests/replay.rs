@@ -1,6 +1,9 @@
-//! Recorded logs through robots, bad channels and the server, to one map.
+//! Recorded logs through robots, bad channels and the server to one map.
+
+use std::{fs::File, io::Read};
 
 use clap::Parser;
+use flate2::read::GzDecoder;
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, Tile, TileId},
     units::Millimetres,
@@ -12,7 +15,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{data, per_ray};
 
-/// A log, and the range in metres from which its readings mean no return.
+/// The logs, each with the range in metres from which its readings mean no return.
 const LOGS: [(&str, f64); 4] = [
     ("carmen_corrected/intel-corrected.log.gz", 81.0),
     ("carmen_corrected/freiburg-101-corrected.log.gz", 50.0),
@@ -20,6 +23,7 @@ const LOGS: [(&str, f64); 4] = [
     ("carmen_corrected/fhw-corrected.log.gz", 50.0),
 ];
 
+/// Options for a link that loses, duplicates, reorders and damages frames.
 const BAD_LINK: &str = "--loss 0.3 --duplicate 0.05 --reorder 0.1 --corrupt 0.02";
 
 #[derive(Parser)]
@@ -34,7 +38,7 @@ fn run(log: &std::path::Path, options: &str) -> Outcome {
     replay::run(&CommandLine::parse_from(words).options).unwrap()
 }
 
-/// Map traffic up: bytes for each mapped scan, and in all.
+/// Map traffic to the server: bytes per mapped scan, and in total.
 fn bytes(report: &Report) -> (f64, f64) {
     let bytes: u64 = report.robots.iter().map(|robot| robot.bytes_up_map).sum();
     let mapped: u64 = report.robots.iter().map(|robot| robot.mapped).sum();
@@ -42,7 +46,7 @@ fn bytes(report: &Report) -> (f64, f64) {
 }
 
 #[test]
-fn over_a_bad_link_all_end_with_the_map_of_a_perfect_one() {
+fn a_bad_link_leads_to_the_map_of_a_perfect_one() {
     for (name, _) in LOGS {
         let Some(log) = data::file(name) else { return };
         let perfect = run(&log, "--robots 3");
@@ -77,7 +81,7 @@ fn over_a_bad_link_all_end_with_the_map_of_a_perfect_one() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_report_and_another_one_another() {
+fn the_seed_determines_the_report() {
     let Some(log) = data::file(LOGS[1].0) else { return };
     let report = |seed: u32| {
         let mut outcome = run(&log, &format!("--robots 2 {BAD_LINK} --seed {seed}"));
@@ -88,9 +92,11 @@ fn the_same_seed_gives_the_same_report_and_another_one_another() {
     assert_ne!(report(7).0, report(8).0);
 }
 
-/// The map that is made ray by ray of a log.
+/// The map of a log, drawn ray by ray.
 fn oracle(log: &std::path::Path, no_return: f64) -> OccupancyGrid {
-    let rays = per_ray::map(&data::text(log).unwrap(), 0.05, 4.0, no_return);
+    let mut text = String::new();
+    GzDecoder::new(File::open(log).unwrap()).read_to_string(&mut text).unwrap();
+    let rays = per_ray::map(&text, 0.05, 4.0, no_return);
     let mut tiles = std::collections::BTreeMap::<TileId, Tile>::new();
     for (&(x, y), &odds) in &rays {
         let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
@@ -103,20 +109,21 @@ fn oracle(log: &std::path::Path, no_return: f64) -> OccupancyGrid {
 }
 
 #[test]
-fn the_map_agrees_with_one_made_ray_by_ray() {
+fn the_map_agrees_with_one_drawn_ray_by_ray() {
     for (name, no_return) in LOGS {
         let Some(log) = data::file(name) else { return };
         let oracle = oracle(&log, no_return);
         for robots in [1, 3] {
             let outcome = run(&log, &format!("--robots {robots}"));
             let scores = compare(&outcome.map, &oracle, None);
-            println!("{name}, {robots} robots: F1 {:.4} against rays", scores.f1);
+            println!("{name}, {robots} robots: F1 {:.4} against the ray-by-ray map", scores.f1);
             assert!(scores.f1 >= 0.98, "{name}, {robots} robots: {scores:?}");
         }
     }
 }
 
-/// The comparison of Aluckal III.A, on logs of others: what each policy maps, sends and comes to.
+/// The comparison of Aluckal III.A on public logs: cells kept, traffic and map quality of each
+/// policy.
 #[test]
 fn the_papers_policies_are_compared() {
     for (name, no_return) in [LOGS[0], LOGS[3]] {
@@ -128,13 +135,13 @@ fn the_papers_policies_are_compared() {
             let [robot] = &outcome.report.robots[..] else { panic!("one robot") };
             let f1 = compare(&outcome.map, &oracle, None).f1;
             println!(
-                "{name}, {policy}: {} of {} points kept, {} scans, {} bytes up, F1 {f1:.4} against rays",
+                "{name}, {policy}: {} of {} points kept, {} scans, {} bytes up, F1 {f1:.4} against the ray-by-ray map",
                 robot.pixels.kept, robot.pixels.seen, robot.mapped, robot.bytes_up_map
             );
             assert!(outcome.report.map.converged);
-            // Each keeps less than the one before, and but for the paper's omission, which looks
-            // at little more than the edge of the view where a robot drives straight on, none
-            // loses anything by it.
+            // Each policy keeps fewer points than the previous one without loss of quality, except
+            // for the paper's omission: it considers little more than the edge of the view when a
+            // robot drives straight.
             let kept = robot.pixels.kept;
             assert!(if policy == "full" { kept < robot.pixels.seen } else { kept <= before });
             assert!(f1 >= 0.98 || policy == "omission", "{policy}: {f1}");

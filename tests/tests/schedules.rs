@@ -1,9 +1,9 @@
-//! Whatever befalls the links, the robots and the server: in the end all hold one map.
+//! Whatever happens to links, robots and the server, all end with the same map.
 //!
 //! ```text
-//! cargo test -p ubimap-tests --test schedules                   a few hundred schedules
+//! cargo test -p ubimap-tests --test schedules                   300 schedules
 //! UBIMAP_SCHEDULES=10000 cargo test --release -p ubimap-tests --test schedules
-//! UBIMAP_SCHEDULE=4711 cargo test -p ubimap-tests --test schedules    that one alone
+//! UBIMAP_SCHEDULE=4711 cargo test -p ubimap-tests --test schedules    only this schedule
 //! ```
 
 use std::{
@@ -15,15 +15,15 @@ use std::{
 
 use ubimap_tests::schedule::{Newcomer, Schedule};
 
-/// So many schedules, unless the environment says otherwise.
+/// Number of schedules, unless set by `UBIMAP_SCHEDULES`.
 const SCHEDULES: u64 = 300;
 
 fn number(name: &str) -> Option<u64> {
     let text = env::var(name).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{name} is a number, not {text:?}")))
+    Some(text.parse().unwrap_or_else(|_| panic!("{name} must be a number, not {text:?}")))
 }
 
-/// What went wrong in the schedule of a seed, and how to see it again.
+/// The failure of a seed's schedule, with the command that reproduces it.
 fn failure(seed: u64) -> Option<String> {
     let ending = panic::catch_unwind(AssertUnwindSafe(|| Schedule::of(seed).run()));
     let why = match ending {
@@ -34,7 +34,7 @@ fn failure(seed: u64) -> Option<String> {
         },
     };
     Some(format!(
-        "schedule {seed}: {why}\n  again: UBIMAP_SCHEDULE={seed} cargo test -p ubimap-tests --test schedules"
+        "schedule {seed}: {why}\n  reproduce with: UBIMAP_SCHEDULE={seed} cargo test -p ubimap-tests --test schedules"
     ))
 }
 
@@ -63,8 +63,8 @@ fn every_schedule_ends_in_one_map() {
     assert!(failures.is_empty(), "{} of {count}:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// The fault channel is worth its name: the same schedules, in which the wire swallows what a
-/// robot sends again, do not converge.
+/// Verifies that the fault channel has an effect: without retransmission, the same schedules do not
+/// converge.
 #[test]
 fn without_retransmission_a_lossy_wire_leaves_the_map_incomplete() {
     for seed in 0..5 {
@@ -77,10 +77,10 @@ fn without_retransmission_a_lossy_wire_leaves_the_map_incomplete() {
     }
 }
 
-/// A robot that joins late or reboots: two round trips, and what its tiles take on the wire beyond
-/// the second's worth that the downlink may save up.
+/// A robot that joins late or reboots is up to date after two round trips, plus the time to send
+/// its tiles beyond the one second's worth of bytes that the downlink budget may save up.
 #[test]
-fn a_newcomer_is_level_as_soon_as_the_downlink_allows() {
+fn a_new_robot_is_level_as_soon_as_the_downlink_allows() {
     let mut paced = 0;
     for seed in 0..60 {
         let schedule = Schedule::newcomer(seed);
@@ -91,5 +91,5 @@ fn a_newcomer_is_level_as_soon_as_the_downlink_allows() {
             paced += u32::from(level.bytes > 2_000);
         }
     }
-    assert!(paced > 10, "the budget was met {paced} times");
+    assert!(paced > 10, "only {paced} cases were limited by the budget");
 }

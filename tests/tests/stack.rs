@@ -1,20 +1,22 @@
-//! How much of the stack an agent takes, of images in the emulator: `cargo stack`, `cargo stack-m0`.
+//! Stack usage of an agent, measured by images in the emulator: `cargo stack`, `cargo stack-m0`.
 
 use ubimap_tests::{
     elf::Image,
     emulator::{Core, EmulatorError, count, firmware, image, leave_out, lines},
 };
 
-/// RAM of the reference board's firmware: static, the stack, and an interrupt upon it.
+/// RAM budget of the reference board's firmware: static memory, the stack, and one interrupt on
+/// top.
 const RAM: usize = 24 * 1_024;
 
-/// What an interrupt takes of the stack at the most: 108 bytes that the core saves, and 16 of its
-/// handler, within which no other one comes.
+/// Maximum stack usage of an interrupt: 108 bytes saved by the core, and 16 of its handler;
+/// interrupts do not nest.
 const INTERRUPT: usize = 124;
 
-/// The deepest stack, the agent on it: what it takes today, to the next hundred, and may only
-/// improve.
+/// Maximum stack of the firmware including the agent: today's usage, rounded up to a hundred. It
+/// may only be lowered.
 const FIRMWARE_STACK: usize = 8_400;
+/// The same for the smallest agent.
 const SMALLEST_STACK: usize = 8_700;
 
 #[test]
@@ -26,13 +28,13 @@ fn the_firmware_with_its_stack_fits_its_ram() {
         Err(error) => return leave_out("the firmware's stack", &error),
     };
     let all = image.ram + stack + INTERRUPT;
-    println!("{all:>12}  bytes of RAM: {} static, {stack} of stack, an interrupt", image.ram);
+    println!("{all:>12}  bytes of RAM: {} static, {stack} of stack, and an interrupt", image.ram);
     assert!(all <= RAM, "{all} bytes of RAM");
     assert!(stack <= FIRMWARE_STACK, "{stack} bytes of stack");
 }
 
 #[test]
-fn the_smallest_agent_runs_as_a_cortex_m0_does_and_holds_neither_panics_nor_a_heap() {
+fn the_smallest_agent_runs_on_a_cortex_m0_without_panics_or_heap() {
     let (image, stack) = match deepest(Core::M0) {
         Ok(measured) => measured,
         Err(error) => return leave_out("the agent on a Cortex-M0+", &error),
@@ -42,7 +44,7 @@ fn the_smallest_agent_runs_as_a_cortex_m0_does_and_holds_neither_panics_nor_a_he
     assert!(stack <= SMALLEST_STACK, "{stack} bytes of stack");
 }
 
-/// The image that measures its stack, and the deepest that it found.
+/// The image that measures its stack, and the maximum depth that it reports.
 fn deepest(core: Core) -> Result<(Image, usize), EmulatorError> {
     let path = image("stack", core)?;
     let table = count(&path, Vec::new())?;

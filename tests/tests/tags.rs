@@ -1,5 +1,5 @@
-//! The detector of tags beside another one, in Rust and by other people, on photographs and on
-//! frames of the simulated room. Cargo feature `kornia`: it brings 180 packages along.
+//! Compares the tag detector with an independent one in Rust, on photographs and on frames of the
+//! simulated room. Cargo feature `kornia`, which adds 180 packages.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -17,13 +17,13 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::data;
 
-/// A tag's number and the middle of its corners.
+/// A tag's id and the mean of its corners.
 type Tag = (u16, [f64; 2]);
 
-/// The tags of a picture.
+/// Detects the tags of a picture.
 type Detect = fn(&Picture) -> Vec<Tag>;
 
-/// The photographs' tags: file, number and middle, as OpenCV sees them.
+/// The tags in each photograph by file name: id and centre, as found by OpenCV.
 fn listed(folder: &Path) -> BTreeMap<String, Vec<Tag>> {
     let list = std::fs::read_to_string(folder.join("IDS_opencv5.txt")).unwrap();
     let mut listed = BTreeMap::<String, Vec<Tag>>::new();
@@ -59,20 +59,20 @@ fn theirs(picture: &Picture) -> Vec<Tag> {
     };
     let size = ImageSize { width: grey.width() as usize, height: grey.height() as usize };
     let mut config = DecodeTagsConfig::new(vec![TagFamilyKind::Tag36H11]).unwrap();
-    // With its own 0.33 the tags of a ceiling camera merge with what is beside them.
+    // With the default of 0.33, tags seen by a ceiling camera merge with their surroundings.
     config.threshold_split = 0.5;
     config.downscale_factor = 1;
     let mut decoder = AprilTagDecoder::new(config, size).unwrap();
     let image = Image::<u8, 1>::new(size, grey.into_raw()).unwrap();
     let found = decoder.decode(&image).unwrap();
-    // The centre of its first pixel is at one half.
+    // Kornia's pixel centres are at 0.5.
     let pixel = |it: kornia_algebra::Vec2F32| [f64::from(it.x) - 0.5, f64::from(it.y) - 0.5];
     let corners = |it: [kornia_algebra::Vec2F32; 4]| it.map(pixel);
     found.iter().map(|it| (it.id, middle(&corners(it.quad.corners)))).collect()
 }
 
-/// How many of these tags are among those, within so many pixels; and how many of those are none
-/// of these.
+/// Number of expected tags that were found within a distance in pixels, and of found tags that were
+/// not expected.
 fn compare(expected: &[Tag], found: &[Tag], within: f64) -> (usize, usize) {
     let same = |(a, [x, y]): &Tag, (b, [u, v]): &Tag| a == b && (x - u).hypot(y - v) <= within;
     let hits = expected.iter().filter(|tag| found.iter().any(|it| same(tag, it))).count();
@@ -81,7 +81,7 @@ fn compare(expected: &[Tag], found: &[Tag], within: f64) -> (usize, usize) {
 }
 
 #[test]
-fn ours_finds_the_tags_of_the_photographs_that_the_other_one_finds() {
+fn our_detector_finds_all_tags_that_kornia_finds_in_photographs() {
     let Some(folder) = data::file("fiducials/apriltag") else { return };
     let detectors: [(&str, Detect); 2] = [("apriltag", ours), ("kornia-apriltag", theirs)];
     let (mut expected, mut hits) = (0, [0; 2]);
@@ -100,13 +100,13 @@ fn ours_finds_the_tags_of_the_photographs_that_the_other_one_finds() {
     }
     for (detector, (name, _)) in detectors.iter().enumerate() {
         let (hits, more, took) = (hits[detector], more[detector], took[detector]);
-        println!("{name}: {hits} of {expected} tags, {more} that are not listed, {took:.0?}");
+        println!("{name}: {hits} of {expected} tags, {more} not listed, {took:.0?}");
     }
     assert!(expected >= 18 && hits[0] == expected && hits[0] >= hits[1], "{hits:?}");
 }
 
 #[test]
-fn both_find_the_same_robots_in_the_room() {
+fn both_detectors_find_the_same_robots_in_the_room() {
     let scenario = Scenario::built_in().unwrap();
     let mut world = World::new(&scenario, None, Millimetres(50), 1).unwrap();
     let (mut frames, mut both, mut only) = (0, 0, [0; 2]);
@@ -137,10 +137,10 @@ fn both_find_the_same_robots_in_the_room() {
     let apart = (apart / both.max(1) as f64).sqrt();
     println!(
         "{frames} frames: {both} tags by both, {apart:.2} pixels apart (RMS), {farthest:.2} at most; \
-         {} by ours alone, {} by the other alone",
+         {} by ours only, {} by the other only",
         only[0], only[1]
     );
     assert!(frames > 40 && robots.len() == world.robots().len(), "{robots:?}");
-    assert_eq!(by_ours, robots, "what ours alone finds are the same tags");
+    assert_eq!(by_ours, robots, "tags found only by ours belong to robots");
     assert!(farthest < 0.5 && only[1] * 100 <= both, "{both} {only:?}");
 }

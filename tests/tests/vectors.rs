@@ -1,6 +1,6 @@
-//! The vectors of the protocol, against the code. They are the law: **a vector that fails means
-//! that the code is wrong.** Vectors are added with `UBIMAP_WRITE_VECTORS=1 cargo test -p
-//! ubimap-tests --test vectors`; those of a released version never change.
+//! Checks the code against the protocol's vectors. They are normative: **if a vector fails, the
+//! code is wrong.** Add vectors with `UBIMAP_WRITE_VECTORS=1 cargo test -p ubimap-tests --test
+//! vectors`; those of a released version never change.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -35,10 +35,10 @@ use ubimap_tests::{
 #[path = "vectors/generate.rs"]
 mod generate;
 
-/// The longest contents (seal included) that the receiver of the refused frames takes.
+/// Maximum length of the contents (with seal) accepted by the receiver of the refused frames.
 const FRAME_LIMIT: usize = 64;
 
-/// The cases of a file, which is written first if that was asked for.
+/// The cases of a file, which is generated first on request.
 fn cases(file: &str) -> Value {
     static WRITTEN: Once = Once::new();
     WRITTEN.call_once(|| {
@@ -74,13 +74,13 @@ fn stuff(contents: &[u8]) -> Vec<u8> {
     wire
 }
 
-/// A frame from its parts, the messages written one by one.
+/// A frame from its parts, with the messages written one by one.
 fn frame(way: Direction, session: SessionId, header: Header, payload: &[u8]) -> Vec<u8> {
     let mut buffer = vec![0; payload.len() + 8];
-    // How messages are written does not depend on their direction.
+    // The encoding of messages does not depend on the direction.
     let mut writer = Writer::<ToServer>::new(&mut buffer);
     for message in Messages::new(payload) {
-        // Bytes that are no messages are for frames alone.
+        // Malformed payloads only occur in frame cases.
         let Ok(message) = message else { return finish(way, session, header, payload) };
         assert!(writer.push_encoded(message));
     }
@@ -94,10 +94,10 @@ fn finish(way: Direction, session: SessionId, header: Header, payload: &[u8]) ->
     stuff(&[&contents[..], &tail].concat())
 }
 
-/// The contents of the one frame in these bytes.
+/// The contents of the single frame in these bytes.
 fn unstuff(wire: &[u8]) -> Vec<u8> {
     let mut decoder = cobs::Decoder::<1024>::default();
-    decoder.next(&mut &wire[..]).expect("a frame").expect("a good one").to_vec()
+    decoder.next(&mut &wire[..]).expect("a frame").expect("a valid frame").to_vec()
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn frames_read_and_write() {
         let (way, session) = (direction(text(case, "direction")), number(case, "session") as u32);
         let wire = bytes(case, "wire");
         let frame_bytes = unstuff(&wire);
-        let contents = open(SessionId(session), way, &frame_bytes).expect("a good seal");
+        let contents = open(SessionId(session), way, &frame_bytes).expect("a valid seal");
         let (header, payload) = Header::decode(contents).expect("a header");
         assert_eq!(u64::from(header.version), number(case, "version"), "{case}");
         assert_eq!(format!("{:?}", header.kind).to_lowercase(), text(case, "kind"));
@@ -125,7 +125,7 @@ fn frames_read_and_write() {
     }
 }
 
-/// Decodes a body into JSON and back, and writes it again.
+/// Decodes a body into JSON and back, and encodes it again.
 struct Rewritten<'a> {
     fields: &'a Value,
 }
@@ -156,11 +156,11 @@ fn messages_read_and_write() {
     let mut seen = BTreeSet::new();
     let mut times = [BTreeMap::new(), BTreeMap::new()];
     for case in list(&cases("messages")) {
-        assert!(seen.insert(text(case, "name").to_owned()), "twice: {case}");
+        assert!(seen.insert(text(case, "name").to_owned()), "duplicate name: {case}");
         let way = direction(text(case, "direction"));
         let (kind, body) = (number(case, "kind") as u8, bytes(case, "body"));
         let read = visit_body(way, kind, &body, Rewritten { fields: &case["fields"] });
-        let (fields, rest, mut written) = read.expect("a known kind").expect("a good message");
+        let (fields, rest, mut written) = read.expect("a known kind").expect("a valid message");
         assert_eq!(fields, case["fields"], "{case}");
         assert_eq!(hex(&rest), text(case, "rest"), "{case}");
         written.extend(rest);
@@ -177,7 +177,7 @@ fn payloads_are_split() {
     for case in list(&cases("payloads")) {
         let payload = bytes(case, "payload");
         let messages: Vec<_> = Messages::<ToRobot>::new(&payload)
-            .map(|message| message.expect("a good one"))
+            .map(|message| message.expect("a valid message"))
             .map(|message| json!({ "kind": message.number, "body": hex(message.body) }))
             .collect();
         assert_eq!(Value::Array(messages), case["messages"], "{case}");
@@ -214,8 +214,8 @@ fn tiles_read_and_write() {
             decoder.cells(&header, &mut cells);
             assert_eq!(planes(&cells), text(part, "after"), "{}", case["name"]);
             assert_eq!(u64::from(tile_hash(&cells)), number(part, "hash"));
-            // What comes after the part is unknown here, so the encoder may go on: it is cut
-            // short by its room where the vector is.
+            // The cells after this part are unknown here, so `whole` may differ there: the encoder
+            // stops at the end of its room, as in the vector.
             let whole = if header.end < TILE_CELLS { series_end(case) } else { cells };
             let end =
                 encoder.push(header.id, header.stamp, header.base, header.start, &before, &whole);
@@ -227,7 +227,7 @@ fn tiles_read_and_write() {
     }
 }
 
-/// The whole tile that the parts of a case come from: what the last part leaves.
+/// The complete tile from which the parts of a case come: the result of the last part.
 fn series_end(case: &Value) -> ubimap_protocol::tile::Tile {
     let series = text(case, "name").split(", part").next().unwrap();
     let all = cases("tiles");
@@ -235,7 +235,7 @@ fn series_end(case: &Value) -> ubimap_protocol::tile::Tile {
     tile(text(&last["tiles"][0], "after"))
 }
 
-/// What an update of one tile comes to at a replica.
+/// The result of a single-tile update at a replica.
 fn outcome_of(replica: &mut Replica, coded: &[u8]) -> &'static str {
     let mut decoder = TileDecoder::new(coded);
     let header = decoder.header().unwrap().unwrap();
@@ -272,7 +272,7 @@ fn digests() {
 }
 
 #[test]
-fn the_transcript_of_a_session() {
+fn a_sessions_transcript_reads_and_writes() {
     let mut robot = Endpoint::<ToServer, u8, 8, 1024>::new();
     let mut server = Endpoint::<ToRobot, u8, 8, 1024>::new();
     let mut kinds = Vec::new();
@@ -282,7 +282,7 @@ fn the_transcript_of_a_session() {
         let wire = bytes(line, "wire");
         let contents = unstuff(&wire);
         let (header, payload) =
-            Header::decode(open(session, way, &contents).expect("a good seal")).unwrap();
+            Header::decode(open(session, way, &contents).expect("a valid seal")).unwrap();
         assert_eq!(hex(&frame(way, session, header, payload)), hex(&wire), "{line}");
         if session != SessionId::NONE && robot.session() == SessionId::NONE {
             robot.begin(session, 250);
@@ -302,7 +302,7 @@ fn the_transcript_of_a_session() {
     }
 }
 
-/// The numbers of the kinds of messages in a frame of a session, or of none.
+/// The kinds of the messages in a frame of a session or a handshake.
 fn numbers<D: Traffic>(
     end: &mut Endpoint<D, u8, 8, 1024>,
     mut wire: &[u8],
@@ -377,7 +377,7 @@ fn reliable_frames_are_acknowledged() {
     }
 }
 
-/// Why a frame is refused, by the rules of the specification in their order.
+/// Why a frame is refused, by the specification's rules in order.
 fn error_of(wire: &[u8], way: Direction, session: SessionId) -> Option<&'static str> {
     let mut decoder = cobs::Decoder::<FRAME_LIMIT>::default();
     let frame = match decoder.next(&mut &wire[..]).expect("a delimiter") {
@@ -404,13 +404,13 @@ fn error_of(wire: &[u8], way: Direction, session: SessionId) -> Option<&'static 
 }
 
 #[test]
-fn what_is_no_good_is_refused() {
+fn invalid_input_is_refused() {
     let refused = cases("refused");
     for case in list(&refused["frames"]) {
         let (way, session) = (direction(text(case, "direction")), number(case, "session") as u32);
         let wire = bytes(case, "wire");
         assert_eq!(error_of(&wire, way, SessionId(session)), Some(text(case, "error")), "{case}");
-        // The endpoint says the same, and reads the good frame that follows.
+        // The endpoint refuses it as well, and reads the valid frame that follows.
         let mut end = Endpoint::<ToRobot, u8, 8, FRAME_LIMIT>::new();
         end.begin(SessionId(session), FRAME_LIMIT);
         let header = Header { version: 1, kind: FrameKind::Datagram, sequence: 0 };
@@ -462,10 +462,10 @@ fn what_is_no_good_is_refused() {
     assert_eq!(MAX_TILES_PER_UPDATE, 32);
 }
 
-/// Every example of the specification is a case of the vectors: a block that is tagged
-/// `vector FILE FIELD NAME` holds that field of that case.
+/// Every example in the specification is a case of the vectors: a block tagged `vector FILE FIELD
+/// NAME` contains that field of that case.
 #[test]
-fn the_examples_of_the_specification() {
+fn examples_of_the_specification_are_vectors() {
     let path = folder().join("../../protocol/SPEC.md");
     let text = std::fs::read_to_string(path).unwrap();
     let mut blocks = 0;
@@ -494,8 +494,7 @@ fn find(value: &Value, name: &str) -> Option<Value> {
     }
 }
 
-/// The same vectors, read by a decoder that was written from the specification in another
-/// language.
+/// The same vectors, checked by a decoder written from the specification in another language.
 #[test]
 fn a_second_implementation_agrees() {
     let script = folder().join("../python/check_vectors.py");
@@ -504,7 +503,7 @@ fn a_second_implementation_agrees() {
         Ok(output) => output,
         Err(error) => {
             assert!(env::var_os("CI").is_none(), "python3: {error}");
-            let _ = writeln!(std::io::stderr(), "left out: the vectors in Python: {error}");
+            let _ = writeln!(std::io::stderr(), "skipped: the vectors in Python: {error}");
             return;
         }
     };

@@ -1,5 +1,5 @@
-//! Recorded frames watched: what a simulation recorded gives what it gave, and what others recorded is
-//! taken as it is.
+//! Watching recorded frames: a recorded simulation gives the simulation's results, and public
+//! recordings are accepted unchanged.
 
 use std::{
     collections::BTreeMap,
@@ -31,8 +31,8 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{data, deployments::deployed};
 
-/// Two cameras whose frames overtake each other and get lost, a robot with a tag and one with a
-/// colour marker, and somebody who walks.
+/// Two cameras whose frames overtake each other and get lost, a robot with a tag, one with a colour
+/// marker, and a walking person.
 const SCENARIO: &str = r#"
 duration_s = 7
 slice_height_m = 0.2
@@ -74,7 +74,7 @@ start = { x_m = 2.4, y_m = 1.4, heading_deg = 90.0 }
 waypoints_m = [[1.0, 1.5], [1.2, 3.2]]
 "#;
 
-/// A folder of a test's own, empty.
+/// An empty folder for a test.
 fn folder(name: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch").join(name);
     let _ = fs::remove_dir_all(&path);
@@ -93,7 +93,7 @@ fn watched(folder: &Path) -> Outcome<WatchReport> {
     watch::run(&options).unwrap()
 }
 
-/// The poses in `robots.csv`: microseconds, the robot, millimetres and hundredths of a degree.
+/// The poses in `robots.csv`: microseconds, robot id, millimetres and hundredths of a degree.
 fn poses(outcome: &Outcome<WatchReport>) -> Vec<[i64; 5]> {
     let [(name, table)] = &outcome.tables[..] else { panic!("one table") };
     assert_eq!(*name, "robots.csv");
@@ -106,11 +106,11 @@ fn poses(outcome: &Outcome<WatchReport>) -> Vec<[i64; 5]> {
 }
 
 #[test]
-fn what_a_simulation_recorded_gives_what_it_gave() {
+fn a_recorded_simulation_gives_the_simulations_results() {
     let recording = folder("recorded");
     let scenario = Scenario::from_toml(SCENARIO, "two cameras").unwrap();
     let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
-    // No robot says itself where it is, as in a recording.
+    // No robot reports its own pose, as in a recording.
     let config = Config { keeps_sightings: true, ..deployment_config(&scenario, &world, true) };
     let written = Recording::create(&recording, &config.cameras, &config.registry).unwrap();
     let mut fleet = Fleet::new(&[], &mut [], Faults::default(), 1, deployed(config)).unwrap();
@@ -140,7 +140,7 @@ fn what_a_simulation_recorded_gives_what_it_gave() {
 
     let server = fleet.server();
     assert_eq!(report.map.digest.0, server.fused().digest().0);
-    // Of 6,400 cells; the rest is learnt later, or in the shadow of somebody.
+    // Of 6,400 cells; the rest is learnt later, or hidden by a person.
     assert!(report.map.free > 3_000 && report.map.occupied > 100, "{:?}", report.map);
     assert!(report.map.in_view > 3_000, "{:?}", report.map);
     let live: Vec<[f64; 2]> =
@@ -152,7 +152,7 @@ fn what_a_simulation_recorded_gives_what_it_gave() {
     let begun: u64 = server.sighting_events().iter().map(|(_, count, _)| count).sum();
     assert_eq!(report.events.iter().map(|it| it.count).sum::<u64>(), begun);
 
-    // The frames did come out of order, and some did not come.
+    // The frames did arrive out of order, and some were lost.
     let text = fs::read_to_string(recording.join("camera-00/times.txt")).unwrap();
     let captured: Vec<&str> = text.lines().skip(1).map(|it| &it[..12]).collect();
     assert_eq!(report.cameras[0].frames, captured.len() as u64);
@@ -160,8 +160,8 @@ fn what_a_simulation_recorded_gives_what_it_gave() {
     fs::remove_dir_all(recording).unwrap();
 }
 
-/// A depth image of others, with the size of a metre in it, its intrinsics (fx, fy, cx, cy), and three
-/// pixels of the floor, by which the camera's pose is found.
+/// A public depth image: its depth unit, its intrinsics (fx, fy, cx, cy), and three pixels on the
+/// floor, which give the camera's pose.
 struct Still {
     name: &'static str,
     depth: &'static str,
@@ -170,6 +170,7 @@ struct Still {
     floor: [[u32; 2]; 3],
 }
 
+/// The public depth images.
 const STILLS: [Still; 2] = [
     Still {
         name: "rgbd_frames/icl_nuim",
@@ -188,7 +189,8 @@ const STILLS: [Still; 2] = [
 ];
 
 impl Still {
-    /// The camera over the origin of `map`, its pitch and roll and height by three points of the floor.
+    /// The camera above the origin of `map`; its pitch, roll and height follow from three points on
+    /// the floor.
     fn pose(&self, image: &ImageBuffer<Luma<u16>, Vec<u16>>) -> String {
         let [fx, fy, cx, cy] = self.intrinsics;
         let point = |[column, row]: [u32; 2]| {
@@ -201,7 +203,7 @@ impl Still {
         };
         let [a, b, c] = self.floor.map(point);
         let normal = (b - a).cross(&(c - a)).normalize();
-        // The camera's y points down.
+        // The camera's y axis points down.
         let up = normal * -normal.y.signum();
         let forward = (Vector3::z() - up * up.z).normalize();
         let axes = [forward, up.cross(&forward), up].map(|axis| axis.transpose());
@@ -211,9 +213,9 @@ impl Still {
     }
 }
 
-/// A depth image of a real room, as if a camera that stands still had taken nothing else.
+/// A depth image of a real room, repeated as by a camera that does not move.
 #[test]
-fn real_depths_are_watched() {
+fn real_depth_images_are_watched() {
     for still in STILLS {
         let Some(data) = data::file(still.name) else { continue };
         let path = folder(still.name);
@@ -239,15 +241,15 @@ fn real_depths_are_watched() {
         let WatchReport { cameras, map, things, .. } = watched(&path).report;
         println!("{}: at {pose}{cameras:?}, {map:?}", still.name);
         assert_eq!((cameras[0].frames, cameras[0].lost), (20, 0));
-        // It has learnt the room, and sees floor and what stands on it; nothing has moved.
+        // The camera has learnt the room, and sees the floor and the furniture; nothing has moved.
         assert!(cameras[0].looks >= 3 && map.free > 50 && map.occupied > 20, "{map:?}");
         assert!(things.is_empty(), "{things:?}");
     }
 }
 
-/// Five images of a camera that was carried about are five cameras, and none has time to learn a room.
+/// Five images of a hand-held camera count as five cameras, none of which has time to learn a room.
 #[test]
-fn images_of_a_camera_that_moves_are_taken() {
+fn images_of_a_moving_camera_are_accepted() {
     for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
         let Some(path) = data::file(name) else { continue };
         let WatchReport { cameras, map, .. } = watched(&path).report;
@@ -256,11 +258,11 @@ fn images_of_a_camera_that_moves_are_taken() {
     }
 }
 
-/// Photographs of tags by a camera without depths, and of an arena whose robot has a marker of
+/// Photographs of tags by a camera without depth, and of an arena whose robot has a marker of
 /// another family.
 #[test]
 fn real_photographs_are_watched_without_depths() {
-    // Three metres up, looking down.
+    // At a height of 3 m, looking down.
     let camera = |name: &str, size: [u32; 2], focal: f64, photographs: &[PathBuf]| {
         let path = folder(name);
         fs::create_dir_all(path.join("color")).unwrap();
@@ -278,7 +280,7 @@ fn real_photographs_are_watched_without_depths() {
         path
     };
     if let Some(photographs) = data::file("fiducials/apriltag") {
-        // Each twice: what is read once may be chance.
+        // Each twice, because a single reading is not reported.
         let twice = ["test_image_multiple_01.png"; 2].map(|name| photographs.join(name));
         let path = camera("tags", [640, 480], 338.6, &twice);
         let times = "0 1305031453.25\n1 1305031453.75 1305031453.8\n2 1305031454.5\n";

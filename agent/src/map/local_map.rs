@@ -184,7 +184,7 @@ impl<'b> LocalMap<'b> {
     ) -> Option<Mapped> {
         let Self { resolution, near, mounting, policy, .. } = *self;
         self.scans = self.scans.wrapping_add(1);
-        let reach = self.grain.reach.within(range);
+        let grain = self.grain.within(range);
         let projection = Projection::new(pose, mounting, resolution);
         let mut mapped = Mapped::default();
         // Whether there were hits that were not known.
@@ -194,7 +194,7 @@ impl<'b> LocalMap<'b> {
         let (mut start, mut end) = (0, count);
         while start < count {
             let part = beams.get(start..end)?;
-            let Some(mut window) = ScanWindow::over(part, reach.range, &projection, self.scratch)
+            let Some(mut window) = ScanWindow::over(part, grain.range(), &projection, self.scratch)
             else {
                 if end - start <= 2 {
                     return None;
@@ -208,8 +208,7 @@ impl<'b> LocalMap<'b> {
             let readings = readings.get(start..end)?;
             let part = Part { beams: part, readings, is_continued: start > 0 };
             let projection = projection.within(window.corner());
-            let grain = &self.grain;
-            let nearest = trace(&mut window, &projection, grain, &reach, part, &mut mapped.pixels);
+            let nearest = trace(&mut window, &projection, &grain, part, &mut mapped.pixels);
             // In a corner of the square, at the farthest.
             let near_cells = (nearest <= u32::from(near) * 91 / 64)
                 .then(|| Near::new(&projection, near, resolution));

@@ -56,7 +56,7 @@ pub(super) struct Grain {
     /// Millimetres of reading times beams that fit [`SPAN`] cells side by side.
     spread: u32,
     /// How far scans are mapped at most.
-    pub(super) reach: Reach,
+    reach: Reach,
     /// Millimetres of reading times beams that fit half a cell.
     bridge: u32,
     /// Readings from the first on, so many more, may count.
@@ -69,7 +69,7 @@ pub(super) struct Grain {
 
 /// How far a scan is mapped: millimetres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Reach {
+struct Reach {
     /// From the sensor, whatever a beam's reading means.
     pub(super) range: u16,
     /// Readings up to this one are within it, whatever their beam.
@@ -80,7 +80,7 @@ pub(super) struct Reach {
 
 impl Reach {
     /// This reach, but no farther than `range`.
-    pub(super) fn within(self, range: u16) -> Self {
+    fn within(self, range: u16) -> Self {
         if range >= self.range {
             return self;
         }
@@ -154,6 +154,16 @@ impl Grain {
         }
     }
 
+    /// The same for scans that are mapped up to `range` at most.
+    pub(super) fn within(&self, range: u16) -> Self {
+        Self { reach: self.reach.within(range), ..*self }
+    }
+
+    /// The range up to which scans are mapped, in millimetres.
+    pub(super) fn range(&self) -> u16 {
+        self.reach.range
+    }
+
     /// Whether a reading counts, and is farther than the margin.
     #[inline(always)]
     fn counts(&self, readings: &[u16], index: usize, reading: u16) -> bool {
@@ -214,13 +224,12 @@ impl Grain {
     #[inline(never)]
     fn last_within(
         &self,
-        reach: &Reach,
         (beams, readings): (&[Beam], &[u16]),
         (from, stride, steps): (usize, usize, usize),
     ) -> usize {
         let reading = |index: usize| readings.get(index).copied().unwrap_or(0);
         let is_within = |index: usize| {
-            beams.get(index).is_some_and(|&beam| reach.has(beam, reading(index).into()))
+            beams.get(index).is_some_and(|&beam| self.reach.has(beam, reading(index).into()))
         };
         let (mut within, mut beyond) = (0, steps + 1);
         while beyond - within > 1 {
@@ -241,7 +250,6 @@ impl Grain {
     #[inline(never)]
     fn nothing_up_to(
         &self,
-        reach: &Reach,
         (beams, readings): (&[Beam], &[u16]),
         (from, end, stride): (usize, usize, usize),
         farthest: u32,
@@ -256,7 +264,7 @@ impl Grain {
             let reading = u32::from(reading);
             if index < end
                 && reading.wrapping_sub(self.counting.0) <= self.counting.1
-                && (reading >= reach.beyond || !reach.has(beam, reading))
+                && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
             {
                 last = index;
             } else if stride > 1 {
@@ -280,13 +288,12 @@ pub(super) struct Part<'s> {
     pub(super) is_continued: bool,
 }
 
-/// Draws a part of a scan, as far as `reach`. Returns the nearest hit, in millimetres of reading.
+/// Draws a part of a scan. Returns the nearest hit, in millimetres of reading.
 #[inline(never)]
 pub(super) fn trace(
     window: &mut ScanWindow<'_>,
     projection: &Projection,
     grain: &Grain,
-    reach: &Reach,
     part: Part<'_>,
     pixels: &mut PixelCounts,
 ) -> u32 {
@@ -305,17 +312,17 @@ pub(super) fn trace(
             continue;
         }
         let reading = u32::from(reading);
-        let hit = reach.has(beam, reading).then_some(reading);
+        let hit = grain.reach.has(beam, reading).then_some(reading);
         let farthest = match hit {
             Some(reading) => reading - grain.margin,
-            None => beam.reading_at(reach.range),
+            None => beam.reading_at(grain.reach.range),
         };
         kept += 1;
         if let Some(reading) = hit {
             nearest = nearest.min(reading);
         }
         outline.go_on(grain, beams, (index, beam), farthest, hit);
-        index = outline.pass_over(grain, reach, (beams, readings), hit);
+        index = outline.pass_over(grain, (beams, readings), hit);
     }
     outline.close();
     let seen = (readings.len() as u32).saturating_sub(u32::from(is_continued));
@@ -431,7 +438,6 @@ impl<'a, 'w> Outline<'a, 'w> {
     fn pass_over(
         &mut self,
         grain: &Grain,
-        reach: &Reach,
         (beams, readings): (&[Beam], &[u16]),
         reading: Option<u32>,
     ) -> usize {
@@ -445,15 +451,15 @@ impl<'a, 'w> Outline<'a, 'w> {
         let stride = ahead / CHECKS + 1;
         let Some(reading) = reading else {
             let way = (here, here + ahead, stride);
-            return next.max(grain.nothing_up_to(reach, (beams, readings), way, farthest));
+            return next.max(grain.nothing_up_to((beams, readings), way, farthest));
         };
         let end = grain.surface_up_to(readings, (here, here + ahead, stride), reading);
         if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
-            && !reach.has(beam, reading.into())
+            && !grain.reach.has(beam, reading.into())
         {
             // A surface that leaves the range.
             let way = (here, stride, (end - here) / stride);
-            let end = grain.last_within(reach, (beams, readings), way);
+            let end = grain.last_within((beams, readings), way);
             if let Some(((&beam, &reading), from)) =
                 beams.get(end).zip(readings.get(end)).zip(self.last.hit)
             {

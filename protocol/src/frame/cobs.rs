@@ -1,17 +1,19 @@
-//! Consistent overhead byte stuffing: a frame without zero bytes, ended by one.
+//! Consistent overhead byte stuffing (COBS): a frame without zero bytes, terminated by a zero.
 //!
-//! The decoder works on the fly and starts afresh at every delimiter, so that a good frame right
-//! after a corrupt, a truncated or an oversized one is always read.
+//! The decoder is incremental and resynchronises at every delimiter, so it always reads a good frame
+//! that follows a corrupt, truncated or oversized one.
+
+use core::fmt;
 
 /// The delimiter between frames.
 pub const DELIMITER: u8 = 0;
 
-/// Bytes on the wire for `raw` bytes at the most, delimiter included.
+/// Maximum length on the wire of `raw` bytes, delimiter included.
 pub const fn encoded_len(raw: usize) -> usize {
     raw + raw.saturating_sub(1) / 254 + 2
 }
 
-/// Writes the parts, joined, as one stuffed frame with its delimiter. Returns its length, or
+/// Writes the concatenation of `parts` as one stuffed frame with its delimiter. Returns its length, or
 /// `None` if `out` is too short.
 pub fn encode(parts: [&[u8]; 2], out: &mut [u8]) -> Option<usize> {
     let mut code_at = 0;
@@ -28,7 +30,7 @@ pub fn encode(parts: [&[u8]; 2], out: &mut [u8]) -> Option<usize> {
             *out.get_mut(len)? = byte;
             len += 1;
             code += 1;
-            // A full block is followed by another one only if there is something left.
+            // A full block needs another one after it only if bytes remain.
             if code == 0xFF && bytes.peek().is_some() {
                 *out.get_mut(code_at)? = code;
                 code_at = len;
@@ -42,23 +44,34 @@ pub fn encode(parts: [&[u8]; 2], out: &mut [u8]) -> Option<usize> {
     Some(len + 1)
 }
 
-/// Why what stood between two delimiters is no frame.
+/// Why the bytes between two delimiters are not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CobsError {
-    /// A delimiter came before the block that was announced had ended.
+    /// A delimiter came before the end of the announced block.
     Truncated,
-    /// More bytes than a frame may have.
+    /// The frame exceeds the decoder's buffer.
     TooLong,
 }
 
-/// Collects one frame of at most `N` unstuffed bytes from a stream.
+impl fmt::Display for CobsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Truncated => "the frame is truncated: its last block is incomplete",
+            Self::TooLong => "the frame is longer than the receive buffer",
+        })
+    }
+}
+
+impl core::error::Error for CobsError {}
+
+/// Collects frames of at most `N` unstuffed bytes from a stream, one at a time.
 #[derive(Debug)]
 pub struct Decoder<const N: usize> {
     buffer: [u8; N],
     len: usize,
-    /// Data bytes until the next code byte.
+    /// Data bytes before the next code byte.
     left: u8,
-    /// Whether the block in hand ends in a zero byte (unless the frame ends with it).
+    /// Whether a zero byte follows the current block (unless the frame ends with the block).
     zero_after: bool,
     started: bool,
     too_long: bool,
@@ -71,8 +84,8 @@ impl<const N: usize> Default for Decoder<N> {
 }
 
 impl<const N: usize> Decoder<N> {
-    /// Takes bytes from the front of `input` up to the end of the next frame. `None` when the
-    /// input is used up before. Nothing between two delimiters is no frame and passed over.
+    /// Consumes `input` up to the end of the next frame and returns the frame's contents. `None` once
+    /// the input is used up. Consecutive delimiters are skipped.
     pub fn next(&mut self, input: &mut &[u8]) -> Option<Result<&[u8], CobsError>> {
         while let Some((&byte, rest)) = input.split_first() {
             *input = rest;
@@ -96,7 +109,7 @@ impl<const N: usize> Decoder<N> {
         None
     }
 
-    /// Forgets a frame that was begun.
+    /// Discards a partly received frame.
     pub fn restart(&mut self) {
         self.len = 0;
         self.left = 0;
@@ -137,7 +150,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_was_stuffed_is_unstuffed(raw in proptest::collection::vec(
+        fn a_stuffed_frame_reads_back(raw in proptest::collection::vec(
             prop_oneof![Just(0u8), Just(1u8), any::<u8>()], 0..600), split in 0usize..600) {
             let mut wire = [0u8; 700];
             let split = split.min(raw.len());
@@ -151,7 +164,7 @@ mod tests {
         }
 
         #[test]
-        fn a_good_frame_after_any_garbage_is_read(garbage in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn a_good_frame_after_garbage_is_read(garbage in proptest::collection::vec(any::<u8>(), 0..200)) {
             let mut wire = garbage.clone();
             wire.push(DELIMITER);
             let mut good = [0u8; 16];

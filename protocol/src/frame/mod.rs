@@ -1,4 +1,4 @@
-//! Frames: a header of two bytes, messages, a seal, stuffed and delimited.
+//! Frames: a two-byte header, messages and a seal, stuffed and delimited.
 //!
 //! | part | bytes |
 //! |---|---|
@@ -17,37 +17,37 @@ pub use crate::{message::Direction, units::SessionId};
 
 /// The version of the wire format that this crate speaks.
 pub const VERSION: u8 = 1;
-/// The oldest version that this crate still understands.
+/// The oldest version that this crate understands.
 pub const MIN_VERSION: u8 = 1;
 
-/// Bytes of a frame header.
+/// Size of a frame header in bytes.
 pub const HEADER_LEN: usize = 2;
-/// The smallest frame that two sides may agree on, everything included.
+/// The smallest frame size that two sides may agree on, in bytes on the wire.
 pub const MIN_FRAME: usize = 32;
-/// The frame size unless the hello says otherwise: fits small radios.
+/// The default frame size in bytes on the wire: fits small radios.
 pub const DEFAULT_FRAME: usize = 250;
-/// The largest frame that two sides may agree on, everything included.
+/// The largest frame size that two sides may agree on, in bytes on the wire.
 pub const MAX_FRAME: usize = 1024;
 
-/// Bytes of messages that fit a frame of `frame` bytes on the wire.
+/// Bytes of messages that fit in a frame of `frame` bytes on the wire.
 pub const fn payload_capacity(frame: usize) -> usize {
-    // One byte of stuffing for each 254 begun, and the delimiter.
+    // Stuffing takes one byte for each 254 begun; the delimiter takes one.
     let raw = frame.saturating_sub(2);
     let raw = raw - raw / 255;
     raw.saturating_sub(HEADER_LEN + SEAL_LEN)
 }
 
-/// Frame sequence numbers: 11 bits that wrap.
+/// Number of frame sequence numbers: they have 11 bits and wrap.
 pub const SEQUENCE_MODULUS: u16 = 1 << 11;
 
-/// What a frame is for.
+/// How a frame is delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameKind {
-    /// Outside any session: hello, welcome, refusal, reset.
+    /// Outside any session: Hello, Welcome, Refusal, Reset.
     Handshake,
-    /// Acknowledged, and sent again until it is.
+    /// Retransmitted until it is acknowledged.
     Reliable,
-    /// Sent once; the next one makes it obsolete.
+    /// Best effort: sent once, superseded by the next one.
     Datagram,
 }
 
@@ -56,14 +56,14 @@ pub enum FrameKind {
 pub struct Header {
     /// The version of the wire format, 0 to 7.
     pub version: u8,
-    /// What the frame is for.
+    /// How the frame is delivered.
     pub kind: FrameKind,
-    /// The sequence number modulo 2,048; reliable frames and datagrams count apart.
+    /// The sequence number modulo 2,048; reliable frames and datagrams are numbered separately.
     pub sequence: u16,
 }
 
 impl Header {
-    /// The header's bytes.
+    /// The header's bytes on the wire.
     pub fn encode(self) -> [u8; HEADER_LEN] {
         let kind = match self.kind {
             FrameKind::Handshake => 0u16,
@@ -75,8 +75,8 @@ impl Header {
         word.to_le_bytes()
     }
 
-    /// Splits a frame's contents into header and messages. `None` for a short frame or for the
-    /// kind that is reserved.
+    /// Splits a frame's contents into header and messages. `None` if they are shorter than a header or
+    /// the kind is the reserved one.
     pub fn decode(contents: &[u8]) -> Option<(Self, &[u8])> {
         let (head, payload) = contents.split_first_chunk::<HEADER_LEN>()?;
         let word = u16::from_le_bytes(*head);

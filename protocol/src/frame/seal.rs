@@ -1,14 +1,14 @@
-//! The seal of a frame: what tells a good frame of this session from anything else.
+//! The seal of a frame: distinguishes good frames of this session from everything else.
 //!
-//! On a trusted wire it is a CRC-32. It is computed over the session and the direction as well,
-//! though these do not travel: a frame of another session, or one's own echo, does not pass.
+//! It is a CRC-32, which is enough on a trusted wire. It also covers the session and the direction,
+//! which are not transmitted: frames of other sessions and a sender's own echo fail the check.
 
 use crate::{checksum::CRC, message::Direction, units::SessionId};
 
-/// Bytes that the seal adds to a frame.
+/// Size of the seal in bytes.
 pub const SEAL_LEN: usize = 4;
 
-/// The seal of a frame's header and payload.
+/// The seal of `contents`, a frame's header and payload.
 pub fn seal(session: SessionId, direction: Direction, contents: &[u8]) -> [u8; SEAL_LEN] {
     let mut digest = CRC.digest();
     digest.update(&session.0.to_le_bytes());
@@ -17,10 +17,10 @@ pub fn seal(session: SessionId, direction: Direction, contents: &[u8]) -> [u8; S
     digest.finalize().to_le_bytes()
 }
 
-/// The header and payload of a frame whose seal is good, or `None`.
+/// The header and payload of `frame` if its seal is good, otherwise `None`.
 pub fn open(session: SessionId, direction: Direction, frame: &[u8]) -> Option<&[u8]> {
     let (contents, found) = frame.split_at_checked(frame.len().checked_sub(SEAL_LEN)?)?;
-    // A fuzzer would spend its time on checksums.
+    // Without this a fuzzer would spend its time on checksums.
     let good = seal(session, direction, contents) == found || cfg!(fuzzing);
     good.then_some(contents)
 }
@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_seal_holds_for_one_session_and_direction() {
+    fn a_seal_is_valid_for_one_session_and_direction() {
         let contents = [1, 2, 3];
         let mut frame = [0u8; 7];
         frame[..3].copy_from_slice(&contents);

@@ -1,5 +1,5 @@
-//! Which frames have arrived: kept by the receiver, told to the sender, used by the sender to
-//! send again what is missing.
+//! Which frames have arrived: the receiver records it and reports it, and the sender retransmits the
+//! missing ones.
 
 use heapless::Vec;
 
@@ -9,23 +9,23 @@ use super::{
 };
 use crate::{frame::SEQUENCE_MODULUS, message::Ack, time::Instant};
 
-/// How far ahead of the oldest frame missing a sender may go: what an [`Ack`] can tell.
+/// How far a sender may run ahead of the oldest missing frame: the range of an [`Ack`].
 const SPAN: u16 = 33;
-/// For how many frames after a sign of loss acknowledgements are repeated.
-const WARY: u8 = 32;
+/// Number of frames after a sign of loss during which acknowledgements are repeated.
+const FRAMES_AFTER_LOSS: u8 = 32;
 
 fn ahead(of: u16, sequence: u16) -> u16 {
     sequence.wrapping_sub(of) % SEQUENCE_MODULUS
 }
 
-/// What became of a reliable frame that came in.
+/// How a received reliable frame is treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Arrival {
-    /// New: its messages count.
+    /// New: its messages are delivered.
     New,
-    /// Seen before: acknowledged once more, otherwise ignored.
+    /// Received before: acknowledged again, otherwise ignored.
     Duplicate,
-    /// Further ahead than a sender may go: ignored.
+    /// Beyond the sender's window: ignored.
     Refused,
 }
 
@@ -35,16 +35,16 @@ pub(super) struct ReceiveWindow {
     ack: Ack,
     due: Option<Instant>,
     repeats_left: usize,
-    wary: u8,
+    frames_after_loss: u8,
 }
 
 impl ReceiveWindow {
-    /// Notes a reliable frame.
+    /// Records a reliable frame.
     pub(super) fn arrive(&mut self, sequence: u16, now: Instant) -> Arrival {
         let ahead = ahead(self.ack.next, sequence);
         let arrival = match ahead {
             0 => {
-                // Bit 0 of `later` stands for the frame after the one that was missing.
+                // Bit 0 of `later` is the frame after the missing one.
                 let run = 1 + self.ack.later.trailing_ones();
                 self.ack.next = (self.ack.next + run as u16) % SEQUENCE_MODULUS;
                 self.ack.later = (u64::from(self.ack.later) >> run) as u32;
@@ -54,33 +54,33 @@ impl ReceiveWindow {
                 let bit = 1 << (ahead - 1);
                 let seen = self.ack.later & bit != 0;
                 self.ack.later |= bit;
-                self.wary = WARY;
+                self.frames_after_loss = FRAMES_AFTER_LOSS;
                 if seen { Arrival::Duplicate } else { Arrival::New }
             }
             _ if ahead >= SEQUENCE_MODULUS / 2 => {
-                self.wary = WARY;
+                self.frames_after_loss = FRAMES_AFTER_LOSS;
                 Arrival::Duplicate
             }
             _ => return Arrival::Refused,
         };
-        self.wary = self.wary.saturating_sub(1);
-        self.repeats_left = if self.wary > 0 { ACK_REPEATS.len() } else { 0 };
+        self.frames_after_loss = self.frames_after_loss.saturating_sub(1);
+        self.repeats_left = if self.frames_after_loss > 0 { ACK_REPEATS.len() } else { 0 };
         let soon = now + ACK_DELAY;
         self.due = Some(self.due.map_or(soon, |due| due.min(soon)));
         arrival
     }
 
-    /// When an acknowledgement must leave at the latest.
+    /// The latest time at which an acknowledgement must leave.
     pub(super) fn due(&self) -> Option<Instant> {
         self.due
     }
 
-    /// The acknowledgement to put into a frame that leaves now, if one is owed.
+    /// The acknowledgement to put into a frame that leaves now, if one is pending.
     pub(super) fn owed(&self) -> Option<Ack> {
         self.due.map(|_| self.ack)
     }
 
-    /// The acknowledgement has left.
+    /// Notes that the acknowledgement has left.
     pub(super) fn acknowledged(&mut self, now: Instant) {
         let repeat = ACK_REPEATS.len().checked_sub(self.repeats_left);
         self.due = repeat.and_then(|repeat| ACK_REPEATS.get(repeat)).map(|&wait| now + wait);
@@ -88,7 +88,7 @@ impl ReceiveWindow {
     }
 }
 
-/// A frame that has been sent and not been acknowledged.
+/// A frame that is in flight: sent and not yet acknowledged.
 #[derive(Debug)]
 struct Outstanding<T, const CONTENTS: usize> {
     sequence: u16,
@@ -98,7 +98,8 @@ struct Outstanding<T, const CONTENTS: usize> {
     contents: Vec<u8, CONTENTS>,
 }
 
-/// The sender's side: at most `WINDOW` frames of `CONTENTS` bytes (header and payload) wait.
+/// The sender's side: holds up to `WINDOW` frames in flight, each of `CONTENTS` bytes (header and
+/// payload).
 #[derive(Debug)]
 pub(super) struct SendWindow<T, const WINDOW: usize, const CONTENTS: usize> {
     next: u16,
@@ -123,7 +124,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> Default
 }
 
 impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, CONTENTS> {
-    /// Forgets everything, where it is: a new one would take as much of the stack as it is large.
+    /// Empties the window in place: assigning a new one would put a copy of it on the stack.
     pub(super) fn clear(&mut self) {
         self.next = 0;
         self.outstanding.iter_mut().for_each(|frame| *frame = None);
@@ -140,7 +141,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
         (room && oldest.is_none_or(|behind| behind < SPAN)).then_some(self.next)
     }
 
-    /// Keeps a frame that has just been sent with [`Self::next_sequence`].
+    /// Keeps a frame that was just sent with the number from [`Self::next_sequence`].
     pub(super) fn keep(&mut self, contents: &[u8], token: T, now: Instant) {
         let Ok(contents) = Vec::from_slice(contents) else { return };
         let sequence = self.next;
@@ -150,8 +151,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
         }
     }
 
-    /// Takes an acknowledgement. The tokens of the frames can then be taken from
-    /// [`Self::take_acknowledged`].
+    /// Takes an acknowledgement. [`Self::take_acknowledged`] then returns the tokens of the frames.
     pub(super) fn acknowledge(&mut self, ack: Ack, now: Instant) {
         for place in &mut self.outstanding {
             let Some(frame) = place else { continue };
@@ -170,17 +170,17 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
                 self.round_trip.sample(now.since(last_sent));
             }
             self.newest_acknowledged = self.newest_acknowledged.max(Some(last_sent));
-            // There is room: each frame is either outstanding or here.
+            // Cannot fail: each frame is either outstanding or here.
             let _ = self.acknowledged.push(token);
         }
     }
 
-    /// The token of a frame that has been acknowledged, each once.
+    /// The token of an acknowledged frame; each is returned once.
     pub(super) fn take_acknowledged(&mut self) -> Option<T> {
         self.acknowledged.pop()
     }
 
-    /// A frame that must be sent again now: its contents and token. It counts as sent.
+    /// The contents and token of a frame that is due for retransmission. It counts as sent now.
     pub(super) fn resend(&mut self, now: Instant) -> Option<(&[u8], T)> {
         let mut first: Option<(Instant, usize)> = None;
         for (place, frame) in self.outstanding.iter().enumerate() {
@@ -195,7 +195,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
         Some((&frame.contents, frame.token))
     }
 
-    /// When the next frame must be sent again.
+    /// When the next retransmission is due.
     pub(super) fn next_deadline(&self) -> Option<Instant> {
         let deadlines = self.outstanding.iter().flatten().map(|frame| self.deadline(frame));
         deadlines.fold(None, |first, deadline| Instant::earlier(first, Some(deadline)))
@@ -203,11 +203,11 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
 
     #[inline(never)]
     fn deadline(&self, frame: &Outstanding<T, CONTENTS>) -> Instant {
-        let patience = frame.last_sent + self.round_trip.timeout(frame.sent);
+        let timeout = frame.last_sent + self.round_trip.timeout(frame.sent);
         let overtaken = frame.last_sent + self.round_trip.reordering();
         match self.newest_acknowledged {
             Some(newest) if newest >= overtaken => overtaken,
-            _ => patience,
+            _ => timeout,
         }
     }
 }
@@ -220,7 +220,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_window_knows_what_has_arrived(
+        fn a_window_reports_which_frames_have_arrived(
             start in 0u16..SEQUENCE_MODULUS,
             offsets in proptest::collection::vec(0u16..200, 1..300),
         ) {
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_acknowledged_is_not_sent_again() {
+    fn acknowledged_frames_are_not_sent_again() {
         let mut window = SendWindow::<u8, 4, 16>::default();
         for token in 0..4 {
             assert!(window.next_sequence().is_some());
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_stays_within_what_an_acknowledgement_can_tell() {
+    fn a_sender_stays_within_the_range_of_an_acknowledgement() {
         let mut window = SendWindow::<u8, 40, 4>::default();
         window.keep(&[0], 0, Instant(0));
         for _ in 1..SPAN {

@@ -1,8 +1,8 @@
-//! The server's time on a robot, from request and reply with four time stamps.
+//! The server's time on a robot, from requests and replies with four time stamps.
 //!
-//! The way there takes `received - sent` by the two clocks, the way back `arrived - replied`. The
-//! fastest of each way in the recent past met the least queueing: half the difference between
-//! the two is the offset of the clocks.
+//! The way there takes `received - sent` by the two clocks, the way back `arrived - replied`. Queueing
+//! only ever adds to either, so the recent minimum of each is the best estimate: the clock offset is
+//! half the difference of the two minima.
 
 use super::timing::{FIRST_TIME_INTERVAL, TIME_INTERVAL, TIME_REPLY_LOST};
 use crate::{
@@ -10,15 +10,16 @@ use crate::{
     time::{Duration, Instant},
 };
 
-/// Exchanges in one generation of minima, and generations kept.
+/// Exchanges in one generation of minima.
 const PER_GENERATION: u8 = 8;
 const GENERATIONS: usize = 8;
-/// Clocks drift apart: an older minimum counts as slower, by 1/2^16 (15 ppm) of its age.
+/// Clock drift: a minimum grows by 1/2^16 (15 ppm) of its age.
 const DRIFT_SHIFT: u32 = 16;
-/// Exchanges until the first minima are good.
+/// Exchanges until the first minima are good; requests are sent more often before.
 const FIRST_EXCHANGES: u8 = 64;
 
-/// The fastest way there and back of a few exchanges, in microseconds by two clocks.
+/// The minimum times of the way there and the way back over some exchanges, in microseconds by the two
+/// clocks.
 #[derive(Clone, Copy, Debug)]
 struct Fastest {
     there: i64,
@@ -48,7 +49,7 @@ pub struct ClockSync {
     pending: Option<(u16, Instant)>,
     next_nonce: u16,
     next_request: Instant,
-    /// The latest server time given out: it never steps back.
+    /// The latest server time that was returned: time never steps back.
     latest: u64,
 }
 
@@ -87,7 +88,7 @@ impl ClockSync {
         self.next_request
     }
 
-    /// Takes a reply. Replies to anything but the latest request are ignored.
+    /// Takes a reply. Replies to any request but the latest are ignored.
     pub fn reply(&mut self, reply: &TimeReply, now: Instant) {
         let Some((_, sent)) = self.pending.take_if(|(nonce, _)| *nonce == reply.nonce) else {
             return;
@@ -106,7 +107,7 @@ impl ClockSync {
         if self.in_generation >= PER_GENERATION {
             self.in_generation = 0;
             let age = now.since(core::mem::replace(&mut self.generation_began, now));
-            // Each moves on by one place, and the oldest out.
+            // Shift each generation by one place; the oldest drops out.
             let mut newer = Fastest::NONE;
             let shift = |minima: Fastest| core::mem::replace(&mut newer, minima.aged(age));
             self.generations = self.generations.map(shift);
@@ -118,7 +119,7 @@ impl ClockSync {
         }
     }
 
-    /// The server's clock less the robot's, in microseconds, once known.
+    /// The server's clock minus the robot's, in microseconds; `None` before the first reply.
     fn offset(&self) -> Option<i64> {
         let fastest = self.generations.iter().fold(Fastest::NONE, |all, &one| all.min(one));
         (self.exchanges > 0).then(|| {
@@ -127,19 +128,19 @@ impl ClockSync {
         })
     }
 
-    /// A moment of the robot's clock in the server's, once known; `None` as well if the server's
-    /// clock had not started then.
+    /// Converts a time of the robot's clock to the server's. `None` before the first reply, or if the
+    /// server's clock had not started at that time.
     pub fn to_server(&self, local: Instant) -> Option<Instant> {
         local.0.checked_add_signed(self.offset()?).map(Instant)
     }
 
-    /// A moment of the server's clock in the robot's, once known; `None` as well if the robot's
-    /// clock had not started then.
+    /// Converts a time of the server's clock to the robot's. `None` before the first reply, or if the
+    /// robot's clock had not started at that time.
     pub fn to_local(&self, server: Instant) -> Option<Instant> {
         server.0.checked_add_signed(self.offset()?.checked_neg()?).map(Instant)
     }
 
-    /// The server's time now, once known. Never less than at an earlier call.
+    /// The server's time now, or `None` before the first reply. Never decreases.
     pub fn server_now(&mut self, now: Instant) -> Option<Instant> {
         self.latest = self.latest.max(self.to_server(now)?.0);
         Some(Instant(self.latest))
@@ -150,7 +151,7 @@ impl ClockSync {
 mod tests {
     use super::*;
 
-    /// SplitMix64: 0 to 20 ms.
+    /// A random delay of 0 to 20 ms (SplitMix64).
     fn delay(seed: &mut u64) -> u64 {
         *seed = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (*seed ^ *seed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -158,8 +159,8 @@ mod tests {
         (mixed ^ mixed >> 31) % 20_001
     }
 
-    /// The error in microseconds after some exchanges, of which each way takes 0 to 20 ms, with a
-    /// server's clock that gains `ppm` on the robot's.
+    /// The error in microseconds after a number of exchanges with delays of 0 to 20 ms each way; the
+    /// server's clock gains `ppm` on the robot's.
     fn error_after(exchanges: u32, seed: u64, ppm: u64) -> i64 {
         let (mut seed, ahead) = (seed, 1_000_000_000u64.wrapping_mul(seed + 1));
         let server = |local: u64| local + ahead + local * ppm / 1_000_000;
@@ -191,9 +192,9 @@ mod tests {
     }
 
     #[test]
-    fn the_first_minima_do_not_age_by_the_time_before_them() {
+    fn the_first_minima_do_not_age_by_the_time_before_the_first_exchange() {
         let mut clock = ClockSync::default();
-        // A robot that knocked for a day: the best exchange is the first, then all are slow there.
+        // The robot said hello for a day: the first exchange is the fastest, all later ones are slow.
         let day = 86_400_000_000;
         for exchange in 0..9 {
             let now = clock.poll_timeout().0.max(day);

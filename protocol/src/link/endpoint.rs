@@ -1,4 +1,4 @@
-//! One end of a link: bytes in, messages out; messages in, frames out.
+//! One end of a link: turns bytes into messages and messages into frames.
 
 use core::marker::PhantomData;
 
@@ -13,14 +13,14 @@ use crate::{
     units::SessionId,
 };
 
-/// In a frame with less room than this for messages an acknowledgement travels alone: beside it
-/// the longest message that cannot be split (a state, 28 bytes) might not fit.
+/// If a frame has less room for messages than this, an acknowledgement travels alone: beside it the
+/// longest message that cannot be split (a state, 28 bytes) might not fit.
 const ROOM_FOR_TWO: usize = 40;
 
-/// Bytes of an acknowledgement at the most, kind and length included.
+/// Maximum size of an acknowledgement, kind and length included.
 const ACK_LEN: usize = 10;
 
-/// What an endpoint has counted since it was made.
+/// Counters of an endpoint since its creation; they wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Frames sent, retransmissions included.
@@ -29,56 +29,56 @@ pub struct Counters {
     pub retransmissions: u32,
     /// Good frames received, duplicates included.
     pub received: u32,
-    /// Reliable frames that had been received before.
+    /// Reliable frames received more than once.
     pub duplicates: u32,
-    /// Frames that were stuffed wrongly, too long, or whose seal was bad.
+    /// Frames with wrong stuffing, excessive length or a bad seal.
     pub bad: u32,
-    /// Good frames that broke a rule of the protocol: a message that does not parse, a sequence
-    /// number out of the window, a version that was not agreed upon.
+    /// Well-sealed frames that violate the protocol: a malformed message, a sequence number outside the
+    /// window, an unsupported version.
     pub refused: u32,
 }
 
-/// What came in, in direction `D`.
+/// What an endpoint received, in direction `D`.
 #[derive(Debug)]
 pub enum Received<'a, D> {
     /// A message outside any session.
     Handshake(Message<'a, D>),
-    /// The messages of a frame of this session, each frame once. Acknowledgements are among them,
-    /// and have been taken.
+    /// The messages of a frame of this session; duplicates are left out. Acknowledgements are included,
+    /// although the endpoint has already processed them.
     Session(Messages<'a, D>),
-    /// No frame of this session, or one that breaks a rule of the protocol.
+    /// Not a frame of this session, or one that violates the protocol.
     Bad,
 }
 
-/// What a new frame is to be.
+/// What `fill` has written into a new frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fill<T> {
-    /// Nothing to say now.
+    /// Nothing to send now.
     Nothing,
-    /// Sent once.
+    /// Send once.
     Datagram,
-    /// Sent until it is acknowledged; then [`Endpoint::poll_acknowledged`] gives the token back.
+    /// Retransmit until acknowledged; then [`Endpoint::poll_acknowledged`] returns the token.
     Reliable(T),
 }
 
-/// A frame to be put on the wire.
+/// A frame to put on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transmit<T> {
-    /// Its length.
+    /// Its length in bytes.
     pub len: usize,
-    /// The token of a reliable frame.
+    /// The token of a reliable frame, `None` for others.
     pub token: Option<T>,
 }
 
-/// One end of a link, which sends messages of direction `D`. At most `WINDOW` reliable frames are in
-/// flight (at most 32), of at most `FRAME` bytes on the wire. `T` is the token by which the owner
-/// knows a reliable frame. Memory: about `(WINDOW + 1) * FRAME` bytes, and `FRAME` of stack while a
-/// frame is written.
+/// One end of a link, sending messages of direction `D`. At most `WINDOW` reliable frames (at most 32)
+/// of at most `FRAME` bytes on the wire are in flight. `T` is the token by which the owner identifies
+/// a reliable frame. Memory: about `(WINDOW + 1) * FRAME` bytes, and `FRAME` bytes of stack while
+/// writing a frame.
 #[derive(Debug)]
 pub struct Endpoint<D, T, const WINDOW: usize, const FRAME: usize> {
     direction: PhantomData<D>,
     session: SessionId,
-    /// Bytes of a frame on the wire, as agreed.
+    /// Agreed frame size in bytes on the wire.
     frame: usize,
     decoder: cobs::Decoder<FRAME>,
     receiving: ReceiveWindow,
@@ -96,7 +96,7 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Default
 }
 
 impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T, WINDOW, FRAME> {
-    /// An end without a session.
+    /// Creates an end without a session.
     pub fn new() -> Self {
         Self {
             direction: PhantomData,
@@ -110,8 +110,8 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         }
     }
 
-    /// Begins a session with frames of `frame` bytes on the wire. What was under way in an
-    /// earlier session is forgotten: the owner must assume that it was lost.
+    /// Begins a session with frames of `frame` bytes on the wire. Frames in flight from an earlier
+    /// session are dropped: the owner must assume that they were lost.
     pub fn begin(&mut self, session: SessionId, frame: usize) {
         self.session = session;
         self.frame = frame.min(FRAME);
@@ -130,24 +130,24 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         self.session
     }
 
-    /// What has been counted.
+    /// The counters.
     pub fn counters(&self) -> Counters {
         self.counters
     }
 
-    /// Whether there is a session and room for one more reliable frame.
+    /// Whether there is a session whose window has room for another reliable frame.
     pub fn can_send_reliable(&self) -> bool {
         self.session != SessionId::NONE && self.sending.next_sequence().is_some()
     }
 
-    /// Bytes of messages that fit a frame of this session, whatever else it must carry.
+    /// Bytes of messages that fit in any frame of this session, even beside an acknowledgement.
     pub fn room(&self) -> usize {
         let room = payload_capacity(self.frame);
         if room < ROOM_FOR_TWO { room } else { room.saturating_sub(ACK_LEN) }
     }
 
-    /// Takes bytes from the front of `input` until there is something to say of them. Call it
-    /// until it returns `None`: then the input is used up.
+    /// Consumes `input` up to the end of the next frame or error and returns it. Call it until it
+    /// returns `None`: the input is then used up.
     pub fn receive(
         &mut self,
         input: &mut &[u8],
@@ -176,7 +176,7 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
             return refuse(counters);
         }
         if outside {
-            // Any version may knock: the answer names the mismatch.
+            // Any version may say hello: the answer names the mismatch.
             return match Messages::new(payload).next() {
                 Some(Ok(message)) => Some(Received::Handshake(message)),
                 _ => refuse(counters),
@@ -209,14 +209,14 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         Some(Received::Session(Messages::new(payload)))
     }
 
-    /// The token of a reliable frame that has been acknowledged, each once.
+    /// The token of an acknowledged frame; each is returned once.
     #[must_use]
     pub fn poll_acknowledged(&mut self) -> Option<T> {
         self.sending.take_acknowledged()
     }
 
-    /// Writes a frame of the handshake: one message, sealed outside any session. `None` if it
-    /// does not fit.
+    /// Writes a handshake frame with one message, sealed outside any session. Returns its length, or
+    /// `None` if it does not fit.
     pub fn handshake<M: Body<D>>(&mut self, body: &M, out: &mut [u8]) -> Option<usize> {
         let header = Header { version: VERSION, kind: FrameKind::Handshake, sequence: 0 };
         let mut scratch = [0; FRAME];
@@ -233,10 +233,10 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         cobs::encode([contents, &tail], out)
     }
 
-    /// Writes the next frame that is due into `out` (at least as long as the agreed frame):
-    /// one that must be sent again, or a new one, for which `fill` is asked. `fill` gets a writer
-    /// and whether a reliable frame may be sent. With `urgent`, what is new goes before what must
-    /// be sent again. Call it until it returns `None`.
+    /// Writes the next frame into `out` (at least as long as the agreed frame): a retransmission that
+    /// is due, or a new frame that `fill` writes. `fill` gets a writer and whether a reliable frame may
+    /// be sent. With `urgent`, a new frame goes before retransmissions. Call it until it returns
+    /// `None`.
     #[must_use]
     pub fn poll_transmit(
         &mut self,
@@ -249,7 +249,7 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
             return None;
         }
         if urgent {
-            // It may be that the new frame cannot be sent: then what is old goes on.
+            // The new frame may be impossible to send: then retransmissions continue.
             return self.send_new(now, out, fill).or_else(|| self.send_again(now, out));
         }
         match self.send_again(now, out) {
@@ -313,7 +313,7 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         Some(Transmit { len: wire, token })
     }
 
-    /// When [`Endpoint::poll_transmit`] has something to do even if the owner has not.
+    /// When [`Endpoint::poll_transmit`] must be called even if the owner has nothing to send.
     pub fn poll_timeout(&self) -> Option<Instant> {
         if self.session == SessionId::NONE {
             return None;
@@ -345,7 +345,7 @@ mod tests {
         (robot, server)
     }
 
-    /// A message that carries a number in either direction.
+    /// A message for either direction that carries a number.
     fn numbered(x: i16) -> Request {
         Request { layer: Layer::Robot, tiles: core::iter::once(TileId { x, y: 0 }).collect() }
     }
@@ -385,7 +385,7 @@ mod tests {
         let again = robot.poll_transmit(due, &mut out, false, |_, _| Fill::Nothing).unwrap();
         assert_eq!(again.token, Some(42));
         assert_eq!(numbers(&mut server, &out[..again.len], due.0), [5]);
-        // The same frame once more says nothing new, and is acknowledged.
+        // The same frame again is a duplicate, and is acknowledged.
         assert!(numbers(&mut server, &out[..again.len], due.0).is_empty());
         assert_eq!(server.counters().duplicates, 1);
         let now = server.poll_timeout().unwrap();
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_urgent_goes_before_what_is_sent_again_and_blocks_nothing() {
+    fn urgent_frames_go_before_retransmissions_and_block_nothing() {
         let (mut robot, _) = pair();
         let _lost = send(&mut robot, 5, Some(42));
         let due = robot.poll_timeout().unwrap();
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_small_frame_an_acknowledgement_leaves_all_the_room_to_others() {
+    fn in_a_small_frame_an_acknowledgement_travels_alone() {
         let (mut robot, mut server) = pair();
         robot.begin(SessionId(77), 32);
         server.begin(SessionId(77), 32);
@@ -437,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn what_breaks_a_rule_does_not_pass_for_a_sign_of_life() {
+    fn frames_that_violate_the_protocol_are_no_sign_of_life() {
         let (_, mut server) = pair();
         let sealed = |header: Header, session| {
             let contents = [&header.encode()[..], &[9, 1, 0]].concat();

@@ -1,8 +1,8 @@
-//! Hello and welcome: what the two sides agree on before anything else.
+//! Hello and welcome: the two sides agree on their parameters before anything else.
 //!
-//! The robot knocks until it is answered, ever more slowly. A server that hears frames of a
-//! session it does not know answers with a reset, and the robot knocks at once: a rebooted side
-//! is noticed with the first frame that reaches it.
+//! The robot says hello until it is answered, with increasing intervals. A server that receives frames
+//! of an unknown session answers with a reset, and the robot says hello at once: either side notices
+//! the reboot of the other with the first frame that arrives.
 
 use super::timing::{HELLO_WAIT, REFUSED_WAIT};
 use crate::{
@@ -12,37 +12,37 @@ use crate::{
     units::{Millimetres, SessionId},
 };
 
-/// How often the wait for an answer to a hello is doubled.
+/// How often the interval between hellos doubles.
 const DOUBLINGS: u32 = 4;
 
-/// The robot's side: when to say hello.
+/// The robot's side: decides when to say hello.
 #[derive(Debug)]
 pub struct Knocking {
     boot_nonce: u32,
-    /// Sessions begun or reset since the boot; part of the nonce.
+    /// Sessions begun or reset since boot; part of the nonce.
     attempts: u32,
-    knocks: u32,
+    hellos: u32,
     next: Instant,
 }
 
 impl Knocking {
-    /// `boot_nonce` should differ from boot to boot.
+    /// Starts the first attempt; a hello is due at once. `boot_nonce` should differ from boot to boot.
     pub fn new(boot_nonce: u32) -> Self {
-        Self { boot_nonce, attempts: 0, knocks: 0, next: Instant(0) }
+        Self { boot_nonce, attempts: 0, hellos: 0, next: Instant(0) }
     }
 
-    /// The nonce of the hellos of this attempt.
+    /// The nonce in the hellos of this attempt.
     pub fn nonce(&self) -> u32 {
         self.boot_nonce.wrapping_add(self.attempts.wrapping_mul(0x9E37_79B9))
     }
 
-    /// Whether a hello is due; it then counts as sent.
+    /// Whether a hello is due now; if so, it counts as sent.
     #[must_use]
     pub fn poll(&mut self, now: Instant) -> bool {
         let due = now >= self.next;
         if due {
-            self.next = now + Duration(HELLO_WAIT.0 << self.knocks.min(DOUBLINGS));
-            self.knocks = self.knocks.saturating_add(1);
+            self.next = now + Duration(HELLO_WAIT.0 << self.hellos.min(DOUBLINGS));
+            self.hellos = self.hellos.saturating_add(1);
         }
         due
     }
@@ -52,42 +52,42 @@ impl Knocking {
         self.next
     }
 
-    /// The session was lost: knock anew, at once.
+    /// Starts a new attempt at once, after the session was lost.
     pub fn restart(&mut self, now: Instant) {
         self.attempts = self.attempts.wrapping_add(1);
-        self.knocks = 0;
+        self.hellos = 0;
         self.next = now;
     }
 
-    /// The server refused: ask again after a while, it may have been reconfigured.
+    /// Postpones the next hello after a refusal: the server may be reconfigured meanwhile.
     pub fn refused(&mut self, now: Instant) {
         self.next = now + REFUSED_WAIT;
     }
 }
 
-/// What a server asks of a robot.
+/// The terms on which a server accepts robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Terms {
     /// The side of the map's cells.
     pub resolution: Millimetres,
-    /// The largest frame that the server can take, in bytes on the wire.
+    /// The largest frame that the server can receive, in bytes on the wire.
     pub frame: u16,
     /// The server's epoch.
     pub server_epoch: u32,
-    /// Whether the server says when a tile is on disk.
+    /// Whether the server confirms when a tile is on disk.
     pub stores: bool,
 }
 
 /// A server's answer to a hello.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// There is a session.
+    /// The session begins.
     Welcome(Welcome),
-    /// There is none.
+    /// The robot and the server do not match.
     Refusal(Refusal),
 }
 
-/// Answers a hello: with a welcome to `session`, or with what does not match.
+/// Answers a hello with a welcome to `session`, or with a refusal that names the first mismatch.
 pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32) -> Answer {
     let refuse = |reason| Answer::Refusal(Refusal { nonce: hello.nonce, reason });
     if hello.min_version > VERSION || hello.version < MIN_VERSION {
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn both_sides_get_the_smaller_frame() {
+    fn both_sides_agree_on_the_smaller_frame() {
         let Answer::Welcome(welcome) = answer(&hello(), &TERMS, SessionId(7), 5) else { panic!() };
         assert_eq!((welcome.frame, welcome.nonce, welcome.first_epoch), (200, 99, 5));
     }
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn knocks_come_ever_more_slowly_until_the_session_is_lost() {
+    fn hello_intervals_grow_until_the_session_is_lost() {
         let mut knocking = Knocking::new(5);
         let mut times = std::vec::Vec::new();
         for now in (0..20_000).map(|ms| Instant(ms * 1000)) {

@@ -1,8 +1,7 @@
-//! The link: sessions, frames that arrive for certain, and the server's time on the robot.
+//! The link: sessions, reliable delivery, and the server's time on the robot.
 //!
-//! It owns no clock, no port and no thread. The law of everything here, and of what is built on
-//! it: **after every input, drain the outputs until none is left, then come back at
-//! `poll_timeout`.**
+//! It has no clock, port or thread. The rule for this module and everything built on it: **after
+//! every input, drain the outputs until none is left, then come back at `poll_timeout`.**
 
 mod acknowledgement;
 mod clock;

@@ -1,18 +1,19 @@
-//! How long a frame and its acknowledgement take (RFC 6298, integers).
+//! Round-trip time and retransmission timeout (RFC 6298, in integers).
 
-use super::timing::{FIRST_TIMEOUT, LEAST_REORDERING, LEAST_TIMEOUT, MOST_TIMEOUT};
+use super::timing::{FIRST_TIMEOUT, MAX_TIMEOUT, MIN_REORDERING, MIN_TIMEOUT};
 use crate::time::Duration;
 
-/// The smoothed round trip and its variation, in microseconds.
+/// The smoothed round-trip time and its variation, in microseconds; `None` before the first sample.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RoundTrip {
     estimate: Option<(u64, u64)>,
 }
 
 impl RoundTrip {
-    /// Takes the time between a frame that was sent once and its acknowledgement.
+    /// Takes the time from sending a frame to its acknowledgement. The frame must have been sent only
+    /// once (Karn's algorithm).
     pub(super) fn sample(&mut self, span: Duration) {
-        let span = span.micros().min(MOST_TIMEOUT.0);
+        let span = span.micros().min(MAX_TIMEOUT.0);
         self.estimate = Some(match self.estimate {
             None => (span, span / 2),
             Some((smoothed, variation)) => {
@@ -22,21 +23,21 @@ impl RoundTrip {
         });
     }
 
-    /// How long to wait for an acknowledgement of a frame that was sent this often.
+    /// The retransmission timeout of a frame that was sent `sent` times.
     pub(super) fn timeout(&self, sent: u8) -> Duration {
         let once =
             self.estimate.map_or(FIRST_TIMEOUT.0, |(smoothed, variation)| smoothed + 4 * variation);
-        let doubled = once.max(LEAST_TIMEOUT.0) << u32::from(sent.saturating_sub(1)).min(4);
-        Duration(doubled.min(MOST_TIMEOUT.0))
+        let doubled = once.max(MIN_TIMEOUT.0) << u32::from(sent.saturating_sub(1)).min(4);
+        Duration(doubled.min(MAX_TIMEOUT.0))
     }
 
-    /// How much later than a lost frame another one must have been sent, and acknowledged, for
-    /// the loss to be believed: frames may overtake each other by a few dozen milliseconds.
+    /// The reordering tolerance: a frame is considered lost when one sent at least this much later has
+    /// been acknowledged.
     pub(super) fn reordering(&self) -> Duration {
         Duration(
             self.estimate
                 .map_or(FIRST_TIMEOUT.0, |(smoothed, _)| smoothed / 4)
-                .max(LEAST_REORDERING.0),
+                .max(MIN_REORDERING.0),
         )
     }
 }
@@ -55,6 +56,6 @@ mod tests {
         let once = trip.timeout(1).micros();
         assert!((400_000..420_000).contains(&once), "{once}");
         assert_eq!(trip.timeout(2).micros(), 2 * once);
-        assert_eq!(trip.timeout(200), MOST_TIMEOUT);
+        assert_eq!(trip.timeout(200), MAX_TIMEOUT);
     }
 }

@@ -1,8 +1,8 @@
-//! What the server and its robots say to each other.
+//! The messages between the server and its robots.
 //!
 //! A frame carries any number of messages, each as a kind (one byte), the length of its body (a
 //! varint) and the body (postcard). One file for each direction lists its kinds and their bodies;
-//! [`ToServer`] and [`ToRobot`] are the directions as types, and [`Body`] ties a type to its kind.
+//! [`ToServer`] and [`ToRobot`] are the directions as types, and [`Body`] gives a body type its kind.
 //!
 //! ```
 //! use ubimap_protocol::message::{Messages, Stop, ToRobot, ToRobotMessage, Writer};

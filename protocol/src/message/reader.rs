@@ -1,5 +1,5 @@
-//! Reads postcard's format with the code for each kind of number once in the firmware, and not
-//! for each number of each message: half of what reading takes.
+//! A postcard deserializer that has the code for each primitive type in the firmware once, instead of
+//! once for every field of every message. This halves the code size of reading.
 
 use postcard::{Deserializer, Error, de_flavors::Slice};
 use serde::{
@@ -7,7 +7,7 @@ use serde::{
     de::{self, DeserializeSeed, EnumAccess, IntoDeserializer, SeqAccess, VariantAccess, Visitor},
 };
 
-/// Postcard's deserializer, which reads what is no struct, sequence or choice.
+/// Wraps postcard's deserializer, which reads the primitive types.
 pub(super) struct Reader<'de>(Deserializer<'de, Slice<'de>>);
 
 impl<'de> Reader<'de> {
@@ -15,7 +15,7 @@ impl<'de> Reader<'de> {
         Self(Deserializer::from_bytes(bytes))
     }
 
-    /// The bytes that have not been read.
+    /// The unread bytes.
     pub(super) fn rest(self) -> Result<&'de [u8], Error> {
         self.0.finalize()
     }
@@ -26,7 +26,7 @@ impl<'de> Reader<'de> {
     }
 }
 
-/// Methods for types that are read by postcard: its name, the visitor's and the type.
+/// Defines methods that read a type with postcard: method name, visitor's method, type.
 macro_rules! by_postcard {
     ($($method:ident $visit:ident $type:ty;)*) => {
         $(
@@ -127,7 +127,7 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'de> {
         visitor.visit_enum(self)
     }
 
-    // The format does not say what it holds.
+    // Postcard is not self-describing.
     fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Error> {
         Err(Error::WontImplement)
     }

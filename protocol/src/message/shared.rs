@@ -25,16 +25,16 @@ impl<D: Traffic> Body<D> for Ack {
 pub struct TileUpdateHead {
     /// The layer that the tiles belong to.
     pub layer: Layer,
-    /// When the newest scan in them was taken: whole seconds of the server's clock; for the
+    /// When the newest scan in the tiles was taken, in whole seconds of the server's clock; for the
     /// server's layers, the map time.
     pub seconds: u32,
 }
 
-/// The most tiles in one [`Digests`].
+/// Maximum number of tiles in one [`Digests`].
 pub const MAX_DIGESTS: usize = 8;
 
-/// The states of a few tiles of a layer at its writer. A receiver that holds an older state, or
-/// other cells, asks for the tile with a [`Request`].
+/// The states of some tiles as published by their writer. A receiver that holds an older state or other
+/// cells asks for the tile with a [`Request`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Digests {
     /// The layer.
@@ -46,7 +46,7 @@ pub struct Digests {
 /// The state of one tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileDigest {
-    /// Which tile.
+    /// The tile.
     pub id: TileId,
     /// Its state.
     pub stamp: Stamp,
@@ -54,26 +54,26 @@ pub struct TileDigest {
     pub hash: u32,
 }
 
-/// The most tiles that one [`Request`] can name.
+/// Maximum number of tiles in one [`Request`].
 pub const MAX_REQUESTS: usize = 8;
 
-/// Asks the writer of a layer for whole tiles: an update came for a base that is not held.
+/// Asks the writer of a layer for whole tiles, after an update whose base the receiver does not hold.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Request {
     /// The layer of the tiles.
     pub layer: Layer,
-    /// Which tiles; an empty list means all.
+    /// The tiles; an empty list means all.
     pub tiles: Vec<TileId, MAX_REQUESTS>,
 }
 
-/// The most parameters of a robot.
+/// Maximum number of parameters of a robot.
 pub const MAX_PARAMETERS: usize = 16;
 
 /// A parameter and its value; SPEC.md lists the parameters, their units and ranges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ParameterValue {
-    /// Which parameter.
+    /// The parameter's number.
     pub parameter: u16,
-    /// Its value, in its unit.
+    /// Its value, in the parameter's unit.
     pub value: i32,
 }

@@ -1,10 +1,10 @@
-//! The table of a direction's messages: which number, kind and body belong together.
+//! The macro that defines a direction's messages: number, kind and body of each.
 
 /// Declares the messages of one direction. Each line is a number on the wire, the name of a kind
 /// and the type of its body; kind 0 is [`Ack`](super::Ack) in both directions.
 ///
-/// Makes the enum of kinds, the enum of received messages, and the implementations of [`Traffic`]
-/// and [`Body`]. Numbers of kinds are written here and nowhere else.
+/// Generates the enum of kinds, the enum of received messages, and the implementations of [`Traffic`]
+/// and [`Body`]. This is the only place where the numbers of kinds are written.
 macro_rules! messages {
     (
         $direction:ident, against $opposite:ident: $kinds:ident, $messages:ident;
@@ -26,7 +26,7 @@ macro_rules! messages {
             /// All kinds, in order of their numbers.
             pub const ALL: &[Self] = &[Self::Ack, $(Self::$name,)+];
 
-            /// The kind of this number, or `None` if this version does not know it.
+            /// The kind with this number, or `None` if this version does not know it.
             pub const fn from_number(number: u8) -> Option<Self> {
                 match number {
                     0 => Some(Self::Ack),
@@ -45,7 +45,7 @@ macro_rules! messages {
         #[doc = concat!("A received message of [`", stringify!($direction), "`](super::", stringify!($direction), "): its body is encoded still.")]
         #[derive(Clone, Copy, Debug)]
         pub enum $messages<'a> {
-            /// An acknowledgement. The link has taken it already.
+            /// An acknowledgement. The endpoint has already processed it.
             Ack($crate::message::Encoded<'a, $crate::message::Ack>),
             $(
                 #[doc = concat!("[`", stringify!($body), "`](super::", stringify!($body), ").")]

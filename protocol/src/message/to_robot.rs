@@ -1,4 +1,4 @@
-//! What the server says to a robot.
+//! Messages from the server to a robot.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ messages! {
     15 Freshness(Freshness),
 }
 
-/// Answers a hello in a handshake frame: the session begins.
+/// Accepts a hello, in a handshake frame: the session begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Welcome {
     /// The nonce of the hello.
@@ -43,42 +43,42 @@ pub struct Welcome {
     pub session: SessionId,
     /// The largest frame that both sides can receive, in bytes on the wire.
     pub frame: u16,
-    /// The server's epoch; the fused and coverage tiles of another one are void.
+    /// The server's epoch; fused and coverage tiles of any other epoch are invalid.
     pub server_epoch: u32,
-    /// The first epoch that the robot has not used yet for its own tiles.
+    /// The lowest epoch that the robot has not yet used for its own tiles.
     pub first_epoch: u32,
-    /// Whether the server says when a tile is on disk. If not, it keeps none, and the robot may
-    /// evict a tile as soon as its update is acknowledged.
+    /// Whether the server confirms tiles that are on disk ([`Stored`]). If not, it stores none, and the
+    /// robot may evict a tile as soon as its update is acknowledged.
     pub stores: bool,
 }
 
-/// Answers a hello in a handshake frame: why there can be no session.
+/// Rejects a hello, in a handshake frame, and names the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refusal {
     /// The nonce of the hello.
     pub nonce: u32,
-    /// What does not match.
+    /// The mismatch.
     pub reason: RefusalReason,
 }
 
-/// What does not match between a robot and the server.
+/// A mismatch between a robot and the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RefusalReason {
-    /// No common version; the server speaks these.
+    /// No common version; the server's range is given.
     Version {
-        /// The oldest version.
+        /// The server's oldest version.
         min: u8,
-        /// The newest version.
+        /// The server's newest version.
         current: u8,
     },
-    /// The maps' cells have different sides; the server's is this.
+    /// The maps' cells differ in size; the side of the server's cells is given.
     Resolution(Millimetres),
-    /// The robot's frames are smaller than the server can work with; it needs this many bytes.
+    /// The robot's maximum frame is too small; the minimum in bytes is given.
     Frame(u16),
 }
 
-/// Tells a robot that the server has no session with it, in a handshake frame: it is to say hello.
-/// An empty body.
+/// Tells a robot, in a handshake frame, that the server has no session with it: the robot must say
+/// hello. The body is empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reset;
 
@@ -89,30 +89,30 @@ pub struct TimeReply {
     pub nonce: u16,
     /// When the request arrived, in the server's clock.
     pub received: Instant,
-    /// When this reply left, in microseconds after `received`.
+    /// When this reply left, in microseconds since `received`.
     pub held_micros: u32,
 }
 
-/// The most earlier fixes that one message repeats.
+/// Maximum number of earlier fixes repeated in one message.
 pub const MAX_EARLIER_FIXES: usize = 3;
 
-/// Where the cameras saw the robot. The fixes before are repeated, so that one lost frame, or
-/// even three, cost no fix.
+/// A pose measured by the cameras or by map matching. Earlier fixes are repeated, so that no fix is
+/// lost unless four frames in a row are.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PoseFix {
-    /// When the newest frame was captured, in the server's clock.
+    /// The capture time of the newest camera frame, in the server's clock.
     pub time: Instant,
     /// `base_link` in `map` at that moment.
     pub pose: Pose,
-    /// How sure it is.
+    /// Its standard deviations.
     pub certainty: Certainty,
-    /// Where it comes from.
+    /// How it was measured.
     pub source: FixSource,
     /// The fixes before it, newest first.
     pub earlier: Vec<EarlierFix, MAX_EARLIER_FIXES>,
 }
 
-/// How sure a fix is: standard deviations. The covariance that they stand for is diagonal.
+/// The standard deviations of a fix, for a diagonal covariance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Certainty {
     /// Of x, in millimetres.
@@ -123,31 +123,31 @@ pub struct Certainty {
     pub heading: u16,
 }
 
-/// Where a fix comes from.
+/// How a fix was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FixSource {
-    /// A camera saw the robot.
+    /// A camera saw the robot's marker.
     #[default]
     Camera,
-    /// What the robot saw was matched with the map.
+    /// The robot's observations were matched with the map.
     MapMatch,
 }
 
-/// A fix before the one that follows it in time.
+/// An earlier fix, as differences to its successor: the next newer fix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EarlierFix {
-    /// How long before its successor the frame was captured, in microseconds.
+    /// Time from this fix to its successor, in microseconds.
     pub before_micros: u32,
-    /// Its successor's x less its own, in millimetres.
+    /// Its successor's x minus its own, in millimetres.
     pub dx: i32,
-    /// Its successor's y less its own, in millimetres.
+    /// Its successor's y minus its own, in millimetres.
     pub dy: i32,
-    /// Its successor's heading less its own, in binary angle units.
+    /// Its successor's heading minus its own, in binary angle units.
     pub turn: i16,
 }
 
 impl PoseFix {
-    /// The fixes that the message holds, newest first.
+    /// The fixes in this message, newest first.
     pub fn fixes(&self) -> impl Iterator<Item = (Instant, Pose)> + '_ {
         let newest = (self.time, self.pose);
         let mut last = newest;
@@ -165,8 +165,8 @@ impl PoseFix {
         }))
     }
 
-    /// The message for the newest fix and those before it, newest first: as many as it holds, up
-    /// to the first step in time that it cannot express (over an hour).
+    /// A message with the newest fix and earlier ones, given newest first. It takes as many as fit, up to
+    /// the first gap in time that `before_micros` cannot express (over an hour).
     pub fn from_fixes(
         (time, pose): (Instant, Pose),
         before: impl Iterator<Item = (Instant, Pose)>,
@@ -192,13 +192,13 @@ impl PoseFix {
     }
 }
 
-/// The most robots in one [`Peers`].
+/// Maximum number of robots in one [`Peers`].
 pub const MAX_PEERS: usize = 8;
 
-/// The other robots near this one, as many as there is room for: they are not to be mapped.
+/// The other robots near this one, as many as fit. The robot must not map them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Peers {
-    /// The moment of the newest pose, in the server's clock.
+    /// The time of the newest pose, in the server's clock.
     pub time: Instant,
     /// The robots, nearest first.
     pub peers: Vec<Peer, MAX_PEERS>,
@@ -211,80 +211,81 @@ pub struct Peer {
     pub robot: RobotId,
     /// `base_link` in `map`.
     pub pose: Pose,
-    /// How much older than the newest pose this one is, in units of 10 ms; 255 for 2.55 s and more.
+    /// Age of this pose relative to the newest one, in units of 10 ms; 255 for 2.55 s and more.
     pub age: u8,
-    /// Half its length, in millimetres.
+    /// Half the robot's length, in millimetres.
     pub half_length: u16,
-    /// Half its width, in millimetres.
+    /// Half the robot's width, in millimetres.
     pub half_width: u16,
 }
 
-/// The most things in one [`Obstacles`].
+/// Maximum number of obstacles in one [`Obstacles`].
 pub const MAX_OBSTACLES: usize = 12;
 
-/// What the cameras see near the robot that is no wall, newest state, as much as there is room for.
+/// The obstacles other than walls that the cameras see near the robot now, as many as fit.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Obstacles {
-    /// The moment of the positions, in the server's clock.
+    /// The time of the positions, in the server's clock.
     pub time: Instant,
-    /// The things, nearest first.
+    /// The obstacles, nearest first.
     pub obstacles: Vec<Obstacle, MAX_OBSTACLES>,
 }
 
-/// A thing or a person.
+/// An object or a person.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Obstacle {
-    /// The same thing keeps its number.
+    /// Identifies the obstacle while it is tracked.
     pub number: u16,
-    /// What it is.
+    /// Its class.
     pub class: ObstacleClass,
-    /// Its centre in `map`.
+    /// The x of its centre in `map`.
     pub x: Millimetres,
-    /// Its centre in `map`.
+    /// The y of its centre in `map`.
     pub y: Millimetres,
-    /// Along `map`'s x, in millimetres a second.
+    /// Velocity along `map`'s x, in mm/s.
     pub velocity_x: i16,
-    /// Along `map`'s y, in millimetres a second.
+    /// Velocity along `map`'s y, in mm/s.
     pub velocity_y: i16,
-    /// The radius of a circle around it, in millimetres.
+    /// Radius of an enclosing circle, in millimetres.
     pub radius: u16,
 }
 
-/// What an obstacle is, by height and motion.
+/// The class of an obstacle, derived from its height and motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ObstacleClass {
     /// A person.
     Person,
-    /// Likely to be moved.
+    /// An object that is likely to be moved.
     Movable,
     /// Part of the room.
     Fixed,
 }
 
-/// The most bytes of tiles in one [`Freshness`].
+/// Maximum length of the bit set in one [`Freshness`], in bytes.
 pub const MAX_FRESH_BYTES: usize = 32;
 
-/// Which of the coverage tiles that the robot has acknowledged still said at `time` what the
-/// cameras see.
+/// Confirms that certain coverage tiles, as acknowledged by the robot, still matched the cameras' view
+/// at `time`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Freshness {
-    /// The moment, in the server's clock.
+    /// The time of the confirmation, in the server's clock.
     pub time: Instant,
-    /// The number of the [`Interest`](super::Interest) whose rectangle is meant.
+    /// The number of the [`Interest`](super::Interest) whose rectangle is used.
     pub interest: u32,
-    /// The first tile: they are counted row by row from the south-west of the rectangle.
+    /// The number of the first tile; tiles are numbered row by row from the rectangle's south-west.
     pub first: u16,
     /// Bit `i` of byte `n` is set if tile `first + 8 n + i` is confirmed.
     pub tiles: Vec<u8, MAX_FRESH_BYTES>,
 }
 
-/// The most points of one [`Path`].
+/// Maximum number of waypoints in one [`Path`].
 pub const MAX_WAYPOINTS: usize = 16;
 
-/// Where to drive; it replaces the path before. One point is a goal, none ends the drive.
+/// A path to drive; it replaces the previous one. A single point is a goal; an empty path ends the
+/// drive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Path {
-    /// Counts the paths: of two, the one with the higher number holds.
+    /// The number of the path: of two paths, the higher number wins.
     pub number: u32,
     /// The points in `map`, in order.
     pub waypoints: Vec<Waypoint, MAX_WAYPOINTS>,
@@ -299,12 +300,12 @@ pub struct Waypoint {
     pub y: Millimetres,
 }
 
-/// Stop, or drive again.
+/// Stops the robot, or lets it drive again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stop {
-    /// Counts: of two, the one with the higher number holds.
+    /// The number of the command: of two, the higher number wins.
     pub number: u32,
-    /// Whether to stand.
+    /// Whether to stop.
     pub stop: bool,
 }
 
@@ -312,13 +313,13 @@ pub struct Stop {
 /// [`ParameterReport`](super::ParameterReport).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ParameterCommand {
-    /// Given back in the report.
+    /// The number of the command, returned in the report.
     pub number: u16,
-    /// What to do.
+    /// The action.
     pub action: ParameterAction,
 }
 
-/// What to do with parameters.
+/// An action on parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ParameterAction {
     /// Report all of them.
@@ -329,10 +330,10 @@ pub enum ParameterAction {
     Set(ParameterValue),
 }
 
-/// The most tiles in one [`Stored`].
+/// Maximum number of tiles in one [`Stored`].
 pub const MAX_STORED: usize = 8;
 
-/// The server has these states of the robot's tiles on disk.
+/// Confirms that these states of the robot's tiles are on the server's disk.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stored {
     /// The tiles and their states.

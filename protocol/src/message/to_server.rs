@@ -1,4 +1,4 @@
-//! What a robot says to the server.
+//! Messages from a robot to the server.
 
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
@@ -27,50 +27,49 @@ messages! {
     10 ParameterReport(ParameterReport),
 }
 
-/// Opens a conversation, in a handshake frame: who the robot is and what it can do.
+/// Opens a session, in a handshake frame: the robot's identity and capabilities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
     /// The newest version of the protocol that the robot speaks.
     pub version: u8,
     /// The oldest version that it still speaks.
     pub min_version: u8,
-    /// Which robot.
+    /// The robot's number.
     pub robot: RobotId,
-    /// Different at every attempt of every boot, so that an old welcome is not taken for a new one.
+    /// Different for every attempt of every boot, so that a stale welcome is not accepted.
     pub nonce: u32,
     /// The largest frame that the robot can receive, in bytes on the wire.
     pub frame: u16,
     /// The side of its map's cells.
     pub resolution: Millimetres,
-    /// How many fused tiles the robot can hold.
+    /// Number of fused tiles that the robot can hold.
     pub fused_tiles: u16,
 }
 
 /// Asks for the server's time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TimeRequest {
-    /// Given back in the reply.
+    /// The nonce of the request, returned in the reply.
     pub nonce: u16,
 }
 
-/// How the robot fares; sent now and then, which keeps the session alive.
+/// The robot's status; sent periodically, which keeps the session alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct State {
-    /// The moment that `pose` is for, in the server's clock; `None` before the clocks agree.
+    /// The time of `pose`, in the server's clock; `None` before the clocks are synchronised.
     pub time: Option<Instant>,
-    /// Where the robot believes that it is (`base_link` in `map`); `None` if it doesn't know.
+    /// Estimated pose (`base_link` in `map`); `None` if unknown.
     pub pose: Option<Pose>,
-    /// Where its wheels say that it is (`base_link` in `odom`) at the same moment; `None` if it
-    /// has no odometry.
+    /// Odometry pose (`base_link` in `odom`) at the same time; `None` if the robot has no odometry.
     pub odometry: Option<Pose>,
-    /// Cells that it could not map since it started because its pool of tiles was full.
+    /// Cells not mapped since start because the tile pool was full.
     pub cells_refused: u32,
 }
 
-/// The rectangle of which the robot wants the server's tiles, corners included.
+/// The rectangle of tiles that the robot wants from the server, corners included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Interest {
-    /// Counts the changes of interest: of two, the one with the higher number holds.
+    /// Counts the changes of interest: of two, the higher number wins.
     pub number: u32,
     /// The south-western tile.
     pub from: TileId,
@@ -79,7 +78,7 @@ pub struct Interest {
 }
 
 impl Interest {
-    /// Whether a tile lies in the rectangle.
+    /// Whether the rectangle contains a tile.
     pub fn contains(&self, tile: TileId) -> bool {
         (self.from.x..=self.to.x).contains(&tile.x) && (self.from.y..=self.to.y).contains(&tile.y)
     }
@@ -90,64 +89,64 @@ impl Interest {
         (from.y..=to.y).flat_map(move |y| (from.x..=to.x).map(move |x| TileId { x, y }))
     }
 
-    /// How many tiles the rectangle holds.
+    /// Number of tiles in the rectangle.
     pub fn tiles(&self) -> u32 {
         let side = |from: i16, to: i16| (i32::from(to) - i32::from(from) + 1).max(0) as u32;
         side(self.from.x, self.to.x).saturating_mul(side(self.from.y, self.to.y))
     }
 }
 
-/// The most columns of one [`DistanceVector`].
+/// Maximum number of columns in one [`DistanceVector`].
 pub const MAX_COLUMNS: usize = 64;
 
-/// The free distance in front of the robot, a few columns wide (Ahmed 2.1): from it the server
-/// measures the error of the robot's pose.
+/// The free distance around the robot in a number of columns (Ahmed 2.1). The server estimates the
+/// robot's pose error from it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DistanceVector {
-    /// When it was taken, in the server's clock.
+    /// When the scan was taken, in the server's clock.
     pub time: Instant,
-    /// Where the robot believed to be (`base_link` in `map`).
+    /// The robot's estimated pose at that time (`base_link` in `map`).
     pub pose: Pose,
-    /// The bearing of the first column's middle in `base_link`.
+    /// The bearing of the first column's centre in `base_link`.
     pub first: Angle,
-    /// From one column to the next, in binary angle units; negative for clockwise.
+    /// Angle from one column to the next, in binary angle units; negative for clockwise.
     pub step: i16,
-    /// For each column the free distance from the origin of `base_link` in units of 2 cm; 0 where
-    /// nothing is known, 255 for 5.1 m and more.
+    /// For each column the free distance from the origin of `base_link`, in units of 20 mm; 0 if
+    /// unknown, 255 for 5.1 m and more.
     pub distances: Vec<u8, MAX_COLUMNS>,
 }
 
 impl DistanceVector {
-    /// The most bytes of its message that are not columns.
+    /// Maximum size of the message without its columns, in bytes, kind and length included.
     pub const OVERHEAD: usize = 33;
 }
 
-/// How much an event matters.
+/// The severity of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Severity {
-    /// Good to know.
+    /// Informational.
     Info,
-    /// Something works less well than it should.
+    /// Something is degraded.
     Warning,
-    /// Something does not work.
+    /// Something has failed.
     Error,
 }
 
-/// What can happen on a robot. Codes from 0x8000 on are a deployment's own.
+/// Events on a robot. Codes from 0x8000 on are reserved for deployments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
 pub enum EventCode {
     /// The robot has started.
     Started = 1,
-    /// No pose for a second.
+    /// The robot has had no pose for a second.
     PoseLost = 2,
-    /// There is a pose again.
+    /// The robot has a pose again.
     PoseFound = 3,
-    /// No scan, or one that can't be of this sensor.
+    /// No scan has arrived, or only invalid readings.
     SensorFault = 4,
-    /// A wheel or a motor does not do what it should.
+    /// A wheel or a motor has failed.
     DriveFault = 5,
-    /// The pool of tiles is full: cells were refused.
+    /// The tile pool is full; cells were not mapped.
     PoolFull = 6,
     /// The battery is low.
     LowBattery = 7,
@@ -155,17 +154,17 @@ pub enum EventCode {
     Collision = 8,
     /// A person has stopped it.
     StoppedByPerson = 9,
-    /// It can't go on along its path.
+    /// The path is blocked.
     PathBlocked = 10,
-    /// It is at the end of its path.
+    /// The robot has reached the end of its path.
     PathDone = 11,
     /// The watchdog has restarted it.
     Watchdog = 12,
-    /// A scan found no room to wait for its pose.
+    /// The queue of scans waiting for their poses is full.
     ScanOverflow = 13,
-    /// The clock of a scan went backwards.
+    /// A scan's time stamp went backwards.
     ClockBackwards = 14,
-    /// A fix was rejected as absurd.
+    /// A fix was rejected as implausible.
     FixRejected = 15,
 }
 
@@ -188,12 +187,12 @@ impl EventCode {
         Self::FixRejected,
     ];
 
-    /// The code of this number, or `None` for one that this version does not know.
+    /// The event with this number, or `None` if this version does not know it.
     pub fn from_number(number: u16) -> Option<Self> {
         Self::ALL.into_iter().find(|code| *code as u16 == number)
     }
 
-    /// How much such an event usually matters.
+    /// The usual severity of this event.
     pub fn usual_severity(self) -> Severity {
         match self {
             Self::Started | Self::PoseFound | Self::PathDone => Severity::Info,
@@ -207,40 +206,40 @@ impl EventCode {
     }
 }
 
-/// The most bytes of an event's detail.
+/// Maximum length of an event's detail, in bytes.
 pub const MAX_DETAIL: usize = 32;
 
-/// Something that happened on the robot.
+/// An event on the robot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
-    /// When, in the server's clock; `None` before the clocks agree.
+    /// When it happened, in the server's clock; `None` before the clocks are synchronised.
     pub time: Option<Instant>,
-    /// How much it matters.
+    /// Its severity.
     pub severity: Severity,
-    /// What happened: an [`EventCode`], or a code that this version does not know.
+    /// The number of an [`EventCode`], or a code that this version does not know.
     pub code: u16,
-    /// More about it, for people: UTF-8.
+    /// Details for people, in UTF-8.
     pub detail: String<MAX_DETAIL>,
 }
 
-/// The values of parameters, in answer to a [`ParameterCommand`](super::ParameterCommand).
+/// Parameter values, in answer to a [`ParameterCommand`](super::ParameterCommand).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ParameterReport {
     /// The number of the command.
     pub number: u16,
-    /// How it went.
+    /// The result of the command.
     pub outcome: ParameterOutcome,
-    /// The parameters that were asked for, as they are now.
+    /// The requested parameters with their current values.
     pub values: Vec<ParameterValue, MAX_PARAMETERS>,
 }
 
-/// How a command about parameters went.
+/// The result of a parameter command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ParameterOutcome {
-    /// It was carried out.
+    /// The command was executed.
     Done,
     /// The robot has no such parameter.
     Unknown,
-    /// The value is out of its range; nothing was changed.
+    /// The value is out of range; nothing was changed.
     OutOfRange,
 }

@@ -1,4 +1,4 @@
-//! How messages stand in a frame's payload: read and written one after another.
+//! Reading and writing the messages in a frame's payload.
 
 use core::{cell::Cell, fmt, marker::PhantomData, ops::RangeInclusive};
 
@@ -9,11 +9,19 @@ use super::{
     reader::Reader,
 };
 
-/// A body that is not what its kind says.
+/// A message body that cannot be decoded as its kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MalformedMessage;
 
-/// A message body that has not been decoded.
+impl fmt::Display for MalformedMessage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the message cannot be decoded as its kind")
+    }
+}
+
+impl core::error::Error for MalformedMessage {}
+
+/// A message body that is still encoded.
 pub struct Encoded<'a, T> {
     body: &'a [u8],
     decoded: PhantomData<T>,
@@ -24,19 +32,19 @@ impl<'a, T: DeserializeOwned> Encoded<'a, T> {
         Self { body, decoded: PhantomData }
     }
 
-    /// The body. Bytes after it, fields that a later version has added, are passed over.
+    /// Decodes the body. Trailing bytes (fields added by a later version) are ignored.
     ///
     /// # Errors
-    /// [`MalformedMessage`] if it cannot be read.
+    /// [`MalformedMessage`] if the body cannot be decoded.
     pub fn decode(self) -> Result<T, MalformedMessage> {
         decode(&mut Reader::new(self.body))
     }
 
-    /// The fixed part of the body and the bytes that follow it, such as the coded tiles of an
-    /// update.
+    /// Decodes the fixed part of the body and returns it with the remaining bytes, such as the coded
+    /// tiles of an update.
     ///
     /// # Errors
-    /// [`MalformedMessage`] if the fixed part cannot be read.
+    /// [`MalformedMessage`] if the fixed part cannot be decoded.
     pub fn split(self) -> Result<(T, &'a [u8]), MalformedMessage> {
         let mut reader = Reader::new(self.body);
         let head = decode(&mut reader)?;
@@ -44,7 +52,7 @@ impl<'a, T: DeserializeOwned> Encoded<'a, T> {
     }
 }
 
-// By hand: `derive` would ask the same of the body's type.
+// Written by hand: `derive` would require `T: Clone`.
 impl<T> Clone for Encoded<'_, T> {
     fn clone(&self) -> Self {
         *self
@@ -63,18 +71,18 @@ fn decode<T: DeserializeOwned>(reader: &mut Reader<'_>) -> Result<T, MalformedMe
     T::deserialize(reader).map_err(|_| MalformedMessage)
 }
 
-/// One message of direction `D`, of any kind, not decoded.
+/// A message of direction `D` and any kind, whose body is still encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message<'a, D> {
-    /// The number of its kind, known or not.
+    /// The number of its kind, which may be unknown.
     pub number: u8,
-    /// Its body.
+    /// Its encoded body.
     pub body: &'a [u8],
     direction: PhantomData<D>,
 }
 
 impl<'a, D: Traffic> Message<'a, D> {
-    /// A message of a kind with this number.
+    /// A message with the kind's number and an encoded body.
     pub fn new(number: u8, body: &'a [u8]) -> Self {
         Self { number, body, direction: PhantomData }
     }
@@ -84,24 +92,24 @@ impl<'a, D: Traffic> Message<'a, D> {
         D::kind(self.number)
     }
 
-    /// The message by its kind, whose body is then decoded as the type that belongs to the kind.
-    /// `None` if this version does not know the kind.
+    /// The message as the enum of its direction's kinds, which gives the body its type. `None` if this
+    /// version does not know the kind.
     pub fn by_kind(self) -> Option<D::Message<'a>> {
         D::message(self.number, self.body)
     }
 
-    /// The body as `T`.
+    /// Decodes the body as `T`.
     ///
     /// # Errors
-    /// [`MalformedMessage`] if the message is of another kind or cannot be read.
+    /// [`MalformedMessage`] if the message is of another kind or cannot be decoded.
     pub fn decode<T: Body<D>>(self) -> Result<T, MalformedMessage> {
         self.encoded()?.decode()
     }
 
-    /// The body that begins with `T`: see [`Encoded::split`].
+    /// Decodes a body that begins with `T`: see [`Encoded::split`].
     ///
     /// # Errors
-    /// [`MalformedMessage`] if the message is of another kind or `T` cannot be read.
+    /// [`MalformedMessage`] if the message is of another kind or `T` cannot be decoded.
     pub fn split<T: Body<D>>(self) -> Result<(T, &'a [u8]), MalformedMessage> {
         self.encoded()?.split()
     }
@@ -114,7 +122,7 @@ impl<'a, D: Traffic> Message<'a, D> {
     }
 }
 
-/// The messages of a frame's payload, in direction `D`.
+/// Iterates over the messages of a frame's payload, in direction `D`. Ends after the first error.
 #[derive(Clone, Debug)]
 pub struct Messages<'a, D> {
     rest: &'a [u8],
@@ -122,7 +130,7 @@ pub struct Messages<'a, D> {
 }
 
 impl<'a, D: Traffic> Messages<'a, D> {
-    /// The messages of this payload.
+    /// The messages in `payload`.
     pub fn new(payload: &'a [u8]) -> Self {
         Self { rest: payload, direction: PhantomData }
     }
@@ -151,7 +159,7 @@ impl<'a, D: Traffic> Iterator for Messages<'a, D> {
     }
 }
 
-/// Writes messages of direction `D`, one after another, into the payload of a frame.
+/// Writes messages of direction `D` into the payload of a frame.
 #[derive(Debug)]
 pub struct Writer<'a, D> {
     buffer: &'a mut [u8],
@@ -159,16 +167,16 @@ pub struct Writer<'a, D> {
     direction: PhantomData<D>,
 }
 
-/// The most bytes that kind and length take.
+/// Maximum length of a message's kind and length, in bytes.
 const HEAD_LEN: usize = 3;
 
 impl<'a, D: Traffic> Writer<'a, D> {
-    /// Writes into this buffer from its start.
+    /// Writes to `buffer` from its start.
     pub fn new(buffer: &'a mut [u8]) -> Self {
         Self { buffer, len: 0, direction: PhantomData }
     }
 
-    /// Bytes written so far.
+    /// Number of bytes written.
     pub fn len(&self) -> usize {
         self.len
     }
@@ -178,21 +186,21 @@ impl<'a, D: Traffic> Writer<'a, D> {
         self.len == 0
     }
 
-    /// Bytes left for the body of one more message.
+    /// Maximum size of the next message's body, in bytes.
     pub fn room(&self) -> usize {
         self.buffer.len().saturating_sub(self.len + HEAD_LEN)
     }
 
-    /// Adds a message. `false`, and nothing written, if it does not fit.
+    /// Adds a message. Returns false, and writes nothing, if it does not fit.
     #[must_use]
     pub fn push<T: Body<D>>(&mut self, body: &T) -> bool {
         self.write(T::KIND.into(), |space| Some(postcard::to_slice(body, space).ok()?.len()))
             .is_some()
     }
 
-    /// Adds a message whose body begins with `head`; `rest` writes what follows it and returns its
-    /// length, or `None` to write no message after all. `false`, and nothing written, then or if it
-    /// does not fit.
+    /// Adds a message whose body begins with `head`. `rest` writes the remainder and returns its length,
+    /// or `None` to cancel. Returns false, and writes nothing, if cancelled or if the message does not
+    /// fit.
     #[must_use]
     pub fn push_with<T: Body<D>>(
         &mut self,
@@ -206,17 +214,17 @@ impl<'a, D: Traffic> Writer<'a, D> {
         written.is_some()
     }
 
-    /// Adds the longest message that fits: `body` makes it with a number of elements, and the
-    /// numbers of `counts` are tried from the last to the first. Returns the number that fitted;
-    /// `None`, and nothing written, if none did.
+    /// Adds the longest message that fits: `body` builds it with a given number of elements, and the
+    /// numbers in `counts` are tried from the highest down. Returns the number that fitted, or `None`,
+    /// with nothing written, if none did.
     #[must_use]
     pub fn push_longest<T: Body<D>>(
         &mut self,
         counts: RangeInclusive<usize>,
         mut body: impl FnMut(usize) -> T,
     ) -> Option<usize> {
-        let (least, mut count) = counts.into_inner();
-        while count >= least {
+        let (min, mut count) = counts.into_inner();
+        while count >= min {
             if self.push(&body(count)) {
                 return Some(count);
             }
@@ -225,8 +233,7 @@ impl<'a, D: Traffic> Writer<'a, D> {
         None
     }
 
-    /// Adds a message that is encoded already, of whatever kind. `false`, and nothing written, if it
-    /// does not fit.
+    /// Adds an encoded message of any kind. Returns false, and writes nothing, if it does not fit.
     #[must_use]
     pub fn push_encoded(&mut self, message: Message<'_, D>) -> bool {
         let Message { number, body, .. } = message;
@@ -238,14 +245,14 @@ impl<'a, D: Traffic> Writer<'a, D> {
     }
 
     fn write(&mut self, number: u8, body: impl FnOnce(&mut [u8]) -> Option<usize>) -> Option<()> {
-        // The body is written where the longest head would end, then moved down to the real one.
+        // The body is written after the longest possible head, then moved down to the actual one.
         let space = self.buffer.get_mut(self.len..)?.get_mut(HEAD_LEN..)?;
         let body_len = body(space)?;
         self.close(number, body_len)
     }
 
-    /// Puts the head before a body that has been written. Apart, so that it is in the firmware
-    /// once and not for each kind of message.
+    /// Writes the head before a body that is already in place. Not inlined, so that the firmware has it
+    /// once instead of once for each kind of message.
     #[inline(never)]
     fn close(&mut self, number: u8, body_len: usize) -> Option<()> {
         let space = self.buffer.get_mut(self.len..)?;
@@ -257,7 +264,7 @@ impl<'a, D: Traffic> Writer<'a, D> {
             return None;
         }
         let start = 1 + len_len;
-        // Not by `copy_within`, which brings its panics into the firmware.
+        // `copy_within` would bring its panics into the firmware.
         let cells = Cell::from_mut(space).as_slice_of_cells();
         let moves = cells.iter().skip(start).zip(cells.iter().skip(HEAD_LEN)).take(body_len);
         moves.for_each(|(to, from)| to.set(from.get()));
@@ -312,7 +319,7 @@ mod tests {
             layer: Layer::Robot,
             tiles: core::iter::repeat_n(TileId { x: 1, y: 1 }, count).collect(),
         };
-        // Three bytes for kind and length while it is written, layer, count, two for each tile.
+        // Sizes: up to three bytes for kind and length, layer, count, two for each tile.
         for (room, expected) in [(4, None), (5, None), (7, Some(1)), (10, Some(2)), (99, Some(4))] {
             let mut buffer = [0u8; 99];
             let mut writer = Writer::<ToRobot>::new(&mut buffer[..room]);
@@ -325,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn kinds_and_numbers_belong_to_each_other() {
+    fn kinds_and_numbers_correspond_one_to_one() {
         fn check<D: Traffic>(all: &[D::Kind]) {
             let known: std::vec::Vec<u8> =
                 (0..=u8::MAX).filter(|&it| D::kind(it).is_some()).collect();
@@ -340,7 +347,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_end(payload in proptest::collection::vec(any::<u8>(), 0..300)) {
+        fn reading_any_bytes_ends(payload in proptest::collection::vec(any::<u8>(), 0..300)) {
             let count = Messages::<ToServer>::new(&payload).count();
             prop_assert!(count <= payload.len());
         }

@@ -1,11 +1,9 @@
-//! The cells of one part of a tile: whole rows that have not changed in one decision, the others
-//! cell by cell.
+//! Codes the cells of one part of a tile: an unchanged row in one decision, other rows cell by cell.
 //!
-//! What a cell's context needs lies in the planes of its row and of the row to the south. One
-//! transposition of these planes gives a byte for each cell of the row, which with what is known
-//! of the cell to the west is an index of a small table. Cells side by side that are alike share
-//! it: their decisions follow each other without another look, in nine instructions for a cell
-//! that stays unknown.
+//! A cell's context depends on the planes of its row and of the row to the south. Transposing these
+//! planes gives one byte for each cell of the row; the byte and the state of the cell to the west
+//! index a small table. A run of equal bytes shares its context, so the decisions of a run need no
+//! further lookups: a cell that stays unknown costs nine instructions.
 
 use super::{
     Row, TILE_SIDE, Tile,
@@ -14,15 +12,15 @@ use super::{
     range_coder::{Decoder, Encoder, Model},
 };
 
-/// The codes to which a cell may change, likeliest first, by its old code (1 to 3).
+/// The codes to which a known cell may change, most likely first, by its old code (1 to 3).
 const OTHERS: [[u8; 3]; 3] = [[2, 3, 0], [1, 3, 0], [1, 2, 0]];
 
-/// Bytes that the header of a part is longer by than that of the rest of a tile.
+/// Additional bytes in the header of a part that ends before the tile does.
 const PART_HEADER: usize = 2;
 
-/// Codes the cells of a part, and returns the cell after those that fitted, `part.end` if all did.
-/// Of a tile that does not fit they leave room for the header of a part, and cells that are alike
-/// stay together.
+/// Codes the cells of a part and returns the cell after the last that fitted; `part.end` if all did.
+/// If the tile does not fit, room is left for the header of a part, and runs of equal cells are not
+/// split.
 pub(super) fn put(
     coder: &mut Encoder<'_>,
     models: &mut Models,
@@ -57,11 +55,11 @@ pub(super) fn put(
     part.end
 }
 
-// Cells that are alike, side by side, share their contexts: the models of these are held by value
-// too, until another cell comes. What is rare is in functions of its own, which take the coder by
-// value and give it back: by reference they would keep its state out of registers everywhere.
+// The models of a run's shared contexts are held by value until the run ends. Rare cases are in
+// functions of their own that take the coder by value and return it: a reference to the coder would
+// keep its state out of registers everywhere.
 
-/// Codes a row, and returns the column after the cells that fitted, if any did.
+/// Codes a row and returns the column after the last cell that fitted, `None` if none did.
 #[inline(always)]
 fn put_row<'a>(
     mut coder: Encoder<'a>,
@@ -76,7 +74,7 @@ fn put_row<'a>(
     while x < columns.to {
         let cell = cells.at(x);
         let now = cell.seen_from_east();
-        // The first of them may have another neighbour to the west than the others.
+        // The first cell of a run may have another west neighbour than the rest.
         let count = if now == west { cells.alike(x, columns) } else { 1 };
         let at = cell.context(west);
         match cell.change() {
@@ -150,7 +148,7 @@ pub(super) fn take(
     *coder = hot;
 }
 
-/// Reads the cells of a row in some columns.
+/// Reads the cells of a row in `columns`.
 #[inline(always)]
 fn take_row<'a>(
     mut coder: Decoder<'a>,
@@ -164,7 +162,7 @@ fn take_row<'a>(
     while x < columns.to {
         let cell = cells.at(x);
         let at = cell.context(west);
-        // The contexts stay as long as cells turn out like the one to the west of the first.
+        // The context stays the same while the cells read equal the one to the west of the first.
         let alike = x + cells.alike(x, columns);
         let mut changed = models[usize::from(at)];
         let same = West::of(cell.before(), false);
@@ -209,9 +207,9 @@ fn take_row<'a>(
     (coder, row)
 }
 
-/// Reads cells of context `at` that were unknown and have turned free, from column `from` to `end` at
-/// most; that the first one has changed has been read, with the model `changed`. Returns the column of
-/// the first cell that is not free, and whether it is occupied.
+/// Reads a run of cells in context `at` that were unknown and are now free, in the columns `from` to
+/// at most `end`. The caller has already read, with the model `changed`, that the first one changed.
+/// Returns the column of the first cell that is not free, and whether that cell is occupied.
 #[inline(always)]
 fn take_free<'a>(
     mut coder: Decoder<'a>,
@@ -256,7 +254,7 @@ fn take_change<'a>(mut coder: Decoder<'a>, models: &mut Models, cell: Cell) -> (
     (coder, new)
 }
 
-/// Which kind of cell it was, and the codes that it may change to.
+/// The index of the cell's old code among known codes, and the codes to which it may change.
 fn others(cell: Cell) -> (usize, [u8; 3]) {
     match cell.before() {
         3 => (2, OTHERS[2]),
@@ -265,12 +263,12 @@ fn others(cell: Cell) -> (usize, [u8; 3]) {
     }
 }
 
-/// The cells that differ.
+/// The cells that differ, as a mask.
 fn changes(was: Row, is: Row) -> u32 {
     was.low ^ is.low | was.high ^ is.high
 }
 
-/// The row to the south, before and after.
+/// The row to the south, before and after the update.
 #[derive(Clone, Copy)]
 struct South {
     was: Row,
@@ -278,7 +276,7 @@ struct South {
 }
 
 impl South {
-    /// South of the first row of a part: what `tile` holds there has not changed in this part.
+    /// The row to the south of a part's first row, which counts as unchanged.
     fn of(part: &TileHeader, tile: &Tile) -> Self {
         let south = part.rows().start.checked_sub(1);
         let row = south.map_or(Row::default(), |y| tile.row(y));
@@ -289,12 +287,12 @@ impl South {
         &mut models[context::ROW + usize::from(self.was != self.is)]
     }
 
-    /// A row's planes, in the order of the bits of a [`Cell`]. `is` is left out by the decoder,
-    /// which does not know it.
+    /// A row's planes, in the order of the bits of a [`Cell`]. The decoder does not know `is` and
+    /// passes an empty row.
     fn planes(&self, was: Row, is: Row) -> [u32; 8] {
         let Self { is: south, was: south_was } = *self;
         let known = was.known();
-        // What is not known there yet takes the left word, what is known the right.
+        // Selects for each cell the bit of `unknown` if the cell was unknown, otherwise that of `other`.
         let either = |unknown: u32, other: u32| unknown & !known | other & known;
         let south_free = south.low & !south.high;
         [
@@ -310,14 +308,14 @@ impl South {
     }
 }
 
-/// A cell and what both sides know around it, but for the cell to the west. From the lowest bit:
-/// its new code (2 bits), whether it was known, and five bits that are the higher bits of an index
-/// of [`context::OF_UNKNOWN`] or [`context::OF_KNOWN`].
+/// A cell and its surroundings as known to both sides, without the cell to the west. From the lowest
+/// bit: its new code (2 bits), whether it was known, and the five high bits of its index in
+/// [`context::OF_UNKNOWN`] or [`context::OF_KNOWN`].
 #[derive(Clone, Copy)]
 struct Cell(u8);
 
 impl Cell {
-    /// Its new code.
+    /// The new code.
     fn after(self) -> u8 {
         self.0 & 3
     }
@@ -330,7 +328,7 @@ impl Cell {
         if self.was_known() { self.0 >> 3 & 3 } else { 0 }
     }
 
-    /// The context of whether it has changed.
+    /// The context of the decision whether the cell has changed.
     #[inline(always)]
     fn context(self, west: West) -> u8 {
         let around = usize::from(self.0 >> 1 & 0x7C);
@@ -349,14 +347,14 @@ impl Cell {
         }
     }
 
-    /// What it is to the cell to the east, once its new code is known.
+    /// The cell as the west neighbour of the next one, once its new code is known.
     #[inline(always)]
     fn seen_from_east(self) -> West {
         West::of(self.after(), self.change() != Change::None)
     }
 }
 
-/// What has become of a cell: the likely first.
+/// How a cell has changed. The two frequent cases have variants of their own.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Change {
     None,
@@ -364,8 +362,8 @@ enum Change {
     Other,
 }
 
-/// The cell to the west: 0 for unknown, 1 for free, 2 for occupied or movable, and 4 more if it
-/// has changed.
+/// The cell to the west: 0 for unknown, 1 for free, 2 for occupied or movable, plus 4 if it has
+/// changed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct West(u8);
 
@@ -380,7 +378,7 @@ impl West {
     }
 }
 
-/// The columns of one row that a part holds.
+/// A range of columns of one row.
 #[derive(Clone, Copy)]
 struct Columns {
     from: usize,
@@ -393,7 +391,7 @@ impl Columns {
         below(self.to) & !below(self.from)
     }
 
-    /// The cell to the west of the first: it has not changed in this part.
+    /// The cell to the west of the first column, which counts as unchanged.
     fn west(self, row: Row) -> West {
         let Some(x) = self.from.checked_sub(1) else { return West::UNKNOWN };
         West::of((row.low >> x & 1 | (row.high >> x & 1) << 1) as u8, false)
@@ -415,17 +413,17 @@ impl TileHeader {
 struct Cells {
     /// Cell `x` is byte `x / 8` of word `x % 8`.
     words: [u32; 8],
-    /// Those of which the cell to the east is another.
+    /// Mask of the cells that end a run: the cell to the east differs.
     last: u32,
 }
 
 impl Cells {
-    /// From planes: the bits of every cell, the lowest first.
+    /// Transposes planes (the lowest bit of every cell first) into cells.
     #[inline(always)]
     fn new(planes: [u32; 8]) -> Self {
         let last = planes.iter().fold(0, |last, plane| last | plane ^ plane >> 1);
         let [mut a, mut b, mut c, mut d, mut e, mut f, mut g, mut h] = planes;
-        // Four squares of eight by eight bits are transposed side by side.
+        // Transposes four 8 x 8 bit squares at once.
         exchange(&mut a, &mut e, 4, 0x0F0F_0F0F);
         exchange(&mut b, &mut f, 4, 0x0F0F_0F0F);
         exchange(&mut c, &mut g, 4, 0x0F0F_0F0F);
@@ -446,7 +444,7 @@ impl Cells {
         Cell((self.words[x % 8] >> (x & 24)) as u8)
     }
 
-    /// How many cells from `x` on are alike, at least one.
+    /// Length of the run of equal cells that starts at `x`; at least one.
     #[inline(always)]
     fn alike(&self, x: usize, columns: Columns) -> usize {
         let count = (self.last >> (x % TILE_SIDE)).trailing_zeros() as usize + 1;
@@ -454,7 +452,7 @@ impl Cells {
     }
 }
 
-/// Exchanges the high bits of `first`'s groups with the low ones of `second`'s.
+/// Exchanges the high bits of each group in `first` with the low bits of that in `second`.
 #[inline(always)]
 fn exchange(first: &mut u32, second: &mut u32, shift: u32, low: u32) {
     let differ = (*first >> shift ^ *second) & low;

@@ -1,7 +1,9 @@
-//! Tile updates: what changed in some tiles since a base version, or whole tiles.
+//! Tile updates: the changes of some tiles since a base version, or whole tiles.
 //!
-//! One stream of the range coder holds any number of tiles. What does not fit ends a tile early:
-//! the rest travels as a further part of the same version, in a later frame.
+//! An update is one range-coder stream that holds up to [`MAX_TILES_PER_UPDATE`] tiles. A tile that
+//! does not fit is cut: the rest travels in a later frame, as a further part of the same version.
+
+use core::fmt;
 
 use super::{
     Epoch, Stamp, TILE_SIDE, Tile, TileId, Version, cells,
@@ -10,10 +12,10 @@ use super::{
     range_coder::{Decoder, Encoder},
 };
 
-/// Cells in a row of a tile.
+/// Number of cells in a row of a tile.
 const SIDE: u16 = TILE_SIDE as u16;
 
-/// The most tiles that one update may hold: bounds the work of a decoder.
+/// Maximum number of tiles in one update: bounds the work of a decoder.
 pub const MAX_TILES_PER_UPDATE: usize = 32;
 
 /// Orders of the Exp-Golomb codes in a tile's header.
@@ -21,7 +23,7 @@ const FIRST_ID_ORDER: u32 = 3;
 const EPOCH_ORDER: u32 = 4;
 const VERSION_ORDER: u32 = 3;
 
-/// Writes one tile update into a buffer of the caller's.
+/// Writes one tile update into the caller's buffer.
 #[derive(Debug)]
 pub struct TileEncoder<'a> {
     coder: Encoder<'a>,
@@ -31,25 +33,25 @@ pub struct TileEncoder<'a> {
 }
 
 impl<'a> TileEncoder<'a> {
-    /// Writes into this buffer from its start.
+    /// Writes to `out` from its start.
     pub fn new(out: &'a mut [u8]) -> Self {
         Self { coder: Encoder::new(out), models: context::models(), previous: None, tiles: 0 }
     }
 
-    /// How many tiles the update holds so far.
+    /// Number of tiles in the update.
     pub fn tiles(&self) -> usize {
         self.tiles
     }
 
     /// Adds the cells of `new` from `start` on (`stamp.version` and `base` as in
-    /// [`TileHeader`]). `old` is what the receiver holds of the tile: the base version from
-    /// `start` on, and `new` before it; unknown from `start` on if there is no base.
+    /// [`TileHeader`]). `old` is the tile as the receiver holds it: from `start` on the base version,
+    /// or unknown without a base, and before `start` the same as `new`.
     ///
-    /// Returns the cell after the last that fitted, or `None` if not even one did, if the update
-    /// holds [`MAX_TILES_PER_UPDATE`], or if the versions do not run 0 < base < version. Only the
-    /// first tile of an update is cut short; it is then coded twice. A whole new tile of a scan (600
-    /// known cells) takes 58,000 instructions on a Cortex-M4 (`cargo instructions`), the mean update
-    /// of a robot in an office 15,000.
+    /// Returns the cell after the last that fitted, or `None` if no cell fitted, if the update is full
+    /// ([`MAX_TILES_PER_UPDATE`]), or unless 0 < base < version. Only the first tile of an update is
+    /// ever cut; it is then coded twice. Cost on a Cortex-M4 (`cargo instructions`): 58,000
+    /// instructions for a whole new tile with 600 known cells, 15,000 for the mean update of a robot in
+    /// an office.
     pub fn push(
         &mut self,
         id: TileId,
@@ -62,8 +64,8 @@ impl<'a> TileEncoder<'a> {
         if self.tiles >= MAX_TILES_PER_UPDATE || start >= TILE_CELLS {
             return None;
         }
-        let least = base.unwrap_or(Version(0));
-        if base == Some(Version(0)) || stamp.version <= least {
+        let min = base.unwrap_or(Version(0));
+        if base == Some(Version(0)) || stamp.version <= min {
             return None;
         }
         let (before, models) = (self.coder.checkpoint(), self.models);
@@ -78,7 +80,7 @@ impl<'a> TileEncoder<'a> {
             }
             self.coder.rewind(before);
             self.models = models;
-            // Not even the first cells that are alike may fit: then fewer of them.
+            // If not even the first run of equal cells fits, try half a row at most.
             end = if fitted > start { fitted } else { start + (end - start).min(SIDE) / 2 };
             if self.tiles > 0 || end <= start {
                 return None;
@@ -86,7 +88,7 @@ impl<'a> TileEncoder<'a> {
         }
     }
 
-    /// Ends the update. Returns its length; `None` if it holds nothing.
+    /// Ends the update. Returns its length in bytes; `None` if it holds no tile or does not fit.
     pub fn finish(self) -> Option<usize> {
         if self.tiles == 0 {
             return None;
@@ -96,7 +98,7 @@ impl<'a> TileEncoder<'a> {
         coder.finish()
     }
 
-    /// Codes a part, and returns the cell after the last that fitted.
+    /// Codes a part and returns the cell after the last that fitted.
     fn try_push(&mut self, header: &TileHeader, old: &Tile, new: &Tile) -> u16 {
         self.put_header(header);
         cells::put(&mut self.coder, &mut self.models, header, old, new)
@@ -124,7 +126,7 @@ impl<'a> TileEncoder<'a> {
         coder.bit(&mut models[context::HAS_BASE], header.base.is_some());
         coder.golomb(header.stamp.version.0, VERSION_ORDER);
         if let Some(base) = header.base {
-            // Nearly always the version before.
+            // The base is nearly always the version before.
             coder.golomb(header.stamp.version.0.wrapping_sub(base.0).wrapping_sub(1), 0);
         }
         let from_start = header.start == 0;
@@ -143,13 +145,26 @@ impl<'a> TileEncoder<'a> {
 /// Why an update cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TileError {
-    /// A number that no encoder writes, or a stream that is longer than what it says.
+    /// A value that no encoder writes, or unread bytes after the last tile.
     Malformed,
-    /// More tiles than [`MAX_TILES_PER_UPDATE`].
+    /// More than [`MAX_TILES_PER_UPDATE`] tiles.
     TooManyTiles,
 }
 
-/// Reads a tile update. The work is bounded by [`MAX_TILES_PER_UPDATE`] tiles.
+impl fmt::Display for TileError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Malformed => f.write_str("the tile update is malformed"),
+            Self::TooManyTiles => {
+                write!(f, "the tile update has more than {MAX_TILES_PER_UPDATE} tiles")
+            }
+        }
+    }
+}
+
+impl core::error::Error for TileError {}
+
+/// Reads a tile update of at most [`MAX_TILES_PER_UPDATE`] tiles, which bounds the work.
 #[derive(Debug)]
 pub struct TileDecoder<'a> {
     coder: Decoder<'a>,
@@ -159,13 +174,13 @@ pub struct TileDecoder<'a> {
 }
 
 impl<'a> TileDecoder<'a> {
-    /// Reads what a [`TileEncoder`] wrote.
+    /// Reads an update written by a [`TileEncoder`].
     pub fn new(coded: &'a [u8]) -> Self {
         Self { coder: Decoder::new(coded), models: context::models(), previous: None, tiles: 0 }
     }
 
-    /// The header of the next tile, `None` after the last. Its cells must be read, with
-    /// [`TileDecoder::cells`], before the next header can be.
+    /// The header of the next tile, `None` after the last. Call [`TileDecoder::cells`] for its cells
+    /// before asking for the next header.
     pub fn header(&mut self) -> Result<Option<TileHeader>, TileError> {
         let Self { coder, models, previous, tiles } = self;
         let (id, epoch) = match *previous {
@@ -213,8 +228,8 @@ impl<'a> TileDecoder<'a> {
         Ok(Some(TileHeader { id, stamp: Stamp { epoch, version }, base, start, end }))
     }
 
-    /// Reads the cells of the part that `header` announced into `tile`, which holds the base (or
-    /// nothing known, if there is none) from `header.start` on, and the new cells before.
+    /// Reads the cells of the part described by `header` into `tile`. From `header.start` on, `tile`
+    /// must hold the base (or unknown cells without one), and before it the new cells.
     pub fn cells(&mut self, header: &TileHeader, tile: &mut Tile) {
         cells::take(&mut self.coder, &mut self.models, header, tile);
     }
@@ -236,7 +251,7 @@ mod tests {
     use crate::tile::{Cell, Row};
     use proptest::prelude::*;
 
-    /// A tile with rows of few changes, like a map, and some like noise.
+    /// A tile in which some rows have runs, like a map, and some are noise.
     fn tile() -> impl Strategy<Value = Tile> {
         let row = prop_oneof![
             4 => Just(Row { low: u32::MAX, high: 0 }),
@@ -285,7 +300,7 @@ mod tests {
         }
 
         #[test]
-        fn parts_of_any_size_make_the_tile(old in tile(), new in tile(), whole: bool, room in 18usize..60) {
+        fn parts_of_any_size_assemble_to_the_tile(old in tile(), new in tile(), whole: bool, room in 18usize..60) {
             let base = if whole { Tile::UNKNOWN } else { old };
             let version = (!whole).then_some(Version(4));
             let mut sent = base;
@@ -315,7 +330,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_end_within_the_bound(coded in proptest::collection::vec(any::<u8>(), 0..300)) {
+        fn decoding_any_bytes_ends_within_the_tile_limit(coded in proptest::collection::vec(any::<u8>(), 0..300)) {
             let mut decoder = TileDecoder::new(&coded);
             let mut tiles = 0;
             while let Ok(Some(header)) = decoder.header() {
@@ -328,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn versions_begin_at_one_and_a_base_comes_before() {
+    fn versions_start_at_one_and_exceed_their_base() {
         let mut out = [0u8; 60];
         let mut encoder = TileEncoder::new(&mut out);
         let tile = Tile::UNKNOWN;
@@ -340,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tile_that_does_not_fit_leaves_the_update_as_it_was() {
+    fn a_tile_that_does_not_fit_leaves_the_update_unchanged() {
         let mut noise = Tile::UNKNOWN;
         for y in 0..TILE_SIDE {
             let word = 0x9E37_79B9u32.wrapping_mul(y as u32 + 1);

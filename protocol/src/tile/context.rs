@@ -1,5 +1,5 @@
-//! What the coder of tiles expects: which context a decision falls into, and how likely it is
-//! there before anything has been coded. The table is part of the format.
+//! The contexts of the tile coder's decisions, and the initial probability in each. The tables are part
+//! of the wire format.
 
 use super::range_coder::Model;
 
@@ -13,7 +13,7 @@ pub(super) const HAS_BASE: usize = 2;
 pub(super) const FROM_START: usize = 3;
 /// Context of "the part ends at the last cell".
 pub(super) const TO_END: usize = 4;
-/// Contexts of "the row has changed", by whether the row before has.
+/// Contexts of "the row has changed", by whether the row to the south has.
 pub(super) const ROW: usize = 5;
 /// Contexts of "an unknown cell is now known", by surroundings.
 pub(super) const KNOWN: usize = ROW + 2;
@@ -23,14 +23,14 @@ pub(super) const OCCUPIED: usize = KNOWN + 54;
 pub(super) const MOVABLE: usize = OCCUPIED + 54;
 /// Contexts of "a known cell has changed".
 pub(super) const CHANGED: usize = MOVABLE + 1;
-/// Contexts of "a changed cell went to the likelier of its other codes", by its old code.
+/// Contexts of "a changed cell took the likeliest of its other codes", by its old code.
 pub(super) const USUAL: usize = CHANGED + 36;
-/// Contexts of "a changed cell went to the second likeliest of them", by its old code.
+/// Contexts of "a changed cell took the second likeliest of its other codes", by its old code.
 pub(super) const SECOND: usize = USUAL + 3;
-/// How many contexts there are.
+/// Number of contexts.
 pub(super) const CONTEXTS: usize = SECOND + 3;
 
-/// The models of all contexts; there are more places than contexts, so that any byte is an index.
+/// The models of all contexts, padded to 256 so that any byte is a valid index.
 pub(super) type Models = [Model; 256];
 
 /// A fresh set of models.
@@ -42,22 +42,21 @@ pub(super) fn models() -> Models {
     models
 }
 
-/// What stands around a cell, as far as both sides know it when the cell is coded. A cell is 0 if
-/// it is unknown or beyond the edge, 1 if it is free, 2 if it is occupied or movable: they look
-/// alike here.
+/// The surroundings of a cell as known to both sides when the cell is coded. Each neighbour is 0 if it
+/// is unknown or beyond the edge, 1 if it is free, 2 if it is occupied or movable.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Surroundings {
-    /// The new cell to the west.
+    /// The cell to the west after the update.
     pub(super) west: usize,
-    /// The new cell to the south.
+    /// The cell to the south after the update.
     pub(super) south: usize,
-    /// The new cell to the south-east.
+    /// The cell to the south-east after the update.
     pub(super) south_east: usize,
-    /// The old cell to the east.
+    /// The cell to the east before the update.
     pub(super) east: usize,
     /// Whether the cell to the west has changed.
     pub(super) west_changed: bool,
-    /// Whether the cell to the south has changed, as far as this part tells.
+    /// Whether the cell to the south has changed; false in the first row of a part.
     pub(super) south_changed: bool,
 }
 
@@ -78,8 +77,8 @@ impl Surroundings {
     }
 }
 
-/// [`Surroundings::of_unknown`] by index. From the lowest bit: the cell to the west (2 bits), to
-/// the south (2), to the south-east (2), whether that to the east was known.
+/// [`Surroundings::of_unknown`] as a table. Bits of the index from the lowest: the cell to the west
+/// (2 bits), to the south (2), to the south-east (2), whether the cell to the east was known.
 pub(super) static OF_UNKNOWN: [u8; 128] = {
     let mut contexts = [KNOWN as u8; 128];
     let mut index = 0;
@@ -97,9 +96,9 @@ pub(super) static OF_UNKNOWN: [u8; 128] = {
     contexts
 };
 
-/// [`Surroundings::of_known`] by index. From the lowest bit: whether the cell to the west is
-/// occupied, whether it has changed, the old code (2 bits), whether the cell to the south is
-/// occupied, whether that to the east was, whether the cell to the south has changed.
+/// [`Surroundings::of_known`] as a table. Bits of the index from the lowest: whether the cell to the
+/// west is occupied, whether it has changed, the old code (2 bits), whether the cell to the south is
+/// occupied, whether the cell to the east was, whether the cell to the south has changed.
 pub(super) static OF_KNOWN: [u8; 128] = {
     let mut contexts = [CHANGED as u8; 128];
     let mut index = 0;
@@ -121,13 +120,13 @@ pub(super) static OF_KNOWN: [u8; 128] = {
     contexts
 };
 
-/// The context of "a newly known cell is occupied", by that of "it is known".
+/// The context of "a newly known cell is occupied" that belongs to the context `known`.
 pub(super) const fn occupied(known: u8) -> u8 {
     known.wrapping_add((OCCUPIED - KNOWN) as u8)
 }
 
-/// The probability of 0 in each context at the start, in 1/256: the averages over updates of
-/// several recorded logs and a simulated room.
+/// The initial probability of 0 in each context, in 1/256: averages over the updates of several
+/// recorded logs and a simulated room.
 #[rustfmt::skip]
 pub(super) const PRIORS: [u8; CONTEXTS] = [
     162, 199, 51, 2, 8, 234, 35, 252, 234, 193, 223, 224, 228, 157, 206, 90, 145, 125,

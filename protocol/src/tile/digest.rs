@@ -1,9 +1,9 @@
-//! Hashes by which two sides find out whether they hold the same.
+//! Hashes by which two sides check whether they hold the same tiles.
 
 use super::{Stamp, TILE_SIDE, Tile, TileId};
 use crate::checksum::crc32;
 
-/// The hash of a tile's cells: the CRC-32 of its low plane's rows and then its high plane's, each
+/// The hash of a tile's cells: the CRC-32 of the rows of its low plane, then of its high plane, each row
 /// a little-endian word.
 pub fn tile_hash(tile: &Tile) -> u32 {
     let mut bytes = [0u8; 8 * TILE_SIDE];
@@ -13,8 +13,8 @@ pub fn tile_hash(tile: &Tile) -> u32 {
     crc32(&[&bytes])
 }
 
-/// The digest of a set of tiles, whatever their order: the sum (wrapping) of the CRC-32 of each
-/// one's id, epoch, version and hash, all little-endian.
+/// The digest of a set of tiles, independent of their order: the wrapping sum of the CRC-32 of each
+/// tile's id, epoch, version and hash, all little-endian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Digest(pub u64);
 
@@ -38,7 +38,7 @@ mod tests {
     use crate::tile::{Cell, Epoch, Version};
 
     #[test]
-    fn the_order_of_tiles_does_not_matter_and_each_field_does() {
+    fn a_digest_depends_on_each_field_but_not_on_the_order_of_tiles() {
         let stamp = Stamp { epoch: Epoch(1), version: Version(2) };
         let (here, there) = (TileId { x: 1, y: 2 }, TileId { x: 2, y: 1 });
         let digest = |entries: &[(TileId, Stamp, u32)]| {

@@ -1,34 +1,34 @@
-//! Which part of a tile an update holds, and what it builds upon.
+//! The header of a tile in an update: its stamp, its base and its range of cells.
 
 use core::ops::Range;
 
 use super::{Stamp, TILE_SIDE, TileId, Version};
 
-/// Cells of a tile, row by row from the south-west.
+/// Number of cells in a tile.
 pub const TILE_CELLS: u16 = (TILE_SIDE * TILE_SIDE) as u16;
 
-/// What precedes the cells of one tile in an update.
+/// What precedes the cells of a tile in an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TileHeader {
     /// Which tile.
     pub id: TileId,
-    /// The state that the tile is in once all parts have arrived.
+    /// The state of the tile once all parts have arrived.
     pub stamp: Stamp,
-    /// The version (of the same epoch) that it builds upon; `None`: on nothing, it is whole.
+    /// The version (of the same epoch) that the update builds upon; `None` for a whole tile.
     pub base: Option<Version>,
-    /// The first cell of this part, row by row from the south-west.
+    /// The first cell of this part; cells are numbered row by row from the south-west.
     pub start: u16,
-    /// The cell after the last of this part; 1,024 ends the tile.
+    /// The cell after the last of this part; 1,024 in the last part.
     pub end: u16,
 }
 
 impl TileHeader {
-    /// Whether the part is the tile's last.
+    /// Whether this is the tile's last part.
     pub(super) fn ends_tile(&self) -> bool {
         self.end == TILE_CELLS
     }
 
-    /// The rows that the part has cells of.
+    /// The rows that this part has cells in.
     pub(super) fn rows(&self) -> Range<usize> {
         usize::from(self.start) / TILE_SIDE..usize::from(self.end).div_ceil(TILE_SIDE)
     }

@@ -1,5 +1,5 @@
-//! The coder as SPEC.md says it, cell by cell and with one long number for its interval: what
-//! `cells` and `range_coder` are tested against.
+//! Reference coder for tests: follows SPEC.md literally, cell by cell, with the interval as one long
+//! number. `cells` and `range_coder` are compared with it.
 
 use std::{vec, vec::Vec};
 
@@ -11,7 +11,7 @@ use super::{
     range_coder::{Decoder, Encoder, Model},
 };
 
-/// The codes to which a known cell may change, likeliest first.
+/// The codes to which a known cell may change, most likely first.
 fn others(old: u8) -> [u8; 3] {
     match old {
         1 => [2, 3, 0],
@@ -20,7 +20,7 @@ fn others(old: u8) -> [u8; 3] {
     }
 }
 
-/// A part of a tile that is being coded, with the tile before and after the update.
+/// A part of a tile, with the tile before and after the update.
 struct CodedPart<'a> {
     part: &'a TileHeader,
     old: &'a Tile,
@@ -38,7 +38,7 @@ impl CodedPart<'_> {
     }
 
     fn row_context(&self, y: usize) -> usize {
-        // South of the first row nothing has changed, as far as the part tells.
+        // South of a part's first row everything counts as unchanged.
         let first = usize::from(self.part.start) / TILE_SIDE;
         context::ROW + usize::from(y > first && (0..TILE_SIDE).any(|x| self.has_changed(x, y - 1)))
     }
@@ -155,7 +155,7 @@ fn take_cell(coder: &mut Decoder<'_>, models: &mut Models, around: Surroundings,
     }
 }
 
-/// The interval as one long number: what the coder does, without its buffer.
+/// The range coder with its interval as one long number, without carry handling.
 struct Exact {
     low: Vec<u8>,
     range: u32,
@@ -207,7 +207,7 @@ impl Exact {
     }
 }
 
-/// Rows as a map has them (runs), some of few cells, some like noise.
+/// Rows with runs (as in maps), with few cells, or of noise.
 fn row() -> impl Strategy<Value = Row> {
     let run = (0u32..33, 0u32..33).prop_map(|(from, to)| {
         ((1u64 << from.max(to)) - 1) as u32 & !((1u64 << from.min(to)) - 1) as u32
@@ -218,7 +218,7 @@ fn row() -> impl Strategy<Value = Row> {
     (word(), word()).prop_map(|(low, high)| Row { low, high })
 }
 
-/// A tile, and what became of it: rows of few changes beside others.
+/// A tile before and after an update; rows differ in few cells or many.
 fn pair() -> impl Strategy<Value = (Tile, Tile)> {
     let rows = prop_oneof![
         2 => row().prop_map(|row| (row, row)),
@@ -236,7 +236,7 @@ fn pair() -> impl Strategy<Value = (Tile, Tile)> {
     })
 }
 
-/// A part of any length, or the rest of a tile.
+/// A part with any start and end, or the rest of a tile.
 fn part() -> impl Strategy<Value = TileHeader> {
     let start = prop_oneof![Just(0), 0..TILE_CELLS];
     (start, prop_oneof![Just(TILE_CELLS), 1..=TILE_CELLS]).prop_map(|(start, end)| TileHeader {
@@ -250,7 +250,7 @@ fn part() -> impl Strategy<Value = TileHeader> {
 
 proptest! {
     #[test]
-    fn bytes_are_those_of_one_long_number(
+    fn the_range_coder_writes_the_bytes_of_the_reference(
         decisions in proptest::collection::vec(
             (prop::option::weighted(0.8, 0usize..4), prop::bool::weighted(0.2)), 0..3000,
         ),
@@ -269,8 +269,8 @@ proptest! {
     }
 
     #[test]
-    fn cells_are_coded_as_one_by_one((mut old, new) in pair(), part in part(), room in 0usize..700) {
-        // Before the part the receiver holds the new cells.
+    fn cells_are_coded_as_by_the_reference((mut old, new) in pair(), part in part(), room in 0usize..700) {
+        // The receiver holds the new cells before the part.
         for cell in 0..usize::from(part.start) {
             let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
             old.set(x, y, new.cell(x, y));
@@ -282,7 +282,7 @@ proptest! {
         let (mut models, mut plain_models) = (context::models(), context::models());
         let fitted = cells::put(&mut coder, &mut models, &part, &old, &new);
         let plain_fitted = put(&mut plain, &mut plain_models, &coded);
-        // Cells that are alike are not parted, nor are they in two rows.
+        // The fast coder does not split runs; a run lies within one row.
         prop_assert!(fitted <= plain_fitted && plain_fitted - fitted < TILE_SIDE as u16);
         prop_assert_eq!(fitted == part.end, plain_fitted == part.end);
         if fitted < part.end || !coder.fits(0) {
@@ -305,7 +305,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_read_as_one_by_one(
+    fn any_bytes_are_decoded_as_by_the_reference(
         (old, _) in pair(),
         part in part(),
         coded in proptest::collection::vec(prop_oneof![any::<u8>(), Just(0), Just(0xFF)], 0..300),

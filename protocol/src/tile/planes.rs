@@ -4,26 +4,26 @@ use serde::{Deserialize, Serialize};
 
 use crate::units::Millimetres;
 
-/// Cells along one side of a tile; the bits of one row.
+/// Cells along one side of a tile, and bits in a word of a plane.
 pub const TILE_SIDE: usize = 32;
 
-/// What is published of one cell.
+/// The published state of one cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Cell {
-    /// Nothing is known.
+    /// Never observed.
     #[default]
     Unknown = 0,
-    /// Nothing stands there.
+    /// Nothing is there.
     Free = 1,
-    /// Something fixed stands there.
+    /// A fixed object is there.
     Occupied = 2,
-    /// Something stands there that is likely to move again (Aluckal: "extended awareness").
+    /// An object that is likely to move again is there (Aluckal: "extended awareness").
     Movable = 3,
 }
 
 impl Cell {
-    /// The cell of a two-bit code; higher bits are ignored.
+    /// The cell with a two-bit code; higher bits are ignored.
     pub const fn from_code(code: u8) -> Self {
         match code & 3 {
             0 => Self::Unknown,
@@ -33,27 +33,27 @@ impl Cell {
         }
     }
 
-    /// The two-bit code.
+    /// The cell's two-bit code.
     pub const fn code(self) -> u8 {
         self as u8
     }
 }
 
-/// Which tile: column and row of tiles in the frame `map`. Tile (0, 0) has its lower left corner
-/// at the origin; x grows to the east (`map`'s x), y to the north.
+/// The position of a tile in the grid of tiles, in the frame `map`. The lower left corner of tile (0, 0)
+/// is at the origin.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 pub struct TileId {
-    /// Tiles along `map`'s x.
+    /// Column, growing along `map`'s x (east).
     pub x: i16,
-    /// Tiles along `map`'s y.
+    /// Row, growing along `map`'s y (north).
     pub y: i16,
 }
 
 impl TileId {
-    /// The tile that holds the cell of these grid coordinates (cells from the origin of `map`),
-    /// or `None` where the grid ends (32,768 tiles from the origin).
+    /// The tile that holds the cell with these grid coordinates (in cells from the origin of `map`), or
+    /// `None` beyond the grid (32,768 tiles from the origin).
     pub fn of_cell(x: i32, y: i32) -> Option<Self> {
         let side = TILE_SIDE as i32;
         Some(Self {
@@ -69,20 +69,20 @@ impl TileId {
     }
 }
 
-/// The grid coordinate of the cell that holds a coordinate, for cells of a side of `resolution`.
+/// The grid coordinate of the cell that contains `coordinate`; cells have sides of `resolution`.
 pub fn cell_of(coordinate: Millimetres, resolution: Millimetres) -> i32 {
     coordinate.0.div_euclid(resolution.0.max(1))
 }
 
-/// Whose picture of the world a tile belongs to.
+/// Which map a tile belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Layer {
-    /// What one robot has seen; written by that robot alone.
+    /// The map of one robot, written by that robot only.
     Robot = 0,
-    /// What the cameras see now; written by the server alone.
+    /// The cells that the cameras see now, written by the server only.
     Coverage = 1,
-    /// What everybody gets; written by the server alone.
+    /// The common map of all robots and cameras, written by the server only.
     Fused = 2,
 }
 
@@ -103,7 +103,7 @@ impl Default for Tile {
 }
 
 impl Tile {
-    /// A tile of which nothing is known.
+    /// A tile with all cells unknown.
     pub const UNKNOWN: Self = Self { low: [0; TILE_SIDE], high: [0; TILE_SIDE] };
 
     /// The cell at column `x` and row `y`; both are taken modulo 32.
@@ -122,7 +122,7 @@ impl Tile {
         self.high[y] = self.high[y] & !(1 << x) | (code >> 1) << x;
     }
 
-    /// Row `y` modulo 32: its word of the low and of the high plane.
+    /// Row `y` modulo 32.
     pub fn row(&self, y: usize) -> Row {
         let y = y % TILE_SIDE;
         Row { low: self.low[y], high: self.high[y] }
@@ -135,7 +135,7 @@ impl Tile {
         self.high[y] = row.high;
     }
 
-    /// How many cells are known, free, and occupied (fixed or movable).
+    /// The numbers of cells that are known, free, and occupied (fixed or movable).
     pub fn counts(&self) -> (u32, u32, u32) {
         let mut known = 0;
         let mut occupied = 0;
@@ -146,7 +146,7 @@ impl Tile {
         (known, known - occupied, occupied)
     }
 
-    /// Fills the cells that are unknown here from an older picture of the same ground.
+    /// Fills the unknown cells from `older`, an older state of the same tile.
     pub fn fill_unknown_from(&mut self, older: &Self) {
         for row in 0..TILE_SIDE {
             let unknown = !(self.low[row] | self.high[row]);
@@ -156,7 +156,7 @@ impl Tile {
     }
 }
 
-/// One row of a tile: 32 cells.
+/// One row of a tile: 32 cells, the westernmost in bit 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Row {
     /// Bit 0 of the codes.
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_newer_picture_knows_stays() {
+    fn filling_keeps_the_cells_that_are_known() {
         let mut newer = Tile::UNKNOWN;
         newer.set(1, 1, Cell::Free);
         let mut older = Tile::UNKNOWN;

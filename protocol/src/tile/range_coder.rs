@@ -1,32 +1,32 @@
 //! An adaptive binary range coder: 32 bits of range, probabilities of 12 bits, integers only.
 //!
-//! The encoder leaves out the zero bytes at the end; the decoder reads zeros past the end of its
-//! input, so any input decodes to something and reading ends when the caller has what it asked
-//! for. Only a number of more than 32 bits is refused.
+//! The encoder omits trailing zero bytes; the decoder reads zeros past the end of its input. So any
+//! input decodes to something, and the caller decides when to stop. Only numbers of more than 32 bits
+//! are refused.
 //!
-//! One decision takes about twenty instructions where it is inlined into a loop over cells, and
-//! the coder is held by value there: its state then stays in registers.
+//! A decision takes about twenty instructions when it is inlined into a loop over cells that holds the
+//! coder by value, so that its state stays in registers.
 
 use core::slice;
 
 const TOP: u32 = 1 << 24;
-/// How fast a probability follows what is coded: each decision moves it by 1/32 of the way.
+/// Adaptation rate: each decision moves the probability by 1/32 of the distance to its target.
 const RATE: u32 = 5;
 
-/// The probability that the next decision of one context is 0, in 1/65,536.
+/// A context's probability that its next decision is 0, in 1/65,536.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Model(pub(super) u16);
 
 impl Model {
     #[inline(always)]
     fn split(self, range: u32) -> u32 {
-        // Never `range`, and never 0: `update` keeps the probability in 31..=65505.
+        // Below `range` and above 0, because `update` keeps the probability in 31..=65505.
         (range >> 12) * u32::from(self.0 >> 4)
     }
 
     #[inline(always)]
     fn update(&mut self, bit: bool) {
-        // Rounded towards where it comes from: down to 31, up to 65505.
+        // `>>` rounds down, so the goal of 31 gives `p - (p >> 5)`; p stays in 31..=65505.
         let (p, goal) = (i32::from(self.0), if bit { 31 } else { 65_536 });
         self.0 = (p + ((goal - p) >> RATE)) as u16;
     }
@@ -37,7 +37,7 @@ fn golomb_bits(value: u32, order: u32) -> u32 {
     ((u64::from(value) >> order) + 1).ilog2()
 }
 
-/// Small signed numbers onto small unsigned ones: 0, -1, 1, -2, ...
+/// Maps small signed numbers to small unsigned ones: 0, -1, 1, -2 become 0, 1, 2, 3.
 fn zigzag(value: i32) -> u32 {
     ((value << 1) ^ (value >> 31)) as u32
 }
@@ -46,25 +46,25 @@ fn unzigzag(value: u32) -> i32 {
     (value >> 1) as i32 ^ -((value & 1) as i32)
 }
 
-/// Writes decisions into a buffer of the caller's. What no longer fits is counted, not written:
-/// ask [`Encoder::fits`] before the end.
+/// Writes decisions into the caller's buffer. Bytes beyond its end are counted but not written: check
+/// [`Encoder::fits`] before finishing.
 #[derive(Debug)]
 pub(super) struct Encoder<'a> {
     out: &'a mut [u8],
     state: State,
 }
 
-/// All of an encoder but its buffer.
+/// The state of an encoder without its buffer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct State {
-    /// The lower end of the interval, behind the bytes that have been written.
+    /// The low end of the interval, after the bytes already written.
     low: u32,
     range: u32,
-    /// Bytes so far.
+    /// Bytes written, or counted if they did not fit.
     len: usize,
 }
 
-/// A point that an encoder can go back to.
+/// A point to which an encoder can rewind.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Checkpoint {
     state: State,
@@ -72,39 +72,39 @@ pub(super) struct Checkpoint {
 }
 
 impl<'a> Encoder<'a> {
-    /// Bytes that one more decision and [`Encoder::finish`] may still write.
+    /// Maximum number of bytes that one more decision and [`Encoder::finish`] write.
     const TAIL: usize = 4;
 
-    /// Writes into this buffer from its start.
+    /// Writes to `out` from its start.
     pub(super) fn new(out: &'a mut [u8]) -> Self {
         Self { out, state: State { low: 0, range: u32::MAX, len: 0 } }
     }
 
-    /// The same encoder, to be held by value; when it is done, [`Encoder::resume`] in its state.
+    /// A copy on the same buffer, to be held by value; pass its final state to [`Encoder::resume`].
     pub(super) fn by_value(&mut self) -> Encoder<'_> {
         Encoder { out: self.out, state: self.state }
     }
 
-    /// The state that an encoder held by value is in.
+    /// The current state.
     pub(super) fn state(&self) -> State {
         self.state
     }
 
-    /// Goes on where an encoder held by value ended.
+    /// Continues from the final state of a copy made by [`Encoder::by_value`].
     pub(super) fn resume(&mut self, state: State) {
         self.state = state;
     }
 
-    /// Where the encoder stands, for [`Encoder::rewind`].
+    /// The current position, for [`Encoder::rewind`].
     pub(super) fn checkpoint(&mut self) -> Checkpoint {
         Checkpoint { state: self.state, last: self.written().last().copied() }
     }
 
-    /// Goes back to where it stood.
+    /// Goes back to a checkpoint.
     pub(super) fn rewind(&mut self, to: Checkpoint) {
         self.state = to.state;
         let written = self.written();
-        // At most one carry has come this far back since, and it changed the last byte.
+        // At most one carry can have reached back past the checkpoint, and it changed the last byte.
         if written.last().copied() != to.last {
             for byte in written.iter_mut().rev() {
                 *byte = byte.wrapping_sub(1);
@@ -115,25 +115,24 @@ impl<'a> Encoder<'a> {
         }
     }
 
-    /// What has been written, nothing if it no longer fits.
+    /// The bytes written; empty if they exceed the buffer.
     fn written(&mut self) -> &mut [u8] {
         self.out.get_mut(..self.state.len).unwrap_or_default()
     }
 
-    /// Whether everything so far fits the buffer, whatever comes out at the end, with so many
-    /// bytes to spare.
+    /// Whether everything written, the end of the stream and `spare` more bytes fit in the buffer.
     #[inline(always)]
     pub(super) fn fits(&self, spare: usize) -> bool {
         self.state.len + (Self::TAIL + spare) <= self.out.len()
     }
 
-    /// Codes one decision with a model, and teaches it.
+    /// Codes one decision with a model and adapts the model.
     #[inline(never)]
     pub(super) fn bit(&mut self, model: &mut Model, bit: bool) {
         self.bit_inlined(model, bit);
     }
 
-    /// The same, for the loop over cells.
+    /// [`Encoder::bit`], inlined for the loop over cells.
     #[inline(always)]
     pub(super) fn bit_inlined(&mut self, model: &mut Model, bit: bool) {
         let split = model.split(self.state.range);
@@ -141,14 +140,14 @@ impl<'a> Encoder<'a> {
         model.update(bit);
     }
 
-    /// Codes the lowest `count` bits of a value, highest first, as they are.
+    /// Codes the lowest `count` bits of a value, highest first, without a model.
     pub(super) fn plain(&mut self, value: u32, count: u32) {
         for shift in (0..count).rev() {
             self.narrow(self.state.range >> 1, value >> shift & 1 != 0);
         }
     }
 
-    /// Codes a number in an Exp-Golomb code: short for small ones.
+    /// Codes a number in an Exp-Golomb code, which is short for small numbers.
     pub(super) fn golomb(&mut self, value: u32, order: u32) {
         let bits = golomb_bits(value, order);
         self.plain(u32::MAX, bits);
@@ -162,9 +161,9 @@ impl<'a> Encoder<'a> {
         self.golomb(zigzag(value), order);
     }
 
-    /// Ends the stream. Returns its length, or `None` if it did not fit.
+    /// Ends the stream. Returns its length in bytes, or `None` if it did not fit.
     pub(super) fn finish(mut self) -> Option<usize> {
-        // The interval is wider than 2^24: there is a number in it of which one byte is not zero.
+        // The interval is wider than 2^24, so it contains a number with only one non-zero byte.
         self.raise(self.state.range - 1);
         self.state.low &= !(TOP - 1);
         self.shift();
@@ -205,7 +204,7 @@ impl<'a> Encoder<'a> {
     }
 }
 
-/// Adds one to a number of many bytes, the highest first.
+/// Adds one to a big-endian number.
 #[cold]
 #[inline(never)]
 fn carry_into(number: &mut [u8]) {
@@ -217,7 +216,7 @@ fn carry_into(number: &mut [u8]) {
     }
 }
 
-/// Reads decisions. Any input gives some: it never runs on by itself.
+/// Reads decisions. Any input yields decisions; reading never runs on by itself.
 #[derive(Clone, Debug)]
 pub(super) struct Decoder<'a> {
     rest: slice::Iter<'a, u8>,
@@ -226,7 +225,7 @@ pub(super) struct Decoder<'a> {
 }
 
 impl<'a> Decoder<'a> {
-    /// Reads what an [`Encoder`] wrote.
+    /// Reads a stream written by an [`Encoder`].
     pub(super) fn new(input: &'a [u8]) -> Self {
         let mut decoder = Self { rest: input.iter(), code: 0, range: u32::MAX };
         for _ in 0..4 {
@@ -235,19 +234,18 @@ impl<'a> Decoder<'a> {
         decoder
     }
 
-    /// Whether the whole input has been read: an input of another length was not written by an
-    /// encoder.
+    /// Whether the whole input has been read. If not, no encoder wrote it.
     pub(super) fn is_exhausted(&self) -> bool {
         self.rest.as_slice().is_empty()
     }
 
-    /// Reads one decision with a model, and teaches it.
+    /// Reads one decision with a model and adapts the model.
     #[inline(never)]
     pub(super) fn bit(&mut self, model: &mut Model) -> bool {
         self.bit_inlined(model)
     }
 
-    /// The same, for the loop over cells.
+    /// [`Decoder::bit`], inlined for the loop over cells.
     #[inline(always)]
     pub(super) fn bit_inlined(&mut self, model: &mut Model) -> bool {
         let split = model.split(self.range);
@@ -256,7 +254,7 @@ impl<'a> Decoder<'a> {
         bit
     }
 
-    /// Reads `count` bits, at most 32, as they are.
+    /// Reads `count` bits, at most 32, coded without a model.
     pub(super) fn plain(&mut self, count: u32) -> u32 {
         let mut value = 0;
         for _ in 0..count {
@@ -265,7 +263,7 @@ impl<'a> Decoder<'a> {
         value
     }
 
-    /// Reads a number in an Exp-Golomb code; `None` for one of more than 32 bits, which no encoder
+    /// Reads a number in an Exp-Golomb code; `None` if it has more than 32 bits, which no encoder
     /// writes.
     pub(super) fn golomb(&mut self, order: u32) -> Option<u32> {
         let mut bits = order;
@@ -384,7 +382,7 @@ mod tests {
         }
 
         #[test]
-        fn what_was_rewound_leaves_no_trace(steps in steps(), other in steps(), at in 0usize..400) {
+        fn rewinding_leaves_no_trace(steps in steps(), other in steps(), at in 0usize..400) {
             let (mut out, mut same) = ([0u8; 4096], [0u8; 4096]);
             let (mut plain, mut rewinding) = (Encoder::new(&mut out), Encoder::new(&mut same));
             for (index, step) in steps.iter().enumerate() {
@@ -393,7 +391,7 @@ mod tests {
                     other.iter().for_each(|step| step.encode(&mut rewinding, &mut [Model(32_768); 4]));
                     rewinding.rewind(checkpoint);
                 }
-                // Untaught models: many a carry.
+                // Fresh models cause many carries.
                 step.encode(&mut plain, &mut [Model(32_768); 4]);
                 step.encode(&mut rewinding, &mut [Model(32_768); 4]);
             }
@@ -402,7 +400,7 @@ mod tests {
         }
 
         #[test]
-        fn what_fits_is_whole(steps in steps(), room in 0usize..200) {
+        fn a_stream_that_fits_is_complete(steps in steps(), room in 0usize..200) {
             let mut out = [0u8; 4096];
             let mut small = [0u8; 200];
             let mut wide = Encoder::new(&mut out);
@@ -430,7 +428,7 @@ mod tests {
         assert_eq!(Decoder::new(&ones).golomb(4), None);
         let mut out = [0u8; 40];
         let mut encoder = Encoder::new(&mut out);
-        // 2^32 in order 3: 29 ones, a zero, and the remainder 8 of 32 bits.
+        // 2^32 in order 3: 29 ones, a zero, and a remainder of 32 bits (8).
         encoder.plain(u32::MAX, 29);
         encoder.plain(0, 1);
         encoder.plain(8, 32);
@@ -439,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lopsided_stream_is_short() {
+    fn a_predictable_stream_is_short() {
         let mut out = [0u8; 600];
         let mut encoder = Encoder::new(&mut out);
         let mut model = Model(32_768);

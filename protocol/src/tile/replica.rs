@@ -1,7 +1,9 @@
-//! A tile as its receiver holds it, and as its sender knows that the receiver holds it.
+//! A tile as its receiver holds it, and the sender's record of what the receiver holds.
 //!
-//! At most one update of a tile is under way at a time: the next one builds upon what has been
-//! acknowledged, so no update ever waits for another one to arrive first.
+//! At most one update of a tile is in flight: the next one builds upon what has been acknowledged, so
+//! updates never have to be reordered.
+
+use core::fmt;
 
 use super::{
     Epoch, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder, TileEncoder, TileHeader, TileId,
@@ -16,55 +18,63 @@ pub struct Replica {
     next: u16,
 }
 
-/// What an update did to a replica.
+/// The effect of an update on a replica.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Applied {
-    /// The tile is now in the state that the update announced.
+    /// The tile has reached the state that the update announced.
     Complete,
-    /// Further parts must follow.
+    /// The tile is incomplete: further parts must follow.
     Partial,
-    /// It came late: what the tile holds is as new, or newer. It was read past.
+    /// The update was stale and its cells were skipped.
     Old,
 }
 
-/// The replica does not hold what the update builds upon. The cells of the update, and whatever
-/// follows it in the same message, cannot be read: ask for the whole tile.
+/// The replica does not hold the base of the update. The cells of the update, and everything after it
+/// in the same message, cannot be read: request the whole tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BaseMissing;
 
+impl fmt::Display for BaseMissing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the base of the tile update is not held: request the whole tile")
+    }
+}
+
+impl core::error::Error for BaseMissing {}
+
 impl Replica {
-    /// Nothing has arrived yet.
+    /// A replica that has received nothing.
     pub const NOTHING: Self = Self { tile: Tile::UNKNOWN, stamp: Stamp::NOTHING, next: 0 };
 
-    /// A replica that was kept elsewhere: its cells, its stamp and its next cell.
+    /// Restores a replica from storage: its cells, its stamp and its next cell (see [`Self::next`]).
     pub fn restored(tile: Tile, stamp: Stamp, next: u16) -> Self {
         Self { tile, stamp, next }
     }
 
-    /// The cells. While parts are missing, some of them are newer than the others.
+    /// The cells. While parts are missing, some cells are newer than others.
     pub fn tile(&self) -> &Tile {
         &self.tile
     }
 
-    /// The newest state of which something has arrived; version zero if there is none.
+    /// The stamp of the newest state received, even in part; version zero if nothing has arrived.
     pub fn stamp(&self) -> Stamp {
         self.stamp
     }
 
-    /// The next cell of that state, 0 to 1,023; 0 if all of it has arrived.
+    /// The first cell of that state that is missing, 1 to 1,023; 0 if the state is complete.
     pub fn next(&self) -> u16 {
         self.next
     }
 
-    /// Whether that state has arrived in part only.
+    /// Whether that state is incomplete.
     pub fn is_partial(&self) -> bool {
         self.next != 0
     }
 
-    /// Reads the cells that `header` has announced from `decoder`.
+    /// Reads the cells described by `header` from `decoder`.
     ///
     /// # Errors
-    /// [`BaseMissing`]; the replica is as it was.
+    /// [`BaseMissing`]; the replica is unchanged.
     pub fn apply(
         &mut self,
         header: &TileHeader,
@@ -72,9 +82,9 @@ impl Replica {
     ) -> Result<Applied, BaseMissing> {
         let held = header.stamp == self.stamp && !self.is_partial();
         match (header.start, header.base) {
-            // Either one that was given up by its sender and comes after the one that was sent in
-            // its stead, or a part of one that is held: its sender does not know that, and what
-            // came before was read past. Parts after the first may be newer than that.
+            // Two cases. A whole tile that its sender gave up may arrive after its replacement: it is
+            // skipped. Or the sender does not know that its state is held here and sends it again in
+            // parts: the first was skipped, and later parts may be newer than what is held.
             (start, None) if held || start == 0 && header.stamp < self.stamp => {
                 let mut part = self.tile;
                 copy_cells(&Tile::UNKNOWN, &mut part, start, TILE_CELLS);
@@ -105,18 +115,18 @@ impl Replica {
     }
 }
 
-/// A tile at its sender: what one receiver holds of it.
+/// A tile at its sender: the record of what one receiver holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Publication {
     /// The cells as sent, acknowledged or not.
     sent: Tile,
-    /// The version that is, or was last, sent.
+    /// The version that is being sent or was sent last.
     version: Version,
-    /// The version that the receiver is known to hold.
+    /// The version that the receiver has acknowledged.
     base: Option<Version>,
-    /// The next cell of `version` to send; 0 if it has all been sent.
+    /// The next cell of `version` to send; 0 if all of it has been sent.
     next: u16,
-    /// The frame that the last update travelled in.
+    /// The frame that carried the last update.
     frame: u16,
     under_way: bool,
 }
@@ -128,7 +138,7 @@ impl Default for Publication {
 }
 
 impl Publication {
-    /// Nothing has been sent yet.
+    /// The record of a tile that has never been sent.
     pub const NOTHING: Self = Self {
         sent: Tile::UNKNOWN,
         version: Version(0),
@@ -138,43 +148,43 @@ impl Publication {
         under_way: false,
     };
 
-    /// The version that is, or was last, sent; zero if none was.
+    /// The version that is being sent or was sent last; zero if none was.
     pub fn version(&self) -> Version {
         self.version
     }
 
-    /// The cells as sent; of a whole tile that is sent again in parts, those that were sent before
-    /// where the new ones have not been yet.
+    /// The cells as sent, acknowledged or not. While a whole tile is sent again in parts, the cells
+    /// after the last part are those of the previous transmission.
     pub fn sent(&self) -> &Tile {
         &self.sent
     }
 
-    /// Whether the receiver holds all that was sent, and it was something.
+    /// Whether something was sent and the receiver has acknowledged all of it.
     pub fn is_acknowledged(&self) -> bool {
         !self.under_way && self.next == 0 && self.base == Some(self.version)
     }
 
-    /// Whether an update could be sent now: none is under way.
+    /// Whether an update may be sent now: none is in flight.
     pub fn is_ready(&self) -> bool {
         !self.under_way
     }
 
-    /// Whether the last update was a part, with more to come.
+    /// Whether the last update was a part and more parts follow.
     pub fn has_parts_left(&self) -> bool {
         self.next != 0
     }
 
-    /// Whether there is more to send: cells of `new` that the receiver does not hold, or the rest
-    /// of an update.
+    /// Whether there is something to send: cells of `new` that the receiver does not hold, or missing
+    /// parts of an update.
     pub fn differs(&self, new: &Tile) -> bool {
         self.base.is_none() || self.next != 0 || self.sent != *new
     }
 
-    /// Adds the difference to `new` to an update that will travel in frame `frame`. `version` is
-    /// that of the tile's writer, greater than any sent before; parts of an earlier one that are
-    /// missing come first. `false` if not even one cell fitted.
+    /// Adds the changes up to `new` to an update that will travel in frame `frame`. `version` is the
+    /// writer's version of the tile, greater than any sent before; missing parts of an earlier version
+    /// are sent first. Returns false if no cell fitted.
     ///
-    /// `new` is changed where it must not differ from what has been sent already.
+    /// Overwrites the cells of `new` that earlier parts have already sent with what they sent.
     pub fn push(
         &mut self,
         encoder: &mut TileEncoder<'_>,
@@ -187,7 +197,7 @@ impl Publication {
         let start = self.next;
         let mut old = self.sent;
         if self.base.is_none() {
-            // A whole tile: the receiver starts from nothing as well.
+            // Without a base the receiver starts from unknown cells as well.
             copy_cells(&Tile::UNKNOWN, &mut old, start, TILE_CELLS);
         }
         copy_cells(&old, new, 0, start);
@@ -204,7 +214,7 @@ impl Publication {
         true
     }
 
-    /// A frame has been acknowledged. Whether this tile travelled in it.
+    /// Processes the acknowledgement of a frame. Returns whether it carried this tile.
     pub fn acknowledge(&mut self, frame: u16) -> bool {
         let mine = self.under_way && self.frame == frame;
         if mine {
@@ -216,20 +226,20 @@ impl Publication {
         mine
     }
 
-    /// Whether the last update travelled in the same frame as that of `other`: if the receiver
-    /// could not read the one, it may not have read the other.
+    /// Whether the last update travelled in the same frame as that of `other`: a receiver that could not
+    /// read the one may not have read the other.
     pub fn travelled_with(&self, other: &Self) -> bool {
         self.version != Version(0) && self.frame == other.frame
     }
 
-    /// It is not known what the receiver holds: the tile will be sent whole.
+    /// Drops all knowledge of the receiver's state: the tile will be sent whole.
     pub fn forget(&mut self) {
         self.base = None;
         self.next = 0;
         self.under_way = false;
     }
 
-    /// The session ended: what was under way is lost, what was acknowledged is not.
+    /// Ends the session: updates in flight are lost, acknowledged ones are not.
     pub fn interrupt(&mut self) {
         if self.under_way || self.next != 0 {
             self.forget();
@@ -237,7 +247,7 @@ impl Publication {
     }
 }
 
-/// Copies the cells `from..to`, counted row by row.
+/// Copies the cells with numbers `from..to`.
 fn copy_cells(source: &Tile, target: &mut Tile, from: u16, to: u16) {
     let (from, to) = (usize::from(from), usize::from(to));
     for y in from / TILE_SIDE..to.div_ceil(TILE_SIDE) {
@@ -271,9 +281,9 @@ mod tests {
     const EPOCH: Epoch = Epoch(2);
 
     proptest! {
-        /// Whatever frames are lost with their session, the two sides end up level.
+        /// Both sides agree in the end, whichever frames are lost with their sessions.
         #[test]
-        fn a_replica_ends_level(losses in proptest::collection::vec(any::<bool>(), 1..40), room in 20usize..200) {
+        fn a_replica_catches_up(losses in proptest::collection::vec(any::<bool>(), 1..40), room in 20usize..200) {
             let mut publication = Publication::NOTHING;
             let mut replica = Replica::default();
             let mut version = 0;
@@ -309,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_tile_that_comes_late_takes_nothing_back() {
+    fn a_stale_whole_tile_takes_nothing_back() {
         let whole = |version: u32, room: usize| {
             let mut out = std::vec![0; room];
             let mut encoder = TileEncoder::new(&mut out);
@@ -323,7 +333,7 @@ mod tests {
             let mut decoder = TileDecoder::new(coded);
             let header = decoder.header().unwrap().unwrap();
             let applied = replica.apply(&header, &mut decoder).unwrap();
-            // What follows in the same update can still be read.
+            // The rest of the update is still readable.
             assert_eq!(decoder.header(), Ok(None));
             applied
         };
@@ -342,10 +352,10 @@ mod tests {
         }
     }
 
-    /// The sender leaves out what others say as well, unless it has told it: it must not forget
+    /// A sender leaves out cells that others publish unless it has sent them itself, so it must remember
     /// that it has.
     #[test]
-    fn what_was_sent_is_known_while_the_tile_is_sent_whole_again() {
+    fn sent_cells_are_remembered_while_the_tile_is_sent_whole_again() {
         let mut publication = Publication::NOTHING;
         let mut send = |room: usize, frame: u16| {
             let mut out = std::vec![0u8; room];
@@ -378,7 +388,7 @@ mod tests {
             assert!(publication.acknowledge(frame));
             *replica.tile()
         };
-        // A session begins anew; meanwhile the tile changes, and the rest of it is of its new state.
+        // A new session begins; meanwhile the tile changes, and later parts hold its new state.
         let mut frames = 0;
         for tiles in [[noise(1), noise(1)], [noise(1), noise(1)], [noise(1), noise(2)]] {
             let mut publication = Publication::NOTHING;

@@ -1,21 +1,21 @@
-//! Which state of a tile is newer.
+//! Stamps: which state of a tile is newer.
 
 use serde::{Deserialize, Serialize};
 
-/// The epoch of a tile: raised when its writer starts it anew (after a reboot or an eviction).
+/// The epoch of a tile: raised when its writer starts it again (after a reboot or an eviction).
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 pub struct Epoch(pub u32);
 
-/// The version of a tile within an epoch: raised by its writer at each published change. Zero is
-/// the tile of which nothing has been published.
+/// The version of a tile within an epoch: raised by its writer at each published change. Zero means
+/// that nothing has been published.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 pub struct Version(pub u32);
 
-/// Epoch and version: of two states of a tile, the one with the greater stamp is newer.
+/// Epoch and version: the state of a tile with the greater stamp is newer.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
@@ -27,6 +27,6 @@ pub struct Stamp {
 }
 
 impl Stamp {
-    /// That of a tile of which nothing is held.
+    /// The stamp of a tile that is not held.
     pub const NOTHING: Self = Self { epoch: Epoch(0), version: Version(0) };
 }

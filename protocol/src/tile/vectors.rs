@@ -1,5 +1,5 @@
-//! The vectors of the range coder, and of tile updates that no encoder writes: what lies deeper
-//! than the crate's surface. The rules are those of `tests/tests/vectors.rs`.
+//! Test vectors of the range coder, and of tile updates that no encoder writes: they need items that
+//! are private to the crate. The rules are those of `tests/tests/vectors.rs`.
 
 use std::{env, format, fs, path::PathBuf, string::String, vec, vec::Vec};
 
@@ -24,7 +24,7 @@ fn unhex(text: &str) -> Vec<u8> {
     (0..text.len()).step_by(2).map(byte).collect()
 }
 
-/// Codes steps: `["bit", MODEL, VALUE]`, or the code's name, the value, and bits or order.
+/// Codes steps: `["bit", MODEL, VALUE]`, or the name of a code, the value, and its bits or order.
 fn encode(steps: &[Value], models: &[Model]) -> Vec<u8> {
     let mut out = vec![0; 4096];
     let mut models = models.to_vec();
@@ -164,10 +164,10 @@ fn refused() -> Vec<Value> {
     cases.iter().map(case).collect()
 }
 
-/// A name, the update, why it is refused, and the tiles that are read before that.
+/// A name, the update, the error, and the number of tiles read before it.
 type Refused = (&'static str, Vec<u8>, &'static str, i32);
 
-/// Updates of one tile whose header contradicts itself.
+/// Updates of one tile with an inconsistent header.
 fn bad_headers(header: TileHeader) -> Vec<Refused> {
     let version_zero = Stamp { version: Version(0), ..header.stamp };
     let headers = [
@@ -182,7 +182,7 @@ fn bad_headers(header: TileHeader) -> Vec<Refused> {
     cases
 }
 
-/// An update whose second tile is to the east of the easternmost one.
+/// An update whose second tile lies east of the grid.
 fn beyond_the_grid(header: TileHeader) -> Vec<u8> {
     let mut update = vec![0; 64];
     let mut encoder = TileEncoder::new(&mut update);
@@ -197,7 +197,7 @@ fn beyond_the_grid(header: TileHeader) -> Vec<u8> {
     update
 }
 
-/// An update of these headers, whatever they say, with one free cell in each tile.
+/// An update with these headers, valid or not, and one free cell in each tile.
 fn written(headers: &[TileHeader]) -> Vec<u8> {
     let mut out = vec![0; 4096];
     let mut encoder = TileEncoder::new(&mut out);

@@ -1,31 +1,30 @@
-//! The calibration of a fixed camera: the pinhole and pose of each of its sensors, and the noise of its
-//! depths.
+//! The calibration of a fixed camera: the intrinsics and pose of each sensor, and its depth noise.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{depth_noise::DepthNoise, error::CalibrationError};
 
-/// How the pixels of a sensor look out: a pinhole with radial-tangential distortion. The centre of
-/// the first pixel is at (0, 0).
+/// The intrinsics of a sensor: a pinhole with radial-tangential distortion. Pixel (0, 0) has its centre
+/// at (0, 0).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
-    /// Pixels of a row.
+    /// Width of the image in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height of the image in pixels.
     pub height: u32,
-    /// The focal length along a row, in pixels.
+    /// Horizontal focal length in pixels.
     pub fx: f64,
-    /// The focal length down a column, in pixels.
+    /// Vertical focal length in pixels.
     pub fy: f64,
-    /// The column of the optical axis.
+    /// Column of the principal point.
     pub cx: f64,
-    /// The row of the optical axis.
+    /// Row of the principal point.
     pub cy: f64,
-    /// k1, k2, p1, p2, k3.
+    /// Distortion coefficients k1, k2, p1, p2, k3.
     pub distortion: [f64; 5],
 }
 
-/// One sensor of a camera in its place.
+/// A sensor of a camera: its intrinsics and its pose in `map`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
     intrinsics: Intrinsics,
@@ -35,20 +34,20 @@ pub struct Lens {
 /// A fixed camera: a depth sensor, a colour or grey one, or both.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Calibration {
-    /// The sensor of depth.
+    /// The depth sensor.
     pub depth: Option<Lens>,
-    /// The noise of its depths.
+    /// The noise of the depth sensor.
     pub depth_noise: DepthNoise,
-    /// The sensor of pictures.
+    /// The colour or grey sensor.
     pub picture: Option<Lens>,
 }
 
-/// Rounds of the fixed point that undoes the distortion.
+/// Iterations of the fixed-point inversion of the distortion.
 const STEPS: usize = 20;
 
 impl Intrinsics {
-    /// A pinhole without distortion whose axis is in the middle of the image, from its horizontal
-    /// field of view in radians.
+    /// A pinhole without distortion whose principal point is the image centre, from its horizontal field
+    /// of view in radians.
     pub fn pinhole(width: u32, height: u32, horizontal_fov_rad: f64) -> Self {
         let focal = f64::from(width) / 2.0 / libm::tan(horizontal_fov_rad / 2.0);
         Self {
@@ -62,8 +61,8 @@ impl Intrinsics {
         }
     }
 
-    /// The pixel (column, row) where a direction of the optical frame arrives, `None` from behind.
-    /// It may be outside the image.
+    /// The pixel (column, row) onto which a direction in the optical frame projects; `None` if it points
+    /// backwards. The pixel may be outside the image.
     pub fn project(&self, direction: &Vector3<f64>) -> Option<[f64; 2]> {
         if direction.z <= 0.0 {
             return None;
@@ -72,8 +71,8 @@ impl Intrinsics {
         Some([self.fx * x + self.cx, self.fy * y + self.cy])
     }
 
-    /// The direction of a pixel (column, row) in the optical frame, one unit deep: a depth times it
-    /// is the point.
+    /// The ray of a pixel (column, row) in the optical frame, with z = 1: multiply it by a depth to get
+    /// the point.
     pub fn direction(&self, [column, row]: [f64; 2]) -> Vector3<f64> {
         let aim = [(column - self.cx) / self.fx, (row - self.cy) / self.fy];
         let mut at = aim;
@@ -86,7 +85,7 @@ impl Intrinsics {
         Vector3::new(at[0], at[1], 1.0)
     }
 
-    /// Brown's model, as OpenCV states it.
+    /// Brown's distortion model, in OpenCV's form.
     fn distorted(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = x * x + y * y;
@@ -109,7 +108,7 @@ impl Intrinsics {
         if !near(cx, width) || !near(cy, height) {
             return Err(CalibrationError::Axis(cx, cy));
         }
-        // A pixel's direction must come back to it, at the corners above all.
+        // The pixel's ray must project back onto it; large distortions fail in the corners first.
         let unfolds = |[column, row]: [f64; 2]| {
             let back = self.project(&self.direction([column, row]));
             back.is_some_and(|[c, r]| (c - column).abs() < 0.01 && (r - row).abs() < 0.01)
@@ -124,8 +123,7 @@ impl Intrinsics {
 }
 
 impl Lens {
-    /// A sensor whose optical frame (x to the right, y down, z forward) has this pose in `map`,
-    /// in metres.
+    /// A sensor whose optical frame (x right, y down, z forward) has this pose in `map`, in metres.
     ///
     /// # Errors
     /// Every [`CalibrationError`].
@@ -138,12 +136,12 @@ impl Lens {
         Ok(Self { intrinsics, pose })
     }
 
-    /// How its pixels look out.
+    /// The intrinsics.
     pub fn intrinsics(&self) -> &Intrinsics {
         &self.intrinsics
     }
 
-    /// The optical frame in `map`, in metres.
+    /// The pose of the optical frame in `map`, in metres.
     pub fn pose(&self) -> &Isometry3<f64> {
         &self.pose
     }
@@ -153,14 +151,14 @@ impl Lens {
         self.pose.translation.vector.into()
     }
 
-    /// The pixel (column, row) where a point of `map` is seen, `None` behind the camera. It may be
-    /// outside the image.
+    /// The pixel (column, row) that sees a point of `map`; `None` if the point is behind the camera. The
+    /// pixel may be outside the image.
     pub fn project(&self, point: &Point3<f64>) -> Option<[f64; 2]> {
         self.intrinsics.project(&self.pose.inverse_transform_point(point).coords)
     }
 
-    /// The direction of a pixel in `map`, one metre of depth long: the optical centre plus a depth
-    /// times it is the point.
+    /// The ray of a pixel in `map`, for a depth of one metre: the point at a depth is the optical centre
+    /// plus the depth times this vector.
     pub fn direction(&self, pixel: [f64; 2]) -> Vector3<f64> {
         self.pose.rotation * self.intrinsics.direction(pixel)
     }
@@ -179,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_comes_back_from_its_direction() {
+    fn projecting_a_pixels_direction_gives_the_pixel() {
         let under_the_ceiling = Isometry3::from_parts(
             nalgebra::Translation3::new(1.0, -2.0, 2.8),
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_euler_angles(-2.5, 0.1, 0.7)),
@@ -194,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_camera_is_like_is_refused() {
+    fn impossible_calibrations_are_refused() {
         let of = |change: fn(&mut Intrinsics)| {
             let mut intrinsics = kinect();
             change(&mut intrinsics);

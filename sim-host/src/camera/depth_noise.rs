@@ -1,4 +1,4 @@
-//! How noisy a depth sensor is.
+//! The noise model of a depth sensor.
 
 use super::error::CalibrationError;
 
@@ -9,13 +9,13 @@ use super::error::CalibrationError;
 /// sigma(z) = constant + quadratic * z^2
 /// ```
 ///
-/// The quadratic term is that of triangulation, by stereo or structured light: the depth is
-/// z = f B / d, so an error of the disparity d grows by z^2 / (f B). The constant term holds what does not
-/// depend on the depth: its rounding to millimetres, or all of a time-of-flight sensor's noise.
+/// The quadratic term comes from triangulation, by stereo or structured light: the depth is z = f B / d,
+/// so an error of the disparity d grows by z^2 / (f B). The constant term covers everything that does not
+/// depend on the depth: rounding to millimetres, or all of a time-of-flight sensor's noise.
 ///
 /// | sensor | constant (m) | quadratic (1/m) | source |
 /// |---|---|---|---|
-/// | [`D435`](Self::D435) | 0.001 | 0.00475 | disparities good to 0.08 px (Intel, *Tuning D435 and D415*) |
+/// | [`D435`](Self::D435) | 0.001 | 0.00475 | disparity noise 0.08 px (Intel, *Tuning D435 and D415*) |
 /// | Kinect v1 | 0 | 0.001425 | Khoshelham and Elberink, *Sensors* 12 (2012), eq. 6 |
 ///
 /// For another sensor, take images of a wall at a few distances, compute the standard deviation of
@@ -30,21 +30,21 @@ pub struct DepthNoise {
 const ROUNDING_M: f64 = 0.001;
 
 impl DepthNoise {
-    /// An Intel RealSense D435 at 640 x 480: focal length 337 px, baseline 50 mm, disparities good to
-    /// 0.08 px. 6 mm at 1 m, 77 mm at 4 m.
+    /// An Intel RealSense D435 at 640 x 480: focal length 337 px, baseline 50 mm, disparity noise
+    /// 0.08 px. Gives 6 mm at 1 m and 77 mm at 4 m.
     pub const D435: Self = Self { constant_m: ROUNDING_M, quadratic_per_m: 0.08 / (337.0 * 0.050) };
 
-    /// The largest coefficients that are accepted, in metres and 1/m: no sensor is as bad.
-    const MOST_CONSTANT_M: f64 = 1.0;
-    const MOST_QUADRATIC_PER_M: f64 = 100.0;
+    /// Maximum accepted coefficients, in metres and 1/m: far beyond those of any real sensor.
+    const MAX_CONSTANT_M: f64 = 1.0;
+    const MAX_QUADRATIC_PER_M: f64 = 100.0;
 
-    /// Noise with these coefficients, in metres and 1/m.
+    /// Noise with these coefficients, in metres and in 1/m.
     ///
     /// # Errors
     /// [`CalibrationError::DepthNoise`] if one is negative, not finite, or beyond 1 m or 100/m.
     pub fn new(constant_m: f64, quadratic_per_m: f64) -> Result<Self, CalibrationError> {
-        if (0.0..=Self::MOST_CONSTANT_M).contains(&constant_m)
-            && (0.0..=Self::MOST_QUADRATIC_PER_M).contains(&quadratic_per_m)
+        if (0.0..=Self::MAX_CONSTANT_M).contains(&constant_m)
+            && (0.0..=Self::MAX_QUADRATIC_PER_M).contains(&quadratic_per_m)
         {
             Ok(Self { constant_m, quadratic_per_m })
         } else {
@@ -52,8 +52,8 @@ impl DepthNoise {
         }
     }
 
-    /// The noise of a stereo sensor with this focal length in pixels and baseline in metres, whose
-    /// disparities have this standard deviation in pixels.
+    /// The noise of a stereo sensor, from its focal length in pixels, its baseline in metres and the
+    /// standard deviation of its disparities in pixels.
     ///
     /// # Errors
     /// As [`DepthNoise::new`].
@@ -65,12 +65,12 @@ impl DepthNoise {
         Self::new(ROUNDING_M, disparity_px / (focal_px * baseline_m))
     }
 
-    /// The term that does not depend on the depth, in metres.
+    /// The constant term, in metres.
     pub fn constant_m(&self) -> f64 {
         self.constant_m
     }
 
-    /// The factor of the squared depth, in 1/m.
+    /// The coefficient of the squared depth, in 1/m.
     pub fn quadratic_per_m(&self) -> f64 {
         self.quadratic_per_m
     }
@@ -82,7 +82,7 @@ impl DepthNoise {
 }
 
 impl Default for DepthNoise {
-    /// A D435's: of the sensors that are cheap enough for a ceiling, the most common and one of the
+    /// A D435: the most common of the sensors that are cheap enough for a ceiling, and one of the
     /// noisiest.
     fn default() -> Self {
         Self::D435
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_sensor_has_is_refused() {
+    fn coefficients_of_no_sensor_are_refused() {
         for (constant_m, quadratic_per_m) in
             [(-0.001, 0.0), (0.0, -1e-9), (f64::NAN, 0.0), (0.0, f64::INFINITY), (1.1, 0.0)]
         {

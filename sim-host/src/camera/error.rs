@@ -1,24 +1,24 @@
-//! Why a calibration is refused.
+//! Errors of a camera's calibration.
 
-/// Why no camera can be like this.
+/// Why a calibration is refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CalibrationError {
-    /// An image of no size, or of one that no sensor has.
+    /// The image has no pixels, or more than any sensor.
     #[error("an image of {0} x {1} pixels; give a width and a height from 1 to 16384")]
     Size(u32, u32),
-    /// A focal length that is not positive, or not finite.
+    /// A focal length is not positive or not finite.
     #[error("focal lengths of {0} and {1} pixels; both must be positive")]
     Focal(f64, f64),
-    /// The optical axis is far outside the image, or nowhere.
+    /// The principal point is far outside the image, or not finite.
     #[error("an optical axis through pixel ({0}, {1}); it must be near the image")]
     Axis(f64, f64),
-    /// A coefficient that is not finite, or bends the image over itself.
+    /// A distortion coefficient is not finite, or the distortion folds the image over itself.
     #[error("distortion that folds the image over itself; check the order k1, k2, p1, p2, k3")]
     Distortion,
     /// The pose is not finite.
     #[error("a pose that is not finite")]
     Pose,
-    /// A coefficient of the noise of depths that is negative, not finite or too large.
+    /// A coefficient of the depth noise is negative, not finite or too large.
     #[error(
         "depth noise of {0} m plus {1}/m times the square of the depth; give a constant from 0 to \
          1 and a factor from 0 to 100"

@@ -1,39 +1,39 @@
-//! A frame of a camera, and the door through which frames come.
+//! A camera's frame, and the trait of all sources of frames.
 
 use image::{GrayImage, ImageBuffer, Luma, RgbImage};
 use ubimap_protocol::time::Instant;
 
 use super::Calibration;
 
-/// Depth along the optical axis, in millimetres for each pixel; zero where nothing came back.
+/// Depth along the optical axis of each pixel, in millimetres; zero means no measurement.
 pub type DepthImage = ImageBuffer<Luma<u16>, Vec<u16>>;
 
-/// A picture.
+/// An image from a colour or grey sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Picture {
-    /// Of a grey camera.
+    /// A grey image.
     Grey(GrayImage),
-    /// Of a colour camera.
+    /// A colour image.
     Colour(RgbImage),
 }
 
-/// What one camera captured at one moment.
+/// The images that one camera captured at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Which camera, numbered from zero: the place of its [`Calibration`].
+    /// The camera's index, from zero: that of its [`Calibration`] in [`FrameSource::cameras`].
     pub camera: usize,
     /// When it was captured, in the server's clock.
     pub captured: Instant,
-    /// What the depth sensor saw.
+    /// The image of the depth sensor.
     pub depth: Option<DepthImage>,
-    /// What the colour or grey sensor saw.
+    /// The image of the colour or grey sensor.
     pub picture: Option<Picture>,
 }
 
 /// A source of frames: simulated cameras, a recording, or real ones. Frames may arrive late, out of
 /// order, or not at all.
 pub trait FrameSource {
-    /// The cameras.
+    /// The calibrations of the cameras, by index.
     fn cameras(&self) -> &[Calibration];
 
     /// The next frame that has arrived by `now` (server's clock), in order of arrival.

@@ -1,8 +1,8 @@
-//! What a camera is, what it takes and what is seen in it.
+//! Cameras: calibration, frames, and the observations made from frames.
 //!
 //! Frames come from a [`FrameSource`]: simulated cameras and recorded folders implement it, and
-//! nothing downstream knows which it is. Perception makes an [`Observation`] of each. Ideal cameras
-//! see without frames: they are a [`Source`] of observations.
+//! everything downstream treats them alike. Perception turns each frame into an [`Observation`]. Ideal
+//! cameras have no frames: they are a [`Source`] of observations.
 
 mod calibration;
 mod cameras_file;
@@ -25,35 +25,36 @@ pub use error::CalibrationError;
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
 pub use thing::{LAYERS, Thing};
 
-/// What one frame of one camera says, after perception.
+/// The result of perception for one frame of one camera.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Observation {
-    /// Which camera, numbered from zero.
+    /// The camera's index, from zero.
     pub camera: usize,
     /// When the frame was captured, in the server's clock.
     pub captured: Instant,
-    /// The robots that it localised.
+    /// The robots localised in the frame.
     pub robots: Vec<Sighting>,
-    /// The cells that it sees, by grid coordinates (cells from the origin of `map`): free or
-    /// occupied. A cell in its field of view that is hidden from it is not listed.
+    /// The observed cells, by grid coordinates (cells from the origin of `map`): free, occupied,
+    /// movable, or unknown where an earlier observation is taken back. Occluded cells are not listed.
     pub cells: Vec<((i32, i32), Cell)>,
-    /// What stands out of the empty room; its cells are among [`Observation::cells`], movable.
+    /// Objects that are not part of the empty room. Their cells are also in [`Observation::cells`], as
+    /// movable.
     pub things: Vec<Thing>,
 }
 
-/// Where a robot was when a frame was captured.
+/// The pose of a robot when a frame was captured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sighting {
-    /// Which robot.
+    /// The robot's number.
     pub robot: RobotId,
     /// `base_link` in `map`.
     pub pose: Pose,
-    /// How sure it is.
+    /// The standard deviations of the pose.
     pub certainty: Certainty,
 }
 
 impl Sighting {
-    /// One that is good for two centimetres and a degree.
+    /// A sighting with standard deviations of two centimetres and a degree.
     pub fn usual(robot: RobotId, pose: Pose) -> Self {
         Self { robot, pose, certainty: Certainty { x: 20, y: 20, heading: 182 } }
     }

@@ -1,17 +1,17 @@
-//! What stands out of the empty room.
+//! An object that was not in the empty room.
 
-/// Layers of a height profile, of 128 mm each; the last one has no end.
+/// Number of layers in a height profile, 128 mm each; the last one is open-ended.
 pub const LAYERS: usize = 16;
 
-/// Something that was not there when the room was learnt, as one frame of one camera shows it.
+/// An object in one frame of one camera that was not there when the room was learnt.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Thing {
-    /// The cells that it takes up, by grid coordinates: at least one, each touching another.
+    /// The cells that it covers, by grid coordinates: at least one, all connected.
     pub cells: Vec<(i32, i32)>,
-    /// How high it is, in millimetres; zero where the source does not know.
+    /// Its height in millimetres; zero if the source does not know it.
     pub top_mm: u16,
-    /// Its pixels in each layer of 128 mm above the floor.
+    /// Number of its pixels in each 128 mm layer above the floor.
     pub layers: [u32; LAYERS],
-    /// What a detector calls it.
+    /// The label that a detector gave it.
     pub label: Option<String>,
 }

@@ -1,8 +1,8 @@
-//! A wire with faults, one way, under virtual time.
+//! A one-way wire with faults, in virtual time.
 //!
-//! [`FaultWire`] has no clock, thread or socket: frames go in by [`FaultWire::send`], the caller
-//! comes back at [`FaultWire::next_delivery`] and takes them out by [`FaultWire::poll`]. A seed
-//! fixes every fault, so a run can be repeated byte for byte.
+//! [`FaultWire`] has no clock, thread or socket: [`FaultWire::send`] takes frames,
+//! [`FaultWire::next_delivery`] is the time of the next arrival, and [`FaultWire::poll`] returns
+//! what has arrived. The seed determines every fault, so a run is reproducible.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,33 +10,33 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_protocol::time::{Duration, Instant};
 
-/// How long a reordered frame is held back beyond the latency: a few frame times.
+/// Range of the extra delay of a reordered frame: a few frame times.
 const HOLD_BACK: (Duration, Duration) = (Duration::from_millis(5), Duration::from_millis(50));
 
-/// The most bits that one corruption flips.
+/// Maximum number of bits flipped by one corruption.
 const MAX_FLIPS: u32 = 8;
 
-/// How bad a wire is. Probabilities are per frame, from 0 to 1; the default is a perfect wire.
+/// The faults of a wire. Probabilities are per frame, from 0 to 1; the default is a perfect wire.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Faults {
-    /// Probability that a frame is lost, averaged over a long run.
+    /// Probability that a frame is lost, in the long-run average.
     pub loss: f64,
-    /// Mean number of frames lost in a row (a Gilbert-Elliott channel whose bad state loses
-    /// everything). Independent losses already come in runs of 1 / (1 - loss) on average, so any
-    /// value up to that, 1 included, means independent.
+    /// Mean number of consecutive lost frames (a Gilbert-Elliott channel whose bad state loses
+    /// everything). Independent losses have a mean run of 1 / (1 - loss); values up to that,
+    /// including 1, mean independent losses.
     pub burst: f64,
     /// Probability that a frame that is not lost arrives twice.
     pub duplicate: f64,
     /// Probability that a copy is held back by 5 to 50 ms and may be overtaken. All other copies
-    /// arrive in the order in which they were sent, whatever the jitter.
+    /// arrive in the order of sending, whatever the jitter.
     pub reorder: f64,
-    /// Probability that 1 to 8 bits of a copy, its delimiter included, are flipped.
+    /// Probability that 1 to 8 bits of a copy, including its delimiter, are flipped.
     pub corrupt: f64,
-    /// The least time from sending to arrival.
+    /// Minimum time from sending to arrival.
     pub latency: Duration,
-    /// The most that is added to the latency, uniformly at random for each copy.
+    /// Maximum random delay in addition to the latency, uniformly distributed per copy.
     pub jitter: Duration,
-    /// From when to when nothing that is sent arrives.
+    /// Interval in which everything that is sent is lost: from the first time to before the second.
     pub cut: Option<(Instant, Instant)>,
 }
 
@@ -55,20 +55,20 @@ impl Default for Faults {
     }
 }
 
-/// What has happened on a wire so far.
+/// Counters of a wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Frames sent into the wire.
+    /// Frames sent.
     pub sent: u64,
-    /// Bytes sent into the wire, those of lost frames included.
+    /// Bytes sent, including those of lost frames.
     pub bytes: u64,
     /// Frames lost.
     pub lost: u64,
     /// Frames that arrive twice.
     pub duplicated: u64,
-    /// Copies held back.
+    /// Copies held back by reordering.
     pub reordered: u64,
-    /// Copies damaged.
+    /// Copies with flipped bits.
     pub corrupted: u64,
 }
 
@@ -79,15 +79,15 @@ pub struct FaultWire {
     losses: Losses,
     rng: ChaCha8Rng,
     counters: Counters,
-    /// Copies on their way, by arrival and then by the order of sending.
+    /// Copies in flight, by arrival time and then by order of sending.
     in_flight: BTreeMap<(Instant, u64), Vec<u8>>,
     copies: u64,
-    /// No copy that keeps its place may arrive before this.
+    /// Arrival time of the last copy that was not reordered; later ones must not overtake it.
     latest_in_order: Instant,
 }
 
 impl FaultWire {
-    /// A wire with those faults; the seed fixes which frames they befall.
+    /// A wire with the given faults; the seed determines which frames they affect.
     pub fn new(faults: Faults, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         Self {
@@ -101,7 +101,7 @@ impl FaultWire {
         }
     }
 
-    /// Sends one frame, as the link wrote it.
+    /// Sends one frame as the link encoded it.
     pub fn send(&mut self, now: Instant, frame: &[u8]) {
         self.counters.sent += 1;
         self.counters.bytes += frame.len() as u64;
@@ -117,20 +117,20 @@ impl FaultWire {
         }
     }
 
-    /// The next frame that has arrived by `now`, or `None` if there is none (yet).
+    /// Returns the next frame that has arrived by `now`.
     #[must_use]
     pub fn poll(&mut self, now: Instant) -> Option<Vec<u8>> {
         let first = self.in_flight.first_entry()?;
         (first.key().0 <= now).then(|| first.remove())
     }
 
-    /// When the next frame arrives, or `None` if nothing is on its way.
+    /// When the next frame arrives; `None` if nothing is in flight.
     #[must_use]
     pub fn next_delivery(&self) -> Option<Instant> {
         self.in_flight.first_key_value().map(|(&(due, _), _)| due)
     }
 
-    /// What has happened so far.
+    /// Counters since the start.
     pub fn counters(&self) -> Counters {
         self.counters
     }
@@ -156,7 +156,7 @@ impl FaultWire {
     }
 }
 
-/// Which frames are lost: a Gilbert-Elliott chain, good frames arrive and bad ones do not.
+/// Decides which frames are lost: a Gilbert-Elliott chain that delivers in the good state only.
 #[derive(Clone, Debug)]
 struct Losses {
     bad: bool,
@@ -167,9 +167,9 @@ struct Losses {
 impl Losses {
     fn new(loss: f64, burst: f64, rng: &mut impl Rng) -> Self {
         let loss = if loss.is_nan() { 0.0 } else { loss.clamp(0.0, 1.0) };
-        // The share of bad frames is good_to_bad / (good_to_bad + bad_to_good) = loss, and a run
-        // of them lasts 1 / bad_to_good on average. With the shortest run that leaves room for
-        // that share, good_to_bad = 1 - bad_to_good = loss: independent losses.
+        // The share of bad frames is good_to_bad / (good_to_bad + bad_to_good) = loss, and the mean
+        // run of bad frames is 1 / bad_to_good. The shortest run for that share has good_to_bad = 1
+        // - bad_to_good = loss: independent losses.
         let bad_to_good = (1.0 - loss).min(1.0 / burst.max(1.0));
         let good_to_bad = if loss < 1.0 { loss / (1.0 - loss) * bad_to_good } else { 1.0 };
         Self { bad: happens(rng, loss), good_to_bad, bad_to_good }
@@ -184,12 +184,12 @@ impl Losses {
     }
 }
 
-/// Throws a coin; a probability that is none (below 0, above 1, NaN) is never, always, never.
+/// A random event: never for a probability below 0 or NaN, always for one above 1.
 fn happens(rng: &mut impl Rng, probability: f64) -> bool {
     rng.random::<f64>() < probability
 }
 
-/// Flips 1 to 8 different bits; false if there are no bits to flip.
+/// Flips 1 to 8 different bits; false if the frame is empty.
 fn flip_bits(rng: &mut impl Rng, frame: &mut [u8]) -> bool {
     let bits = frame.len() * 8;
     if bits == 0 {
@@ -212,7 +212,7 @@ mod tests {
 
     const STEP: Duration = Duration::from_millis(10);
 
-    /// Sends `count` numbered frames, `STEP` apart, and returns what arrives, and when.
+    /// Sends `count` numbered frames at intervals of `STEP`; returns the arrivals with their times.
     fn run(wire: &mut FaultWire, count: u32) -> Vec<(Instant, Vec<u8>)> {
         let mut arrivals = Vec::new();
         let mut now = Instant::default();
@@ -234,7 +234,7 @@ mod tests {
         arrivals.iter().map(|(_, b)| u32::from_le_bytes(b[..].try_into().unwrap())).collect()
     }
 
-    /// Lengths of the runs of lost frames.
+    /// Lengths of the runs of consecutive lost frames.
     fn loss_runs(received: &[u32], count: u32) -> Vec<u32> {
         let mut runs = Vec::new();
         let mut expected = 0;
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_sent_in_the_same_moment_keep_their_order() {
+    fn frames_sent_at_the_same_time_keep_their_order() {
         let mut wire = FaultWire::new(Faults { latency: STEP, ..Faults::default() }, 1);
         for number in 0..50 {
             wire.send(Instant::default(), &[number]);
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_repeats_every_fault_and_another_does_not() {
+    fn the_seed_determines_every_fault() {
         let faults = Faults {
             loss: 0.3,
             burst: 3.0,
@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_keep_their_average_whatever_the_burst() {
+    fn the_mean_loss_does_not_depend_on_the_burst() {
         for (loss, burst, mean_run) in [
             (0.05, 1.0, 1.0 / 0.95),
             (0.3, 1.0, 1.0 / 0.7),
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn independent_losses_do_not_remember() {
+    fn independent_losses_have_no_memory() {
         let count = 200_000;
         let mut wire = FaultWire::new(Faults { loss: 0.3, ..Faults::default() }, 4);
         let received = numbers(&run(&mut wire, count));
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn probabilities_at_and_beyond_their_ends_do_not_panic() {
+    fn probabilities_outside_their_range_do_not_panic() {
         for odd in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, 0.0, 1.0, 2.0] {
             for burst in [odd, 1.0, 1e300] {
                 let faults = Faults {
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn duplicates_are_copies_and_come_after() {
+    fn duplicates_are_equal_and_arrive_later() {
         let mut wire = FaultWire::new(Faults { duplicate: 0.25, ..Faults::default() }, 6);
         let received = numbers(&run(&mut wire, 20_000));
         assert!(received.is_sorted());

@@ -1,7 +1,7 @@
-//! A serial port, or a pseudo-terminal that stands for one.
+//! A serial port or a pseudo-terminal.
 //!
-//! Neither reading nor writing blocks: a stalled peer may stop a `write` to the operating system
-//! whatever its time limit, so a thread of its own does the writing, from a bounded queue.
+//! Reading and writing never block. A stalled peer can block a `write` to the operating system
+//! regardless of its timeout, so a separate thread writes from a bounded queue.
 
 use std::{
     io::{self, ErrorKind, Read, Write},
@@ -15,17 +15,17 @@ use std::{
     time::Duration,
 };
 
-/// Writes that may wait for the peer; at most 250 bytes each from the link.
+/// Capacity of the write queue, in writes of at most 250 bytes each.
 const QUEUED_WRITES: usize = 64;
 
-/// Bytes handed to the operating system at once: it takes so few whole when it says it has room.
+/// Bytes per write to the operating system: small enough to be accepted whole if it reports room.
 const WRITE_CHUNK: usize = 64;
 
-/// How often the writer looks whether the port has been dropped while its peer is stalled, and
-/// how long a dropped port waits for what is still queued.
-const WRITE_PATIENCE: Duration = Duration::from_millis(100);
+/// Write timeout: how often the writer checks whether the port was dropped while its peer is
+/// stalled, and how long a dropped port waits for queued bytes.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// Why a serial port did not do what was asked.
+/// Errors of a serial port.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
     /// It could not be opened.
@@ -33,27 +33,27 @@ pub enum SerialError {
     Open {
         /// The port.
         path: PathBuf,
-        /// What the operating system said.
+        /// The operating system's error.
         reason: serialport::Error,
     },
     /// The other end is gone: the adapter was unplugged or the pseudo-terminal closed.
-    #[error("{}: hung up", path.display())]
+    #[error("{}: disconnected; check the cable and the robot", path.display())]
     HungUp {
         /// The port.
         path: PathBuf,
     },
-    /// The peer takes nothing and the queue is full; these bytes were not queued.
-    #[error("{}: the peer takes nothing", path.display())]
+    /// The peer accepts nothing and the queue is full; these bytes were not queued.
+    #[error("{}: the peer accepts no data", path.display())]
     Stalled {
         /// The port.
         path: PathBuf,
     },
-    /// Anything else.
+    /// Any other error.
     #[error("{}: {reason}", path.display())]
     Io {
         /// The port.
         path: PathBuf,
-        /// What the operating system said.
+        /// The operating system's error.
         reason: io::Error,
     },
 }
@@ -63,19 +63,19 @@ pub enum SerialError {
 pub struct SerialPort {
     path: PathBuf,
     port: Box<dyn serialport::SerialPort>,
-    /// Always there but while the port is dropped.
+    /// `Some` until the port is dropped.
     writes: Option<mpsc::SyncSender<Vec<u8>>>,
     closing: Arc<AtomicBool>,
-    /// Hangs up when the writer ends.
+    /// Disconnected when the writer thread ends.
     writer: mpsc::Receiver<()>,
 }
 
 impl SerialPort {
-    /// Opens a port by its path, for this process alone.
+    /// Opens a port by its path, for exclusive use.
     pub fn open(path: impl AsRef<Path>, baud: u32) -> Result<Self, SerialError> {
         let path = path.as_ref().to_path_buf();
         let opened = serialport::new(path.to_string_lossy(), baud)
-            .timeout(WRITE_PATIENCE)
+            .timeout(WRITE_TIMEOUT)
             .open()
             .and_then(|port| port.try_clone().map(|writer| (port, writer)));
         let (port, writer_port) = match opened {
@@ -98,14 +98,14 @@ impl SerialPort {
         }
     }
 
-    /// Reads what has arrived, without waiting: the number of bytes, 0 if there are none.
+    /// Reads what has arrived without waiting; returns the number of bytes, possibly 0.
     pub fn read(&mut self, buffer: &mut [u8]) -> Result<usize, SerialError> {
         self.read_within(buffer, Duration::ZERO)
     }
 
-    /// Reads what has arrived, waiting that long for a first byte if there is none.
+    /// Reads what has arrived, waiting up to `wait` for the first byte.
     ///
-    /// What arrived but was not read before the other end hung up is lost.
+    /// Bytes that were not read before the other end hung up are lost.
     pub fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
         if buffer.is_empty() {
             return Ok(0);
@@ -124,8 +124,8 @@ impl SerialPort {
         }
     }
 
-    /// Queues bytes to be written, all of them or, in an error, none. Dropping the port still
-    /// writes what is queued if the peer takes it at once.
+    /// Queues bytes for writing: all of them or, on error, none. Dropping the port still writes
+    /// what is queued if the peer accepts it immediately.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
         let Some(writes) = &self.writes else { return Err(self.hung_up()) };
         writes.try_send(bytes.to_vec()).map_err(|error| match error {
@@ -143,12 +143,12 @@ impl Drop for SerialPort {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::Relaxed);
         self.writes = None;
-        // Not joined: a writer that the operating system holds must not hold its owner too.
-        let _ = self.writer.recv_timeout(WRITE_PATIENCE);
+        // Not joined: a writer blocked in the operating system must not block its owner.
+        let _ = self.writer.recv_timeout(WRITE_TIMEOUT);
     }
 }
 
-/// Writes what is queued until the port is dropped or hangs up.
+/// Writes what is queued until the port is dropped or disconnected.
 fn write_queued(
     mut port: Box<dyn serialport::SerialPort>,
     queue: &mpsc::Receiver<Vec<u8>>,
@@ -179,7 +179,7 @@ mod tests {
 
     use super::*;
 
-    /// A port under test on one end of a pseudo-terminal, and the other end.
+    /// A port under test at one end of a pseudo-terminal, and the other end.
     fn pair() -> (SerialPort, TTYPort) {
         let (master, slave) = TTYPort::pair().unwrap();
         let path = slave.name().unwrap();
@@ -208,7 +208,7 @@ mod tests {
         });
         while arrived.len() < all.len() {
             let count = port.read_within(&mut buffer, Duration::from_secs(5)).unwrap();
-            assert_ne!(count, 0, "nothing within five seconds");
+            assert_ne!(count, 0, "nothing arrived within 5 s");
             arrived.extend_from_slice(&buffer[..count]);
         }
         assert_eq!(arrived, all);
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_read_returns_at_once() {
+    fn an_empty_read_returns_immediately() {
         let (mut port, _master) = pair();
         let start = Instant::now();
         assert_eq!(port.read(&mut [0; 8]).unwrap(), 0);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hang_up_is_told_by_reads_and_by_writes() {
+    fn reads_and_writes_report_a_hang_up() {
         let (mut port, master) = pair();
         drop(master);
         assert!(matches!(port.read(&mut [0; 8]), Err(SerialError::HungUp { .. })));
@@ -237,21 +237,21 @@ mod tests {
     }
 
     #[test]
-    fn a_stalled_peer_stalls_neither_writes_nor_the_end() {
+    fn a_stalled_peer_blocks_neither_writes_nor_dropping() {
         let (mut port, mut master) = pair();
         let start = Instant::now();
         let frame = [0x5A; 250];
         let mut queued = 0;
-        // The operating system takes some tens of kilobytes; then the queue fills.
+        // The operating system buffers some tens of kilobytes; then the queue fills.
         while port.write(&frame).is_ok() {
             queued += frame.len();
-            assert!(queued < 10_000_000, "nobody reads, yet {queued} bytes went");
+            assert!(queued < 10_000_000, "{queued} bytes accepted without a reader");
             thread::sleep(Duration::from_micros(200));
         }
         assert!(matches!(port.write(&frame), Err(SerialError::Stalled { .. })));
         assert_eq!(port.read(&mut [0; 8]).unwrap(), 0);
 
-        // All that was queued arrives once somebody reads, and a write goes through again.
+        // Everything queued arrives once the peer reads, and the next write succeeds.
         let mut arrived = vec![0; queued];
         master.read_exact(&mut arrived).unwrap();
         assert!(arrived.iter().all(|&b| b == 0x5A));
@@ -267,8 +267,8 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_goes_out_before_the_end() {
-        // The slave stays open: what is unread at a hang-up is lost.
+    fn queued_bytes_are_written_before_the_port_is_dropped() {
+        // The slave stays open, because unread bytes are lost at a hang-up.
         let (mut master, slave) = TTYPort::pair().unwrap();
         let mut port = SerialPort::open(slave.name().unwrap(), 115_200).unwrap();
         port.write(&[7; 1_000]).unwrap();
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_is_not_there_is_named() {
+    fn a_missing_port_is_named() {
         let error = SerialPort::open("/dev/no-such-port", 115_200).unwrap_err();
         assert!(error.to_string().starts_with("/dev/no-such-port: "), "{error}");
     }

@@ -1,4 +1,4 @@
-//! What a deployment is made of, and what its earlier lives have left.
+//! The configuration of a deployment, and the state left by earlier lives.
 
 use ubimap_protocol::{
     tile::Epoch,
@@ -13,30 +13,30 @@ use crate::{
     server::coordination::Settings,
 };
 
-/// From the newest moment that a store knows to the beginning of the next life: records carry whole
-/// seconds, so two lives never share one.
+/// Gap between the last stored time and the start of the next life. Records carry whole seconds, so
+/// a second keeps two lives apart.
 const LIFE_GAP: Duration = Duration::from_secs(1);
 
-/// What a deployment is made of.
+/// The configuration of a deployment.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The side of the map's cells. Robots with another one are refused.
+    /// The side length of the map's cells. Robots with another one are refused.
     pub resolution: Millimetres,
-    /// The cameras whose frames it is given, by their numbers. Observations need none.
+    /// The cameras, indexed by the number in their frames. Not needed for observations.
     pub cameras: Vec<Calibration>,
-    /// The robots, and the markers by which cameras know them.
+    /// The robots and their markers.
     pub registry: Registry,
-    /// How robots are told where to drive; `None` leaves them alone.
+    /// Settings of the coordinator that tells robots where to drive; `None`: no coordinator.
     pub coordination: Option<Settings>,
     /// Whether constant errors of robots are corrected, and robots in blind ground get fixes.
     pub corrects_errors: bool,
     /// Whether [`Deployment::sightings`](super::Deployment::sightings) keeps every sighting of a
-    /// robot, 32 bytes each: for reports about runs that end.
+    /// robot, for the reports of finite runs. Costs 32 bytes per sighting, without limit.
     pub keeps_sightings: bool,
 }
 
 impl Config {
-    /// No cameras, no registered robots, no coordination; errors are corrected.
+    /// No cameras, robots or coordination; errors are corrected.
     pub fn new(resolution: Millimetres) -> Self {
         Self {
             resolution,
@@ -52,19 +52,19 @@ impl Config {
 /// One life of the server: from a start of the program to its end.
 #[derive(Clone, Debug)]
 pub struct Life {
-    /// The epoch of the server's layers: higher than in all earlier lives.
+    /// The epoch of the server's layers; higher than in all earlier lives.
     pub epoch: Epoch,
-    /// What earlier lives have kept, if this one keeps anything either.
+    /// What earlier lives have stored; `None` if nothing is stored, in this life either.
     pub kept: Option<Kept>,
 }
 
 impl Life {
-    /// A life that keeps nothing.
+    /// A life without a store.
     pub fn new(epoch: Epoch) -> Self {
         Self { epoch, kept: None }
     }
 
-    /// When it begins by the server's clock, which goes on from life to life.
+    /// The start of this life by the server's clock, which continues across lives.
     pub(super) fn begins(&self) -> Instant {
         match self.kept.as_ref().map(|kept| kept.clock) {
             None | Some(Instant(0)) => Instant(0),
@@ -74,21 +74,21 @@ impl Life {
 }
 
 impl Default for Life {
-    /// The first one, which keeps nothing.
+    /// The first life, without a store.
     fn default() -> Self {
         Self::new(Epoch(1))
     }
 }
 
-/// What earlier lives have kept.
+/// What earlier lives have stored.
 #[derive(Clone, Debug, Default)]
 pub struct Kept {
-    /// The newest moment of the server's clock that is known.
+    /// The last known time of the server's clock.
     pub clock: Instant,
-    /// States of robots' tiles, the epochs of each tile in their order.
+    /// States of robots' tiles; the epochs of each tile in ascending order.
     pub tiles: Vec<(RobotId, TileRecord)>,
-    /// What cameras have seen.
+    /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
-    /// How far the cures of robots have come.
+    /// Progress of the robots' cures.
     pub cures: Vec<CureRecord>,
 }

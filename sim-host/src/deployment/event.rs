@@ -1,22 +1,22 @@
-//! What a deployment tells whoever runs it.
+//! Events of a deployment.
 
 use core::fmt;
 
 use crate::{camera::Observation, perception::FrameError, server};
 
-/// Something that has happened.
+/// Something that happened in a deployment.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// A frame has been looked at, or an observation taken: what it says.
+    /// A frame or observation was processed, with this result.
     Observed(Observation),
-    /// The frames of a camera have begun to be wrong in some way.
+    /// A camera has started to deliver faulty frames.
     Frame(FrameError),
-    /// Something about robots or people.
+    /// An event about robots or people.
     Server(server::Event),
 }
 
 impl Event {
-    /// How much it matters.
+    /// The level at which to log it.
     pub fn level(&self) -> log::Level {
         match self {
             Self::Observed(_) => log::Level::Trace,

@@ -1,4 +1,4 @@
-//! When what must not be lost goes to the disk, and what goes together.
+//! Decides when state is written to disk, and in which batches.
 
 use ubimap_protocol::{
     time::{Duration, Instant},
@@ -10,25 +10,26 @@ use crate::{
     server::Server,
 };
 
-/// From one batch with robots' tiles to the next. A robot waits for it before it gives up a tile;
-/// a commit costs some ten milliseconds, however much is in it.
+/// Interval between batches of robots' tiles. A robot keeps a tile until it is stored; a commit
+/// costs some 10 ms, whatever its size.
 const COMMIT_INTERVAL: Duration = Duration::from_millis(250);
-/// From one batch with what cameras have seen to the next: they see most of it again.
+/// Interval between batches of camera tiles. Longer, because cameras see most of it again after a
+/// restart.
 const CAMERA_INTERVAL: Duration = Duration::from_secs(10);
-/// How long to wait after a batch could not be written.
+/// Delay before a failed batch is written again.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// What is to be written in one go: whoever writes it gives it back, by
+/// Records to be written in one transaction. Give it back with
 /// [`Deployment::stored`](super::Deployment::stored) or
 /// [`Deployment::store_failed`](super::Deployment::store_failed).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
-    /// When it was made, by the server's clock: the next life begins after it.
+    /// When the batch was made, by the server's clock; the next life starts after it.
     pub clock: Instant,
-    /// What cameras have seen.
+    /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
-    /// How far cures have come. Tiles of the robot below a record's first epoch are to be deleted
-    /// before the tiles of the batch are written.
+    /// Progress of cures. Delete the robot's tiles below a record's first epoch before writing the
+    /// tiles of this batch.
     pub cures: Vec<CureRecord>,
     /// States of robots' tiles.
     pub tiles: Vec<(RobotId, TileRecord)>,
@@ -40,30 +41,30 @@ impl Batch {
     }
 }
 
-/// What is due to be written, by the server's clock.
+/// When the next batches are due, by the server's clock.
 #[derive(Debug)]
 pub(super) struct Keeping {
     next_commit: Instant,
     next_camera_tiles: Instant,
-    /// A batch is being written; there is no other one before it has come back.
+    /// A batch is being written; no other one is handed out until it is given back.
     is_writing: bool,
 }
 
 impl Keeping {
-    /// For a life that begins then.
+    /// Starts at the beginning of a life.
     pub(super) fn new(begins: Instant) -> Self {
         let next_camera_tiles = begins + CAMERA_INTERVAL;
         Self { next_commit: begins, next_camera_tiles, is_writing: false }
     }
 
-    /// When there is a batch, at the latest.
+    /// When the next batch is due, if there is anything to write.
     pub(super) fn poll_timeout(&self, server: &Server) -> Option<Instant> {
         let commit = server.has_unsaved().then_some(self.next_commit);
         let camera_tiles = server.has_camera_tiles().then_some(self.next_camera_tiles);
         commit.into_iter().chain(camera_tiles).min().filter(|_| !self.is_writing)
     }
 
-    /// The batch that is due.
+    /// Returns the batch that is due.
     pub(super) fn poll(&mut self, server: &mut Server, now: Instant) -> Option<Batch> {
         if self.poll_timeout(server).is_none_or(|due| now < due) {
             return None;
@@ -83,14 +84,14 @@ impl Keeping {
         self.is_writing.then_some(batch)
     }
 
-    /// The batch is on disk.
+    /// Acknowledges a batch that is on disk.
     pub(super) fn stored(&mut self, server: &mut Server, batch: &Batch) {
         self.is_writing = false;
         batch.cures.iter().for_each(|record| server.cure_stored(record));
         batch.tiles.iter().for_each(|(robot, record)| server.stored(*robot, record));
     }
 
-    /// Nothing of the batch, or not all of it, is on disk: it is handed out again after a while.
+    /// Schedules a batch that is not completely on disk for another attempt.
     pub(super) fn failed(&mut self, server: &mut Server, batch: &Batch, now: Instant) {
         self.is_writing = false;
         self.next_commit = now + RETRY_INTERVAL;
@@ -101,7 +102,7 @@ impl Keeping {
         batch.tiles.iter().for_each(|(robot, record)| server.store_failed(*robot, record));
     }
 
-    /// Whether something is not on disk that must not be lost.
+    /// Whether state that must not be lost is not on disk yet.
     pub(super) fn has_unsaved(&self, server: &Server) -> bool {
         self.is_writing || server.has_unsaved()
     }

@@ -1,13 +1,13 @@
-//! Cameras, the server and what is kept of it, joined: everything that the simulated room, a
-//! recording and real ports drive alike, each with a clock of its own.
+//! Cameras, server and persistence behind one interface, which the simulated room, recordings and
+//! real ports drive, each with its own clock.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
-//! | `config` | what a deployment is made of, and what its earlier lives have left |
-//! | [`registry`] | the robots, and what cameras know them by |
-//! | `keeping` | when what must not be lost goes to the disk |
-//! | `port` | the handles of ports |
-//! | `event`, `status` | what it tells, and how it fares |
+//! | `config` | configuration, and the state left by earlier lives |
+//! | [`registry`] | the robots and their markers |
+//! | `keeping` | when state is written to disk |
+//! | `port` | port handles |
+//! | `event`, `status` | events and counters |
 
 mod config;
 mod event;
@@ -40,28 +40,26 @@ pub use keeping::Batch;
 pub use port::{PortClosed, PortId};
 pub use status::{CameraStatus, PortStatus, Status};
 
-/// Events that wait to be polled, at the most: then the oldest are dropped.
-const MOST_EVENTS: usize = 1_000;
+/// Maximum number of events waiting to be polled; beyond it the oldest is dropped.
+const MAX_EVENTS: usize = 1_000;
 
-/// A deployment: perception, the server, and what is to be kept of it. It owns no clock, port,
-/// camera or file.
+/// Perception, the server and persistence. Owns no clock, port, camera or file.
 ///
-/// - In go frames ([`frame`](Self::frame)), observations that were made of frames elsewhere, as in
-///   a thread for each camera ([`observe`](Self::observe)), the bytes of ports
-///   ([`receive`](Self::receive)), and commands ([`command`](Self::command),
-///   [`goal`](Self::goal), [`explore`](Self::explore)).
-/// - Out come records to be kept ([`poll_store`](Self::poll_store)), bytes for ports
+/// - Inputs: frames ([`frame`](Self::frame)), observations computed elsewhere, such as in a thread
+///   per camera ([`observe`](Self::observe)), bytes from ports ([`receive`](Self::receive)), and
+///   commands ([`command`](Self::command), [`goal`](Self::goal), [`explore`](Self::explore)).
+/// - Outputs: records to store ([`poll_store`](Self::poll_store)), bytes for ports
 ///   ([`poll_transmit`](Self::poll_transmit)) and events ([`poll_event`](Self::poll_event)).
 ///
-/// It follows the law of this [crate]: after every input drain the three outputs, then come
-/// back at [`poll_timeout`](Self::poll_timeout), call [`timeout`](Self::timeout) and drain again.
-/// Records are drained first: what is on disk is acknowledged in the frames that follow. A batch
-/// that was written comes back by [`stored`](Self::stored). One that could not be written comes
-/// back by [`store_failed`](Self::store_failed): nothing of it is acknowledged, it is handed out
-/// again after a second, and everything else goes on.
+/// It follows the driving rule of this [crate]: after every input drain the three outputs, then
+/// return at [`poll_timeout`](Self::poll_timeout), call [`timeout`](Self::timeout) and drain again.
+/// Drain the records first: what is on disk is acknowledged in the frames that follow. Return a
+/// batch with [`stored`](Self::stored) once it is written, or with
+/// [`store_failed`](Self::store_failed) if it could not be: nothing in it is acknowledged, it is
+/// handed out again after a second, and everything else continues.
 ///
-/// All moments that go in and come out are by the caller's clock, which must never run backwards
-/// and should begin near zero. The server's clock, which robots follow, goes on from life to life:
+/// All times passed in and out are by the caller's clock, which must be monotonic and should start
+/// near zero. The server's clock, which robots follow, continues across lives:
 /// [`server_time`](Self::server_time) and [`since_began`](Self::since_began) convert.
 ///
 /// ```
@@ -80,13 +78,13 @@ const MOST_EVENTS: usize = 1_000;
 /// let port = deployment.open_port();
 /// let mut sent = 0;
 ///
-/// // For a second a camera sees a robot, the floor, and a wall 2 m to the east, ten times.
+/// // For a second a camera sees a robot, the floor, and a wall 2 m to the east, in ten frames.
 /// let code = |x| if x == 40 { Cell::Occupied } else { Cell::Free };
 /// let cells: Vec<_> = (30..=40).flat_map(|x| (0..20).map(move |y| ((x, y), code(x)))).collect();
 /// let mut now = Instant(0);
 /// for tenth in 0..10 {
 ///     let frame = Instant(0) + Duration::from_millis(100 * tenth);
-///     // What is due before comes first.
+///     // First do what is due before the frame.
 ///     while let Some(due) = deployment.poll_timeout(now).filter(|due| *due < frame) {
 ///         now = now.max(due);
 ///         deployment.timeout(now);
@@ -100,7 +98,7 @@ const MOST_EVENTS: usize = 1_000;
 ///         cells: cells.clone(),
 ///         ..Observation::default()
 ///     });
-///     // Something that is no frame comes in at the port.
+///     // Bytes that are not a frame arrive at the port.
 ///     deployment.receive(port, &[1, 2, 3, 0], now)?;
 ///     sent += drain(&mut deployment, now);
 /// }
@@ -108,7 +106,7 @@ const MOST_EVENTS: usize = 1_000;
 /// let occupied = deployment.server().fused().tiles().map(|(.., tile)| tile.counts().2);
 /// assert_eq!(occupied.sum::<u32>(), 20);
 /// assert_eq!(deployment.server().whereabouts(now).count(), 1);
-/// assert!(sent > 0, "whoever is at the port is told that it has no session");
+/// assert!(sent > 0, "the sender is notified that it has no session");
 ///
 /// /// Drains the outputs. Returns the bytes sent.
 /// fn drain(deployment: &mut Deployment, now: Instant) -> usize {
@@ -132,9 +130,9 @@ pub struct Deployment {
     observer: Observer,
     resolution: Millimetres,
     keeping: Keeping,
-    /// What the server's clock shows when the caller's shows zero.
+    /// The server's time when the caller's clock is zero.
     began: Instant,
-    /// The first port that is asked for frames next.
+    /// The port from which the search for the next frame starts.
     next_port: usize,
     cameras: BTreeMap<usize, CameraStatus>,
     events: VecDeque<(Instant, Event)>,
@@ -142,8 +140,8 @@ pub struct Deployment {
 }
 
 impl Deployment {
-    /// A deployment without ports. If earlier lives have kept anything, the server and its clock go
-    /// on from there. A camera costs 40 bytes for each pixel of its depth sensor.
+    /// Creates a deployment without ports. If earlier lives have stored state, the server and its
+    /// clock continue from it. Memory: 40 bytes per depth pixel of each camera.
     ///
     /// # Errors
     /// Every [`RegistryError`]: the robots' markers can't be told apart.
@@ -164,15 +162,15 @@ impl Deployment {
     }
 }
 
-/// What goes in.
+/// Inputs.
 impl Deployment {
-    /// Opens a port: at most one robot is behind it.
+    /// Opens a port, with at most one robot behind it.
     pub fn open_port(&mut self) -> PortId {
         PortId(self.server.open_port())
     }
 
-    /// Closes a port. The session of the robot there ends; its next one, on any port, continues
-    /// from it.
+    /// Closes a port. Ends the session of the robot there; the robot's next session, on any port,
+    /// continues from the same map state.
     ///
     /// # Errors
     /// [`PortClosed`].
@@ -180,8 +178,8 @@ impl Deployment {
         self.server.close_port(port.0).map_err(|_| PortClosed(port))
     }
 
-    /// Takes bytes that came in at a port, in pieces of any size. Bytes beyond the rate of any robot
-    /// are dropped, as on a bad link.
+    /// Processes bytes received at a port, in pieces of any size. Bytes beyond the maximum rate of
+    /// a robot are dropped, as on a bad link.
     ///
     /// # Errors
     /// [`PortClosed`].
@@ -190,8 +188,7 @@ impl Deployment {
         self.server.receive(port.0, bytes, now).map_err(|_| PortClosed(port))
     }
 
-    /// Looks at a frame that has arrived from one of the cameras of the configuration. Takes up to
-    /// some ten milliseconds.
+    /// Processes a frame of one of the configured cameras. Cost: up to some 10 ms.
     pub fn frame(&mut self, mut frame: Frame, now: Instant) {
         let now = self.server_time(now);
         frame.captured = self.server_time(frame.captured);
@@ -206,13 +203,13 @@ impl Deployment {
         self.take(observation);
     }
 
-    /// Takes what a frame says that was looked at elsewhere.
+    /// Processes an observation that was computed elsewhere.
     pub fn observe(&mut self, mut observation: Observation) {
         observation.captured = self.server_time(observation.captured);
         self.take(observation);
     }
 
-    /// Takes an observation by the server's clock.
+    /// Processes an observation whose times are by the server's clock.
     fn take(&mut self, mut observation: Observation) {
         self.server.observe(&observation);
         self.cameras.entry(observation.camera).or_default().add(&observation);
@@ -225,7 +222,7 @@ impl Deployment {
     }
 
     fn add_event(&mut self, moment: Instant, event: Event) {
-        if self.events.len() >= MOST_EVENTS {
+        if self.events.len() >= MAX_EVENTS {
             self.events.pop_front();
         }
         self.events.push_back((moment, event));
@@ -239,7 +236,7 @@ impl Deployment {
         self.server.command(robot, command)
     }
 
-    /// Sends a robot to a place in `map`, in metres, if there is a coordinator.
+    /// Sends a robot to a position in `map`, in metres, if there is a coordinator.
     ///
     /// # Errors
     /// Every [`GoalError`].
@@ -253,7 +250,8 @@ impl Deployment {
         self.server.goal(robot, place_m, now)
     }
 
-    /// Lets a robot explore while it has no goal, or no longer, if there is a coordinator.
+    /// Lets a robot explore while it has no goal, or stops it from exploring. No effect without a
+    /// coordinator.
     pub fn explore(&mut self, robot: RobotId, explores: bool) {
         self.server.explore(robot, explores);
     }
@@ -265,33 +263,33 @@ impl Deployment {
     }
 }
 
-/// What comes out.
+/// Outputs.
 impl Deployment {
-    /// The next batch of records to be written, if the life keeps anything.
+    /// Returns the next batch of records to write, if this life stores anything.
     #[must_use]
     pub fn poll_store(&mut self, now: Instant) -> Option<Batch> {
         let now = self.server_time(now);
         self.keeping.poll(&mut self.server, now)
     }
 
-    /// A batch is on disk, for good.
+    /// Call this once the batch is durably on disk.
     pub fn stored(&mut self, batch: Batch) {
         self.keeping.stored(&mut self.server, &batch);
     }
 
-    /// A batch could not be written, or not all of it. [`Deployment::poll_store`] hands it out
-    /// again.
+    /// Call this if the batch could not be written completely. [`Deployment::poll_store`] hands it
+    /// out again.
     pub fn store_failed(&mut self, batch: Batch, now: Instant) {
         let now = self.server_time(now);
         self.keeping.failed(&mut self.server, &batch, now);
     }
 
-    /// Writes the next frame that is due at any port into `out`, which should have
-    /// [`MAX_FRAME`] bytes. Returns the port, and the length of the frame.
+    /// Writes the next due frame of any port into `out`, which should have [`MAX_FRAME`] bytes.
+    /// Returns the port and the frame's length.
     #[must_use]
     pub fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<(PortId, usize)> {
         let now = self.server_time(now);
-        // Without a port the map must age as well.
+        // The map must age without ports, too.
         self.server.age(now);
         while let Some(port) = self.server.port_from(self.next_port) {
             self.next_port = port;
@@ -304,7 +302,7 @@ impl Deployment {
         None
     }
 
-    /// The next event, and when it happened. If nobody asks, only the newest are kept.
+    /// Returns the oldest event and its time. Only the newest 1,000 are kept.
     #[must_use]
     pub fn poll_event(&mut self) -> Option<(Instant, Event)> {
         let of_server = || self.server.poll_event().map(|(at, event)| (at, Event::Server(event)));
@@ -312,7 +310,7 @@ impl Deployment {
         Some((self.since_began(moment), event))
     }
 
-    /// When to come back at the latest to call [`Deployment::timeout`].
+    /// The deadline for the next call of [`Deployment::timeout`].
     #[must_use]
     pub fn poll_timeout(&self, now: Instant) -> Option<Instant> {
         let now = self.server_time(now);
@@ -321,26 +319,25 @@ impl Deployment {
     }
 }
 
-/// What can be asked.
+/// Queries.
 impl Deployment {
-    /// The server: the map, the robots, and what has happened. Its moments are by the server's
-    /// clock.
+    /// The server with its map, robots and events. Its times are by the server's clock.
     pub fn server(&self) -> &Server {
         &self.server
     }
 
-    /// The side of the map's cells.
+    /// The side length of the map's cells.
     pub fn resolution(&self) -> Millimetres {
         self.resolution
     }
 
-    /// How cameras and ports fare.
+    /// State and counters of cameras and ports.
     pub fn status(&self) -> Status {
         let ports = self.server.ports().map(|port| self.status_of(port));
         Status { cameras: self.cameras.clone(), ports: ports.collect() }
     }
 
-    /// How a port fares.
+    /// State and counters of one port.
     ///
     /// # Errors
     /// [`PortClosed`].
@@ -360,29 +357,29 @@ impl Deployment {
         }
     }
 
-    /// Where cameras saw robots in every frame, in the order in which frames came, and when it was
-    /// captured. Empty unless the configuration asks for them.
+    /// Every camera sighting of a robot with its capture time, in order of arrival. Empty unless
+    /// [`Config::keeps_sightings`] is set.
     pub fn sightings(&self) -> &[(Instant, Sighting)] {
         self.sightings.as_deref().unwrap_or_default()
     }
 
-    /// Whether something is not on disk that must not be lost.
+    /// Whether state that must not be lost is not on disk yet.
     pub fn has_unsaved(&self) -> bool {
         self.keeping.has_unsaved(&self.server)
     }
 
-    /// A moment of the caller's clock by the server's.
+    /// Converts a time of the caller's clock to the server's.
     pub fn server_time(&self, moment: Instant) -> Instant {
         self.began + moment.since(Instant(0))
     }
 
-    /// A moment of the server's clock by the caller's; zero for moments of earlier lives.
+    /// Converts a time of the server's clock to the caller's; zero for times of earlier lives.
     pub fn since_began(&self, moment: Instant) -> Instant {
         Instant(0) + moment.since(self.began)
     }
 }
 
-/// The server of a configuration, with what earlier lives have left.
+/// Creates the server from a configuration and the state of earlier lives.
 fn server(config: &Config, life: Life) -> Server {
     let terms = Terms {
         resolution: config.resolution,

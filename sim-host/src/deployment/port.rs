@@ -1,17 +1,17 @@
-//! The handles of ports.
+//! Port handles.
 
-/// A port of a deployment. It is never used again for another one.
+/// A port of a deployment. Handles are not reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PortId(pub(super) usize);
 
 impl PortId {
-    /// Its number, by which [`server::Event::Joined`](crate::server::Event::Joined) names it.
+    /// The number that [`server::Event::Joined`](crate::server::Event::Joined) reports.
     pub fn number(self) -> usize {
         self.0
     }
 }
 
-/// A port that was closed, or is another deployment's.
+/// The port was closed, or belongs to another deployment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("port {} is not open", .0.0)]
 pub struct PortClosed(pub PortId);

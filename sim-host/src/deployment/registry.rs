@@ -1,16 +1,16 @@
-//! Which robots there are, and what cameras know them by: the contents of `robots.toml`.
+//! The robots and their markers: the contents of `robots.toml`.
 //!
 //! ```toml
 //! [[robots]]
 //! id = 1
-//! tag_id = 5              # of AprilTag 36h11; the robot's own number unless given
-//! # colours = ["red", "blue"]  # or a colour marker in its place: its head and its tail, each red,
-//!                         # yellow, green, cyan, blue or magenta
-//! marker_size_m = 0.1     # the side of the tag's black square, or of the colour marker
-//! height_m = 0.3          # of the marker above the floor: the robot's top
-//! box_m = [0.4, 0.3]      # the robot's length and width; 40 by 40 cm unless given
-//! marker_at_m = [0.0, 0.0]  # the marker's middle ahead of base_link and to its left
-//! marker_turn_deg = 0.0   # how far its front is turned from the robot's, counter-clockwise
+//! tag_id = 5                   # of AprilTag 36h11; default: the robot's id
+//! # colours = ["red", "blue"]  # a colour marker instead: head and tail, each red, yellow, green,
+//!                              # cyan, blue or magenta
+//! marker_size_m = 0.1          # side of the tag's black square, or of the colour marker
+//! height_m = 0.3               # height of the marker above the floor: the robot's top
+//! box_m = [0.4, 0.3]           # the robot's length and width; default: 0.4 by 0.4
+//! marker_at_m = [0.0, 0.0]     # the marker's centre, ahead of base_link and to its left
+//! marker_turn_deg = 0.0        # yaw of the marker relative to the robot, counter-clockwise
 //! ```
 
 use std::collections::BTreeSet;
@@ -27,53 +27,53 @@ use crate::{
     },
 };
 
-/// The number of tags in the family 36h11.
+/// Number of tags in the family 36h11.
 const TAGS: u16 = 587;
-/// The height of the tallest robot if none is registered.
+/// Height assumed for the tallest robot if none is registered.
 const USUAL_HEIGHT_M: f64 = 0.3;
-/// The largest size of a robot or a marker that is accepted.
-const LARGEST_M: f64 = 10.0;
+/// Maximum accepted size of a robot or a marker.
+const MAX_SIZE_M: f64 = 10.0;
 
-/// All robots.
+/// All registered robots.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Registry {
-    /// In any order.
+    /// In any order; ids are unique.
     #[serde(default)]
     pub robots: Vec<RegisteredRobot>,
 }
 
-/// One robot.
+/// A registered robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegisteredRobot {
-    /// Its number.
+    /// The robot's id.
     pub id: u16,
-    /// The number of its tag; its own unless given.
+    /// The id of its AprilTag; `None`: the robot's id.
     pub tag_id: Option<u16>,
-    /// The colours of the head and the tail of its marker, if that is no tag.
+    /// The colours of the head and the tail of its marker, if it is not a tag.
     pub colours: Option<[Hue; 2]>,
     /// The side of the tag's black square, or of the colour marker.
     pub marker_size_m: f64,
-    /// Of the marker above the floor.
+    /// Height of the marker above the floor.
     pub height_m: f64,
     /// The robot's length and width.
     pub box_m: Option<[f64; 2]>,
-    /// The marker's middle ahead of `base_link` and to its left.
+    /// The marker's centre, ahead of `base_link` and to its left.
     #[serde(default)]
     pub marker_at_m: [f64; 2],
-    /// How far the marker's front is turned from the robot's, counter-clockwise.
+    /// Yaw of the marker relative to the robot, counter-clockwise.
     #[serde(default)]
     pub marker_turn_deg: f64,
 }
 
-/// Why a text is no registry, on one line.
+/// Why a registry was refused, in one line.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct BadRegistry(String);
 
 impl RegisteredRobot {
-    /// A robot of this length and width, with a tag of its own number over `base_link`.
+    /// A robot of the given length and width, with the tag of its own id above `base_link`.
     pub fn new(id: u16, marker_size_m: f64, height_m: f64, box_m: [f64; 2]) -> Self {
         Self {
             id,
@@ -111,24 +111,30 @@ impl RegisteredRobot {
         self.box_m.map(of_box).unwrap_or_default()
     }
 
-    /// What is wrong with it, if anything is.
+    /// Describes the first invalid value, if any.
     fn fault(&self) -> Option<String> {
         let id = self.id;
-        let is_size = |metres: f64| metres > 0.0 && metres <= LARGEST_M;
+        let is_size = |metres: f64| metres > 0.0 && metres <= MAX_SIZE_M;
         let sizes = [("marker_size_m", self.marker_size_m), ("height_m", self.height_m)];
         if let Some((key, metres)) = sizes.into_iter().find(|(_, metres)| !is_size(*metres)) {
-            return Some(format!("robot {id}: {key}: {metres} must be above 0, to {LARGEST_M}"));
+            return Some(format!(
+                "robot {id}: {key}: {metres} must be above 0 and at most {MAX_SIZE_M}"
+            ));
         }
         if self.box_m.is_some_and(|sides| !sides.into_iter().all(is_size)) {
-            return Some(format!("robot {id}: box_m: both must be above 0, to {LARGEST_M}"));
+            return Some(format!(
+                "robot {id}: box_m: both sides must be above 0 and at most {MAX_SIZE_M}"
+            ));
         }
         if self.colours.is_some() && self.tag_id.is_some() {
-            return Some(format!("robot {id}: has tag_id and colours; leave one out"));
+            return Some(format!("robot {id}: has both tag_id and colours; remove one"));
         }
         match self.identifier() {
             Identifier::Tag(tag @ TAGS..) => {
                 let last = TAGS - 1;
-                Some(format!("robot {id}: tag {tag} is none of 36h11, which end with {last}"))
+                Some(format!(
+                    "robot {id}: tag_id: {tag} is not in family 36h11; the last tag is {last}"
+                ))
             }
             _ => None,
         }
@@ -136,10 +142,10 @@ impl RegisteredRobot {
 }
 
 impl Registry {
-    /// Reads the text of a file.
+    /// Parses the contents of `robots.toml`.
     ///
     /// # Errors
-    /// [`BadRegistry`].
+    /// [`BadRegistry`], which names the line or the robot.
     pub fn from_toml(text: &str) -> Result<Self, BadRegistry> {
         let registry: Self = toml::from_str(text).map_err(|error| {
             let before = error.span().map_or(0, |span| span.start.min(text.len()));
@@ -153,10 +159,10 @@ impl Registry {
                 return Err(BadRegistry(fault));
             }
             if !ids.insert(robot.id) {
-                return Err(BadRegistry(format!("robot {} is there twice", robot.id)));
+                return Err(BadRegistry(format!("robot {} is registered twice", robot.id)));
             }
         }
-        // Whether the markers can be told apart does not depend on the cameras.
+        // Whether markers can be told apart does not depend on the cameras.
         match registry.observer(&[], Survey::default().side) {
             Ok(_) => Ok(registry),
             Err(error @ RegistryError::Twice(..)) => {
@@ -166,13 +172,13 @@ impl Registry {
         }
     }
 
-    /// The text of a file.
+    /// Serialises the registry.
     pub fn to_toml(&self) -> String {
         // Plain structs: serialising them can't fail.
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Perception for these cameras and robots, in cells of this side.
+    /// Creates perception for these cameras and robots, with cells of the given side length.
     ///
     /// # Errors
     /// Every [`RegistryError`].
@@ -186,13 +192,13 @@ impl Registry {
             .clone()
             .map(|robot| (robot.identifier(), robot.mount(), robot.footprint()))
             .collect();
-        // Nothing above the tallest robot can be in a robot's way.
+        // Obstacles above the tallest robot can't be in a robot's way.
         let tallest_m = robots.map(|robot| robot.height_m).reduce(f64::max);
         let robot_height = Millimetres::from_metres(tallest_m.unwrap_or(USUAL_HEIGHT_M));
         Observer::new(cameras, &known, Survey { side, robot_height, ..Survey::default() })
     }
 
-    /// What each robot takes up.
+    /// The footprint of each robot.
     pub fn footprints(&self) -> impl Iterator<Item = (RobotId, Footprint)> {
         self.robots.iter().map(|robot| (RobotId(robot.id), robot.footprint()))
     }
@@ -207,7 +213,7 @@ mod tests {
                        height_m = 0.25\nbox_m = [0.5, 0.3]\nmarker_turn_deg = 90\n";
 
     #[test]
-    fn what_is_written_is_read_again() {
+    fn a_registry_survives_a_round_trip() {
         let registry = Registry::from_toml(TWO).unwrap();
         let [tagged, coloured] = &registry.robots[..] else { panic!("two robots") };
         assert_eq!(tagged.identifier(), Identifier::Tag(1));
@@ -222,23 +228,27 @@ mod tests {
     }
 
     #[test]
-    fn faults_say_where_and_what_to_do() {
+    fn errors_name_the_place_and_the_remedy() {
         for (from, to, expected) in [
             (
                 "id = 2\ncolours = [\"red\", \"blue\"]",
                 "id = 2\ntag_id = 1",
                 "robots 1 and 2 carry the same identifier; each needs its own",
             ),
-            ("id = 2", "id = 1", "robot 1 is there twice"),
+            ("id = 2", "id = 1", "robot 1 is registered twice"),
             ("\"blue\"", "\"red\"", "robot 2 has a head and a tail of one colour"),
             ("\"blue\"", "\"pink\"", "line 7: unknown variant `pink`"),
             ("height_m = 0.25\n", "", "line 5: missing field `height_m`"),
             ("height_m = 0.25", "height_m = nan", "robot 2: height_m: NaN must be above 0"),
             ("marker_size_m = 0.1", "marker_size_m = 100", "robot 1: marker_size_m: 100 must be"),
             ("[0.5, 0.3]", "[0.5, 0]", "robot 2: box_m"),
-            ("id = 2", "id = 2\ntag_id = 3", "tag_id and colours; leave one out"),
-            ("id = 1", "id = 1\ntag_id = 587", "tag 587 is none of 36h11"),
-            ("id = 1", "id = 1\nmarker_at_m = [nan, 0]", "has no size, or no place"),
+            ("id = 2", "id = 2\ntag_id = 3", "tag_id and colours; remove one"),
+            ("id = 1", "id = 1\ntag_id = 587", "is not in family 36h11"),
+            (
+                "id = 1",
+                "id = 1\nmarker_at_m = [nan, 0]",
+                "needs a positive size and a finite position",
+            ),
             ("id = 1", "id = 1\nsize = 2", "line 3: unknown field `size`"),
         ] {
             let error = Registry::from_toml(&TWO.replacen(from, to, 1)).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! How a deployment fares.
+//! State and counters of cameras and ports.
 
 use std::collections::BTreeMap;
 
@@ -7,21 +7,21 @@ use ubimap_protocol::{link::Counters, message::State, units::RobotId};
 use super::port::PortId;
 use crate::camera::Observation;
 
-/// How a deployment fares.
+/// State and counters of a deployment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Status {
-    /// The cameras that anything has come from, by their numbers.
+    /// The cameras that have delivered anything, by number.
     pub cameras: BTreeMap<usize, CameraStatus>,
-    /// The open ports, in the order in which they were opened.
+    /// The open ports in the order of opening.
     pub ports: Vec<PortStatus>,
 }
 
-/// How a camera fares.
+/// Counters of a camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CameraStatus {
-    /// Frames and observations of it.
+    /// Frames and observations received.
     pub observations: u64,
-    /// Those that said of cells what is there.
+    /// Those that reported the state of cells.
     pub looks: u64,
 }
 
@@ -32,17 +32,17 @@ impl CameraStatus {
     }
 }
 
-/// How a port fares.
+/// State and counters of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PortStatus {
     /// Which port.
     pub port: PortId,
-    /// The robot that has its session there.
+    /// The robot that has a session there.
     pub robot: Option<RobotId>,
-    /// What the robot last said of itself. Its times are by the server's clock.
+    /// The robot's last state report. Its times are by the server's clock.
     pub state: Option<State>,
-    /// What the link has counted.
+    /// Counters of the link.
     pub link: Counters,
-    /// Bytes sent, framing and retransmissions included.
+    /// Bytes sent, including framing and retransmissions.
     pub bytes_sent: u64,
 }

@@ -25,27 +25,27 @@ fn at(millis: u64) -> Instant {
     Instant(millis * 1_000)
 }
 
-/// A deployment whose earlier lives have kept nothing but their clock.
+/// A deployment with a store that is empty except for its clock.
 fn keeping(clock: Instant) -> Deployment {
     let kept = Some(Kept { clock, ..Kept::default() });
     Deployment::new(Config::new(RESOLUTION), Life { epoch: Epoch(1), kept }).unwrap()
 }
 
-/// What a camera says that sees a robot and a wall.
+/// An observation of a robot and a wall.
 fn seen(captured: Instant) -> Observation {
     let robots = vec![Sighting::usual(ROBOT, Pose::from_metres(0.5, 0.5, 0.0))];
     let cells = vec![((40, 3), Cell::Occupied)];
     Observation { captured, robots, cells, ..Observation::default() }
 }
 
-/// A robot that says what a test lets it say.
+/// A scripted robot.
 struct Robot {
     port: PortId,
     link: Endpoint<ToServer, (), 1, MAX_FRAME>,
 }
 
 impl Robot {
-    /// One with a session at a port.
+    /// Opens a session at a port.
     fn connect(deployment: &mut Deployment, port: PortId, now: Instant) -> Self {
         let mut link = Endpoint::default();
         let hello = Hello {
@@ -72,7 +72,7 @@ impl Robot {
         Self { port, link }
     }
 
-    /// Draws a wall into its tile.
+    /// Draws a wall into its tile and sends it.
     fn draw(&mut self, deployment: &mut Deployment, version: u32, now: Instant) {
         let mut tile = Tile::UNKNOWN;
         (0..version as usize).for_each(|x| tile.set(x, 0, Cell::Occupied));
@@ -91,8 +91,8 @@ impl Robot {
         deployment.receive(self.port, &out[..sent.unwrap().len], now).unwrap();
     }
 
-    /// The kinds of messages that the deployment has for it, and the version of its tile that it
-    /// is told is stored.
+    /// Receives everything: the kinds of messages, and the version of its tile that is acknowledged
+    /// as stored.
     fn hear(
         &mut self,
         deployment: &mut Deployment,
@@ -117,7 +117,7 @@ impl Robot {
 }
 
 #[test]
-fn a_store_that_fails_stops_nothing_and_nothing_is_acknowledged_before_it_recovers() {
+fn a_failing_store_delays_only_acknowledgements() {
     let mut deployment = keeping(Instant(0));
     let port = deployment.open_port();
     let mut robot = Robot::connect(&mut deployment, port, at(0));
@@ -125,25 +125,25 @@ fn a_store_that_fails_stops_nothing_and_nothing_is_acknowledged_before_it_recove
     assert!(deployment.poll_timeout(at(10)).is_some_and(|due| due <= at(10)));
     let batch = deployment.poll_store(at(10)).unwrap();
     assert!(batch.tiles.len() == 1 && batch.cures.is_empty() && batch.camera_tiles.is_empty());
-    assert_eq!(deployment.poll_store(at(500)), None, "one at a time");
-    assert!(deployment.has_unsaved(), "it is not on disk before it has come back");
+    assert_eq!(deployment.poll_store(at(500)), None, "one batch at a time");
+    assert!(deployment.has_unsaved(), "unsaved until the batch is given back");
     assert_eq!(robot.hear(&mut deployment, at(500)).1, None);
 
-    // The disk is full: it is tried again a second later.
+    // The disk is full: the next attempt is a second later.
     deployment.store_failed(batch, at(500));
     assert_eq!(deployment.poll_store(at(1_499)), None, "not yet");
     assert!(deployment.poll_timeout(at(1_500)).is_some_and(|due| due <= at(1_500)));
     let batch = deployment.poll_store(at(1_500)).unwrap();
     assert_eq!(versions(&batch), [Version(1)]);
 
-    // It is still full. Meanwhile the robot draws on, and gets its fixes.
+    // The disk is still full. Meanwhile the robot keeps drawing and gets its fixes.
     deployment.store_failed(batch, at(1_500));
     robot.draw(&mut deployment, 2, at(1_600));
     deployment.observe(seen(at(1_600)));
     let (kinds, stored) = robot.hear(&mut deployment, at(1_600));
     assert!(kinds.contains(&PoseFix::KIND) && stored.is_none(), "{kinds:?}");
     let batch = deployment.poll_store(at(2_500)).unwrap();
-    assert_eq!(versions(&batch), [Version(2)], "as it is now");
+    assert_eq!(versions(&batch), [Version(2)], "the current version");
     deployment.stored(batch);
     assert_eq!(robot.hear(&mut deployment, at(2_500)).1, Some(Version(2)));
     assert!(!deployment.has_unsaved());
@@ -154,7 +154,7 @@ fn versions(batch: &Batch) -> Vec<Version> {
 }
 
 #[test]
-fn what_cameras_saw_is_handed_out_again_after_a_failure() {
+fn camera_tiles_are_handed_out_again_after_a_failure() {
     let mut deployment = keeping(Instant(0));
     deployment.observe(seen(at(100)));
     assert_eq!(deployment.poll_store(at(9_999)), None);
@@ -168,9 +168,9 @@ fn what_cameras_saw_is_handed_out_again_after_a_failure() {
     assert_eq!(deployment.poll_store(at(99_000)), None);
 }
 
-/// Whoever drives it sees moments by the own clock; the server's goes on from life to life.
+/// The caller's clock restarts in each life; the server's continues.
 #[test]
-fn moments_are_by_the_callers_clock_in_every_life() {
+fn times_are_by_the_callers_clock_in_every_life() {
     let earlier = at(60_000);
     let mut deployment = keeping(earlier);
     assert_eq!(deployment.server_time(at(0)), at(61_000));
@@ -179,7 +179,7 @@ fn moments_are_by_the_callers_clock_in_every_life() {
     assert_eq!((moment, event), (at(300), Event::Observed(seen(at(300)))));
     let (of_server, _) = deployment.server().whereabouts(at(61_300)).next().unwrap();
     assert_eq!(of_server, ROBOT);
-    // Coverage is computed anew at once, and then four times a second.
+    // Coverage is recomputed immediately, and then four times per second.
     assert!(deployment.poll_timeout(at(300)).is_some_and(|due| due <= at(300)));
     assert_eq!(deployment.poll_transmit(at(300), &mut []), None);
     let due = deployment.poll_timeout(at(300)).unwrap();
@@ -189,7 +189,7 @@ fn moments_are_by_the_callers_clock_in_every_life() {
 }
 
 #[test]
-fn sightings_are_kept_if_they_are_asked_for() {
+fn sightings_are_kept_on_request() {
     let config = Config { keeps_sightings: true, ..Config::new(RESOLUTION) };
     for (config, count) in [(config, 2), (Config::new(RESOLUTION), 0)] {
         let mut deployment = Deployment::new(config, Life::default()).unwrap();
@@ -202,7 +202,7 @@ fn sightings_are_kept_if_they_are_asked_for() {
 }
 
 #[test]
-fn goals_and_exploration_go_to_the_coordinator_if_there_is_one() {
+fn the_coordinator_executes_goals_and_exploration() {
     let floor = || Observation {
         captured: at(100),
         robots: vec![Sighting::usual(ROBOT, Pose::from_metres(2.5, 2.5, 0.0))],
@@ -215,11 +215,11 @@ fn goals_and_exploration_go_to_the_coordinator_if_there_is_one() {
         let port = deployment.open_port();
         let mut robot = Robot::connect(&mut deployment, port, at(0));
         deployment.observe(floor());
-        // The coordinator takes note of the robot, is told, and decides.
+        // The coordinator learns of the robot, gets the order, and decides.
         robot.hear(&mut deployment, at(100));
         deployment.timeout(at(100));
         order(&mut deployment);
-        // The survey comes once a second.
+        // Frontiers are surveyed once per second.
         let ticks = (1..=6).map(|tick| at(100 + 250 * tick));
         let heard = ticks.flat_map(|now| {
             deployment.timeout(now);
@@ -239,7 +239,7 @@ fn goals_and_exploration_go_to_the_coordinator_if_there_is_one() {
         assert_eq!(refused, Err(GoalError::UnknownRobot(ROBOT)));
         deployment.explore(ROBOT, true);
     };
-    // The edge of the floor is not in view from where the robot stands.
+    // With this view radius, the robot does not see the edge of the floor from its position.
     let coordination = Some(Settings { view_m: 1.5, ..Settings::default() });
     assert_eq!(run(coordination, go), 1);
     assert_eq!(run(coordination, go_outside), 0);
@@ -253,14 +253,14 @@ fn goals_and_exploration_go_to_the_coordinator_if_there_is_one() {
 }
 
 #[test]
-fn ports_come_and_go() {
+fn closed_ports_are_refused_and_not_reused() {
     let mut deployment = Deployment::new(Config::new(RESOLUTION), Life::default()).unwrap();
     let [first, second, third] = [(); 3].map(|()| deployment.open_port());
     deployment.close_port(second).unwrap();
     assert_eq!(deployment.close_port(second), Err(PortClosed(second)));
     assert_eq!(deployment.receive(second, &[0], at(0)), Err(PortClosed(second)));
     assert_eq!(deployment.port(second), Err(PortClosed(second)));
-    // Something that is no frame is answered wherever it comes in.
+    // Bytes that are not a frame are answered at the port where they arrived.
     for port in [third, first] {
         deployment.receive(port, &[1, 2, 3, 0], at(0)).unwrap();
     }
@@ -281,7 +281,7 @@ fn ports_come_and_go() {
 }
 
 #[test]
-fn frames_that_are_wrong_are_events_by_the_callers_clock() {
+fn faulty_frames_are_reported_with_the_callers_time() {
     let lens = Lens::new(Intrinsics::pinhole(64, 48, 1.4), Isometry3::identity()).unwrap();
     let camera =
         Calibration { depth: Some(lens), depth_noise: DepthNoise::default(), picture: Some(lens) };

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-/// The 8-connected components of a set of cells (they touch along a side or at a corner), in the order of
+/// The 8-connected components of a set of cells (joined along sides or at corners), in the order of
 /// their first cells.
 pub(crate) fn clusters(mut rest: BTreeSet<(i32, i32)>) -> Vec<Vec<(i32, i32)>> {
     let mut found = Vec::new();

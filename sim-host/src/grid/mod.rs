@@ -1,8 +1,8 @@
 //! Occupancy grids, ROS map files and scores.
 //!
-//! [`OccupancyGrid`] is a map as one rectangle of cells: what tiles become when they leave the
-//! system, and what map files become when they enter it. [`read_map`], [`pgm`] and [`yaml`] read and write such files
-//! in the form of ROS's `map_server`; [`compare`] scores one grid against another.
+//! [`OccupancyGrid`] is a map as one rectangle of cells, the form in which maps are read and
+//! written. [`read_map`], [`pgm`] and [`yaml`] read and write the files of ROS's `map_server`;
+//! [`compare`] scores one grid against another.
 
 mod clusters;
 mod occupancy;

@@ -5,10 +5,10 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-/// The most cells that a grid may have: 290 m square at 5 cm.
+/// Maximum number of cells of a grid: 290 m square at 5 cm.
 pub const MAX_CELLS: usize = 1 << 25;
 
-/// Why a grid can't be made.
+/// Why a grid can't be created.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GridError {
     /// More cells than [`MAX_CELLS`].
@@ -25,12 +25,12 @@ pub enum GridError {
     /// The resolution is zero, negative or not a number.
     #[error("a resolution of {0} m is not a positive length")]
     Resolution(f64),
-    /// The origin is not a finite place.
+    /// A coordinate of the origin is not finite.
     #[error("the origin [{0}, {1}] m, yaw {2} rad is not finite")]
     Origin(f64, f64, f64),
 }
 
-/// How many cells of a grid are what.
+/// Number of cells of a grid by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CellCounts {
     /// Free or occupied.
@@ -41,10 +41,10 @@ pub struct CellCounts {
     pub occupied: usize,
 }
 
-/// A rectangle of cells, row by row from the south (least y), each row from the west (least x).
+/// A rectangle of cells, row by row from the south (minimum y), each row from the west (minimum x).
 ///
-/// Its lower left corner lies at `origin_m` in `map`, and the rectangle is turned about that corner
-/// by `yaw_rad`, counter-clockwise. It has at least one cell.
+/// Its lower left corner is at `origin_m` in `map`, and the rectangle is rotated about that corner by
+/// `yaw_rad`, counter-clockwise. It has at least one cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OccupancyGrid {
     resolution_m: f64,
@@ -56,8 +56,8 @@ pub struct OccupancyGrid {
 }
 
 impl OccupancyGrid {
-    /// A grid of unknown cells of `resolution_m` metres, its lower left corner at `origin_m`
-    /// (metres in `map`). No width or no height gives a single cell.
+    /// A grid of unknown cells of `resolution_m` metres with its lower left corner at `origin_m`
+    /// (metres in `map`). A width or height of zero gives a single cell.
     pub fn new(
         resolution_m: f64,
         origin_m: [f64; 2],
@@ -79,7 +79,7 @@ impl OccupancyGrid {
         Ok(Self { resolution_m, origin_m, yaw_rad: 0.0, width, height, cells })
     }
 
-    /// The grid that holds every known cell of the tiles and no more, aligned with them; a single
+    /// The smallest grid that contains every known cell of the tiles, aligned with them; a single
     /// unknown cell at the origin if none is known.
     pub fn from_tiles<'a>(
         tiles: impl IntoIterator<Item = (TileId, &'a Tile)>,
@@ -112,7 +112,7 @@ impl OccupancyGrid {
         Ok(grid)
     }
 
-    /// The same cells, turned about the lower left corner to a yaw in radians (counter-clockwise).
+    /// Rotates the grid about its lower left corner to the given yaw in radians, counter-clockwise.
     pub fn with_yaw(mut self, yaw_rad: f64) -> Result<Self, GridError> {
         if !yaw_rad.is_finite() {
             return Err(GridError::Origin(self.origin_m[0], self.origin_m[1], yaw_rad));
@@ -121,7 +121,7 @@ impl OccupancyGrid {
         Ok(self)
     }
 
-    /// The side of a cell in metres.
+    /// The side length of a cell in metres.
     pub fn resolution_m(&self) -> f64 {
         self.resolution_m
     }
@@ -131,7 +131,7 @@ impl OccupancyGrid {
         self.origin_m
     }
 
-    /// How far the grid is turned about its origin, in radians, counter-clockwise.
+    /// The rotation about the origin in radians, counter-clockwise.
     pub fn yaw_rad(&self) -> f64 {
         self.yaw_rad
     }
@@ -151,7 +151,7 @@ impl OccupancyGrid {
         &self.cells
     }
 
-    /// The cell at column `x` and row `y`; outside of the grid all is unknown.
+    /// The cell at column `x` and row `y`; unknown outside of the grid.
     pub fn cell(&self, x: usize, y: usize) -> Cell {
         if x < self.width && y < self.height {
             self.cells[y * self.width + x]
@@ -160,14 +160,14 @@ impl OccupancyGrid {
         }
     }
 
-    /// Sets the cell at column `x` and row `y`; outside of the grid nothing happens.
+    /// Sets the cell at column `x` and row `y`; no effect outside of the grid.
     pub fn set(&mut self, x: usize, y: usize, cell: Cell) {
         if x < self.width && y < self.height {
             self.cells[y * self.width + x] = cell;
         }
     }
 
-    /// How many cells are known, free and occupied.
+    /// Number of known, free and occupied cells.
     pub fn counts(&self) -> CellCounts {
         let mut counts = CellCounts::default();
         for cell in &self.cells {
@@ -181,15 +181,16 @@ impl OccupancyGrid {
         counts
     }
 
-    /// Where a point of the grid, in cells from its lower left corner, lies in `map` (metres).
-    /// The centre of the cell at column 3 and row 0 is the point (3.5, 0.5).
+    /// Converts grid coordinates (in cells from the lower left corner) to `map` coordinates
+    /// (metres). The centre of the cell at column 3 and row 0 is (3.5, 0.5).
     pub fn to_map(&self, point: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.yaw_rad.sin_cos();
         let [x, y] = point.map(|cells| cells * self.resolution_m);
         [self.origin_m[0] + x * cos - y * sin, self.origin_m[1] + x * sin + y * cos]
     }
 
-    /// Where a point in `map` (metres) lies in the grid, in cells from its lower left corner.
+    /// Converts `map` coordinates (metres) to grid coordinates (in cells from the lower left
+    /// corner).
     pub fn from_map(&self, point: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.yaw_rad.sin_cos();
         let (x, y) = (point[0] - self.origin_m[0], point[1] - self.origin_m[1]);
@@ -197,7 +198,7 @@ impl OccupancyGrid {
     }
 }
 
-/// The grid coordinates of the outermost cells (inclusive).
+/// Grid coordinates of the outermost known cells, inclusive.
 #[derive(Clone, Copy, Default)]
 struct Bounds {
     west: i32,
@@ -207,7 +208,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    /// The bounds of the known cells, if any.
+    /// The bounds of a tile's known cells; `None` if there are none.
     fn of_tile(id: TileId, tile: &Tile) -> Option<Self> {
         let rows = || (0..TILE_SIDE).map(|y| tile.row(y).known());
         let columns = rows().fold(0, |columns, known| columns | known);
@@ -240,7 +241,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tiles_become_a_grid_cropped_to_what_is_known() {
+    fn a_grid_of_tiles_is_cropped_to_the_known_cells() {
         let mut west = Tile::UNKNOWN;
         west.set(31, 4, Cell::Free);
         let mut east = Tile::UNKNOWN;
@@ -279,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_grid_maps_there_and_back() {
+    fn coordinates_of_a_rotated_grid_survive_a_round_trip() {
         let grid = OccupancyGrid::new(0.1, [2.0, 3.0], 10, 10).unwrap();
         let grid = grid.with_yaw(std::f64::consts::FRAC_PI_2).unwrap();
         let [x, y] = grid.to_map([10.0, 0.0]);

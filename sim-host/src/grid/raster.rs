@@ -1,4 +1,4 @@
-//! Image files, decoded within bounds.
+//! Image files, decoded with limits on their size.
 
 use std::{
     io::{Cursor, Read},
@@ -12,19 +12,19 @@ use image::{
 
 use super::occupancy::MAX_CELLS;
 
-/// No more is read of a file: four samples of two bytes for each cell.
+/// Maximum number of bytes read from a file: four samples of two bytes per cell.
 const MAX_BYTES: u64 = 8 * MAX_CELLS as u64;
 
-/// Why an image can't be read; the path is the caller's to name.
+/// Why an image can't be read. The caller adds the path.
 #[derive(Debug, thiserror::Error)]
 pub enum RasterError {
     /// The file can't be read.
     #[error("{0}")]
     Io(#[from] std::io::Error),
-    /// Not an image of a known kind, or a damaged one.
+    /// Not an image of a supported format, or damaged.
     #[error("not a readable image: {0}")]
     Image(#[from] image::ImageError),
-    /// More pixels than a map may have cells.
+    /// More pixels than the maximum number of cells.
     #[error("{width} x {height} pixels are too many (the limit is {MAX_CELLS})")]
     TooLarge {
         /// Pixels in a row.
@@ -32,7 +32,7 @@ pub enum RasterError {
         /// Rows.
         height: u32,
     },
-    /// No pixels.
+    /// The image is empty.
     #[error("the image has no pixels")]
     Empty,
 }
@@ -41,25 +41,25 @@ pub enum RasterError {
 pub(crate) struct Raster {
     /// The pixels; the first row is the top one. White is 255 or 65,535.
     pub(crate) image: DynamicImage,
-    /// What white was in the file, where the header of a PGM or PPM says so: the decoder spreads
-    /// smaller ranges over the whole of 8 or 16 bits.
+    /// The sample value of white in the header of a PGM or PPM: the decoder scales smaller ranges
+    /// to the full 8 or 16 bits.
     pub(crate) file_white: Option<u32>,
 }
 
-/// Reads a PNG, JPEG, BMP, PGM or PPM file; its kind is told from its content.
+/// Reads a PNG, JPEG, BMP, PGM or PPM file; the format is detected from its content.
 pub(crate) fn read(path: &Path) -> Result<Raster, RasterError> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)?.take(MAX_BYTES).read_to_end(&mut bytes)?;
     decode(&bytes)
 }
 
-/// The size (columns, rows) and the kind of pixels of such a file, from its first bytes.
+/// The size (columns, rows) and pixel type of an image file, from its header.
 pub(crate) fn look(path: &Path) -> Result<((u32, u32), ColorType), RasterError> {
     let decoder = ImageReader::open(path)?.with_guessed_format()?.into_decoder()?;
     Ok((decoder.dimensions(), decoder.color_type()))
 }
 
-/// Decodes the bytes of such a file.
+/// Decodes the contents of an image file.
 pub(crate) fn decode(bytes: &[u8]) -> Result<Raster, RasterError> {
     if image::guess_format(bytes)? == ImageFormat::Pnm {
         let decoder = PnmDecoder::new(Cursor::new(bytes))?;
@@ -89,7 +89,7 @@ fn decode_with(
     Ok(Raster { image, file_white })
 }
 
-/// An image of 8-bit grey as the bytes of a binary PGM (P5).
+/// Encodes an 8-bit grey image as a binary PGM (P5).
 pub(crate) fn encode_pgm(image: &GrayImage) -> Vec<u8> {
     let mut bytes = format!("P5\n{} {}\n255\n", image.width(), image.height()).into_bytes();
     bytes.extend_from_slice(image.as_raw());
@@ -102,7 +102,7 @@ mod tests {
 
     use super::*;
 
-    /// One small image in each of the forms that maps, depth images and pictures have.
+    /// One small image of every format used for maps, depth images and pictures.
     fn images() -> Vec<Vec<u8>> {
         let grey = GrayImage::from_fn(5, 4, |x, y| image::Luma([(50 * x + y) as u8]));
         let encoded = |image: DynamicImage, format| {
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_forms_are_decoded() {
+    fn every_format_is_decoded() {
         for bytes in images() {
             assert!(decode(&bytes).is_ok());
         }

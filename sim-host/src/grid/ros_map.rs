@@ -1,8 +1,8 @@
 //! Map files of ROS's `map_server`: a YAML file and the image that it names.
 //!
-//! Each pixel is a cell; the image's bottom row is the southmost. How dark a pixel is says how
-//! occupied the cell is, from 0 (white) to 1 (black), or the other way round with `negate`. Above
-//! `occupied_thresh` the cell is occupied, below `free_thresh` free, and unknown between.
+//! Each pixel is a cell; the bottom row of the image is the southernmost. The darkness of a pixel
+//! is its occupancy, from 0 (white) to 1 (black), inverted with `negate`. A cell above
+//! `occupied_thresh` is occupied, below `free_thresh` free, and unknown between.
 
 use std::{
     fs::File,
@@ -19,9 +19,11 @@ use super::{
     raster::{self, RasterError},
 };
 
-/// Pixel values of a written map: `map_server`'s own trinary ones.
+/// Pixel value of a free cell in written maps, as in `map_server`'s trinary mode.
 const FREE: u8 = 254;
+/// Pixel value of an occupied cell.
 const OCCUPIED: u8 = 0;
+/// Pixel value of an unknown cell.
 const UNKNOWN: u8 = 205;
 
 /// Why a map can't be read.
@@ -32,7 +34,7 @@ pub enum MapError {
     Io {
         /// The YAML file.
         path: PathBuf,
-        /// What the system says.
+        /// The operating system's error.
         error: std::io::Error,
     },
     /// The YAML file is not YAML, or a key is missing or of the wrong kind.
@@ -43,7 +45,7 @@ pub enum MapError {
         /// What is wrong, on one line.
         reason: String,
     },
-    /// A key has a value that can't be.
+    /// A key has an invalid value.
     #[error("{path}: {key}: {reason}", path = path.display())]
     Value {
         /// The YAML file.
@@ -64,27 +66,27 @@ pub enum MapError {
         /// What is wrong with it.
         error: RasterError,
     },
-    /// The numbers don't make a map.
+    /// The size, resolution or origin is invalid.
     #[error("{path}: {error}", path = path.display())]
     Grid {
         /// The YAML file.
         path: PathBuf,
-        /// What is wrong.
+        /// The reason.
         error: GridError,
     },
 }
 
-/// Where occupied begins and free ends, as shares of full occupancy (0 to 1).
+/// Occupancy thresholds, from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Thresholds {
-    /// Cells more occupied than this are occupied.
+    /// Cells above this are occupied.
     pub occupied: f64,
-    /// Cells less occupied than this are free.
+    /// Cells below this are free.
     pub free: f64,
 }
 
 impl Thresholds {
-    /// `map_server`'s own, and those of every map written here.
+    /// The defaults of `map_server`, used in every map written here.
     pub const MAP_SERVER: Self = Self { occupied: 0.65, free: 0.196 };
 
     fn cell(self, occupancy: f64) -> Cell {
@@ -98,12 +100,12 @@ impl Thresholds {
     }
 }
 
-/// Reads a map from its YAML file and the image which that names (relative to the YAML file).
+/// Reads a map from its YAML file and the image named there (relative to the YAML file).
 ///
-/// The modes are those of nav2's `map_server`. `trinary` (the default) counts the opacity of an
-/// image that has one as a fourth colour; in `scale`, pixels that are not opaque are unknown, and
-/// so are here the shades between the thresholds; in `raw` a pixel's value is the occupancy in
-/// per cent, unknown above 100.
+/// The modes are those of nav2's `map_server`. `trinary` (the default) averages an alpha channel as
+/// a fourth colour. In `scale`, pixels that are not opaque are unknown, and unlike in `map_server`
+/// so are shades between the thresholds. In `raw`, a pixel's value is the occupancy in per cent,
+/// unknown above 100.
 pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
     let value_error = |key, reason: &str| MapError::Value {
         path: yaml.to_owned(),
@@ -113,7 +115,7 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
     let text = read_bounded(yaml).map_err(|error| MapError::Io { path: yaml.to_owned(), error })?;
     let text = String::from_utf8(text).map_err(|_| MapError::Yaml {
         path: yaml.to_owned(),
-        reason: "not a text file; a ROS map is given by its .yaml file".to_owned(),
+        reason: "not a text file; give the .yaml file of a ROS map".to_owned(),
     })?;
     let header =
         MapYaml::parse(&text).map_err(|reason| MapError::Yaml { path: yaml.to_owned(), reason })?;
@@ -157,14 +159,14 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
     Ok(grid)
 }
 
-/// The bytes of a YAML file; a file that is longer than any such is cut off, and fails to parse.
+/// Reads a YAML file up to a limit; a longer one is truncated and fails to parse.
 fn read_bounded(yaml: &Path) -> std::io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(yaml)?.take(1 << 20).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// The image of a map as a binary PGM file: free 254, occupied (fixed or movable) 0, unknown 205.
+/// Encodes a map's image as a binary PGM: free 254, occupied (fixed or movable) 0, unknown 205.
 pub fn pgm(grid: &OccupancyGrid) -> Vec<u8> {
     let (width, height) = (grid.width() as u32, grid.height() as u32);
     raster::encode_pgm(&GrayImage::from_fn(width, height, |column, row| {
@@ -176,7 +178,7 @@ pub fn pgm(grid: &OccupancyGrid) -> Vec<u8> {
     }))
 }
 
-/// The YAML file of a map whose image ([`pgm`]) lies beside it under a plain name.
+/// The YAML file for a map image ([`pgm`]) of the given name in the same folder.
 pub fn yaml(grid: &OccupancyGrid, image: &str) -> String {
     let [x, y] = grid.origin_m();
     let Thresholds { occupied, free } = Thresholds::MAP_SERVER;
@@ -188,7 +190,7 @@ pub fn yaml(grid: &OccupancyGrid, image: &str) -> String {
     )
 }
 
-/// The YAML file as it is written. Other keys are left alone, as `map_server` does.
+/// The contents of the YAML file. Unknown keys are ignored, as in `map_server`.
 #[derive(Deserialize)]
 struct MapYaml {
     image: PathBuf,
@@ -238,7 +240,7 @@ impl From<Switch> for bool {
     }
 }
 
-/// How pixels become cells.
+/// How pixels are converted to cells; see [`read_map`].
 #[derive(Clone, Copy, Default, Deserialize, PartialEq)]
 #[serde(rename_all = "lowercase")]
 enum Mode {
@@ -263,7 +265,7 @@ impl Mode {
     }
 }
 
-/// One pixel as `map_server` looks at it.
+/// A pixel as `map_server` interprets it.
 #[derive(Clone, Copy)]
 struct Pixel {
     /// From black (0) to white (1).
@@ -271,16 +273,16 @@ struct Pixel {
     opaque: bool,
 }
 
-/// The pixels of an image, whatever its kind.
+/// The pixels of an image of any type.
 struct Pixels {
     width: u32,
     height: u32,
     grey: Grey,
-    /// Whether opacity counts as a fourth colour.
+    /// Whether alpha is averaged as a fourth colour.
     mean_with_alpha: bool,
 }
 
-/// Grey in one byte where the file has no more: maps are large.
+/// Eight-bit grey is kept as it is, because maps are large.
 enum Grey {
     Luma(GrayImage),
     Colour(image::ImageBuffer<image::Rgba<u16>, Vec<u16>>),
@@ -332,14 +334,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_reads_back() {
+    fn a_written_map_survives_a_round_trip() {
         let folder = Folder::new("round-trip");
         let mut grid = OccupancyGrid::new(0.05, [-7.15, 3.0], 3, 2).unwrap();
         grid.set(0, 0, Cell::Free);
         grid.set(1, 0, Cell::Movable);
         grid.set(2, 1, Cell::Occupied);
         let read = read_map(&map_in(&folder, &yaml(&grid, "map.pgm"), &pgm(&grid))).unwrap();
-        // A map file knows one kind of occupied.
+        // Map files do not distinguish fixed and movable cells.
         grid.set(1, 0, Cell::Occupied);
         assert_eq!(read, grid);
     }
@@ -354,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn modes_and_negation_do_as_map_server_does() {
+    fn modes_and_negation_match_map_server() {
         let folder = Folder::new("modes");
         let image = b"P2 5 1 255 0 100 205 254 70";
         let read = |extra: &str| read_map(&map_in(&folder, &yaml_with(extra), image));
@@ -402,9 +404,9 @@ mod tests {
     }
 
     #[test]
-    fn maps_of_others_are_read() {
+    fn public_ros_maps_are_read() {
         let Some(maps) = shared_data("maps") else { return };
-        // Counted from the bytes of the images, by shade. Depot's grey is free by its thresholds.
+        // Counted from the bytes of the images, by shade. By Depot's thresholds, its grey is free.
         for (file, size, counts) in [
             ("depot/depot.yaml", (604, 307), (179_481, 5_947)),
             ("tb3_sandbox/tb3_sandbox.yaml", (384, 384), (7_903, 870)),

@@ -1,31 +1,31 @@
-//! How well one map agrees with another.
+//! Scores for the agreement of one map with another.
 
 use serde::Serialize;
 use ubimap_protocol::tile::Cell;
 
 use super::occupancy::OccupancyGrid;
 
-/// Added to the tolerance, so that rounding can't part cells that are exactly that far away.
+/// Added to the tolerance, so that rounding does not separate cells at exactly that distance.
 const ROUNDING_M: f64 = 1e-6;
 
-/// How well a map agrees with a reference. Shares are from 0 to 1.
+/// The agreement of a map with a reference. Shares are from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Scores {
-    /// How far apart the centres of two occupied cells may lie to count as the same, in metres.
+    /// Maximum distance between the centres of two matching occupied cells, in metres.
     pub tolerance_m: f64,
-    /// The share of the map's occupied cells that have an occupied cell of the reference within
-    /// the tolerance; 1 if the map has none.
+    /// The share of the map's occupied cells with an occupied cell of the reference within the
+    /// tolerance; 1 if the map has none.
     pub precision: f64,
-    /// The share of the reference's occupied cells that have an occupied cell of the map within
-    /// the tolerance; 1 if the reference has none.
+    /// The share of the reference's occupied cells with an occupied cell of the map within the
+    /// tolerance; 1 if the reference has none.
     pub recall: f64,
     /// The harmonic mean of precision and recall: 1 if neither map has occupied cells, 0 if only
     /// one has.
     pub f1: f64,
-    /// The share of the cells known in both that are free in both or occupied in both. If none is
-    /// known in both: 1 if neither map knows any cell, else 0.
+    /// The share of the cells known in both maps that are free in both or occupied in both. If no
+    /// cell is known in both: 1 if neither map has a known cell, else 0.
     pub agreement_known: f64,
-    /// Cells of the map that are known and whose centre lies in a known cell of the reference.
+    /// Known cells of the map whose centres lie in known cells of the reference.
     pub known_in_both: usize,
     /// Occupied cells of the map.
     pub occupied: usize,
@@ -34,19 +34,19 @@ pub struct Scores {
 }
 
 impl Scores {
-    /// The scores as indented JSON with a line break at the end.
+    /// The scores as indented JSON with a trailing line break.
     pub fn to_json_pretty(&self) -> String {
-        // A plain struct of numbers: there is nothing that could fail.
+        // A plain struct of numbers: serialising it can't fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }
 
 /// Scores a map against a reference.
 ///
-/// Distances are Euclidean, between the centres of cells in `map`; the two grids may differ in
-/// resolution, origin and yaw. Fixed and movable cells are both occupied. `tolerance_m` is in
-/// metres; `None` is one cell of the reference, which takes in the four neighbours but not the
-/// diagonal ones. Each occupied cell costs one look-up for each row within the tolerance.
+/// Distances are Euclidean, between the centres of cells in `map`; the grids may differ in
+/// resolution, origin and yaw. Fixed and movable cells both count as occupied. `tolerance_m` is in
+/// metres; `None` means one cell of the reference, which includes its four neighbours but not the
+/// diagonal ones. Cost: one binary search per occupied cell and row within the tolerance.
 pub fn compare(map: &OccupancyGrid, reference: &OccupancyGrid, tolerance_m: Option<f64>) -> Scores {
     let tolerance_m = tolerance_m.unwrap_or(reference.resolution_m());
     let map_index = OccupiedIndex::of(map);
@@ -70,7 +70,7 @@ pub fn compare(map: &OccupancyGrid, reference: &OccupancyGrid, tolerance_m: Opti
     }
 }
 
-/// The share of the cells of `from` that have one of `to` within the tolerance.
+/// The share of the cells of `from` with a cell of `to` within the tolerance.
 fn share_matched(from: &OccupiedIndex<'_>, to: &OccupiedIndex<'_>, tolerance_m: f64) -> f64 {
     if from.columns.is_empty() {
         return 1.0;
@@ -83,7 +83,7 @@ fn share_matched(from: &OccupiedIndex<'_>, to: &OccupiedIndex<'_>, tolerance_m: 
     matched as f64 / from.columns.len() as f64
 }
 
-/// The share of agreeing cells among those known in both, and how many are.
+/// The share of agreeing cells among those known in both, and the number of the latter.
 fn agreement(map: &OccupancyGrid, reference: &OccupancyGrid) -> (f64, usize) {
     let mut known_in_both = 0;
     let mut agreeing = 0;
@@ -120,12 +120,12 @@ fn is_occupied(cell: Cell) -> Option<bool> {
     }
 }
 
-/// The occupied cells of a grid, sorted, so that the nearest in a row is found by bisection.
+/// The occupied cells of a grid, sorted, so that binary search finds the nearest in a row.
 struct OccupiedIndex<'a> {
     grid: &'a OccupancyGrid,
-    /// Columns of the occupied cells, row after row.
+    /// Columns of the occupied cells, row by row.
     columns: Vec<u32>,
-    /// Where each row begins in `columns`; one more at the end.
+    /// Start index of each row in `columns`, and the end of the last.
     rows: Vec<usize>,
 }
 
@@ -150,7 +150,7 @@ impl<'a> OccupiedIndex<'a> {
         })
     }
 
-    /// Whether an occupied cell's centre lies within `reach` of a point (both in cells).
+    /// Whether the centre of an occupied cell lies within `reach` of a point (both in cells).
     fn has_within(&self, [x, y]: [f64; 2], reach: f64) -> bool {
         let first = (y - 0.5 - reach).ceil().max(0.0) as usize;
         let past = ((y - 0.5 + reach).floor() + 1.0).clamp(0.0, self.grid.height() as f64) as usize;
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn one_cell_takes_in_neighbours_but_not_diagonals() {
+    fn a_tolerance_of_one_cell_excludes_diagonals() {
         let reference = grid(9, 9, &[(4, 4)]);
         for (x, y, f1) in [(4, 4, 1.0), (3, 4, 1.0), (4, 5, 1.0), (5, 5, 0.0), (4, 6, 0.0)] {
             assert_eq!(compare(&grid(9, 9, &[(x, y)]), &reference, None).f1, f1, "({x}, {y})");
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn precision_and_recall_are_not_the_same() {
+    fn precision_and_recall_differ() {
         let map = grid(20, 3, &[(0, 1), (10, 1)]);
         let reference = grid(20, 3, &[(0, 1), (5, 1), (15, 1), (19, 1)]);
         let scores = compare(&map, &reference, None);
@@ -209,9 +209,9 @@ mod tests {
     }
 
     #[test]
-    fn grids_may_lie_elsewhere_and_have_other_cells() {
-        // The cell (2, 2) of 10 cm has its centre at (0.25, 0.25); the cell (7, 7) of 5 cm, seen
-        // from an origin 12 cm to the south-west, at (0.255, 0.255).
+    fn grids_may_differ_in_origin_and_resolution() {
+        // The cell (2, 2) of 10 cm has its centre at (0.25, 0.25); the cell (7, 7) of 5 cm, with
+        // the origin 12 cm to the south-west, at (0.255, 0.255).
         let reference = moved(&grid(5, 5, &[(2, 2)]), 0.1, [0.0, 0.0]);
         let map = moved(&grid(12, 12, &[(7, 7)]), 0.05, [-0.12, -0.12]);
         assert_eq!(compare(&map, &reference, Some(0.0071)).f1, 1.0);
@@ -221,9 +221,9 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_grid_is_compared_where_it_lies() {
+    fn a_rotated_grid_is_compared_in_map_coordinates() {
         let reference = grid(9, 9, &[(6, 2)]);
-        // Turned by a quarter about its corner, column 2 of row 6 from the corner lands there.
+        // After a quarter turn about the corner, column 2 of row 6 is at that position.
         let turned = moved(&grid(9, 9, &[(2, 2)]), 0.05, [0.45, 0.0]);
         let turned = turned.with_yaw(std::f64::consts::FRAC_PI_2).unwrap();
         assert_eq!(compare(&turned, &reference, Some(0.0)).f1, 1.0);
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn known_cells_agree_whatever_kind_of_occupied_they_are() {
+    fn fixed_and_movable_cells_agree() {
         let mut map = grid(4, 1, &[(0, 0)]);
         let mut reference = grid(4, 1, &[]);
         reference.set(0, 0, Cell::Movable);

@@ -1,9 +1,9 @@
-//! How well each robot agrees with the others, and the weight that its word has for it.
+//! How well each robot agrees with the others, and the weight of its claims that follows.
 //!
-//! Cell by cell: somebody who says that something is there, and somebody who says that it and all
-//! its neighbours are free, contradict each other; somebody who says that something is there or
-//! beside it agrees. The cameras are right about what they know. Elsewhere a robot is wrong if two
-//! more contradict it than agree with it: one word against another says nothing.
+//! Counted per cell. A claim that a cell is occupied contradicts a claim that it and all its
+//! neighbours are free, and agrees with a claim that it or a neighbour is occupied. Where cameras
+//! know a cell, they are right. Elsewhere a robot is wrong if the robots that contradict it
+//! outnumber those that agree, itself included: one claim against another decides nothing.
 
 use std::collections::BTreeMap;
 
@@ -14,39 +14,39 @@ use ubimap_protocol::{
 
 use super::mask::Mask;
 
-/// Contradictions below this many are what people, and other robots, and poses that err, leave.
-const LEAST: u32 = 64;
-/// The weight loses a grade at each of these shares of contradictions, in sixteenths: from where a
-/// robot is contradicted as often as not. Robots see people, and legs under a table that cameras see
-/// from above.
+/// Minimum number of contradictions for a loss of weight: people, other robots and pose errors cause
+/// fewer.
+const MIN_CONTRADICTIONS: u32 = 64;
+/// Each of these shares of contradictions, in sixteenths, costs one grade of weight. They start at
+/// one half because robots also see people, and table legs that cameras only see from above.
 const SHARES: [u32; Weight::FULL.0 as usize] = [8, 10, 12, 14];
-/// Of the points of distance vectors so many count, the newest for the most part.
+/// Number of points of distance vectors that count; older ones fade out.
 const POINTS: u32 = 1_024;
-/// Votes that count: two at least, and one more than those of the others and the robot itself.
+/// Minimum number of robots that contradict a claim for it to be wrong.
 const VOTES: u8 = 2;
 
-/// What a robot's word counts for: none, or one of four grades.
+/// The weight of a robot's claims: none, or one of four grades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Weight(pub(super) u8);
 
 impl Weight {
-    /// That of a robot against which nothing is known.
+    /// The initial weight of every robot.
     pub const FULL: Self = Self(4);
-    /// Its word does not count.
+    /// The robot's claims are ignored.
     pub const NONE: Self = Self(0);
 
-    /// A grade; those above the full one are the full one.
+    /// A grade, capped at [`Self::FULL`].
     pub fn grade(grade: u8) -> Self {
         Self(grade.min(Self::FULL.0))
     }
 
-    /// By how many grades it is less than the full one.
+    /// Number of grades below [`Self::FULL`].
     pub fn short_of_full(self) -> u8 {
         Self::FULL.0.saturating_sub(self.0)
     }
 }
 
-/// What agrees with the others, and what contradicts them: cells, or points.
+/// Numbers of agreeing and contradicting cells, or points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Counts {
     agree: u32,
@@ -56,28 +56,28 @@ struct Counts {
 impl Counts {
     fn weight(self) -> Weight {
         let Self { agree, contradict } = self;
-        if contradict < LEAST {
+        if contradict < MIN_CONTRADICTIONS {
             return Weight::FULL;
         }
         let share = 16 * u64::from(contradict) / (u64::from(agree) + u64::from(contradict));
         let lost = SHARES.iter().filter(|&&limit| share >= u64::from(limit)).count();
-        // There are four of them.
+        // `SHARES` has four entries, so the cast is lossless.
         Weight::grade(Weight::FULL.0.saturating_sub(lost as u8))
     }
 }
 
-/// How well the robots agree, by the layers and by what they see.
+/// How well the robots agree, by their layers and by their distance vectors.
 #[derive(Debug, Default)]
 pub struct Agreements {
     tiles: BTreeMap<(RobotId, TileId), Counts>,
-    /// The sums over the tiles.
+    /// Sums over the tiles.
     layers: BTreeMap<RobotId, Counts>,
     points: BTreeMap<RobotId, Counts>,
 }
 
 impl Agreements {
-    /// Counts a tile anew: what the cameras know of it, and each robot that knows something of it.
-    /// Costs a few microseconds for each robot.
+    /// Recounts a tile from the cameras' knowledge and the layer of each robot that knows any of
+    /// it. Cost: a few microseconds per robot.
     pub fn count(&mut self, id: TileId, cameras: &Tile, robots: &[(RobotId, &Tile)]) {
         let camera = Claims::of(cameras);
         let claims: Vec<(RobotId, Claims)> =
@@ -97,7 +97,7 @@ impl Agreements {
                 counts.contradict +=
                     (there & camera.free[y] | clear & camera.occupied[y]).count_ones();
                 for x in ones(there & !known) {
-                    // It is among those near, itself.
+                    // `near` includes the robot's own claim.
                     counts.settle(near.of(x, y), free.of(x, y));
                 }
                 for x in ones(clear & !known).filter(|&x| occupied.of(x, y) >= VOTES) {
@@ -112,8 +112,8 @@ impl Agreements {
         }
     }
 
-    /// Takes how many points of a robot's distance vector lie where the cameras see something, and
-    /// how many in what they see free.
+    /// Adds a distance vector of a robot: the number of points on surfaces that the cameras see,
+    /// and of those in ground that they see free.
     pub fn looked(&mut self, robot: RobotId, agree: u32, contradict: u32) {
         let sum = self.points.entry(robot).or_default();
         sum.agree += agree.min(POINTS);
@@ -123,8 +123,7 @@ impl Agreements {
         }
     }
 
-    /// What a robot's word counts for: by its layer, or by what it sees where cameras see it,
-    /// whichever is less.
+    /// The weight of a robot's claims: the lower of those by its layer and by its distance vectors.
     pub fn weight(&self, robot: RobotId) -> Weight {
         let of =
             |counts: &BTreeMap<RobotId, Counts>| counts.get(&robot).copied().unwrap_or_default();
@@ -133,8 +132,9 @@ impl Agreements {
 }
 
 impl Counts {
-    /// A cell in which the robot says that something is, out of the cameras' view: how many say so
-    /// too, the robot itself among them, and how many say that it and all beside it are free.
+    /// Counts a cell out of the cameras' view that the robot claims to be occupied: `with` robots
+    /// claim that it or a neighbour is occupied (including this one), `against` that it and all its
+    /// neighbours are free.
     fn settle(&mut self, with: u8, against: u8) {
         if against >= VOTES && against > with {
             self.contradict += 1;
@@ -144,13 +144,13 @@ impl Counts {
     }
 }
 
-/// What a tile says for certain.
+/// Definite claims of a tile.
 struct Claims {
-    /// Something fixed is there.
+    /// The cell is occupied by something fixed.
     occupied: Mask,
-    /// Something fixed is there or beside it.
+    /// The cell or a neighbour is occupied by something fixed.
     near: Mask,
-    /// It and all its neighbours in the tile are free.
+    /// The cell and all its neighbours in the tile are free.
     free: Mask,
 }
 
@@ -173,14 +173,14 @@ impl Claims {
         };
         Self {
             near: core::array::from_fn(|y| beside(&occupied, y, 0, |a, b| a | b)),
-            // What lies beyond the tile's edge does not speak against it.
+            // Cells beyond the tile's edge are taken as free.
             free: core::array::from_fn(|y| beside(&free, y, u32::MAX, |a, b| a & b)),
             occupied,
         }
     }
 }
 
-/// How many say so of each cell; no more than 255.
+/// Number of claims for each cell, up to 255.
 struct Votes([u8; TILE_CELLS as usize]);
 
 impl Votes {
@@ -215,7 +215,7 @@ mod tests {
 
     const ID: TileId = TileId { x: 1, y: -2 };
 
-    /// All free but a wall in these columns.
+    /// All free except for a wall in these columns.
     fn room(walls: core::ops::Range<usize>) -> Tile {
         let mut tile = Tile { low: [u32::MAX; TILE_SIDE], high: [0; TILE_SIDE] };
         for x in walls {
@@ -228,7 +228,7 @@ mod tests {
         let mut agreements = Agreements::default();
         let ids = (1..).map(RobotId);
         let robots: Vec<(RobotId, &Tile)> = ids.zip(robots).collect();
-        // Counting again changes nothing.
+        // Recounting changes nothing.
         agreements.count(ID, &room(3..9), &robots);
         agreements.count(ID, cameras, &robots);
         agreements.count(ID, cameras, &robots);
@@ -241,34 +241,41 @@ mod tests {
         let [same, beside, more, elsewhere, nothing] = weights(&room(10..12), &robots)[..] else {
             panic!()
         };
-        assert_eq!((same, beside), (Weight::FULL, Weight::FULL), "a cell beside is as good");
+        assert_eq!((same, beside), (Weight::FULL, Weight::FULL), "a neighbouring cell agrees");
         assert!(Weight::NONE < more && more < Weight::FULL, "{more:?}");
         assert_eq!((elsewhere, nothing), (Weight::NONE, Weight::NONE));
     }
 
     #[test]
-    fn in_blind_ground_the_others_are_right_if_they_are_more() {
+    fn in_blind_ground_the_majority_is_right() {
         let (honest, liar) = (room(10..12), room(20..23));
         let full = Weight::FULL;
-        assert_eq!(weights(&Tile::UNKNOWN, &[honest, liar]), [full, full], "word against word");
+        assert_eq!(
+            weights(&Tile::UNKNOWN, &[honest, liar]),
+            [full, full],
+            "one claim against another"
+        );
         assert_eq!(weights(&Tile::UNKNOWN, &[honest, liar, honest]), [full, Weight::NONE, full]);
-        // One who does not see their wall.
+        // The third robot does not see the wall.
         let weights = weights(&Tile::UNKNOWN, &[honest, honest, room(0..0), Tile::UNKNOWN]);
         assert_eq!(weights, [full, full, Weight::NONE, full]);
     }
 
     #[test]
-    fn what_is_seen_against_the_cameras_counts_and_is_made_good() {
+    fn points_that_contradict_the_cameras_cost_weight_until_others_agree() {
         let mut agreements = Agreements::default();
         let robot = RobotId(3);
         agreements.looked(robot, 2, 40);
-        assert_eq!(agreements.weight(robot), Weight::FULL, "a person walks before it");
+        assert_eq!(agreements.weight(robot), Weight::FULL, "a person walks in front of it");
         agreements.looked(robot, 2, 40);
         assert_eq!(agreements.weight(robot), Weight::NONE);
         (0..40).for_each(|_| agreements.looked(robot, 60, 0));
         assert_eq!(agreements.weight(robot), Weight::FULL);
         agreements.looked(robot, 0, u32::MAX);
         let weight = agreements.weight(robot);
-        assert!(Weight::NONE < weight && weight < Weight::FULL, "one look counts for so much");
+        assert!(
+            Weight::NONE < weight && weight < Weight::FULL,
+            "the effect of one distance vector is limited"
+        );
     }
 }

@@ -1,15 +1,15 @@
-//! What a robot saw against the map: the pose from which the points of a distance vector lie best
-//! on the surfaces of the map, and how sure that is.
+//! Scan matching: finds the pose from which the points of a distance vector fit the map's surfaces
+//! best, and its covariance.
 //!
-//! First every pose about the predicted one is tried, in steps of a cell and 1.4 degrees, with
-//! looked-up integer scores: so a better place is found wherever it is, and a second place that is
-//! nearly as good is noticed. Then the best is refined by least squares of the distances between
-//! points and lines along the surfaces (Censi's PL-ICP, ICRA 2008). Their normal equations tell
-//! what the surfaces say of x, y and heading: in a corridor nothing of the way along it.
+//! First, all poses around the predicted one are scored in steps of one cell and 1.4 degrees, with
+//! integer table look-ups: this finds the global optimum, and rivals that are nearly as good. Then
+//! the best one is refined by least squares over the distances between points and lines along
+//! surfaces (Censi's PL-ICP, ICRA 2008). The normal equations give the uncertainty of x, y and
+//! heading; in a corridor, the position along it is unconstrained.
 //!
-//! Where the map says nothing, what the robot has seen from its last places stands for it: so each
-//! place is found from those before it, and errors grow with the surfaces that come into view, not
-//! with the way of the wheels.
+//! Where the map is unknown, the surfaces that the robot has recently seen itself are used instead:
+//! each pose is found relative to previous ones, and errors grow with the surfaces that come into
+//! view instead of with the distance driven.
 
 mod geometry;
 mod points;
@@ -35,21 +35,22 @@ pub use {
     trail::Trail,
 };
 
-/// A match stands on so many points at least, and so many hundredths of those in known ground.
-const LEAST_POINTS: usize = 14;
-const LEAST_SHARE: usize = 60;
-/// A match whose heading is less sure than this is none: 2 degrees.
+/// Minimum number of points on surfaces in a match.
+const MIN_POINTS: usize = 14;
+/// Minimum percentage of points on surfaces, among the points in known ground.
+const MIN_SHARE: usize = 60;
+/// Maximum standard deviation of a match's heading: 2 degrees in radians.
 const HEADING_LIMIT: f64 = 0.035;
-/// A point stands for less than a measurement of its own, for its neighbours hit the same cells.
+/// Factor on the variance, because neighbouring points hit the same cells and are correlated.
 const CORRELATION: f64 = 2.0;
 
-/// From where the points were seen.
+/// The pose from which points were seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Match {
-    /// `base_link` in `map`.
+    /// The pose of `base_link` in `map`.
     pub pose: Pose,
-    /// Of x, y (mm) and heading (rad) in `map`. Where the surfaces say nothing of a direction, it
-    /// is huge.
+    /// Covariance of x, y (mm) and heading (rad) in `map`; huge along a direction that the surfaces
+    /// do not constrain.
     pub covariance: Matrix3<f64>,
 }
 
@@ -61,10 +62,9 @@ impl Match {
 }
 
 impl Surfaces {
-    /// The pose about the predicted one from which the points (as of [`points`]) were seen. `None`
-    /// if too little of them lies on surfaces, or if there are two such poses or more, or if they
-    /// say too little of the heading. A search of half a metre and 15 degrees takes about two
-    /// milliseconds.
+    /// Finds the pose near the predicted one from which the points (from [`points`]) were seen.
+    /// `None` if too few of them lie on surfaces, if the pose is ambiguous, or if its heading is
+    /// too uncertain. Cost: about 2 ms for a search of 0.5 m and 15 degrees.
     pub fn find(&self, points: &[[f64; 2]], predicted: Pose, search: Search) -> Option<Match> {
         let points: Vec<Vector2<f64>> = points.iter().map(|&[x, y]| Vector2::new(x, y)).collect();
         let start = position(predicted);
@@ -82,11 +82,11 @@ impl Surfaces {
             let seen = refined.at + arm;
             self.code(self.cell(seen)) == Cell::Free || self.seen_along(arm, seen).is_some()
         });
-        if refined.points < LEAST_POINTS || 100 * refined.points < LEAST_SHARE * known.count() {
+        if refined.points < MIN_POINTS || 100 * refined.points < MIN_SHARE * known.count() {
             return None;
         }
         let deviation = refined.square.max(CELL_DEVIATION_MM * CELL_DEVIATION_MM) * CORRELATION;
-        // A metre and more of the position must not count for a radian.
+        // The small term keeps the matrix invertible; it is negligible for millimetres and radians.
         let inverse = (refined.information + Matrix3::identity() * 1e-9).try_inverse()?;
         let floor = Vector3::new(CELL_DEVIATION_MM, CELL_DEVIATION_MM, CELL_DEVIATION);
         let covariance = inverse * deviation + Matrix3::from_diagonal(&floor.component_mul(&floor));

@@ -1,5 +1,5 @@
-//! What the cameras have seen: for each cell, what stood or did not stand there when it was last
-//! in view, and what moves there now.
+//! What the cameras have seen: the last state of each cell without moving things, and what is
+//! moving now.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,40 +14,40 @@ use crate::{
     timing::{CELL_AWAY, EVIDENCE_HOLDS},
 };
 
-/// The camera evidence.
+/// The cameras' evidence.
 #[derive(Clone, Debug, Default)]
 pub struct CameraLayer {
     still: BTreeMap<TileId, Still>,
-    /// What moves, as the newest frame of each camera has it: its next frame replaces it, so that
-    /// what walks out of view leaves nothing behind.
+    /// Moving things in the newest frame of each camera. The next frame replaces them, so that a
+    /// person who walks out of view leaves no trace.
     moving: BTreeMap<usize, (Instant, BTreeMap<TileId, Tile>)>,
     newest: Instant,
 }
 
-/// What does not move.
+/// The stationary part of a tile.
 #[derive(Clone, Debug)]
 struct Still {
     tile: Tile,
-    /// For each cell, row by row, when the frame was captured that it comes from, and by whom.
+    /// For each cell, row by row: the capture time of the frame that set it, and its camera.
     seen: Box<[(Instant, usize); TILE_CELLS as usize]>,
-    /// Whether any of it was seen since the disk was told.
+    /// Whether it was observed since it was last taken for storage.
     is_unkept: bool,
 }
 
-/// What cameras have seen of a tile and does not move, to be kept on disk.
+/// The stationary cells that cameras have seen in a tile, as stored on disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CameraTile {
-    /// Which tile.
+    /// The tile's id.
     pub id: TileId,
-    /// Its cells, and when each was seen.
+    /// The cells, and when each was last seen.
     pub seen: SeenTile,
-    /// By which camera, in the order of [`SeenTile::seconds`].
+    /// The camera that saw each cell, in the order of [`SeenTile::seconds`].
     pub cameras: [u32; TILE_CELLS as usize],
 }
 
 impl CameraLayer {
-    /// Takes the cells of a frame; a frame without cells says nothing. What is known from a newer
-    /// frame stays. Returns the tiles that have changed.
+    /// Adds the cells of a frame, except those known from a newer one; a frame without cells has no
+    /// effect. Returns the changed tiles.
     pub fn observe(&mut self, observation: &Observation) -> BTreeSet<TileId> {
         let mut changed = BTreeSet::new();
         if observation.cells.is_empty() {
@@ -81,7 +81,7 @@ impl CameraLayer {
         changed
     }
 
-    /// All tiles of which anything was seen since this was last called, without what moves.
+    /// Takes all tiles observed since the last call, without moving things.
     pub fn take_unkept(&mut self) -> Vec<CameraTile> {
         let unkept = self.still.iter_mut().filter(|(_, still)| still.is_unkept);
         let tiles = unkept.map(|(&id, still)| {
@@ -93,7 +93,7 @@ impl CameraLayer {
         tiles.collect()
     }
 
-    /// Some of what was taken to be kept could not be: it is taken again.
+    /// Marks tiles that could not be stored, so that they are taken again.
     pub fn not_kept(&mut self, tiles: &[CameraTile]) {
         for tile in tiles {
             if let Some(still) = self.still.get_mut(&tile.id) {
@@ -102,12 +102,12 @@ impl CameraLayer {
         }
     }
 
-    /// Whether [`CameraLayer::take_unkept`] has something.
+    /// Whether [`CameraLayer::take_unkept`] would return anything.
     pub fn has_unkept(&self) -> bool {
         self.still.values().any(|still| still.is_unkept)
     }
 
-    /// Takes back what was kept. What has been seen since stays.
+    /// Restores a stored tile. Newer observations are kept.
     pub fn restore(&mut self, kept: &CameraTile) {
         let still = self.still.entry(kept.id).or_default();
         for (cell, (&second, &camera)) in kept.seen.seconds.iter().zip(&kept.cameras).enumerate() {
@@ -120,7 +120,7 @@ impl CameraLayer {
         }
     }
 
-    /// What the cameras know of a tile, and when they last saw each cell.
+    /// The cameras' knowledge of a tile, with the time each cell was last seen.
     pub fn seen(&self, id: TileId) -> SeenTile {
         let mut seen = SeenTile { tile: self.tile(id), ..SeenTile::NOTHING };
         if let Some(still) = self.still.get(&id) {
@@ -138,7 +138,7 @@ impl CameraLayer {
         seen
     }
 
-    /// What the cameras know of a tile.
+    /// The cameras' knowledge of a tile.
     pub fn tile(&self, id: TileId) -> Tile {
         let mut tile = Tile::UNKNOWN;
         for moving in self.moving.values().filter_map(|(_, tiles)| tiles.get(&id)) {
@@ -163,8 +163,8 @@ impl Default for Still {
 }
 
 impl Still {
-    /// Takes what a camera says of a cell, free, occupied, or no longer known. Whether that changes
-    /// it, or it has not been in view for a while.
+    /// Sets a cell as a camera reports it: free, occupied or no longer known. Returns whether this
+    /// changes it, or it was out of view for a while.
     fn take(&mut self, x: usize, y: usize, cell: Cell, camera: usize, captured: Instant) -> bool {
         let known = self.tile.cell(x, y);
         let seen = &mut self.seen[y * TILE_SIDE + x];
@@ -173,7 +173,7 @@ impl Still {
             && cell == Cell::Free
             && by != camera
             && captured.since(when) <= EVIDENCE_HOLDS;
-        // Only who said what stands there takes it back.
+        // Only the camera that set a cell can make it unknown again.
         let is_anothers = cell == Cell::Unknown && by != camera;
         if captured < when || is_held || is_anothers {
             return false;
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_frame_holds() {
+    fn the_newest_frame_wins() {
         let mut layer = CameraLayer::default();
         assert!(layer.observe(&frame(0, 10, &[(-1, Cell::Occupied)])).contains(&ID));
         assert!(layer.observe(&frame(0, 20, &[(-1, Cell::Free)])).contains(&ID));
@@ -210,21 +210,21 @@ mod tests {
     }
 
     #[test]
-    fn what_walks_out_of_view_leaves_nothing_behind() {
+    fn a_person_who_walks_out_of_view_leaves_no_trace() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(0, 10, &[(-1, Cell::Free), (-2, Cell::Movable)]));
         layer.observe(&frame(0, 20, &[(-1, Cell::Movable), (-2, Cell::Free)]));
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Movable);
-        // Its shadow hides where it was.
+        // The person's shadow hides the previous position.
         assert!(layer.observe(&frame(0, 30, &[(-2, Cell::Free)])).contains(&ID));
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Free);
-        // A frame without cells says nothing.
+        // A frame without cells has no effect.
         layer.observe(&frame(0, 40, &[]));
         assert_eq!(layer.tile(ID).cell(30, 5), Cell::Free);
     }
 
     #[test]
-    fn whom_a_dead_camera_saw_last_is_gone_after_a_second() {
+    fn a_person_seen_by_a_dead_camera_disappears_after_a_second() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(1, 0, &[(-1, Cell::Free), (-2, Cell::Free)]));
         layer.observe(&frame(0, 100_000, &[(-1, Cell::Movable)]));
@@ -235,14 +235,14 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_sees_the_floor_before_a_wall_does_not_make_it_flicker() {
+    fn two_cameras_that_disagree_do_not_make_a_wall_flicker() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(0, 0, &[(-1, Cell::Occupied)]));
         for turn in 1..10 {
             assert!(layer.observe(&frame(1, turn * 200_000, &[(-1, Cell::Free)])).is_empty());
             layer.observe(&frame(0, turn * 200_000 + 50_000, &[(-1, Cell::Occupied)]));
         }
-        // The wall is taken down: at once if who saw it says so, else after a second.
+        // The wall is removed: immediately if its camera reports it, else after a second.
         let mut other = layer.clone();
         assert!(layer.observe(&frame(0, 2_000_000, &[(-1, Cell::Free)])).contains(&ID));
         assert!(other.observe(&frame(1, 2_850_000, &[(-1, Cell::Free)])).is_empty());
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_that_comes_back_into_view_is_told_of_and_each_has_its_second() {
+    fn a_cell_that_returns_to_view_counts_as_changed() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(0, 1_000_000, &[(-1, Cell::Free), (-2, Cell::Free)]));
         assert!(layer.observe(&frame(0, 2_500_000, &[(-1, Cell::Free)])).is_empty());
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn only_who_said_what_stands_there_takes_it_back() {
+    fn only_the_camera_that_set_a_cell_makes_it_unknown() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(0, 10, &[(-1, Cell::Occupied)]));
         assert!(layer.observe(&frame(1, 20, &[(-1, Cell::Unknown)])).is_empty());
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_whose_frames_are_always_a_little_older_is_heard() {
+    fn slightly_older_frames_of_a_second_camera_count() {
         let mut layer = CameraLayer::default();
         layer.observe(&frame(0, 100, &[(-1, Cell::Free)]));
         layer.observe(&frame(1, 90, &[(-2, Cell::Occupied)]));

@@ -1,6 +1,6 @@
-//! The two constant errors of a robot, told apart: an identifier glued on askew shows as a
-//! difference between the heading that cameras see and the course over ground; what then still
-//! turns the robot's distance vectors against the map is a sensor mounted askew.
+//! Separates a robot's two constant errors: an identifier mounted askew appears as a difference
+//! between the heading seen by cameras and the course over ground; a remaining rotation of the
+//! robot's distance vectors against the map is a sensor mounted askew.
 
 use std::collections::VecDeque;
 
@@ -15,90 +15,95 @@ use ubimap_protocol::{
 
 use crate::timing::FIX_GAP;
 
-/// A stretch that is long enough for its course, in metres: it is measured then, and again whenever it
-/// is so much longer. The longest time that it may take.
+/// Minimum length of a stretch for its course to be measured, in metres; the measurement is
+/// repeated at each multiple.
 const STRETCH_M: f64 = 0.6;
+/// Maximum duration of a stretch.
 const STRETCH_TIME: Duration = Duration::from_secs(8);
-/// A stretch of fewer fixes may have been anything but straight.
-const LEAST_FIXES: usize = 6;
-/// A robot that turns by more than this ends its stretch, in degrees: beyond the noise of fixes.
+/// Minimum number of fixes for a stretch to count as straight.
+const MIN_FIXES: usize = 6;
+/// A turn by more than this, in degrees, ends a stretch; above the noise of fixes.
 const TURN_DEG: f64 = 5.0;
-/// A stretch whose two halves head more differently than this was no straight one.
+/// Maximum difference between the mean headings of a stretch's two halves, in degrees.
 const BEND_DEG: f64 = 1.5;
-/// Beyond this an identifier is not glued on askew, but the robot moves sideways.
-const MOST_DEG: f64 = 15.0;
-/// What the fixes on so much way have in common, in degrees: cameras are calibrated so well.
+/// Above this, in degrees, the robot moves sideways; its identifier is not that far askew.
+const MAX_DEG: f64 = 15.0;
+/// Standard deviation of the error that all fixes on one `STRETCH_M` share, in degrees: the
+/// accuracy of the cameras' calibration.
 const STRETCH_DEVIATION_DEG: f64 = 0.25;
-/// Measurements that count, the newest, and the least for an estimate.
-const MOST: usize = 30;
-const LEAST: usize = 3;
-/// An error is cured when it is greater than this, in degrees, and so many deviations.
-const LEAST_CURE_DEG: f64 = 0.4;
+/// Maximum number of measurements that are kept; the oldest is dropped.
+const MAX_MEASUREMENTS: usize = 30;
+/// Minimum number of measurements for an estimate.
+const MIN_MEASUREMENTS: usize = 3;
+/// Minimum error that is cured, in degrees.
+const MIN_CURE_DEG: f64 = 0.4;
+/// Minimum error that is cured, in standard deviations.
 const CURE_DEVIATIONS: f64 = 3.0;
-/// What is cured is known to half a degree: an estimate less sure is none.
+/// Maximum standard deviation for a cure, in degrees: the error is then known to half a degree.
 const SURE_DEG: f64 = 0.5 / CURE_DEVIATIONS;
-/// Measurements farther from the mean than so many deviations do not count: the biweight has 95 % of
-/// the mean's efficiency on normal ones then. Rounds of it.
+/// Tukey's biweight ignores measurements beyond this many deviations from the mean: 95 % efficiency
+/// on normal ones.
 const BIWEIGHT: f64 = 4.685;
+/// Number of iterations of the biweight.
 const ROUNDS: usize = 10;
-/// The standard deviation of normal errors over the median of their absolute values.
+/// Ratio of the standard deviation to the median absolute deviation of normal errors.
 const NORMAL: f64 = 1.4826;
 
-/// An angle in degrees, and how sure it is.
+/// An estimated angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimated {
     /// In degrees, counter-clockwise.
     pub degrees: f64,
-    /// Its standard deviation, in degrees.
+    /// Standard deviation in degrees.
     pub deviation: f64,
 }
 
 impl Estimated {
     fn is_worth_a_cure(&self) -> bool {
         self.deviation <= SURE_DEG
-            && self.degrees.abs() > LEAST_CURE_DEG.max(CURE_DEVIATIONS * self.deviation)
+            && self.degrees.abs() > MIN_CURE_DEG.max(CURE_DEVIATIONS * self.deviation)
     }
 }
 
-/// What has been done about the constant errors of a robot.
+/// The corrections that are applied for a robot's constant errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cured {
-    /// What is taken out of the fixes, in degrees.
+    /// The identifier's error, which is subtracted from fixes, in degrees.
     pub taken_out: f64,
-    /// What the robot has been told to add to its sensor's heading, in degrees.
+    /// The angle that the robot adds to its sensor's heading, in degrees.
     pub added: f64,
 }
 
-/// How far the cure of a robot has come, to be kept on disk.
+/// Progress of a robot's cure, as stored on disk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CureRecord {
-    /// Whose.
+    /// The robot.
     pub robot: RobotId,
-    /// What has been done about its errors.
+    /// The corrections that are applied.
     pub cured: Cured,
-    /// Its tiles of epochs below this one are void.
+    /// The robot's tiles of epochs below this one are void.
     pub first_epoch: Epoch,
-    /// Whether nothing is left to do: else all that it has drawn until now is to be void as well.
+    /// Whether the cure is complete; if not, everything drawn so far will become void as well.
     pub is_over: bool,
 }
 
-/// The constant errors of one robot.
+/// Estimates of one robot's constant errors.
 #[derive(Clone, Debug, Default)]
 pub struct ConstantErrors {
     stretch: Stretch,
-    /// Heading less course, of each stretch that is over: degrees and their standard deviation.
+    /// Heading minus course of each completed stretch, and its standard deviation, in degrees.
     askew: VecDeque<(f64, f64)>,
-    /// How far the distance vectors are turned against the map from headings as the cameras see
-    /// them, in degrees.
+    /// Rotations of distance vectors against the map, relative to the uncorrected headings that
+    /// cameras see, and their standard deviations, in degrees.
     turned: VecDeque<(f64, f64)>,
-    /// What follows of the two, computed once for each measurement.
+    /// Estimates from the two, updated with each measurement.
     identifier: Option<Estimated>,
     turn: Option<Estimated>,
     cured: Cured,
 }
 
 impl ConstantErrors {
-    /// Takes where a camera saw the robot, in the order of the frames, and returns where it is.
+    /// Adds a camera fix, in the order of frames; returns the corrected pose.
     pub fn fix(&mut self, moment: Instant, seen: Pose) -> Pose {
         let before = self.stretch.measured;
         if let Some(measured) = self.stretch.go(moment, seen) {
@@ -111,24 +116,24 @@ impl ConstantErrors {
         self.corrected(seen)
     }
 
-    /// A pose without the identifier's error, as far as it is taken out.
+    /// A pose with the applied correction of the identifier's error.
     pub fn corrected(&self, seen: Pose) -> Pose {
         Pose { heading: seen.heading - Angle::from_degrees(self.cured.taken_out), ..seen }
     }
 
-    /// Takes how far a distance vector was turned against the map, from a corrected pose, and how
-    /// sure that is: degrees.
+    /// Adds the measured rotation of a distance vector against the map, from a corrected pose, and
+    /// its standard deviation; in degrees.
     pub fn turned(&mut self, degrees: f64, deviation: f64) {
         push(&mut self.turned, (degrees - self.cured.taken_out, deviation));
         self.turn = estimate(self.turned.iter().copied().collect());
     }
 
-    /// How far the identifier is glued on askew.
+    /// Estimated error of the identifier's mounting.
     pub fn identifier(&self) -> Option<Estimated> {
         self.identifier
     }
 
-    /// How far the sensor is mounted askew from what the robot believes.
+    /// Estimated error of the sensor's mounting, relative to the robot's calibration.
     pub fn sensor(&self) -> Option<Estimated> {
         let (turn, identifier) = (self.turn?, self.identifier?);
         Some(Estimated {
@@ -137,18 +142,18 @@ impl ConstantErrors {
         })
     }
 
-    /// What has been done about them.
+    /// The corrections that are applied.
     pub fn cured(&self) -> Cured {
         self.cured
     }
 
-    /// The errors of a robot of which no more is known than what was done about them.
+    /// Starts without measurements, with known corrections.
     pub fn of(cured: Cured) -> Self {
         Self { cured, ..Self::default() }
     }
 
-    /// Takes the identifier's error out of the fixes from now on, if it is sure and not taken out
-    /// already. Whether it does.
+    /// Starts to subtract the identifier's error from fixes, if the estimate is certain and differs
+    /// enough from the applied correction. Returns whether it did.
     pub fn cure_identifier(&mut self) -> bool {
         let Some(found) = self.identifier() else { return false };
         let left = Estimated { degrees: found.degrees - self.cured.taken_out, ..found };
@@ -158,14 +163,14 @@ impl ConstantErrors {
         left.is_worth_a_cure()
     }
 
-    /// The sensor's error if it is sure and worth a cure: the angle to add to the mounting that the
-    /// robot believes in. It comes after the identifier's, on which it depends.
+    /// The angle to add to the sensor's mounting, if the estimate is certain and large enough.
+    /// Depends on the identifier's error, so cure that first.
     pub fn sensor_to_cure(&self) -> Option<Angle> {
         let found = self.sensor().filter(Estimated::is_worth_a_cure)?;
         Some(Angle::from_degrees(found.degrees))
     }
 
-    /// The robot believes its sensor turned by this much more from now on.
+    /// Call this when the robot has turned its sensor's mounting by this angle.
     pub fn remounted(&mut self, turn: Angle) {
         self.turned.clear();
         self.turn = None;
@@ -174,15 +179,15 @@ impl ConstantErrors {
 }
 
 fn push(measured: &mut VecDeque<(f64, f64)>, one: (f64, f64)) {
-    if measured.len() == MOST {
+    if measured.len() == MAX_MEASUREMENTS {
         measured.pop_front();
     }
     measured.push_back(one);
 }
 
-/// The mean of measurements by Tukey's biweight: there are places where the map misleads by several
-/// deviations whenever a robot comes by. `None` if a third of them lies far from the others, for nobody
-/// knows who is right then.
+/// Robust mean by Tukey's biweight, because there are places where the map misleads by several
+/// deviations on every visit. `None` if over a third of the measurements are outliers: then the
+/// majority is not reliable.
 fn estimate(measured: Vec<(f64, f64)>) -> Option<Estimated> {
     let mut mean = median(measured.iter().map(|it| it.0).collect())?;
     let (mut shares, mut weights) = (Vec::new(), 0.0);
@@ -200,7 +205,7 @@ fn estimate(measured: Vec<(f64, f64)>) -> Option<Estimated> {
         mean = weighed.map(|(degrees, weight)| degrees * weight).sum::<f64>() / weights;
     }
     let near = shares.iter().filter(|share| **share > 0.0).count();
-    if near < LEAST || 3 * near < 2 * measured.len() {
+    if near < MIN_MEASUREMENTS || 3 * near < 2 * measured.len() {
         return None;
     }
     let chi = |((degrees, deviation), share): (&(f64, f64), &f64)| {
@@ -211,26 +216,26 @@ fn estimate(measured: Vec<(f64, f64)>) -> Option<Estimated> {
     Some(Estimated { degrees: mean, deviation: (scatter / weights).sqrt() })
 }
 
-/// The middle one, if there is any.
+/// The median; `None` if empty.
 fn median(mut all: Vec<f64>) -> Option<f64> {
     all.sort_by(f64::total_cmp);
     all.get(all.len() / 2).copied()
 }
 
-/// Fixes of a robot that drives straight on.
+/// Consecutive fixes of a robot that drives straight.
 #[derive(Clone, Debug, Default)]
 struct Stretch {
     fixes: Vec<(Instant, Pose)>,
-    /// Heading less course, in degrees, and their standard deviation, once it is long enough. The
-    /// course of a stretch of twice the length is known three times as well.
+    /// Heading minus course and its standard deviation in degrees, once the stretch is long enough.
+    /// Twice the length gives about three times the accuracy.
     measured: Option<(f64, f64)>,
-    /// How often it was measured.
+    /// Number of times it was measured.
     parts: u32,
 }
 
 impl Stretch {
-    /// The robot is seen somewhere. If it no longer drives straight on another stretch begins: what
-    /// was measured on the one that is over.
+    /// Adds a fix. If the robot no longer drives straight, starts a new stretch and returns the
+    /// measurement of the completed one.
     fn go(&mut self, moment: Instant, seen: Pose) -> Option<(f64, f64)> {
         let (first, last) = (self.fixes.first().copied(), self.fixes.last().copied());
         if last.is_some_and(|(last, _)| moment <= last) {
@@ -247,7 +252,7 @@ impl Stretch {
         if x.hypot(y) < f64::from(self.parts + 1) * STRETCH_M {
             return over;
         }
-        let measured = self.measure().filter(|(degrees, _)| degrees.abs() <= MOST_DEG);
+        let measured = self.measure().filter(|(degrees, _)| degrees.abs() <= MAX_DEG);
         if measured.is_none() {
             return core::mem::take(self).measured;
         }
@@ -256,7 +261,7 @@ impl Stretch {
     }
 
     fn measure(&self) -> Option<(f64, f64)> {
-        if self.fixes.len() < LEAST_FIXES {
+        if self.fixes.len() < MIN_FIXES {
             return None;
         }
         let (_, first) = *self.fixes.first()?;
@@ -275,7 +280,7 @@ impl Stretch {
         let (along, across) = ((xx + yy + spread) / 2.0, ((xx + yy - spread) / 2.0).max(0.0));
         let [x, y] = way_m(first, last);
         let mut course = 0.5 * atan2(2.0 * xy, xx - yy);
-        // The line's direction that is the way's.
+        // Of the line's two directions, the direction of travel.
         let forward = atan2(y, x) - course;
         if libm::cos(forward) < 0.0 {
             course += PI;
@@ -295,7 +300,7 @@ impl Stretch {
 
         let mut off =
             (first.heading + Angle::from_degrees(turn) - Angle::from_radians(course)).radians();
-        // A robot that drives backwards.
+        // The robot drives backwards.
         if off.abs() > FRAC_PI_2 {
             off -= PI.copysign(off);
         }
@@ -305,7 +310,7 @@ impl Stretch {
     }
 }
 
-/// From one pose to another, in metres.
+/// Displacement between two poses in metres.
 fn way_m(from: Pose, to: Pose) -> [f64; 2] {
     [(to.x - from.x).metres(), (to.y - from.y).metres()]
 }
@@ -315,8 +320,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Fixes at 15 Hz of a robot that drives there and back and turns at the ends, its identifier
-    /// turned by some degrees; `noise` is of each fix, in millimetres and degrees.
+    /// Fixes at 15 Hz of a robot that drives back and forth and turns at the ends, with its
+    /// identifier askew; `noise` is added to each fix, in millimetres and degrees.
     fn drive(
         errors: &mut ConstantErrors,
         askew: f64,
@@ -356,7 +361,7 @@ mod tests {
             let found = errors.identifier().expect("after 10 m");
             let off = found.degrees - askew;
             prop_assert!(off.abs() < 0.5 && off.abs() < 4.0 * found.deviation, "{off} {found:?}");
-            // Cured once, and for good.
+            // A single cure suffices.
             prop_assert_eq!(errors.cure_identifier(), askew.abs() > 0.5 || errors.cured().taken_out != 0.0);
             prop_assert!(!errors.cure_identifier());
             let seen = Pose { heading: Angle::from_degrees(40.0 + askew), ..Pose::default() };
@@ -367,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn the_two_are_told_apart_and_neither_takes_the_other_for_its_own() {
+    fn identifier_and_sensor_errors_are_separated() {
         for (identifier, sensor) in [(3.0, 0.0), (0.0, 3.0), (3.0, -3.0), (2.0, 2.0), (0.2, 0.0)] {
             let mut errors = ConstantErrors::default();
             let vectors = |errors: &mut ConstantErrors| {
@@ -378,7 +383,7 @@ mod tests {
                 }
             };
             vectors(&mut errors);
-            // Before it has driven nothing is known of either.
+            // Neither is known before the robot has driven.
             assert!(!errors.cure_identifier() && errors.sensor_to_cure().is_none());
             drive(&mut errors, identifier, 30, || 0.0);
             assert_eq!(errors.cure_identifier(), identifier > 1.0);
@@ -386,29 +391,27 @@ mod tests {
             assert!((cured - sensor).abs() < 0.2, "{identifier} {sensor}: {cured}");
             vectors(&mut errors);
             let again = errors.sensor_to_cure().map_or(0.0, Angle::degrees);
-            assert!(
-                (again - cured).abs() < 0.1,
-                "the cure of the one changes nothing of the other"
-            );
+            assert!((again - cured).abs() < 0.1, "curing one does not change the other");
             errors.remounted(Angle::from_degrees(cured));
             assert_eq!(errors.sensor(), None);
         }
     }
 
     #[test]
-    fn places_where_the_map_misleads_do_not_count() {
+    fn outliers_where_the_map_misleads_are_ignored() {
         let noise = [0.4, -0.3, 0.1, -0.2];
         let about =
             |middle: f64, count: usize| (0..count).map(move |it| (middle + noise[it % 4], 0.4));
         let usual = |count| about(3.0, count);
         let all = estimate(usual(20).chain(about(0.5, 5)).collect()).unwrap();
         assert!((all.degrees - 3.0).abs() < 0.05, "{all:?}");
-        // When there are too many of them nobody knows.
+        // With too many outliers there is no estimate.
         assert_eq!(estimate(usual(16).chain(about(-7.0, 14)).collect()), None);
         let halves = estimate(usual(15).chain(about(0.5, 15)).collect());
         assert!(halves.is_none_or(|it| !it.is_worth_a_cure()), "{halves:?}");
         assert_eq!(estimate(usual(2).collect()), None);
-        // The deviation is the measurements' own, or what they scatter by.
+        // The deviation comes from the measurements' own deviations or from their scatter, if
+        // larger.
         let apart = estimate(usual(16).collect()).unwrap().deviation;
         assert!((0.1..0.11).contains(&apart), "{apart}");
         let scattered = usual(16).map(|(degrees, _)| (3.0 + 10.0 * (degrees - 3.0), 0.4));
@@ -417,7 +420,7 @@ mod tests {
     }
 
     #[test]
-    fn a_longer_stretch_says_more_of_the_course_than_its_parts() {
+    fn a_longer_stretch_is_more_accurate_than_its_parts() {
         let mut throw = [1.0, -0.4, 0.7, -1.3, 0.2, -0.2].iter().cycle();
         let mut errors = ConstantErrors::default();
         let mut deviations = Vec::new();
@@ -429,7 +432,7 @@ mod tests {
         deviations.dedup();
         let [first, second, .., last] = deviations[..] else { panic!("{deviations:?}") };
         assert!(second < 0.55 * first && last < 0.25 * first, "{deviations:?}");
-        // It is one stretch, and what it came to is not forgotten when it is over.
+        // It is still one stretch, and its measurement is kept when it ends.
         assert_eq!(errors.askew, []);
         errors.fix(Instant(6_200_000), Pose::from_metres(2.7, 0.0, 1.0));
         assert_eq!(errors.askew.len(), 1);

@@ -1,4 +1,4 @@
-//! Which cells the cameras see now.
+//! The cells that cameras see now.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -10,22 +10,23 @@ use ubimap_protocol::{
 use super::{mask::Mask, runs::runs, served_layer::ServedLayer};
 use crate::{camera::Observation, timing::COVERAGE_HOLDS};
 
-/// The layer is computed anew this often: a camera that dies leaves its cells blind within a second.
+/// Interval at which the layer is recomputed, so that a dead camera's cells become uncovered within
+/// a second.
 const INTERVAL: Duration = Duration::from_millis(250);
 
-/// The coverage layer: free cells are covered, all others are not. What no camera sees is left out
-/// by the frames themselves: shadows, and the floor beneath a robot.
+/// The coverage layer: covered cells are free, all others unknown. Frames already exclude what no
+/// camera sees, such as shadows and the floor below a robot.
 #[derive(Clone, Debug, Default)]
 pub struct CoverageLayer {
-    /// What the frames of the last moments saw, in the order in which they came.
+    /// Cells seen by recent frames, in order of arrival.
     frames: VecDeque<(Instant, BTreeMap<TileId, Mask>)>,
     served: ServedLayer,
-    /// When to compute it anew, as long as anything is covered or was.
+    /// When to recompute the layer; `None` if nothing is covered.
     due: Option<Instant>,
 }
 
 impl CoverageLayer {
-    /// Takes the cells of a frame, in any order of frames. Costs a few nanoseconds for each cell.
+    /// Adds the cells of a frame, in any order of frames. Cost: a few nanoseconds per cell.
     pub fn observe(&mut self, observation: &Observation) {
         if observation.cells.is_empty() {
             return;
@@ -41,12 +42,12 @@ impl CoverageLayer {
         self.due = self.due.or(Some(observation.captured));
     }
 
-    /// Computes the layer anew if it is time.
+    /// Recomputes the layer if it is due.
     pub fn refresh(&mut self, now: Instant) {
         if self.due.is_none_or(|due| due > now) {
             return;
         }
-        // All that was covered is looked at again, also where nobody sees it any more.
+        // Includes tiles that were covered before, so that they can become uncovered.
         let mut covered: BTreeMap<TileId, Mask> =
             self.served.tiles().map(|(id, ..)| (id, [0; TILE_SIDE])).collect();
         self.frames.retain(|(captured, _)| now < *captured + COVERAGE_HOLDS);
@@ -67,12 +68,12 @@ impl CoverageLayer {
         self.due = (!self.frames.is_empty()).then_some(now + INTERVAL);
     }
 
-    /// When to call [`CoverageLayer::refresh`].
+    /// The deadline for the next call of [`CoverageLayer::refresh`].
     pub fn poll_timeout(&self) -> Option<Instant> {
         self.due
     }
 
-    /// The tiles, as they were computed last.
+    /// The tiles as of the last refresh.
     pub fn served(&self) -> &ServedLayer {
         &self.served
     }
@@ -93,7 +94,7 @@ mod tests {
         }
     }
 
-    /// The columns of row -1 that are covered, after the layer was refreshed whenever it asked to.
+    /// The covered columns of row -1, after all due refreshes.
     fn covered(layer: &mut CoverageLayer, millis: u64) -> Vec<usize> {
         while let Some(due) = layer.poll_timeout().filter(|due| due.0 <= millis * 1_000) {
             layer.refresh(due);
@@ -103,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_dies_leaves_its_cells_blind_within_a_second() {
+    fn cells_of_a_dead_camera_are_uncovered_within_a_second() {
         let mut layer = CoverageLayer::default();
         for millis in (0..5_000).step_by(500) {
             layer.observe(&frame(0, millis, 0..4));
@@ -115,15 +116,15 @@ mod tests {
                 assert_eq!(covered(&mut layer, millis + 99), expected.collect::<Vec<_>>());
             }
         }
-        // The last frame of all was captured at 4.5 s.
+        // The last frame of any camera was captured at 4.5 s.
         assert!(covered(&mut layer, 5_500).is_empty());
         assert_eq!(layer.poll_timeout(), None);
     }
 
     #[test]
-    fn what_two_cameras_see_stays_covered_when_one_dies_and_frames_come_in_any_order() {
+    fn cells_seen_by_two_cameras_stay_covered_when_one_dies() {
         let mut layer = CoverageLayer::default();
-        // Camera 1 dies after 2 s. Frames of camera 0 come two by two, the later one first.
+        // Camera 1 dies after 2 s. Frames of camera 0 arrive in swapped pairs.
         for millis in (0..4_000).step_by(200) {
             let swapped = (millis / 200) ^ 1;
             layer.observe(&frame(0, swapped * 200, 0..4));
@@ -131,18 +132,18 @@ mod tests {
                 layer.observe(&frame(1, millis, 2..6));
             }
             let expected = if millis < 2_900 { 0..6 } else { 0..4 };
-            // Between, the layer may say either: it is computed four times a second.
+            // In between both results are valid: the layer is recomputed four times per second.
             if !(2_700..3_000).contains(&millis) && millis > 0 {
                 assert_eq!(covered(&mut layer, millis), expected.collect::<Vec<_>>(), "{millis}");
             }
         }
-        // A frame that was held up for a second says nothing of the present.
+        // A frame delayed by a second does not count.
         layer.observe(&frame(1, 2_900, 2..6));
         assert_eq!(covered(&mut layer, 4_100), [0, 1, 2, 3]);
     }
 
     #[test]
-    fn a_shadow_is_not_covered_and_late_frames_take_nothing_back() {
+    fn shadows_are_uncovered_and_late_frames_revoke_nothing() {
         let mut layer = CoverageLayer::default();
         layer.observe(&frame(0, 0, 0..4));
         layer.observe(&frame(0, 900, 0..2));

@@ -1,4 +1,4 @@
-//! The fused layer: what everybody gets.
+//! The fused layer: the map that every robot gets.
 
 use ubimap_protocol::{
     tile::{Cell, TILE_CELLS, TILE_SIDE, Tile},
@@ -7,19 +7,19 @@ use ubimap_protocol::{
 
 use super::{agreement::Weight, mask::Mask, robot_layer::SeenTile};
 
-/// The map's time goes in steps of so many seconds.
+/// Step of the map's time in seconds.
 const STEP_S: u32 = 10;
-/// What the cameras said of a cell holds against a robot's word that is newer by no more than so
-/// many seconds: they look at a cell twice a second, and frames may be late.
+/// A camera's claim overrides a robot's claim that is newer by at most this many seconds: cameras
+/// see a cell twice per second, and frames may be late.
 const HOLDS_S: u32 = 2;
-/// The word of a robot counts as said earlier by so many seconds for each grade that its weight
-/// falls short of the full one.
+/// Seconds by which a robot's claim counts as older, per grade that its weight is below the full
+/// one.
 const GRADE_S: u32 = 60;
-/// Something movable that a robot saw so many seconds ago is forgotten. What is fixed never is: a
+/// Age in seconds at which a robot's movable cell is forgotten. Fixed cells never are, because a
 /// robot that agrees with the map is silent.
 const MOVABLE_S: u32 = 300;
-/// A cell keeps changing if free and occupied have followed each other so often, in the order of
-/// time of the last words of all who know it.
+/// Number of alternations between free and occupied, among the last claims of all observers in
+/// order of time, from which a cell counts as movable.
 const CHANGES: usize = 3;
 
 /// The time by which the map ages: seconds of the server's clock, in steps of ten.
@@ -27,13 +27,13 @@ const CHANGES: usize = 3;
 pub struct MapTime(u32);
 
 impl MapTime {
-    /// The step that a moment is in.
+    /// The step that contains the given time.
     pub fn at(moment: Instant) -> Self {
-        // The seconds of 136 years fit.
+        // 32 bits hold 136 years in seconds.
         Self((moment.micros() / 1_000_000) as u32 / STEP_S * STEP_S)
     }
 
-    /// Whether a second is in the step or in the one before it.
+    /// Whether a second is in this step or the previous one.
     pub(super) fn is_recent(self, second: u32) -> bool {
         second.saturating_add(STEP_S) >= self.0
     }
@@ -44,36 +44,36 @@ impl MapTime {
     }
 }
 
-/// What somebody said of a cell: counted as said in that second (those before the clock began are
-/// negative), and what. Of two words of one second the cameras' holds, then that of something
-/// there.
-type Word = (i64, bool, u8);
+/// A claim about a cell: its effective second (negative if before the clock's start), whether it is
+/// the cameras', and the cell's code. In the same second the cameras' claim wins, and then occupied
+/// over free.
+type Claim = (i64, bool, u8);
 
-/// Fuses one tile: what the cameras have seen and when last, and what each robot has, and its
-/// weight, in any order of the robots. A pure function, in integers. For each cell:
+/// Fuses one tile from the cameras' and the robots' observations, the latter with their weights, in
+/// any order. A pure function on integers. For each cell:
 ///
 /// | the cameras | the robots | fused |
 /// |---|---|---|
-/// | have seen it | anything, no later than two seconds after | the cameras' code |
-/// | have taken back what they said | one said that it is free, no later than that | does not count |
-/// | have seen it, or never | one said something new of it last, and later than that | what it said |
-/// | as before | several did, within the same second | occupied if any of them says so |
-/// | as before | one of a lesser weight | what it said counts as a minute older for each grade |
-/// | never | none but some of no weight | unknown |
-/// | never | something movable, five minutes ago by the map's time | unknown |
-/// | have seen it, or never | occupied last, after free and occupied took turns three times | movable |
+/// | have seen it | anything, at most two seconds later | the cameras' code |
+/// | have revoked their claim | free, not later | ignored |
+/// | have seen it, or never | something new, later than that | the newest claim |
+/// | as above | several claims within the same second | occupied if any of them is |
+/// | as above | a claim of lower weight | counts as one minute older per grade |
+/// | never | only claims of weight none | unknown |
+/// | never | movable, at least five minutes ago by the map's time | unknown |
+/// | have seen it, or never | occupied, after three alternations with free | movable |
 ///
-/// A robot that agrees with the map is silent, so whoever spoke last has seen it otherwise. Costs
-/// some nanoseconds for each cell and robot.
+/// A robot that agrees with the map is silent, so the newest claim is the valid one. Cost: some
+/// nanoseconds per cell and robot.
 pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -> Tile {
     let mut fused = Tile::UNKNOWN;
-    let mut words: Vec<Word> = Vec::new();
+    let mut claims: Vec<Claim> = Vec::new();
     for cell in 0..usize::from(TILE_CELLS) {
         let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
-        words.clear();
+        claims.clear();
         let camera = cameras.tile.cell(x, y);
         if camera != Cell::Unknown {
-            words.push((
+            claims.push((
                 i64::from(cameras.seconds[cell]) + i64::from(HOLDS_S),
                 true,
                 camera.code(),
@@ -90,13 +90,13 @@ pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -
             };
             if code != Cell::Unknown && *weight != Weight::NONE && !is_forgotten {
                 let later = i64::from(weight.short_of_full()) * i64::from(GRADE_S);
-                words.push((i64::from(second) - later, false, code.code()));
+                claims.push((i64::from(second) - later, false, code.code()));
             }
         }
-        // Of the codes, free is the least.
-        let Some(&(_, by_cameras, code)) = words.iter().max() else { continue };
+        // In the order of codes, free precedes occupied.
+        let Some(&(_, by_cameras, code)) = claims.iter().max() else { continue };
         let mut code = Cell::from_code(code);
-        if code == Cell::Occupied && !by_cameras && keeps_changing(&mut words) {
+        if code == Cell::Occupied && !by_cameras && keeps_changing(&mut claims) {
             code = Cell::Movable;
         }
         fused.set(x, y, code);
@@ -104,20 +104,20 @@ pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -
     fused
 }
 
-/// Whether free and occupied have followed each other often.
-fn keeps_changing(words: &mut [Word]) -> bool {
-    if words.len() <= CHANGES {
+/// Whether free and occupied have alternated often.
+fn keeps_changing(claims: &mut [Claim]) -> bool {
+    if claims.len() <= CHANGES {
         return false;
     }
-    words.sort_unstable();
-    let is_free = |word: &Word| Cell::from_code(word.2) == Cell::Free;
-    let follow = words
+    claims.sort_unstable();
+    let is_free = |word: &Claim| Cell::from_code(word.2) == Cell::Free;
+    let follow = claims
         .windows(2)
         .filter(|pair| pair[0].0 < pair[1].0 && is_free(&pair[0]) != is_free(&pair[1]));
     follow.count() >= CHANGES
 }
 
-/// Cells under a localised robot are not occupied. Whether any was.
+/// Makes the cells under a localised robot free. Returns whether any was occupied.
 pub fn clear(fused: &mut Tile, under: &Mask) -> bool {
     let mut cleared = false;
     for (y, &mask) in under.iter().enumerate() {
@@ -141,7 +141,7 @@ mod tests {
         SeenTile { tile, seconds: [second; TILE_CELLS as usize] }
     }
 
-    /// What is fused of the cameras' word and the robots', each with its weight, in this second.
+    /// The fused cell for the claims of the cameras and of weighted robots at this second.
     fn fused(camera: (Cell, u32), robots: &[(Cell, u32, Weight)], second: u64) -> Cell {
         let robots: Vec<(Weight, SeenTile)> =
             robots.iter().map(|&(cell, second, weight)| (weight, seen((cell, second)))).collect();
@@ -166,20 +166,20 @@ mod tests {
             (never, &[(Free, 3), (Occupied, 3)], Occupied),
             (never, &[(Free, 4), (Occupied, 3)], Free),
             (never, &[(Free, 4), (Occupied, 3), (Movable, 4)], Movable),
-            // In view, or out of it with nothing new.
+            // In view, or out of view without newer claims.
             ((Free, 4), &[(Occupied, 3), (Occupied, 4)], Free),
             ((Free, 4), &[(Occupied, 6)], Free),
             ((Movable, 4), &[(Free, 3)], Movable),
             ((Occupied, 4), &[(Free, 3), (Unknown, 40)], Occupied),
-            // Out of view, and a robot has been there since.
+            // Out of view, and a robot was there later.
             ((Free, 4), &[(Occupied, 7)], Occupied),
             ((Occupied, 4), &[(Free, 7), (Occupied, 3)], Free),
-            // Taken back by the cameras.
+            // Revoked by the cameras.
             ((Unknown, 4), &[(Free, 4)], Unknown),
             ((Unknown, 4), &[(Free, 5)], Free),
             ((Unknown, 4), &[(Free, 3), (Occupied, 2)], Occupied),
             ((Unknown, 4), &[(Free, 3), (Movable, 4)], Movable),
-            // Keeps changing.
+            // Alternating.
             (never, &[(Free, 3), (Occupied, 13), (Free, 23), (Occupied, 33)], Movable),
             (never, &[(Occupied, 3), (Free, 13), (Occupied, 23), (Free, 33)], Free),
             (never, &[(Free, 3), (Occupied, 13), (Occupied, 23), (Occupied, 33)], Occupied),
@@ -195,19 +195,19 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_of_less_weight_counts_as_earlier_and_one_of_none_not_at_all() {
+    fn claims_of_lower_weight_count_as_older() {
         let never = (Unknown, 0);
         let free = (Free, 100, Weight::FULL);
         let less = |second| (Occupied, second, Weight::grade(Weight::FULL.0 - 1));
         assert_eq!(fused(never, &[free, less(159)], 200), Free);
         assert_eq!(fused(never, &[free, less(161)], 200), Occupied);
-        assert_eq!(fused(never, &[less(3)], 200), Occupied, "nobody else has been there");
+        assert_eq!(fused(never, &[less(3)], 200), Occupied, "there is no other claim");
         assert_eq!(fused(never, &[(Occupied, 190, Weight::NONE)], 200), Unknown);
         assert_eq!(fused((Free, 9), &[(Occupied, 190, Weight::NONE)], 200), Free);
     }
 
     #[test]
-    fn what_moves_is_forgotten_and_what_is_fixed_is_not() {
+    fn movable_cells_are_forgotten_and_fixed_ones_are_not() {
         let never = (Unknown, 0);
         let robot = |cell, second| (cell, second, Weight::FULL);
         assert_eq!(fused(never, &[robot(Movable, 11)], 309), Movable);
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn the_time_of_the_map_goes_in_steps() {
+    fn map_time_advances_in_steps() {
         let at = |micros| MapTime::at(Instant(micros));
         assert_eq!(at(0), at(9_999_999));
         assert_eq!(at(0).next(), Instant(10_000_000));

@@ -1,31 +1,31 @@
-//! The surfaces of what is fixed: of a wall or a cupboard only what somebody can have seen is
-//! published.
+//! Publishes only the surfaces of fixed things: of a wall or a cupboard, only the cells that can
+//! have been seen.
 
 use ubimap_protocol::tile::{Cell, TILE_CELLS, TILE_SIDE, Tile};
 
 use super::{fused_layer::MapTime, mask::Mask, robot_layer::SeenTile};
 
-/// What is farther than so many cells from anything free is no surface: nobody can have seen it but
-/// by an error, as the noise of a far look draws it behind a wall, or from above.
-const THICKEST: usize = 3;
-/// Nor is what is farther than so many if all up to the free is fixed. Alone it stays: a lidar of few
-/// beams draws walls from afar that nothing free touches.
-const THICK: usize = 2;
+/// Maximum distance of a surface from a free cell, in cells. Nothing deeper can have been seen: it
+/// comes from the noise of distant readings behind a wall, or was seen from above.
+const MAX_DEPTH: usize = 3;
+/// The same limit where all cells up to the free one are fixed. Isolated cells may be deeper: a
+/// lidar with few beams draws distant walls without free cells next to them.
+const SOLID_DEPTH: usize = 2;
 
-/// What of a fused tile is what cameras have seen of late: in the present step of the map's time or
-/// in the one before.
+/// The cells of a fused tile that cameras have seen recently: in the current or the previous step
+/// of the map's time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sight {
-    /// Free, and in sight.
+    /// Free and in view.
     free: Mask,
-    /// Free when it was in sight, which it is no longer.
+    /// Free when last in view, but no longer in view.
     lost: Mask,
-    /// Fixed, and in sight.
+    /// Fixed and in view.
     fixed: Mask,
 }
 
 impl Sight {
-    /// Of a tile that was fused with what these cameras saw.
+    /// The sight of a tile that was fused from the given camera observations.
     pub fn of(fused: &Tile, cameras: &SeenTile, time: MapTime) -> Self {
         let mut sight = Self::default();
         for cell in 0..usize::from(TILE_CELLS) {
@@ -43,24 +43,24 @@ impl Sight {
         sight
     }
 
-    /// Whether there is anything that goes out of sight some day.
+    /// Whether there is nothing that can go out of view later.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 }
 
-/// Takes out of a fused tile what is fixed and lies so deep within something that nobody sees it.
-/// `beside` is the fused tile that lies so many tiles to the east and to the north, and what of it
-/// is in sight. What is free has the same border as before. What is fixed stays
+/// Removes the fixed cells of a fused tile that are too deep inside something to be seen.
+/// `beside(east, north)` returns the fused neighbour at that offset in tiles, with its sight. The
+/// border of free ground does not change. A fixed cell stays if it is
 ///
-/// 1. beside what is free;
-/// 2. a cell behind that, but where cameras see the free up to its end: they tell where the surface
-///    is, and what is behind it is the noise of somebody else's look;
-/// 3. three cells from what is free, if nothing fixed is in between.
+/// 1. next to a free cell;
+/// 2. one cell behind such a cell, except where cameras see the free ground up to its edge: they
+///    locate the surface, and cells behind it are noise of other sensors;
+/// 3. up to three cells from a free cell, with nothing fixed in between.
 ///
-/// Nothing that is free counts for what cameras see to be fixed if it is out of their sight: it was
-/// seen before the thing came, and is under or behind it. Word by word, some dozens of steps for each
-/// row.
+/// For fixed cells that cameras see, free cells that are out of view do not count: they were seen
+/// before the thing came, and are below or behind it. Works on whole words; some dozens of
+/// operations per row.
 pub fn hollow<'t>(
     tile: &mut Tile,
     sight: &Sight,
@@ -76,7 +76,7 @@ pub fn hollow<'t>(
     let bounds = about(&near, |_, sight, y| sight.free[y]);
     let fixed = about(&near, |tile, _, y| tile.high[y] & !tile.low[y]);
     let seen = about(&near, |_, sight, y| sight.fixed[y]);
-    // What is fixed within so many cells of what is free before it.
+    // Fixed cells within `steps` cells of the free ground in front of them.
     let within = |at: usize, steps: usize| {
         let close = |rows: &Rows| spread(&rows[at - steps..=at + steps], steps);
         fixed[at] & (close(&free) & !seen[at] | close(&front) & seen[at])
@@ -86,7 +86,7 @@ pub fn hollow<'t>(
         first[at] = within(at, 1);
         bounded[at] = first[at] & spread(&bounds[at - 1..=at + 1], 1);
     }
-    // The second layer, as far as it is behind a first one, and what of it may stay.
+    // The second layer, behind cells of the first one, and the cells of both that stay.
     let (mut second, mut kept) = ([0; ROWS], [0; ROWS]);
     for at in 2..ROWS - 2 {
         let behind = |open: fn(u64, u64) -> u64| {
@@ -96,36 +96,36 @@ pub fn hollow<'t>(
         };
         second[at] = fixed[at] & behind(|first, _| first);
         let open = behind(|first, bounded| first & !bounded) | !second[at];
-        kept[at] = first[at] | within(at, THICK) & open;
+        kept[at] = first[at] | within(at, SOLID_DEPTH) & open;
     }
     for y in 0..TILE_SIDE {
-        let at = y + THICKEST;
-        let alone = within(at, THICKEST) & !spread(&second[at - 1..=at + 1], 1);
+        let at = y + MAX_DEPTH;
+        let alone = within(at, MAX_DEPTH) & !spread(&second[at - 1..=at + 1], 1);
         let mut row = tile.row(y);
-        row.high &= row.low | ((kept[at] | alone) >> THICKEST) as u32;
+        row.high &= row.low | ((kept[at] | alone) >> MAX_DEPTH) as u32;
         tile.set_row(y, row);
     }
 }
 
-/// Rows of a tile and of those about it that are looked at.
-const ROWS: usize = TILE_SIDE + 2 * THICKEST;
+/// Rows of the tile and of its neighbours that are examined.
+const ROWS: usize = TILE_SIDE + 2 * MAX_DEPTH;
 
-/// These rows, each from [`THICKEST`] cells to the west of the tile on.
+/// Each row starts [`MAX_DEPTH`] cells west of the tile.
 type Rows = [u64; ROWS];
 
-/// Of three by three tiles, from the south-western one on.
+/// Collects the rows from three by three tiles, starting with the south-western one.
 fn about(near: &[Option<(&Tile, &Sight)>; 9], row: impl Fn(&Tile, &Sight, usize) -> u32) -> Rows {
     core::array::from_fn(|index| {
-        let y = (index + TILE_SIDE - THICKEST) % TILE_SIDE;
-        let north = usize::from(index >= THICKEST) + usize::from(index >= TILE_SIDE + THICKEST);
+        let y = (index + TILE_SIDE - MAX_DEPTH) % TILE_SIDE;
+        let north = usize::from(index >= MAX_DEPTH) + usize::from(index >= TILE_SIDE + MAX_DEPTH);
         let of = |east: usize| {
             near[3 * north + east].map_or(0, |(tile, sight)| u64::from(row(tile, sight, y)))
         };
-        of(0) >> (TILE_SIDE - THICKEST) | of(1) << THICKEST | of(2) << (TILE_SIDE + THICKEST)
+        of(0) >> (TILE_SIDE - MAX_DEPTH) | of(1) << MAX_DEPTH | of(2) << (TILE_SIDE + MAX_DEPTH)
     })
 }
 
-/// The columns that are within so many steps of a cell of these rows.
+/// The columns within `steps` of a cell in these rows.
 fn spread(rows: &[u64], steps: usize) -> u64 {
     let columns = rows.iter().fold(0, |sum, row| sum | row);
     (0..=2 * steps).fold(0, |sum, step| sum | columns << steps >> step)
@@ -140,7 +140,7 @@ mod tests {
 
     const SIDE: i32 = TILE_SIDE as i32;
 
-    /// The tile that lies so many to the east and to the north, of these cells.
+    /// The tile at this offset in tiles, filled by `code`.
     fn tile(east: i32, north: i32, code: impl Fn(i32, i32) -> Cell) -> Tile {
         let mut tile = Tile::UNKNOWN;
         for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
@@ -154,7 +154,7 @@ mod tests {
         reach.clone().flat_map(move |dy| reach.clone().map(move |dx| (x + dx, y + dy)))
     }
 
-    /// What is said of a cell, by whom, and whether that is in sight.
+    /// The state of a cell, whether cameras set it, and whether it is in view.
     #[derive(Clone, Copy, PartialEq, Eq)]
     struct Said {
         code: Cell,
@@ -179,13 +179,13 @@ mod tests {
         let mut firsts = about(x, y, 1).filter(|&(x, y)| is_first(x, y)).peekable();
         let may_stay = firsts.peek().is_none() || firsts.any(|(x, y)| !is_bounded(x, y));
         is_near(x, y, 1)
-            || is_near(x, y, THICK) && may_stay
-            || is_near(x, y, THICKEST) && !about(x, y, 1).any(|(x, y)| is_second(x, y))
+            || is_near(x, y, SOLID_DEPTH) && may_stay
+            || is_near(x, y, MAX_DEPTH) && !about(x, y, 1).any(|(x, y)| is_second(x, y))
     }
 
     #[test]
-    fn what_lies_deep_within_something_is_no_surface() {
-        // Three by three tiles of thirds, cell by cell.
+    fn cells_deep_inside_things_are_removed() {
+        // Three by three tiles of pseudo-random cells.
         let hash = |x: i32, y: i32, of: i32| (x * 73 + y * 151 + x * y * 31).rem_euclid(of);
         let code = |x: i32, y: i32| match hash(x, y, 97) {
             0..=1 => Free,
@@ -240,8 +240,8 @@ mod tests {
         }
     }
 
-    /// A tile whose columns all robots say to be these, from the west on, and what of them cameras
-    /// saw at which second, hollowed.
+    /// Hollows a tile with these columns, from the west, in all robots' layers, and camera columns
+    /// with the second at which they were seen.
     fn columns(robots: &[Cell], cameras: &[(Cell, u32)]) -> Vec<Cell> {
         let of = |x: i32| cameras.get(x as usize).copied().unwrap_or((Unknown, 0));
         let mut seen = SeenTile { tile: tile(0, 0, |x, _| of(x).0), ..SeenTile::NOTHING };
@@ -257,18 +257,18 @@ mod tests {
     }
 
     #[test]
-    fn behind_floor_that_cameras_see_a_wall_has_one_cell() {
+    fn a_wall_behind_visible_floor_is_one_cell_thick() {
         let drawn = [Free, Free, Occupied, Occupied, Occupied];
         assert_eq!(columns(&drawn, &[]), [Free, Free, Occupied, Occupied, Unknown]);
         let floor = [(Free, 59), (Free, 59)];
         assert_eq!(columns(&drawn, &floor), [Free, Free, Occupied, Unknown, Unknown]);
-        // The cameras are gone.
+        // Much later, the cameras' view has expired.
         let floor = [(Free, 40), (Free, 40)];
         assert_eq!(columns(&drawn, &floor), [Free, Free, Occupied, Occupied, Unknown]);
     }
 
     #[test]
-    fn floor_under_what_has_come_makes_no_surfaces_of_its_top() {
+    fn floor_under_a_new_thing_does_not_expose_its_top() {
         let drawn = [Free; 5];
         let top =
             |second| [(Free, 59), (Occupied, 59), (Occupied, 59), (Occupied, 59), (Free, second)];

@@ -2,5 +2,5 @@
 
 use ubimap_protocol::tile::TILE_SIDE;
 
-/// Cells of a tile: a word for each row, a bit for each cell.
+/// Cells of a tile: one word per row, one bit per cell.
 pub type Mask = [u32; TILE_SIDE];

@@ -1,4 +1,4 @@
-//! What one robot has seen, as the server holds it: the epochs of each tile, joined.
+//! One robot's layer on the server: all epochs of each tile, joined.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,86 +7,87 @@ use ubimap_protocol::tile::{
     TileError, TileId, Version,
 };
 
-/// No robot draws more tiles, with 5 cm cells 21,000 square metres, nor begins so many epochs of
-/// them: some 90 MB.
-const MOST_TILES: usize = 8_192;
-const MOST_EPOCHS: usize = 65_536;
+/// Maximum number of tiles of a robot: 21,000 square metres with 5 cm cells.
+const MAX_TILES: usize = 8_192;
+/// Maximum number of epochs of all tiles of a robot: some 90 MB.
+const MAX_EPOCHS: usize = 65_536;
 
 /// One epoch of one tile.
 #[derive(Clone, Debug, Default)]
 struct Held {
     replica: Replica,
-    /// What the replica held before it was begun anew within its epoch: what an epoch knows it
-    /// knows for good.
+    /// What the replica held before it was restarted within its epoch. Cells that an epoch has
+    /// known stay known.
     before: Option<Tile>,
     /// The version on disk.
     kept: Version,
 }
 
-/// What has been seen of one tile, and when: of each cell the second of the server's clock in which a
-/// robot last said something new of it, or in which cameras last saw it; row by row from the
-/// south-west.
+/// The cells of a tile, and for each the second of the server's clock in which a robot last
+/// reported a change of it, or cameras last saw it; row by row from the south-west.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SeenTile {
     /// The cells.
     pub tile: Tile,
-    /// One for each cell.
+    /// One value per cell.
     pub seconds: [u32; TILE_CELLS as usize],
 }
 
 impl SeenTile {
-    /// Nothing has been seen.
+    /// A tile without observations.
     pub const NOTHING: Self = Self { tile: Tile::UNKNOWN, seconds: [0; TILE_CELLS as usize] };
 }
 
-/// A complete state of one epoch of a tile, to be kept on disk.
+/// A complete state of one epoch of a tile, as stored on disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TileRecord {
-    /// Which tile.
+    /// The tile's id.
     pub id: TileId,
-    /// Its state.
+    /// Epoch and version of the state.
     pub stamp: Stamp,
     /// The cells of this state.
     pub cells: Tile,
-    /// All that the epoch has ever known.
+    /// All cells that the epoch has ever known.
     pub known: Tile,
-    /// When the robot last said something new of each cell of the tile, in whichever epoch: seconds
-    /// of the server's clock, as in [`SeenTile`].
+    /// When the robot last reported a change of each cell, in any epoch: seconds of the server's
+    /// clock, as in [`SeenTile`].
     pub seconds: [u32; TILE_CELLS as usize],
 }
 
-/// The layer of one robot. For each cell the code is that of the newest epoch that knows it, so
-/// the layer does not depend on the order in which states of its tiles arrive.
+/// The layer of one robot. Each cell has the code of the newest epoch that knows it, so the layer
+/// does not depend on the order in which states of tiles arrive.
 #[derive(Clone, Debug, Default)]
 pub struct RobotLayer {
     tiles: BTreeMap<TileId, BTreeMap<Epoch, Held>>,
-    /// The epochs of each tile, joined.
+    /// The joined epochs of each tile.
     seen: BTreeMap<TileId, SeenTile>,
-    /// The epochs below this one are void.
+    /// Epochs below this one are void.
     first_epoch: Epoch,
-    /// How many epochs of tiles there are.
+    /// Number of epochs of all tiles.
     epochs: usize,
 }
 
-/// What an update came to.
+/// The result of an update.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Updated {
-    /// The tiles that have changed.
+    /// The changed tiles.
     pub tiles: BTreeSet<TileId>,
-    /// The tiles and epochs of which all of a state has come, be it a new one or one that was held.
+    /// The tiles and epochs with a complete state in this update, whether new or already held.
     pub complete: BTreeSet<(TileId, Epoch)>,
-    /// The tile that could not be read because its base is not held. What followed it in the
-    /// update was lost as well; asking for this tile brings all of that back.
+    /// The tile that could not be decoded because its base is missing. The rest of the update was
+    /// skipped as well; requesting this tile restores all of it.
     pub missing: Option<TileId>,
-    /// Whether something was not taken because there is no end to what the robot draws.
+    /// Whether something was refused because the robot exceeds the maximum number of tiles or
+    /// epochs.
     pub too_much: bool,
 }
 
 impl RobotLayer {
-    /// Takes the coded tiles of an update whose newest scan was taken at `seconds`.
+    /// Applies the coded tiles of an update whose newest scan was taken at `seconds`.
     ///
     /// # Errors
-    /// What follows a [`TileError`] is not read; the second value is what came before it.
+    /// On a [`TileError`] the rest is not decoded; the first value describes what was decoded
+    /// before.
     pub fn update(&mut self, coded: &[u8], seconds: u32) -> (Updated, Result<(), TileError>) {
         let mut updated = Updated::default();
         let mut decoder = TileDecoder::new(coded);
@@ -98,17 +99,17 @@ impl RobotLayer {
             };
             let epoch = header.stamp.epoch;
             if epoch == Epoch(u32::MAX) {
-                // There would be none left for the robot's next life.
+                // It would leave no epoch for the robot's next life.
                 return (updated, Err(TileError::Malformed));
             }
             if epoch < self.first_epoch {
-                // The robot has given up all that it would tell in this frame.
+                // The robot has discarded everything in this update.
                 return (updated, Ok(()));
             }
             let known = self.tiles.get(&header.id);
             let is_new = !known.is_some_and(|epochs| epochs.contains_key(&epoch));
-            let is_too_much = known.is_none() && self.tiles.len() >= MOST_TILES
-                || is_new && self.epochs >= MOST_EPOCHS;
+            let is_too_much = known.is_none() && self.tiles.len() >= MAX_TILES
+                || is_new && self.epochs >= MAX_EPOCHS;
             if is_too_much {
                 updated.too_much = true;
                 return (updated, Ok(()));
@@ -143,8 +144,8 @@ impl RobotLayer {
         }
     }
 
-    /// Joins the epochs of a tile anew; a cell that has changed was seen at `seconds`. Whether any
-    /// has.
+    /// Joins the epochs of a tile again; changed cells get the time `seconds`. Returns whether any
+    /// has changed.
     fn join(&mut self, id: TileId, seconds: impl Fn(usize) -> u32) -> bool {
         let joined = self.joined(id);
         let seen = self.seen.entry(id).or_insert(SeenTile::NOTHING);
@@ -168,8 +169,8 @@ impl RobotLayer {
         joined
     }
 
-    /// The epochs below this one are void: the robot drew them from wrong poses, and has given them
-    /// up. Returns the tiles that have changed.
+    /// Voids the epochs below `first`: the robot drew them from wrong poses and has discarded them.
+    /// Returns the changed tiles.
     pub fn retire(&mut self, first: Epoch) -> BTreeSet<TileId> {
         self.first_epoch = self.first_epoch.max(first);
         let ids: Vec<TileId> = self.tiles.keys().copied().collect();
@@ -185,12 +186,12 @@ impl RobotLayer {
         changed
     }
 
-    /// The epochs below this one are void.
+    /// Epochs below this one are void.
     pub fn first_epoch(&self) -> Epoch {
         self.first_epoch
     }
 
-    /// The cells of a tile of which the robot has said nothing new after some second.
+    /// The cells of a tile whose last report is not after `second`.
     pub fn drawn_by(&self, id: TileId, second: u32) -> Tile {
         let mut drawn = Tile::UNKNOWN;
         if let Some(SeenTile { tile, seconds }) = self.seen.get(&id) {
@@ -202,12 +203,12 @@ impl RobotLayer {
         drawn
     }
 
-    /// What the robot has seen of a tile.
+    /// The robot's observations of a tile.
     pub fn seen(&self, id: TileId) -> Option<&SeenTile> {
         self.seen.get(&id)
     }
 
-    /// The tiles of which the robot has seen something.
+    /// The tiles that the robot has observed.
     pub fn tiles(&self) -> impl Iterator<Item = (TileId, &SeenTile)> {
         self.seen.iter().map(|(&id, seen)| (id, seen))
     }
@@ -218,7 +219,7 @@ impl RobotLayer {
         (!held.replica.is_partial()).then(|| (held.replica.stamp(), held.replica.tile()))
     }
 
-    /// What is to be kept of an epoch of a tile, if its state is complete.
+    /// The record to store for an epoch of a tile, if its state is complete.
     pub fn record(&self, id: TileId, epoch: Epoch) -> Option<TileRecord> {
         let held = self.tiles.get(&id)?.get(&epoch)?;
         let mut known = *held.replica.tile();
@@ -229,7 +230,7 @@ impl RobotLayer {
         Some(TileRecord { id, stamp, cells: *cells, known, seconds: self.seen.get(&id)?.seconds })
     }
 
-    /// A record is on disk.
+    /// Marks a record as stored on disk.
     pub fn kept(&mut self, record: &TileRecord) {
         let Stamp { epoch, version } = record.stamp;
         let held = self.tiles.get_mut(&record.id).and_then(|epochs| epochs.get_mut(&epoch));
@@ -244,9 +245,8 @@ impl RobotLayer {
         self.held(id, epoch).map(|(stamp, _)| stamp).filter(|stamp| stamp.version <= kept)
     }
 
-    /// Takes back what was kept, all epochs of a tile with the seconds of the record that was kept
-    /// last. A state that is not newer than what is held is passed over. Whether anything has
-    /// changed.
+    /// Restores a stored epoch of a tile, with the times of the newest record of the tile. A state
+    /// that is not newer than the present one is ignored. Returns whether the tile has changed.
     pub fn restore(&mut self, record: &TileRecord) -> bool {
         let epochs = self.tiles.entry(record.id).or_default();
         self.epochs += usize::from(!epochs.contains_key(&record.stamp.epoch));
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_kept_comes_back_and_is_built_upon() {
+    fn stored_tiles_are_restored_and_extended() {
         let mut layer = RobotLayer::default();
         let early = tile(&[(2, Cell::Occupied)]);
         assert_eq!(layer.update(&update(2, 7, None, &early), 4).1, Ok(()));
@@ -323,7 +323,7 @@ mod tests {
         assert!(restarted.restore(&record));
         assert!(!restarted.restore(&record));
         assert_eq!(restarted.on_disk(ID, Epoch(3)), Some(record.stamp));
-        // Every cell with the time at which it was seen.
+        // Including the time of each cell.
         assert_eq!(restarted.seen(ID), layer.seen(ID));
         assert_eq!(restarted.next_epoch(), Epoch(4));
         let second = tile(&[(0, Cell::Occupied), (1, Cell::Occupied)]);
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn who_draws_without_end_is_stopped_and_goes_on_with_what_it_has_drawn() {
+    fn beyond_the_maximum_only_existing_tiles_are_updated() {
         let cells = tile(&[(0, Cell::Free)]);
         let mut out = [0u8; 64];
         let mut coded = |x: usize, epoch: u32, version: u32, cells: &Tile| {
@@ -347,23 +347,23 @@ mod tests {
             out[..len].to_vec()
         };
         let mut layer = RobotLayer::default();
-        for x in 0..MOST_TILES {
+        for x in 0..MAX_TILES {
             assert!(!layer.update(&coded(x, 1, 1, &cells), 5).0.too_much);
         }
-        assert!(layer.update(&coded(MOST_TILES, 1, 1, &cells), 5).0.too_much);
-        assert_eq!(layer.tiles().count(), MOST_TILES);
+        assert!(layer.update(&coded(MAX_TILES, 1, 1, &cells), 5).0.too_much);
+        assert_eq!(layer.tiles().count(), MAX_TILES);
         let more = tile(&[(0, Cell::Occupied)]);
         for (epoch, version) in [(1, 2), (2, 1)] {
             let (updated, _) = layer.update(&coded(3, epoch, version, &more), 6);
             assert!(!updated.too_much && !updated.complete.is_empty());
         }
-        // Those that are given up do not count.
+        // Voided epochs do not count.
         layer.retire(Epoch(2));
         assert_eq!(layer.epochs, 1);
     }
 
     #[test]
-    fn the_last_epoch_is_left_free() {
+    fn the_last_epoch_is_refused() {
         let mut layer = RobotLayer::default();
         let cells = tile(&[(0, Cell::Free)]);
         let last = update(u32::MAX, 1, None, &cells);
@@ -373,11 +373,11 @@ mod tests {
     }
 
     #[test]
-    fn a_base_that_is_not_held_is_named_and_leaves_no_trace() {
+    fn a_missing_base_is_named_and_leaves_no_trace() {
         let base = tile(&[(0, Cell::Free)]);
         let coded = update(1, 2, Some((1, &base)), &tile(&[(0, Cell::Occupied)]));
         let mut layer = RobotLayer::default();
-        // An epoch that knows nothing yet is held all the same.
+        // An epoch without known cells is held all the same.
         assert_eq!(layer.update(&update(0, 1, None, &Tile::UNKNOWN), 5).1, Ok(()));
         let (updated, result) = layer.update(&coded, 5);
         assert_eq!((updated.missing, result), (Some(ID), Ok(())));

@@ -1,5 +1,5 @@
-//! The rule of ROS `multirobot_map_merge`, to compare with: occupied beats free beats unknown, cell
-//! by cell. What was occupied once stays so.
+//! The rule of ROS `multirobot_map_merge`, for comparison: per cell, occupied beats free beats
+//! unknown, so that an occupied cell stays occupied.
 
 use std::collections::BTreeMap;
 
@@ -8,15 +8,15 @@ use ubimap_protocol::tile::{TILE_SIDE, Tile, TileId};
 use super::runs::runs;
 use crate::camera::Observation;
 
-/// A map merged by that rule from what the fused layer is made of, in any order and any number of
-/// times. Something movable is occupied.
+/// A map merged by that rule from the inputs of the fused layer, in any order and any number of
+/// times. Movable cells count as occupied.
 #[derive(Clone, Debug, Default)]
 pub struct RosMerge {
     tiles: BTreeMap<TileId, Tile>,
 }
 
 impl RosMerge {
-    /// Takes the cells of a frame of a camera.
+    /// Merges the cells of a camera frame.
     pub fn observe(&mut self, observation: &Observation) {
         for (id, cells) in runs(observation) {
             let mut seen = Tile::UNKNOWN;
@@ -25,7 +25,7 @@ impl RosMerge {
         }
     }
 
-    /// Takes a tile of a robot's layer, as it is now.
+    /// Merges the current state of a robot's tile.
     pub fn take(&mut self, id: TileId, seen: &Tile) {
         let merged = self.tiles.entry(id).or_default();
         for y in 0..TILE_SIDE {
@@ -36,7 +36,7 @@ impl RosMerge {
         }
     }
 
-    /// The tiles, in order of their ids.
+    /// The tiles, ordered by id.
     pub fn tiles(&self) -> impl Iterator<Item = (TileId, &Tile)> {
         self.tiles.iter().map(|(&id, tile)| (id, tile))
     }
@@ -48,7 +48,7 @@ mod tests {
     use ubimap_protocol::tile::Cell::{self, Free, Movable, Occupied, Unknown};
 
     #[test]
-    fn occupied_beats_free_beats_unknown_whoever_says_so() {
+    fn occupied_beats_free_beats_unknown_in_any_order() {
         const ID: TileId = TileId { x: -1, y: 0 };
         let codes = [Unknown, Free, Occupied, Movable];
         for (first, second) in codes.into_iter().flat_map(|a| codes.map(|b| (a, b))) {

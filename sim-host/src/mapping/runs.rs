@@ -1,10 +1,10 @@
-//! The cells of an observation, tile by tile.
+//! The cells of an observation, grouped by tile.
 
 use ubimap_protocol::tile::{Cell, TILE_SIDE, TileId};
 
 use crate::camera::Observation;
 
-/// Neighbouring cells of one tile: each with its column and row there.
+/// Runs of consecutive cells in one tile, each cell with its column and row there.
 pub(super) fn runs(
     observation: &Observation,
 ) -> impl Iterator<Item = (TileId, impl Iterator<Item = (usize, usize, Cell)>)> {

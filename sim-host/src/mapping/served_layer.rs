@@ -1,4 +1,4 @@
-//! A layer that the server writes and the robots read.
+//! A layer that the server writes and robots read.
 
 use std::collections::BTreeMap;
 
@@ -7,14 +7,14 @@ use ubimap_protocol::{
     tile::{Digest, Stamp, Tile, TileId, Version, tile_hash},
 };
 
-/// Tiles that the server alone writes: a tile's version is raised whenever it changes.
+/// Tiles that only the server writes; each change increments the tile's version.
 #[derive(Clone, Debug, Default)]
 pub struct ServedLayer {
     tiles: BTreeMap<TileId, (Version, Tile)>,
 }
 
 impl ServedLayer {
-    /// Takes the present state of a tile. Whether it has changed.
+    /// Sets a tile. Returns whether it has changed.
     pub fn set(&mut self, id: TileId, tile: Tile) -> bool {
         let entry = self.tiles.entry(id).or_default();
         let changed = entry.1 != tile;
@@ -24,18 +24,18 @@ impl ServedLayer {
         changed
     }
 
-    /// A tile, and its version.
+    /// A tile and its version.
     pub fn get(&self, id: TileId) -> Option<(Version, &Tile)> {
         self.tiles.get(&id).map(|(version, tile)| (*version, tile))
     }
 
-    /// All tiles of which something is known, in order of their ids.
+    /// All tiles that ever had known cells, ordered by id.
     pub fn tiles(&self) -> impl Iterator<Item = (TileId, Version, &Tile)> {
         let known = self.tiles.iter().filter(|(_, (version, _))| version.0 > 0);
         known.map(|(&id, (version, tile))| (id, *version, tile))
     }
 
-    /// The tiles of a rectangle of which something is known, in order of their ids.
+    /// The tiles of a window that ever had known cells, ordered by id.
     pub fn within(&self, window: &Interest) -> impl Iterator<Item = (TileId, Version, &Tile)> {
         let (low, high) = (window.from.y, window.to.y.max(window.from.y));
         (window.from.x..=window.to.x)
@@ -44,7 +44,7 @@ impl ServedLayer {
             .map(|(&id, (version, tile))| (id, *version, tile))
     }
 
-    /// The digest of the cells, whatever the versions by which they came about.
+    /// The digest of the cells, independent of versions.
     pub fn digest(&self) -> Digest {
         let mut digest = Digest::default();
         for (id, _, tile) in self.tiles().filter(|(.., tile)| **tile != Tile::UNKNOWN) {
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn a_version_is_raised_by_a_change_alone() {
+    fn only_a_change_increments_the_version() {
         let mut layer = ServedLayer::default();
         let id = TileId::default();
         assert!(layer.set(id, of(Free)));

@@ -1,60 +1,64 @@
-//! What each pixel of a camera sees when nobody is there: learnt in the first seconds, and anew
-//! where it changes for good.
+//! The background of a camera: what each pixel sees in the empty room. It is learnt in the first
+//! seconds, and learnt again where the room changes permanently.
 //!
-//! A pixel agrees with its background if its depth is within a window, learnt as well. It then
-//! counts for the cell in which the *learnt* point is, so that noise does not smear what stands
-//! still; which cell that is, is found now and then. The learnt depth is the mean of all that
-//! agreed, and counts for nothing before it is good to half a cell: the noise of one depth is two
-//! cells at 5 m, that of the mean of `n` is smaller by the root of `n`. So the view reaches farther
-//! the longer a camera looks. A pixel of the floor whose newest depths agree one by one, but not in their
-//! mean, counts for nothing: something may stand there that is less than the noise before it. Learning also
-//! takes up what calibration leaves: a floor that is a centimetre off, a threshold, a carpet.
+//! A pixel agrees with its background if its depth is within a learnt window. It then counts for the
+//! cell of the *learnt* point, so that noise does not smear static objects; that cell is updated from
+//! time to time. The learnt depth is the mean of all depths that agreed. It is used once its standard
+//! error is below half a cell: a single depth at 5 m has a noise of two cells, the mean of `n` depths
+//! has 1/sqrt(n) of that, so the range of view grows with time. A floor pixel whose recent depths agree
+//! one by one, but not in their mean, counts for nothing: an object closer to the floor than the noise
+//! may stand there. Learning also absorbs calibration errors: a floor that is a centimetre off, a
+//! threshold, a carpet.
 
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::ray_table::{Allowance, RayTable, Survey, Zone};
 
-/// Depths of each pixel that are learnt from, and the time from one to the next.
+/// Number of depths per pixel from which the background is learnt.
 const SAMPLES: usize = 15;
+/// Interval between these depths.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(300);
-/// A pixel that measured less often has no background.
-const FEWEST_SAMPLES: usize = 8;
-/// What is farthest in one sample of so many is the room: whoever stands before it for the rest of
-/// the time leaves nothing behind.
+/// Minimum number of measurements: a pixel with fewer has no background.
+const MIN_SAMPLES: usize = 8;
+/// The room is at the depth that 1/TRIM of the samples exceed, so that a person who is in front of it most
+/// of the time leaves no trace.
 const TRIM: usize = 5;
-/// Added to what noise explains, in millimetres: quantisation.
+/// Half the width of a pixel's window, in thousandths of sigma: 99 % of the background's depths lie
+/// inside. A wider window would hide what stands just in front of the floor.
+const WINDOW: i64 = 2_576;
+/// Margin for quantisation in millimetres, added to the window.
 const SLACK_MM: i64 = 4;
-/// After a frame, one row in so many is looked at for changes that last.
+/// Each frame, one row in this number is checked for permanent changes.
 const ROWS_BETWEEN: u32 = 8;
-/// What is nearer than the background becomes background after so many looks and seconds without a
-/// change, for it may be somebody; so does what stands where there was no background. Floor, and
-/// what is farther than the background, was hidden until now, and becomes it sooner.
+/// Number of looks and seconds without a change until an object in front of the background, or where
+/// there was no background, becomes background. Long, because it may be a person.
 const STAY: (u8, u32) = (6, 10);
+/// The same for floor, and for anything behind the background: shorter, because it was only hidden.
 const UNCOVERED: (u8, u32) = (2, 1);
-/// When so many depths have agreed, half of them are forgotten: a drift is followed.
-const MOST_AGREED: u32 = 256;
+/// When this number of depths have agreed, half of them are forgotten, so that drift is followed.
+const MAX_AGREED: u32 = 256;
 
-/// A depth that may become the background of a pixel.
+/// A depth that may become a pixel's background, and the state of the pixel.
 #[derive(Clone, Copy, Debug, Default)]
 struct Candidate {
     depth: u16,
     looks: u8,
-    /// Whether the present background came after the first was learnt.
+    /// Whether the present background replaced the one learnt first.
     has_come: bool,
-    /// Whether what agreed with the background of late may be something else: the pixel then counts for
+    /// Whether the depths that agreed recently may be of another object: the pixel then counts for
     /// nothing.
     is_doubtful: bool,
     since_s: u32,
 }
 
-/// Where a depth is that does not agree with the background.
+/// The position of a depth that disagrees with the background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
     Nearer,
     Farther,
 }
 
-/// The depths that agreed.
+/// Sum and number of the depths that agreed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Agreed {
     sum: u32,
@@ -70,31 +74,30 @@ impl Agreed {
 /// The background of one camera.
 #[derive(Clone, Debug)]
 pub struct Background {
-    /// In millimetres; zero where there is none that is good to half a cell.
+    /// In millimetres; zero until its standard error is below half a cell.
     depth: Vec<u16>,
     agreed: Vec<Agreed>,
-    /// Those that agreed since the pixel's row was last looked at.
+    /// Depths that agreed since the pixel's row was last checked.
     fresh: Vec<Agreed>,
-    /// The lowest depth of each pixel's window, and how much more the highest is. Without a
-    /// background only nothing agrees.
+    /// The lowest depth of each pixel's window. A pixel without background has a window of zero only.
     low: Vec<u16>,
+    /// The width of each pixel's window.
     span: Vec<u16>,
-    /// For each pixel what it counts for where it agrees: twice its cell, one more for what is in
-    /// the way.
+    /// For each pixel its index in `totals` when it agrees: twice the cell, plus one for an obstacle.
     home: Vec<u32>,
-    /// What all pixels would say together if all agreed.
+    /// The evidence if all pixels agreed.
     totals: Vec<u32>,
     candidates: Vec<Candidate>,
-    /// The samples, image by image, as long as it learns.
+    /// The samples, image by image; `None` once the background is learnt.
     samples: Option<Vec<u16>>,
-    /// When the next one is due.
+    /// When the next sample is due.
     due: Instant,
-    /// The first row that is looked at next.
+    /// The first row to check next.
     turn: u32,
 }
 
 impl Background {
-    /// Of a camera that has not seen anything.
+    /// The background of a camera that has not seen anything.
     pub fn new(rays: &RayTable) -> Self {
         let pixels = rays.pixels();
         let nowhere = 2 * rays.cells();
@@ -115,13 +118,13 @@ impl Background {
         }
     }
 
-    /// Whether the first seconds are over.
+    /// Whether the initial learning is complete.
     pub fn is_learnt(&self) -> bool {
         self.samples.is_none()
     }
 
-    /// Takes an image that was captured at a time, in the order of capture. Cells that are `taken`,
-    /// by a robot or by somebody who walks, are not learnt.
+    /// Learns from an image; call it in the order of capture. Pixels over cells that are `taken`, by a
+    /// robot or a walking person, are not learnt.
     pub fn learn(&mut self, rays: &RayTable, depths: &[u16], captured: Instant, taken: &[bool]) {
         let Some(samples) = &mut self.samples else {
             self.gather(depths);
@@ -141,7 +144,7 @@ impl Background {
         }
     }
 
-    /// The lowest depth of each pixel's window, and how much more the highest is.
+    /// The lowest depth and the width of each pixel's window.
     pub(super) fn windows(&self) -> (&[u16], &[u16]) {
         (&self.low, &self.span)
     }
@@ -150,7 +153,7 @@ impl Background {
         &self.totals
     }
 
-    /// For each pixel the place in [`Background::totals`] that it counts for where it agrees.
+    /// For each pixel its index in [`Background::totals`] when it agrees.
     pub(super) fn homes(&self) -> &[u32] {
         &self.home
     }
@@ -159,7 +162,8 @@ impl Background {
         depth.wrapping_sub(self.low[pixel]) <= self.span[pixel]
     }
 
-    /// On which side of its background, if it has one, a pixel that does not agree with it is.
+    /// The side of the background on which a disagreeing pixel lies; `None` if it agrees or has no
+    /// measurement or background.
     pub(super) fn side(&self, pixel: usize, depth: u16) -> Option<Side> {
         let is_known = *self.low.get(pixel)? > 0 && depth > 0 && !self.agrees(pixel, depth);
         is_known.then(|| if depth < self.low[pixel] { Side::Nearer } else { Side::Farther })
@@ -170,21 +174,21 @@ impl Background {
         depth > 0 && depth < self.low[pixel]
     }
 
-    /// What a pixel counts for where it agrees, as [`Background::homes`] has it, found anew.
+    /// Recomputes the pixel's entry in [`Background::homes`].
     pub(super) fn settle(&self, rays: &RayTable, pixel: usize) -> u32 {
         let candidate = &self.candidates[pixel];
         let slot = match rays.zone(pixel, self.depth[pixel], Allowance::Learnt) {
             _ if candidate.is_doubtful => self.totals.len() - 1,
             Zone::Floor(cell) => 2 * cell as usize,
             Zone::Band(cell, _) => 2 * cell as usize + 1,
-            // What has come stands on the floor; what was always there may hang.
+            // A new object stands on the floor; one that was always there may hang.
             Zone::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
             Zone::Above(..) | Zone::Nowhere => self.totals.len() - 1,
         };
         slot as u32
     }
 
-    /// Ends the learning: what most of the farthest samples of each pixel are about.
+    /// Ends the initial learning: computes each pixel's background from its farthest samples.
     fn settle_all(&mut self, rays: &RayTable, samples: &[u16]) {
         let pixels = self.depth.len();
         let mut seen = Vec::with_capacity(SAMPLES);
@@ -192,7 +196,7 @@ impl Background {
             seen.clear();
             let all = samples.iter().skip(pixel).step_by(pixels);
             seen.extend(all.copied().filter(|depth| *depth > 0));
-            if seen.len() < FEWEST_SAMPLES {
+            if seen.len() < MIN_SAMPLES {
                 continue;
             }
             seen.sort_unstable();
@@ -204,15 +208,14 @@ impl Background {
         }
     }
 
-    /// Finds anew how deep the background of a pixel is, the window about that, and what the pixel
-    /// counts for.
+    /// Recomputes a pixel's background depth, its window, and the index in `totals` that it counts for.
     fn settle_again(&mut self, rays: &RayTable, pixel: usize) {
         let agreed = &mut self.agreed[pixel];
         let fresh = core::mem::take(&mut self.fresh[pixel]);
         agreed.sum += fresh.sum;
         agreed.count += fresh.count;
         let Some(mean) = agreed.mean() else { return };
-        if agreed.count >= MOST_AGREED {
+        if agreed.count >= MAX_AGREED {
             *agreed = Agreed { sum: agreed.sum / 2, count: agreed.count / 2 };
         }
         let margin = margin(rays, mean);
@@ -220,28 +223,29 @@ impl Background {
         self.span[pixel] = 2 * margin;
         let Survey { side, reach, .. } = rays.survey();
         let (noise, side) = (rays.sigma_mm(mean), i64::from(side.0));
-        // A sensor that gives no depth beyond its reach cuts the noise off: the mean would be nearer
-        // than what is there.
+        // A sensor without depths beyond its reach cuts off part of the noise, which would bias the mean
+        // towards the camera.
         let is_good = i64::from(mean) + i64::from(margin) <= i64::from(reach.0)
-            && 4 * noise * noise <= side * side * i64::from(agreed.count);
+            // 92 % of such means (1.73 sigmas) are within a cell's side.
+            && 3 * noise * noise <= side * side * i64::from(agreed.count);
         self.depth[pixel] = if is_good { mean } else { 0 };
         self.totals[self.home[pixel] as usize] -= 1;
         self.home[pixel] = self.settle(rays, pixel);
         self.totals[self.home[pixel] as usize] += 1;
     }
 
-    /// Adds the depths that agree.
+    /// Accumulates the depths that agree with the background.
     fn gather(&mut self, depths: &[u16]) {
         let windows = self.low.iter().zip(&self.span);
         for ((fresh, &depth), (&low, &span)) in self.fresh.iter_mut().zip(depths).zip(windows) {
-            // Zero agrees where there is no background.
+            // Without a background, a depth of zero agrees.
             let one = u32::from(depth > 0 && depth.wrapping_sub(low) <= span);
             fresh.sum += one * u32::from(depth);
             fresh.count += one;
         }
     }
 
-    /// Looks at some of the rows for what has changed for good.
+    /// Checks some of the rows for permanent changes.
     fn tend(&mut self, rays: &RayTable, depths: &[u16], captured: Instant, taken: &[bool]) {
         let now_s = (captured.0 / 1_000_000) as u32;
         let width = rays.size().0 as usize;
@@ -249,7 +253,7 @@ impl Background {
         for (row, depths) in rows.step_by(ROWS_BETWEEN as usize) {
             for (pixel, &depth) in (row * width..).zip(depths) {
                 if is_taken(rays, pixel, depth, taken) {
-                    // Those that agreed may have been of somebody's legs.
+                    // The depths that agreed may be from a person's legs.
                     self.fresh[pixel] = Agreed::default();
                 } else {
                     self.look(rays, pixel, depth, now_s);
@@ -260,7 +264,7 @@ impl Background {
         self.turn = (self.turn + 1) % ROWS_BETWEEN;
     }
 
-    /// Looks at one pixel: whether it still sees its background, or something that may become it.
+    /// Checks whether a pixel still sees its background, or something that may replace it.
     fn look(&mut self, rays: &RayTable, pixel: usize, depth: u16, now_s: u32) {
         if self.fresh[pixel].count > 0 {
             self.candidates[pixel].is_doubtful = self.is_doubtful(rays, pixel);
@@ -278,15 +282,16 @@ impl Background {
         }
     }
 
-    /// The depths that agreed since the last look, if they are of something else than the background:
-    /// their mean lies off.
+    /// The depths that agreed since the last check, if their mean shows that they are of something other
+    /// than the background.
     fn other_of_late(&self, rays: &RayTable, pixel: usize) -> Option<Agreed> {
         let fresh = self.fresh[pixel];
         is_other(rays, fresh, self.agreed[pixel]).then_some(fresh)
     }
 
-    /// Whether what agreed since the last look is something else than the floor that is the background,
-    /// or may be the floor where something in the way is: somebody stood on it when it was learnt.
+    /// Whether the depths that agreed since the last check contradict the background: a floor pixel whose
+    /// mean is off, or an obstacle whose mean is consistent with floor (a person stood there during
+    /// learning).
     fn is_doubtful(&self, rays: &RayTable, pixel: usize) -> bool {
         let is_in_the_way = |depth, allowance| {
             matches!(rays.zone(pixel, depth, allowance), Zone::Band(..) | Zone::Above(..))
@@ -302,10 +307,10 @@ impl Background {
         })
     }
 
-    /// What a pixel sees if it is not the background: the depth if that is out of the window, or
-    /// nearer to the candidate than to the background, for noise makes what stands a little before
-    /// that agree with it now and then; and those that have agreed of late, which then do not count,
-    /// if their mean lies off.
+    /// What a pixel sees if it is not the background. Either the depths that agreed recently, if their
+    /// mean is off; they then no longer count as agreeing. Or the depth itself, if it is outside the
+    /// window, or closer to the candidate than to the background: noise makes an object just in front of
+    /// the background agree now and then.
     fn sees_other(&mut self, rays: &RayTable, pixel: usize, depth: u16) -> Option<Agreed> {
         if let Some(other) = self.other_of_late(rays, pixel) {
             self.fresh[pixel] = Agreed::default();
@@ -323,30 +328,30 @@ impl Background {
         is_nearer.then_some(one)
     }
 
-    /// Whether several depths, which agreed, show what was hidden by something that is in the way of
-    /// the robots: who stood in view as long as the room was learnt, so little before the floor that
-    /// this is in the window, has left. The floor itself hides nothing.
+    /// Whether agreeing depths uncover what an obstacle hid: a person who stood in view during learning,
+    /// so close to the floor that its depth is within the window, has left. Floor hides nothing, so the
+    /// background must be an obstacle.
     fn uncovers(&self, rays: &RayTable, pixel: usize, seen: Agreed) -> bool {
         let is_farther = self.agreed[pixel].mean() < seen.mean();
         let home = self.home[pixel] as usize;
         seen.count > 1 && is_farther && home < 2 * rays.cells() && home % 2 == 1
     }
 
-    /// Takes something else for the background of a pixel.
+    /// Replaces the background of a pixel.
     fn replace(&mut self, rays: &RayTable, pixel: usize, seen: Agreed, has_come: bool) {
         self.candidates[pixel] = Candidate { has_come, ..Candidate::default() };
         self.agreed[pixel] = seen;
         self.settle_again(rays, pixel);
     }
 
-    /// A pixel sees something else than its background.
+    /// Updates the candidate of a pixel that sees something other than its background.
     fn consider(&mut self, rays: &RayTable, pixel: usize, depth: u16, now_s: u32) {
         let candidate = &mut self.candidates[pixel];
         if candidate.looks == 0 || depth.abs_diff(candidate.depth) > spread(rays, depth) {
             *candidate = Candidate { depth, looks: 1, since_s: now_s, ..*candidate };
             return;
         }
-        // The mean of the looks.
+        // The mean over all looks.
         let looks = u32::from(candidate.looks);
         let sum = u32::from(candidate.depth) * looks + u32::from(depth);
         candidate.depth = (sum / (looks + 1)) as u16;
@@ -364,26 +369,26 @@ impl Background {
     }
 }
 
-/// Whether depths are of something else than those that agreed: their mean is farther off than three of
-/// its sigmas. Of two things in one window, as the floor and the feet of who stands on it now and then,
-/// this lets neither draw the mean to it.
+/// Whether the mean of `depths` is farther from that of `agreed` than 99 % of such means would be. With two
+/// objects in one window (the floor and the feet of people), neither can bias the mean of the other.
 fn is_other(rays: &RayTable, depths: Agreed, agreed: Agreed) -> bool {
     let Some((mean, before)) = depths.mean().zip(agreed.mean()) else { return false };
-    let off = u32::from(mean.abs_diff(before));
-    off * off * depths.count > u32::from(margin(rays, before)).pow(2)
+    let off = u64::from(mean.abs_diff(before));
+    off * off * u64::from(depths.count) > u64::from(margin(rays, before)).pow(2)
 }
 
-/// Depths that differ by no more may be of one thing: three sigmas.
+/// Maximum difference of two depths of one object.
 fn spread(rays: &RayTable, depth: u16) -> u16 {
-    (SLACK_MM + 3 * rays.sigma_mm(depth)).min(i64::from(u16::MAX)) as u16
+    let noise = (WINDOW * rays.sigma_mm(depth) + 500) / 1_000;
+    (SLACK_MM + noise).min(i64::from(u16::MAX)) as u16
 }
 
-/// Half the width of the window about a depth: three sigmas, and never all of the depth.
+/// Half the width of the window around a depth, at most half the depth.
 fn margin(rays: &RayTable, depth: u16) -> u16 {
     spread(rays, depth).min(depth / 2)
 }
 
-/// Whether a pixel sees something over a cell that is taken.
+/// Whether a pixel sees an obstacle over a cell that is taken.
 fn is_taken(rays: &RayTable, pixel: usize, depth: u16, taken: &[bool]) -> bool {
     match rays.zone(pixel, depth, Allowance::Measured) {
         Zone::Band(cell, _) | Zone::Above(cell, _) => taken[cell as usize],
@@ -399,7 +404,7 @@ mod tests {
         perception::testing::{lens, noisy, render},
     };
 
-    /// A floor, and legs on it all over, so little before it that at five metres their noise is in the
+    /// A floor, and legs everywhere, two sigmas in front of it, so that their depths fall into the
     /// window of the floor.
     fn floor_and_legs() -> (RayTable, DepthImage, DepthImage) {
         let lens = lens(160, 60, [0.0, 0.0, 2.8], [4.0, 3.0, 0.0]);
@@ -413,11 +418,11 @@ mod tests {
     }
 
     #[test]
-    fn who_stands_on_it_now_and_then_does_not_draw_the_floor_towards_the_camera() {
+    fn people_on_the_floor_do_not_bias_its_depth() {
         let (rays, floor, legs) = floor_and_legs();
         let taken = vec![false; rays.cells()];
         let mut background = Background::new(&rays);
-        // Five images a second; two seconds of six somebody stands there.
+        // Five images a second; somebody stands there for two of every six seconds.
         for frame in 0..450 {
             let is_there = frame % 30 < 10;
             let image = noisy(if is_there { &legs } else { &floor }, &DepthNoise::D435, frame, 980);
@@ -434,7 +439,7 @@ mod tests {
         assert!(off.len() > 2_000 && mean < 0.4 && many < 10, "{mean} sigmas, {many} over one");
     }
 
-    /// How many pixels between 4.5 and 5.5 m count for floor, and for something in the way.
+    /// Number of pixels between 4.5 and 5.5 m that count for floor, and for obstacles.
     fn far(rays: &RayTable, floor: &DepthImage, background: &Background) -> [usize; 2] {
         let homes = floor.iter().zip(background.homes());
         let far = homes.filter(|(floor, _)| (4_500..5_500).contains(*floor));
@@ -446,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn where_somebody_stands_who_is_hidden_by_noise_no_floor_is_seen() {
+    fn no_floor_is_reported_under_a_person_hidden_by_noise() {
         let (rays, floor, legs) = floor_and_legs();
         let taken = vec![false; rays.cells()];
         let mut background = Background::new(&rays);
@@ -465,12 +470,12 @@ mod tests {
     }
 
     #[test]
-    fn who_stood_in_view_while_the_room_was_learnt_leaves_nothing_behind() {
+    fn a_person_in_view_during_learning_leaves_no_trace() {
         let (rays, floor, legs) = floor_and_legs();
         let taken = vec![false; rays.cells()];
         let mut background = Background::new(&rays);
         let in_the_way = |background: &Background| far(&rays, &floor, background)[1];
-        // Five images a second, the last as late as each pixel has been looked at twice.
+        // Five images a second, until every pixel has been checked twice.
         let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
         for frame in 0..leaves {
             background.learn(

@@ -1,36 +1,40 @@
-//! From the evidence of an image to cells: free, occupied, movable, or not seen.
+//! Classifies cells from the evidence of an image: free, occupied, movable, or not seen.
 
 use ubimap_protocol::tile::Cell;
 
 use super::{evidence::Evidence, ray_table::RayTable};
 
-/// Fewer pixels than this prove nothing: mixed pixels at the edges of things lie anywhere between
-/// the edge and what is behind it, yet seldom several over one cell.
-pub(super) const FEWEST: u32 = 4;
-/// So many cells behind what stands on the floor are taken to lie in its shadow: what is 10 cm high
-/// and 5 m away from under a ceiling hides as many.
+/// Minimum number of pixels as evidence: a mixed pixel at an object's edge lies anywhere between the edge
+/// and the surface behind, but there are seldom several over one cell.
+pub(super) const MIN_EVIDENCE: u32 = 4;
+/// Number of cells behind an obstacle that are assumed to be in its shadow: that of an obstacle 10 cm
+/// high and 5 m away, seen from a ceiling.
 const SHADOW: i32 = 3;
 
-/// The cells that an image shows, in the order of rows from the south-west. `movable` says which
-/// cells something takes up that stands out of the empty room, and cells `under` a robot are left
-/// out. `said` is what this camera said of each cell last.
+/// The cells that an image shows, row by row from the south-west. `movable` marks the cells of foreground
+/// objects; cells `under` a robot are left out. `said` is the last published code of each cell.
 ///
-/// With `F` pixels that have learnt a cell's floor, `B` that have learnt what is in the way over it,
-/// `f` and `b` that see it now, and `e` that would see its floor if nothing stood in between, the
-/// cell is solid if `B` >= 4, 3 `B` >= the same number of each of the four nearest cells on the line
-/// of sight (noise smears a wall along that line, and the wall is where most of it is), and `B` >= `F`
-/// or it hides a cell next to it, of which nothing has been learnt though `e` >= 4: of a wall that is
-/// seen edge on there are few pixels, and floor before it may take up most of its cell. It is
+/// Let `F` be the number of pixels that have learnt the cell's floor, `B` the number that have learnt an
+/// obstacle over it, `f` and `b` the numbers that see these now, and `e` the number that would see the
+/// floor if nothing occluded it. The cell is **solid** if
 ///
-/// 1. movable if something that stands out takes it up, but where the same rule of the pixels that see
-///    it does not hold and the floor is seen as in case 4: noise smears it towards the camera;
+/// - `B` >= 4;
+/// - it is a ridge: 3 `B` is at least the `B` of each of the four nearest cells on the line of sight
+///   (noise smears a wall along that line, and most of its pixels are at the wall); and
+/// - `B` >= `F`, or it hides a neighbouring cell with `e` >= 4 and with `F` and `B` both zero: a
+///   wall seen edge on has few pixels, and the floor in front may take up most of its cell.
+///
+/// The code of a cell is the first of these that applies:
+///
+/// 1. movable if an object covers it, unless the cell is not a ridge of foreground pixels and its floor is
+///    seen as in case 4 (noise smears objects towards the camera);
 /// 2. occupied if it is solid and 2 `b` >= `B`;
-/// 3. not seen if it is one of the three cells behind one of case 2, on the line of sight: the foot
-///    of a wall whose depth is measured too long seems to be floor behind it. If this camera said
-///    that it is free, it is unknown from now on;
+/// 3. not seen if it is one of the three cells behind a cell of case 2, on the line of sight: noise makes
+///    the foot of a wall look like floor behind it. If the cell was published as free, it becomes
+///    unknown;
 /// 4. free if 2 `f` >= `e` and `f` >= 2;
-/// 5. unknown, which takes back what this camera said, if it was occupied and is no longer solid;
-/// 6. else not seen.
+/// 5. unknown if it was published as occupied and is no longer solid;
+/// 6. otherwise not seen.
 pub(super) fn cells(
     rays: &RayTable,
     totals: &[u32],
@@ -42,7 +46,7 @@ pub(super) fn cells(
     let foot = rays.foot();
     let is_solid = |cell: usize| {
         let [floor, solid] = [totals[2 * cell], totals[2 * cell + 1]];
-        solid >= FEWEST
+        solid >= MIN_EVIDENCE
             && (solid >= floor || is_edge(rays, totals, cell))
             && is_ridge(rays, |it| totals[2 * it + 1], foot, cell)
     };
@@ -88,18 +92,20 @@ pub(super) fn cells(
     (0..rays.cells()).filter_map(|cell| Some((rays.in_map(cell), code(cell)?))).collect()
 }
 
-/// Whether nothing has been learnt of a cell next to one, although its floor would be seen if what is
-/// in the way over the one did not hide it: a wall that is seen edge on, with floor before it.
+/// Whether nothing has been learnt of a neighbouring cell although its floor would be visible without
+/// the obstacle in this cell: a wall seen edge on, with floor in front.
 fn is_edge(rays: &RayTable, totals: &[u32], cell: usize) -> bool {
     let (x, y) = rays.in_map(cell);
     [(1, 0), (0, 1), (-1, 0), (0, -1)]
         .into_iter()
         .filter_map(|(east, north)| rays.index((x + east, y + north)))
-        .any(|it| rays.expected(it) >= FEWEST && totals[2 * it] == 0 && totals[2 * it + 1] == 0)
+        .any(|it| {
+            rays.expected(it) >= MIN_EVIDENCE && totals[2 * it] == 0 && totals[2 * it + 1] == 0
+        })
 }
 
-/// Whether none of the two cells before and the two behind has more than three times as many pixels
-/// of something in the way.
+/// Whether none of the two cells before and the two behind on the line of sight has more than three times
+/// the pixels of this cell.
 fn is_ridge(rays: &RayTable, pixels: impl Fn(usize) -> u32, foot: (i32, i32), cell: usize) -> bool {
     let most = 3 * pixels(cell);
     [-2, -1, 1, 2]
@@ -107,12 +113,12 @@ fn is_ridge(rays: &RayTable, pixels: impl Fn(usize) -> u32, foot: (i32, i32), ce
         .all(|steps| on_sight(rays, foot, cell, steps).is_none_or(|beside| pixels(beside) <= most))
 }
 
-/// The cell so many steps behind another one on the line of sight, before it if they are negative.
+/// The cell `steps` cells behind another one on the line of sight; in front of it if negative.
 fn on_sight(rays: &RayTable, foot: (i32, i32), cell: usize, steps: i32) -> Option<usize> {
     let (x, y) = rays.in_map(cell);
     let way = (x - foot.0, y - foot.1);
     let longest = way.0.abs().max(way.1.abs()).max(1);
-    // To the nearest cell, halves away from zero.
+    // Rounds to the nearest cell, halves away from zero.
     let along =
         |way: i32| (2 * way * steps + way.signum() * steps.signum() * longest) / (2 * longest);
     rays.index((x + along(way.0), y + along(way.1)))
@@ -131,10 +137,10 @@ mod tests {
     };
 
     #[test]
-    fn a_wall_that_is_seen_edge_on_is_no_floor() {
+    fn a_wall_seen_edge_on_is_not_floor() {
         let lens = lens(640, 480, [0.2, 0.2, 2.8], [3.0, 2.7, 0.0]);
         let rays = RayTable::new(&lens, &DepthNoise::D435, Survey::default());
-        // Its face takes up a fifth of its cells.
+        // The wall covers a fifth of the cells along its face.
         let wall = [[-1.0, -0.2, 0.0], [6.0, 0.06, 3.0]];
         let image = render(&lens, 0.0, &[wall]);
         let mut background = Background::new(&rays);

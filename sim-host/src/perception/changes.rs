@@ -1,41 +1,43 @@
-//! Which pixels of an image see something else than their background, 64 to a word.
+//! Bit maps of the pixels in an image that differ from their background, 64 pixels to a word.
 
 use super::background::Background;
 
-/// Pixels that are compared before their words are made, and those in a word.
+/// Number of pixels compared at a time.
 const BLOCK: usize = 2_048;
+/// Number of pixels in a word.
 pub(super) const WORD: usize = u64::BITS as usize;
-/// What comparing says of a pixel: it is out of its window, and nearer than that.
+/// Code of a pixel whose depth is outside its window.
 const DIFFERS: u8 = 1;
+/// Code of a pixel whose depth is in front of its window.
 const NEARER: u8 = 2;
 
-/// The pixels of an image that are nearer or farther than their background. In front of the first
-/// and behind the last there is an empty row.
+/// The pixels of an image that are nearer or farther than their background. An empty row precedes the
+/// first row and follows the last.
 #[derive(Debug)]
 pub(super) struct Changes {
     nearer: Vec<u64>,
     farther: Vec<u64>,
     width: usize,
-    /// The words of an empty row.
+    /// Number of words in an empty row.
     margin: usize,
 }
 
-/// The pixels of a word, the first in the lowest bit.
+/// 64 consecutive pixels, the first in the lowest bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Word {
-    /// Those that are nearer than their background.
+    /// Pixels nearer than their background.
     pub(super) nearer: u64,
-    /// Those that are farther.
+    /// Pixels farther than their background.
     pub(super) farther: u64,
-    /// Those of both whose neighbours, one in the row and one in the column, are on the same side: a
-    /// pixel that stands out alone is noise, or mixed at an edge.
+    /// Differing pixels with a horizontal and a vertical neighbour on the same side. Others are isolated:
+    /// noise, or mixed pixels at an edge.
     pub(super) backed: u64,
 }
 
 impl Changes {
-    /// Of the depths of an image, in rows of so many. `blank` takes the pixels that do not agree with
-    /// their background and are on no side of it, as many at a time as there are in a block: they did
-    /// not measure, or have none.
+    /// Compares the depths of an image `width` pixels wide with the background. Passes to `blank`, block
+    /// by block, the pixels outside their window that are on neither side: they have no measurement, or
+    /// no background.
     pub(super) fn of(
         background: &Background,
         depths: &[u16],
@@ -43,7 +45,7 @@ impl Changes {
         mut blank: impl FnMut(&[usize]),
     ) -> Self {
         let margin = width.div_ceil(WORD);
-        // Whole blocks, and one for the last unaligned word.
+        // Whole blocks, plus one word for the last unaligned access.
         let words = depths.len().next_multiple_of(BLOCK) / WORD + 2 * margin + 1;
         let map = || {
             let mut map = Vec::with_capacity(words);
@@ -55,7 +57,7 @@ impl Changes {
         let (mut codes, mut pixels) = ([0; BLOCK], [0; BLOCK]);
         let blocks = depths.chunks(BLOCK).zip(low.chunks(BLOCK)).zip(span.chunks(BLOCK));
         for (block, ((depths, low), span)) in (0..).step_by(BLOCK).zip(blocks) {
-            // Of the last block, which may be shorter, nothing old may be left.
+            // The last block may be shorter: clear the previous block's codes.
             codes[depths.len()..].fill(0);
             compare(depths, low, span, &mut codes);
             let mut count = 0;
@@ -81,7 +83,7 @@ impl Changes {
         changes
     }
 
-    /// Word by word.
+    /// Iterates over the words.
     pub(super) fn words(&self) -> impl Iterator<Item = Word> {
         (self.margin..self.nearer.len() - self.margin - 1).map(|at| Word {
             nearer: self.nearer[at],
@@ -99,7 +101,7 @@ impl Changes {
     }
 }
 
-/// The places of the ones in a word.
+/// The positions of the set bits in a word.
 pub(super) fn ones(mut word: u64) -> impl Iterator<Item = usize> {
     core::iter::from_fn(move || {
         let at = (word > 0).then(|| word.trailing_zeros() as usize)?;
@@ -108,14 +110,13 @@ pub(super) fn ones(mut word: u64) -> impl Iterator<Item = usize> {
     })
 }
 
-/// 64 bits from one on.
+/// The 64 bits that start at bit `bit`.
 fn from(map: &[u64], bit: usize) -> u64 {
     let (word, shift) = (bit / WORD, bit % WORD);
     map[word] >> shift | map[word + 1] << 1 << (WORD - 1 - shift)
 }
 
-/// Compares depths with their windows. Kept by itself and without a branch, so that it is compiled to
-/// vectors.
+/// Compares depths with their windows. A separate function without branches, so that it is vectorised.
 #[inline(never)]
 fn compare(depths: &[u16], low: &[u16], span: &[u16], codes: &mut [u8; BLOCK]) {
     for (((&depth, &low), &span), code) in depths.iter().zip(low).zip(span).zip(codes) {
@@ -125,12 +126,12 @@ fn compare(depths: &[u16], low: &[u16], span: &[u16], codes: &mut [u8; BLOCK]) {
     }
 }
 
-/// Which of the codes say this.
+/// A bit mask of the codes that contain `what`.
 fn pack(codes: &[u8; WORD], what: u8) -> u64 {
     let mut packed = [0; WORD / 8];
     for (byte, codes) in packed.iter_mut().zip(codes.as_chunks().0) {
         let ones = u64::from_le_bytes(*codes) >> what.trailing_zeros() & 0x0101_0101_0101_0101;
-        // The product brings the lowest bits of eight bytes together in the highest byte.
+        // The multiplication gathers the lowest bits of eight bytes in the highest byte.
         *byte = (ones.wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8;
     }
     u64::from_le_bytes(packed)

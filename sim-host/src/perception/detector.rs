@@ -1,28 +1,28 @@
-//! The door for image detectors.
+//! The interface of image detectors.
 
 use std::fmt::Debug;
 
 use crate::camera::{Lens, Picture, Thing};
 
-/// Finds things in pictures.
+/// Detects objects in pictures.
 pub trait Detector: Debug + Send {
-    /// What a picture shows.
+    /// The objects in a picture.
     fn detect(&mut self, picture: &Picture) -> Vec<Detection>;
 }
 
-/// Something in a picture.
+/// An object detected in a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// What it is, such as "person".
+    /// Its class, such as "person".
     pub label: String,
-    /// The upper left corner of the rectangle around it: column and row.
+    /// The upper left corner (column, row) of its bounding box.
     pub from: [f64; 2],
-    /// The lower right corner.
+    /// The lower right corner (column, row) of its bounding box.
     pub to: [f64; 2],
 }
 
-/// Labels each thing with the smallest detection that has its middle in it. `side_m` is that of a
-/// cell.
+/// Gives each thing the label of the smallest detection that contains its centre. `side_m` is the side of
+/// a cell in metres.
 pub(super) fn label(things: &mut [Thing], detections: &[Detection], lens: &Lens, side_m: f64) {
     for thing in things {
         let sum = thing.cells.iter().fold([0.0, 0.0], |[x, y], cell| {

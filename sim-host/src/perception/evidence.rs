@@ -1,10 +1,10 @@
-//! The evidence of one depth image: for each cell the pixels that saw its floor, something in the
-//! way of the robots, or something that was not there when the background was learnt.
+//! The evidence of one depth image: for each cell the number of pixels that see its floor, an obstacle,
+//! or a new object (one that is not in the background).
 //!
-//! Most pixels of a camera that stands still see what they always see. [`Evidence::fuse`] therefore
-//! begins with what the background says of all cells, compares pixels with their windows, sixteen at
-//! a time, and corrects what a pixel outside of its window says. [`Evidence::scatter`] is the plain
-//! way to the same evidence, pixel by pixel: the oracle and the yardstick.
+//! Most pixels of a fixed camera see their background. [`Evidence::fuse`] therefore starts with the totals
+//! of the background, compares pixels with their windows, 64 at a time, and corrects the counts for
+//! those outside their windows. [`Evidence::scatter`] computes the same evidence pixel by pixel: the
+//! oracle in tests and the baseline in benchmarks.
 
 use crate::camera::LAYERS;
 
@@ -14,33 +14,33 @@ use super::{
     ray_table::{Allowance, RayTable, Zone},
 };
 
-/// A layer of a height profile is 128 mm high.
+/// A layer of a height profile is 2^7 = 128 mm high.
 pub(super) const LAYER_SHIFT: u32 = 7;
 
-/// What was not there before, over one cell.
+/// The pixels of new objects over one cell.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Figure {
-    /// Pixels that saw it.
+    /// Number of pixels.
     pub pixels: u32,
-    /// The highest of them, in millimetres.
+    /// Height of the highest of them, in millimetres.
     pub top: u16,
-    /// How many of them in each layer of 128 mm.
+    /// Number of them in each 128 mm layer.
     pub layers: [u16; LAYERS],
 }
 
-/// What the pixels of one image say of each cell.
+/// Pixel counts for each cell of one image.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Evidence {
-    /// For each cell the pixels on its floor, and those in the way of the robots; then one pair for
-    /// what is nowhere.
+    /// For each cell the number of pixels on its floor and the number on obstacles; a last pair counts
+    /// pixels outside all cells.
     counts: Vec<u32>,
     figures: Vec<Figure>,
-    /// The cells that have a figure, in the order in which they were found.
+    /// The cells that have a figure, in the order of their first pixels.
     touched: Vec<u32>,
 }
 
 impl Evidence {
-    /// Takes the depths of an image, in millimetres and one for each ray.
+    /// Computes the evidence of an image: one depth in millimetres for each ray.
     pub fn fuse(&mut self, rays: &RayTable, background: &Background, depths: &[u16]) {
         self.clear(rays);
         self.counts.clear();
@@ -67,8 +67,8 @@ impl Evidence {
         }
     }
 
-    /// The same, pixel by pixel: what agrees with the background is taken to be as deep as that,
-    /// then each point is put into its cell.
+    /// Computes the same as [`Evidence::fuse`] pixel by pixel: a pixel that agrees with the background
+    /// counts for its learnt point, any other for its measured point.
     pub fn scatter(&mut self, rays: &RayTable, background: &Background, depths: &[u16]) {
         self.clear(rays);
         self.counts.clear();
@@ -84,18 +84,18 @@ impl Evidence {
         }
     }
 
-    /// What was not there before, over the cells that have any of it, in the order of the cells.
+    /// The cells with pixels of new objects and their figures, in the order of the cells.
     pub fn figures(&mut self) -> impl Iterator<Item = (usize, &Figure)> {
         self.touched.sort_unstable();
         self.touched.iter().map(|&cell| (cell as usize, &self.figures[cell as usize]))
     }
 
-    /// The pixels on the floor of a cell, and those in the way of the robots over it.
+    /// The number of pixels on the floor of a cell, and on obstacles over it.
     pub(super) fn pixels(&self, cell: usize) -> (u32, u32) {
         (self.counts[2 * cell], self.counts[2 * cell + 1])
     }
 
-    /// How many pixels see something over a cell that was not there before.
+    /// Number of pixels of new objects over a cell.
     pub(super) fn figure_pixels(&self, cell: usize) -> u32 {
         self.figures.get(cell).map_or(0, |figure| figure.pixels)
     }
@@ -107,13 +107,13 @@ impl Evidence {
         }
     }
 
-    /// Counts a pixel that sees something else than its background, nearer or farther than that.
+    /// Counts a pixel whose depth disagrees with its background.
     #[inline]
     fn add(&mut self, rays: &RayTable, pixel: usize, depth: u16, is_nearer: bool) {
-        // The window has the noise in it already.
+        // The window already allows for noise.
         let allowance = if is_nearer { Allowance::None } else { Allowance::Measured };
         match rays.zone(pixel, depth, allowance) {
-            // Behind the background is what it hid.
+            // Floor behind the background was hidden by it.
             Zone::Floor(cell) => self.counts[2 * cell as usize] += 1,
             Zone::Band(cell, height) | Zone::Above(cell, height) if is_nearer => {
                 let figure = &mut self.figures[cell as usize];
@@ -125,20 +125,20 @@ impl Evidence {
                 let layer = &mut figure.layers[usize::from(height >> LAYER_SHIFT).min(LAYERS - 1)];
                 *layer = layer.saturating_add(1);
             }
-            // What stands behind has to be learnt first.
+            // An obstacle behind the background must be learnt first.
             Zone::Band(..) | Zone::Above(..) | Zone::Nowhere => *self.nowhere() += 1,
         }
     }
 
-    /// The pixels that say nothing of any cell.
+    /// The number of pixels that count for no cell.
     fn nowhere(&mut self) -> &mut u32 {
         let last = self.counts.len() - 1;
         &mut self.counts[last]
     }
 }
 
-/// Whether a neighbour in the row and one in the column are on the same side of their background: a
-/// pixel that stands out alone is noise, or mixed at an edge, and one without a background cannot.
+/// Whether a horizontal and a vertical neighbour are on the same side of their backgrounds. Isolated
+/// pixels are noise or mixed at an edge; pixels without a background have no side.
 fn is_backed(rays: &RayTable, background: &Background, depths: &[u16], pixel: usize) -> bool {
     let width = rays.size().0 as usize;
     let side = |pixel: usize| background.side(pixel, depths.get(pixel).copied().unwrap_or(0));
@@ -161,7 +161,7 @@ mod tests {
         testing::{Cuboid, lens, noisy, render},
     };
 
-    /// The rays of a camera in a room with a box, and its background after the first seconds.
+    /// The rays of a camera in a room with a box, and its background after the initial learning.
     fn learnt(
         width: u32,
         at: [f64; 3],
@@ -184,9 +184,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(24))]
 
-        /// Sixteen pixels at a time or one by one, whatever is in the image and whenever.
+        /// `fuse` (64 pixels at a time) and `scatter` (one by one) agree for any image at any time.
         #[test]
-        fn both_ways_lead_to_the_same_evidence(
+        fn fuse_and_scatter_give_the_same_evidence(
             width in 61..83_u32,
             eye in (-0.5..1.5, -0.5..1.5, 0.3..3.0),
             stands in (0.0..1.5, 0.0..1.5, 0.05..2.0),

@@ -1,4 +1,4 @@
-//! From the depth images of one camera to observations.
+//! Perception of one camera: from depth images to observations.
 
 use ubimap_protocol::{
     tile::Cell,
@@ -21,72 +21,72 @@ use crate::{
     timing::{CLOCK_TOLERANCE, FRAME_LATE},
 };
 
-/// About a robot, where its sides and the error of its pose may put pixels.
+/// Margin around a robot for pixels of its sides and for the error of its pose.
 const ROBOT_MARGIN: Millimetres = Millimetres(100);
 
-/// Why a frame says nothing.
+/// Why a frame is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
-    /// It comes from another camera.
-    #[error("a frame of camera {0} where one of camera {1} is expected")]
+    /// The frame comes from another camera.
+    #[error("frame of camera {0}, expected one of camera {1}")]
     Camera(usize, usize),
-    /// It has no depth image.
+    /// The frame has no depth image.
     #[error("camera {0}: a frame without a depth image")]
     NoDepth(usize),
-    /// Its depth image is not as large as calibration says.
-    #[error("camera {camera}: a depth image of {} x {} pixels where calibration has {} x {}",
+    /// The depth image's size differs from the calibration.
+    #[error("camera {camera}: the depth image has {} x {} pixels, the calibration says {} x {}",
         found.0, found.1, expected.0, expected.1)]
     Size {
         /// The camera.
         camera: usize,
-        /// Width and height of the image.
+        /// Width and height of the depth image.
         found: (u32, u32),
-        /// What they should be.
+        /// Width and height in the calibration.
         expected: (u32, u32),
     },
-    /// No pixel has measured anything.
-    #[error("camera {0}: a depth image without a depth (is the lens covered?)")]
+    /// No pixel has a measurement.
+    #[error("camera {0}: no pixel of the depth image has a measurement (is the lens covered?)")]
     Blank(usize),
-    /// It says that it was captured later than now.
-    #[error("camera {camera}: captured {millis} ms from now; its clock is wrong")]
+    /// The capture time is in the future.
+    #[error("camera {camera}: frame captured {millis} ms in the future; check the camera's clock")]
     Future {
         /// The camera.
         camera: usize,
-        /// How much later.
+        /// Time from now to the capture, in milliseconds.
         millis: u64,
     },
-    /// It was captured too long ago.
+    /// The frame is stale.
     #[error(
-        "camera {camera}: captured {millis} ms ago; its clock is wrong, or the frame was held up"
+        "camera {camera}: frame is {millis} ms old; check the camera's clock and the connection"
     )]
     Stale {
         /// The camera.
         camera: usize,
-        /// How long ago.
+        /// Time from the capture to now, in milliseconds.
         millis: u64,
     },
 }
 
-/// One fixed camera, and what it has learnt of the empty room. Cameras know nothing of each other:
-/// each may have a thread of its own.
+/// One fixed camera with its learnt background of the empty room. Eyes are independent: each may run in a
+/// thread of its own.
 #[derive(Debug)]
 pub struct Eye {
     camera: usize,
     rays: RayTable,
     background: Background,
     evidence: Evidence,
-    /// What was said of each cell last.
+    /// The last published code of each cell.
     said: Vec<Cell>,
-    /// What it follows itself, so that nobody who has walked is learnt.
+    /// The camera's own tracks: people who have walked are kept out of the background.
     tracks: Tracks,
-    /// When the newest frame was captured.
+    /// Capture time of the newest frame.
     newest: Instant,
     detector: Option<(Lens, Box<dyn Detector>)>,
 }
 
 impl Eye {
-    /// The camera of a number; `None` if it has no depth sensor. Costs as [`RayTable::new`] does, and
-    /// 40 bytes for each pixel.
+    /// The eye of camera number `camera`; `None` without a depth sensor. Costs as much as
+    /// [`RayTable::new`], and 40 bytes per pixel.
     pub fn new(camera: usize, calibration: &Calibration, survey: Survey) -> Option<Self> {
         let rays = RayTable::new(&calibration.depth?, &calibration.depth_noise, survey);
         Some(Self {
@@ -101,25 +101,25 @@ impl Eye {
         })
     }
 
-    /// Lets a detector label things in the pictures that a sensor of this camera takes.
+    /// Sets a detector that labels objects in the pictures of this camera's sensor `picture`.
     pub fn set_detector(&mut self, picture: Lens, detector: Box<dyn Detector>) {
         self.detector = Some((picture, detector));
     }
 
-    /// Whether the empty room is known. Until then nothing stands out of it.
+    /// Whether the background has been learnt. Until then no objects are reported.
     pub fn has_learnt(&self) -> bool {
         self.background.is_learnt()
     }
 
-    /// What a frame says that has arrived `now`, in the server's clock. `robots` are those that
-    /// were localised, where they were when the frame was captured: they are no things, and their
-    /// cells are left out. A frame that comes late or out of order is told as any other; the
-    /// layers pass over what they know better.
+    /// The observation of a frame that arrived at `now` (server's clock). `robots` are the footprints and
+    /// poses of the robots when the frame was captured: they are not objects, and the cells under them
+    /// are left out. Late and out-of-order frames give observations as well; the map layers ignore
+    /// what is superseded.
     ///
-    /// Costs some 3 ns for each pixel until the room is learnt, then a fraction of that.
+    /// Costs about 3 ns per pixel until the background is learnt, and a fraction of that afterwards.
     ///
     /// # Errors
-    /// Every [`FrameError`]; nothing of the frame is then taken.
+    /// Every [`FrameError`]; the frame is then ignored.
     pub fn look(
         &mut self,
         frame: &Frame,
@@ -131,7 +131,7 @@ impl Eye {
 
         let side = self.rays.survey().side;
         let mut under = vec![false; self.rays.cells()];
-        // A cell is under a robot if any of it is: its corner is 0.7 sides from its middle.
+        // A cell counts if a robot covers any part of it: its corners are 0.7 sides from its centre.
         self.mark(&mut under, robots, Millimetres(side.0 * 7 / 10));
         let mut taken = vec![false; self.rays.cells()];
         self.mark(&mut taken, robots, ROBOT_MARGIN);

@@ -1,8 +1,8 @@
-//! What robots take up.
+//! The footprint of a robot.
 
 use ubimap_protocol::units::{Millimetres, Pose};
 
-/// The rectangle that a robot takes up, along and across its heading.
+/// The rectangle that a robot covers, along and across its heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Footprint {
     /// Half its length, in millimetres.
@@ -12,15 +12,15 @@ pub struct Footprint {
 }
 
 impl Default for Footprint {
-    /// A robot of which nothing is known: 40 by 40 cm.
+    /// The default for an unknown robot: 40 x 40 cm.
     fn default() -> Self {
         Self { half_length: 200, half_width: 200 }
     }
 }
 
 impl Footprint {
-    /// The cells of this side whose centres are in the rectangle about a pose, or no farther from
-    /// it than a margin.
+    /// The cells with sides of `side` whose centres are inside the rectangle at `pose`, or within
+    /// `margin` of it.
     pub(crate) fn cells(
         self,
         pose: Pose,

@@ -1,9 +1,9 @@
-//! From what cameras see to what it is.
+//! Perception: from camera frames to cells, objects and robots.
 //!
 //! An [`Eye`] is one fixed depth camera: its [`RayTable`] is computed once, its [`Background`] is learnt
-//! from the empty room, and the [`Evidence`] of each image becomes cells and things.
-//! [`Tracks`] follow the things over all cameras. The [`robots::Localiser`] finds the robots' [`markers`].
-//! The [`Observer`] ties both together.
+//! from the empty room, and the [`Evidence`] of each image gives cells and objects. [`Tracks`] follow the
+//! objects over all cameras. The [`robots::Localiser`] localises robots by their [`markers`]. The
+//! [`Observer`] combines both.
 
 mod background;
 mod cells;

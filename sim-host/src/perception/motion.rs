@@ -1,42 +1,43 @@
-//! Where something is and how fast, from positions that err.
+//! Position and velocity estimated from noisy positions.
 
 use ubimap_protocol::time::Duration;
 
-/// How far the middle of what a camera sees may be from that of the thing, one sigma in metres: it
-/// sees one side.
+/// Standard deviation of an observed position in metres: a camera sees only one side of an object, so the
+/// observed centre is off.
 const POSITION_M: f64 = 0.08;
-/// How people change their pace, in metres and seconds.
+/// Process noise: standard deviation of a person's change of velocity in one second, in m/s.
 const ACCELERATION: f64 = 1.5;
 
-/// A Kalman filter of constant velocity; both axes share their covariance.
+/// A constant-velocity Kalman filter; both axes share one covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Motion {
     position: [f64; 2],
     velocity: [f64; 2],
-    /// The variances of position and velocity, and their covariance between them.
+    /// The variance of the position, the covariance of position and velocity, the variance of the
+    /// velocity.
     covariance: [f64; 3],
 }
 
 impl Motion {
-    /// Of something that was seen once.
+    /// Starts the filter with a single observation.
     pub(super) fn at(position: [f64; 2]) -> Self {
         let covariance = [POSITION_M * POSITION_M, 0.0, 1.0];
         Self { position, velocity: [0.0; 2], covariance }
     }
 
-    /// Where it will be some time after it was seen last.
+    /// The predicted position, `later` after the last observation.
     pub(super) fn position_at(&self, later: Duration) -> [f64; 2] {
         let seconds = later.micros() as f64 / 1e6;
         let ([x, y], [vx, vy]) = (self.position, self.velocity);
         [x + vx * seconds, y + vy * seconds]
     }
 
-    /// In metres a second.
+    /// The velocity in m/s.
     pub(super) fn velocity(&self) -> [f64; 2] {
         self.velocity
     }
 
-    /// It was seen here, some time after it was seen last.
+    /// Updates the filter with a position, observed `later` after the last observation.
     pub(super) fn observe(&mut self, later: Duration, position: [f64; 2]) {
         let t = later.micros() as f64 / 1e6;
         let push = ACCELERATION * ACCELERATION * t;

@@ -1,4 +1,4 @@
-//! What perception makes of frames: where the robots are, and what is where.
+//! Turns frames into observations: localises the robots, and perceives cells and objects.
 
 use std::collections::BTreeMap;
 
@@ -19,16 +19,16 @@ use crate::{
     timing::SIGHTING_HOLDS,
 };
 
-/// Between two looks at the depths of one camera: people move a quarter of a metre.
+/// Minimum interval between processed depth images of one camera: people move by 0.25 m meanwhile.
 const LOOK_INTERVAL: Duration = Duration::from_millis(190);
 
-/// All cameras, and what they know of the robots.
+/// Perception of all cameras.
 #[derive(Debug)]
 pub struct Observer {
     localiser: Localiser,
     eyes: Vec<Option<Camera>>,
     footprints: BTreeMap<RobotId, Footprint>,
-    /// Where each robot was when it was last localised.
+    /// The time and pose of each robot's last localisation.
     localised: BTreeMap<RobotId, (Instant, Pose)>,
 }
 
@@ -36,13 +36,13 @@ pub struct Observer {
 struct Camera {
     eye: Eye,
     next_look: Instant,
-    /// What is wrong with its frames, if anything is; told once.
+    /// The current fault of its frames, reported once.
     fault: Option<FrameError>,
 }
 
 impl Observer {
-    /// For these cameras, and robots with their markers and what they take up. A camera costs 40
-    /// bytes for each pixel of its depth sensor.
+    /// An observer for these cameras, and robots with their markers and footprints. Memory: 40 bytes for
+    /// each pixel of each depth sensor.
     ///
     /// # Errors
     /// Every [`RegistryError`].
@@ -64,13 +64,13 @@ impl Observer {
         })
     }
 
-    /// What a frame says that has arrived `now` (server's clock). Its depths are looked at five
-    /// times a second. `told` are the robots that the cameras may not see, where they say that they
-    /// are.
+    /// Processes a frame that arrived at `now` (server's clock). Depth images are processed five times a
+    /// second. `told` are the poses that robots report themselves, for those that the cameras may not
+    /// see.
     ///
     /// # Errors
-    /// [`FrameError`], the first time that a camera's depths are wrong in one way; the robots in its
-    /// picture are in the observation all the same, which comes with it.
+    /// [`FrameError`], once for each fault of a camera's depth images. The observation returned with it
+    /// still contains the robots in the picture.
     pub fn observe(
         &mut self,
         frame: &Frame,
@@ -121,7 +121,7 @@ impl Observer {
         }
     }
 
-    /// What has gone wrong with markers, and when the frame was captured that shows it.
+    /// The next problem with markers, and the capture time of the frame that shows it.
     pub fn poll_event(&mut self) -> Option<(Instant, SightingEvent)> {
         self.localiser.poll_event()
     }

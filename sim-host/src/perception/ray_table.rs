@@ -14,7 +14,7 @@ const HEIGHT_SHIFT: u32 = 16;
 pub struct Survey {
     /// The side of a cell.
     pub side: Millimetres,
-    /// Robots pass under whatever is higher.
+    /// Clearance height: obstacles above it do not block robots.
     pub robot_height: Millimetres,
     /// Points within this distance of `map`'s plane are floor.
     pub floor_tolerance: Millimetres,
@@ -33,8 +33,8 @@ impl Default for Survey {
     }
 }
 
-/// Where the point of a pixel lies: the cell and its height zone. Cells are numbered row by row from
-/// the south-west.
+/// The location of a pixel's point: a cell and a height zone. Cells are numbered row by row from the
+/// south-west.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Zone {
     /// No measurement: below the floor or beyond the reach.
@@ -47,7 +47,11 @@ pub(super) enum Zone {
     Above(u32, u16),
 }
 
-/// How noisy a depth is. Points within the floor tolerance plus two sigmas count as floor.
+/// The noise of heights that counts as floor, in thousandths of sigma: 96 % of the floor's points lie
+/// below it.
+const FLOOR_NOISE: i64 = 1_720;
+
+/// How noisy a depth is. Points within the floor tolerance plus [`FLOOR_NOISE`] count as floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Allowance {
     /// No noise is allowed for.
@@ -209,7 +213,7 @@ impl RayTable {
             Allowance::Measured => self.sigma_mm(depth),
             Allowance::Mean(count) => self.sigma_mm(depth) / i64::from(count.isqrt().max(1)),
         };
-        let noise = (2 * sigma * up.abs()) >> HEIGHT_SHIFT;
+        let noise = (FLOOR_NOISE * sigma * up.abs() / 1_000) >> HEIGHT_SHIFT;
         let tolerance = i64::from(self.survey.floor_tolerance.0) + noise;
         let Some(cell) = self.cell(ray, millimetres).filter(|_| height >= -tolerance) else {
             return Zone::Nowhere;
@@ -229,7 +233,7 @@ impl RayTable {
     fn cell(&self, ray: Ray, depth: i64) -> Option<u32> {
         let x = (self.eye.0 + i64::from(ray.x) * depth) >> CELL_SHIFT;
         let y = (self.eye.1 + i64::from(ray.y) * depth) >> CELL_SHIFT;
-        // A negative one is a large one here.
+        // As unsigned numbers, negative coordinates are large.
         let is_inside = (x as u64) < u64::from(self.columns) && (y as u64) < u64::from(self.rows);
         is_inside.then(|| y as u32 * self.columns + x as u32)
     }

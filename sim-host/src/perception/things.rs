@@ -1,9 +1,9 @@
-//! What stands out of the empty room, cell by cell, put together.
+//! Groups the foreground cells of an image into objects.
 
 use std::collections::BTreeMap;
 
 use super::{
-    cells::FEWEST,
+    cells::MIN_EVIDENCE,
     evidence::{Figure, LAYER_SHIFT},
 };
 use crate::{
@@ -11,15 +11,17 @@ use crate::{
     grid::clusters,
 };
 
-/// Fewer cells or pixels are no thing.
-const FEWEST_CELLS: usize = 3;
-const FEWEST_PIXELS: u32 = 30;
-/// So many pixels of a thing in a hundred may be higher than it is: noise.
+/// Minimum number of cells of an object.
+const MIN_CELLS: usize = 3;
+/// Minimum number of pixels of an object.
+const MIN_PIXELS: u32 = 30;
+/// Maximum percentage of an object's pixels that may lie above its height: noise.
 const OUTLIERS: u32 = 2;
 
-/// The things that figures make: cells that touch each other, also by a corner.
+/// The objects in the figures of an image: clusters of cells that touch by an edge or a corner.
 pub(super) fn things<'a>(figures: impl Iterator<Item = ((i32, i32), &'a Figure)>) -> Vec<Thing> {
-    let figures: BTreeMap<_, _> = figures.filter(|(_, figure)| figure.pixels >= FEWEST).collect();
+    let figures: BTreeMap<_, _> =
+        figures.filter(|(_, figure)| figure.pixels >= MIN_EVIDENCE).collect();
     let clusters = clusters(figures.keys().copied().collect());
     clusters.into_iter().filter_map(|cells| thing(cells, &figures)).collect()
 }
@@ -34,10 +36,10 @@ fn thing(cells: Vec<(i32, i32)>, figures: &BTreeMap<(i32, i32), &Figure>) -> Opt
         }
     }
     let pixels: u32 = layers.iter().sum();
-    if cells.len() < FEWEST_CELLS || pixels < FEWEST_PIXELS {
+    if cells.len() < MIN_CELLS || pixels < MIN_PIXELS {
         return None;
     }
-    // The end of the highest layer that is more than noise, unless that is the one without end.
+    // The height ends with the highest layer above noise, except for the open-ended layer.
     let mut higher = 0;
     let highest = (0..LAYERS).rev().find(|&layer| {
         higher += layers[layer];

@@ -1,4 +1,4 @@
-//! What stands out of the empty room, followed from frame to frame over all cameras.
+//! Tracks objects from frame to frame over all cameras.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -14,25 +14,27 @@ use crate::{
     timing::THING_LOST,
 };
 
-/// A thing this far from where a track should be is something else, in metres.
+/// Gate: maximum distance between an object and a track's predicted position, in metres.
 const GATE_M: f64 = 0.8;
-/// Whatever has been this fast, and this far from where it began, has walked: metres a second, and
-/// metres. Two cameras that see two sides of a thing do not make it walk.
+/// Minimum speed of an object that counts as walking, in m/s.
 const WALKING_M_S: f64 = 0.3;
+/// Minimum distance from its first position for that, in metres: two cameras that see different sides of
+/// an object do not make it walk.
 const WALKED_M: f64 = 0.4;
-/// What walks and has been as high as this is a person, in millimetres.
+/// Minimum height of a walking object that is classified as a person, in millimetres.
 const PERSON_MM: u16 = 1_000;
-/// What has never walked, for so long, belongs to the room.
+/// An object that has not walked for this duration is part of the room.
 const FIXED_AFTER: Duration = Duration::from_secs(10);
-/// A person who is not as high sits, or lies, in millimetres.
+/// Minimum height of a standing person, in millimetres.
 const STANDING_MM: u16 = 1_350;
+/// Minimum height of a sitting person, in millimetres; below it, the person lies.
 const SITTING_MM: u16 = 550;
-/// Who lies for so long has not merely stooped.
+/// Minimum duration of lying until it is reported: excludes stooping.
 const LYING_FOR: Duration = Duration::from_secs(1);
-/// A height is believed for so long: a camera that sees the legs alone does not make anybody small.
+/// A height is kept for this duration: a camera that sees only the legs does not shrink a person.
 const HEIGHT_FOR: Duration = Duration::from_secs(1);
 
-/// How a person is, by height.
+/// The posture of a person, derived from the height.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Posture {
     /// Upright.
@@ -43,47 +45,47 @@ pub enum Posture {
     Lying,
 }
 
-/// One thing.
+/// A tracked object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Track {
-    /// The same thing keeps its number.
+    /// The number of the track, constant while the object is followed.
     pub number: u16,
-    /// Its middle, in metres in `map`.
+    /// The centre in `map`, in metres.
     pub position_m: [f64; 2],
-    /// In metres a second.
+    /// The velocity in m/s.
     pub velocity_m_s: [f64; 2],
-    /// A circle of this radius about the middle holds all of it, in metres.
+    /// Radius of a circle around the centre that contains the object, in metres.
     pub radius_m: f64,
-    /// How high it is, in millimetres; zero where nobody knows.
+    /// The height in millimetres; zero if unknown.
     pub top_mm: u16,
-    /// Its pixels in each layer of 128 mm, as they were seen last.
+    /// Number of its pixels in each 128 mm layer, in the newest frame.
     pub layers: [u32; LAYERS],
-    /// What a detector called it last.
+    /// The last label from a detector.
     pub label: Option<String>,
-    /// Whether it has walked since it is followed.
+    /// Whether the object has walked since it has been tracked.
     pub has_walked: bool,
     motion: Motion,
     seen: Instant,
-    /// Where and when it was first seen.
+    /// Time and position of the first observation.
     first: (Instant, [f64; 2]),
-    /// When it was last as high as it is said to be, and the most it ever was.
+    /// The time when `top_mm` was last confirmed, and the maximum height ever.
     height: (Instant, u16),
-    /// Since when it lies, and whether that was told.
+    /// The time since which the person has been lying, and whether it was reported.
     lies: Option<(Instant, bool)>,
 }
 
-/// Somebody lies on the floor.
+/// A person is lying on the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lying {
     /// The number of the track.
     pub number: u16,
-    /// When it was seen.
+    /// When it was observed.
     pub moment: Instant,
-    /// Where, in metres in `map`.
+    /// The position in `map`, in metres.
     pub position_m: [f64; 2],
 }
 
-/// All that stands out.
+/// The tracks of all objects.
 #[derive(Clone, Debug, Default)]
 pub struct Tracks {
     tracks: Vec<Track>,
@@ -93,14 +95,14 @@ pub struct Tracks {
 }
 
 impl Tracks {
-    /// Takes the things, of cells of this side, that a frame shows, and the moment when it was
-    /// captured. Another camera's frames may come in between.
+    /// Updates the tracks with the objects in a frame captured at `moment`; `side` is the side of a
+    /// cell. Frames of several cameras may be mixed.
     pub fn observe(&mut self, moment: Instant, things: &[Thing], side: Millimetres) {
         if !(things.is_empty() && self.tracks.is_empty()) {
             self.moment = self.moment.max(moment);
         }
         let extents: Vec<_> = things.iter().map(|thing| extent(thing, side)).collect();
-        // The nearest pairs first.
+        // Assign the nearest pairs first.
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
         for (track, it) in self.tracks.iter().enumerate() {
             let expected = it.motion.position_at(moment.since(it.seen));
@@ -127,12 +129,12 @@ impl Tracks {
         }
     }
 
-    /// The newest moment.
+    /// The capture time of the newest frame.
     pub fn moment(&self) -> Instant {
         self.moment
     }
 
-    /// What was seen at that moment or shortly before, where it should be then.
+    /// The tracks with their positions predicted for [`Tracks::moment`].
     pub fn now(&self) -> impl Iterator<Item = Track> {
         let moment = self.moment;
         self.tracks.iter().map(move |track| {
@@ -141,7 +143,7 @@ impl Tracks {
         })
     }
 
-    /// Somebody who lies on the floor: told once each time.
+    /// The next person found lying; each case is reported once.
     pub fn poll_lying(&mut self) -> Option<Lying> {
         self.lying.pop_front()
     }
@@ -167,7 +169,7 @@ impl Track {
         }
     }
 
-    /// What it is, by height and motion, or by its label.
+    /// The class, derived from height, motion and label.
     pub fn class(&self) -> ObstacleClass {
         let is_high = self.height.1 >= PERSON_MM || self.height.1 == 0;
         if self.label.as_deref() == Some("person") || (self.has_walked && is_high) {
@@ -179,7 +181,7 @@ impl Track {
         }
     }
 
-    /// How a person is; `None` of anything else, and where the height is not known.
+    /// The posture of a person; `None` for other objects and for an unknown height.
     pub fn posture(&self) -> Option<Posture> {
         let is_known = self.class() == ObstacleClass::Person && self.top_mm > 0;
         is_known.then_some(match self.top_mm {
@@ -189,7 +191,7 @@ impl Track {
         })
     }
 
-    /// The cells, of this side, that it may be in.
+    /// The cells, with sides of `side`, of a square around the object.
     pub(super) fn cells(&self, side: Millimetres) -> impl Iterator<Item = (i32, i32)> {
         let ([x, y], radius, side) = (self.position_m, self.radius_m, side.metres());
         let range = move |middle: f64| {
@@ -221,7 +223,7 @@ impl Track {
         }
     }
 
-    /// Whether somebody has come to lie, the first time that it is certain.
+    /// Reports a person lying on the floor, once, as soon as it is certain.
     fn falls(&mut self) -> Option<Lying> {
         if self.posture() != Some(Posture::Lying) {
             self.lies = None;
@@ -240,7 +242,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// The middle and the radius of a thing, in metres.
+/// The centre and the radius of an object, in metres.
 fn extent(thing: &Thing, side: Millimetres) -> ([f64; 2], f64) {
     let side = side.metres();
     let centres = thing
@@ -251,7 +253,7 @@ fn extent(thing: &Thing, side: Millimetres) -> ([f64; 2], f64) {
     let sum = centres.clone().fold([0.0, 0.0], |sum, it| [sum[0] + it[0], sum[1] + it[1]]);
     let middle = sum.map(|sum| sum / count);
     let farthest = centres.map(|centre| distance(middle, centre)).fold(0.0, f64::max);
-    // To the corner of the farthest cell.
+    // The radius includes the corners of the farthest cell.
     (middle, farthest + side * core::f64::consts::FRAC_1_SQRT_2)
 }
 
@@ -283,11 +285,11 @@ mod tests {
     }
 
     #[test]
-    fn two_who_pass_each_other_keep_their_numbers_and_one_who_sits_has_not_walked() {
+    fn two_people_who_pass_keep_their_tracks_and_a_sitting_one_has_not_walked() {
         let mut tracks = Tracks::default();
         for millis in (0..=6_000).step_by(250) {
             let way = millis as f64 / 1000.0;
-            // Two cameras in turns, of which one does not see who sits.
+            // Two cameras alternate; one of them does not see the sitting person.
             let sits = disc(3.0, 3.0).filter(|_| millis % 500 == 0);
             let cells = disc(way, 0.0).chain(disc(6.0 - way, 0.7)).chain(sits);
             tracks.observe(at(millis), &things(cells), SIDE);
@@ -307,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_not_seen_for_a_second_is_gone_and_who_comes_later_is_another() {
+    fn a_track_ends_after_a_second_unseen_and_a_later_object_gets_a_new_one() {
         let mut tracks = Tracks::default();
         let mut observe = |millis: u64, things: Vec<Thing>| {
             tracks.observe(at(millis), &things, SIDE);

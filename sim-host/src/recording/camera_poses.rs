@@ -1,4 +1,4 @@
-//! The files of camera poses: `pose.txt` and `trajectory.log`.
+//! Camera pose files: `pose.txt` and `trajectory.log`.
 
 use std::path::{Path, PathBuf};
 
@@ -20,16 +20,16 @@ pub(super) struct CameraPose {
 
 type ParsePose = fn(&[(usize, Vec<f64>)]) -> Result<CameraPose, LineFault>;
 
-/// The files of poses, the lines of each pose in them, and how these are read.
+/// The names of pose files, the number of lines for each pose, and the parsers.
 const POSE_FILES: [(&str, usize, ParsePose); 2] =
     [("trajectory.log", 5, CameraPose::from_matrix), ("pose.txt", 1, CameraPose::from_quaternion)];
 
-/// Whether a folder has a file of poses.
+/// Whether a folder has a pose file.
 pub(super) fn has_poses(folder: &Path) -> bool {
     POSE_FILES.iter().any(|(name, ..)| folder.join(name).is_file())
 }
 
-/// The file of a folder's poses, and the poses in it.
+/// The path of a folder's pose file, and its poses.
 pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), LogError> {
     let Some((name, lines_each, parse)) =
         POSE_FILES.into_iter().find(|(name, ..)| folder.join(name).is_file())
@@ -82,7 +82,7 @@ impl CameraPose {
         Self::new(*line, stamp_s, [x, y, z], *rotation.matrix())
     }
 
-    /// Three numbers (of the frames), then a matrix of four rows.
+    /// Three numbers (frame indices), then a matrix of four rows.
     fn from_matrix(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
         let [_, matrix @ ..] = rows else { return Err(LineFault::NoRotation) };
         if let Some((_, row)) = matrix.iter().find(|(_, row)| row.len() != 4) {
@@ -112,7 +112,7 @@ impl CameraPose {
         Ok(Self { line, stamp_s, position: Vector3::from(position), rotation })
     }
 
-    /// The optical axis in the world.
+    /// The direction of the optical axis in the world.
     pub(super) fn forward(&self) -> Vector3<f64> {
         self.rotation.column(2).into_owned()
     }

@@ -1,19 +1,19 @@
-//! Why a recording can't be read.
+//! Errors of reading recordings.
 
 use std::path::PathBuf;
 
 use super::format::Format;
 use crate::grid::RasterError;
 
-/// Why a log can't be read.
+/// Why a log cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// The file or folder can't be read.
+    /// The file or folder cannot be read.
     #[error("{path}: {error}", path = path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         error: std::io::Error,
     },
     /// The compressed data is damaged or ends too early.
@@ -24,20 +24,20 @@ pub enum LogError {
         path: PathBuf,
         /// The last line that could be read.
         line: usize,
-        /// What the decoder says.
+        /// The error of the decoder.
         error: std::io::Error,
     },
-    /// A line that can't be right.
+    /// A line is invalid.
     #[error("{path}:{line}: {fault}", path = path.display())]
     Line {
         /// The file.
         path: PathBuf,
         /// The line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// The problem.
         fault: LineFault,
     },
-    /// None of the formats.
+    /// The file or folder has none of the known formats.
     #[error(
         "{path}: not a log of a known format (CARMEN text, mines text or a folder of depth \
          images); if it is one, name it with --format",
@@ -47,167 +47,167 @@ pub enum LogError {
         /// The file or folder.
         path: PathBuf,
     },
-    /// A file where a folder is needed, or the other way round.
+    /// A file was given where the format needs a folder, or vice versa.
     #[error("{path}: a log of the format {format} is a {expected}", path = path.display())]
     Kind {
         /// The file or folder.
         path: PathBuf,
-        /// The format that was asked for.
+        /// The requested format.
         format: Format,
         /// "file" or "folder".
         expected: &'static str,
     },
-    /// A log of the right form without a scan in it.
+    /// The log contains no scan.
     #[error("{path}: no {record} in it", path = path.display())]
     Empty {
         /// The file or folder.
         path: PathBuf,
-        /// What was looked for.
+        /// The missing record.
         record: &'static str,
     },
-    /// An image that can't be sliced.
+    /// A depth image cannot be used.
     #[error("{path}: {fault}", path = path.display())]
     Frame {
         /// The image.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The problem.
         fault: FrameFault,
     },
-    /// Not one pose for each image.
+    /// The numbers of images and poses differ.
     #[error("{path}: {images} depth images but {poses} poses", path = path.display())]
     Poses {
         /// The file of the poses.
         path: PathBuf,
-        /// Depth images in the folder.
+        /// Number of depth images in the folder.
         images: usize,
-        /// Poses in the file.
+        /// Number of poses in the file.
         poses: usize,
     },
-    /// Cameras that don't agree on which way is up.
-    #[error("{path}: the up axes of the cameras cancel out; no telling where the floor is",
+    /// The mean up axis of the cameras is zero.
+    #[error("{path}: the up axes of the cameras cancel out, so that the floor cannot be located",
         path = path.display())]
     NoPlane {
         /// The file of the poses.
         path: PathBuf,
     },
-    /// Intrinsics that are missing, damaged or impossible.
+    /// The intrinsics are missing, malformed or impossible.
     #[error("{path}: intrinsics: {reason}", path = path.display())]
     Intrinsics {
         /// The file of the intrinsics.
         path: PathBuf,
-        /// What is wrong, on one line.
+        /// The problem, on one line.
         reason: String,
     },
-    /// A `cameras.toml` that can't be read.
+    /// A `cameras.toml` is malformed.
     #[error("{path}: {reason}", path = path.display())]
     Cameras {
         /// The file.
         path: PathBuf,
-        /// What is wrong, on one line.
+        /// The problem, on one line.
         reason: String,
     },
-    /// Logs that can't be joined.
+    /// Logs cannot be joined.
     #[error("{path}: its {what} differs from that of {first}; replay them one by one",
         path = path.display(), first = first.display())]
     Mixed {
-        /// The log that doesn't fit.
+        /// The log that differs.
         path: PathBuf,
-        /// The first one.
+        /// The first log.
         first: PathBuf,
-        /// What differs.
+        /// The difference.
         what: &'static str,
     },
 }
 
-/// What is wrong with a depth image.
+/// The problem with a depth image.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameFault {
-    /// It can't be decoded.
+    /// The image cannot be decoded.
     #[error("{0}")]
     Image(RasterError),
-    /// It is no image of depths.
+    /// The image is not 16-bit grey.
     #[error("not a depth image (16-bit grey)")]
     NotDepth,
-    /// Not of the size that the intrinsics are for.
+    /// The image's size differs from the intrinsics.
     #[error(
         "{width} x {height} pixels where {expected_width} x {expected_height} are needed, as the \
          intrinsics say"
     )]
     Size {
-        /// Pixels in a row.
+        /// Width of the image in pixels.
         width: u32,
-        /// Rows.
+        /// Height of the image in pixels.
         height: u32,
-        /// Pixels in a row, by the intrinsics.
+        /// Width in the intrinsics.
         expected_width: u32,
-        /// Rows, by the intrinsics.
+        /// Height in the intrinsics.
         expected_height: u32,
     },
 }
 
-/// What is wrong with a line.
+/// The problem with a line.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum LineFault {
-    /// Bytes that are no text.
+    /// The line is not UTF-8 text.
     #[error("not text (a damaged file, or another format?)")]
     NotText,
-    /// A line longer than any that a log has.
+    /// The line is longer than any line of a log.
     #[error("the line is longer than {0} bytes (a damaged file, or another format?)")]
     TooLong(usize),
-    /// A line that begins with no word where records begin with their kind.
+    /// The first word of the line is not a kind of record.
     #[error("{0:?} is no kind of record (a damaged file, or another format?)")]
     NotARecord(String),
-    /// A word where a number should be.
+    /// A word that should be a number is not one.
     #[error("{field}: {text:?} is not a finite number")]
     NotANumber {
-        /// Which number.
+        /// The field.
         field: Field,
         /// The word.
         text: String,
     },
-    /// A number that can't be.
+    /// A number is out of range.
     #[error("{field}: {value} is {reason}")]
     OutOfRange {
-        /// Which number.
+        /// The field.
         field: Field,
-        /// The number.
+        /// The value.
         value: f64,
-        /// Why it can't be.
+        /// The range that it violates.
         reason: &'static str,
     },
-    /// A scan that is not like the others.
+    /// A scan differs from the others in its number of readings.
     #[error("a scan of {found} readings in a log of scans of {expected}")]
     Width {
-        /// Readings in this scan.
+        /// Number of readings in this scan.
         found: usize,
-        /// Readings in the first scan.
+        /// Number of readings in the first scan.
         expected: usize,
     },
-    /// A pose whose matrix or quaternion is not a rotation.
+    /// The matrix or quaternion of a pose is not a rotation.
     #[error("not a rotation")]
     NoRotation,
-    /// A camera that looks at the floor or the ceiling.
-    #[error("the camera looks {tilt_deg:.0} degrees off the horizon; its rows draw no map")]
+    /// The camera looks at the floor or the ceiling.
+    #[error("the camera looks {tilt_deg:.0} degrees off the horizon; its rows cannot be mapped")]
     Steep {
-        /// Degrees above or below the horizon.
+        /// Angle above or below the horizon, in degrees.
         tilt_deg: f64,
     },
-    /// Not as many fields as the record has.
+    /// The number of fields is wrong.
     #[error("{found} fields where {expected} are needed (cut off, or another format?)")]
     Fields {
-        /// Fields in this line.
+        /// Number of fields in this line.
         found: usize,
-        /// Fields that it should have.
+        /// Number of fields required.
         expected: usize,
     },
 }
 
-/// Which number of a line.
+/// A numeric field of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Field {
-    /// One with a name.
+    /// A field with a name.
     Named(&'static str),
-    /// A reading of a scan, from 0.
+    /// A reading of a scan, numbered from 0.
     Reading(usize),
 }
 

@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 use super::{error::LogError, numbered_files::files_in};
 use crate::camera;
 
-/// The tangent of 85 degrees: half of the most that a pinhole is taken to see.
-const WIDEST: f64 = 11.4;
+/// tan(85 degrees): half of the maximum field of view of a pinhole.
+const MAX_HALF_FIELD_TAN: f64 = 11.4;
 
-/// Where intrinsics are written down.
+/// The name of the intrinsics file.
 pub(super) const INTRINSICS_FILE: &str = "intrinsics.toml";
 
-/// What turns a depth image into points.
+/// The intrinsics of depth images and pictures, as stated in the file.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct IntrinsicsFile {
@@ -43,7 +43,7 @@ fn millimetres() -> f64 {
     1000.0
 }
 
-/// Open3D's camera file; the matrix goes column by column.
+/// Open3D's camera file; the matrix is column-major.
 #[derive(Deserialize)]
 struct Open3dCamera {
     width: u32,
@@ -77,7 +77,7 @@ impl IntrinsicsFile {
         row: None,
     };
 
-    /// The file of a calibrated sensor whose depths are in millimetres.
+    /// The file for a calibrated sensor with depths in millimetres.
     pub(super) fn of(pinhole: &camera::Intrinsics, noise: Option<&camera::DepthNoise>) -> Self {
         let camera::Intrinsics { width, height, fx, fy, cx, cy, distortion } = *pinhole;
         let depth_per_metre = millimetres();
@@ -88,10 +88,11 @@ impl IntrinsicsFile {
         Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, depth_noise, row: None }
     }
 
-    /// Refuses what no camera has.
+    /// Checks that the values are possible.
     fn checked(self) -> Result<Self, String> {
         let focal = |value: f64| value.is_finite() && value.abs() > 1.0;
-        let sees_too_much = |side: u32, focal: f64| f64::from(side) > 2.0 * WIDEST * focal.abs();
+        let sees_too_much =
+            |side: u32, focal: f64| f64::from(side) > 2.0 * MAX_HALF_FIELD_TAN * focal.abs();
         let sides = 1..=u32::from(u16::MAX);
         if !sides.contains(&self.width) || !sides.contains(&self.height) {
             Err("width and height must be from 1 to 65535".to_owned())
@@ -112,13 +113,13 @@ impl IntrinsicsFile {
         }
     }
 
-    /// The row to slice: the one asked for, or the one on the optical axis.
+    /// The row to slice: the requested one, or the one on the optical axis.
     pub(super) fn row(&self) -> u32 {
         self.row.unwrap_or_else(|| (self.cy.round() as u32).min(self.height - 1))
     }
 }
 
-/// The intrinsics that a folder states, if it states any.
+/// The intrinsics stated in a folder, if any.
 pub(super) fn stated(folder: &Path) -> Result<Option<IntrinsicsFile>, LogError> {
     let toml_file = folder.join(INTRINSICS_FILE);
     let text_of = |path: &Path| {
@@ -148,13 +149,13 @@ pub(super) fn stated(folder: &Path) -> Result<Option<IntrinsicsFile>, LogError> 
     Ok(None)
 }
 
-/// That a folder states no intrinsics.
+/// The error of a folder without intrinsics.
 pub(super) fn missing(folder: &Path) -> LogError {
     let reason = "missing; write width, height, fx, fy, cx, cy and depth_per_metre there";
     LogError::Intrinsics { path: folder.join(INTRINSICS_FILE), reason: reason.to_owned() }
 }
 
-/// The intrinsics, and a note if they are a guess.
+/// The intrinsics of a folder, and a note if they are a guess.
 pub(super) fn find(
     folder: &Path,
     images: &[PathBuf],

@@ -1,4 +1,4 @@
-//! The lines of a text file, plain or gzipped, with their numbers.
+//! Reads the numbered lines of a text file, plain or gzipped.
 
 use std::{
     fs::File,
@@ -10,7 +10,7 @@ use flate2::bufread::MultiGzDecoder;
 
 use super::error::{Field, LineFault, LogError};
 
-/// No log has longer lines; what has is no log, and isn't read into memory.
+/// Maximum length of a line in bytes: a file with longer lines is not a log and is not read into memory.
 const MAX_LINE: usize = 1 << 20;
 
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
@@ -25,7 +25,7 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    /// Opens a file; whether it is gzipped is told by its first bytes.
+    /// Opens a file; its first bytes tell whether it is gzipped.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {
         let io_error = |error| LogError::Io { path: path.to_owned(), error };
         let mut file = BufReader::new(File::open(path).map_err(io_error)?);
@@ -69,7 +69,7 @@ impl Lines {
     }
 }
 
-/// A finite number.
+/// Parses a finite number.
 pub(super) fn number(text: &str, field: Field) -> Result<f64, LineFault> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
@@ -80,7 +80,7 @@ pub(super) fn number(text: &str, field: Field) -> Result<f64, LineFault> {
     }
 }
 
-/// A reading, in the unit of the file: a finite number that is not negative.
+/// Parses a reading in the unit of the file: a finite number that is not negative.
 pub(super) fn reading(text: &str, index: usize) -> Result<f64, LineFault> {
     let value = number(text, Field::Reading(index))?;
     if value < 0.0 {
@@ -90,7 +90,7 @@ pub(super) fn reading(text: &str, index: usize) -> Result<f64, LineFault> {
     Ok(value)
 }
 
-/// A coordinate of a pose in metres, if it is near enough to be one.
+/// A coordinate of a pose in metres, refused beyond a thousand kilometres.
 pub(super) fn coordinate(value: f64, field: Field) -> Result<f64, LineFault> {
     const FARTHEST_M: f64 = 1e6;
     if value.abs() > FARTHEST_M {

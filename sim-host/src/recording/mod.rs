@@ -1,4 +1,4 @@
-//! What was recorded once: logs of scans, and frames of cameras.
+//! Recordings: logs of scans, and frames of cameras.
 //!
 //! [`read`] reads a log of range scans or depth rows, with poses or odometry; it recognises the format
 //! by the content:
@@ -9,11 +9,11 @@
 //! | [`Format::Mines`] | a hobby lidar and wheel encoders, plain or gzipped | none | from the ticks |
 //! | [`Format::Rgbd`] | a folder of 16-bit depth images; one row of each | of the camera | none |
 //!
-//! What a log leaves open (missing time stamps, for instance) is settled by a documented rule, and
-//! [`Log::notes`] says so.
+//! Information missing from a log (such as time stamps) is replaced by a documented rule, and
+//! [`Log::notes`] mentions it.
 //!
-//! [`RecordedFrames`] plays the frames of RGB-D cameras, image by image, and [`Recorder`] writes them;
-//! [`frames`] describes the layout on disk.
+//! [`RecordedFrames`] plays the frames of RGB-D cameras, and [`Recorder`] writes them; [`frames`] describes
+//! the layout on disk.
 
 mod camera_poses;
 mod depth_image;

@@ -1,4 +1,4 @@
-//! The images of a folder, in the order of the numbers in their names.
+//! The images in a folder, ordered by the numbers in their names.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use super::error::LogError;
 /// The extensions of files that are read as pictures.
 pub(super) const PICTURE_KINDS: [&str; 7] = ["png", "jpg", "jpeg", "bmp", "ppm", "pgm", "pnm"];
 
-/// The depth images in the order of the numbers in their names.
+/// The depth images in a folder, ordered by the numbers in their names.
 pub(super) fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
     let inner = folder.join("depth");
     let place = if inner.is_dir() { inner } else { folder.to_owned() };
@@ -18,7 +18,7 @@ pub(super) fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
     Ok(images)
 }
 
-/// The files of a folder with one of these extensions, in the order of the numbers in their names.
+/// The files in a folder with one of these extensions, ordered by the numbers in their names.
 pub(super) fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, LogError> {
     let io_error = |error| LogError::Io { path: folder.to_owned(), error };
     let mut files = Vec::new();
@@ -33,12 +33,12 @@ pub(super) fn files_in(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf
     Ok(files)
 }
 
-/// The number in the name of a file: all digits before its extension.
+/// The number in a file's name: all digits before its extension.
 pub(super) fn number_in(path: &Path) -> u128 {
     digits_of(&path.file_stem().unwrap_or_default().to_string_lossy())
 }
 
-/// All digits of a text as one number; 0 without any.
+/// All digits of a text as one number; 0 if there are none.
 pub(super) fn digits_of(text: &str) -> u128 {
     let digits: String = text.chars().filter(char::is_ascii_digit).collect();
     digits.parse().unwrap_or(0)

@@ -1,29 +1,29 @@
-//! Time stamps of a log, made to advance.
+//! Repairs the time stamps of a log so that they increase.
 
 use ubimap_protocol::time::Duration;
 
-/// Between scans, where a log says nothing of it.
+/// Default interval between scans in seconds.
 pub(super) const USUAL_S: f64 = 1.0;
 
-/// A longer gap is a clock that was set.
-const LONGEST_S: f64 = 3600.0;
+/// Maximum gap between scans in seconds: a longer one means that the clock was set.
+const MAX_GAP_S: f64 = 3600.0;
 
-/// Stamps that fail to advance more often than this are of no use one by one.
-const MOST_REPAIRED: f64 = 0.1;
+/// Maximum fraction of unusable steps for which single steps are repaired.
+const MAX_REPAIRED: f64 = 0.1;
 
-/// Times since the first scan, each later than the one before, from time stamps in seconds (`None`:
-/// the log has none). The second value is what the user should know.
+/// Times since the first scan, strictly increasing, from time stamps in seconds (`None` if the log has
+/// none), and a note for the user if they were changed.
 ///
-/// Stamps that stand still, go back or leap are replaced by the usual (median) step, if they are
-/// few. If they are many, the scans are spread evenly over the time from first to last, or follow
-/// each other every second if the stamps tell not even that.
+/// If few stamps stand still, go back or jump, their steps are replaced by the median step. If many do,
+/// the scans are spread evenly over the time from first to last, or placed one second apart if that time
+/// is unusable too.
 pub(super) fn repair(stamps: Option<&[f64]>, scans: usize) -> (Vec<Duration>, Option<String>) {
     let evenly = |step_s: f64| {
         let micros = |index: usize| (index as f64 * step_s * 1e6).round() as u64;
         (0..scans).map(|index| Duration::from_micros(micros(index))).collect()
     };
     let by_index = |why: &str| {
-        let note = format!("{why}; going on by scan index at {USUAL_S} s a scan");
+        let note = format!("{why}; times are set by scan index, {USUAL_S} s apart");
         (evenly(USUAL_S), Some(note))
     };
     let Some(stamps) = stamps else { return by_index("no time stamps") };
@@ -33,11 +33,11 @@ pub(super) fn repair(stamps: Option<&[f64]>, scans: usize) -> (Vec<Duration>, Op
     let numbered = stamps.iter().enumerate().all(|(index, stamp)| *stamp == index as f64);
 
     let steps: Vec<f64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let is_usable = |step: &f64| *step >= 1e-6 && *step <= LONGEST_S;
+    let is_usable = |step: &f64| *step >= 1e-6 && *step <= MAX_GAP_S;
     let mut usable: Vec<f64> = steps.iter().copied().filter(is_usable).collect();
     let repaired = steps.len() - usable.len();
 
-    if repaired as f64 <= MOST_REPAIRED * steps.len() as f64 {
+    if repaired as f64 <= MAX_REPAIRED * steps.len() as f64 {
         usable.sort_by(f64::total_cmp);
         let usual = usable[usable.len() / 2];
         let mut time = Duration::from_micros(0);
@@ -62,9 +62,9 @@ pub(super) fn repair(stamps: Option<&[f64]>, scans: usize) -> (Vec<Duration>, Op
 
     let span = stamps[scans - 1] - stamps[0];
     let step = span / (scans - 1) as f64;
-    if steps.iter().all(|step| *step >= 0.0) && (1e-6..=LONGEST_S).contains(&step) {
+    if steps.iter().all(|step| *step >= 0.0) && (1e-6..=MAX_GAP_S).contains(&step) {
         let note = format!(
-            "the time stamps are coarse; going on by scan index at {step:.3} s a scan, their average"
+            "the time stamps are coarse; times are set by scan index, {step:.3} s apart on average"
         );
         return (evenly(step), Some(note));
     }
@@ -81,12 +81,12 @@ mod tests {
     }
 
     #[test]
-    fn good_stamps_count_from_the_first() {
+    fn good_stamps_are_counted_from_the_first() {
         assert_eq!(micros(&[32.5, 33.0, 35.25]), (vec![0, 500_000, 2_750_000], None));
     }
 
     #[test]
-    fn few_bad_steps_become_usual_ones() {
+    fn few_bad_steps_are_replaced_by_the_median() {
         let mut stamps: Vec<f64> = (0..40).map(|index| 5.0 + 2.0 * f64::from(index)).collect();
         stamps[10] = 3.0;
         stamps[30] = 1e9;
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn coarse_stamps_are_spread_and_missing_ones_counted() {
+    fn coarse_stamps_are_spread_and_missing_ones_set_by_index() {
         let (times, note) = micros(&[7.0, 7.0, 7.0, 8.0, 8.0]);
         assert_eq!(times, [0, 250_000, 500_000, 750_000, 1_000_000]);
         assert!(note.unwrap().contains("coarse"));

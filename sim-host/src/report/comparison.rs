@@ -1,8 +1,7 @@
-//! What the same news would have cost in formats that others use.
+//! The cost of the same map updates in other formats.
 //!
-//! These are bytes of messages alone. What a link adds to them (a middleware's headers,
-//! acknowledgements, what is sent again) is left out, where the map traffic of the robots has all
-//! of it.
+//! Only the messages' own bytes are counted. The overhead of a link (middleware headers,
+//! acknowledgements, retransmissions) is excluded here, but included in the robots' map traffic.
 
 use std::{collections::BTreeMap, io::Write};
 
@@ -10,46 +9,45 @@ use flate2::{Compression, write::ZlibEncoder};
 use serde::Serialize;
 use ubimap_protocol::tile::{TILE_SIDE, Tile, TileId};
 
-/// Everything of a `map_msgs/OccupancyGridUpdate` but its cells, as ROS 2 serialises it (CDR): the
-/// encapsulation (4), the stamp (8), the `frame_id` "map" (its length, 3 letters and a NUL: 8), x,
-/// y, width and height (16), and the number of cells (4).
+/// Bytes of a `map_msgs/OccupancyGridUpdate` without its cells, as serialised by ROS 2 (CDR): the
+/// encapsulation (4), the stamp (8), the `frame_id` "map" (length, 3 letters and a NUL: 8), x, y,
+/// width and height (16), and the number of cells (4).
 const GRID_UPDATE_LEN: u64 = 40;
-/// An `OBSTACLE_DISTANCE` message (#330) of MAVLink 2 without a signature: header (10), payload
-/// with its extension fields (167) and checksum (2). MAVLink cuts zeros off the payload's end; its
-/// last byte is the frame of reference, which is `MAV_FRAME_BODY_FRD` (12) on a robot.
+/// Bytes of an `OBSTACLE_DISTANCE` message (#330) of MAVLink 2 without a signature: header (10),
+/// payload with its extension fields (167) and checksum (2). MAVLink truncates trailing zeros of
+/// the payload, but its last byte, the frame of reference, is `MAV_FRAME_BODY_FRD` (12) on a robot.
 const OBSTACLE_DISTANCE_LEN: u64 = 179;
-/// Distances in one of them.
+/// Number of distances in an `OBSTACLE_DISTANCE` message.
 const DISTANCES: u64 = 72;
 
-/// The bytes that would have told the server of the same scans, or of the same changes of the
-/// robots' maps.
+/// Bytes that other formats need for the same scans, or for the same changes of the robots' maps.
 ///
-/// An update is all that a robot publishes at one moment; the changes are the cells of which it
-/// says something else than before. What only repeats (a tile sent whole after a reboot of the
-/// server, a frame sent again) costs nothing here.
+/// An update is everything that a robot publishes at one time; its changes are the cells whose
+/// published state differs from before. Repetitions (a tile sent in full after a restart of the
+/// server, a retransmitted frame) are not counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Comparison {
-    /// Updates published, by all robots.
+    /// Updates published by all robots.
     pub updates: u64,
-    /// As one `map_msgs/OccupancyGridUpdate` of ROS 2 for each update, serialised: the smallest
-    /// rectangle around its changed cells, a byte a cell.
+    /// As one ROS 2 `map_msgs/OccupancyGridUpdate` per update, serialised: the smallest rectangle
+    /// around its changed cells, one byte per cell.
     pub occupancy_grid_update_bytes: u64,
-    /// As `OBSTACLE_DISTANCE` messages of MAVLink 2: every beam of the scans that were mapped, 72
-    /// in a message, in whole centimetres.
+    /// As `OBSTACLE_DISTANCE` messages of MAVLink 2: every beam of the mapped scans, 72 per
+    /// message, in whole centimetres.
     pub obstacle_distance_bytes: u64,
-    /// As one zlib stream (`flate2` at its best; the C library's are 1.5 % shorter on the Intel
-    /// log) for each update: of every tile with changed cells its id (4 bytes) and its two planes
+    /// As one zlib stream per update (`flate2` at its best compression; the C library's streams are
+    /// 1.5 % shorter on the Intel log): for every changed tile its id (4 bytes) and its two planes
     /// (256).
     pub zlib_tiles_bytes: u64,
 }
 
 impl Comparison {
-    /// So many scans of so many beams.
+    /// Adds `scans` scans of `beams` beams each.
     pub fn add_scans(&mut self, scans: u64, beams: u64) {
         self.obstacle_distance_bytes += scans * beams.div_ceil(DISTANCES) * OBSTACLE_DISTANCE_LEN;
     }
 
-    /// The figures of another robot.
+    /// Adds the figures of another robot.
     pub fn add(&mut self, other: &Self) {
         self.updates += other.updates;
         self.occupancy_grid_update_bytes += other.occupancy_grid_update_bytes;
@@ -58,7 +56,7 @@ impl Comparison {
     }
 }
 
-/// What one robot has said of its map so far, and what that would have cost.
+/// The map that one robot has published so far, and the cost of its updates in other formats.
 #[derive(Clone, Debug, Default)]
 pub struct Published {
     tiles: BTreeMap<TileId, Tile>,
@@ -66,15 +64,14 @@ pub struct Published {
 }
 
 impl Published {
-    /// The tiles as the robot has published them by now. Those that say nothing new are passed
-    /// over.
+    /// Takes the published state of tiles; unchanged ones are skipped.
     pub fn update<'t>(&mut self, tiles: impl Iterator<Item = (TileId, &'t Tile)>) {
         let mut area = Rectangle::default();
         let mut planes = Vec::new();
         for (id, tile) in tiles {
             let before = self.tiles.entry(id).or_default();
             let mut after = *tile;
-            // What a robot has said holds until it says otherwise.
+            // Published cells stay valid until they are published again.
             after.fill_unknown_from(before);
             if after == *before {
                 continue;
@@ -92,21 +89,21 @@ impl Published {
         self.cost.zlib_tiles_bytes += zlib_len(&planes);
     }
 
-    /// What it would have cost; of the scans nothing is known here.
+    /// The cost so far, without the scans.
     pub fn cost(&self) -> Comparison {
         self.cost
     }
 }
 
-/// Bytes of a zlib stream of these.
+/// Length of the zlib stream of `bytes`.
 fn zlib_len(bytes: &[u8]) -> u64 {
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
-    // Nothing can fail in memory.
+    // Writing to memory can't fail.
     let _ = encoder.write_all(bytes);
     encoder.finish().map_or(0, |stream| stream.len() as u64)
 }
 
-/// The smallest rectangle around some cells, by grid coordinates, corners included.
+/// The smallest rectangle around some cells: its corners in grid coordinates, inclusive.
 #[derive(Default)]
 struct Rectangle(Option<[(i32, i32); 2]>);
 
@@ -150,24 +147,24 @@ mod tests {
     }
 
     #[test]
-    fn an_update_is_the_rectangle_around_what_has_changed() {
+    fn an_update_is_the_rectangle_around_its_changes() {
         let mut published = Published::default();
         let west = tile(&[(30, 5, Cell::Free), (31, 5, Cell::Free)]);
         let east = tile(&[(1, 7, Cell::Occupied)]);
         published.update([(WEST, &west), (EAST, &east)].into_iter());
-        // Cells -2 to 1 by 5 to 7.
+        // Cells -2 to 1 in x and 5 to 7 in y.
         let first = published.cost();
         assert_eq!((first.updates, first.occupancy_grid_update_bytes), (1, 40 + 4 * 3));
 
         published.update([(WEST, &west), (EAST, &Tile::UNKNOWN)].into_iter());
-        assert_eq!(published.cost(), first, "an evicted tile that begins anew takes nothing back");
+        assert_eq!(published.cost(), first, "an evicted tile that restarts empty revokes no cells");
 
         let east = tile(&[(1, 7, Cell::Free)]);
         published.update([(EAST, &east)].into_iter());
         assert_eq!(published.cost().occupancy_grid_update_bytes, 52 + 40 + 1);
     }
 
-    /// What cannot be compressed is stored: 2 bytes before the block, its head of 5 and 4 behind it.
+    /// Incompressible data is stored: 2 bytes of stream header, 5 of block header, 4 of checksum.
     #[test]
     fn a_stream_holds_the_ids_and_planes_of_the_changed_tiles() {
         let mut noise = 1u32;
@@ -184,7 +181,7 @@ mod tests {
         assert_eq!(published.cost().zlib_tiles_bytes, 260 + 11);
         published.update([(WEST, &west), (EAST, &east)].into_iter());
         assert_eq!(published.cost().zlib_tiles_bytes, 2 * (260 + 11));
-        // Of empty ground next to nothing is left, and that in one stream.
+        // Empty ground compresses to almost nothing, in a single stream.
         let mut empty = Published::default();
         let free = Tile { low: [u32::MAX; TILE_SIDE], ..Tile::UNKNOWN };
         empty.update([(WEST, &free), (EAST, &free)].into_iter());
@@ -192,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_is_as_many_messages_as_its_beams_need() {
+    fn a_scan_takes_one_message_per_72_beams() {
         let bytes = |beams| {
             let mut comparison = Comparison::default();
             comparison.add_scans(10, beams);

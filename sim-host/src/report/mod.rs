@@ -1,7 +1,7 @@
-//! Figures and pictures of a run.
+//! Reports and pictures of a run.
 //!
-//! [`Report`] is `report.json`, [`ServeReport`] its like for serial ports and [`WatchReport`] for
-//! recorded cameras, [`render`] draws `map.png`, and [`OutputFolder`] writes files all or none.
+//! [`Report`] is `report.json`, [`ServeReport`] the same for serial ports and [`WatchReport`] for
+//! recorded cameras; [`render`] draws `map.png`, and [`OutputFolder`] writes all files or none.
 
 mod comparison;
 mod output;
@@ -25,8 +25,8 @@ pub use summary::{
 };
 pub use watching::{CameraSummary, PassedEvent, SeenMap, SeenRobot, SeenThing, WatchReport};
 
-/// A report as indented JSON with a line break at the end.
+/// A report as indented JSON with a trailing line break.
 pub fn json_pretty(report: &impl Serialize) -> String {
-    // Plain structs with string keys: there is nothing that could fail.
+    // Plain structs with string keys: serialising them can't fail.
     serde_json::to_string_pretty(report).unwrap_or_default() + "\n"
 }

@@ -6,19 +6,18 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Why an output file can't be written.
+/// An output file or folder can't be written.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: can't write: {error}", path = path.display())]
 pub struct OutputError {
     /// The file or folder.
     pub path: PathBuf,
-    /// What the system says.
+    /// The operating system's error.
     pub error: io::Error,
 }
 
-/// A folder that is being written to. Files lie in it under temporary names until
-/// [`OutputFolder::finish`] renames them; if that never happens, they are removed, and the folder
-/// too if it was made for them.
+/// A folder being written to. Its files have temporary names until [`OutputFolder::finish`] renames
+/// them; if it is dropped before, they are removed, and so is the folder if it was created here.
 #[derive(Debug)]
 pub struct OutputFolder {
     path: PathBuf,
@@ -28,7 +27,7 @@ pub struct OutputFolder {
 }
 
 impl OutputFolder {
-    /// Opens a folder, made if it isn't there.
+    /// Opens a folder; creates it if it does not exist.
     pub fn create(path: &Path) -> Result<Self, OutputError> {
         let is_new = !path.exists();
         fs::create_dir_all(path).map_err(|error| OutputError { path: path.to_owned(), error })?;
@@ -46,13 +45,15 @@ impl OutputFolder {
         written.map_err(|error| OutputError { path, error })
     }
 
-    /// Gives all files their names, over whatever had them before.
+    /// Renames all files to their final names, replacing existing files.
     pub fn finish(mut self) -> Result<(), OutputError> {
-        // A name that can't be taken is found before any is.
+        // Check all names before the first one is replaced.
         for name in &self.pending {
             let path = self.path.join(name);
             if path.is_dir() {
-                let error = io::Error::other("a folder of that name is in the way");
+                let error = io::Error::other(
+                    "a folder of that name exists; remove it or choose another output folder",
+                );
                 return Err(OutputError { path, error });
             }
         }
@@ -72,7 +73,7 @@ impl OutputFolder {
 
 impl Drop for OutputFolder {
     fn drop(&mut self) {
-        // What can't be removed is left: there is nobody to tell.
+        // Best effort: errors can't be reported from here.
         for name in &self.pending {
             let _ = fs::remove_file(self.partial(name));
         }
@@ -116,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_is_taken_stops_all() {
+    fn a_folder_of_the_same_name_prevents_all_files() {
         let folder = Folder::new("output-taken");
         folder.file("new/b/inside", b"");
         let path = folder.path().join("new");
@@ -124,7 +125,7 @@ mod tests {
         output.add("a", b"1").unwrap();
         output.add("b", b"2").unwrap();
         let error = output.finish().unwrap_err().to_string();
-        assert!(error.contains("in the way"), "{error}");
+        assert!(error.contains("a folder of that name exists"), "{error}");
         assert_eq!(names(&path), ["b"]);
 
         let file = folder.file("file", b"");

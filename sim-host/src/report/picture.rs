@@ -6,15 +6,25 @@ use ubimap_protocol::tile::Cell;
 
 use crate::grid::OccupancyGrid;
 
+/// Free cells.
 const EXPLORED: Rgb<u8> = Rgb([224, 224, 224]);
+/// Unknown cells.
 const UNEXPLORED: Rgb<u8> = Rgb([104, 104, 104]);
+/// Fixed cells.
 const WALL: Rgb<u8> = Rgb([0, 0, 0]);
+/// Movable cells, people and wrong surfaces.
 const OBSTACLE: Rgb<u8> = Rgb([208, 40, 40]);
+/// Robots.
 const ROBOT: Rgb<u8> = Rgb([24, 140, 52]);
+/// Paths of robots.
 const ROBOT_PATH: Rgb<u8> = Rgb([120, 190, 132]);
+/// Paths of people.
 const PERSON_PATH: Rgb<u8> = Rgb([226, 150, 146]);
+/// Cells in view of cameras.
 const COVERED: Rgb<u8> = Rgb([186, 214, 240]);
+/// Missing surfaces.
 const MISSING: Rgb<u8> = Rgb([40, 80, 216]);
+/// Headings, and lines between time-lapse frames.
 const HEADING: Rgb<u8> = Rgb([255, 255, 255]);
 const CAMERA: Rgb<u8> = Rgb([214, 120, 0]);
 const UNSEEN: Rgb<u8> = Rgb([240, 170, 165]);
@@ -23,28 +33,31 @@ const BLIND: Rgb<u8> = Rgb([150, 90, 130]);
 const SEEN_BY: [Rgb<u8>; 4] =
     [Rgb([206, 226, 246]), Rgb([150, 192, 232]), Rgb([92, 148, 208]), Rgb([44, 96, 168])];
 
-/// Unexplored cells around the map.
+/// Margin around the map, in cells.
 const MARGIN: usize = 4;
 
-/// The longer side of a picture is about this many pixels, as far as the scales allow.
+/// Target for the longer side of a picture in pixels, within the limits of `SCALES`.
 const SIDE: usize = 1200;
+/// Pixels per cell.
 const SCALES: std::ops::RangeInclusive<usize> = 2..=8;
 
-/// Past this many cells a cell is one pixel.
-const MOST_SCALED_CELLS: usize = 1 << 22;
+/// Larger maps are drawn with one pixel per cell.
+const MAX_SCALED_CELLS: usize = 1 << 22;
 
-/// Frames of a time-lapse in a row.
-const ABREAST: usize = 3;
+/// Number of time-lapse frames per row.
+const COLUMNS: usize = 3;
 
+/// Radius of a marker in metres.
 const ROBOT_RADIUS_M: f64 = 0.2;
-const LEAST_RADIUS: f64 = 5.0;
+/// Minimum radius of a marker in pixels.
+const MIN_RADIUS: f64 = 5.0;
 
 /// What a marker stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MarkerKind {
     /// A robot: green.
     Robot,
-    /// A person: an obstacle, red.
+    /// A person: red, as an obstacle.
     Person,
     /// A camera that looks along its heading: orange.
     Camera,
@@ -52,23 +65,23 @@ pub enum MarkerKind {
     CameraDown,
 }
 
-/// A robot or a person on the picture.
+/// A robot or a person in the picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Marker {
-    /// Where it stands along `map`'s x, in metres.
+    /// Position along `map`'s x, in metres.
     pub x_m: f64,
-    /// Where it stands along `map`'s y, in metres.
+    /// Position along `map`'s y, in metres.
     pub y_m: f64,
-    /// Where it looks, in radians, counter-clockwise from `map`'s x.
+    /// Heading in radians, counter-clockwise from `map`'s x.
     pub heading_rad: f64,
-    /// What it is.
+    /// Whether it is a robot or a person.
     pub kind: MarkerKind,
-    /// Where it has been, in `map`, metres; may be empty.
+    /// Past positions in `map`, in metres; may be empty.
     pub path: Vec<[f64; 2]>,
 }
 
-/// Draws a map and what moves on it. A cell becomes 2 to 8 pixels wide, so that the picture of a
-/// room and that of a building are of about the same size; huge maps get one pixel a cell.
+/// Draws a map with robots and people. A cell is 2 to 8 pixels wide, so that pictures of rooms and
+/// of buildings have a similar size; in huge maps it is one pixel.
 pub fn render(grid: &OccupancyGrid, markers: &[Marker]) -> RgbImage {
     let (image, scale) = draw(grid, |column, row| match grid.cell(column, row) {
         Cell::Unknown => UNEXPLORED,
@@ -102,8 +115,8 @@ pub fn render_overlap(
     Canvas { image, grid: map, scale: scale as f64 }.with(cameras)
 }
 
-/// Draws a map as it was at several moments, each with what moved on it, beside one another, row by
-/// row: all as large as the last map.
+/// Draws a map at several times with its markers, as frames of the size of the last map, row by
+/// row.
 pub fn render_frames(map: &OccupancyGrid, frames: &[(OccupancyGrid, Vec<Marker>)]) -> RgbImage {
     let drawn = frames.iter().map(|(earlier, markers)| {
         let mut grid = map.clone();
@@ -117,18 +130,18 @@ pub fn render_frames(map: &OccupancyGrid, frames: &[(OccupancyGrid, Vec<Marker>)
     let Some((width, height)) = drawn.first().map(RgbImage::dimensions) else {
         return RgbImage::default();
     };
-    let rows = drawn.len().div_ceil(ABREAST) as u32;
-    // Every second pixel of every second row, and a white line between frames.
+    let rows = drawn.len().div_ceil(COLUMNS) as u32;
+    // Every second pixel of every second row, with a white line between frames.
     let (across, down) = (width / 2 + 2, height / 2 + 2);
-    RgbImage::from_fn(across * ABREAST as u32, down * rows, |x, y| {
-        let frame = drawn.get((y / down) as usize * ABREAST + (x / across) as usize);
+    RgbImage::from_fn(across * COLUMNS as u32, down * rows, |x, y| {
+        let frame = drawn.get((y / down) as usize * COLUMNS + (x / across) as usize);
         let (x, y) = (2 * (x % across), 2 * (y % down));
         let pixel = frame.and_then(|frame| frame.get_pixel_checked(x, y));
         pixel.copied().unwrap_or(HEADING)
     })
 }
 
-/// Draws which cells of a map the cameras see: these light blue, what is blind as it is on the map.
+/// Draws the cells that cameras see in light blue; all others as in the map.
 pub fn render_coverage(map: &OccupancyGrid, coverage: &OccupancyGrid) -> RgbImage {
     let (image, _) = draw(map, |column, row| {
         let is_covered = at(coverage, map, column, row) == Cell::Free;
@@ -142,8 +155,8 @@ pub fn render_coverage(map: &OccupancyGrid, coverage: &OccupancyGrid) -> RgbImag
     image
 }
 
-/// Draws a map against the truth: surfaces that are where they should be black, within one cell;
-/// those that are not red; those that are missing blue, of which somebody has `seen` the place.
+/// Draws the error of a map against the truth: surfaces within one cell of a true one in black,
+/// wrong ones in red, and in blue the missing ones among those in `seen`.
 pub fn render_error(map: &OccupancyGrid, truth: &OccupancyGrid, seen: &OccupancyGrid) -> RgbImage {
     let is_occupied = |grid: &OccupancyGrid, column: usize, row: usize| {
         matches!(at(grid, map, column, row), Cell::Occupied | Cell::Movable)
@@ -164,24 +177,26 @@ pub fn render_error(map: &OccupancyGrid, truth: &OccupancyGrid, seen: &Occupancy
     image
 }
 
-/// The cell of a grid that holds the middle of a cell of another, which may be beside that.
+/// The cell of `grid` that contains the centre of a cell of `other`, which may lie outside of
+/// `other`.
 fn at(grid: &OccupancyGrid, other: &OccupancyGrid, column: usize, row: usize) -> Cell {
     let middle = |index: usize| index as isize as f64 + 0.5;
     let [x, y] = grid.from_map(other.to_map([middle(column), middle(row)]));
     if x < 0.0 || y < 0.0 { Cell::Unknown } else { grid.cell(x as usize, y as usize) }
 }
 
-/// A picture of a grid with a margin, and the pixels of a cell; of each cell its colour, outside as
-/// well.
+/// Draws a grid with a margin; `colour` gives the colour of each cell, also outside of the grid.
+/// Returns the picture and the pixels per cell.
 fn draw(grid: &OccupancyGrid, colour: impl Fn(usize, usize) -> Rgb<u8>) -> (RgbImage, usize) {
     let (columns, rows) = (grid.width() + 2 * MARGIN, grid.height() + 2 * MARGIN);
-    let scale = if grid.width() * grid.height() > MOST_SCALED_CELLS {
+    let scale = if grid.width() * grid.height() > MAX_SCALED_CELLS {
         1
     } else {
         (SIDE / columns.max(rows)).clamp(*SCALES.start(), *SCALES.end())
     };
     let image = RgbImage::from_fn((columns * scale) as u32, (rows * scale) as u32, |x, y| {
-        // West and south of the grid the subtraction wraps, and outside all is unknown.
+        // West and south of the grid the subtraction wraps to cells outside of it, which are
+        // unknown.
         let column = (x as usize / scale).wrapping_sub(MARGIN);
         let row = (rows - 1 - y as usize / scale).wrapping_sub(MARGIN);
         colour(column, row)
@@ -189,18 +204,18 @@ fn draw(grid: &OccupancyGrid, colour: impl Fn(usize, usize) -> Rgb<u8>) -> (RgbI
     (image, scale)
 }
 
-/// A picture as the bytes of a PNG file.
+/// Encodes a picture as PNG.
 pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = std::io::Cursor::new(Vec::new());
     image.write_to(&mut bytes, image::ImageFormat::Png)?;
     Ok(bytes.into_inner())
 }
 
-/// A picture under way.
+/// A picture being drawn.
 struct Canvas<'a> {
     image: RgbImage,
     grid: &'a OccupancyGrid,
-    /// Pixels of a cell.
+    /// Pixels per cell.
     scale: f64,
 }
 
@@ -229,7 +244,7 @@ impl Canvas<'_> {
 
     fn marker(&mut self, marker: &Marker) {
         let centre = self.pixel([marker.x_m, marker.y_m]);
-        let radius = (ROBOT_RADIUS_M / self.grid.resolution_m() * self.scale).max(LEAST_RADIUS);
+        let radius = (ROBOT_RADIUS_M / self.grid.resolution_m() * self.scale).max(MIN_RADIUS);
         let colour = match marker.kind {
             MarkerKind::Robot => ROBOT,
             MarkerKind::Person => OBSTACLE,
@@ -244,7 +259,7 @@ impl Canvas<'_> {
         self.line(centre, nose, radius * 0.15, HEADING);
     }
 
-    /// The place on the picture of a point in `map`.
+    /// The pixel coordinates of a point in `map`.
     fn pixel(&self, point: [f64; 2]) -> [f64; 2] {
         let [column, row] = self.grid.from_map(point);
         let margin = MARGIN as f64;
@@ -252,13 +267,13 @@ impl Canvas<'_> {
         [(column + margin) * self.scale, height - (row + margin) * self.scale]
     }
 
-    /// A stroke with round ends, its edge blended; of no length, a disc.
+    /// Draws an anti-aliased line with round ends; a disc if its length is zero.
     fn line(&mut self, from: [f64; 2], to: [f64; 2], half_width: f64, colour: Rgb<u8>) {
         let reach = half_width + 1.0;
         let range = |axis: usize, end: u32| {
             let least = from[axis].min(to[axis]) - reach;
             let most = from[axis].max(to[axis]) + reach;
-            // NaN becomes zero: an empty or a one-pixel range, and nothing is drawn there.
+            // NaN becomes zero: the range has at most one pixel, and nothing is drawn there.
             least.clamp(0.0, f64::from(end)) as u32..most.ceil().clamp(0.0, f64::from(end)) as u32
         };
         let (columns, rows) = (range(0, self.image.width()), range(1, self.image.height()));
@@ -278,7 +293,7 @@ impl Canvas<'_> {
     }
 }
 
-/// From a point to a stroke.
+/// Distance of a point from a line segment.
 fn distance(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     let (x, y) = (to[0] - from[0], to[1] - from[1]);
     let length_squared = x * x + y * y;
@@ -311,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn north_is_up_and_colours_are_the_papers() {
+    fn north_is_up_and_colours_match_the_paper() {
         let picture = render(&room(), &[robot(0.0, 3.0, vec![[0.0, 3.0], [3.0, 4.0]])]);
         assert_eq!(picture.dimensions(), (108 * 8, 68 * 8));
         let cell = |x: u32, y: u32| *picture.get_pixel((x + 4) * 8 + 4, (67 - 4 - y) * 8 + 4);
@@ -319,14 +334,14 @@ mod tests {
         assert_eq!(cell(50, 57), OBSTACLE);
         assert_eq!(cell(50, 2), EXPLORED);
         assert_eq!(*picture.get_pixel(0, 0), UNEXPLORED);
-        // The robot at (0, 3) m is in the cell (20, 20); its disc reaches three cells to the west.
+        // The robot at (0, 3) m is in the cell (20, 20); its disc extends three cells to the west.
         assert_eq!(cell(17, 20), ROBOT);
         assert_eq!(cell(14, 20), EXPLORED);
         assert_eq!(cell(50, 30), ROBOT_PATH);
     }
 
     #[test]
-    fn frames_lie_beside_one_another_and_show_the_map_of_their_moment() {
+    fn frames_are_side_by_side_and_show_the_map_at_their_time() {
         let earlier = OccupancyGrid::new(0.05, [0.0, 3.0], 20, 20).unwrap();
         let frames = [(earlier, vec![]), (room(), vec![robot(0.0, 3.0, vec![])])];
         let picture = render_frames(&room(), &frames);
@@ -339,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn markers_anywhere_are_drawn_or_left_out() {
+    fn markers_outside_the_map_are_left_out() {
         let plain = render(&room(), &[]);
         for place in [f64::NAN, f64::INFINITY, -1e300, 1e9] {
             let markers = [robot(place, 3.0, vec![[place, place], [place, 0.0]])];

@@ -1,83 +1,84 @@
-//! The figures of a time on serial ports: what `ubimap serve` prints at its end.
+//! The report that `ubimap serve` prints at its end.
 
 use std::fmt;
 
 use serde::Serialize;
 
-/// What became of the robots behind serial ports.
+/// Results of serving robots on serial ports.
 ///
-/// As JSON, `schema` and `version` tell a reader what to expect: within a version names keep their
+/// In the JSON, `schema` and `version` identify the format: within a version names keep their
 /// meaning, and new ones may be added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ServeReport {
     /// Always "ubimap-serve".
     pub schema: &'static str,
-    /// The version of the schema.
+    /// Version of the schema.
     pub version: u32,
     /// Each port, in the order given.
     pub ports: Vec<PortSummary>,
-    /// How long they were served, in seconds.
+    /// Duration of the run in seconds.
     pub elapsed_s: f64,
 }
 
-/// The figures of one port.
+/// Results of one port.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PortSummary {
-    /// The port.
+    /// The path of the port.
     pub port: String,
     /// The robot that last had a session here.
     pub robot: Option<u16>,
-    /// Whether it still had it at the end.
+    /// Whether the session was open at the end.
     pub session: bool,
     /// Whether the other end hung up.
     pub hung_up: bool,
-    /// What the robot last said of itself.
+    /// The robot's last state report.
     pub state: Option<StateSummary>,
-    /// How many events the robot has told of.
+    /// Number of events that the robot reported.
     pub events: u64,
-    /// The newest of them, oldest first.
+    /// The newest events, oldest first.
     pub newest_events: Vec<EventSummary>,
-    /// How often the robot asked for the time in its session.
+    /// Number of time requests of the robot in its session.
     pub time_requests: u32,
-    /// Good frames received, those that arrived twice included.
+    /// Valid frames received, including duplicates.
     pub frames_received: u32,
-    /// What was received and is no frame of the session: noise, damage, an earlier session.
+    /// Received data that is not a frame of the session: noise, damaged frames, frames of an
+    /// earlier session.
     pub frames_bad: u32,
     /// Frames that the server sent again.
     pub retransmissions: u32,
-    /// Bytes received, whatever they were.
+    /// Bytes received, including noise.
     pub bytes_up: u64,
     /// Bytes sent.
     pub bytes_down: u64,
 }
 
-/// What a robot said of itself. Times are in seconds of the server's clock, which starts with it,
-/// or goes on from its file.
+/// A robot's last state report. Times are in seconds of the server's clock, which starts at zero,
+/// or continues from its store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct StateSummary {
-    /// When it arrived.
+    /// When the report arrived.
     pub received_s: f64,
-    /// The moment of its pose.
+    /// The time of the pose.
     pub time_s: Option<f64>,
-    /// Its pose in `map`: x and y in metres, heading in degrees.
+    /// The pose in `map`: x and y in metres, heading in degrees.
     pub pose: Option<[f64; 3]>,
-    /// Cells that it could not map for lack of memory.
+    /// Cells that the robot could not map for lack of memory.
     pub cells_refused: u32,
 }
 
-/// Something that happened on a robot.
+/// An event reported by a robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct EventSummary {
-    /// When it was heard of, in seconds of the server's clock.
+    /// When the report arrived, in seconds of the server's clock.
     pub received_s: f64,
-    /// How much it matters, what happened, and more about it.
+    /// Severity, kind and details as text.
     pub what: String,
 }
 
 impl ServeReport {
-    /// What [`ServeReport::schema`] says.
+    /// The value of [`ServeReport::schema`].
     pub const SCHEMA: &'static str = "ubimap-serve";
-    /// The version that is written.
+    /// The version written by this program.
     pub const VERSION: u32 = 1;
 
     /// Whether any robot ever had a session.
@@ -109,7 +110,7 @@ impl fmt::Display for ServeReport {
                 if port.hung_up { "; hung up" } else { "" }
             )?;
             if port.events > 0 {
-                writeln!(f, "    {} events, of which the newest:", port.events)?;
+                writeln!(f, "    {} events; the newest:", port.events)?;
             }
             for event in &port.newest_events {
                 writeln!(f, "        {:.1} s: {}", event.received_s, event.what)?;
@@ -119,7 +120,7 @@ impl fmt::Display for ServeReport {
     }
 }
 
-/// In a few words, such as "at 1.000 m, 2.000 m, 90.0 degrees at 12.3 s".
+/// Formats as "at 1.000 m, 2.000 m, 90.0 degrees at 12.3 s".
 impl fmt::Display for StateSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.pose {

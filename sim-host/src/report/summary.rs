@@ -1,4 +1,4 @@
-//! The figures of a run: `report.json`, and the same as a table for people.
+//! The results of a run: `report.json`, and a table for humans.
 
 use std::fmt;
 
@@ -6,99 +6,98 @@ use serde::{Serialize, Serializer};
 
 use super::comparison::Comparison;
 
-/// The figures of one run.
+/// Results of one run.
 ///
-/// As JSON, `schema` and `version` tell a reader what to expect: within a version names keep their
-/// meaning, and new ones may be added. The same inputs and the same seed give the same report but
-/// for `elapsed_s`.
+/// In the JSON, `schema` and `version` identify the format: within a version names keep their
+/// meaning, and new ones may be added. The same inputs and seed give the same report except for
+/// `elapsed_s`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Always "ubimap-report".
     pub schema: &'static str,
-    /// The version of the schema.
+    /// Version of the schema.
     pub version: u32,
-    /// What the random numbers of the run were drawn from.
+    /// Seed of the run's random numbers.
     pub seed: u64,
-    /// Each robot, in the order of their ids.
+    /// Each robot, ordered by id.
     pub robots: Vec<RobotSummary>,
     /// The fused map at the end.
     pub map: MapSummary,
-    /// What telling the server of the same would have cost in other formats, beside the sum of the
-    /// robots' `bytes_up_map`.
+    /// Cost of the same updates in other formats, for comparison with the sum of the robots'
+    /// `bytes_up_map`.
     pub comparison: Comparison,
-    /// How long the run took, in seconds of the wall clock.
+    /// Duration of the run in seconds of the wall clock.
     pub elapsed_s: f64,
-    /// How long it lasted in the robots' world, in seconds.
+    /// Duration of the run in seconds of simulated or recorded time.
     pub simulated_s: f64,
-    /// How the map compares with the true room; of a simulation only.
+    /// The map against the true room; only for simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<TruthScores>,
-    /// How far the robots were wrong about where they are; of a simulation only.
+    /// Errors of the robots' poses; only for simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<PoseErrors>,
-    /// How the blind ground was mapped, and what robots that drove themselves ran into; of a
-    /// simulation only.
+    /// Mapping of blind ground and collisions; only for simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub driving: Option<DrivingSummary>,
-    /// What the cameras said of robots that drove, against the truth; in a simulated room only.
+    /// Errors of the cameras' poses of driving robots; only for simulated rooms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sighted: Option<PoseErrors>,
 }
 
-/// The figures of one robot.
+/// Results of one robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RobotSummary {
-    /// Its number.
+    /// The robot's id.
     pub id: u16,
-    /// Scans that it was given.
+    /// Scans passed to the robot.
     pub scans: u64,
-    /// Scans that it drew into its map.
+    /// Scans drawn into its map.
     pub mapped: u64,
-    /// What became of the readings of its scans.
+    /// Outcome of the readings of its scans.
     pub pixels: Pixels,
-    /// Everything that it sent, in bytes on the wire.
+    /// Bytes on the wire sent by the robot.
     pub bytes_up: u64,
-    /// Of those, tile updates, with their framing and retransmissions.
+    /// The share of `bytes_up` in tile updates, with framing and retransmissions.
     pub bytes_up_map: u64,
-    /// Everything that was sent to it, in bytes on the wire.
+    /// Bytes on the wire sent to the robot.
     pub bytes_down: u64,
-    /// `bytes_up_map` for each mapped scan; 0 if none was mapped.
+    /// `bytes_up_map` per mapped scan; 0 if none was mapped.
     pub bytes_per_mapped: f64,
-    /// Frames sent again, both ways.
+    /// Frames sent again, in both directions.
     pub retransmissions: u64,
-    /// Frames that did not arrive whole, both ways.
+    /// Frames lost or damaged, in both directions.
     pub frames_lost: u64,
-    /// The tiles that its pool holds.
+    /// Tiles in the robot's pool at the end.
     pub tiles: u64,
-    /// Tiles that had to leave its pool to make room.
+    /// Tiles evicted from the pool to free memory.
     pub tiles_evicted: u64,
-    /// Cells that it could not draw because no tile could leave.
+    /// Cells not drawn because no tile could be evicted.
     pub cells_refused: u64,
-    /// Events that it told of.
+    /// Events that the robot reported.
     pub events: u64,
-    /// Peers and obstacles that it was not told of for want of room in its frames.
+    /// Peers and obstacles left out of its frames for lack of space.
     pub news_left_out: u64,
-    /// Of the tiles that it published, as the server holds them.
+    /// Digest of the tiles that it published, as stored on the server.
     pub digest: HexDigest,
 }
 
 /// Readings of a sensor: pixels of a depth row, or beams.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pixels {
-    /// All of them.
+    /// All readings.
     pub seen: u64,
     /// Drawn into the map.
     pub kept: u64,
-    /// Left out because the map already said so.
+    /// Skipped because the map already had them.
     pub omitted: u64,
     /// Without a usable reading.
     pub invalid: u64,
 }
 
-/// The figures of the fused map.
+/// Results for the fused map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MapSummary {
-    /// The side of a cell in metres.
+    /// Side length of a cell in metres.
     pub resolution_m: f64,
     /// Cells that are free or occupied.
     pub known: u64,
@@ -106,58 +105,58 @@ pub struct MapSummary {
     pub free: u64,
     /// Cells that are occupied, fixed or movable.
     pub occupied: u64,
-    /// Map traffic up of all robots, in bits for each known cell; 0 if none is known.
+    /// Map traffic of all robots to the server, in bits per known cell; 0 if none is known.
     pub bits_per_known: f64,
-    /// Of the fused tiles.
+    /// Digest of the fused tiles.
     pub digest: HexDigest,
-    /// Whether the server holds the newest version of every tile that a robot published, and every
-    /// fused tile that a robot holds is the server's newest, hash for hash.
+    /// Whether the server has the newest version of every tile published by a robot, and every
+    /// fused tile on a robot equals the server's newest, by hash.
     pub converged: bool,
 }
 
 /// The map against the true room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TruthScores {
-    /// F1 of occupied cells, without movable ones, within one cell of the true surfaces, 0 to 1, on ground that a camera
-    /// can see or a robot has passed within three metres and in its sensor's line of sight.
+    /// F1 of the fixed occupied cells, from 0 to 1, with a tolerance of one cell. Counts ground
+    /// that a camera can see, or that a robot has passed within 3 m and in its sensor's line of
+    /// sight.
     pub f1_occupied: f64,
-    /// The share of the ground that no camera can see and a robot has passed so which is known, 0
-    /// to 1; 1 if there is none.
+    /// Known share of the passed ground that no camera can see, from 0 to 1; 1 if there is none.
     pub passed_known: f64,
-    /// The share of cells known in both that agree, 0 to 1.
+    /// Share of the cells known in both that agree, from 0 to 1.
     pub agreement_known: f64,
-    /// The share of the cells that can be known which are, 0 to 1.
+    /// Known share of the cells that can be known, from 0 to 1.
     pub coverage: f64,
 }
 
-/// Poses against the true ones.
+/// Errors of poses against the true ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PoseErrors {
-    /// How many poses.
+    /// Number of poses.
     pub count: u64,
-    /// Root mean square distance in metres.
+    /// Root mean square position error in metres.
     pub rmse_m: f64,
-    /// Root mean square turn in degrees.
+    /// Root mean square heading error in degrees.
     pub rmse_deg: f64,
 }
 
-/// What came of driving: of robots that drove themselves, or along the routes of a scenario, which
-/// run into nothing.
+/// Results of driving, for robots that steer themselves and for those that follow the
+/// collision-free routes of a scenario.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct DrivingSummary {
-    /// How often one ran into a wall, furniture or another robot.
+    /// Collisions of a robot with a wall, furniture or another robot.
     pub collisions: u64,
-    /// How often one ran into a person.
+    /// Collisions of a robot with a person.
     pub touches: u64,
-    /// The ground that no camera sees and a robot can stand on, in square metres.
+    /// Ground that no camera sees and a robot can stand on, in square metres.
     pub blind_m2: f64,
-    /// The share of it that is mapped, 0 to 1.
+    /// Mapped share of the blind ground, from 0 to 1.
     pub blind_mapped: f64,
-    /// After how many seconds 99 % of it were mapped, if they were.
+    /// Time at which 99 % of it were mapped, in seconds; `None` if never.
     pub mapped_s: Option<f64>,
 }
 
-/// A digest as it stands in a report: 16 hexadecimal digits.
+/// A digest, formatted as 16 hexadecimal digits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HexDigest(pub u64);
 
@@ -174,13 +173,13 @@ impl Serialize for HexDigest {
 }
 
 impl Report {
-    /// What [`Report::schema`] says.
+    /// The value of [`Report::schema`].
     pub const SCHEMA: &'static str = "ubimap-report";
-    /// The version that is written.
+    /// The version written by this program.
     pub const VERSION: u32 = 1;
 
-    /// A report of robots and a map; the ratios in them are worked out here. Times are zero, and
-    /// there are no scores yet.
+    /// Creates a report from robots and a map, and computes their ratios. Times are zero and scores
+    /// `None`.
     pub fn new(
         seed: u64,
         mut robots: Vec<RobotSummary>,
@@ -209,7 +208,7 @@ impl Report {
     }
 }
 
-/// 0 of nothing.
+/// The ratio, or 0 if the denominator is 0.
 fn ratio(part: f64, whole: u64) -> f64 {
     if whole > 0 { part / whole as f64 } else { 0.0 }
 }
@@ -266,7 +265,7 @@ impl Report {
         let each = |bytes: u64| ratio(bytes as f64, mapped);
         writeln!(
             f,
-            "map traffic up: {:.1} bytes a mapped scan; {:.1} as zlib tiles, {:.1} as MAVLink \
+            "map traffic up: {:.1} bytes per mapped scan; {:.1} as zlib tiles, {:.1} as MAVLink \
              OBSTACLE_DISTANCE, {:.1} as ROS OccupancyGridUpdate",
             each(bytes_up_map),
             each(self.comparison.zlib_tiles_bytes),
@@ -275,7 +274,7 @@ impl Report {
         )
     }
 
-    /// The figures that only some runs have.
+    /// Writes the results that only some runs have.
     fn write_scores(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(truth) = self.truth {
             writeln!(
@@ -295,7 +294,7 @@ impl Report {
             let mapped = driving.mapped_s.map_or("never".into(), |it| format!("after {it:.0} s"));
             writeln!(
                 f,
-                "driving: {} collisions, {} touches; of {:.1} m2 of blind ground that can be reached \
+                "driving: {} collisions, {} touches; {:.1} m2 of reachable blind ground, \
                  {:.1} % mapped, 99 % {mapped}",
                 driving.collisions,
                 driving.touches,
@@ -334,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn the_json_has_the_names_and_only_those() {
+    fn the_json_has_exactly_the_documented_names() {
         let mut report = report();
         let json: serde_json::Value = serde_json::from_str(&json_pretty(&report)).unwrap();
         let names = |value: &serde_json::Value| {
@@ -370,13 +369,13 @@ mod tests {
     }
 
     #[test]
-    fn ratios_of_nothing_are_zero() {
+    fn ratios_of_zero_are_zero() {
         let report = report();
         assert_eq!(report.robots[0].bytes_per_mapped, 75.0);
         assert_eq!(report.robots[1].bytes_per_mapped, 0.0);
         assert_eq!(report.map.bits_per_known, 2.4);
         let text = report.to_string();
-        assert!(text.contains("75.0 bytes a mapped scan; 225.0 as zlib tiles"), "{text}");
+        assert!(text.contains("75.0 bytes per mapped scan; 225.0 as zlib tiles"), "{text}");
         assert!(text.contains("NOT converged"));
     }
 }

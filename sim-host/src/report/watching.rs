@@ -1,4 +1,4 @@
-//! What came of watching a recording: what `ubimap watch` prints, and its `report.json`.
+//! The results of watching a recording: printed by `ubimap watch`, and its `report.json`.
 
 use std::fmt;
 
@@ -6,55 +6,56 @@ use serde::Serialize;
 
 use super::summary::HexDigest;
 
-/// The figures of a recording that was watched. Moments are in seconds of the recording's clock.
+/// Results of watching a recording. Times are in seconds of the recording's clock.
 ///
-/// As JSON, `schema` and `version` tell a reader what to expect: within a version names keep their
-/// meaning, and new ones may be added. The same recording gives the same report but for `elapsed_s`.
+/// In the JSON, `schema` and `version` identify the format: within a version names keep their
+/// meaning, and new ones may be added. The same recording gives the same report except for
+/// `elapsed_s`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WatchReport {
     /// Always "ubimap-watch".
     pub schema: &'static str,
-    /// The version of the schema.
+    /// Version of the schema.
     pub version: u32,
     /// Each camera.
     pub cameras: Vec<CameraSummary>,
-    /// Each robot that is registered, in the order of their ids.
+    /// Each registered robot, ordered by id.
     pub robots: Vec<SeenRobot>,
-    /// What stood out of the empty room at the end.
+    /// People and things present at the end.
     pub things: Vec<SeenThing>,
-    /// What could not be a pose, and what happened to people.
+    /// Rejected poses, and events about people.
     pub events: Vec<PassedEvent>,
     /// The map at the end.
     pub map: SeenMap,
-    /// How long the recording is, in seconds.
+    /// Duration of the recording in seconds.
     pub recorded_s: f64,
-    /// How long it took to watch it, in seconds of the wall clock.
+    /// Duration of the run in seconds of the wall clock.
     pub elapsed_s: f64,
 }
 
-/// The figures of one camera.
+/// Results of one camera.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CameraSummary {
-    /// The name of its folder.
+    /// The name of the camera's folder.
     pub name: String,
-    /// Frames that were taken.
+    /// Frames processed.
     pub frames: u64,
-    /// Frames that have a time in the recording, and no image.
+    /// Frames with a time stamp in the recording but no image.
     pub lost: u64,
-    /// Frames whose depths were looked at and said of cells what is there.
+    /// Frames whose depth image was evaluated and reported the state of cells.
     pub looks: u64,
 }
 
-/// What the cameras saw of a robot.
+/// The sightings of a robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SeenRobot {
-    /// Its number.
+    /// The robot's id.
     pub id: u16,
-    /// In how many frames it was localised.
+    /// Number of frames in which it was localised.
     pub sightings: u64,
-    /// When it was last.
+    /// Time of the last sighting.
     pub last_s: Option<f64>,
-    /// Where it was then, in `map`: x and y in metres, heading in degrees.
+    /// The last pose in `map`: x and y in metres, heading in degrees.
     pub pose: Option<[f64; 3]>,
 }
 
@@ -63,29 +64,29 @@ pub struct SeenRobot {
 pub struct SeenThing {
     /// "person", "movable" or "fixed", by height and motion.
     pub class: &'static str,
-    /// Its middle in `map`, in metres.
+    /// Its centre in `map`, in metres.
     pub position_m: [f64; 2],
-    /// In `map`, in metres a second.
+    /// Its velocity in `map`, in metres per second.
     pub velocity_m_s: [f64; 2],
-    /// A circle of this radius about the middle holds all of it, in metres.
+    /// Radius of the circle about its centre that contains all of it, in metres.
     pub radius_m: f64,
 }
 
-/// Something that somebody should look at.
+/// An event that needs attention.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PassedEvent {
-    /// What, in words.
+    /// A description of the event.
     pub what: String,
-    /// How often it began.
+    /// Number of times that it began.
     pub count: u64,
-    /// When it last began.
+    /// Time at which it last began.
     pub last_s: f64,
 }
 
-/// The figures of the map.
+/// Results for the map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct SeenMap {
-    /// The side of a cell in metres.
+    /// Side length of a cell in metres.
     pub resolution_m: f64,
     /// Cells that are free or occupied.
     pub known: u64,
@@ -93,16 +94,16 @@ pub struct SeenMap {
     pub free: u64,
     /// Cells that are occupied, fixed or movable.
     pub occupied: u64,
-    /// Cells that the cameras saw at the end.
+    /// Cells in view of the cameras at the end.
     pub in_view: u64,
-    /// Of the map's tiles.
+    /// Digest of the map's tiles.
     pub digest: HexDigest,
 }
 
 impl WatchReport {
-    /// What [`WatchReport::schema`] says.
+    /// The value of [`WatchReport::schema`].
     pub const SCHEMA: &'static str = "ubimap-watch";
-    /// The version that is written.
+    /// The version written by this program.
     pub const VERSION: u32 = 1;
 }
 

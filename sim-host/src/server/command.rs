@@ -1,45 +1,45 @@
-//! What a robot is told to do.
+//! Commands to robots.
 
 use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobot, Writer};
 
-/// Parameter commands with this number and above are the server's own; users' are below.
+/// Parameter commands numbered from here on are the server's own; users' numbers are below.
 pub(super) const FIRST_OWN_NUMBER: u16 = 0xC000;
 
-/// Whether the number of a parameter command, or of its answer, is one of the server's own.
+/// Whether a parameter command's or report's number is one of the server's own.
 pub(super) fn is_own(number: u16) -> bool {
     number >= FIRST_OWN_NUMBER
 }
 
-/// A command. It is sent until the robot has acknowledged it.
+/// A command. It is sent until the robot acknowledges it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Stop, or drive again. It goes before everything else.
+    /// Stop, or resume driving. Sent before everything else.
     Stop(Stop),
-    /// Where to drive.
+    /// The path to drive.
     Path(Path),
-    /// Asks for parameters, or sets one. The robot answers it. Numbers from 0xC000 on are reserved
-    /// for the server.
+    /// Reads parameters or sets one; the robot answers. Numbers from 0xC000 on are reserved for the
+    /// server.
     Parameter(ParameterCommand),
 }
 
 impl Command {
-    /// Whether it goes before frames that must be sent again.
+    /// Whether it is sent before retransmissions.
     pub(super) fn is_urgent(&self) -> bool {
         matches!(self, Self::Stop(_))
     }
 
-    /// Whether it holds until another one of its kind comes.
+    /// Whether it stays in force until another command of its kind.
     pub(super) fn stands(&self) -> bool {
         matches!(self, Self::Stop(_) | Self::Path(_))
     }
 
-    /// Whether a newer command makes this one, unsent as yet, obsolete.
+    /// Whether a newer command makes this one obsolete before it is sent.
     pub(super) fn is_replaced_by(&self, newer: &Self) -> bool {
         !matches!(self, Self::Parameter(_))
             && core::mem::discriminant(self) == core::mem::discriminant(newer)
     }
 
-    /// Adds the message to a frame. `false` if it does not fit.
+    /// Adds the message to a frame. Returns false if it does not fit.
     pub(super) fn write(&self, writer: &mut Writer<'_, ToRobot>) -> bool {
         match self {
             Self::Stop(stop) => writer.push(stop),

@@ -1,4 +1,4 @@
-//! The coordinator, joined to what the server knows.
+//! Connects the coordinator to the server's state.
 
 use std::collections::BTreeSet;
 
@@ -10,11 +10,11 @@ use super::{
     snapshot::Snapshot,
 };
 
-/// Who drives where.
+/// Decides who drives where.
 #[derive(Debug)]
 pub(super) struct Dispatch {
     coordinator: Coordinator,
-    /// Robots that explore; the coordinator may not know of them yet.
+    /// Robots that may explore, including those that the coordinator does not know yet.
     explorers: BTreeSet<RobotId>,
 }
 
@@ -23,7 +23,7 @@ impl Dispatch {
         Self { coordinator: Coordinator::new(settings), explorers: BTreeSet::new() }
     }
 
-    /// Lets a robot explore, or no longer.
+    /// Lets a robot explore, or stops it from exploring.
     pub(super) fn explore(&mut self, robot: RobotId, explores: bool) {
         if explores {
             self.explorers.insert(robot);
@@ -33,7 +33,7 @@ impl Dispatch {
         }
     }
 
-    /// Sends a robot to a place in `map`, in metres.
+    /// Sends a robot to a position in `map`, in metres.
     pub(super) fn goal(
         &mut self,
         robot: RobotId,
@@ -43,7 +43,7 @@ impl Dispatch {
         self.coordinator.goal(robot, x, y, now)
     }
 
-    /// A robot has reported an event.
+    /// Passes on an event that a robot reported.
     pub(super) fn event(&mut self, robot: RobotId, code: EventCode, now: Instant) {
         self.coordinator.event(robot, code, now);
     }
@@ -52,8 +52,8 @@ impl Dispatch {
         self.coordinator.poll_timeout()
     }
 
-    /// Lets the coordinator decide, if that is due. Returns whether it did: then its commands and
-    /// notices are to be drained. `is_reachable` says which robots can be commanded.
+    /// Lets the coordinator decide if that is due, and returns whether it did; then drain its
+    /// commands and notices. `is_reachable` says which robots can be commanded.
     pub(super) fn tick(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -73,7 +73,7 @@ impl Dispatch {
         let situation = Situation { fused, coverage, robots: &robots, obstacles: &obstacles };
         self.coordinator.tick(&situation, now);
         for &robot in &self.explorers {
-            // A robot that is not known yet will be.
+            // Unknown robots are retried at the next tick.
             let _ = self.coordinator.set_exploring(robot, true);
         }
         true

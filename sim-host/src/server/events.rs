@@ -1,5 +1,5 @@
-//! What somebody should know of: events on robots, sightings that can't be a pose, robots that
-//! misbehave, people who lie on the floor.
+//! Events that need attention: reported by robots, impossible sightings, misbehaving robots, people
+//! lying on the floor.
 
 use core::fmt;
 use std::collections::{BTreeMap, VecDeque};
@@ -13,32 +13,32 @@ use ubimap_protocol::{
 use super::coordination::Notice;
 use crate::perception::{Lying, robots::SightingEvent};
 
-/// The newest events of a robot that are kept.
-const MOST_KEPT: usize = 8;
-/// Events that wait to be polled, at the most: then the oldest are dropped.
-const MOST_WAITING: usize = 1_000;
+/// Number of events kept per robot.
+const MAX_KEPT: usize = 8;
+/// Maximum number of events waiting to be polled; beyond it the oldest is dropped.
+const MAX_WAITING: usize = 1_000;
 
-/// Something to tell whoever runs the server.
+/// An event for the operator of the server.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// A robot has a session on a port.
+    /// A robot opened a session at a port.
     Joined(RobotId, usize),
-    /// A robot got no session.
+    /// A robot was refused a session.
     Refused(RobotId, RefusalReason),
-    /// A robot reports an event.
+    /// A robot reported an event.
     Reported(RobotId, message::Event),
-    /// What cameras saw of a robot can't be a pose.
+    /// A sighting of a robot can't be a pose.
     Sighting(SightingEvent),
-    /// A robot does what none should.
+    /// A robot misbehaves.
     Robot(RobotEvent),
-    /// Something has happened to a person.
+    /// An event about a person.
     Person(PersonEvent),
-    /// The drive of a robot has come to something.
+    /// Progress or the end of a robot's drive.
     Drive(RobotId, Notice),
 }
 
 impl Event {
-    /// How much it matters.
+    /// The level at which to log it.
     pub fn level(&self) -> log::Level {
         match self {
             Self::Joined(..) => log::Level::Info,
@@ -55,7 +55,7 @@ impl fmt::Display for Event {
             Self::Joined(robot, port) => {
                 write!(f, "robot {} has a session on port {port}", robot.0)
             }
-            Self::Refused(robot, reason) => write!(f, "robot {} is refused: {reason:?}", robot.0),
+            Self::Refused(robot, reason) => write!(f, "robot {} was refused: {reason:?}", robot.0),
             Self::Reported(robot, event) => write!(f, "robot {}: {}", robot.0, described(event)),
             Self::Sighting(event) => event.fmt(f),
             Self::Robot(event) => event.fmt(f),
@@ -65,7 +65,7 @@ impl fmt::Display for Event {
     }
 }
 
-/// The events that wait to be polled, and tallies of those that begin and pass.
+/// Events waiting to be polled, and tallies of recurring ones.
 #[derive(Debug, Default)]
 pub(super) struct Events {
     waiting: VecDeque<(Instant, Event)>,
@@ -82,7 +82,7 @@ impl Events {
             Event::Person(event) => self.people.add(moment, event),
             _ => {}
         }
-        if self.waiting.len() >= MOST_WAITING {
+        if self.waiting.len() >= MAX_WAITING {
             self.waiting.pop_front();
         }
         self.waiting.push_back((moment, event));
@@ -116,17 +116,17 @@ impl EventLog {
     pub(super) fn add(&mut self, received: Instant, event: message::Event) {
         self.count += 1;
         self.newest.push_back((received, event));
-        if self.newest.len() > MOST_KEPT {
+        if self.newest.len() > MAX_KEPT {
             self.newest.pop_front();
         }
     }
 
-    /// All that were received.
+    /// Number of all events received.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// The newest few and when they were received, oldest first.
+    /// The newest events with their time of reception, oldest first.
     pub fn newest(&self) -> impl Iterator<Item = (Instant, &message::Event)> {
         self.newest.iter().map(|(received, event)| (*received, event))
     }
@@ -135,9 +135,9 @@ impl EventLog {
 /// Misbehaviour of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RobotEvent {
-    /// What it draws or sees contradicts the others, and no constant error explains it.
+    /// Its layer or its distance vectors contradict the others, and no constant error explains it.
     Disagrees(RobotId),
-    /// It sends more than any agent would, or draws more ground than there is.
+    /// It sends more than any agent would, or exceeds the maximum number of tiles.
     Floods(RobotId),
 }
 
@@ -145,23 +145,31 @@ impl fmt::Display for RobotEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Disagrees(robot) => {
-                write!(f, "robot {} disagrees with what the others see; it counts less", robot.0)
+                write!(
+                    f,
+                    "robot {} contradicts the cameras or the other robots; its map data gets less weight",
+                    robot.0
+                )
             }
             Self::Floods(robot) => {
-                write!(f, "robot {} sends too much; the rest is not read", robot.0)
+                write!(
+                    f,
+                    "robot {} exceeds its limit of data or tiles; the excess is dropped",
+                    robot.0
+                )
             }
         }
     }
 }
 
-/// Something about a person that somebody should look at.
+/// An event about a person that needs attention.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum PersonEvent {
-    /// Lies on the floor, here in `map`.
+    /// A person lies on the floor at this position in `map`.
     Lies {
-        /// Along x.
+        /// Position along x.
         x: Millimetres,
-        /// Along y.
+        /// Position along y.
         y: Millimetres,
     },
 }
@@ -176,11 +184,11 @@ impl From<Lying> for PersonEvent {
 impl fmt::Display for PersonEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self::Lies { x, y } = self;
-        write!(f, "somebody lies on the floor at ({:.1}, {:.1}) m", x.metres(), y.metres())
+        write!(f, "a person lies on the floor at ({:.1}, {:.1}) m", x.metres(), y.metres())
     }
 }
 
-/// How often each event of a kind has begun, and when last.
+/// Number of times that each event has begun, and when last.
 #[derive(Clone, Debug)]
 pub struct Tally<E> {
     events: BTreeMap<E, (u64, Instant)>,
@@ -199,13 +207,13 @@ impl<E: Copy + Ord> Tally<E> {
         *last = moment.max(*last);
     }
 
-    /// Each event, how often it began, and when last.
+    /// Each event with the number of times it began, and the time of the last one.
     pub fn iter(&self) -> impl Iterator<Item = (E, u64, Instant)> {
         self.events.iter().map(|(&event, &(count, last))| (event, count, last))
     }
 }
 
-/// An event in a few words, such as "Warning: PoolFull".
+/// Formats an event, such as "Warning: PoolFull".
 pub fn described(event: &message::Event) -> String {
     let message::Event { severity, code, detail, .. } = event;
     let what = match EventCode::from_number(*code) {

@@ -1,4 +1,4 @@
-//! What a robot says: each message to the part of the server that it is for.
+//! Passes a robot's messages to the parts of the server that handle them.
 
 use ubimap_protocol::{
     message::{
@@ -12,27 +12,27 @@ use ubimap_protocol::{
 use super::{session::Session, surroundings::Surroundings};
 use crate::mapping::{RobotLayer, Updated};
 
-/// What the messages of a frame have changed.
+/// The effects of the messages in a frame.
 #[derive(Debug, Default)]
 pub(super) struct Taken {
-    /// The tiles that were updated.
+    /// The changes of the robot's tiles.
     pub(super) updated: Updated,
-    /// What has happened on the robot.
+    /// Events on the robot.
     pub(super) events: Vec<Event>,
-    /// Messages of an unknown kind.
+    /// Number of messages of unknown kinds.
     pub(super) unknown: u32,
-    /// Messages that could not be read.
+    /// Number of malformed messages.
     pub(super) malformed: u32,
 }
 
 impl Taken {
-    /// The codes of the events that this version knows.
+    /// The codes of the events known to this version.
     pub(super) fn codes(&self) -> impl Iterator<Item = EventCode> {
         self.events.iter().filter_map(|event| EventCode::from_number(event.code))
     }
 }
 
-/// The parts of the server that the messages of one robot go to.
+/// The parts of the server that handle one robot's messages.
 pub(super) struct Inbox<'a> {
     session: &'a mut Session,
     layer: &'a mut RobotLayer,
@@ -49,7 +49,7 @@ impl<'a> Inbox<'a> {
         Self { session, layer, surroundings, taken: Taken::default() }
     }
 
-    /// Takes the messages of a frame.
+    /// Processes the messages of a frame.
     pub(super) fn take(mut self, messages: Messages<'_, ToServer>, now: Instant) -> Taken {
         for message in messages.map_while(Result::ok) {
             match message.by_kind() {
@@ -62,10 +62,10 @@ impl<'a> Inbox<'a> {
         self.taken
     }
 
-    /// `None` if the message cannot be read.
+    /// Returns `None` if the message is malformed.
     fn take_one(&mut self, message: ToServerMessage<'_>, now: Instant) -> Option<()> {
         match message {
-            // The link has taken it.
+            // Handled by the link.
             ToServerMessage::Ack(_) => {}
             ToServerMessage::TimeRequest(request) => {
                 self.session.time_requested(request.decode().ok()?.nonce, now);
@@ -91,7 +91,7 @@ impl<'a> Inbox<'a> {
                 self.taken.events.push(event);
             }
             ToServerMessage::DistanceVector(vector) => self.session.vector(vector.decode().ok()?),
-            // It belongs in a handshake frame.
+            // Only valid in a handshake frame.
             ToServerMessage::Hello(_) => return None,
         }
         Some(())
@@ -100,7 +100,7 @@ impl<'a> Inbox<'a> {
     fn state(&mut self, state: State, now: Instant) {
         self.session.state(state);
         if let State { time: Some(moment), pose: Some(pose), .. } = state {
-            // A robot can't know where it will be.
+            // A robot can't know its pose in the future.
             self.surroundings.robot(self.session.robot(), moment.min(now), pose);
         }
     }
@@ -109,7 +109,7 @@ impl<'a> Inbox<'a> {
         if head.layer != Layer::Robot {
             return None;
         }
-        // Nor can it have seen what is yet to come.
+        // Nor can it have seen anything in the future.
         let seconds = head.seconds.min((now.micros() / 1_000_000) as u32);
         let (mut updated, result) = self.layer.update(coded, seconds);
         let all = &mut self.taken.updated;
@@ -127,13 +127,13 @@ impl<'a> Inbox<'a> {
             if !self.holds(digest) {
                 self.session.ask_for(digest.id);
             } else if let Some(stamp) = self.layer.on_disk(digest.id, digest.stamp.epoch) {
-                // That it is on disk may have been said in an earlier session, and lost.
+                // An earlier Stored message may have been lost with its session.
                 self.session.stored(digest.id, stamp);
             }
         }
     }
 
-    /// Whether the state that the robot reports, or a newer one, is held.
+    /// Whether the reported state, or a newer one, is held.
     fn holds(&self, told: &TileDigest) -> bool {
         self.layer.held(told.id, told.stamp.epoch).is_some_and(|(held, cells)| {
             held > told.stamp || held == told.stamp && tile_hash(cells) == told.hash

@@ -1,15 +1,15 @@
-//! The camera server: a session for each robot, the map that they share, and who drives where.
+//! The camera server: a session for each robot, their shared map, and the coordinator.
 //!
-//! | file or folder | what |
+//! | file or folder | content |
 //! |---|---|
-//! | `ports`, `port`, `inflow` | where bytes come in and go out, and how many are read |
-//! | `inbox` | what robots say, to the part that it is for |
-//! | `session` | what one robot has said and is told |
-//! | `surroundings`, `shared_map` | who and what is about; the layers and the map that they make |
-//! | `correction` | constant errors that are cured, poses that are found in blind ground |
-//! | [`coordination`], `dispatch` | who drives where |
-//! | `unsaved`, `records` | what is to be kept on disk |
-//! | `events`, `queries` | what somebody should know of, and may ask |
+//! | `ports`, `port`, `inflow` | the ports, their links, and their rate limit |
+//! | `inbox` | passes robots' messages on |
+//! | `session` | the state of the conversation with one robot |
+//! | `surroundings`, `shared_map` | positions of robots and obstacles; layers and fused map |
+//! | `correction` | constant errors of robots, and pose fixes in blind ground |
+//! | [`coordination`], `dispatch` | decides who drives where |
+//! | `unsaved`, `records` | state to be stored on disk |
+//! | `events`, `queries` | events, and read access |
 
 mod command;
 pub mod coordination;
@@ -62,9 +62,9 @@ pub use command::Command;
 pub use events::{Event, EventLog, PersonEvent, RobotEvent, Tally, described};
 pub use ports::{CommandError, NoSuchPort};
 
-/// The camera server's sans-IO core. It follows the law of the crate: after every input drain
-/// [`Server::poll_transmit`] for each port and [`Server::poll_event`], then come back at
-/// [`Server::poll_timeout`] and call [`Server::timeout`].
+/// The camera server's sans-IO core. It follows the driving rule of the crate: after every input
+/// drain [`Server::poll_transmit`] for each port and [`Server::poll_event`], then call
+/// [`Server::timeout`] at [`Server::poll_timeout`].
 #[derive(Debug)]
 pub struct Server {
     terms: Terms,
@@ -73,16 +73,16 @@ pub struct Server {
     coverage: CoverageLayer,
     surroundings: Surroundings,
     corrections: Corrections,
-    /// `None` if nobody is told where to drive.
+    /// `None` without a coordinator.
     dispatch: Option<Dispatch>,
     events: Events,
-    /// Robots that draw more ground than there is.
+    /// Robots that exceeded the maximum number of tiles.
     draws_too_much: BTreeSet<RobotId>,
     unsaved: Unsaved,
 }
 
 impl Server {
-    /// A server with this many ports, numbered from zero, and an empty map.
+    /// Creates a server with an empty map and `ports` open ports, numbered from zero.
     pub fn new(terms: Terms, ports: usize) -> Self {
         let mut server = Self {
             terms,
@@ -102,25 +102,25 @@ impl Server {
         server
     }
 
-    /// Opens a port and returns its number. Numbers count up and are never used again.
+    /// Opens a port and returns its number. Numbers count up and are not reused.
     pub fn open_port(&mut self) -> usize {
         self.ports.open()
     }
 
-    /// Closes a port. The session of the robot there ends; its next one, on any port, continues
-    /// from it.
+    /// Closes a port. Ends the session of the robot there; the robot's next session, on any port,
+    /// continues from the same state.
     ///
     /// # Errors
-    /// [`NoSuchPort`].
+    /// [`NoSuchPort`] if the port is not open.
     pub fn close_port(&mut self, port: usize) -> Result<(), NoSuchPort> {
         self.ports.close(port)
     }
 
-    /// Takes bytes that came in at a port, in pieces of any size. Bytes beyond the rate of any agent
-    /// are dropped, as on a bad link.
+    /// Processes bytes received at a port, in pieces of any size. Bytes beyond the maximum rate of
+    /// an agent are dropped, as on a bad link.
     ///
     /// # Errors
-    /// [`NoSuchPort`].
+    /// [`NoSuchPort`] if the port is not open.
     pub fn receive(&mut self, port: usize, bytes: &[u8], now: Instant) -> Result<(), NoSuchPort> {
         let index = port;
         let port = self.ports.get_mut(index)?;
@@ -158,7 +158,7 @@ impl Server {
         Ok(())
     }
 
-    /// Goes on with what the messages of a robot have changed.
+    /// Handles the effects of a robot's messages.
     fn taken(&mut self, robot: RobotId, taken: Taken, now: Instant) {
         self.map.changed(&taken.updated.tiles);
         if taken.updated.too_much && self.draws_too_much.insert(robot) {
@@ -178,7 +178,7 @@ impl Server {
         }
     }
 
-    /// Takes what a frame of a camera says.
+    /// Processes the observation of a camera frame.
     pub fn observe(&mut self, observation: &Observation) {
         let captured = observation.captured;
         for &sighting in &observation.robots {
@@ -186,7 +186,7 @@ impl Server {
             let pose = self.corrections.fix(robot, captured, seen);
             self.surroundings.robot(robot, captured, pose);
             let (footprint, side) = (self.surroundings.footprint(robot), self.terms.resolution);
-            // Cells that are only just under it may hold a wall beside it.
+            // Cells that are only partly covered by the robot may hold a wall next to it.
             self.map.stands(robot, captured, footprint.cells(pose, Millimetres(-side.0), side));
             if let Some(session) = self.ports.session_mut(robot) {
                 session.fix(captured, Sighting { pose, ..sighting });
@@ -201,7 +201,7 @@ impl Server {
         self.map.changed(&changed);
     }
 
-    /// Takes what a frame of a camera, captured then, shows of robots and can't be a pose.
+    /// Reports that a sighting in the frame captured at `captured` can't be a pose.
     pub fn sighting_event(&mut self, captured: Instant, event: SightingEvent) {
         self.events.add(captured, Event::Sighting(event));
     }
@@ -214,26 +214,26 @@ impl Server {
         self.ports.command(robot, command)
     }
 
-    /// Lets a coordinator decide from now on where robots drive. The server sets the resolution and
-    /// the first path of its settings: paths have higher numbers than in its earlier lives.
+    /// Starts a coordinator, which decides where robots drive. The server sets the resolution and
+    /// `first_path` in its settings, so that path numbers are higher than in its earlier lives.
     pub fn coordinate(&mut self, settings: Settings) {
         let Terms { resolution, server_epoch, .. } = self.terms;
         let first_path = server_epoch.wrapping_shl(20);
         self.dispatch = Some(Dispatch::new(Settings { resolution, first_path, ..settings }));
     }
 
-    /// Lets a robot explore while it has no goal, or no longer. Without a coordinator nothing
-    /// happens.
+    /// Lets a robot explore while it has no goal, or stops it from exploring. No effect without a
+    /// coordinator.
     pub fn explore(&mut self, robot: RobotId, explores: bool) {
         if let Some(dispatch) = &mut self.dispatch {
             dispatch.explore(robot, explores);
         }
     }
 
-    /// Sends a robot to a place in `map`, in metres.
+    /// Sends a robot to a position in `map`, in metres.
     ///
     /// # Errors
-    /// Every [`GoalError`]; without a coordinator, that nobody knows where the robot is.
+    /// Every [`GoalError`]; [`GoalError::UnknownRobot`] without a coordinator.
     pub fn goal(
         &mut self,
         robot: RobotId,
@@ -244,19 +244,18 @@ impl Server {
         dispatch.goal(robot, place_m, now)
     }
 
-    /// Leaves the robots' constant errors as they are, and robots in blind ground without fixes, to
-    /// compare.
+    /// Turns off the correction of constant errors and the fixes in blind ground, for comparisons.
     pub fn leave_errors(&mut self) {
         self.corrections.turn_off();
     }
 
-    /// What a robot takes up; the others are told.
+    /// Sets a robot's footprint, which is sent to the others.
     pub fn set_footprint(&mut self, robot: RobotId, footprint: Footprint) {
         self.surroundings.set_footprint(robot, footprint);
     }
 
-    /// Does what is due at `now` besides sending. Work that takes milliseconds is done one piece at
-    /// a time, so that messages need not wait for all of it: then [`Server::poll_timeout`] is `now`.
+    /// Does what is due at `now` except sending. Work that takes milliseconds is done in pieces, so
+    /// that messages are not delayed; [`Server::poll_timeout`] is `now` until all are done.
     pub fn timeout(&mut self, now: Instant) {
         let waiting = self.corrections.poll_waiting();
         if let Some(session) = waiting.and_then(|robot| self.ports.session_mut(robot)) {
@@ -274,7 +273,7 @@ impl Server {
             }
             while let Some((robot, command)) = dispatch.poll_command() {
                 if let Err(error) = self.command(robot, command) {
-                    // It is sent again once the robot is back.
+                    // The coordinator sends it again when the robot is back.
                     log::debug!("{error}");
                 }
             }
@@ -282,7 +281,7 @@ impl Server {
         self.dispatch = Some(dispatch);
     }
 
-    /// Brings the map and the coverage to `now`.
+    /// Updates the map and the coverage to `now`.
     pub(crate) fn age(&mut self, now: Instant) {
         self.coverage.refresh(now);
         for robot in self.map.age(now) {
@@ -290,9 +289,9 @@ impl Server {
         }
     }
 
-    /// Writes the next frame that is due at a port into `out`, which should have
-    /// [`MAX_FRAME`](ubimap_protocol::frame::MAX_FRAME) bytes. Returns its length. The map and the
-    /// coverage are brought to `now` before.
+    /// Writes the next due frame of a port into `out`, which should have
+    /// [`MAX_FRAME`](ubimap_protocol::frame::MAX_FRAME) bytes, and returns its length. Updates the
+    /// map and the coverage to `now` first.
     #[must_use]
     pub fn poll_transmit(&mut self, port: usize, now: Instant, out: &mut [u8]) -> Option<usize> {
         self.age(now);
@@ -303,28 +302,27 @@ impl Server {
         ports.get_mut(port).ok()?.poll_transmit(&snapshot, now, out)
     }
 
-    /// The next thing to tell whoever runs the server, and when it happened. If nobody asks, only
-    /// the newest thousand are kept.
+    /// Returns the oldest event and its time. Only the newest 1,000 are kept.
     #[must_use]
     pub fn poll_event(&mut self) -> Option<(Instant, Event)> {
         self.events.poll()
     }
 
-    /// When to come back at the latest to call [`Server::timeout`], and [`Server::poll_transmit`] for
-    /// a port.
+    /// The deadline for the next calls of [`Server::timeout`] and, for this port,
+    /// [`Server::poll_transmit`].
     pub fn poll_timeout(&self, port: usize, now: Instant) -> Option<Instant> {
         let port = self.ports.get(port).ok()?.poll_timeout(&self.snapshot(), now);
         port.into_iter().chain(self.poll_common_timeout(now)).min()
     }
 
-    /// The same for all ports.
+    /// The earliest deadline of all ports.
     pub(crate) fn poll_any_timeout(&self, now: Instant) -> Option<Instant> {
         let snapshot = self.snapshot();
         let ports = self.ports.iter().filter_map(|port| port.poll_timeout(&snapshot, now));
         ports.chain(self.poll_common_timeout(now)).min()
     }
 
-    /// The same for what concerns no single port.
+    /// The earliest deadline that does not belong to a port.
     fn poll_common_timeout(&self, now: Instant) -> Option<Instant> {
         let dispatch = self.dispatch.as_ref().map(Dispatch::poll_timeout);
         let waiting = self.corrections.has_waiting().then_some(now);

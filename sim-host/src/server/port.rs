@@ -1,4 +1,4 @@
-//! One port, and the session on it.
+//! One port and its session.
 
 use ubimap_protocol::{
     frame::SessionId,
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::timing::SESSION_SILENT;
 
-/// The shortest time between two messages to a robot that it has no session here.
+/// Minimum interval between Reset messages, which tell a robot that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A serial port or a simulated channel, with at most one robot behind it.
@@ -25,10 +25,10 @@ pub(super) struct Port {
     link: Link,
     inflow: Inflow,
     session: Option<Session>,
-    /// The handshake frame to be sent.
+    /// The handshake frame to send.
     answer: Option<Answer>,
     reset: PendingReset,
-    /// Messages of unknown kinds, and messages that could not be read.
+    /// Numbers of messages of unknown kinds, and of malformed messages.
     unknown: u32,
     malformed: u32,
     bytes_sent: u64,
@@ -42,10 +42,10 @@ struct PendingReset {
 
 /// The contents of a frame.
 pub(super) enum Brought<'p> {
-    /// Nothing that concerns anything but the port.
+    /// Nothing to be handled outside of the port.
     Nothing,
     Hello(Hello),
-    /// Messages of the session. Call [`Port::taken`] afterwards.
+    /// Messages of the session. Call [`Port::taken`] after handling them.
     Messages(&'p mut Session, Messages<'p, ToServer>),
 }
 
@@ -65,14 +65,14 @@ impl Default for Port {
 }
 
 impl Port {
-    /// The bytes that are read of those that came in, and whether a flood begins with them.
+    /// Returns the received bytes that may be read, and whether a flood begins with them.
     pub(super) fn admit<'b>(&mut self, bytes: &'b [u8], now: Instant) -> (&'b [u8], bool) {
         let was_flooded = self.inflow.floods();
         let admitted = self.inflow.admit(bytes.len(), now);
         (bytes.get(..admitted).unwrap_or_default(), !was_flooded && self.inflow.floods())
     }
 
-    /// Takes a frame from the front of `bytes`. `None` if they are used up.
+    /// Decodes a frame from the front of `bytes`. `None` if they are used up.
     pub(super) fn receive(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Brought<'_>> {
         let Self { link, session, reset, malformed, .. } = self;
         Some(match (link.receive(bytes, now)?, session) {
@@ -96,8 +96,8 @@ impl Port {
         })
     }
 
-    /// The messages of a frame have been taken: how many were of an unknown kind, and how many could
-    /// not be read.
+    /// Call this after handling a frame, with the numbers of messages of unknown kinds and of
+    /// malformed messages.
     pub(super) fn taken(&mut self, unknown: u32, malformed: u32) {
         self.unknown += unknown;
         self.malformed += malformed;
@@ -108,16 +108,16 @@ impl Port {
         }
     }
 
-    /// The session that answered this hello, if it is still open.
+    /// The open session that was the answer to this Hello.
     pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
         let session = self.session.as_ref()?;
         session.answers(hello).then(|| self.link.session())
     }
 
-    /// Begins a session with frames of at most `frame` bytes.
+    /// Starts a session with frames of at most `frame` bytes.
     pub(super) fn begin(&mut self, id: SessionId, frame: u16, session: Session) {
         self.link.begin(id, usize::from(frame));
-        // A pending reset was for the session before.
+        // A pending Reset concerned the previous session.
         self.reset.due = false;
         self.session = Some(session);
     }
@@ -128,7 +128,7 @@ impl Port {
         self.session.take()
     }
 
-    /// Queues the answer to a hello.
+    /// Queues the answer to a Hello.
     pub(super) fn answer(&mut self, answer: Answer) {
         self.answer = Some(answer);
     }
@@ -146,12 +146,12 @@ impl Port {
         self.session().map(Session::robot)
     }
 
-    /// Whether a command fits the frames that were agreed on.
+    /// Whether a command fits the frame size negotiated with the robot.
     pub(super) fn has_room_for(&self, command: &Command) -> bool {
         command.write(&mut Writer::new(&mut vec![0; self.link.room()]))
     }
 
-    /// Writes the next frame that is due. Returns its length.
+    /// Writes the next due frame. Returns its length.
     pub(super) fn poll_transmit(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -196,7 +196,7 @@ impl Port {
         Some(sent.len)
     }
 
-    /// When there is something to send.
+    /// When the next frame is due.
     pub(super) fn poll_timeout(&self, snapshot: &Snapshot<'_>, now: Instant) -> Option<Instant> {
         if self.answer.is_some() {
             return Some(now);
@@ -208,17 +208,17 @@ impl Port {
         [reset, self.link.poll_timeout(), messages].into_iter().flatten().min()
     }
 
-    /// Bytes sent, framing and retransmissions included.
+    /// Bytes sent, including framing and retransmissions.
     pub(super) fn bytes_sent(&self) -> u64 {
         self.bytes_sent
     }
 
-    /// What the link has counted.
+    /// Counters of the link.
     pub(super) fn counters(&self) -> Counters {
         self.link.counters()
     }
 
-    /// Messages of unknown kinds, and messages that could not be read.
+    /// Numbers of messages of unknown kinds, and of malformed messages.
     pub(super) fn unread(&self) -> (u32, u32) {
         (self.unknown, self.malformed)
     }
@@ -260,22 +260,22 @@ mod tests {
         out[..len].to_vec()
     }
 
-    /// The frames that the server has for port 0.
+    /// Number of frames that the server sends on port 0.
     fn drain(server: &mut Server, now: Instant) -> usize {
         let mut out = [0u8; MAX_FRAME];
         std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
     }
 
-    /// An old hello must not lock out the robot whose session it has ended.
+    /// An old Hello must not lock out the robot whose session it ended.
     #[test]
-    fn a_session_that_only_an_old_hello_speaks_for_is_reset() {
+    fn a_session_opened_by_an_old_hello_is_reset() {
         let mut server = Server::new(TERMS, 1);
         server.receive(0, &hello(5), Instant(0)).unwrap();
         assert_eq!(drain(&mut server, Instant(0)), 1);
         let of_the_session_before = [7u8, 7, 0];
         let soon = Instant(0) + Duration::from_secs(1);
         server.receive(0, &of_the_session_before, soon).unwrap();
-        assert_eq!(drain(&mut server, soon), 0, "a frame may be damaged");
+        assert_eq!(drain(&mut server, soon), 0, "a single bad frame may just be damaged");
         let later = Instant(0) + SESSION_SILENT;
         server.receive(0, &of_the_session_before, later).unwrap();
         assert_eq!(drain(&mut server, later), 1);
@@ -283,12 +283,12 @@ mod tests {
     }
 
     #[test]
-    fn a_reset_that_was_due_is_forgotten_with_the_session_that_begins() {
+    fn a_new_session_cancels_a_pending_reset() {
         let mut server = Server::new(TERMS, 1);
         let garbage = [7u8, 7, 0];
         server.receive(0, &garbage, Instant(0)).unwrap();
         assert_eq!(drain(&mut server, Instant(0)), 1);
-        // The next one has to wait, and a hello comes first.
+        // The next Reset has to wait, and a Hello comes first.
         server.receive(0, &garbage, Instant(1)).unwrap();
         assert_eq!(drain(&mut server, Instant(1)), 0);
         server.receive(0, &hello(5), Instant(2)).unwrap();
@@ -296,10 +296,9 @@ mod tests {
         assert_eq!(server.poll_timeout(0, Instant(2)), None);
     }
 
-    /// A robot that is unplugged and plugged in elsewhere gets what it was told again, and what it
-    /// has reported is not lost.
+    /// A robot moved to another port gets its commands again, and its reports are not lost.
     #[test]
-    fn the_session_of_a_port_that_was_closed_continues_on_another_one() {
+    fn the_session_of_a_closed_port_continues_on_another() {
         let mut server = Server::new(TERMS, 1);
         server.receive(0, &hello(5), Instant(0)).unwrap();
         assert_eq!(drain(&mut server, Instant(0)), 1);
@@ -315,7 +314,7 @@ mod tests {
         server.receive(port, &hello(6), Instant(2)).unwrap();
         let mut out = [0u8; MAX_FRAME];
         let frames = std::iter::from_fn(|| server.poll_transmit(port, Instant(2), &mut out));
-        assert_eq!(frames.count(), 2, "a welcome and the stop");
+        assert_eq!(frames.count(), 2, "a Welcome and the Stop");
         assert_eq!(server.waiting(RobotId(1)), 0);
     }
 }

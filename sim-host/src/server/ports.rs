@@ -1,4 +1,4 @@
-//! All ports, and which robot has its session where.
+//! All ports, and the sessions on them.
 
 use std::collections::BTreeMap;
 
@@ -18,49 +18,49 @@ use super::{command::Command, port::Port, session::Session};
 pub(super) struct Ports {
     open: BTreeMap<usize, Port>,
     next_port: usize,
-    /// Sessions of robots whose port was closed: their next ones continue from them.
+    /// Sessions of robots whose port was closed; their next sessions continue from them.
     parted: BTreeMap<RobotId, Session>,
     next_session: u32,
 }
 
-/// A port that is not open.
+/// The port is not open.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the server has no port {0}")]
+#[error("port {0} is not open")]
 pub struct NoSuchPort(pub usize);
 
-/// Why a command is not sent.
+/// Why a command was not accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// The robot has no session.
     #[error("robot {} has no session", .0.0)]
     NoSession(RobotId),
-    /// It does not fit the frames that were agreed on with the robot.
+    /// The command does not fit the frame size negotiated with the robot.
     #[error("the command is too long for the frames of robot {}: shorten it", .0.0)]
     TooLong(RobotId),
 }
 
-/// What became of a hello.
+/// The result of a Hello.
 pub(super) enum Greeted {
-    /// The robot has a new session.
+    /// The robot got a new session.
     Joined,
-    /// It has the session that it asks for.
+    /// The Hello repeats the one that opened the present session.
     Known,
     Refused(RefusalReason),
 }
 
 impl Ports {
-    /// None are open.
+    /// Starts without ports.
     pub(super) fn new(server_epoch: u32) -> Self {
         Self {
             open: BTreeMap::new(),
             next_port: 0,
             parted: BTreeMap::new(),
-            // Sessions of different lives of the server must differ.
+            // Session ids of different lives of the server must differ.
             next_session: server_epoch.wrapping_mul(0x9E37_79B9) | 1,
         }
     }
 
-    /// Opens a port. Numbers count up from zero and are never used again.
+    /// Opens a port. Numbers count up from zero and are not reused.
     pub(super) fn open(&mut self) -> usize {
         let port = self.next_port;
         self.next_port += 1;
@@ -68,7 +68,7 @@ impl Ports {
         port
     }
 
-    /// Closes a port; what waits to be sent there is lost.
+    /// Closes a port; what was waiting to be sent there is lost.
     pub(super) fn close(&mut self, port: usize) -> Result<(), NoSuchPort> {
         let mut closed = self.open.remove(&port).ok_or(NoSuchPort(port))?;
         if let Some(session) = closed.end() {
@@ -85,12 +85,12 @@ impl Ports {
         self.open.get_mut(&port).ok_or(NoSuchPort(port))
     }
 
-    /// The open ports, in the order in which they were opened.
+    /// The open ports in the order of opening.
     pub(super) fn iter(&self) -> impl Iterator<Item = &Port> {
         self.open.values()
     }
 
-    /// The numbers of the open ports from this one on.
+    /// The numbers of the open ports, starting at `port`.
     pub(super) fn numbers_from(&self, port: usize) -> impl Iterator<Item = usize> {
         self.open.range(port..).map(|(&number, _)| number)
     }
@@ -99,17 +99,17 @@ impl Ports {
         self.open.values().filter_map(Port::session)
     }
 
-    /// The session of a robot, if its port is open.
+    /// The session of a robot whose port is open.
     pub(super) fn session(&self, robot: RobotId) -> Option<&Session> {
         self.sessions().find(|session| session.robot() == robot)
     }
 
-    /// The session of a robot, also if its port was closed.
+    /// The session of a robot, even if its port was closed.
     pub(super) fn last_session(&self, robot: RobotId) -> Option<&Session> {
         self.session(robot).or_else(|| self.parted.get(&robot))
     }
 
-    /// The session of a robot, if its port is open.
+    /// The session of a robot whose port is open.
     pub(super) fn session_mut(&mut self, robot: RobotId) -> Option<&mut Session> {
         self.port_of(robot)?.session_mut()
     }
@@ -118,8 +118,8 @@ impl Ports {
         self.open.values_mut().find(|port| port.robot() == Some(robot))
     }
 
-    /// Answers a hello that came in at a port. A robot that is welcome has a session there, and
-    /// begins its own tiles with this epoch.
+    /// Answers a Hello received at a port. A welcomed robot has a session there, and numbers its
+    /// tiles from `first_epoch` on.
     pub(super) fn greet(
         &mut self,
         port: usize,
@@ -134,7 +134,7 @@ impl Ports {
             Answer::Welcome(welcome) if known.is_none() => {
                 self.next_session = self.next_session.wrapping_add(1);
                 let mut session = Session::new(hello, now);
-                // It may have moved to another port.
+                // The robot may have moved from another port.
                 let last = self.port_of(hello.robot).and_then(Port::end);
                 let last = last.or_else(|| self.parted.remove(&hello.robot));
                 if let Some(last) = last {
@@ -150,7 +150,7 @@ impl Ports {
         Ok(greeted)
     }
 
-    /// A command for a robot.
+    /// Queues a command for a robot.
     ///
     /// # Errors
     /// Every [`CommandError`].

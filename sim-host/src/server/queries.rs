@@ -1,4 +1,4 @@
-//! What can be asked of the server.
+//! Read access to the server's state.
 
 use ubimap_protocol::{
     link::Counters,
@@ -21,17 +21,17 @@ use crate::{
 
 /// The map.
 impl Server {
-    /// The map that everybody gets.
+    /// The map that all robots get.
     pub fn fused(&self) -> &ServedLayer {
         self.map.fused()
     }
 
-    /// The cells that the cameras see now.
+    /// The cells that cameras see now.
     pub fn coverage(&self) -> &ServedLayer {
         self.coverage.served()
     }
 
-    /// What a robot has seen.
+    /// A robot's layer.
     pub fn layer(&self, robot: RobotId) -> Option<&RobotLayer> {
         self.map.layer(robot)
     }
@@ -46,13 +46,13 @@ impl Server {
         self.map.time()
     }
 
-    /// How much a robot's word counts.
+    /// The weight of a robot's claims.
     pub fn weight(&self, robot: RobotId) -> Weight {
         self.map.weight(robot)
     }
 
-    /// The cells of a tile that robots take up, as cameras saw them last: there the fused layer is
-    /// not occupied, whatever the layers say.
+    /// The cells of a tile below robots, as cameras last saw them. There the fused layer is not
+    /// occupied, whatever the layers contain.
     pub fn under(&self, id: TileId) -> Mask {
         self.map.under(id)
     }
@@ -60,7 +60,7 @@ impl Server {
 
 /// Robots.
 impl Server {
-    /// What a robot last said of itself, in its last session.
+    /// The last state report of a robot, in its last session.
     pub fn state(&self, robot: RobotId) -> Option<State> {
         self.ports.last_session(robot)?.said().state()
     }
@@ -70,7 +70,7 @@ impl Server {
         self.ports.last_session(robot).map(|session| session.said().events())
     }
 
-    /// What a robot last reported of its parameters, in answer to a user.
+    /// A robot's last parameter report in answer to a user.
     pub fn parameters(&self, robot: RobotId) -> Option<&ParameterReport> {
         self.ports.last_session(robot)?.said().parameters()
     }
@@ -80,62 +80,62 @@ impl Server {
         self.ports.session(robot)?.said().vectors().0
     }
 
-    /// How many distance vectors of a robot have come in its session.
+    /// Number of distance vectors received in a robot's session.
     pub fn distance_vectors(&self, robot: RobotId) -> u32 {
         self.ports.session(robot).map_or(0, |session| session.said().vectors().1)
     }
 
-    /// What has been found of a robot's constant errors.
+    /// The estimates of a robot's constant errors.
     pub fn errors(&self, robot: RobotId) -> Option<&ConstantErrors> {
         self.corrections.errors(robot)
     }
 
-    /// How often a robot has asked for the time in its last session.
+    /// Number of time requests in a robot's last session.
     pub fn time_requests(&self, robot: RobotId) -> u32 {
         self.ports.last_session(robot).map_or(0, |session| session.said().time_requests())
     }
 
-    /// Whether a robot has acknowledged the newest state of every fused tile that it wants.
+    /// Whether a robot has acknowledged the newest state of every fused tile in its window.
     pub fn is_level(&self, robot: RobotId) -> bool {
         self.ports.session(robot).is_some_and(|session| session.is_level(&self.snapshot()))
     }
 
-    /// Messages that wait to be sent to a robot. Tiles, peers and obstacles do not wait: only their
-    /// newest state is sent, when its time has come.
+    /// Number of messages waiting to be sent to a robot, without tiles, peers and obstacles: only
+    /// their newest state is sent when it is due.
     pub fn waiting(&self, robot: RobotId) -> usize {
         self.ports.session(robot).map_or(0, Session::waiting)
     }
 
-    /// How many peers and obstacles a robot was not told of because nearer ones left no room,
-    /// counted each time.
+    /// Number of peers and obstacles left out of messages to a robot for lack of space, counted per
+    /// message.
     pub fn left_out(&self, robot: RobotId) -> u64 {
         self.ports.session(robot).map_or(0, Session::left_out)
     }
 
-    /// Where the robots were about a moment, as far as the cameras or they themselves have said.
+    /// The robots' newest known poses around a time, from cameras or their own reports.
     pub fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
         self.surroundings.whereabouts(moment)
     }
 }
 
-/// What happens.
+/// Obstacles and events.
 impl Server {
-    /// The people and things that the cameras follow, and the moment of their positions.
+    /// The people and things tracked by cameras, and the time of their positions.
     pub fn obstacles(&self) -> (Instant, Vec<Obstacle>) {
         (self.surroundings.obstacles_moment(), self.surroundings.all_obstacles())
     }
 
-    /// What the cameras saw of robots and could not be a pose.
+    /// Sightings of robots that can't be a pose.
     pub fn sighting_events(&self) -> &Tally<SightingEvent> {
         self.events.sightings()
     }
 
-    /// What robots did and none should.
+    /// Misbehaviour of robots.
     pub fn robot_events(&self) -> &Tally<RobotEvent> {
         self.events.robots()
     }
 
-    /// What has happened to people.
+    /// Events about people.
     pub fn person_events(&self) -> &Tally<PersonEvent> {
         self.events.people()
     }
@@ -143,7 +143,7 @@ impl Server {
 
 /// Ports.
 impl Server {
-    /// The open ports, in the order in which they were opened.
+    /// The open ports in the order of opening.
     pub fn ports(&self) -> impl Iterator<Item = usize> {
         self.ports.numbers_from(0)
     }
@@ -153,22 +153,22 @@ impl Server {
         self.ports.numbers_from(port).next()
     }
 
-    /// The robot whose session is on a port.
+    /// The robot with a session on a port.
     pub fn robot_at(&self, port: usize) -> Option<RobotId> {
         self.ports.get(port).ok()?.robot()
     }
 
-    /// Bytes sent at a port, framing and retransmissions included.
+    /// Bytes sent at a port, including framing and retransmissions.
     pub fn bytes_sent(&self, port: usize) -> u64 {
         self.ports.get(port).map_or(0, Port::bytes_sent)
     }
 
-    /// What the link of a port has counted.
+    /// Counters of a port's link.
     pub fn link_counters(&self, port: usize) -> Counters {
         self.ports.get(port).map_or_else(|_| Counters::default(), Port::counters)
     }
 
-    /// Messages at a port that were of an unknown kind, and messages that could not be read.
+    /// Numbers of messages at a port that were of unknown kinds, and that were malformed.
     pub fn unread_messages(&self, port: usize) -> (u32, u32) {
         self.ports.get(port).map_or((0, 0), Port::unread)
     }

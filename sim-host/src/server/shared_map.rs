@@ -1,4 +1,4 @@
-//! The map: the layers of the cameras and of each robot, and the fused layer made of them.
+//! The map: the layers of the cameras and of each robot, and the fused layer.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,28 +17,28 @@ use crate::{
     timing::ROBOT_GONE,
 };
 
-/// The layers, and everything that is derived from them.
+/// The layers and everything derived from them.
 #[derive(Debug, Default)]
 pub(super) struct SharedMap {
     cameras: CameraLayer,
     layers: BTreeMap<RobotId, RobotLayer>,
     agreements: Agreements,
-    /// In the present step of the map's time; robots without an entry have the full weight.
+    /// Weights in the current step of the map's time; robots without an entry have the full weight.
     weights: BTreeMap<RobotId, Weight>,
-    /// Tiles of robots that have changed since the weights were computed.
+    /// Robots' tiles that have changed since the weights were computed.
     unweighed: BTreeSet<TileId>,
     time: MapTime,
-    /// Each tile as fused, before surfaces are hollowed and robots are cleared from it, and what of
-    /// it is in sight of cameras.
+    /// Each tile as fused, before surfaces are hollowed and robots cleared from it, and its cells
+    /// in view of cameras.
     whole: BTreeMap<TileId, (Tile, Sight)>,
     fused: ServedLayer,
-    /// Tiles with movable cells, which are forgotten in time.
+    /// Tiles with movable cells, which expire.
     ageing: BTreeSet<TileId>,
-    /// Tiles with cells in sight, which go out of sight in time.
+    /// Tiles with cells that cameras have seen recently, which expire.
     in_sight: BTreeSet<TileId>,
-    /// The cells that each robot takes up, and when cameras saw it there.
+    /// The cells below each robot, and when cameras saw it there.
     under: BTreeMap<RobotId, (Instant, BTreeMap<TileId, Mask>)>,
-    /// Tiles that would differ if no robot stood on them.
+    /// Tiles whose published cells depend on robots standing on them.
     hiding: BTreeSet<TileId>,
 }
 
@@ -51,37 +51,37 @@ impl SharedMap {
         self.time
     }
 
-    /// What a robot has seen.
+    /// A robot's layer.
     pub(super) fn layer(&self, robot: RobotId) -> Option<&RobotLayer> {
         self.layers.get(&robot)
     }
 
-    /// The same, to add to it; call [`SharedMap::changed`] with the tiles that have changed.
+    /// A robot's layer for writing; call [`SharedMap::changed`] with the tiles that have changed.
     pub(super) fn layer_mut(&mut self, robot: RobotId) -> &mut RobotLayer {
         self.layers.entry(robot).or_default()
     }
 
-    /// What all robots have seen.
+    /// All robots' layers.
     pub(super) fn layers(&self) -> &BTreeMap<RobotId, RobotLayer> {
         &self.layers
     }
 
-    /// How much a robot's word counts.
+    /// The weight of a robot's claims.
     pub(super) fn weight(&self, robot: RobotId) -> Weight {
         self.weights.get(&robot).copied().unwrap_or(Weight::FULL)
     }
 
-    /// The first epoch that a robot is not known to have used for its own tiles.
+    /// The first epoch that the robot is not known to have used for its tiles.
     pub(super) fn next_epoch(&self, robot: RobotId) -> Epoch {
         self.layers.get(&robot).map_or(Epoch(1), RobotLayer::next_epoch)
     }
 
-    /// A robot's tiles of epochs below this one are void.
+    /// The robot's tiles of epochs below this one are void.
     pub(super) fn first_epoch(&self, robot: RobotId) -> Epoch {
         self.layers.get(&robot).map_or(Epoch(0), RobotLayer::first_epoch)
     }
 
-    /// The cells of a tile that robots take up, as cameras saw them last.
+    /// The cells of a tile below robots, as cameras last saw them.
     pub(super) fn under(&self, id: TileId) -> Mask {
         let mut under = Mask::default();
         for mask in self.under.values().filter_map(|(_, masks)| masks.get(&id)) {
@@ -90,7 +90,7 @@ impl SharedMap {
         under
     }
 
-    /// A tile fused from everything but the layer of one robot.
+    /// A tile fused without the layer of one robot.
     pub(super) fn without(&self, robot: Option<RobotId>, id: TileId) -> Tile {
         self.fused_with(&self.cameras.seen(id), robot, id)
     }
@@ -103,7 +103,7 @@ impl SharedMap {
         fuse(cameras, &others, self.time)
     }
 
-    /// What the cameras know of a tile; robots on it are movable.
+    /// The cameras' knowledge of a tile, with robots as movable cells.
     pub(super) fn in_view(&self, id: TileId) -> Tile {
         let mut tile = self.cameras.tile(id);
         for (y, mask) in self.under(id).into_iter().enumerate() {
@@ -114,53 +114,53 @@ impl SharedMap {
         tile
     }
 
-    /// Takes the cells of a frame. Returns the tiles that have changed, for [`SharedMap::changed`].
+    /// Adds the cells of a frame. Returns the changed tiles, for [`SharedMap::changed`].
     pub(super) fn see(&mut self, observation: &Observation) -> BTreeSet<TileId> {
         self.cameras.observe(observation)
     }
 
-    /// The tiles of a robot's epochs below this one are void.
+    /// Voids a robot's tiles of epochs below this one.
     pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) {
         let void = self.layer_mut(robot).retire(first_epoch);
         self.changed(&void);
     }
 
-    /// A tile of a robot is on disk.
+    /// Marks a robot's tile as stored on disk.
     pub(super) fn stored(&mut self, robot: RobotId, record: &TileRecord) {
         if let Some(layer) = self.layers.get_mut(&robot) {
             layer.kept(record);
         }
     }
 
-    /// Takes back a tile of a robot from disk.
+    /// Restores a robot's tile.
     pub(super) fn restore(&mut self, robot: RobotId, record: &TileRecord) {
         if self.layer_mut(robot).restore(record) {
             self.changed(&BTreeSet::from([record.id]));
         }
     }
 
-    /// Takes back what cameras had seen from disk.
+    /// Restores a camera tile.
     pub(super) fn restore_camera_tile(&mut self, tile: &CameraTile) {
         self.cameras.restore(tile);
         self.changed(&BTreeSet::from([tile.id]));
     }
 
-    /// What cameras have seen since this was last called.
+    /// Takes the camera tiles that were observed since the last call.
     pub(super) fn take_unkept(&mut self) -> Vec<CameraTile> {
         self.cameras.take_unkept()
     }
 
-    /// Some of that could not be kept.
+    /// Marks camera tiles that could not be stored, so that they are taken again.
     pub(super) fn not_kept(&mut self, tiles: &[CameraTile]) {
         self.cameras.not_kept(tiles);
     }
 
-    /// Whether [`SharedMap::take_unkept`] has something.
+    /// Whether [`SharedMap::take_unkept`] would return anything.
     pub(super) fn has_unkept(&self) -> bool {
         self.cameras.has_unkept()
     }
 
-    /// Computes the fused tiles anew whose sources have changed.
+    /// Fuses the given tiles again after a change of a layer.
     pub(super) fn changed(&mut self, ids: &BTreeSet<TileId>) {
         for &id in ids {
             if self.layers.values().any(|layer| layer.seen(id).is_some()) {
@@ -178,7 +178,7 @@ impl SharedMap {
         self.look(id, tile, &cameras);
     }
 
-    /// Takes a tile as fused, and publishes it and its neighbours if that has changed it.
+    /// Stores a fused tile, and publishes it and its neighbours if it has changed.
     fn look(&mut self, id: TileId, tile: Tile, cameras: &SeenTile) {
         let sight = Sight::of(&tile, cameras, self.time);
         set_member(&mut self.in_sight, id, !sight.is_empty());
@@ -203,7 +203,7 @@ impl SharedMap {
         self.fused.set(id, tile);
     }
 
-    /// A camera saw a robot that takes up these cells.
+    /// Records the cells below a robot that a camera saw.
     pub(super) fn stands(
         &mut self,
         robot: RobotId,
@@ -236,14 +236,14 @@ impl SharedMap {
         other.into_iter().for_each(|id| self.publish(id));
     }
 
-    /// Takes how many points of a distance vector lie on what cameras see, and how many in free space.
+    /// Adds the numbers of a distance vector's points on surfaces that cameras see, and in free
+    /// ground.
     pub(super) fn looked(&mut self, robot: RobotId, agree: u32, contradict: u32) {
         self.agreements.looked(robot, agree, contradict);
     }
 
-    /// Brings the map to a moment. At each step of the map's time the robots' weights are computed
-    /// again, and what is movable is forgotten. Returns the robots that have begun to disagree with
-    /// the others.
+    /// Updates the map to `now`. At each step of the map's time, recomputes the robots' weights and
+    /// forgets expired movable cells. Returns the robots that have just lost their full weight.
     pub(super) fn age(&mut self, now: Instant) -> Vec<RobotId> {
         let time = MapTime::at(now);
         if time <= self.time {
@@ -275,7 +275,7 @@ impl SharedMap {
                 disagree.extend((last == Weight::FULL).then_some(robot));
             }
         }
-        // The other tiles are as before, but cells may have gone out of sight.
+        // All other tiles keep their fused cells, but some may no longer be in view.
         for id in self.in_sight.difference(&other).copied().collect::<Vec<_>>() {
             if let Some(&(tile, _)) = self.whole.get(&id) {
                 self.look(id, tile, &self.cameras.seen(id));
@@ -285,7 +285,7 @@ impl SharedMap {
         disagree
     }
 
-    /// When to call [`SharedMap::age`].
+    /// The deadline for the next call of [`SharedMap::age`].
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
         let waits = !(self.unweighed.is_empty()
             && self.ageing.is_empty()
@@ -295,7 +295,7 @@ impl SharedMap {
     }
 }
 
-/// The tile at an offset, in tiles.
+/// The tile at an offset in tiles.
 fn beside(id: TileId, east: i16, north: i16) -> Option<TileId> {
     Some(TileId { x: id.x.checked_add(east)?, y: id.y.checked_add(north)? })
 }

@@ -1,11 +1,11 @@
-//! What the server has for all robots, at one moment.
+//! The server's state that is common to all robots, at one time.
 
 use ubimap_protocol::tile::{Epoch, Layer};
 
 use super::surroundings::Surroundings;
 use crate::mapping::ServedLayer;
 
-/// The layers and the surroundings that sessions take their messages from.
+/// The layers and surroundings from which sessions fill their messages.
 #[derive(Clone, Copy)]
 pub(super) struct Snapshot<'s> {
     /// The epoch of the server's layers.

@@ -1,4 +1,4 @@
-//! The robots, people and things around, with their newest positions.
+//! The robots, people and things, with their newest positions.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::{
     timing::POSE_STALE,
 };
 
-/// Robots are told of peers and obstacles up to this distance, in metres.
+/// Maximum distance of the peers and obstacles sent to a robot, in metres.
 const NEAR_M: f64 = 8.0;
 
 /// Robots, people and things.
@@ -34,7 +34,7 @@ impl Surroundings {
         self.footprints.get(&robot).copied().unwrap_or_default()
     }
 
-    /// A robot was at this pose.
+    /// Adds a pose of a robot.
     pub(super) fn robot(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
         let known = self.robots.entry(robot).or_insert((moment, pose));
         if known.0 < moment {
@@ -42,21 +42,21 @@ impl Surroundings {
         }
     }
 
-    /// Takes the things that a frame shows, in cells of this side.
+    /// Adds the things in a frame, in cells of the given side length.
     pub(super) fn observe(&mut self, observation: &Observation, side: Millimetres) {
         let captured = observation.captured;
-        // A frame without cells says nothing about things.
+        // Things are only detected in frames with cells.
         if !observation.cells.is_empty() {
             self.tracks.observe(captured, &observation.things, side);
         }
     }
 
-    /// A person who has come to lie on the floor, once each time.
+    /// Returns each detected case of a person lying on the floor, once.
     pub(super) fn poll_lying(&mut self) -> Option<Lying> {
         self.tracks.poll_lying()
     }
 
-    /// Where the robots were about a moment.
+    /// The robots' newest poses, if recent at the given time.
     pub(super) fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
         let recent = self
             .robots
@@ -65,12 +65,12 @@ impl Surroundings {
         recent.map(|(&robot, &(_, pose))| (robot, pose))
     }
 
-    /// The newest moment of another robot's pose.
+    /// The newest time of another robot's pose.
     pub(super) fn peers_moment(&self, robot: RobotId) -> Option<Instant> {
         self.others(robot).map(|(_, moment, _)| moment).max()
     }
 
-    /// The other robots near one, nearest first.
+    /// The other robots near this one, nearest first.
     pub(super) fn peers(&self, robot: RobotId) -> Vec<Peer> {
         let newest = self.peers_moment(robot).unwrap_or_default();
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
@@ -85,7 +85,7 @@ impl Surroundings {
         nearest_first(peers)
     }
 
-    /// All robots ever heard of: when and where they were last, and what they take up.
+    /// All known robots: time and pose of their last report, and footprint.
     pub(super) fn robots(&self) -> impl Iterator<Item = (RobotId, Instant, Pose, Footprint)> {
         self.robots.iter().map(|(&id, &(moment, pose))| {
             (id, moment, pose, self.footprints.get(&id).copied().unwrap_or_default())
@@ -97,7 +97,7 @@ impl Surroundings {
         self.tracks.now().map(|track| obstacle(&track)).collect()
     }
 
-    /// The moment of the obstacles' positions.
+    /// The time of the obstacles' positions.
     pub(super) fn obstacles_moment(&self) -> Instant {
         self.tracks.moment()
     }

@@ -1,4 +1,4 @@
-//! What is not on disk yet.
+//! State that is not on disk yet.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -10,14 +10,14 @@ use ubimap_protocol::{
 use super::session::Session;
 use crate::mapping::{CureRecord, RobotLayer, TileRecord};
 
-/// Tiles and cures that wait to be written.
+/// Tiles and cures waiting to be written.
 #[derive(Debug)]
 pub(super) struct Unsaved {
-    /// Whether there is a disk.
+    /// Whether the server has a store.
     stores: bool,
     /// Tiles that have changed since they were last handed out.
     changed: BTreeSet<(RobotId, TileId, Epoch)>,
-    /// The progress of cures, until each is on disk; oldest first.
+    /// The progress of cures that is not on disk yet, oldest first.
     cures: VecDeque<CureRecord>,
 }
 
@@ -26,8 +26,8 @@ impl Unsaved {
         Self { stores, changed: BTreeSet::new(), cures: VecDeque::new() }
     }
 
-    /// A state of these tiles and epochs has come completely. The robot is told which it need not
-    /// keep.
+    /// Records that complete states of these tiles and epochs have arrived; notifies the robot of
+    /// those that are already on disk.
     pub(super) fn came(
         &mut self,
         session: &mut Session,
@@ -42,13 +42,13 @@ impl Unsaved {
         }
     }
 
-    /// The next tile to be written.
+    /// The next tile to write.
     pub(super) fn poll_tile(
         &mut self,
         layers: &BTreeMap<RobotId, RobotLayer>,
     ) -> Option<(RobotId, TileRecord)> {
         while let Some((robot, id, epoch)) = self.changed.pop_first() {
-            // A state that has arrived in part comes back when it is complete.
+            // A partly received state is queued again when it is complete.
             if let Some(record) = layers.get(&robot).and_then(|it| it.record(id, epoch)) {
                 return Some((robot, record));
             }
@@ -56,17 +56,17 @@ impl Unsaved {
         None
     }
 
-    /// A tile could not be written: it is handed out again.
+    /// Queues a tile again that could not be written.
     pub(super) fn tile_failed(&mut self, robot: RobotId, record: &TileRecord) {
         self.changed.insert((robot, record.id, record.stamp.epoch));
     }
 
-    /// A cure has progressed.
+    /// Queues the progress of a cure.
     pub(super) fn add_cure(&mut self, record: CureRecord) {
         self.cures.extend(self.stores.then_some(record));
     }
 
-    /// Whether the cure of a robot must wait, as its progress is not on disk.
+    /// Whether the robot's cure must wait until its progress is on disk.
     pub(super) fn holds_up(&self, robot: RobotId) -> bool {
         self.cures.iter().any(|record| record.robot == robot)
     }
@@ -76,7 +76,7 @@ impl Unsaved {
         self.cures.iter()
     }
 
-    /// The progress of a cure is on disk.
+    /// Removes the progress of a cure that is on disk.
     pub(super) fn cure_stored(&mut self, record: &CureRecord) {
         self.cures.retain(|it| it != record);
     }

@@ -1,54 +1,54 @@
-//! Why a file can't keep a map, and what to do about it.
+//! Why a store file can't be used, and what to do about it.
 
 use std::path::PathBuf;
 
 use rusqlite::ErrorCode;
 use ubimap_protocol::units::Millimetres;
 
-/// A file that can't keep the map.
+/// A store file that can't be used.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {trouble}", path = path.display())]
 pub struct StoreError {
-    /// The file.
+    /// The file's path.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The reason.
     pub trouble: Trouble,
 }
 
-/// What is wrong with a file.
+/// Why a store file can't be used.
 #[derive(Debug, thiserror::Error)]
 pub enum Trouble {
-    /// It is no database, or one of another program.
-    #[error("no file of ubimap's; name another one with --store, or a new one")]
+    /// It is not a database, or one of another program.
+    #[error("not a ubimap store; give another file, or a new one, with --store")]
     Foreign,
-    /// Another version of the program wrote it.
-    #[error("written by another version of ubimap (schema {0}, this one has {SCHEMA}); use that version, or name another file with --store", SCHEMA = super::SCHEMA)]
+    /// It was written by another version of the program.
+    #[error("written by another version of ubimap (schema {0}, this one has {SCHEMA}); use that version, or give another file with --store", SCHEMA = super::SCHEMA)]
     Schema(i32),
-    /// It holds a map of other cells.
-    #[error("holds a map with cells of {} m, and this run has {} m; choose the same cells, or name another file with --store", .kept.metres(), .asked.metres())]
+    /// Its map has another cell size.
+    #[error("holds a map with cells of {} m, but this run uses {} m; use the same cell size, or give another file with --store", .kept.metres(), .asked.metres())]
     Resolution {
-        /// The side of the cells in the file.
+        /// Side length of the cells in the file.
         kept: Millimetres,
-        /// The side that was asked for.
+        /// Side length of the cells in this run.
         asked: Millimetres,
     },
-    /// What it holds can't be.
-    #[error("damaged: {0}; restore a copy of it, or name a new file with --store")]
+    /// Its contents are inconsistent.
+    #[error("damaged: {0}; restore a backup, or give a new file with --store")]
     Damaged(&'static str),
-    /// It can't be opened.
-    #[error("can't be opened or made; see that its folder is there and may be written to")]
+    /// It can't be opened or created.
+    #[error("can't be opened or created; check that its folder exists and is writable")]
     CannotOpen,
-    /// It can't be written to.
-    #[error("can't be written to; see to its permissions, or name another file with --store")]
+    /// It is not writable.
+    #[error("not writable; check its permissions, or give another file with --store")]
     ReadOnly,
     /// Another process has it open.
-    #[error("in use by another process; end that one, or name another file with --store")]
+    #[error("in use by another process; stop that process, or give another file with --store")]
     InUse,
-    /// There is no room for what is new.
-    #[error("the disk is full; make room and start again: nothing that was acknowledged is lost")]
+    /// The disk is full.
+    #[error("the disk is full; free some space and restart: nothing that was acknowledged is lost")]
     Full,
-    /// Something else.
-    #[error("can't keep the map: {0}")]
+    /// Any other database error.
+    #[error("can't store the map: {0}")]
     Other(rusqlite::Error),
 }
 

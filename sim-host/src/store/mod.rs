@@ -1,9 +1,9 @@
-//! What the server must not lose, in one SQLite file: its epoch, its clock, all that robots have told,
-//! what cameras have seen, and which robots' constant errors are cured.
+//! The server's persistent state in one SQLite file: its epoch, its clock, the tiles of robots and
+//! cameras, and which robots' constant errors are corrected.
 //!
-//! The file has one row about the server, one for each epoch of each tile of a robot, one for each of
-//! those tiles with the times at which its cells were seen, one for each tile that cameras have seen,
-//! and one for each robot whose cure has begun. It belongs to one process at a time.
+//! Tables: `server` has one row; `tile` one per robot, tile and epoch; `seen` one per robot and
+//! tile, with the time each cell was last seen; `camera` one per tile seen by cameras; `cured` one
+//! per robot whose correction has begun. The file belongs to one process at a time.
 
 mod error;
 
@@ -20,13 +20,14 @@ pub use error::{StoreError, Trouble};
 
 use crate::mapping::{CameraTile, CureRecord, Cured, SeenTile, TileRecord};
 
-/// Tells a file of ours from those of other programs: "ubim".
+/// SQLite application id: "ubim".
 const APPLICATION_ID: i32 = 0x7562_696D;
-/// The version of the tables.
+/// Version of the tables.
 const SCHEMA: i32 = 3;
-/// A tile as it lies in the file: its low plane's rows and then its high plane's, little-endian.
+/// Bytes of a stored tile: the rows of its low plane, then those of its high plane, little-endian.
 const TILE_LEN: usize = 8 * TILE_SIDE;
 
+/// Tables of schema 1.
 const TABLES: &str = "
     CREATE TABLE server (
         id INTEGER PRIMARY KEY CHECK (id = 1),
@@ -48,7 +49,7 @@ const TABLES: &str = "
     ) STRICT, WITHOUT ROWID;
 ";
 
-/// What the second schema and the third have besides: an older file gets it when it is opened.
+/// Added by schema 2; older files are upgraded when opened.
 const TABLES_2: &str = "
     CREATE TABLE camera (
         x INTEGER, y INTEGER,
@@ -64,6 +65,7 @@ const TABLES_2: &str = "
         sensor_deg REAL NOT NULL
     ) STRICT;
 ";
+/// Added by schema 3; older files are upgraded when opened.
 const TABLES_3: &str = "ALTER TABLE cured ADD COLUMN is_over INTEGER NOT NULL DEFAULT 1";
 
 /// The open file.
@@ -76,19 +78,19 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens a file for a map of cells of this side; a file that is not there is made. Nothing is
-    /// read of the map yet.
+    /// Opens the file of a map with cells of the given side length; creates it if it does not
+    /// exist. Reads no tiles.
     ///
     /// # Errors
-    /// [`StoreError`]: it can't be opened or written to, is no file of ours, or another map's.
+    /// [`StoreError`]: the file can't be opened or written, or is not a store of such a map.
     pub fn open(path: &Path, resolution: Millimetres) -> Result<Self, StoreError> {
         let wrap = |trouble| StoreError { path: path.to_owned(), trouble };
         let (connection, epoch, clock) = open(path, resolution).map_err(wrap)?;
         Ok(Self { path: path.to_owned(), connection, epoch, clock })
     }
 
-    /// Begins a life of the server: a new epoch, of at least this number, which is on disk when
-    /// this returns. No robot may be welcomed before.
+    /// Starts a life of the server: allocates an epoch of at least `least`, which is on disk when
+    /// this returns. Call it before any robot is welcomed.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -102,12 +104,12 @@ impl Store {
         Ok(self.epoch)
     }
 
-    /// The newest moment of the server's clock that the file knows: the clock goes on from there.
+    /// The last stored time of the server's clock, which continues from there.
     pub fn clock(&self) -> Instant {
         self.clock
     }
 
-    /// All that robots have told, the epochs of each tile in their order.
+    /// Reads all robots' tiles; the epochs of each tile in ascending order.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -117,7 +119,7 @@ impl Store {
         self.select(select, record)
     }
 
-    /// All that cameras have seen, by tile.
+    /// Reads all camera tiles, ordered by tile.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -125,7 +127,7 @@ impl Store {
         self.select("SELECT x, y, cells, seconds, cameras FROM camera ORDER BY x, y", camera_tile)
     }
 
-    /// How far the cures of robots have come.
+    /// Reads the progress of the robots' cures.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -159,11 +161,11 @@ impl Store {
         all.map_err(|trouble| self.error(trouble))
     }
 
-    /// Keeps records, all or none: they are on disk, for good, when this returns. `now` is by the
-    /// server's clock.
+    /// Writes records in one transaction, which is durably on disk when this returns. `now` is by
+    /// the server's clock.
     ///
     /// # Errors
-    /// [`StoreError`]; the file is as it was.
+    /// [`StoreError`]; the file is unchanged.
     pub fn keep(
         &mut self,
         records: &[(RobotId, TileRecord)],
@@ -175,10 +177,10 @@ impl Store {
         Ok(())
     }
 
-    /// Keeps what cameras have seen of tiles, all or none, in the place of what is kept of them.
+    /// Replaces camera tiles in one transaction.
     ///
     /// # Errors
-    /// [`StoreError`]; the file is as it was.
+    /// [`StoreError`]; the file is unchanged.
     pub fn keep_camera_tiles(
         &mut self,
         tiles: &[CameraTile],
@@ -190,10 +192,10 @@ impl Store {
         Ok(())
     }
 
-    /// Keeps how far the cure of a robot has come, and deletes its tiles that are void.
+    /// Stores the progress of a robot's cure, and deletes its void tiles.
     ///
     /// # Errors
-    /// [`StoreError`]; the file is as it was.
+    /// [`StoreError`]; the file is unchanged.
     pub fn cure(&mut self, record: &CureRecord) -> Result<(), StoreError> {
         let CureRecord { robot, cured, first_epoch, is_over } = *record;
         self.write(|transaction| {
@@ -224,7 +226,7 @@ fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Inst
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE;
     let mut connection = Connection::open_with_flags(path, flags)?;
     connection.busy_timeout(std::time::Duration::ZERO)?;
-    // The file is ours alone; a commit is on disk, and not with the system only, when it returns.
+    // Exclusive access; a commit returns only after the data is on disk.
     connection.pragma_update(None, "locking_mode", "exclusive")?;
     connection.pragma_update(None, "synchronous", "full")?;
     let transaction = connection.transaction()?;
@@ -256,13 +258,14 @@ fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Inst
             Ok((Millimetres(row.get(0)?), Epoch(row.get(1)?), row.get(2)?))
         })
         .optional()?;
-    let (kept, epoch, clock): (_, _, i64) = server.ok_or(Trouble::Damaged("it has no server"))?;
+    let (kept, epoch, clock): (_, _, i64) =
+        server.ok_or(Trouble::Damaged("its server row is missing"))?;
     if kept != resolution {
         return Err(Trouble::Resolution { kept, asked: resolution });
     }
     let clock = u64::try_from(clock).map_err(|_| Trouble::Damaged("its clock is negative"))?;
     transaction.commit()?;
-    // Only now: a file of another program stays as it is.
+    // Last, so that files of other programs are not modified.
     connection.pragma_update(None, "journal_mode", "wal")?;
     Ok((connection, epoch, Instant(clock)))
 }
@@ -332,10 +335,10 @@ fn camera_tile(row: &Row<'_>) -> Result<CameraTile, Trouble> {
     })
 }
 
-/// A number for each cell of a tile.
+/// Reads a column with one number per cell of a tile.
 fn cells(row: &Row<'_>, column: usize) -> Result<[u32; TILE_CELLS as usize], Trouble> {
     let numbers = row.get_ref(column)?.as_blob().ok().and_then(words);
-    numbers.ok_or(Trouble::Damaged("the times of a tile, or its cameras, are not 4,096 bytes"))
+    numbers.ok_or(Trouble::Damaged("the times or cameras of a tile do not have 4,096 bytes"))
 }
 
 fn tile(row: &Row<'_>, column: usize) -> Result<Tile, Trouble> {
@@ -343,7 +346,7 @@ fn tile(row: &Row<'_>, column: usize) -> Result<Tile, Trouble> {
         let (low, high) = planes.split_at_checked(TILE_LEN / 2)?;
         Some(Tile { low: words(low)?, high: words(high)? })
     });
-    planes.ok_or(Trouble::Damaged("a tile is not 256 bytes"))
+    planes.ok_or(Trouble::Damaged("a tile does not have 256 bytes"))
 }
 
 fn tile_bytes(tile: &Tile) -> Vec<u8> {
@@ -354,7 +357,7 @@ fn bytes(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_le_bytes()).collect()
 }
 
-/// The inverse of [`bytes`], if there are so many words.
+/// The inverse of [`bytes`]; `None` unless there are `COUNT` words.
 fn words<const COUNT: usize>(bytes: &[u8]) -> Option<[u32; COUNT]> {
     let (words, rest) = bytes.as_chunks();
     let words: &[[u8; 4]; COUNT] = words.try_into().ok()?;

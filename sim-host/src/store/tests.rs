@@ -21,7 +21,7 @@ fn cure(taken_out: f64) -> CureRecord {
     CureRecord { robot: RobotId(7), cured, first_epoch: Epoch(5), is_over: true }
 }
 
-/// What was wrong, in words.
+/// The error's text.
 fn refused(path: &Path, resolution: Millimetres) -> String {
     let error = Store::open(path, resolution).unwrap_err();
     assert_eq!(error.path, path);
@@ -29,7 +29,7 @@ fn refused(path: &Path, resolution: Millimetres) -> String {
 }
 
 #[test]
-fn what_was_kept_is_there_in_the_next_life() {
+fn stored_tiles_are_read_in_the_next_life() {
     let folder = Folder::new("store");
     let path = folder.path().join("map.db");
     let mut store = Store::open(&path, CELLS).unwrap();
@@ -38,13 +38,13 @@ fn what_was_kept_is_there_in_the_next_life() {
     let [west, east] = [RobotId(1), RobotId(u16::MAX)];
     let edge = i16::MIN;
     store.keep(&[(east, record(edge, u32::MAX, 1)), (west, record(4, 2, 8))], Instant(5)).unwrap();
-    // The newer version of an epoch replaces the older one; another epoch stands beside it, and the
-    // newest seconds hold for the tile.
+    // A newer version replaces the older one of its epoch; another epoch gets its own row, and the
+    // newest times apply to the tile.
     store.keep(&[(west, record(4, 2, 9)), (west, record(4, 1, 3))], Instant(3)).unwrap();
     drop(store);
 
     let mut store = Store::open(&path, CELLS).unwrap();
-    assert_eq!(store.clock(), Instant(5), "it does not step back");
+    assert_eq!(store.clock(), Instant(5), "the clock is monotonic");
     let seconds = record(4, 1, 3).seconds;
     let newer = TileRecord { seconds, ..record(4, 2, 9) };
     let all = [(west, record(4, 1, 3)), (west, newer), (east, record(edge, u32::MAX, 1))];
@@ -59,7 +59,7 @@ fn seen(x: i16, seed: u32) -> CameraTile {
 }
 
 #[test]
-fn what_cameras_have_seen_and_who_is_cured_is_there_as_well() {
+fn camera_tiles_and_cures_are_read_in_the_next_life() {
     let folder = Folder::new("store-cameras");
     let path = folder.path().join("map.db");
     let mut store = Store::open(&path, CELLS).unwrap();
@@ -81,7 +81,7 @@ fn what_cameras_have_seen_and_who_is_cured_is_there_as_well() {
 }
 
 #[test]
-fn files_of_earlier_schemas_are_carried_over() {
+fn files_of_earlier_schemas_are_upgraded() {
     let folder = Folder::new("store-first");
     let path = folder.path().join("map.db");
     let mut store = Store::open(&path, CELLS).unwrap();
@@ -102,7 +102,7 @@ fn files_of_earlier_schemas_are_carried_over() {
 }
 
 #[test]
-fn a_file_has_one_owner() {
+fn a_file_is_open_in_one_process_at_a_time() {
     let folder = Folder::new("store-owner");
     let path = folder.path().join("map.db");
     let mut store = Store::open(&path, CELLS).unwrap();
@@ -111,24 +111,24 @@ fn a_file_has_one_owner() {
 }
 
 #[test]
-fn what_is_no_map_of_ours_is_refused_and_left_as_it_is() {
+fn files_of_other_programs_and_maps_are_refused_unchanged() {
     let folder = Folder::new("store-foreign");
     let text =
-        folder.file("notes.txt", "no database, but long enough for one. ".repeat(40).as_bytes());
-    assert!(refused(&text, CELLS).contains("no file of ubimap's"));
+        folder.file("notes.txt", "not a database, but long enough for one. ".repeat(40).as_bytes());
+    assert!(refused(&text, CELLS).contains("not a ubimap store"));
 
     let foreign = folder.path().join("foreign.db");
     let connection = Connection::open(&foreign).unwrap();
     connection.execute_batch("CREATE TABLE t (a)").unwrap();
     drop(connection);
     let before = std::fs::read(&foreign).unwrap();
-    assert!(refused(&foreign, CELLS).contains("no file of ubimap's"));
+    assert!(refused(&foreign, CELLS).contains("not a ubimap store"));
     assert_eq!(std::fs::read(&foreign).unwrap(), before);
 
     let path = folder.path().join("map.db");
     drop(Store::open(&path, CELLS).unwrap());
     let cells = refused(&path, Millimetres(100));
-    assert!(cells.contains("cells of 0.05 m, and this run has 0.1 m"), "{cells}");
+    assert!(cells.contains("cells of 0.05 m, but this run uses 0.1 m"), "{cells}");
     Connection::open(&path).unwrap().pragma_update(None, "user_version", 4).unwrap();
     assert!(refused(&path, CELLS).contains("schema 4, this one has 3"));
 
@@ -137,7 +137,7 @@ fn what_is_no_map_of_ours_is_refused_and_left_as_it_is() {
 }
 
 #[test]
-fn damage_is_told() {
+fn damage_is_reported() {
     let folder = Folder::new("store-damage");
     let path = folder.path().join("map.db");
     let spoilt = |statement: &str| {
@@ -151,7 +151,11 @@ fn damage_is_told() {
         match Store::open(&path, CELLS) {
             Ok(store) => {
                 let all = [store.records().err(), store.camera_tiles().err(), store.cured().err()];
-                all.into_iter().flatten().next().expect("something is damaged").to_string()
+                all.into_iter()
+                    .flatten()
+                    .next()
+                    .expect("an error of one of the readers")
+                    .to_string()
             }
             Err(error) => error.to_string(),
         }
@@ -175,7 +179,7 @@ fn damage_is_told() {
     let told = spoilt("DROP TABLE server");
     assert!(told.contains("no such table"), "{told}");
 
-    // The middle of the file is overwritten.
+    // Overwrite the middle of the file.
     let mut store = Store::open(&folder.path().join("torn.db"), CELLS).unwrap();
     let many: Vec<_> = (0..40).map(|x| (RobotId(1), record(x, 1, 1))).collect();
     store.keep(&many, Instant(0)).unwrap();
@@ -188,9 +192,9 @@ fn damage_is_told() {
     assert!(refused(&torn, CELLS).contains("damaged"));
 }
 
-/// A bound on the file's pages is to SQLite what a full disk is.
+/// SQLite reports a limit on the file's pages as a full disk.
 #[test]
-fn a_full_disk_costs_nothing_that_was_kept() {
+fn a_full_disk_loses_nothing_that_was_stored() {
     let folder = Folder::new("store-full");
     let path = folder.path().join("map.db");
     let mut store = Store::open(&path, CELLS).unwrap();

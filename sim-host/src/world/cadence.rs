@@ -1,13 +1,13 @@
-//! What happens at a rate.
+//! Events that occur at a fixed rate.
 
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::scenario::CameraConfig;
 
-/// The step in which everything moves; frames and scans are taken at its multiples.
+/// Time step of the simulation; frames and scans are taken at its multiples.
 pub const STEP: Duration = Duration::from_millis(10);
 
-/// Something that happens at a rate, in steps of the world.
+/// An event that recurs at a rate, aligned to the steps of the simulation.
 pub(super) struct Cadence {
     rate: f64,
     count: u64,
@@ -18,14 +18,14 @@ impl Cadence {
         Self { rate, count: 0 }
     }
 
-    /// The step at or after the exact moment: a rate is kept on average.
+    /// The first step at or after the exact time, so that the rate is kept on average.
     pub(super) fn due(&self) -> Instant {
         let steps = self.count as f64 / self.rate * 1e6 / STEP.micros() as f64;
-        // Ten hertz are exactly ten steps, whatever the division says.
+        // Tolerates rounding of the division: 10 Hz is exactly ten steps.
         Instant::from_micros((steps - 1e-6).ceil().max(0.0) as u64 * STEP.micros())
     }
 
-    /// Whether it happens now; if so, it is due again later.
+    /// Whether the event occurs now; if so, advances to the next one.
     pub(super) fn is_due(&mut self, now: Instant) -> bool {
         let is_due = self.due() <= now;
         self.count += u64::from(is_due);
@@ -33,7 +33,7 @@ impl Cadence {
     }
 }
 
-/// When a camera takes frames, and their minimum latency.
+/// The capture times of a camera's frames, and their minimum latency.
 pub(super) struct FrameSchedule {
     frames: Cadence,
     latency: Duration,
@@ -50,12 +50,12 @@ impl FrameSchedule {
         }
     }
 
-    /// Whether a frame is taken now; if so, the next is due later.
+    /// Whether a frame is captured now; if so, advances to the next one.
     pub(super) fn is_due(&mut self, now: Instant) -> bool {
         self.frames.is_due(now)
     }
 
-    /// Whether nothing comes from the camera any more.
+    /// Whether the camera has failed, so that no more frames arrive.
     pub(super) fn has_failed(&self, now: Instant) -> bool {
         self.fails.is_some_and(|moment| moment <= now)
     }
@@ -64,7 +64,7 @@ impl FrameSchedule {
         self.latency
     }
 
-    /// When the next frame that is not taken yet arrives at the earliest, if there will be one.
+    /// The earliest arrival of the next frame to be captured; `None` if there will be none.
     pub(super) fn next_arrival(&self) -> Option<Instant> {
         let due = self.frames.due();
         (!self.has_failed(due)).then_some(due + self.latency)

@@ -1,4 +1,4 @@
-//! What is changed in the room as time goes on: furniture is moved, doors open and shut.
+//! Changes of the room during a run: furniture is moved, doors open and close.
 
 use parry2d_f64::glamx::DVec2;
 use ubimap_protocol::time::Instant;
@@ -10,16 +10,16 @@ use super::{
     shapes::Prism,
 };
 
-/// Nothing is put nearer to anybody than this, in metres.
+/// Minimum distance in metres between a placed object and a person or robot.
 const APART: f64 = 0.02;
 
-/// The room's parts that can change, and when they do.
+/// The changeable parts of the room and the schedule of their changes.
 pub(super) struct Changes {
-    /// As everything is now.
+    /// The scenario after the changes already made.
     scenario: Scenario,
     walls: Option<WallGrid>,
     are_open: Vec<bool>,
-    /// In the order of time.
+    /// Pending changes in order of time.
     due: Vec<(Instant, Change)>,
 }
 
@@ -30,7 +30,7 @@ enum Change {
 }
 
 impl Change {
-    /// What it changes: nothing else of the same kind has this number.
+    /// Identifies the object that changes: the kind and its number.
     fn subject(&self) -> (bool, usize) {
         match *self {
             Self::Move { furniture, .. } => (true, furniture),
@@ -62,12 +62,12 @@ impl Changes {
         }
     }
 
-    /// The room as it is now.
+    /// The room in its present state.
     pub(super) fn room(&self) -> Result<Room, ScenarioError> {
         Room::new(&self.scenario, self.walls.as_ref(), &self.are_open)
     }
 
-    /// The room as it is now and after each move of furniture to come, all doors open.
+    /// The present room, and the room after each future move of furniture; all doors are open.
     pub(super) fn rooms(&self) -> impl Iterator<Item = Result<Room, ScenarioError>> + '_ {
         let mut scenario = self.scenario.clone();
         let moves = self.due.iter().filter(|(_, change)| matches!(change, Change::Move { .. }));
@@ -80,7 +80,7 @@ impl Changes {
         })
     }
 
-    /// Does what is due and in nobody's way; gives the new room if anything has changed.
+    /// Makes the changes that are due and not obstructed. Returns the new room if anything has changed.
     pub(super) fn make(&mut self, now: Instant, bodies: &[Body]) -> Option<Room> {
         let mut waiting = Vec::new();
         let mut is_changed = false;
@@ -103,7 +103,7 @@ impl Changes {
         is_changed.then(|| self.room().ok()).flatten()
     }
 
-    /// What nobody walks or drives into: the shut doors.
+    /// Obstacles for people and robots: the closed doors.
     pub(super) fn barriers(&self) -> impl Iterator<Item = Body> + '_ {
         let doors = self.scenario.doors.iter().zip(&self.are_open);
         doors.filter(|&(_, is_open)| !is_open).map(|(door, _)| {
@@ -112,7 +112,7 @@ impl Changes {
         })
     }
 
-    /// Where the parts of what is changed will be.
+    /// The prisms of the changed object in its new place.
     fn prisms_after(&self, change: &Change) -> Vec<Prism> {
         match *change {
             Change::Move { furniture: index, ref to } => {
@@ -135,12 +135,12 @@ fn move_footprint(footprint: &mut FootprintConfig, to: &MoveConfig) {
             (*centre_m, *heading_deg) = (to.centre_m, to.heading_deg);
         }
         FootprintConfig::Disc { centre_m, .. } => *centre_m = to.centre_m,
-        // Refused when the scenario was read.
+        // Refused when the scenario is read.
         FootprintConfig::Polygon { .. } => {}
     }
 }
 
-/// Whether somebody is where a prism would be.
+/// Whether a prism would be too close to a person or robot.
 fn is_met(prism: &Prism, bodies: &[Body]) -> bool {
     bodies.iter().any(|body| {
         let apart = |at: DVec2| prism.footprint.nearest(at).distance(at);

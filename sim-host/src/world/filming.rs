@@ -1,8 +1,8 @@
-//! When cameras take frames, and when these arrive: late, out of order, or not at all.
+//! Captures the frames of simulated cameras; they may arrive late, out of order, or not at all.
 //!
-//! A frame is drawn only when it is asked for: what is kept before is the scene that all cameras
-//! of one moment share. Each frame has dice of its own, so that the frames of several cameras can
-//! be drawn at once, by any number of threads.
+//! A frame is rendered only when it is polled. Until then it holds the scene, which all cameras share
+//! at one time, and a seed of its own for the noise, so that the frames of several cameras can be rendered
+//! in parallel with the same result.
 
 use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread};
 
@@ -18,33 +18,33 @@ use super::{
 };
 use crate::camera::{Calibration, CalibrationError, Frame};
 
-/// All cameras, and their frames under way.
+/// All cameras and their frames in flight.
 pub(super) struct Filming {
     calibrations: Vec<Calibration>,
     shutters: Vec<Shutter>,
-    /// By arrival, then capture, then camera.
+    /// Ordered by arrival, then capture, then camera.
     under_way: BTreeMap<(Instant, Instant, usize), Shot>,
     threads: usize,
 }
 
-/// When one camera takes frames.
+/// A camera and its capture times.
 struct Shutter {
     camera: FrameCamera,
     times: FrameSchedule,
-    /// The mean of what is added to the latency, in microseconds.
+    /// Mean additional latency in microseconds.
     jitter: f64,
     lost: f64,
     dice: ChaCha8Rng,
 }
 
-/// A frame under way.
+/// A frame in flight.
 enum Shot {
-    /// What is to be drawn, and the seed of its noise.
+    /// Not rendered yet: the scene and the seed of the noise.
     Taken(Arc<Scene>, u64),
     Drawn(Option<Frame>),
 }
 
-/// A frame that is being drawn.
+/// A frame to be rendered.
 struct Job<'c> {
     key: (Instant, Instant, usize),
     camera: &'c mut FrameCamera,
@@ -53,7 +53,7 @@ struct Job<'c> {
 }
 
 impl Filming {
-    /// Cameras whose pictures are grey or in colour; `dice` gives each its own.
+    /// Cameras with grey or colour pictures; `dice` gives the random numbers of each.
     pub(super) fn new(
         configs: &[CameraConfig],
         in_colour: bool,
@@ -81,12 +81,12 @@ impl Filming {
         })
     }
 
-    /// The cameras.
+    /// The calibrations of the cameras.
     pub(super) fn calibrations(&self) -> &[Calibration] {
         &self.calibrations
     }
 
-    /// Takes the frames that are due now of what there is now.
+    /// Captures the frames that are due now.
     pub(super) fn take(&mut self, now: Instant, scene: impl FnOnce() -> Scene) {
         let mut scene = Some(scene);
         let mut taken: Option<Arc<Scene>> = None;
@@ -94,7 +94,7 @@ impl Filming {
             if !shutter.times.is_due(now) {
                 continue;
             }
-            // The same throws whether the frame is lost or not.
+            // Draw the same random numbers whether the frame is lost or not.
             let (late, fate): (f64, f64) =
                 (Exp1.sample(&mut shutter.dice), shutter.dice.random_range(0.0..1.0));
             let seed = shutter.dice.random();
@@ -128,14 +128,14 @@ impl Filming {
         }
     }
 
-    /// When the next frame will arrive at the earliest.
+    /// The earliest arrival of the next frame.
     pub(super) fn next_arrival(&self) -> Option<Instant> {
         let under_way = self.under_way.keys().map(|&(arrival, ..)| arrival).next();
         let coming = self.shutters.iter().filter_map(|shutter| shutter.times.next_arrival());
         under_way.into_iter().chain(coming).min()
     }
 
-    /// Draws the next frame of each camera, as far as frames are under way.
+    /// Renders the next frame in flight of each camera.
     fn draw(&mut self) {
         let mut jobs: Vec<Job<'_>> = Vec::new();
         for (index, shutter) in self.shutters.iter_mut().enumerate() {

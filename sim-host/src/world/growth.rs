@@ -1,8 +1,7 @@
-//! A scenario grown from a map: cameras, robots and people put where there is room for them.
+//! Generates a scenario from a map: places cameras, robots and people on its free floor.
 //!
-//! Everything stands at points as far from each other as the map allows, on the largest piece of
-//! floor that a robot can reach. Robots and people go to the point of the next one and back, round
-//! corners.
+//! They are placed as far apart as the map allows, on the largest connected piece of reachable floor.
+//! Each robot or person drives or walks to the place of the next one and back.
 
 use std::collections::VecDeque;
 
@@ -11,15 +10,15 @@ use super::{
     scenario::{CameraConfig, PersonConfig, RobotConfig, Scenario, ScenarioError, StartConfig},
 };
 
-/// Nobody is put, or sent, nearer to a wall than this, in metres.
+/// Minimum distance of a place or path from walls, in metres.
 const CLEARANCE: f64 = 0.35;
 
-/// From the ceiling to a camera, in metres.
+/// Distance of a camera from the ceiling, in metres.
 const BELOW_CEILING: f64 = 0.15;
 
 impl Scenario {
-    /// Puts what [`Scenario::grow`] asks for into a map; does nothing if it asks for nothing.
-    /// `free` says which cells of the map are known to be free.
+    /// Places what [`Scenario::grow`] asks for in a map; does nothing without it. `free` marks the cells
+    /// of the map that are known to be free.
     pub fn grow_in(&mut self, grid: &WallGrid, free: &[bool]) -> Result<(), ScenarioError> {
         let Some(grow) = self.grow.take() else { return Ok(()) };
         let floor = Floor::of(grid, free);
@@ -27,7 +26,7 @@ impl Scenario {
         let places = floor.far_apart(movers.max(usize::from(grow.cameras)));
         if places.len() < movers.max(usize::from(grow.cameras)) {
             let problem =
-                format!("has free floor for {} of them only; ask for fewer", places.len());
+                format!("has free floor for only {} of them; ask for fewer", places.len());
             return Err(self.invalid("grow", problem));
         }
         for &place in &places[..grow.cameras.into()] {
@@ -38,7 +37,7 @@ impl Scenario {
         for (index, &place) in places[..movers].iter().enumerate() {
             let there = places[(index + 1) % movers];
             let mut way = floor.way(place, there);
-            // To and fro; the start itself is the last stop of any route.
+            // There and back; the start itself is the last stop of any route.
             way.extend(way.clone().into_iter().rev().skip(1));
             let stops: Vec<[f64; 2]> = way.into_iter().map(|cell| floor.metres(cell)).collect();
             let [x_m, y_m] = floor.metres(place);
@@ -54,7 +53,7 @@ impl Scenario {
     }
 }
 
-/// The cells of a map where there is room to stand, all of one piece.
+/// The connected cells of a map with enough clearance.
 struct Floor<'g> {
     grid: &'g WallGrid,
     is_clear: Vec<bool>,
@@ -65,7 +64,7 @@ impl<'g> Floor<'g> {
         let reach = (CLEARANCE / grid.resolution_m).ceil() as usize;
         let is_free =
             |index: usize| free.get(index).copied().unwrap_or_default() && !grid.occupied[index];
-        // Clear along the row, then along the column: clear in a square.
+        // A square is clear if its rows are: check along the row, then along the column.
         let along_rows: Vec<bool> = (0..grid.width * grid.height)
             .map(|index| {
                 let (column, row) = (index % grid.width, index / grid.width);
@@ -84,7 +83,7 @@ impl<'g> Floor<'g> {
             })
             .collect();
         let mut floor = Self { grid, is_clear };
-        // The largest piece.
+        // Find the largest connected piece.
         let mut left = floor.is_clear.clone();
         let mut largest = Vec::new();
         for index in 0..left.len() {
@@ -103,8 +102,8 @@ impl<'g> Floor<'g> {
         floor
     }
 
-    /// For each cell how many steps it is from the nearest of these; the greatest number where
-    /// no way leads.
+    /// The number of steps from each cell to the nearest of the cells `from`; `u32::MAX` for unreachable
+    /// cells.
     fn steps(&self, from: impl IntoIterator<Item = usize>) -> Vec<u32> {
         let mut steps = vec![u32::MAX; self.is_clear.len()];
         let mut queue: VecDeque<usize> = from.into_iter().collect();
@@ -120,14 +119,14 @@ impl<'g> Floor<'g> {
         steps
     }
 
-    /// The clear cells beside a cell; a clear cell is never at the map's edge.
+    /// The clear neighbours of a cell; a clear cell is never at the map's edge.
     fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> + '_ {
         let width = self.grid.width;
         let beside = [cell + 1, cell + width, cell.wrapping_sub(1), cell.wrapping_sub(width)];
         beside.into_iter().filter(|&cell| self.is_clear.get(cell) == Some(&true))
     }
 
-    /// So many places, each as far as can be from those before.
+    /// `count` places, each as far as possible from the previous ones; fewer if there is no room.
     fn far_apart(&self, count: usize) -> Vec<usize> {
         let first = self.is_clear.iter().position(|&is_clear| is_clear);
         let mut places: Vec<usize> = Vec::new();
@@ -138,7 +137,7 @@ impl<'g> Floor<'g> {
         while places.len() < count {
             let reached = (0..steps.len()).filter(|&cell| steps[cell] != u32::MAX);
             match reached.max_by_key(|&cell| (steps[cell], std::cmp::Reverse(cell))) {
-                // One metre between neighbours at least.
+                // Places are at least one metre apart.
                 Some(cell) if f64::from(steps[cell]) * self.grid.resolution_m >= 1.0 => {
                     places.push(cell);
                 }
@@ -149,7 +148,7 @@ impl<'g> Floor<'g> {
         places
     }
 
-    /// The corners of a short way, without the first cell.
+    /// The corners of a short path, without the first cell.
     fn way(&self, from: usize, to: usize) -> Vec<usize> {
         let steps = self.steps([to]);
         let mut cells = vec![from];
@@ -161,7 +160,7 @@ impl<'g> Floor<'g> {
             cells.push(next);
             cell = next;
         }
-        // From each corner straight on to the last cell that can be reached so.
+        // From each corner, go straight to the last cell in sight.
         let mut corners = Vec::new();
         let mut here = 0;
         while here + 1 < cells.len() {
@@ -189,7 +188,7 @@ impl<'g> Floor<'g> {
         })
     }
 
-    /// The middle of a cell, in `map`.
+    /// The centre of a cell in `map`, in metres.
     fn metres(&self, cell: usize) -> [f64; 2] {
         let at = |first: f64, index: usize| first + (index as f64 + 0.5) * self.grid.resolution_m;
         let [x, y] = self.grid.origin_m;

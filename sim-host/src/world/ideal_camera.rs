@@ -1,7 +1,7 @@
-//! Ideal cameras: a cell in view is seen, a robot in view is localised.
+//! Ideal cameras: they see every cell and localise every robot in view.
 //!
-//! What the room hides from a camera never changes and is found once. In each frame only people
-//! and robots are looked at again: where they stand and what their shadows hide.
+//! Occlusion by the room is computed once per room. Each frame considers only people and robots: their
+//! cells and their shadows.
 
 use libm::tan;
 use parry2d_f64::{
@@ -24,20 +24,20 @@ use super::{
 };
 use crate::camera::Sighting;
 
-/// A body whose top is not this far below a camera has an endless shadow, in metres.
+/// Minimum height of a camera above a body in metres; below it, the body's shadow is unbounded.
 const HEADROOM: f64 = 0.05;
 
-/// A cell in view, and the point of it that is in sight.
+/// A cell in view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct VisibleCell {
     pub(super) cell: (i32, i32),
     /// Free or occupied.
     pub(super) state: Cell,
-    /// The point of the cell that is in sight.
+    /// A visible point of the cell.
     pub(super) target: DVec3,
 }
 
-/// A robot as cameras may see it.
+/// A robot as seen by ideal cameras.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct VisibleRobot {
     pub(super) id: RobotId,
@@ -58,7 +58,7 @@ pub(super) struct IdealFrame {
     pub(super) cells: Vec<((i32, i32), Cell)>,
 }
 
-/// A camera that sees without noise.
+/// An ideal camera; only the poses of robots are noisy.
 pub(super) struct IdealCamera {
     field: FieldOfView,
     position_noise: f64,
@@ -67,9 +67,9 @@ pub(super) struct IdealCamera {
     cells: CellGrid,
     robot_height: f64,
     has_depth: bool,
-    /// The cells in view without people and robots; none without a depth sensor.
+    /// The cells visible without people and robots; empty without a depth sensor.
     visible: Vec<VisibleCell>,
-    /// For each cell its index in `visible` plus one; zero for cells out of view.
+    /// For each cell its index in `visible` plus one; zero for invisible cells.
     visible_at: Vec<u32>,
 }
 
@@ -96,7 +96,7 @@ impl IdealCamera {
         camera
     }
 
-    /// Finds the visible cells anew after the room has changed.
+    /// Recomputes the visible cells after the room has changed.
     pub(super) fn look_again(&mut self, room: &Room) {
         if !self.has_depth {
             return;
@@ -110,7 +110,7 @@ impl IdealCamera {
         }
     }
 
-    /// The cells in view without people and robots.
+    /// The cells visible without people and robots.
     pub(super) fn visible(&self) -> &[VisibleCell] {
         &self.visible
     }
@@ -120,7 +120,7 @@ impl IdealCamera {
         self.field.position
     }
 
-    /// Takes a frame; the cells only if `with_cells`.
+    /// Takes a frame; with cells only if `with_cells`.
     pub(super) fn frame(
         &mut self,
         room: &Room,
@@ -134,7 +134,7 @@ impl IdealCamera {
         let mut localised = Vec::new();
         let mut frame = IdealFrame::default();
         for (index, robot) in robots.iter().enumerate() {
-            // The same throws whether it is in view or not.
+            // Draw the same random numbers whether the robot is in view or not.
             let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
             let (x, y, turn) = (noise(), noise(), noise());
             let top = robot.body.centre.extend(robot.body.height);
@@ -157,7 +157,7 @@ impl IdealCamera {
         frame
     }
 
-    /// Free, occupied and movable cells; `bodies` are the robots first, then people.
+    /// Free, occupied and movable cells. `bodies` holds the robots first, then the people.
     fn cells_in_view(
         &self,
         room: &Room,
@@ -186,7 +186,7 @@ impl IdealCamera {
                     && room.sees(self.field.position, top)
                     && !is_hidden(prisms, Some(number), self.field.position, top);
                 if let Some(index) = self.visible_index(cell) {
-                    // What stands there hides the floor beneath it, seen or not.
+                    // The person hides the floor beneath, whether visible or not.
                     hidden[index] = true;
                 }
                 if is_seen {
@@ -205,14 +205,14 @@ impl IdealCamera {
         (number as usize).checked_sub(1)
     }
 
-    /// The cells that a body may hide: those about its foot and its shadow on the floor.
+    /// The cells that a body may hide: around its base and in its shadow on the floor.
     fn shadow(&self, body: &Body) -> impl Iterator<Item = (i32, i32)> + use<> {
         let eye = self.field.position;
         let reach = DVec2::splat(body.radius);
         let foot = Aabb::new(body.centre - reach, body.centre + reach);
         let below = eye.z - body.height;
         let rectangle = if below < HEADROOM {
-            // At or above the camera: the shadow ends only where the camera's range does.
+            // At or above the camera: the shadow extends to the camera's range.
             let range = DVec2::splat(self.field.range);
             Aabb::new(eye.truncate() - range, eye.truncate() + range)
         } else {
@@ -225,13 +225,13 @@ impl IdealCamera {
     }
 }
 
-/// A camera's position and the pyramid that its picture covers.
+/// A camera's position and its viewing pyramid.
 struct FieldOfView {
     position: DVec3,
     forward: DVec3,
     right: DVec3,
     up: DVec3,
-    /// Tangents of half the field of view: to the right, and up.
+    /// Tangents of half the horizontal and half the vertical field of view.
     half: (f64, f64),
     range: f64,
 }
@@ -250,7 +250,7 @@ impl FieldOfView {
         }
     }
 
-    /// Whether a point is in the picture, if nothing hides it.
+    /// Whether a point is in the field of view, ignoring occlusion.
     fn covers(&self, point: DVec3) -> bool {
         let way = point - self.position;
         let depth = way.dot(self.forward);
@@ -261,7 +261,7 @@ impl FieldOfView {
     }
 }
 
-/// Whether a body other than `but` stands between two points.
+/// Whether a body other than `but` occludes `to` from `from`.
 fn is_hidden(prisms: &[Prism], but: Option<usize>, from: DVec3, to: DVec3) -> bool {
     prisms
         .iter()
@@ -269,7 +269,7 @@ fn is_hidden(prisms: &[Prism], but: Option<usize>, from: DVec3, to: DVec3) -> bo
         .any(|(index, prism)| Some(index) != but && prism.first_hit(from, to - from, 1.0).is_some())
 }
 
-/// The cells of the room that a camera sees when nobody is there.
+/// The cells that a camera sees without people and robots.
 fn visible(
     field: &FieldOfView,
     room: &Room,
@@ -297,7 +297,7 @@ fn visible(
     visible
 }
 
-/// The point of what stands in a cell that a camera sees, if it sees any: on top, or on a side.
+/// A visible point of what stands in a cell, on top or on a side; `None` if there is none.
 fn seen_part(
     field: &FieldOfView,
     room: &Room,
@@ -314,13 +314,13 @@ fn seen_part(
             if height >= field.position.z || !square.contains_local_point(aim) {
                 return None;
             }
-            // A little beyond the aim, which may lie on the very edge.
+            // Slightly beyond the aim, which may lie exactly on the edge.
             let way = aim.extend(height) - field.position;
             let (hit, at) = room.first_hit(field.position, way, 1.0 + 1e-6)?;
             let point = field.position + way * at;
             let is_here = cells.cell_at(point.truncate()) == cell;
             let stands = room.prisms()[hit].reaches(0.0, robot_height);
-            // A hair before what is seen, so that it does not hide itself.
+            // Slightly in front of the surface, so that it does not occlude itself.
             let target = field.position + way * (at - 1e-6);
             (is_here && stands && field.covers(target)).then_some(target)
         })

@@ -1,4 +1,4 @@
-//! When the ideal cameras take frames, and the observations that are still on their way.
+//! Schedules the frames of ideal cameras, and holds the observations in flight.
 
 use std::collections::BTreeMap;
 
@@ -22,11 +22,11 @@ use crate::{
 /// All ideal cameras of a scenario.
 pub(super) struct IdealCameras {
     cameras: Vec<Scheduled>,
-    /// By arrival, then capture, then camera.
+    /// Ordered by arrival, then capture, then camera.
     in_flight: BTreeMap<(Instant, Instant, usize), Observation>,
 }
 
-/// One camera with its frame times, and the rate of frames that report cells.
+/// A camera with its frame times, and the cadence of frames that report cells.
 struct Scheduled {
     camera: IdealCamera,
     frames: FrameSchedule,
@@ -51,12 +51,12 @@ impl IdealCameras {
         Self { cameras, in_flight: BTreeMap::new() }
     }
 
-    /// Finds the visible cells anew after the room has changed.
+    /// Recomputes the visible cells after the room has changed.
     pub(super) fn look_again(&mut self, room: &Room) {
         self.cameras.iter_mut().for_each(|scheduled| scheduled.camera.look_again(room));
     }
 
-    /// The cells that a camera sees when nobody is there.
+    /// The cells that a camera sees without people and robots.
     pub(super) fn visible(&self, camera: usize) -> impl Iterator<Item = (i32, i32)> {
         let cells = self.cameras.get(camera).map_or(&[][..], |it| it.camera.visible());
         cells.iter().map(|it| it.cell)
@@ -77,7 +77,7 @@ impl IdealCameras {
             let with_cells = scheduled.cells.is_due(now);
             let robots: Vec<VisibleRobot> = robots.iter().map(VisibleRobot::of).collect();
             let people: Vec<Body> = people.iter().map(Person::body).collect();
-            // A camera that has failed draws its random numbers all the same.
+            // A failed camera still draws its random numbers.
             let frame = scheduled.camera.frame(room, &robots, &people, with_cells);
             if !scheduled.frames.has_failed(now) {
                 let arrival = now + scheduled.frames.latency();
@@ -92,7 +92,7 @@ impl IdealCameras {
         (first.key().0 <= now).then(|| first.remove())
     }
 
-    /// When the next observation arrives at the earliest.
+    /// The earliest arrival of the next observation.
     pub(super) fn next_arrival(&self) -> Option<Instant> {
         let in_flight = self.in_flight.keys().map(|&(arrival, ..)| arrival).next();
         let coming = self.cameras.iter().filter_map(|it| it.frames.next_arrival());
@@ -105,7 +105,7 @@ impl IdealCameras {
     }
 }
 
-/// Each cluster of movable cells is a thing of unknown height.
+/// Makes an observation of a frame: each cluster of movable cells is a thing of unknown height.
 fn observation(camera: usize, captured: Instant, frame: IdealFrame) -> Observation {
     let IdealFrame { robots, cells } = frame;
     let movable = cells.iter().filter(|(_, code)| *code == Cell::Movable);

@@ -1,4 +1,4 @@
-//! What a robot wears on its top, so that cameras know it and see where it faces.
+//! The marker on top of a robot, by which cameras identify it and see its heading.
 
 use libm::{cos, sin};
 
@@ -7,7 +7,7 @@ use super::{
     tag,
 };
 
-/// How much of red, green and blue light a surface throws back, from 0 to 1.
+/// Reflectance of a surface in red, green and blue, from 0 to 1.
 pub(super) type Colour = [f32; 3];
 
 const WHITE: Colour = [0.85; 3];
@@ -23,13 +23,13 @@ const HUES: [Colour; 6] = [
     [0.75, 0.08, 0.7],
 ];
 
-/// A marker in the middle of a robot's top.
+/// A marker centred on a robot's top.
 #[derive(Clone, Debug)]
 pub(super) struct MarkerPlate {
     pattern: Pattern,
-    /// Half of its side with everything that belongs to it, in metres.
+    /// Half its side including margins, in metres.
     half: f32,
-    /// Sine and cosine of what it is turned by.
+    /// Sine and cosine of its rotation on the robot.
     askew: (f32, f32),
 }
 
@@ -58,17 +58,17 @@ impl MarkerPlate {
         Self { pattern, half: side / 2.0, askew: (sin(askew) as f32, cos(askew) as f32) }
     }
 
-    /// How far from the middle it reaches, in metres.
+    /// Distance from the centre to the corners, in metres.
     pub(super) fn reach(&self) -> f32 {
         self.half * std::f32::consts::SQRT_2
     }
 
-    /// Its colour at a point of the robot's top, ahead and to the left of the middle in metres;
-    /// `None` beside it.
+    /// The colour at a point of the robot's top, in metres ahead and to the left of the centre; `None`
+    /// beside the marker.
     pub(super) fn colour(&self, ahead: f32, left: f32) -> Option<Colour> {
         let (sin, cos) = self.askew;
         let (ahead, left) = (ahead * cos + left * sin, left * cos - ahead * sin);
-        // From the left and from the upper edge, which is ahead: 0 to 1.
+        // Fractions of the side from the left and from the top edge, which is ahead.
         let across = 0.5 - left / (2.0 * self.half);
         let down = 0.5 - ahead / (2.0 * self.half);
         if !(0.0..1.0).contains(&across) || !(0.0..1.0).contains(&down) {
@@ -81,7 +81,7 @@ impl MarkerPlate {
                 if white[module(down)][module(across)] { WHITE } else { BLACK }
             }
             Pattern::Colours { head, tail } => {
-                // Two discs, a quarter of the side ahead of the middle and behind it.
+                // Two discs, a quarter of the side ahead of and behind the centre.
                 let within = |disc: f32| (across - 0.5).hypot(down - disc) < 0.2;
                 match () {
                     () if within(0.25) => *head,

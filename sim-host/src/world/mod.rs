@@ -1,16 +1,14 @@
 //! The simulated room: walls, furniture, doors, people, robots and cameras.
 //!
-//! Read in this order: `scenario` (the TOML file) and `growth` (what a map adds), `shapes` and `room`
-//! (what stands still, and rays through it), `changes` (what is moved during a run), `truth` (the perfect
-//! map), `plane_pose`, `route`, `people` and `robots` (what moves; `marker` and `tag`: what robots wear),
-//! `places` (checks of starts and routes), `stereo` and `sensor` (what sensors measure), `mounting`, `render`
-//! and `filming` (the frames of cameras), `passed` (the ground that robots have passed), `reachable`
-//! (the ground that they can stand on), `ideal_camera` and `ideal_cameras` (observations without frames).
-//! [`World`] ties them together.
+//! Read in this order: `scenario` (the TOML file) and `growth` (generated from a map), `shapes` and `room`
+//! (static geometry and ray casting), `changes` (scheduled changes), `truth` (the perfect map),
+//! `plane_pose`, `route`, `people` and `robots` (motion; `marker` and `tag`: markers on robots), `places`
+//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `mounting`, `render` and
+//! `filming` (camera frames), `passed` (ground that robots have seen), `reachable` (ground where robots
+//! can stand), `ideal_camera` and `ideal_cameras` (observations without frames). [`World`] combines them.
 //!
-//! The world moves in steps of [`STEP`], however it is polled: all that it reports depends only on
-//! the scenario, the resolution and the seed. Each robot, person and camera has its own random numbers
-//! (`streams`).
+//! The world moves in steps of [`STEP`], however it is polled: all results depend only on the scenario, the
+//! resolution and the seed. Each robot, person and camera has its own random numbers (`streams`).
 
 mod cadence;
 mod changes;
@@ -82,29 +80,28 @@ use streams::Stream;
 /// One scan of one robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScanEvent {
-    /// Which robot, by its index in [`World::robots`].
+    /// The robot's index in [`World::robots`].
     pub robot: usize,
     /// When it was taken, in the server's clock.
     pub taken: Instant,
-    /// For each beam of the sensor, from right to left, the range in millimetres; zero where
-    /// nothing came back.
+    /// Range of each beam of the sensor in millimetres, from right to left; zero for no return.
     pub readings_mm: Vec<u16>,
-    /// Where the wheels say the robot was: `base_link` in `odom`.
+    /// Odometry of the robot: `base_link` in `odom`.
     pub odometry: Pose,
-    /// Where it really was: `base_link` in `map`. For scores only.
+    /// True pose: `base_link` in `map`. For scoring only.
     pub truth: Pose,
 }
 
-/// What robots whose wheels are told have driven against.
+/// Numbers of contacts of the robots that are driven by commands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Contacts {
-    /// Walls, furniture and other robots.
+    /// Contacts with walls, furniture and other robots.
     pub collisions: u64,
-    /// People.
+    /// Contacts with people.
     pub touches: u64,
 }
 
-/// The simulated room, and the time in it.
+/// The simulated room with its clock.
 pub struct World {
     room: Arc<Room>,
     changes: Changes,
@@ -124,8 +121,11 @@ pub struct World {
 }
 
 impl World {
-    /// A world at its first moment. `walls` are those of the map that the scenario names, if it
-    /// names one; `resolution` is the side of a cell of the map.
+    /// A world at time zero. `walls` are those of the scenario's map, if it names one; `resolution` is the
+    /// side of a map cell.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Invalid`] for impossible numbers, places and paths.
     pub fn new(
         scenario: &Scenario,
         walls: Option<&WallGrid>,
@@ -134,7 +134,7 @@ impl World {
     ) -> Result<Self, ScenarioError> {
         scenario.check()?;
         if resolution.0 <= 0 {
-            let problem = format!("needs cells of a positive side, not {} mm", resolution.0);
+            let problem = format!("needs cells with a positive side, not {} mm", resolution.0);
             return Err(scenario.invalid("room", problem));
         }
         let changes = Changes::new(scenario, walls);
@@ -184,7 +184,7 @@ impl World {
         Ok(world)
     }
 
-    /// Moves everything to the last step that is not after `to`. Going back does nothing.
+    /// Advances to the last step not after `to`. An earlier time does nothing.
     pub fn advance(&mut self, to: Instant) {
         while self.now + STEP <= to {
             self.now = self.now + STEP;
@@ -193,40 +193,39 @@ impl World {
         }
     }
 
-    /// The moment that everything has been moved to.
+    /// The time up to which the world has advanced.
     pub fn now(&self) -> Instant {
         self.now
     }
 
-    /// The robots as they are now, in the order of the scenario.
+    /// The robots in their present state, in the order of the scenario.
     pub fn robots(&self) -> &[SimRobot] {
         &self.robots
     }
 
-    /// Tells a robot's wheels what to do from now on, in metres and radians a second; it leaves its
-    /// route.
+    /// Drives a robot at a speed in m/s and a turn rate in rad/s from now on; it leaves its route.
     pub fn tell_wheels(&mut self, robot: usize, speed_m_s: f64, turn_rad_s: f64) {
         if let Some(robot) = self.robots.get_mut(robot) {
             robot.tell_wheels(speed_m_s, turn_rad_s);
         }
     }
 
-    /// What robots whose wheels are told have driven against so far.
+    /// The contacts to date of robots that are driven by commands.
     pub fn contacts(&self) -> Contacts {
         self.contacts
     }
 
-    /// The people as they are now, in the order of the scenario.
+    /// The people in their present state, in the order of the scenario.
     pub fn people(&self) -> &[Person] {
         &self.people
     }
 
-    /// What a perfect map would say of the room as it is now.
+    /// The perfect map of the present room.
     pub fn truth(&self) -> &Truth {
         &self.truth
     }
 
-    /// The next scan that was taken by `now`, oldest first; moves the world that far.
+    /// The next scan taken by `now`, oldest first; advances the world to `now`.
     #[must_use]
     pub fn poll_scan(&mut self, now: Instant) -> Option<ScanEvent> {
         self.advance(now);
@@ -234,19 +233,19 @@ impl World {
         if is_taken { self.scans.pop_front() } else { None }
     }
 
-    /// When the next scan will be there, or `None` without robots.
+    /// When the next scan is available; `None` without robots.
     pub fn next_scan(&self) -> Option<Instant> {
         let waiting = self.scans.front().map(|scan| scan.taken);
         waiting.or_else(|| self.scanners.iter().map(|(cadence, _)| cadence.due()).min())
     }
 
-    /// The cells that a camera sees when nobody is there: the ground that is not blind.
+    /// The cells that a camera sees without people and robots: the ground outside its blind spots.
     pub fn covered(&self, camera: usize) -> Vec<(i32, i32)> {
         self.cameras.visible(camera).collect()
     }
 
-    /// The ground that robots of this radius can stand on when those that have a route come from
-    /// their starts, with so much room about them as maps of cells need, all in metres: sorted cells.
+    /// The cells that robots of this radius can cover, coming from the starts of those that have a route
+    /// and keeping a clearance of `room_m`; both in metres. Sorted.
     pub fn reachable(&self, radius_m: f64, room_m: f64) -> Vec<(i32, i32)> {
         let height = self.robots.iter().map(SimRobot::height_m).fold(0.0, f64::max);
         let (driving, standing): (Vec<_>, Vec<_>) =
@@ -257,13 +256,13 @@ impl World {
         reachable::ground(&self.room, self.cells, starts, &standing, sizes)
     }
 
-    /// The cells whose centres were within three metres of a robot's sensor, in its field of view
-    /// and in its line of sight, as it is really mounted.
+    /// The cells whose centres have been within three metres of a robot's sensor, in its field of view (as
+    /// really mounted) and in its line of sight.
     pub fn passed(&self) -> impl Iterator<Item = (i32, i32)> {
         self.passed.cells(self.cells)
     }
 
-    /// Everybody takes a step, one after the other, so that each knows where the others are.
+    /// Advances by a step. Everybody moves in turn, so that each knows where the others are.
     fn step(&mut self) {
         let seconds = STEP.micros() as f64 / 1e6;
         if let Some(room) = self.changes.make(self.now, &self.bodies(None, None)) {
@@ -288,7 +287,7 @@ impl World {
         }
     }
 
-    /// Lets a robot do what its wheels were told.
+    /// Moves a robot by its commanded speeds.
     fn obey(&mut self, index: usize, seconds: f64) {
         let people: Vec<Body> = self.people.iter().map(Person::body).collect();
         let others = self.robots.iter().enumerate().filter(|(other, _)| *other != index);
@@ -310,7 +309,7 @@ impl World {
         }
     }
 
-    /// Takes the scans and frames that are due now.
+    /// Takes the scans and frames that are due.
     fn measure(&mut self) {
         for index in 0..self.robots.len() {
             if !self.scanners[index].0.is_due(self.now) {
@@ -333,7 +332,7 @@ impl World {
         self.filming.take(self.now, || scene(&self.room, &self.robots, &self.people));
     }
 
-    /// What a robot may see of the others.
+    /// The prisms of the other robots and of people, as seen by a robot's sensor.
     fn others(&self, but: usize) -> Vec<Prism> {
         let robots = self.robots.iter().enumerate().filter(|&(index, _)| index != but);
         let robots = robots.map(|(_, robot)| robot.part());
@@ -341,7 +340,7 @@ impl World {
         robots.chain(people).map(|Part { prism, .. }| prism).collect()
     }
 
-    /// Everybody but one.
+    /// The bodies of all but one.
     fn bodies(&self, but_robot: Option<usize>, but_person: Option<usize>) -> Vec<Body> {
         let robots = self.robots.iter().map(SimRobot::body).enumerate();
         let people = self.people.iter().map(Person::body).enumerate();
@@ -353,7 +352,7 @@ impl World {
     }
 }
 
-/// Polling moves the world to `now`.
+/// Polling advances the world to `now`.
 impl Source for World {
     fn poll(&mut self, now: Instant) -> Option<Observation> {
         self.advance(now);
@@ -365,14 +364,14 @@ impl Source for World {
     }
 }
 
-/// What cameras can see.
+/// Everything that cameras can see.
 fn scene(room: &Arc<Room>, robots: &[SimRobot], people: &[Person]) -> Scene {
     let robots = robots.iter().map(SimRobot::part);
     let moving = robots.chain(people.iter().flat_map(Person::parts)).collect();
     Scene { room: room.clone(), moving }
 }
 
-/// Polling moves the world to `now`. Only the frames that are polled are drawn.
+/// Polling advances the world to `now`. Frames are rendered only when polled.
 impl FrameSource for World {
     fn cameras(&self) -> &[Calibration] {
         self.filming.calibrations()

@@ -1,4 +1,4 @@
-//! Where a camera hangs and which way it looks.
+//! The position and orientation of a camera.
 
 use libm::{atan2, cos, sin};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
@@ -7,12 +7,12 @@ use parry2d_f64::glamx::DVec3;
 use super::scenario::CameraConfig;
 use crate::camera::{CalibrationError, Intrinsics, Lens};
 
-/// A camera's place in `map`, in metres, and its axes.
+/// A camera's position in `map` in metres, and its axes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mounting {
     pub(super) position: DVec3,
     pub(super) forward: DVec3,
-    /// Level.
+    /// Horizontal.
     pub(super) right: DVec3,
     pub(super) up: DVec3,
 }
@@ -36,7 +36,7 @@ impl Mounting {
         Self { position, forward, right, up: right.cross(forward) }
     }
 
-    /// A sensor that sits so far to the left of the camera's own place and looks the same way.
+    /// A sensor `left` metres to the left of the camera's position, with the same orientation.
     pub(super) fn lens(&self, left: f64, intrinsics: Intrinsics) -> Result<Lens, CalibrationError> {
         let at = self.position - self.right * left;
         let columns = [self.right, -self.up, self.forward].map(|axis| axis.to_array().into());

@@ -1,4 +1,4 @@
-//! The ground that robots have passed: what an ideal sensor in their places would have seen.
+//! The ground that robots have passed: what ideal sensors in their places would have seen.
 
 use libm::{atan2, cos, sin};
 use parry2d_f64::{bounding_volume::Aabb, glamx::DVec2};
@@ -9,9 +9,9 @@ use super::{
     room::{CellGrid, Room},
 };
 
-/// How near a robot must have come, in metres.
+/// Maximum distance from a sensor, in metres.
 const NEAR: f64 = 3.0;
-/// Looked at again after a way in metres, or a turn in radians.
+/// Distance in metres, or angle in radians, after which a sensor looks again.
 const STEP: f64 = 0.1;
 const TURN: f64 = 0.1;
 
@@ -26,7 +26,7 @@ impl Passed {
         Self { seen: vec![false; cells.count()], looked: vec![None; robots] }
     }
 
-    /// A robot's sensor looks, as it is really mounted.
+    /// Marks the ground that a robot's sensor sees, as really mounted.
     pub(super) fn look(&mut self, index: usize, robot: &SimRobot, room: &Room, cells: CellGrid) {
         let pose = robot.pose();
         let moved = |last: &PlanePose| {
@@ -53,7 +53,7 @@ impl Passed {
         }
     }
 
-    /// The cells whose centres have been seen; what is solid has none that could be.
+    /// The cells whose centres have been seen; centres of solid cells never are.
     pub(super) fn cells(&self, cells: CellGrid) -> impl Iterator<Item = (i32, i32)> {
         let seen = self.seen.iter().enumerate().filter(|(_, seen)| **seen);
         seen.map(move |(index, _)| cells.cell(index))

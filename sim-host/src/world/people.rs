@@ -1,4 +1,4 @@
-//! People who walk from stop to stop, pause there, and wait for whoever is in their way.
+//! People who walk from stop to stop, pause there, and wait for anybody in their way.
 
 use parry2d_f64::glamx::DVec2;
 use rand::RngExt;
@@ -11,22 +11,22 @@ use super::{
     shapes::{Footprint, Prism},
 };
 
-/// How high a person sits, in metres.
+/// Height of a seat in metres.
 const SEAT: f64 = 0.45;
 
-/// How far the knees of who sits are ahead of the middle, in metres.
+/// Distance of a sitting person's knees ahead of the body's centre, in metres.
 const KNEES: f64 = 0.45;
 
-/// How high a person lies, in metres.
+/// Height of a lying person in metres.
 const LYING: f64 = 0.24;
 
 /// The radius of a head, in metres.
 const HEAD: f64 = 0.1;
 
-/// A person stops for anybody this near ahead, in metres.
+/// Distance ahead in metres at which a person stops for others.
 const GAP: f64 = 0.3;
 
-/// How long a person waits before walking back, in seconds.
+/// Time in seconds after which a waiting person walks back.
 const PATIENCE: f64 = 1.5;
 
 /// A person.
@@ -43,22 +43,22 @@ pub struct Person {
 }
 
 impl Person {
-    /// Where the person is, in metres in `map`.
+    /// Position in `map`, in metres.
     pub fn position_m(&self) -> [f64; 2] {
         self.position.into()
     }
 
-    /// Of a circle on the floor about the whole body, in metres.
+    /// Radius in metres of a circle on the floor around the whole body.
     pub fn radius_m(&self) -> f64 {
         self.body().radius
     }
 
-    /// From the floor to the highest part, in metres.
+    /// Height of the highest point above the floor, in metres.
     pub fn height_m(&self) -> f64 {
         self.body().height
     }
 
-    /// Standing, sitting or lying.
+    /// The posture.
     pub fn posture(&self) -> PostureConfig {
         self.config.posture
     }
@@ -82,7 +82,7 @@ impl Person {
         body(&self.config, self.position)
     }
 
-    /// What is seen of the person.
+    /// The visible parts of the person.
     pub(super) fn parts(&self) -> Vec<Part> {
         let facing = DVec2::new(libm::cos(self.heading), libm::sin(self.heading));
         let clothes = Paint::numbered(self.paint);
@@ -109,7 +109,7 @@ impl Person {
             PostureConfig::Sitting => {
                 let (neck, shin) = (top - 0.16 * stature, 0.12);
                 vec![
-                    // The seat is under the body, whatever it is.
+                    // The seat is under the body.
                     part(round(0.0, self.config.radius_m), 0.0, neck, &clothes),
                     part(round(0.0, HEAD), neck, top, &skin),
                     part(long(KNEES / 2.0, KNEES, 0.34), SEAT - 0.05, SEAT + 0.1, &clothes),
@@ -131,7 +131,7 @@ impl Person {
         }
     }
 
-    /// Walks on for a moment among the others.
+    /// Walks for one time step among `others`.
     pub(super) fn step(&mut self, seconds: f64, others: &[Body]) {
         if self.pause > 0.0 {
             self.pause -= seconds;
@@ -162,11 +162,11 @@ impl Person {
     }
 }
 
-/// What a person is to the others.
+/// The person as an obstacle to others.
 pub(super) fn body(person: &PersonConfig, centre: DVec2) -> Body {
     let (radius, height) = match person.posture {
         PostureConfig::Standing => (0.0, person.height_m),
-        // From the seat to the crown it is about half of the stature.
+        // From the seat to the crown is about half the standing height.
         PostureConfig::Sitting => (KNEES, SEAT + 0.52 * person.height_m),
         PostureConfig::Lying => (person.height_m / 2.0, LYING),
     };

@@ -1,4 +1,4 @@
-//! Who can't be or can't go where: what needs the geometry to be refused.
+//! Checks of places and paths that need the geometry of the room.
 
 use parry2d_f64::glamx::DVec2;
 
@@ -9,7 +9,7 @@ use super::{
     scenario::{RobotConfig, Scenario, ScenarioError},
 };
 
-/// Refuses cameras, robots and people in places where they can't be or can't go.
+/// Refuses cameras, robots and people in impossible places or with blocked paths.
 pub(super) fn check(scenario: &Scenario, room: &Room) -> Result<(), ScenarioError> {
     for (index, camera) in scenario.cameras.iter().enumerate() {
         let [x, y, z] = camera.position_m;
@@ -22,7 +22,7 @@ pub(super) fn check(scenario: &Scenario, room: &Room) -> Result<(), ScenarioErro
             return Err(scenario.invalid(key, "is inside a wall or furniture; move it out"));
         }
     }
-    // Who stands where in the beginning: nobody may stand in somebody else.
+    // Everybody placed up to now: starts must not overlap.
     let mut standing: Vec<(String, Body)> = Vec::new();
     for (index, robot) in scenario.robots.iter().enumerate() {
         let key = format!("robots[{index}]");
@@ -60,14 +60,14 @@ fn check_start(
     check_stop(scenario, room, &key, body.centre, body)?;
     let touches = |other: &Body| other.centre.distance(body.centre) < other.radius + body.radius;
     if let Some((other, _)) = standing.iter().find(|(_, other)| touches(other)) {
-        let problem = format!("touches who stands at {other}; move one of them");
+        let problem = format!("overlaps the body that starts at {other}; move one of them");
         return Err(scenario.invalid(key, problem));
     }
     standing.push((key, body));
     Ok(())
 }
 
-/// Every stop is free, and so is the way to the next, the last one's to the first included.
+/// Checks that every stop is free, and every path to the next stop, including the one back to the first.
 fn check_ways(
     scenario: &Scenario,
     room: &Room,
@@ -81,7 +81,7 @@ fn check_ways(
         let (before, from) = &stops[(index + stops.len() - 1) % stops.len()];
         if let Some(obstacle) = room.obstacle(*from, *to, body.radius, body.height) {
             let problem = format!(
-                "can't be reached from {before}: the way touches {obstacle}; add a waypoint \
+                "can't be reached from {before}: the path touches {obstacle}; add a waypoint \
                  around it"
             );
             return Err(scenario.invalid(key.as_str(), problem));
@@ -101,13 +101,13 @@ fn check_stop(
         return Err(scenario.invalid(key, "is outside of the room; move it inside"));
     }
     if let Some(obstacle) = room.obstacle(stop, stop, body.radius, body.height) {
-        let problem = format!("is in or too near to {obstacle}; move it away");
+        let problem = format!("overlaps or is too close to {obstacle}; move it away");
         return Err(scenario.invalid(key, problem));
     }
     Ok(())
 }
 
-/// Where a robot starts.
+/// The start of a robot in `map`, in metres.
 pub(super) fn start(robot: &RobotConfig) -> DVec2 {
     DVec2::new(robot.start.x_m, robot.start.y_m)
 }

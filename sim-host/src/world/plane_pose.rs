@@ -11,7 +11,7 @@ pub(super) struct PlanePose {
 }
 
 impl PlanePose {
-    /// Rounded to the units of the wire.
+    /// Rounded to the units of the protocol.
     pub(super) fn quantised(self) -> Pose {
         Pose::from_metres(self.position.x, self.position.y, self.heading)
     }

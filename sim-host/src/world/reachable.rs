@@ -9,9 +9,9 @@ use super::{
     route::Body,
 };
 
-/// The cells whose centres are within the radius of a robot somewhere on its way from a start. Its
-/// middle goes from cell to cell, with so much more room about it, also from those who stand; both
-/// in metres, and the height.
+/// The cells that a robot can cover on its way from a start. `radius`, `room_about` (the clearance) and
+/// `height` are in metres; the robot's centre moves from cell to cell and keeps its radius plus the
+/// clearance from the room and from the `standing` bodies.
 pub(super) fn ground(
     room: &Room,
     cells: CellGrid,

@@ -1,5 +1,5 @@
-//! Robots that drive: along their routes (turn in place, drive straight, wait for whoever is
-//! ahead), or as their wheels are told.
+//! Robots that drive along their routes (turn in place, drive straight, wait for anybody ahead), or by
+//! commanded speeds.
 
 use std::f64::consts::{PI, TAU};
 
@@ -19,24 +19,23 @@ use super::{
     shapes::{Footprint, Prism},
 };
 
-/// Robots are dark but for what they wear.
+/// Colour of a robot's body: dark, except for the marker.
 const BODY: Colour = [0.2, 0.21, 0.24];
 
-/// A robot stops for anybody this near ahead, in metres.
+/// Distance ahead in metres at which a robot stops for others.
 const GAP: f64 = 0.35;
 
-/// It brakes harder than it accelerates.
+/// Ratio of braking to acceleration.
 const BRAKE: f64 = 3.0;
 
-/// How long a robot waits before it goes back, in seconds; each later robot a little longer, so
-/// that of two who wait for each other one goes first.
+/// Time in seconds after which a waiting robot turns back; each further robot waits a little longer, so
+/// that two robots that wait for each other do not turn back together.
 const PATIENCE: f64 = 5.0;
 
-/// A robot that has moved no farther from where it ran into something leans against it still, in
-/// metres.
+/// Distance in metres from the point of contact within which a robot counts as still in contact.
 const LEANS: f64 = 0.05;
 
-/// What stops a robot.
+/// What stopped a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Contact {
     /// A wall, furniture, or another robot.
@@ -44,14 +43,14 @@ pub(super) enum Contact {
     Person,
 }
 
-/// What a robot's wheels are told: metres and radians a second.
+/// Commanded speeds in m/s and rad/s.
 #[derive(Clone, Copy, Debug, Default)]
 struct Wheels {
     speed: f64,
     turn: f64,
 }
 
-/// From standing to the fastest turn, in seconds.
+/// Time from standstill to the maximum turn rate, in seconds.
 const TURN_RISE: f64 = 0.25;
 
 /// A simulated robot.
@@ -60,10 +59,10 @@ pub struct SimRobot {
     id: RobotId,
     radius: f64,
     height: f64,
-    /// Length and width of a box; none of a cylinder.
+    /// Length and width of a box; `None` for a cylinder.
     sides: Option<DVec2>,
     marker: MarkerPlate,
-    /// How far the identifier is turned against the robot.
+    /// Rotation of the marker on the robot, in radians.
     askew: f64,
     sensor: RangeSensor,
     truth: PlanePose,
@@ -77,10 +76,10 @@ pub struct SimRobot {
     patience: f64,
     speed: f64,
     waited: f64,
-    /// What the wheels are told, if they do not drive the route.
+    /// Commanded speeds; `None` while the robot drives its route.
     wheels: Option<Wheels>,
     turning: f64,
-    /// What it drives against.
+    /// The present contact, and the robot's position when it began.
     contact: Option<(Contact, DVec2)>,
 }
 
@@ -90,12 +89,12 @@ impl SimRobot {
         self.id
     }
 
-    /// Where it really is: `base_link` in `map`.
+    /// True pose: `base_link` in `map`.
     pub fn truth(&self) -> Pose {
         self.truth.quantised()
     }
 
-    /// Where its wheels say it is: `base_link` in `odom`, which began at its start.
+    /// Odometry: `base_link` in `odom`, whose origin is the start.
     pub fn odometry(&self) -> Pose {
         self.odometry.quantised()
     }
@@ -105,12 +104,12 @@ impl SimRobot {
         &self.sensor
     }
 
-    /// Whether it has a route. Without one it stands.
+    /// Whether it has a route; without one it stands still.
     pub fn drives(&self) -> bool {
         self.route.target().is_some()
     }
 
-    /// The fastest that it drives and turns, and how it gains speed: metres, radians, seconds.
+    /// Maximum speed (m/s), maximum turn rate (rad/s) and acceleration (m/s^2).
     pub fn limits(&self) -> [f64; 3] {
         [self.top_speed, self.turn_rate, self.acceleration]
     }
@@ -160,13 +159,13 @@ impl SimRobot {
         Body { centre: self.truth.position, radius: self.radius, height: self.height }
     }
 
-    /// What a camera takes its pose for: that of its identifier.
+    /// The pose that cameras measure: that of its marker.
     pub(super) fn identified(&self) -> PlanePose {
         let PlanePose { position, heading } = self.truth;
         PlanePose { position, heading: heading + self.askew }
     }
 
-    /// What is seen of it.
+    /// Its visible part.
     pub(super) fn part(&self) -> Part {
         let PlanePose { position, heading } = self.truth;
         let footprint = match self.sides {
@@ -182,19 +181,19 @@ impl SimRobot {
         Part { prism: Prism { footprint, bottom: 0.0, top: self.height }, paint }
     }
 
-    /// Lets the wheels obey, and no longer drive the route: metres and radians a second.
+    /// Commands speeds in m/s and rad/s; the robot leaves its route.
     pub(super) fn tell_wheels(&mut self, speed: f64, turn: f64) {
         let turn = turn.clamp(-self.turn_rate, self.turn_rate);
         self.wheels = Some(Wheels { speed: speed.clamp(0.0, self.top_speed), turn });
     }
 
-    /// Whether the wheels are told what to do.
+    /// Whether it drives by commanded speeds.
     pub(super) fn is_told(&self) -> bool {
         self.wheels.is_some()
     }
 
-    /// Does for a moment what the wheels were told, as fast as they can. `contact` says what it
-    /// would touch on its way to a place; that stops it. What it newly touches.
+    /// Drives for one time step by the commanded speeds, within the limits of acceleration. `contact`
+    /// says what the robot would touch at a position; that stops it. Returns a new contact, if any.
     pub(super) fn obey(
         &mut self,
         seconds: f64,
@@ -212,7 +211,7 @@ impl SimRobot {
         let mut touched = None;
         if way > 0.0 {
             let here = self.truth.position;
-            // Who still leans against it has not met it again.
+            // A robot that still leans on an obstacle does not touch it again.
             self.contact = self.contact.filter(|(_, at)| at.distance(here) < LEANS);
             let met = contact(self.body(), next);
             touched = met.filter(|_| self.contact.map(|(what, _)| what) != met);
@@ -228,7 +227,7 @@ impl SimRobot {
         touched
     }
 
-    /// Drives on for a moment among the others.
+    /// Drives along the route for one time step, among `others`.
     pub(super) fn step(&mut self, seconds: f64, others: &[Body]) {
         let Some(target) = self.route.target() else { return };
         let way = target - self.truth.position;
@@ -245,7 +244,7 @@ impl SimRobot {
         self.speed = if blocked {
             (self.speed - BRAKE * gained).max(0.0)
         } else {
-            // Slow enough to stand still at the stop, but never so slow as not to get there.
+            // Slow enough to stop in time, but fast enough to arrive.
             let stopping = (2.0 * self.acceleration * left).sqrt().max(gained);
             (self.speed + gained).min(self.top_speed).min(stopping)
         };
@@ -276,12 +275,12 @@ impl SimRobot {
         }
     }
 
-    /// Radians a second, each second.
+    /// Angular acceleration in rad/s^2.
     fn turn_acceleration(&self) -> f64 {
         self.turn_rate / TURN_RISE
     }
 
-    /// Turns in place for a moment, slow enough to look that way when it stops.
+    /// Turns in place for one time step, slowing down so as to stop at the target heading.
     fn turn_towards(&mut self, left: f64, seconds: f64) {
         let gained = self.turn_acceleration() * seconds;
         let stopping = (2.0 * self.turn_acceleration() * left.abs()).sqrt().max(gained);
@@ -292,7 +291,7 @@ impl SimRobot {
         self.measure(0.0, angle);
     }
 
-    /// What the wheels make of a way and a turn.
+    /// Updates the odometry for a distance and an angle driven.
     fn measure(&mut self, way: f64, angle: f64) {
         let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
         let error = &self.error;
@@ -306,7 +305,7 @@ impl SimRobot {
     }
 }
 
-/// The same angle between -pi and pi.
+/// Wraps an angle to -pi..pi.
 fn wrap(angle: f64) -> f64 {
     let wrapped = libm::fmod(angle, TAU);
     match wrapped {

@@ -1,4 +1,4 @@
-//! What stands still: walls, doors and furniture, found by a tree of bounding boxes.
+//! The static room: walls, doors and furniture, in a tree of bounding boxes.
 
 use parry2d_f64::{
     bounding_volume::{Aabb, BoundingVolume},
@@ -12,28 +12,28 @@ use super::{
     shapes::{Footprint, Prism},
 };
 
-/// The most cells that a room may have.
-const MOST_CELLS: f64 = 16e6;
+/// Maximum number of cells of a room.
+const MAX_CELLS: f64 = 16e6;
 
-/// Walls as the occupied cells of a grid, as a ROS map has them.
+/// Walls as the occupied cells of a grid, as in a ROS map.
 #[derive(Clone, Debug)]
 pub struct WallGrid {
     /// The side of a cell.
     pub resolution_m: f64,
-    /// The lower left corner of the first cell, in `map`.
+    /// The lower left corner of the first cell in `map`, in metres.
     pub origin_m: [f64; 2],
-    /// Cells along x.
+    /// Number of cells along x.
     pub width: usize,
-    /// Cells along y.
+    /// Number of cells along y.
     pub height: usize,
-    /// Row by row from the lower left: whether the cell is wall.
+    /// Whether each cell is wall, row by row from the lower left.
     pub occupied: Vec<bool>,
 }
 
-/// Walls and furniture.
+/// The walls, doors and furniture as prisms.
 pub(super) struct Room {
     prisms: Vec<Prism>,
-    /// For each prism the key of the scenario that it comes from.
+    /// For each prism its key in the scenario.
     keys: Vec<String>,
     height: f64,
     tree: Bvh,
@@ -42,7 +42,7 @@ pub(super) struct Room {
 }
 
 impl Room {
-    /// The room as a scenario has it, with these doors open and the others shut.
+    /// The room of a scenario with some doors open and the others closed.
     pub(super) fn new(
         scenario: &Scenario,
         walls: Option<&WallGrid>,
@@ -52,7 +52,7 @@ impl Room {
         match (&scenario.room.map, walls) {
             (Some(_), Some(grid)) => add_grid(&mut parts, scenario, grid)?,
             (Some(map), None) => {
-                let problem = format!("names {}, but no map was read", map.display());
+                let problem = format!("names {}, but that map was not read", map.display());
                 return Err(scenario.invalid("room.map", problem));
             }
             (None, _) => {}
@@ -85,12 +85,12 @@ impl Room {
         &self.prisms
     }
 
-    /// For each prism the key of the scenario that it comes from.
+    /// For each prism its key in the scenario.
     pub(super) fn keys(&self) -> &[String] {
         &self.keys
     }
 
-    /// From the floor to the ceiling, in metres.
+    /// Height of the ceiling in metres.
     pub(super) fn height(&self) -> f64 {
         self.height
     }
@@ -100,7 +100,7 @@ impl Room {
         if self.outline.is_empty() {
             return self.bounds.contains_local_point(point);
         }
-        // A ray to the right crosses the outline an odd number of times.
+        // Even-odd rule: a ray to the right crosses the outline an odd number of times.
         let mut inside = false;
         for (index, &from) in self.outline.iter().enumerate() {
             let to = self.outline[(index + 1) % self.outline.len()];
@@ -112,18 +112,18 @@ impl Room {
         inside
     }
 
-    /// The prisms whose bounding boxes meet a rectangle.
+    /// The prisms whose bounding boxes intersect a rectangle.
     pub(super) fn near<'a>(&'a self, rectangle: &'a Aabb) -> impl Iterator<Item = &'a Prism> {
         self.tree.intersect_aabb(rectangle).map(|index| &self.prisms[index as usize])
     }
 
-    /// Whether some prism with anything between two heights holds the point.
+    /// Whether a point is inside a prism that has some part between two heights.
     pub(super) fn is_solid(&self, point: DVec2, from: f64, to: f64) -> bool {
         let at = Aabb::new(point, point);
         self.near(&at).any(|prism| prism.reaches(from, to) && prism.footprint.contains(point))
     }
 
-    /// The key of what an upright cylinder meets on its way between two points.
+    /// The key of an obstacle that an upright cylinder meets when it moves between two points.
     pub(super) fn obstacle(
         &self,
         from: DVec2,
@@ -145,7 +145,8 @@ impl Room {
         found.first().map(|&index| self.keys[index as usize].as_str())
     }
 
-    /// The first prism that a ray meets and where, as a multiple of `direction` up to `limit`.
+    /// The index of the first prism that a ray hits, and the hit as a multiple of `direction`, up to and
+    /// including `limit`.
     pub(super) fn first_hit(
         &self,
         origin: DVec3,
@@ -165,14 +166,14 @@ impl Room {
                 .min_by(|(_, a), (_, b)| a.total_cmp(b));
         }
         let ray = Ray::new(origin.truncate(), level);
-        // The tree wants something better than its limit; `limit` itself counts too.
+        // The tree looks for hits strictly below its limit; `limit` itself counts too.
         let (index, hit) = self.tree.cast_ray(&ray, limit * (1.0 + 1e-12), |index, best| {
             self.prisms[index as usize].first_hit(origin, direction, best.min(limit))
         })?;
         Some((index as usize, hit))
     }
 
-    /// Whether nothing stands between two points.
+    /// Whether the line between two points is free.
     pub(super) fn sees(&self, from: DVec3, to: DVec3) -> bool {
         let direction = to - from;
         let way = Aabb::new(from.truncate().min(to.truncate()), from.truncate().max(to.truncate()));
@@ -194,26 +195,26 @@ impl Room {
     }
 }
 
-/// The cells of `map` that the room fills: columns and rows from a first cell.
+/// The grid cells of `map` that cover the room.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CellGrid {
     pub(super) first: (i32, i32),
     pub(super) columns: usize,
     pub(super) rows: usize,
-    /// The side of a cell in metres.
+    /// Side of a cell in metres.
     pub(super) side: f64,
 }
 
 impl CellGrid {
-    /// The cells that cover the room.
+    /// The grid that covers a room.
     pub(super) fn of(room: &Room, side: f64, scenario: &Scenario) -> Result<Self, ScenarioError> {
         let (low, high) = (room.bounds.mins / side, room.bounds.maxs / side);
         let first = (low.x.floor(), low.y.floor());
         let (columns, rows) = (high.x.ceil() - first.0, high.y.ceil() - first.1);
-        if !(columns >= 1.0 && rows >= 1.0 && columns * rows <= MOST_CELLS) {
+        if !(columns >= 1.0 && rows >= 1.0 && columns * rows <= MAX_CELLS) {
             let problem = format!(
                 "has {columns} x {rows} cells of {side} m; make it smaller or the cells larger \
-                 (at most {MOST_CELLS} cells)"
+                 (at most {MAX_CELLS} cells)"
             );
             return Err(scenario.invalid("room", problem));
         }
@@ -225,24 +226,24 @@ impl CellGrid {
         })
     }
 
-    /// How many there are.
+    /// Number of cells.
     pub(super) fn count(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// The cell of an index, row by row from the lower left.
+    /// The cell with an index; indices go row by row from the lower left.
     pub(super) fn cell(&self, index: usize) -> (i32, i32) {
         (self.first.0 + (index % self.columns) as i32, self.first.1 + (index / self.columns) as i32)
     }
 
-    /// The index of a cell of the room.
+    /// The index of a cell; `None` outside the room.
     pub(super) fn index(&self, cell: (i32, i32)) -> Option<usize> {
         let column = usize::try_from(cell.0.checked_sub(self.first.0)?).ok()?;
         let row = usize::try_from(cell.1.checked_sub(self.first.1)?).ok()?;
         (column < self.columns && row < self.rows).then_some(row * self.columns + column)
     }
 
-    /// The cell that holds a point.
+    /// The cell that contains a point.
     pub(super) fn cell_at(&self, point: DVec2) -> (i32, i32) {
         ((point.x / self.side).floor() as i32, (point.y / self.side).floor() as i32)
     }
@@ -255,7 +256,7 @@ impl CellGrid {
         Aabb::from_half_extents(self.centre(cell), DVec2::splat(self.side / 2.0))
     }
 
-    /// The cells of the room that meet a rectangle.
+    /// The cells of the room that intersect a rectangle.
     pub(super) fn within(&self, rectangle: &Aabb) -> impl Iterator<Item = (i32, i32)> + use<> {
         let (low, high) = (self.cell_at(rectangle.mins), self.cell_at(rectangle.maxs));
         let last = (self.first.0 + self.columns as i32 - 1, self.first.1 + self.rows as i32 - 1);
@@ -264,7 +265,7 @@ impl CellGrid {
         rows.flat_map(move |row| columns.clone().map(move |column| (column, row)))
     }
 
-    /// The cells of the room that a disc covers, wholly or in part.
+    /// The cells of the room that a disc covers, fully or partly.
     pub(super) fn under_disc(
         &self,
         centre: DVec2,
@@ -297,7 +298,7 @@ fn add_walls(parts: &mut Vec<(Prism, String)>, scenario: &Scenario) {
     }
 }
 
-/// The leaf of a door, open or shut.
+/// The leaf of a door, open or closed.
 pub(super) fn leaf(door: &DoorConfig, is_open: bool) -> Prism {
     let turn = if is_open { door.swing_deg } else { 0.0 };
     let heading = (door.heading_deg + turn).to_radians();
@@ -311,7 +312,7 @@ pub(super) fn leaf(door: &DoorConfig, is_open: bool) -> Prism {
     }
 }
 
-/// A straight wall on its centre line, half a thickness longer at both ends to close corners.
+/// A straight wall along its centre line, extended by half its thickness at both ends to close corners.
 fn wall([from, to]: [[f64; 2]; 2], thickness: f64, height: f64) -> Prism {
     let (from, to) = (DVec2::from(from), DVec2::from(to));
     let way = to - from;
@@ -324,7 +325,7 @@ fn wall([from, to]: [[f64; 2]; 2], thickness: f64, height: f64) -> Prism {
     }
 }
 
-/// The parts of a piece of furniture; `None` for a polygon without area.
+/// The prisms of a piece of furniture; `None` for a polygon without area.
 pub(super) fn furniture(config: &FurnitureConfig) -> Option<Vec<Prism>> {
     let mut parts = Vec::new();
     let footprint = match &config.footprint {
@@ -354,7 +355,7 @@ pub(super) fn furniture(config: &FurnitureConfig) -> Option<Vec<Prism>> {
     Some(parts)
 }
 
-/// Occupied cells as few upright boxes: runs of a row, grown upward while the rows agree.
+/// Covers the occupied cells with few boxes: runs of a row, extended upward while the rows are equal.
 fn add_grid(
     parts: &mut Vec<(Prism, String)>,
     scenario: &Scenario,

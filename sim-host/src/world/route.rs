@@ -1,11 +1,11 @@
-//! Ways from stop to stop, and who has to wait for whom.
+//! Routes from stop to stop, and who must wait for whom.
 
 use parry2d_f64::glamx::DVec2;
 
-/// Two bodies never come nearer than this, in metres.
+/// Minimum distance between two bodies in metres.
 const APART: f64 = 0.02;
 
-/// What everybody else is to somebody who moves: an upright cylinder.
+/// A person or robot as an obstacle to others: an upright cylinder.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Body {
     pub(super) centre: DVec2,
@@ -14,7 +14,7 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// Whether `other` stands in the way within `gap` ahead of this body.
+    /// Whether `other` is in the way, within `gap` ahead of this body.
     pub(super) fn is_blocked(&self, heading: DVec2, other: &Body, gap: f64) -> bool {
         let offset = other.centre - self.centre;
         let reach = self.radius + other.radius;
@@ -23,13 +23,13 @@ impl Body {
         ahead > 0.0 && ahead < reach + gap && aside < reach + 2.0 * APART
     }
 
-    /// Whether this body would touch `other` at `centre`, and come nearer.
+    /// Whether moving to `centre` would bring this body into contact with `other`.
     pub(super) fn meets(&self, centre: DVec2, other: &Body) -> bool {
         let distance = centre.distance(other.centre);
         distance < self.radius + other.radius && distance < self.centre.distance(other.centre)
     }
 
-    /// Whether moving to `centre` would bring this body nearly into touch with `other`.
+    /// Whether moving to `centre` would bring this body too close to `other`.
     pub(super) fn would_touch(&self, centre: DVec2, other: &Body) -> bool {
         let distance = centre.distance(other.centre);
         distance < self.radius + other.radius + APART
@@ -37,39 +37,39 @@ impl Body {
     }
 }
 
-/// Stops that are visited in turn, the first again after the last.
+/// Stops that are visited in a cycle.
 #[derive(Clone, Debug)]
 pub(super) struct Route {
     stops: Vec<DVec2>,
-    /// The stop that is headed for.
+    /// Index of the next stop.
     next: usize,
     backward: bool,
 }
 
 impl Route {
-    /// A route of somebody who is at the first stop now; there is at least one.
+    /// A route that starts at its first stop; there is at least one.
     pub(super) fn new(first: DVec2, others: impl IntoIterator<Item = DVec2>) -> Self {
         let mut stops = vec![first];
         stops.extend(others);
-        // A stop at the same place as the one before is no way.
+        // Ignore a stop at the same place as the previous one.
         stops.dedup_by(|stop, before| stop.distance(*before) < 1e-6);
         let next = usize::from(stops.len() > 1);
         Self { stops, next, backward: false }
     }
 
-    /// Where to go, or `None` for somebody who stays.
+    /// The next stop; `None` if there is only one.
     pub(super) fn target(&self) -> Option<DVec2> {
         (self.stops.len() > 1).then(|| self.stops[self.next])
     }
 
-    /// The stop is reached: on to the next.
+    /// Continues to the next stop.
     pub(super) fn arrive(&mut self) {
         let count = self.stops.len();
         let step = if self.backward { count - 1 } else { 1 };
         self.next = (self.next + step) % count;
     }
 
-    /// Back to the stop before, and on from there in the other sense.
+    /// Turns back to the previous stop and continues in reverse order.
     pub(super) fn turn_round(&mut self) {
         self.backward = !self.backward;
         self.arrive();

@@ -1,4 +1,4 @@
-//! A robot's range sensor: a fan of beams, or a row of a depth camera, at one height.
+//! A robot's range sensor: a fan of beams, or a row of a depth camera, at a fixed height.
 
 use libm::{cos, sin, tan};
 use parry2d_f64::{
@@ -18,17 +18,17 @@ use super::{
     stereo::{PARTS, Stereo},
 };
 
-/// What it takes for a disparity where a D435 has none of its own, in pixels; between its two
-/// imagers, in metres.
+/// Standard deviation of a D435's disparity in pixels.
 const STEREO_NOISE: f64 = 0.08;
+/// Baseline of a D435 in metres.
 const BASELINE: f64 = 0.05;
 
-/// Rays to a side of a wide zone.
+/// Rays per wide zone in each direction.
 const RAYS: i32 = 3;
 
-/// A range sensor; [`RangeSensor::mount`] has it in `base_link`. Beam `i` of a fan points to
-/// `first_angle_rad() + i * step_rad()`, counter-clockwise from the sensor's own x; of a camera
-/// ([`RangeSensor::focal_px`]) column `i`, counted from the left, gives a depth along that axis.
+/// A range sensor at the pose [`RangeSensor::mount`] in `base_link`. Beam `i` of a fan has the direction
+/// `first_angle_rad() + i * step_rad()`, counter-clockwise from the sensor's x. A camera
+/// ([`RangeSensor::focal_px`]) gives for column `i`, counted from the left, a depth along that axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RangeSensor {
     x: f64,
@@ -46,46 +46,46 @@ pub struct RangeSensor {
     optics: Optics,
 }
 
-/// How a sensor looks out.
+/// The projection of a sensor.
 #[derive(Clone, Debug, PartialEq)]
 enum Optics {
     /// Thin beams at equal angles.
     Fan,
-    /// Columns of a pinhole; the focal length is in columns.
+    /// Columns of a pinhole camera; the focal length is in columns.
     Pinhole { focal: f64 },
-    /// The same of a stereo camera.
+    /// Columns of a stereo camera.
     Stereo { focal: f64, stereo: Stereo },
-    /// The same, each pixel as wide and as high as the next.
+    /// Columns of wide zones, each as high as it is wide.
     Zones { focal: f64 },
 }
 
 impl RangeSensor {
-    /// The sensor in `base_link`, as the robot believes it to be mounted.
+    /// The sensor's pose in `base_link` as configured, without its mounting error.
     pub fn mount(&self) -> Pose {
         Pose::from_metres(self.x, self.y, self.heading)
     }
 
-    /// Above the floor, in metres.
+    /// Height above the floor in metres.
     pub fn height_m(&self) -> f64 {
         self.height
     }
 
-    /// The angle of the first beam, the rightmost, in radians.
+    /// Angle of the first beam, the rightmost, in radians.
     pub fn first_angle_rad(&self) -> f64 {
         -self.fov / 2.0
     }
 
-    /// From each beam to the next, in radians.
+    /// Angle between beams in radians.
     pub fn step_rad(&self) -> f64 {
         self.fov / (self.beams - 1) as f64
     }
 
-    /// How many beams a scan has.
+    /// Number of beams or columns in a scan.
     pub fn beams(&self) -> usize {
         self.beams
     }
 
-    /// The focal length of a camera, in columns; `None` of a fan of beams.
+    /// Focal length of a camera in columns; `None` for a fan of beams.
     pub fn focal_px(&self) -> Option<f64> {
         match self.optics {
             Optics::Fan => None,
@@ -95,12 +95,12 @@ impl RangeSensor {
         }
     }
 
-    /// The farthest return, in metres.
+    /// Maximum range in metres.
     pub fn max_range_m(&self) -> f64 {
         self.max_range
     }
 
-    /// Scans each second.
+    /// Scans per second.
     pub fn rate_hz(&self) -> f64 {
         self.rate
     }
@@ -133,14 +133,14 @@ impl RangeSensor {
         }
     }
 
-    /// Where it really is and looks from a robot's pose, and half its field of view.
+    /// The actual position and direction for a pose of the robot, and half the field of view (radians).
     pub(super) fn view(&self, robot: PlanePose) -> (DVec2, f64, f64) {
         let facing = DVec2::new(cos(robot.heading), sin(robot.heading));
         let origin = robot.position + facing.rotate(DVec2::new(self.x, self.y));
         (origin, robot.heading + self.heading + self.askew, self.fov / 2.0)
     }
 
-    /// A scan from a robot's pose, in millimetres for each beam; zero where nothing came back.
+    /// A scan at a pose of the robot: millimetres for each beam, zero for no return.
     pub(super) fn scan(
         &self,
         robot: PlanePose,
@@ -149,7 +149,7 @@ impl RangeSensor {
         dice: &mut ChaCha8Rng,
     ) -> Vec<u16> {
         let (origin, axis, _) = self.view(robot);
-        // Diagonally a depth reaches farther than along the axis.
+        // A depth at the edge of the view is at a greater distance.
         let around = Aabb::from_half_extents(origin, DVec2::splat(2.0 * self.max_range));
         let near: Vec<&Prism> =
             others.iter().filter(|prism| prism.footprint.bounds().intersects(&around)).collect();
@@ -164,7 +164,7 @@ impl RangeSensor {
             self.ways(axis, beam).filter_map(meets).reduce(f64::min)
         });
         let ranges: Vec<Option<f64>> = ranges.collect();
-        // One throw for each beam, hit or not: a person far away shifts no noise.
+        // One random number for each beam, hit or not, so that distant people do not shift the noise.
         let mut throw = || -> f64 { StandardNormal.sample(dice) };
         if let Optics::Stereo { stereo, .. } = &self.optics {
             let depths: Vec<f32> =
@@ -186,7 +186,7 @@ impl RangeSensor {
             .collect()
     }
 
-    /// The directions in which a beam looks, so long that a reading times one is the point.
+    /// The rays of a beam, scaled so that a reading times a ray is the point.
     fn ways(&self, axis: f64, beam: usize) -> impl Iterator<Item = DVec3> + use<> {
         let ahead = |angle: f64| DVec2::new(cos(angle), sin(angle));
         let column = beam as f64 - (self.beams - 1) as f64 / 2.0;
@@ -205,7 +205,7 @@ impl RangeSensor {
         let aside = ahead(axis).perp();
         (0..rays * rays).map(move |ray| {
             let part = |index: i32| (f64::from(index) + 0.5) / f64::from(rays);
-            // The zone lies above the horizon.
+            // The zone is above the horizon.
             let (across, up) = (part(ray % rays) - 0.5, part(ray / rays));
             (middle + aside * (across * side)).extend(up * side)
         })
@@ -219,7 +219,7 @@ impl RangeSensor {
     }
 }
 
-/// The body as a prism.
+/// A body as a prism.
 pub(super) fn cylinder(body: &Body) -> Prism {
     Prism { footprint: Footprint::disc(body.centre, body.radius), bottom: 0.0, top: body.height }
 }

@@ -1,7 +1,7 @@
-//! Upright prisms: a convex footprint from one height to another.
+//! Upright prisms: a convex footprint between two heights.
 //!
-//! A ray meets a prism where, clipped to the prism's heights, it meets the footprint: so every
-//! question in space becomes one in the plane, which parry answers.
+//! A ray is clipped to the prism's heights and then intersected with the footprint, so that all queries
+//! in space reduce to plane geometry, which parry provides.
 
 use libm::{cos, sin};
 use parry2d_f64::{
@@ -12,7 +12,7 @@ use parry2d_f64::{
     shape::{Ball, ConvexPolygon, Cuboid, Segment, Shape},
 };
 
-/// A convex shape in the plane.
+/// A convex shape in its own frame.
 #[derive(Clone, Debug)]
 enum Outline {
     Box(Cuboid),
@@ -20,7 +20,7 @@ enum Outline {
     Polygon(ConvexPolygon),
 }
 
-/// The edge of a convex shape in its place.
+/// The boundary of a convex shape in place.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Rim {
     /// A circle.
@@ -34,7 +34,7 @@ pub(super) enum Rim {
     Corners(Vec<DVec2>),
 }
 
-/// A convex shape from above, in its place.
+/// A convex footprint in place.
 #[derive(Clone, Debug)]
 pub(super) struct Footprint {
     outline: Outline,
@@ -54,13 +54,13 @@ impl Footprint {
         Self { outline: Outline::Disc(Ball::new(radius)), place: Pose2::from_translation(centre) }
     }
 
-    /// `None` unless the corners are those of a convex polygon.
+    /// The footprint of a polygon; `None` unless the corners are those of a convex polygon.
     pub(super) fn polygon(corners: &[DVec2]) -> Option<Self> {
         let polygon = ConvexPolygon::from_convex_hull(corners)?;
         Some(Self { outline: Outline::Polygon(polygon), place: Pose2::identity() })
     }
 
-    /// Its edge.
+    /// Its boundary.
     pub(super) fn rim(&self) -> Rim {
         let corners = match &self.outline {
             Outline::Disc(ball) => {
@@ -91,14 +91,14 @@ impl Footprint {
         self.shape().contains_point(&self.place, point)
     }
 
-    /// The nearest point of the shape; the point itself inside.
+    /// The nearest point of the shape; inside, the point itself.
     pub(super) fn nearest(&self, point: DVec2) -> DVec2 {
         self.shape().project_point(&self.place, point, true).point
     }
 
-    /// From the way between two points to the shape; zero if they touch.
+    /// Distance of the segment between two points from the shape; zero if they touch.
     pub(super) fn distance_to_way(&self, from: DVec2, to: DVec2) -> f64 {
-        // parry has no distance for a segment without length.
+        // parry has no distance for a segment of zero length.
         if (to - from).length_squared() < 1e-12 {
             return self.shape().distance_to_point(&self.place, from, true);
         }
@@ -107,7 +107,7 @@ impl Footprint {
             .map_or(0.0, |found| found.distance)
     }
 
-    /// Whether the shape and an upright rectangle share more than an edge.
+    /// Whether the shape and an axis-aligned rectangle overlap by more than an edge.
     pub(super) fn overlaps(&self, rectangle: &Aabb) -> bool {
         let half = rectangle.half_extents() - DVec2::splat(1e-6);
         let place = Pose2::from_translation(rectangle.center());
@@ -115,13 +115,13 @@ impl Footprint {
             .map_or(true, |found| found.intersecting)
     }
 
-    /// How far along a unit direction the shape begins, if it does within `length`; zero inside.
+    /// Distance along a unit direction at which a ray enters the shape, if within `length`; zero inside.
     fn enter(&self, origin: DVec2, direction: DVec2, length: f64) -> Option<f64> {
         let ray = Ray::new(origin, direction);
         self.shape().cast_ray(&self.place, &ray, length, true)
     }
 
-    /// Points on the boundary no more than `spacing` apart, each with its outward normal.
+    /// Points on the boundary at most `spacing` apart, each with its outward normal.
     pub(super) fn boundary(&self, spacing: f64) -> Vec<(DVec2, DVec2)> {
         let corners = match self.rim() {
             Rim::Disc { centre, radius } => {
@@ -139,7 +139,7 @@ impl Footprint {
         let mut points = Vec::new();
         for (index, &from) in corners.iter().enumerate() {
             let edge = corners[(index + 1) % corners.len()] - from;
-            // Corners go round counter-clockwise: outward is to the right.
+            // Corners are counter-clockwise: outward is to the right of an edge.
             let normal = DVec2::new(edge.y, -edge.x).normalize_or_zero();
             let count = (edge.length() / spacing).ceil().max(1.0);
             for step in 0..count as usize {
@@ -154,24 +154,24 @@ impl Footprint {
 #[derive(Clone, Debug)]
 pub(super) struct Prism {
     pub(super) footprint: Footprint,
-    /// Its lower side above the floor, in metres.
+    /// Height of its lower side above the floor, in metres.
     pub(super) bottom: f64,
-    /// Its upper side above the floor, in metres.
+    /// Height of its upper side above the floor, in metres.
     pub(super) top: f64,
 }
 
 impl Prism {
-    /// Whether it has something in a range of heights.
+    /// Whether some part of it lies between two heights.
     pub(super) fn reaches(&self, from: f64, to: f64) -> bool {
         self.bottom < to && self.top > from
     }
 
-    /// Whether a level plane at this height cuts it.
+    /// Whether it intersects the horizontal plane at a height.
     pub(super) fn spans(&self, height: f64) -> bool {
         self.bottom <= height && height < self.top
     }
 
-    /// Where a ray meets it first, as a multiple of `direction` from 0 to `limit`; 0 inside.
+    /// The first hit of a ray, as a multiple of `direction` from 0 to `limit`; 0 inside.
     pub(super) fn first_hit(&self, origin: DVec3, direction: DVec3, limit: f64) -> Option<f64> {
         let (mut from, mut to) = (0.0, limit);
         if direction.z == 0.0 {

@@ -1,56 +1,53 @@
-//! Depth from two imagers side by side, row by row.
+//! A stereo camera's depths, row by row.
 
-/// Parts of a pixel in which a D435 gives a disparity: five fractional bits.
+/// Resolution of a D435's disparity in fractions of a pixel: five fractional bits.
 pub(super) const PARTS: f32 = 32.0;
 
-/// A difference of disparity between two neighbouring pixels, in pixels, that no surface shows
-/// which is not seen edge on: the edge of something.
+/// Difference of disparity between neighbouring pixels, in pixels, above which there is an edge: a surface
+/// seen at a moderate angle never has it.
 const EDGE: f32 = 0.5;
 
-/// Added to and taken from a number of less than 2^22, it rounds it to the nearest whole one.
+/// Adding and subtracting this rounds a number below 2^22 to the nearest integer.
 const ROUND: f32 = 12_582_912.0;
 
-/// A number's whole part is in the lower bits of its sum with this.
+/// The lower bits of a number's sum with this hold the number's integer part.
 const WHOLE: f32 = 8_388_608.0;
 
-/// A stereo camera: how depth becomes disparity and, measured, depth again.
+/// A stereo camera: converts depth to disparity and measured disparity to depth.
 ///
-/// Disparities are in parts of a pixel here. The deviation of a depth `z` is that of a disparity
-/// times `z^2 / (focal * baseline)`, as the maker states it (Intel, Best-known-methods for tuning
-/// RealSense D400 depth cameras): with a D435's 0.08 px at 337 px and 50 mm, 0.5 % of 1 m and
-/// 1.9 % of 4 m.
+/// Disparities are in fractions of a pixel ([`PARTS`]). The standard deviation of a depth `z` is that of the
+/// disparity times `z^2 / (focal * baseline)` (Intel, Best-known-methods for tuning RealSense D400 depth
+/// cameras): with a D435's 0.08 px, 337 px and 50 mm it is 0.5 % at 1 m and 1.9 % at 4 m.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Stereo {
-    /// The disparity of one metre.
+    /// The disparity at one metre.
     scale: f32,
-    /// The least and the greatest depth that it gives, in millimetres.
+    /// Minimum and maximum depth in millimetres.
     range: [f32; 2],
 }
 
 impl Stereo {
-    /// A camera with this focal length in pixels and baseline in metres, that gives depths from
-    /// the one to the other, in metres.
+    /// A camera with a focal length in pixels, a baseline in metres, and a range of depths in metres.
     pub(super) fn new(focal: f64, baseline: f64, range: [f64; 2]) -> Self {
         Self {
             scale: (focal * baseline) as f32 * PARTS,
-            // A depth has 16 bits.
+            // Depths have 16 bits.
             range: range.map(|metres| (metres as f32 * 1000.0).min(65_535.0)),
         }
     }
 
-    /// The true disparities of depths in metres.
+    /// Converts depths in metres to exact disparities.
     pub(super) fn disparities(&self, depths: &[f32], into: &mut [f32]) {
         for (disparity, depth) in into.iter_mut().zip(depths) {
             *disparity = self.scale / depth;
         }
     }
 
-    /// A row of an image in millimetres, zero where there is no depth: of these disparities below
-    /// those, with what the noise adds to them (infinite where there is no match).
+    /// Appends a row of depths in millimetres, zero for none, to `image`. `row` and `above` are the exact
+    /// disparities of this row and the one above, `added` is the noise (infinite for no match).
     ///
-    /// Pixels whose surface the right imager does not see, because something nearer covers it
-    /// there, have no depth: a shadow to the left of whatever stands out. Nor has every other
-    /// pixel on an edge.
+    /// Pixels that are occluded for the right imager have no depth: objects cast a shadow to their left. At
+    /// edges, every other pixel has none.
     pub(super) fn measure(
         &self,
         row: &[f32],
@@ -73,7 +70,7 @@ impl Stereo {
     }
 }
 
-/// On an edge, a match is found where the noise is below its mean only.
+/// Removes the pixels at edges whose noise is positive: half of them.
 fn lose_edges(row: &[f32], above: &[f32], added: &mut [f32]) {
     let edge = EDGE * PARTS;
     let is_lost = |jump: f32, noise: f32| jump.abs() > edge && noise > 0.0;
@@ -87,8 +84,8 @@ fn lose_edges(row: &[f32], above: &[f32], added: &mut [f32]) {
     }
 }
 
-/// A pixel is seen by the right imager so many columns farther left as its disparity says; there
-/// something to its right may come before it.
+/// Removes the pixels that are occluded for the right imager. It sees a pixel farther left by its disparity,
+/// where something to the right of it may be in front.
 fn lose_shadows(row: &[f32], added: &mut [f32]) {
     let mut nearest = f32::INFINITY;
     for (column, (disparity, added)) in row.iter().zip(added).enumerate().rev() {

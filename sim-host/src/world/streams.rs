@@ -1,10 +1,10 @@
-//! Random numbers: an independent stream for everything that uses any, so that one robot fewer leaves
-//! the noise of the others unchanged.
+//! Random numbers: an independent stream for each user, so that removing one robot does not change the
+//! noise of the others.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// What a stream is for; the streams of a kind are numbered.
+/// The user of a stream; the streams of each kind are numbered.
 #[derive(Clone, Copy)]
 pub(super) enum Stream {
     Camera = 1,
@@ -15,7 +15,7 @@ pub(super) enum Stream {
 }
 
 impl Stream {
-    /// The stream of a number, from its beginning.
+    /// The stream with a number, from its beginning.
     pub(super) fn rng(self, seed: u64, number: usize) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream((self as u64) << 32 | number as u64);

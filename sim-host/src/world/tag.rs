@@ -1,18 +1,18 @@
 //! The patterns of the AprilTag family 36h11 (Olson 2011; Wang and Olson 2016).
 //!
-//! A tag is a black square, eight modules wide, whose inner six by six say its number; outside of
-//! it is a white margin of one module.
+//! A tag is a black square, eight modules wide, whose inner 6 x 6 modules encode its number, surrounded
+//! by a white margin of one module.
 
-/// Modules from edge to edge of the black square.
+/// Side of the black square in modules.
 pub(super) const SQUARE: usize = 8;
 
-/// The same with the margin.
+/// Side including the margin in modules.
 pub(super) const SIDE: usize = SQUARE + 2;
 
-/// How many tags of the family are known here.
+/// Number of tags of the family that are available here.
 pub const TAGS: usize = CODES.len();
 
-/// The words of the first tags of the family; the most significant bit is the first of [`place`].
+/// The codes of the first tags of the family; the most significant bit is the first of [`place`].
 const CODES: [u64; 64] = [
     0xd_7e00_984b,
     0xd_da66_4ca7,
@@ -80,8 +80,8 @@ const CODES: [u64; 64] = [
     0xa_4553_79b5,
 ];
 
-/// Which modules of a tag are white, row by row from its top, each from the left; the margin is
-/// the first and the last of each. `None` for a number that is not known here.
+/// Which modules of a tag are white: rows from the top, each from the left, including the margin. `None` for
+/// a number that is not available here.
 pub(super) fn pattern(id: usize) -> Option<[[bool; SIDE]; SIDE]> {
     let code = CODES.get(id)?;
     let mut white = [[true; SIDE]; SIDE];
@@ -95,8 +95,8 @@ pub(super) fn pattern(id: usize) -> Option<[[bool; SIDE]; SIDE]> {
     Some(white)
 }
 
-/// The column and row of a bit within the black square: nine in the upper left corner of the inner
-/// square, and the same turned by a quarter, a half and three quarters, clockwise.
+/// The column and row of a bit within the black square: nine bits in the upper left quarter of the inner
+/// square, then the same rotated clockwise by one, two and three quarters.
 fn place(bit: usize) -> (usize, usize) {
     const CORNER: [(usize, usize); 9] =
         [(1, 1), (2, 1), (3, 1), (4, 1), (5, 1), (2, 2), (3, 2), (4, 2), (3, 3)];
@@ -107,10 +107,10 @@ fn place(bit: usize) -> (usize, usize) {
 mod tests {
     use super::*;
 
-    /// Any two tags, however turned, differ in eleven modules or more: the family's promise, which
-    /// no word that is wrongly written down would keep.
+    /// Any two tags differ in at least eleven modules in any rotation. The family guarantees this, and a
+    /// mistyped code would violate it.
     #[test]
-    fn no_two_tags_are_alike_from_any_side() {
+    fn any_two_tags_differ_in_every_rotation() {
         let word = |id: usize, turns: usize| {
             let white = pattern(id).unwrap();
             let modules = (2..8).flat_map(|row| (2..8).map(move |column| (column, row)));

@@ -1,4 +1,4 @@
-//! What a perfect map of the room would say at slice height.
+//! The perfect map of the room at slice height.
 
 use std::collections::BTreeSet;
 
@@ -6,26 +6,26 @@ use parry2d_f64::glamx::{DVec2, DVec3};
 
 use super::room::{CellGrid, Room};
 
-/// How far before a surface one must be able to look, in metres.
+/// Distance in front of a surface, in metres, that must be visible.
 const AIR: f64 = 0.01;
 
-/// How far behind a surface the cell is taken that holds it, in metres.
+/// Depth below a surface, in metres, of the point whose cell holds the surface.
 const SKIN: f64 = 0.001;
 
-/// The perfect map of what never moves, at slice height.
+/// The perfect map of the static room at slice height.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Truth {
-    /// The cells that contain a surface which can be seen from the reachable floor; sorted. The
-    /// insides of walls and their far sides are not among them.
+    /// Cells that contain a surface visible from the reachable floor, sorted. The insides and far sides of
+    /// walls are not included.
     pub surfaces: Vec<(i32, i32)>,
-    /// The cells whose centres can be reached from a robot's start at slice height, now or before
-    /// the room changed, and that contain no surface; sorted.
+    /// Cells without a surface whose centres can be reached from a robot's start at slice height, now or
+    /// before the room changed; sorted.
     pub free: Vec<(i32, i32)>,
 }
 
-/// The truth as seen from these starts and from what was free `before` the room changed: who has
-/// looked into a closet knows it when its door is shut again. From anywhere in the room if there are
-/// no starts.
+/// The truth as seen from the starts and from the cells that were free `before` the room changed: a closet
+/// that was open once stays known when its door closes. Without starts, as seen from anywhere in the
+/// room.
 pub(super) fn truth(
     room: &Room,
     cells: CellGrid,
@@ -43,8 +43,7 @@ pub(super) fn truth(
     Truth { surfaces: surfaces.into_iter().collect(), free: free.into_iter().collect() }
 }
 
-/// The cells whose centres are joined to a start, or to a cell that was free before, by steps that
-/// nothing blocks.
+/// The cells whose centres are connected by free steps to a start, or to a cell that was free before.
 fn reach(
     room: &Room,
     cells: CellGrid,
@@ -65,7 +64,7 @@ fn reach(
     }
     let mut queue: Vec<(i32, i32)> = before.iter().copied().filter(|cell| open(*cell)).collect();
     for &start in starts {
-        // The centre of a start's cell may be solid where the start itself is not.
+        // The centre of the start's cell may be solid although the start is not.
         let (x, y) = cells.cell_at(start);
         for cell in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy))) {
             let centre = cells.centre(cell);
@@ -83,7 +82,7 @@ fn reach(
         for (dx, dy) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
             let next = (cell.0 + dx, cell.1 + dy);
             let Some(index) = cells.index(next) else { continue };
-            // A wall thinner than a cell may stand between two open centres.
+            // A wall thinner than a cell may separate two free centres.
             if !reached[index] && open(next) && room.sees(from, cells.centre(next).extend(height)) {
                 queue.push(next);
             }
@@ -109,7 +108,7 @@ fn surfaces(room: &Room, cells: CellGrid, height: f64, reached: &[bool]) -> BTre
     surfaces
 }
 
-/// Whether the centre of a reached cell about a point is in its sight.
+/// Whether a point is visible from the centre of a reached cell next to it.
 fn is_seen(room: &Room, cells: CellGrid, point: DVec3, reached: &[bool]) -> bool {
     let (x, y) = cells.cell_at(point.truncate());
     (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy))).any(|cell| {
@@ -119,6 +118,6 @@ fn is_seen(room: &Room, cells: CellGrid, point: DVec3, reached: &[bool]) -> bool
 }
 
 fn is_solid(room: &Room, point: DVec2, height: f64) -> bool {
-    // No height at all between the two: what spans this height.
+    // A range of no height: selects the prisms that span this height.
     room.is_solid(point, height, height + f64::EPSILON)
 }

@@ -1,4 +1,4 @@
-//! The targets of `tests/src/fuzz.rs`, without the rest of the tests' crate.
+//! The fuzz targets of `tests/src/fuzz.rs`, without the rest of that crate.
 
 #[path = "../../src/fuzz.rs"]
 mod targets;

@@ -1,6 +1,6 @@
-//! Which file of a crate uses what of which other one, as the compiler sees it: modules are found from
-//! `lib.rs` on, and names are followed through re-exports to the file that defines them. Tests are
-//! left out.
+//! The import graph of a crate's files, as the compiler resolves it: modules are found starting
+//! from `lib.rs`, and names are followed through re-exports to the defining file. Test code is
+//! excluded.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -13,7 +13,7 @@ use syn::{
     visit::{self, Visit},
 };
 
-/// A module with a file of its own, as the names on the way to it; the crate's root is empty.
+/// A module with its own file, as its path of names; empty for the crate's root.
 pub(super) type Module = Vec<String>;
 
 /// The modules of one crate.
@@ -21,25 +21,25 @@ pub(super) struct Graph {
     modules: BTreeMap<Module, Source>,
 }
 
-/// What is in one file.
+/// The contents of one file.
 struct Source {
     /// Relative to the crate's `src`.
     file: PathBuf,
-    /// Names that `use` brings in, and the paths that they stand for.
+    /// Names imported by `use`, with the paths that they stand for.
     names: BTreeMap<String, Module>,
-    /// Paths that are used: those of private `use`s and those in the code.
+    /// Used paths: those of private `use`s and those in the code.
     used: BTreeSet<Module>,
 }
 
 impl Graph {
-    /// The modules of the crate whose sources are in `src`.
+    /// Reads the modules of the crate with sources in `src`.
     pub(super) fn read(src: &Path) -> Self {
         let mut graph = Self { modules: BTreeMap::new() };
         graph.add(src, PathBuf::from("lib.rs"), Module::new());
         graph
     }
 
-    /// Adds a file, and those of its modules.
+    /// Adds a file and those of its modules.
     fn add(&mut self, src: &Path, file: PathBuf, module: Module) {
         let path = src.join(&file);
         let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
@@ -61,12 +61,12 @@ impl Graph {
         self.modules.insert(module, Source { file, names, used });
     }
 
-    /// The names of the modules in the crate's root.
+    /// The names of the root modules.
     pub(super) fn roots(&self) -> BTreeSet<&str> {
         self.modules.keys().filter_map(|module| module.first()).map(String::as_str).collect()
     }
 
-    /// Each file that uses something of another one, and that other one: their modules.
+    /// All pairs of modules where the first one's file uses something of the second one's.
     pub(super) fn uses(&self) -> BTreeSet<(&Module, &Module)> {
         let uses = self.modules.iter().flat_map(|(module, source)| {
             let found = source.used.iter().filter_map(|path| self.definer(module, path, 0));
@@ -80,10 +80,10 @@ impl Graph {
         &self.modules[module].file
     }
 
-    /// The module whose file defines what a path in `module` leads to. `None` if that is of another
-    /// crate, or has no path.
+    /// The module whose file defines the target of a path in `module`. `None` for other crates, and
+    /// names without a definition.
     fn definer(&self, module: &Module, path: &[String], depth: usize) -> Option<&Module> {
-        assert!(depth < 50, "{path:?} of {module:?} leads nowhere");
+        assert!(depth < 50, "{path:?} of {module:?} can't be resolved");
         let mut at = module.clone();
         for (index, name) in path.iter().enumerate() {
             let child = [&at[..], std::slice::from_ref(name)].concat();
@@ -94,7 +94,7 @@ impl Graph {
                 _ if self.modules.contains_key(&child) => at = child,
                 _ => {
                     let Some(target) = self.modules.get(&at)?.names.get(name) else {
-                        // Defined here, or by the language or another crate.
+                        // Defined here, in the language or in another crate.
                         return if index == 0 { None } else { self.key(&at) };
                     };
                     if target.first() == Some(name) {
@@ -113,7 +113,7 @@ impl Graph {
         self.modules.get_key_value(module).map(|(module, _)| module)
     }
 
-    /// Files that use each other, by whatever detours: each such circle in order of names.
+    /// Groups of files that use each other, directly or indirectly, each sorted by name.
     pub(super) fn circles(&self) -> Vec<Vec<&Module>> {
         let mut reached: BTreeMap<&Module, BTreeSet<&Module>> = BTreeMap::new();
         let uses = self.uses();
@@ -139,7 +139,7 @@ impl Graph {
     }
 }
 
-/// Reads what a file brings in and uses.
+/// Collects the imports and uses of a file.
 #[derive(Default)]
 struct Reader {
     children: Vec<String>,
@@ -148,7 +148,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// Takes the names of a `use`. A re-export is a name, and no use.
+    /// Adds the names of a `use`. A re-export defines a name without using it.
     fn take(&mut self, tree: &UseTree, path: &[String], is_reexport: bool) {
         let with = |name: &syn::Ident| [path, &[name.to_string()]].concat();
         let (name, target) = match tree {
@@ -172,7 +172,7 @@ impl Reader {
     }
 }
 
-/// Whether something is there for tests alone.
+/// Whether an item is only compiled for tests.
 fn is_for_tests(attributes: &[Attribute]) -> bool {
     let is_test = |it: &Attribute| {
         it.path().is_ident("cfg")
@@ -204,7 +204,7 @@ impl Visit<'_> for Reader {
     }
 
     fn visit_item_use(&mut self, item: &ItemUse) {
-        // Which way leads out of the crate does not matter here.
+        // The visibility outside of the crate is irrelevant here.
         let is_reexport = !matches!(item.vis, Visibility::Inherited);
         self.take(&item.tree, &[], is_reexport);
     }
@@ -214,10 +214,10 @@ impl Visit<'_> for Reader {
         visit::visit_path(self, path);
     }
 
-    /// Who may use an item is no path that is used.
+    /// Paths in visibilities are not uses.
     fn visit_visibility(&mut self, _: &Visibility) {}
 
-    /// Takes the paths among a macro's words.
+    /// Collects the paths among a macro's tokens.
     fn visit_macro(&mut self, item: &Macro) {
         self.visit_path(&item.path);
         let text = item.tokens.to_string();

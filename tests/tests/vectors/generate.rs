@@ -1,4 +1,4 @@
-//! Writes the vectors, when asked to (`UBIMAP_WRITE_VECTORS=1`).
+//! Generates the vectors on request (`UBIMAP_WRITE_VECTORS=1`).
 
 use std::fs;
 
@@ -80,12 +80,12 @@ fn header(kind: FrameKind, sequence: u16) -> Header {
     Header { version: 1, kind, sequence }
 }
 
-/// One message in its frame: kind, length, body.
+/// An encoded message: kind, length, body.
 fn message<D: Traffic>(body: &impl Body<D>) -> Vec<u8> {
     written::<D>(|writer| writer.push(body))
 }
 
-/// The same of a message whose body begins with `head`.
+/// The same for a message whose body starts with `head`.
 fn message_with<D: Traffic>(head: &impl Body<D>, rest: &[u8]) -> Vec<u8> {
     written::<D>(|writer| {
         writer.push_with(head, |space| {
@@ -555,7 +555,7 @@ fn room() -> Tile {
     tile
 }
 
-/// The same a little later: a chair has gone, a door stands open, a box has come.
+/// The same later: a chair was removed, a door opened, a box added.
 fn room_later() -> Tile {
     let mut tile = room();
     for (x, y) in [(20, 15), (21, 15), (20, 16), (25, 6), (26, 6), (27, 6)] {
@@ -594,7 +594,7 @@ fn update_of(room: usize, fill: impl FnOnce(&mut TileEncoder<'_>)) -> Vec<u8> {
     out
 }
 
-/// One tile of a case: id, stamp, base, the cells before and after.
+/// One tile of a case: id, stamp, base, and the cells before and after.
 type Change = (TileId, Stamp, Option<u32>, Tile, Tile);
 
 fn tile_case(name: &str, room: usize, start: u16, changes: &[Change]) -> (Value, u16) {

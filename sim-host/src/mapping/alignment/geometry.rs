@@ -1,4 +1,4 @@
-//! Points, lines and cells of the plane; in millimetres.
+//! Points, lines and cells of the plane, in millimetres.
 
 use core::f64::consts::FRAC_PI_2;
 
@@ -6,15 +6,16 @@ use libm::{atan2, cos, sin};
 use nalgebra::Vector2;
 use ubimap_protocol::units::Pose;
 
-/// Points lie on a line if none is off it by more than a tenth of its length.
+/// Points form a line if their spread across it is at most this share of their spread along it
+/// (both squared).
 const LINE_WIDTH: f64 = 0.1;
 
-/// The quarter into which one looks along an arm.
+/// The quadrant of a viewing direction: bit 0 for east, bit 1 for north.
 pub(super) fn quarter(arm: Vector2<f64>) -> usize {
     usize::from(arm.x > 0.0) | usize::from(arm.y > 0.0) << 1
 }
 
-/// The line through points, if they lie on one: their mean, and the direction across.
+/// Fits a line: the mean of the points, and the unit normal. `None` if they do not form a line.
 pub(super) fn line(points: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64>)> {
     let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
@@ -32,18 +33,18 @@ pub(super) fn line(points: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64
     Some((mean, Vector2::new(cos(across), sin(across))))
 }
 
-/// The cell in which a point lies; in millimetres.
+/// The cell that contains a point.
 pub(super) fn cell_at(point: Vector2<f64>, resolution: f64) -> (i32, i32) {
     let cell = |millimetres: f64| libm::floor(millimetres / resolution) as i32;
     (cell(point.x), cell(point.y))
 }
 
-/// In millimetres.
+/// The position of a pose in millimetres.
 pub(super) fn position(pose: Pose) -> Vector2<f64> {
     Vector2::new(f64::from(pose.x.0), f64::from(pose.y.0))
 }
 
-/// The cells within so many of one, along x and along y.
+/// All cell offsets of at most `reach` along x and along y.
 pub(super) fn square(reach: i32) -> impl Iterator<Item = (i32, i32)> + Clone {
     (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)))
 }

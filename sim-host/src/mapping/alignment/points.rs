@@ -1,16 +1,16 @@
-//! From a distance vector to points.
+//! Converts distance vectors to points.
 
 use core::f64::consts::TAU;
 
 use libm::{cos, sin};
 use ubimap_protocol::message::{DistanceVector, MAX_COLUMNS};
 
-/// The points that a distance vector shows, in millimetres in `base_link`.
+/// The points of a distance vector, in millimetres in `base_link`.
 ///
-/// A column of several beams holds the nearest of their readings, which is that of a beam at the
-/// column's side where the surface is nearer. Sensors with more beams than columns are taken to
-/// have a few for each: the point is moved to that side by 0.3 of a column (0.45 would be right for
-/// very many beams, 0.3 for two and a half).
+/// A column that merges several beams holds the nearest of their readings, which lies towards the
+/// side of the column where the surface is nearer. Sensors with more beams than columns are assumed
+/// to have a few per column: the point is moved to that side by 0.3 of a column (0.45 would be
+/// right for very many beams, 0.3 for 2.5).
 pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
     let merged = vector.distances.len() == MAX_COLUMNS;
     let reading = |column: usize| match vector.distances.get(column) {
@@ -20,11 +20,11 @@ pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
     let columns = 0..vector.distances.len();
     let found = columns.filter_map(|column| {
         let here = reading(column)?;
-        // A jump is no neighbour. Where one is missing, as at the end of what is in range, the
-        // other tells as well.
+        // Across a jump in distance there is no neighbour. If one is missing, as at the end of the
+        // range, the other one is extrapolated.
         let beside = |column: usize| reading(column).filter(|it| (it - here).abs() < 15);
         let (before, after) = (column.checked_sub(1).and_then(beside), beside(column + 1));
-        // In units of 2 cm for two columns.
+        // In units of 2 cm per two columns.
         let slope = match (before, after) {
             (Some(before), Some(after)) => after - before,
             (Some(before), None) => 2 * (here - before),

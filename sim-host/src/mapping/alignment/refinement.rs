@@ -1,4 +1,4 @@
-//! The least squares of the distances between points and the lines along surfaces.
+//! Least squares over the distances between points and lines along surfaces.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use ubimap_protocol::units::{Angle, Pose};
@@ -9,45 +9,47 @@ use super::{
     surfaces::{Surface, Surfaces},
 };
 
-/// Two places are not one if they are so far from each other: the square of the distance in
-/// standard deviations, as chi-squared with three degrees of freedom has it in one of 10,000 cases.
+/// Minimum squared distance, in standard deviations, between two different poses: chi-squared with
+/// three degrees of freedom at a probability of 1 in 10,000.
 const ELSEWHERE: f64 = 21.1;
-/// Points farther from their surface than this do not count, in millimetres: at first, and once the
-/// pose is nearly right.
+/// Maximum distance of a point from its surface in the first rounds, in millimetres.
 const FIRST_REACH_MM: f64 = 250.0;
+/// The same in the other rounds, when the pose is nearly right.
 const LAST_REACH_MM: f64 = 100.0;
-/// Rounds of refinement; so many of them with the first reach.
+/// Number of refinement rounds.
 const ROUNDS: usize = 14;
+/// Number of rounds with the first reach.
 const FIRST_ROUNDS: usize = 6;
-/// What a surface is at odds with the cells that stand for it, in millimetres and radians: it does
-/// not average out over the points.
+/// Systematic position error of cells as surfaces, in millimetres: it does not average out over the
+/// points.
 pub(super) const CELL_DEVIATION_MM: f64 = 15.0;
+/// Systematic heading error of cells as surfaces, in radians.
 pub(super) const CELL_DEVIATION: f64 = 0.004;
 
-/// What holds a match to the predicted pose.
+/// The prior that holds a match to the predicted pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hold {
     at: Vector2<f64>,
     heading: f64,
-    /// Of x, y and heading, for deviations of a millimetre.
+    /// Information of x, y and heading, for deviations of a millimetre.
     information: Vector3<f64>,
-    /// Whether it is part of the result's certainty.
+    /// Whether the prior contributes to the result's certainty.
     counts: bool,
 }
 
-/// Where a refinement came to.
+/// Result of a refinement.
 pub(super) struct Refined {
     pub(super) at: Vector2<f64>,
     pub(super) heading: f64,
-    /// The normal equations, for deviations of a millimetre.
+    /// Matrix of the normal equations, for deviations of a millimetre.
     pub(super) information: Matrix3<f64>,
     pub(super) points: usize,
-    /// The mean square of the points' distances, in square millimetres.
+    /// Mean squared distance of the points, in square millimetres.
     pub(super) square: f64,
 }
 
 impl Hold {
-    /// A pose is never surer than 5 mm and 0.1 degrees.
+    /// The prior's deviations are at least 5 mm and 0.1 degrees.
     pub(super) fn new(search: &Search, predicted: Pose) -> Self {
         let information = |deviation: f64| (CELL_DEVIATION_MM / deviation).powi(2);
         let position = match search.prior {
@@ -68,12 +70,12 @@ impl Hold {
 }
 
 impl Refined {
-    /// Whether it is another place than `best`, whose covariance is given, and explains what was
-    /// seen nearly as well.
+    /// Whether this is a different pose from `best`, which has the given covariance, and fits
+    /// nearly as well.
     pub(super) fn is_elsewhere_and_as_good(&self, best: &Self, covariance: &Matrix3<f64>) -> bool {
         let (dx, dy) = (self.at.x - best.at.x, self.at.y - best.at.y);
         let off = Vector3::new(dx, dy, self.heading - best.heading);
-        // Along a direction of which the surfaces say nothing, all places are one.
+        // Along an unconstrained direction, all positions count as the same.
         let distance = covariance.try_inverse().map_or(0.0, |inverse| off.dot(&(inverse * off)));
         let as_good = 100 * self.points >= RIVAL_SCORE as usize * best.points
             && self.square <= 2.0 * best.square.max(CELL_DEVIATION_MM * CELL_DEVIATION_MM);
@@ -81,7 +83,7 @@ impl Refined {
     }
 }
 
-/// The pose near one from which the points lie best on the surfaces.
+/// Refines a pose so that the points fit the surfaces best.
 pub(super) fn refine(
     surfaces: &Surfaces,
     points: &[Vector2<f64>],
@@ -120,7 +122,7 @@ pub(super) fn refine(
             }
             count += usize::from(counts);
         }
-        // The start holds it where nothing else does.
+        // The prior holds the pose in unconstrained directions.
         let back = hold.at - at;
         let turn = Angle::from_radians(hold.heading - heading).radians();
         let held = information + Matrix3::from_diagonal(&hold.information);

@@ -1,4 +1,4 @@
-//! Every pose about the predicted one, scored.
+//! Scores all poses around the predicted one.
 
 use nalgebra::Vector2;
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
@@ -8,56 +8,56 @@ use super::{
     surfaces::Surfaces,
 };
 
-/// The step of headings that are tried, in binary angle units: 1.4 degrees, a cell and a half at
-/// 4 m.
+/// Step of the tried headings in binary angle units: 1.4 degrees, which is 1.5 cells at 4 m.
 const TURN_STEP: i32 = 256;
-/// Another place is as good as the best one with so many hundredths of its score, and another one
-/// if it is so many cells or steps of heading away.
+/// Minimum score of a rival, in per cent of the best score.
 pub(super) const RIVAL_SCORE: i32 = 88;
+/// Candidates at most this many cells apart, along x and y, count as the same place.
 const RIVAL_CELLS: i32 = 4;
+/// Candidates at most this many heading steps apart count as the same place.
 const RIVAL_TURNS: i32 = 4;
-/// Places that are looked at, the best one included.
-const MOST_PLACES: usize = 8;
-/// What a candidate's score loses for the square of its distance from the predicted pose in
-/// standard deviations: half of what a point on a surface is worth.
+/// Maximum number of places that are compared, including the best one.
+const MAX_PLACES: usize = 8;
+/// Penalty on a candidate's score per squared standard deviation from the predicted pose: half the
+/// score of a point on a surface.
 const DEVIATION_SCORE: f64 = 128.0;
 
-/// How far from the predicted pose to look.
+/// The search range around the predicted pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Search {
-    /// Along x and along y, either way.
+    /// Maximum offset along x and along y, in both directions.
     pub position: Millimetres,
-    /// Either way round.
+    /// Maximum turn in both directions.
     pub turn: Angle,
-    /// How sure the predicted pose is.
+    /// The certainty of the predicted pose.
     pub prior: Prior,
 }
 
-/// How sure a predicted pose is: standard deviations.
+/// The certainty of a predicted pose, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Prior {
-    /// It says no more than where to look.
+    /// Unknown: the pose only centres the search.
     Nothing,
-    /// Of x and of y. It is a measurement, which counts for how sure the match is.
+    /// Of x and y. The prediction is an independent measurement that adds to the match's certainty.
     Measured(Millimetres),
-    /// Of x and of y, and of the heading. What says so is known to whom the match is for, and does
-    /// not count.
+    /// Of x and y, and of the heading. The match's receiver already knows this information, so it
+    /// does not add to the match's certainty.
     Carried(Millimetres, Angle),
 }
 
-/// A candidate of the search: what it scores, and how far it is from the predicted pose.
+/// A candidate pose of the search.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Candidate {
     pub(super) score: i32,
-    /// What the score loses for the distance from the predicted pose.
+    /// Penalty for the distance from the predicted pose.
     pub(super) away: i32,
     turns: i32,
     cells: (i32, i32),
 }
 
 impl Search {
-    /// Standard deviations of x and of y in millimetres, and of the heading in binary angle units,
-    /// about the predicted pose: the search goes four of them far.
+    /// Standard deviations about the predicted pose: of x and y in millimetres, and of the heading
+    /// in binary angle units. A quarter of the search range where not given.
     pub(super) fn deviations(&self) -> (f64, f64) {
         let position = match self.prior {
             Prior::Measured(deviation) => deviation.0.into(),
@@ -66,8 +66,8 @@ impl Search {
         (position.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))
     }
 
-    /// Whether a place was looked at in a search about a predicted pose, or is no farther than a
-    /// step from those that were: a refinement that ends anywhere else has run away.
+    /// Whether a pose is within the search range or at most a step outside; a refinement that ends
+    /// elsewhere has diverged.
     pub(super) fn covers(
         &self,
         step: f64,
@@ -84,7 +84,7 @@ impl Search {
 }
 
 impl Candidate {
-    /// Its position and heading, in a search about these.
+    /// Position and heading of the candidate, for a search around `start` and `heading`.
     pub(super) fn pose(
         &self,
         surfaces: &Surfaces,
@@ -97,7 +97,7 @@ impl Candidate {
     }
 }
 
-/// All poses of the search, scored.
+/// Scores all poses of the search.
 pub(super) fn candidates(
     surfaces: &Surfaces,
     points: &[Vector2<f64>],
@@ -120,7 +120,8 @@ pub(super) fn candidates(
             let squares = seen.iter().filter_map(|&(quarter, (x, y))| {
                 surfaces.nearest_square(quarter, (x + dx, y + dy))
             });
-            // A cell away 230, two cells 92, four cells 9.
+            // The score of a point is 256 on a surface, 230 one cell away, 92 at two cells and 8 at
+            // four.
             let score = squares.map(|square| 2_304 / (9 + square * square)).sum();
             let off =
                 f64::from(dx * dx + dy * dy) / (far * far) + f64::from(turn * turn) / (wide * wide);
@@ -131,7 +132,7 @@ pub(super) fn candidates(
     all
 }
 
-/// The best candidates of other places, one for each.
+/// The best candidate of each other place.
 pub(super) fn rivals(candidates: &[Candidate], best: &Candidate) -> Vec<Candidate> {
     let good = candidates.iter().filter(|it| it.score * 100 >= best.score * RIVAL_SCORE);
     let mut good: Vec<Candidate> = good.copied().collect();
@@ -143,7 +144,7 @@ pub(super) fn rivals(candidates: &[Candidate], best: &Candidate) -> Vec<Candidat
             (candidate.turns - place.turns).abs() <= RIVAL_TURNS
                 && dx.abs().max(dy.abs()) <= RIVAL_CELLS
         };
-        if places.len() < MOST_PLACES && !places.iter().any(same) {
+        if places.len() < MAX_PLACES && !places.iter().any(same) {
             places.push(candidate);
         }
     }

@@ -12,8 +12,8 @@ use ubimap_protocol::{
 
 const RESOLUTION: Millimetres = Millimetres(50);
 
-/// Walls as line segments, in metres; drawn into cells by stepping along them, and seen by
-/// intersecting rays: nothing of the map is used for what is seen.
+/// Walls as line segments, in metres. They are drawn into cells by stepping along them and seen by
+/// intersecting rays, so what is seen does not depend on the map.
 struct WalledRoom {
     walls: Vec<[[f64; 2]; 2]>,
     tiles: BTreeMap<TileId, Tile>,
@@ -44,7 +44,7 @@ impl WalledRoom {
         tile.set(within(x), within(y), cell);
     }
 
-    /// A distance vector of 64 columns of four beams over 90 degrees, 4 m far.
+    /// A distance vector of 64 columns of four beams each, over 90 degrees, with a range of 4 m.
     fn look(&self, pose: Pose) -> DistanceVector {
         let step = 256;
         let column = |column: i32| {
@@ -102,10 +102,10 @@ fn furnished() -> WalledRoom {
     WalledRoom::new(walls, [[0.05, 0.05], [6.0, 4.0]])
 }
 
-/// Where a robot sees too little it may not be found; where it is found it is there, as far as the
-/// match itself claims.
+/// With too little in view there may be no match, but matches must be within their claimed
+/// deviations.
 #[test]
-fn a_robot_is_where_it_is_found_as_far_as_the_match_claims() {
+fn matches_are_within_their_claimed_deviations() {
     let room = furnished();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (mut found, mut claimed, mut farthest, mut most_turned) = (0, 0, 0.0f64, 0.0f64);
@@ -138,9 +138,9 @@ fn a_robot_is_where_it_is_found_as_far_as_the_match_claims() {
     assert!(100 * claimed >= 99 * found, "{claimed} of {found}");
 }
 
-/// One who looks in the wrong place may find something there, and nothing elsewhere.
+/// A search around a wrong position may match there, but never outside its range.
 #[test]
-fn nothing_is_found_where_nobody_looked() {
+fn matches_are_within_the_search_range() {
     let room = furnished();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let prior = Prior::Measured(Millimetres(25));
@@ -156,14 +156,14 @@ fn nothing_is_found_where_nobody_looked() {
         found += 1;
         let off = [match_.pose.x - predicted.x, match_.pose.y - predicted.y];
         let turned = (match_.pose.heading - predicted.heading).degrees().abs();
-        // A step is a cell, and 1.4 degrees.
+        // The range plus one step: a cell and 1.4 degrees.
         assert!(off.iter().all(|off| off.0.abs() <= 151) && turned <= 15.8, "{match_:?}");
     }
     assert!(found > 5, "{found}");
 }
 
 #[test]
-fn most_places_in_a_room_tell_all_three() {
+fn most_places_in_a_room_constrain_position_and_heading() {
     let room = furnished();
     let (mut found, mut good) = (0, 0);
     for (x, y) in (2..7).flat_map(|x| (2..6).map(move |y| (f64::from(x) / 2.0, f64::from(y) / 2.0)))
@@ -190,7 +190,7 @@ fn corridor(more: &[[[f64; 2]; 2]]) -> WalledRoom {
 
 #[test]
 fn a_thin_wall_is_not_taken_for_its_other_side() {
-    // The end of the corridor is a wall 20 cm thick, of which the map knows the other face.
+    // A wall 20 cm thick closes the corridor; the map knows only its other face.
     let mut room = corridor(&[[[3.04, 0.0], [3.04, 2.04]]]);
     for y in 1..40 {
         (60..63).for_each(|x| room.set((x, y), Cell::Unknown));
@@ -200,14 +200,14 @@ fn a_thin_wall_is_not_taken_for_its_other_side() {
     let found = room.find(truth, truth, WIDE).expect("heading and y are known");
     let [x, y, _] = found.deviations();
     assert!(x > 1_000.0 && y < 60.0, "{x} {y}");
-    // The face that it sees.
+    // Add the visible face.
     (1..40).for_each(|y| room.set((60, y), Cell::Occupied));
     let found = room.find(truth, truth, WIDE).expect("all three are known");
     assert!((found.pose.x - truth.x).0.abs() < 40, "{found:?}");
 }
 
 #[test]
-fn where_knowledge_of_a_wall_ends_is_no_end_of_the_wall() {
+fn the_end_of_the_known_part_of_a_wall_constrains_nothing() {
     let mut room = corridor(&[]);
     for x in 50..80 {
         (-1..42).for_each(|y| room.set((x, y), Cell::Unknown));
@@ -222,7 +222,7 @@ fn where_knowledge_of_a_wall_ends_is_no_end_of_the_wall() {
 }
 
 #[test]
-fn a_corridor_says_nothing_of_the_way_along_it() {
+fn a_corridor_does_not_constrain_the_position_along_it() {
     let truth = Pose::from_metres(0.0, 1.0, 0.1);
     let predicted = Pose::from_metres(0.3, 1.2, 0.2);
     let found = corridor(&[]).find(truth, predicted, WIDE).expect("heading and y are known");
@@ -233,7 +233,7 @@ fn a_corridor_says_nothing_of_the_way_along_it() {
 }
 
 #[test]
-fn a_place_that_looks_like_another_is_none() {
+fn ambiguous_places_do_not_match() {
     // Ribs every 40 cm on both sides of the corridor.
     let ribs: Vec<_> = (-20..=20)
         .flat_map(|rib| {
@@ -250,7 +250,7 @@ fn a_place_that_looks_like_another_is_none() {
     assert!(off.0.abs() < 40, "{off:?}");
 }
 
-/// 3.6 m wide.
+/// A hall 3.6 m wide.
 fn hall(more: &[[[f64; 2]; 2]]) -> WalledRoom {
     let walls = [[[-9.0, -0.78], [19.0, -0.78]], [[-9.0, 2.82], [19.0, 2.82]]];
     let walls = walls.iter().chain(more).copied().collect();
@@ -258,8 +258,8 @@ fn hall(more: &[[[f64; 2]; 2]]) -> WalledRoom {
 }
 
 #[test]
-fn what_ends_out_of_range_lies_where_it_is() {
-    // Walls on both sides that go on; the last column of each has one neighbour.
+fn points_at_the_end_of_the_range_are_on_their_surface() {
+    // Walls on both sides beyond the range; the last column of each has one neighbour.
     let room = hall(&[]);
     for degrees in [-3.0f64, 0.0, 3.0] {
         let pose = Pose::from_metres(0.0, 1.0, degrees.to_radians());
@@ -271,10 +271,10 @@ fn what_ends_out_of_range_lies_where_it_is() {
     }
 }
 
-/// 10 m through a hall of which the map says nothing, by odometry that turns too far by 0.2 and by
-/// up to a degree at each look.
+/// Drives 10 m through an unmapped hall with odometry that turns 20 % too far, plus an error of up
+/// to 1 degree per look.
 #[test]
-fn a_robot_finds_its_way_by_what_it_has_seen() {
+fn a_trail_bounds_the_drift_in_unmapped_ground() {
     let room = hall(&[
         [[1.0, -0.78], [1.0, -0.1]],
         [[3.3, 2.0], [4.0, 2.2]],
@@ -326,7 +326,7 @@ fn a_robot_finds_its_way_by_what_it_has_seen() {
 }
 
 #[test]
-fn what_lies_in_the_free_contradicts() {
+fn points_in_free_ground_contradict() {
     let room = furnished();
     let pose = Pose::from_metres(2.0, 1.0, -0.5);
     let tile = |id| room.tiles.get(&id).copied().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! What a robot has seen on its way through blind ground.
+//! The surfaces that a robot has seen on its way through blind ground.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,35 +10,34 @@ use ubimap_protocol::{
 
 use super::geometry::{cell_at, line, position, quarter, rotated};
 
-/// Points of neighbouring columns that are farther apart, in millimetres, are of two surfaces.
+/// Neighbouring points farther apart than this, in millimetres, belong to two surfaces.
 const GAP_MM: f64 = 200.0;
-/// So many cells of each quarter are remembered: about 400 kB, and 200 m of walls.
-const MOST_CELLS: usize = 4_096;
+/// Maximum number of remembered cells per quadrant: about 400 kB in all, and 200 m of walls.
+const MAX_CELLS: usize = 4_096;
 
-/// Sums over all that has been seen of a surface in a cell.
+/// Sums over all observations of a surface in a cell.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     middle: Vector2<f64>,
-    /// Towards who saw it.
+    /// Points towards the observer.
     normal: Vector2<f64>,
     count: u32,
 }
 
-/// The surfaces that a robot has seen on its way, as seen from where the server found it to be:
-/// finer than the cells that it draws, and not where it believed to be.
+/// The surfaces that a robot has seen on its way, relative to its poses as corrected by the server:
+/// finer than the cells that it draws, and without its own pose error.
 #[derive(Clone, Debug, Default)]
 pub struct Trail {
-    /// By the quarter into which one looked, and by cell.
+    /// By viewing quadrant and cell.
     seen: [BTreeMap<(i32, i32), Seen>; 4],
     tiles: BTreeSet<TileId>,
 }
 
 impl Trail {
-    /// Adds the points (as of [`points`](super::points)) that were seen from a pose. Three
-    /// neighbours on a line are a surface. If there is too much all that was seen before is
-    /// forgotten.
+    /// Adds the points (from [`points`](super::points)) seen from a pose; three neighbours on a
+    /// line form a surface. If the maximum is exceeded, everything seen before is forgotten.
     pub fn add(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
-        if self.seen.iter().any(|seen| seen.len() > MOST_CELLS) {
+        if self.seen.iter().any(|seen| seen.len() > MAX_CELLS) {
             *self = Self::default();
         }
         let arms = points.iter().map(|&[x, y]| rotated(Vector2::new(x, y), pose.heading.radians()));
@@ -58,13 +57,13 @@ impl Trail {
         }
     }
 
-    /// Whether anything has been seen in a tile.
+    /// Whether any surface has been seen in a tile.
     pub fn has(&self, id: TileId) -> bool {
         self.tiles.contains(&id)
     }
 
-    /// The cells in which surfaces have been seen by looking into a quarter; of each the middle of
-    /// what was seen, and the direction across.
+    /// The cells with surfaces visible when looking into a quadrant, each with the surfaces' mean
+    /// point and normal.
     pub(super) fn seen(
         &self,
         quarter: usize,

@@ -1,5 +1,5 @@
-//! Ahmed's marker (Ahmed et al., 2.2): a light cover, on it a head and a tail, each of one colour.
-//! It needs a colour camera and few pixels, and no code: the pair of colours says which robot.
+//! Ahmed's colour marker (Ahmed et al., 2.2): a light cover with a head and a tail disc of different
+//! colours, which identify the robot. It needs a colour camera, but few pixels.
 
 use std::collections::BTreeMap;
 
@@ -11,29 +11,29 @@ use super::{
     marker::{Hue, Identifier, Marker},
 };
 
-/// A channel more than another by this is a colour.
+/// Minimum difference between the channels of a coloured pixel.
 const COLOURED: u8 = 50;
-/// Fewer pixels are a speck.
-const LEAST_PIXELS: usize = 12;
-/// Head and tail are of one size: the larger has at most so many times the pixels of the other.
-const UNLIKE: usize = 2;
-/// How far apart their middles may be, in parts of the diameter of a disc of as many pixels. They
-/// are 1.25 diameters apart, and less where the marker is seen from the side.
+/// Minimum number of pixels of a blob; smaller ones are specks.
+const MIN_PIXELS: usize = 12;
+/// Maximum ratio of the numbers of pixels of head and tail, which are of equal size.
+const MAX_SIZE_RATIO: usize = 2;
+/// Distance between the centres of head and tail, in diameters of a disc of the larger one's area. It is
+/// nominally 1.25, and less where the marker is seen at an angle.
 const APART: core::ops::Range<f64> = 0.6..2.2;
-/// Between them the cover is as bright as this, in each channel.
+/// Minimum brightness of the cover between them, in each channel.
 const LIGHT: u8 = 120;
-/// The standard deviation of a middle's coordinate, in pixels.
+/// Standard deviation of the coordinates of a disc's centre, in pixels.
 const MIDDLE_NOISE_PX: f64 = 0.15;
 
-/// Pixels of one colour that touch each other.
+/// Connected pixels of one colour.
 struct Blob {
     hue: Hue,
     pixels: usize,
     middle: [f64; 2],
 }
 
-/// The colour markers in a region of a picture. A pair of blobs may be one without being a marker:
-/// [`locate`](super::locate) refuses those that are not of its size.
+/// The colour markers in a region of a picture. May include pairs of blobs that are no markers;
+/// [`locate`](super::locate) refuses those of the wrong size.
 pub fn detect_colours(picture: &RgbImage, region: ImageRegion) -> Vec<Marker> {
     let blobs = blobs(picture, region);
     let mut markers = Vec::new();
@@ -60,7 +60,7 @@ fn are_pair(head: &Blob, tail: &Blob, picture: &RgbImage) -> bool {
         let pixel = picture.get_pixel_checked(between[0], between[1]);
         pixel.is_some_and(|pixel| pixel.0.iter().all(|&channel| channel >= LIGHT))
     };
-    more <= UNLIKE * less
+    more <= MAX_SIZE_RATIO * less
         && APART.contains(&(hypot(x - tail_x, y - tail_y) / diameter))
         && is_light()
 }
@@ -93,7 +93,7 @@ fn blobs(picture: &RgbImage, region: ImageRegion) -> Vec<Blob> {
                 }
             }
         }
-        if pixels.len() >= LEAST_PIXELS {
+        if pixels.len() >= MIN_PIXELS {
             let middle = middle(picture, &pixels);
             blobs.push(Blob { hue, pixels: pixels.len(), middle });
         }
@@ -101,7 +101,7 @@ fn blobs(picture: &RgbImage, region: ImageRegion) -> Vec<Blob> {
     blobs
 }
 
-/// The middle of the colour, its faint rim weighed less.
+/// The centre of a blob; its faint rim has less weight.
 fn middle(picture: &RgbImage, pixels: &[(u32, u32)]) -> [f64; 2] {
     let mut sums = [0.0; 3];
     for &(row, column) in pixels {
@@ -122,13 +122,13 @@ fn range([red, green, blue]: [u8; 3]) -> (u8, u8) {
     (red.min(green).min(blue), red.max(green).max(blue))
 }
 
-/// The nearest of the six colours, `None` for grey.
+/// The nearest of the six colours; `None` for grey.
 fn hue([red, green, blue]: [u8; 3]) -> Option<Hue> {
     let (least, most) = range([red, green, blue]);
     if most - least < COLOURED {
         return None;
     }
-    // Above the half a channel is lit.
+    // A channel is lit if it is above the middle of the pixel's range.
     let is_lit = |channel: u8| channel - least > (most - least) / 2;
     Some(match [is_lit(red), is_lit(green), is_lit(blue)] {
         [true, false, false] => Hue::Red,

@@ -1,4 +1,4 @@
-//! A rectangle of a picture that is searched for markers.
+//! A rectangle of a picture in which markers are searched.
 
 use crate::camera::Picture;
 
@@ -9,9 +9,9 @@ pub struct ImageRegion {
     pub left: u32,
     /// The first row.
     pub top: u32,
-    /// Columns.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
 }
 

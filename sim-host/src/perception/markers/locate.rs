@@ -1,5 +1,5 @@
-//! Where a robot is whose marker is seen: on the floor it has only a place and a heading, and its
-//! marker's height is known, so that one calibrated camera is enough.
+//! The pose of a robot from its marker in one calibrated camera: on the floor the pose has only x, y and
+//! heading, and the height of the marker is known.
 
 use libm::{atan2, hypot, sincos, sqrt};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
@@ -7,44 +7,44 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 use super::marker::Marker;
 use crate::camera::Lens;
 
-/// Steps of Gauss-Newton at the most; three are enough.
+/// Maximum number of Gauss-Newton steps; three are usually enough.
 const STEPS: usize = 10;
-/// A step this small is the last, in metres and radians.
+/// The fit has converged when every component of a step is below this, in metres and radians.
 const SETTLED: f64 = 1e-9;
-/// Steps of the derivative of a lens, in metres.
+/// Step of the numerical derivative of the projection, in metres.
 const STEP_M: f64 = 1e-4;
-/// Residuals larger than noise explains: their sum of squares over their variance and number. At
-/// five degrees of freedom noise does this to one tag of two million.
-const TOO_LARGE: f64 = 7.5;
-/// What is known of the noise beforehand counts as so many residuals.
+/// Maximum reduced chi-squared of the residuals. With five degrees of freedom, noise exceeds it for one
+/// tag in two million.
+const MAX_CHI_SQUARED: f64 = 7.5;
+/// Weight of the prior noise estimate, as a number of residuals.
 const PRIOR_WEIGHT: f64 = 10.0;
 
-/// Where a robot is, and how sure that is.
+/// The pose of a robot and its covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// `base_link` in `map`, in metres.
     pub position_m: [f64; 2],
-    /// Counter-clockwise from the x axis of `map`, in radians.
+    /// The heading, counter-clockwise from the x axis of `map`, in radians.
     pub heading_rad: f64,
-    /// Of x, y (metres) and heading (radians).
+    /// Covariance of x, y (metres) and heading (radians).
     pub covariance: Matrix3<f64>,
 }
 
-/// Why the points of a marker give no pose.
+/// Why a marker's points give no pose.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NotThere {
-    /// No pose at all explains them.
-    #[error("points that no pose of the marker explains")]
+    /// No pose explains the points.
+    #[error("no pose of the marker explains its points")]
     NoPose,
-    /// The best pose leaves residuals that noise does not: the marker is not level, or not at that
-    /// height, or not of that size.
-    #[error("residuals of {0:.2} pixels: not level, or not of that height or size")]
+    /// The residuals of the best pose, in pixels, are larger than noise: the marker is not level, or not at
+    /// the registered height or of the registered size.
+    #[error("residuals of {0:.2} pixels: the marker is not level, or its height or size is wrong")]
     Residual(f64),
 }
 
-/// The robot's pose from a marker whose points are at these places in `base_link` (metres) and at
-/// this height above the floor. Least squares of the reprojection error; the covariance is that of
-/// the residuals' noise.
+/// The robot's pose from a marker with points at `points` in `base_link` (metres), at `height_m` above the
+/// floor. Minimises the squared reprojection error; the covariance follows from the noise of the
+/// residuals.
 ///
 /// # Errors
 /// Every [`NotThere`].
@@ -71,7 +71,7 @@ pub fn locate(
     let freedom = (2 * points.len() - 3) as f64;
     let variance = marker.noise_px * marker.noise_px;
     let excess = fit.squares / (variance * freedom);
-    if excess > TOO_LARGE || excess.is_nan() {
+    if excess > MAX_CHI_SQUARED || excess.is_nan() {
         return Err(NotThere::Residual(sqrt(fit.squares / (2 * points.len()) as f64)));
     }
     let variance = (PRIOR_WEIGHT * variance + fit.squares) / (PRIOR_WEIGHT + freedom);
@@ -83,7 +83,7 @@ pub fn locate(
     })
 }
 
-/// The rigid motion that brings the points nearest to where their pixels meet the marker's plane.
+/// The rigid motion that best maps the points onto the intersections of their rays with the marker's plane.
 fn first_guess(
     lens: &Lens,
     marker: &Marker,
@@ -108,18 +108,18 @@ fn first_guess(
     Some(Vector3::new(position.x, position.y, heading))
 }
 
-/// The place of `map` at a height that a pixel shows, `None` if it looks away from there.
+/// The point at `height_m` in `map` that a pixel sees; `None` if its ray does not meet that plane.
 pub(super) fn on_plane(lens: &Lens, pixel: [f64; 2], height_m: f64) -> Option<Vector2<f64>> {
     let (eye, way) = (lens.centre(), lens.direction(pixel));
     let depth = (height_m - eye.z) / way.z;
     (depth > 0.0 && depth.is_finite()).then(|| (eye + way * depth).coords.xy())
 }
 
-/// The least squares' sums at one pose.
+/// The normal equations of the least squares at one pose.
 struct Fit {
     information: Matrix3<f64>,
     gradient: Vector3<f64>,
-    /// Of the residuals, in pixels.
+    /// Sum of the squared residuals, in square pixels.
     squares: f64,
 }
 
@@ -156,7 +156,7 @@ impl Fit {
 }
 
 impl Placement {
-    /// How far it is from another, in metres.
+    /// Distance between the positions, in metres.
     pub fn distance_m(&self, other: &Self) -> f64 {
         let ([x, y], [other_x, other_y]) = (self.position_m, other.position_m);
         hypot(x - other_x, y - other_y)

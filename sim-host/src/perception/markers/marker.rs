@@ -1,4 +1,4 @@
-//! A marker as it is found in a picture, and the identifier that it shows.
+//! A marker found in a picture, and the identifier that it shows.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 pub enum Identifier {
     /// The number of an AprilTag of the family 36h11.
     Tag(u16),
-    /// The colours of a marker's head and tail, which differ (Ahmed et al., 2.2).
+    /// The colours of a colour marker's head and tail, which differ (Ahmed et al., 2.2).
     Colours {
-        /// Ahead.
+        /// The colour of the front disc.
         head: Hue,
-        /// Behind.
+        /// The colour of the rear disc.
         tail: Hue,
     },
 }
@@ -19,18 +19,18 @@ pub enum Identifier {
 /// A marker in a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Marker {
-    /// Which one it is.
+    /// Its identifier.
     pub identifier: Identifier,
-    /// Pixels (column, row), the first pixel's centre at (0, 0). Of a tag the corners of the black
-    /// square: rear left, rear right, front right, front left, where the upper edge is the front.
-    /// Of a colour marker the middles of head and tail.
+    /// Pixels (column, row); the centre of the first pixel is (0, 0). For a tag the corners of the black
+    /// square: rear left, rear right, front right, front left, where the upper edge is the front. For a
+    /// colour marker the centres of head and tail.
     pub points: Vec<[f64; 2]>,
-    /// The standard deviation of each coordinate of a point, in pixels.
+    /// Standard deviation of each coordinate of a point, in pixels.
     pub noise_px: f64,
 }
 
 impl Marker {
-    /// The middle of its points.
+    /// The mean of its points.
     pub fn middle(&self) -> [f64; 2] {
         let mean = |axis: usize| {
             self.points.iter().map(|point| point[axis]).sum::<f64>() / self.points.len() as f64
@@ -42,7 +42,7 @@ impl Marker {
 /// The colours of colour markers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-#[expect(missing_docs, reason = "their names say all")]
+#[expect(missing_docs, reason = "the names are self-explanatory")]
 pub enum Hue {
     Red,
     Yellow,
@@ -53,7 +53,7 @@ pub enum Hue {
 }
 
 impl Hue {
-    /// All of them.
+    /// All colours.
     pub const ALL: [Self; 6] =
         [Self::Red, Self::Yellow, Self::Green, Self::Cyan, Self::Blue, Self::Magenta];
 }

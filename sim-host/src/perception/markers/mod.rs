@@ -1,7 +1,7 @@
-//! From a picture to the poses of what carries a marker.
+//! Markers: from a picture to the poses of the robots that carry them.
 //!
-//! A detector ([`TagDetector`], [`detect_colours`]) finds the points of a [`Marker`] in a picture;
-//! [`Mount`] says where they are on the robot, and [`locate`] where the robot is then.
+//! A detector ([`TagDetector`], [`detect_colours`]) finds the points of a [`Marker`] in a picture; a
+//! [`Mount`] gives their positions on the robot, and [`locate`] computes the robot's pose.
 
 mod colour;
 mod image_region;

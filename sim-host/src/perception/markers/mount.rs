@@ -1,36 +1,35 @@
-//! Where a marker is on its robot.
+//! The mounting of a marker on its robot.
 
 use libm::sincos;
 use ubimap_protocol::units::RobotId;
 
 use super::marker::Identifier;
 
-/// How far the middles of a colour marker's head and tail are from its middle, in parts of its
-/// side.
+/// Distance from a colour marker's centre to the centres of its head and tail, as a fraction of its side.
 const HEAD: f64 = 0.25;
 
-/// How a robot carries a marker.
+/// A marker on a robot: its size and its pose in `base_link`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mount {
-    /// Which robot.
+    /// The robot.
     pub robot: RobotId,
     /// The side of a tag's black square, or of a colour marker's cover, in metres.
     pub side_m: f64,
-    /// How high above the floor it lies, in metres.
+    /// Height above the floor, in metres.
     pub height_m: f64,
-    /// Its middle in `base_link`, in metres.
+    /// Position of its centre in `base_link`, in metres.
     pub offset_m: [f64; 2],
-    /// How far its front edge is turned from the robot's, counter-clockwise in radians.
+    /// Rotation from the robot's heading to the marker's front, counter-clockwise in radians.
     pub turn_rad: f64,
 }
 
 impl Mount {
-    /// Level, its middle over `base_link`, its front ahead.
+    /// A marker centred over `base_link` with its front ahead.
     pub fn centred(robot: RobotId, side_m: f64, height_m: f64) -> Self {
         Self { robot, side_m, height_m, offset_m: [0.0; 2], turn_rad: 0.0 }
     }
 
-    /// The points of such a marker, in its order, in `base_link` in metres.
+    /// The points of the marker in `base_link`, in metres, in the order of [`Marker::points`](super::Marker::points).
     pub fn points(&self, identifier: Identifier) -> Vec<[f64; 2]> {
         let (sine, cosine) = sincos(self.turn_rad);
         let placed = |[ahead, left]: [f64; 2]| {

@@ -1,4 +1,4 @@
-//! Pictures of markers as a ceiling camera takes them, for the tests: supersampled, blurred, noisy.
+//! Renders pictures of markers under a ceiling camera for tests: supersampled, blurred, noisy.
 
 use image::{Rgb, RgbImage};
 use libm::sincos;
@@ -10,7 +10,7 @@ use rand_distr::{Distribution, Normal};
 use super::{image_region::ImageRegion, locate::on_plane, marker::Hue};
 use crate::camera::{Intrinsics, Lens, Picture};
 
-/// The first tags of the family, row by row from the upper left, as the family's authors list them.
+/// The first tags of the family, row by row from the upper left, as published by its authors.
 const TAGS: [u64; 12] = [
     0xd_5d62_8584,
     0xd_97f1_8b49,
@@ -25,33 +25,33 @@ const TAGS: [u64; 12] = [
     0x3_4fe9_1b86,
     0x3_ff96_2cd5,
 ];
-/// Samples of a pixel in each direction.
+/// Samples per pixel in each direction.
 const SAMPLES: usize = 4;
 const FLOOR: [f64; 3] = [140.0, 135.0, 125.0];
-/// Throws of the dice for noise: a prime, so that no two rows have the same.
+/// Number of precomputed noise values: a prime, so that no two rows have the same sequence.
 const NOISES: usize = 99_991;
-/// The standard deviation of the blur, in pixels.
+/// Standard deviation of the blur, in pixels.
 const BLUR_PX: f64 = 0.7;
 
-/// What is on a plate.
+/// The pattern of a plate.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::perception) enum Paint {
-    /// A tag by number, whose margin is one of its eight modules wide.
+    /// A tag by number, with a margin of one of its eight modules.
     Tag(usize),
     /// A head and a tail, each a disc, on a light square.
     Colours(Hue, Hue),
 }
 
-/// A level square.
+/// A square plate with a marker, level unless it has a rise.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::perception) struct Plate {
     pub(in crate::perception) paint: Paint,
-    /// Of the marker, without a margin.
+    /// Side of the marker without its margin, in metres.
     pub(in crate::perception) side_m: f64,
     pub(in crate::perception) height_m: f64,
-    /// Its middle in `map`, and its heading.
+    /// Position of its centre in `map` in metres, and its heading in radians.
     pub(in crate::perception) pose: [f64; 3],
-    /// Its front edge is so much higher than its middle, in parts of half the side.
+    /// Height of the front edge above the centre, in metres.
     pub(in crate::perception) rise_m: f64,
 }
 
@@ -65,7 +65,7 @@ impl Plate {
         Self { paint, side_m, height_m, pose, rise_m: 0.0 }
     }
 
-    /// The colour at a point that is so far ahead and to the left, in sides.
+    /// The colour at a point, in sides ahead and to the left of the centre; `None` off the plate.
     fn colour(&self, ahead: f64, left: f64) -> Option<[f64; 3]> {
         let within = |half: f64| ahead.abs() <= half && left.abs() <= half;
         match self.paint {
@@ -85,7 +85,7 @@ impl Plate {
         }
     }
 
-    /// The corners of a square of so many sides about it.
+    /// The corners of a concentric square with a side of `sides` times the plate's.
     fn corners(&self, sides: f64) -> impl Iterator<Item = Point3<f64>> {
         let (sine, cosine) = sincos(self.pose[2]);
         let (reach, [x, y, _]) = (self.side_m * sides / 2.0, self.pose);
@@ -108,14 +108,14 @@ fn paint(hue: Hue) -> [f64; 3] {
     lit.map(|lit| if lit == 1 { 200.0 } else { 50.0 })
 }
 
-/// The colour sensor of a D435 at a place of `map`, tilted so far from straight down towards the
+/// The colour sensor of a D435 at a position in `map`, tilted by an angle from straight down towards its
 /// heading.
 pub(in crate::perception) fn ceiling_camera(
     position_m: [f64; 3],
     tilt_rad: f64,
     heading_rad: f64,
 ) -> Lens {
-    // Straight down, the upper edge of the picture ahead.
+    // The optical frame for looking straight down, with the top of the picture ahead.
     let down = Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
     let turn = Rotation3::from_euler_angles(0.0, -tilt_rad, heading_rad);
     let turn = turn * Rotation3::from_matrix_unchecked(down);
@@ -125,8 +125,7 @@ pub(in crate::perception) fn ceiling_camera(
     Lens::new(Intrinsics::pinhole(1280, 720, 69f64.to_radians()), pose).unwrap()
 }
 
-/// What the camera sees of these plates, the lower ones first, with noise of this standard
-/// deviation in each channel.
+/// Renders plates, lower ones first, with noise of the given standard deviation in each channel.
 pub(in crate::perception) fn render(
     lens: &Lens,
     plates: &[Plate],
@@ -141,7 +140,7 @@ pub(in crate::perception) fn render(
     blur(&mut canvas, width as usize);
     let mut dice = ChaCha8Rng::seed_from_u64(seed);
     let normal = Normal::new(0.0, noise as f32).unwrap();
-    // As many throws as there are pixels would take longer than all the rest.
+    // Drawing one random number for each pixel would dominate the run time.
     let throws: Vec<f32> = normal.sample_iter(&mut dice).take(NOISES).collect();
     let mut throw = throws.iter().cycle();
     RgbImage::from_fn(width, height, |column, row| {
@@ -150,7 +149,7 @@ pub(in crate::perception) fn render(
     })
 }
 
-/// As [`render`], of a grey camera.
+/// Renders like [`render`], for a grey camera.
 pub(in crate::perception) fn render_grey(
     lens: &Lens,
     plates: &[Plate],
@@ -190,9 +189,9 @@ fn draw(lens: &Lens, plate: &Plate, canvas: &mut [[f32; 3]]) {
     }
 }
 
-/// Where a pixel's ray meets a plate, in metres ahead and to the left on it.
+/// The point where a pixel's ray meets a plate, in metres ahead and to the left of its centre.
 fn meet(lens: &Lens, plate: &Plate, pixel: [f64; 2], [sine, cosine]: [f64; 2]) -> Option<[f64; 2]> {
-    // The plate climbs by this for each metre ahead.
+    // Height gained per metre ahead.
     let slope = plate.rise_m / (plate.side_m / 2.0);
     let mut height = plate.height_m;
     let mut met = [0.0; 2];
@@ -201,7 +200,7 @@ fn meet(lens: &Lens, plate: &Plate, pixel: [f64; 2], [sine, cosine]: [f64; 2]) -
         met = [cosine * place.x + sine * place.y, cosine * place.y - sine * place.x];
         height = plate.height_m + slope * met[0];
     }
-    // Along the slope.
+    // Convert the horizontal distance to one along the slope.
     Some([met[0] * (1.0 + slope * slope).sqrt(), met[1]])
 }
 

@@ -10,21 +10,21 @@ use super::{
 };
 use crate::camera::Picture;
 
-/// Wrong modules of a tag that are put right. Any two of the family differ in eleven, so that more
-/// could be; but each more lets twenty times as many chance patterns pass for a tag.
+/// Maximum number of corrected modules. Tags of the family differ in at least eleven, so more would be
+/// possible, but each additional one lets twenty times as many random patterns pass as tags.
 const CORRECTED: usize = 1;
-/// The standard deviation of a corner's coordinate, in pixels. Rendered pictures show half of it; a
-/// real lens and print add theirs.
+/// Standard deviation of a corner's coordinates, in pixels. Rendered pictures show half of it; a real lens
+/// and print add the rest.
 const CORNER_NOISE_PX: f64 = 0.15;
-/// Black and white differ by this. With the library's own 5 a sensor's noise is full of edges: a
-/// frame of 1280 x 720 then takes ten times as long.
+/// Minimum contrast between black and white. The library's default of 5 finds edges everywhere in a
+/// sensor's noise, and a frame of 1280 x 720 then takes ten times as long.
 const CONTRAST: u8 = 30;
-/// A tag's eight modules a side need this many pixels; the library can't bear images of a row or two.
-const SMALLEST_PX: u32 = 12;
-/// Rows of the detector's images start at multiples of this.
+/// Minimum side of an image in pixels: that of a tag's eight modules. The library fails on one or two rows.
+const MIN_SIDE_PX: u32 = 12;
+/// Alignment of rows in the detector's images, in bytes.
 const ALIGNMENT: usize = 96;
 
-/// Finds tags.
+/// Detects AprilTags.
 #[derive(Debug)]
 pub struct TagDetector {
     detector: Detector,
@@ -34,7 +34,7 @@ impl Default for TagDetector {
     fn default() -> Self {
         let builder = DetectorBuilder::new().add_family_bits(Family::tag_36h11(), CORRECTED);
         let mut detector = builder.build().expect("a detector that has a family");
-        // Tags are small in a ceiling camera's picture.
+        // No downsampling: tags are small in the picture of a ceiling camera.
         detector.set_decimation(1.0);
         detector.set_refine_edges(true);
         detector.set_thread_number(1);
@@ -44,17 +44,17 @@ impl Default for TagDetector {
 }
 
 impl TagDetector {
-    /// The tags that lie wholly in a region of a picture, by number. Takes about 10 ns a pixel
-    /// where there is little to see, and up to 30.
+    /// The tags that lie completely within a region of a picture. Takes about 10 ns per pixel in simple
+    /// scenes and up to 30 ns.
     pub fn detect(&mut self, picture: &Picture, region: ImageRegion) -> Vec<Marker> {
-        if region.width < SMALLEST_PX || region.height < SMALLEST_PX {
+        if region.width < MIN_SIDE_PX || region.height < MIN_SIDE_PX {
             return Vec::new();
         }
         let Some(image) = grey(picture, region) else { return Vec::new() };
         let detections = self.detector.detect(&image);
         let markers = detections.iter().filter_map(|detection| {
             let pixel = |[column, row]: [f64; 2]| {
-                // Its first pixel's centre is at one half.
+                // The library puts the centre of the first pixel at 0.5.
                 [column + f64::from(region.left) - 0.5, row + f64::from(region.top) - 0.5]
             };
             Some(Marker {
@@ -72,14 +72,14 @@ impl TagDetector {
     }
 }
 
-/// The library's own, but for the contrast.
+/// The library's defaults except for the contrast.
 fn thresholds() -> QuadThresholds {
     let angle = 10f64.to_radians();
     QuadThresholds {
         min_cluster_pixels: 5,
         max_maxima_number: 10,
         min_angle: Angle::from_radians(angle),
-        // The bindings hand this on as the cosine.
+        // The bindings pass this value on as the cosine.
         min_opposite_angle: Angle::from_radians(libm::cos(angle)),
         max_mse: r32(10.0),
         min_white_black_diff: CONTRAST,
@@ -87,7 +87,7 @@ fn thresholds() -> QuadThresholds {
     }
 }
 
-/// The brightness of a region, as the detector takes it. `None` if it is not within the picture.
+/// The brightness of a region in the detector's format; `None` if the region exceeds the picture.
 fn grey(picture: &Picture, region: ImageRegion) -> Option<Image> {
     let (width, rows) = (region.width as usize, region.height as usize);
     let mut image = Image::zeros_with_alignment(width, rows, ALIGNMENT).ok()?;
@@ -104,7 +104,7 @@ fn grey(picture: &Picture, region: ImageRegion) -> Option<Image> {
                 let first = 3 * (row * colour.width() as usize + region.left as usize);
                 let pixels = colour.as_raw().get(first..first + 3 * width)?.chunks_exact(3);
                 for (to, pixel) in line.iter_mut().zip(pixels) {
-                    // BT.601, in parts of 256.
+                    // BT.601 weights in 1/256.
                     let [red, green, blue] = [pixel[0], pixel[1], pixel[2]].map(u32::from);
                     *to = ((77 * red + 150 * green + 29 * blue) >> 8) as u8;
                 }
@@ -121,8 +121,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn windows_of_any_size_may_be_searched() {
-        // Noise, so that there are edges everywhere.
+    fn regions_of_any_size_can_be_searched() {
+        // Noise gives edges everywhere.
         let noise =
             |x: u32, y: u32| (x.wrapping_mul(0x9E37_79B9) ^ y.wrapping_mul(0x85EB_CA6B)) >> 13;
         let picture =

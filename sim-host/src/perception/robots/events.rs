@@ -1,4 +1,4 @@
-//! What is seen of robots and cannot be a pose.
+//! Problems with markers and frames.
 
 use core::fmt;
 
@@ -6,20 +6,20 @@ use ubimap_protocol::units::RobotId;
 
 use crate::perception::markers::Identifier;
 
-/// Something about a marker, or about a frame, that somebody should look at.
+/// A problem with a marker or a frame that needs attention.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum SightingEvent {
-    /// A tag that nobody registered.
+    /// A marker that is not registered.
     Unregistered(Identifier),
-    /// Its identifier is at two places at once: two robots carry it, or two cameras disagree.
+    /// An identifier is in two places at once: two robots carry it, or two cameras disagree.
     SeenTwice(RobotId),
-    /// It was where no wheels could have brought it since it was last seen.
+    /// A robot moved faster than it can drive since it was last seen.
     Jumped(RobotId),
-    /// Its marker is not level, or not at the height or of the size that is registered.
+    /// A marker is not level, or not at the registered height or of the registered size.
     NotLevel(RobotId),
-    /// A camera's frames are of times that are still to come.
+    /// A camera's frames have capture times in the future.
     ClockAhead {
-        /// Which camera.
+        /// The camera's index.
         camera: usize,
     },
 }
@@ -33,11 +33,21 @@ impl fmt::Display for SightingEvent {
             Self::Unregistered(Identifier::Colours { head, tail }) => {
                 write!(f, "a marker of {head:?} and {tail:?} is not registered")
             }
-            Self::SeenTwice(robot) => write!(f, "robot {} is at two places at once", robot.0),
-            Self::Jumped(robot) => write!(f, "robot {} has jumped", robot.0),
-            Self::ClockAhead { camera } => write!(f, "the clock of camera {camera} is ahead"),
+            Self::SeenTwice(robot) => write!(
+                f,
+                "robot {} is seen in two places at once; check that its marker is unique",
+                robot.0
+            ),
+            Self::Jumped(robot) => write!(f, "robot {} moved faster than it can drive", robot.0),
+            Self::ClockAhead { camera } => {
+                write!(f, "camera {camera}: frames from the future; check its clock")
+            }
             Self::NotLevel(robot) => {
-                write!(f, "the marker of robot {} is not level, or not as registered", robot.0)
+                write!(
+                    f,
+                    "the marker of robot {} is not level, or its registered height or size is wrong",
+                    robot.0
+                )
             }
         }
     }

@@ -1,4 +1,4 @@
-//! One identifier, followed over all cameras.
+//! Tracks one identifier over all cameras.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -10,54 +10,58 @@ use crate::{
     timing::{MARKER_PLACE_LOST, SIGHTINGS_JOIN},
 };
 
-/// No robot drives faster, in metres a second, or turns faster, in radians a second.
+/// Maximum speed of a robot, in m/s.
 const SPEED_LIMIT_M_S: f64 = 3.0;
+/// Maximum rate of turn of a robot, in rad/s.
 const TURN_LIMIT_RAD_S: f64 = 10.0;
-/// By how much two sightings of one robot at one time may differ, in metres and radians.
+/// Maximum difference between simultaneous sightings of one robot, in metres.
 const TOLERANCE_M: f64 = 0.15;
+/// Maximum difference between their headings, in radians.
 const TOLERANCE_RAD: f64 = 0.35;
-/// The velocity is that over this time, at least a frame's.
+/// The velocity is estimated over this time.
 const BASELINE: Duration = Duration::from_millis(250);
-const LEAST_BASELINE: Duration = Duration::from_millis(50);
-/// How wrong it may be: metres a second, and radians a second.
+/// Minimum time for an estimate of the velocity: one frame.
+const MIN_BASELINE: Duration = Duration::from_millis(50);
+/// Standard deviation of the velocity: x and y in m/s, heading in rad/s.
 const VELOCITY_DOUBT: [f64; 3] = [0.1, 0.1, 0.3];
 
-/// Why the places of an identifier are no pose.
+/// Why an identifier has no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Trouble {
-    /// It went farther than a robot can.
+    /// It moved faster than a robot can.
     Jump,
-    /// It is at two places at once.
+    /// It is in two places at once.
     Twice,
 }
 
-/// Where an identifier has been seen: one place unless something is wrong.
+/// The places where an identifier has been seen: more than one only if something is wrong.
 #[derive(Debug, Default)]
 pub(super) struct IdentifierTrack {
-    /// The oldest first.
+    /// Oldest first.
     places: Vec<Place>,
     trouble: Option<Trouble>,
     is_told: bool,
 }
 
-/// What wheels can have brought from one sighting to the next.
+/// Sightings that a robot can have driven between.
 #[derive(Debug)]
 struct Place {
     /// The newest sighting of each camera.
     sightings: BTreeMap<usize, (Instant, Placement)>,
-    /// Where it was lately, the newest last.
+    /// Recent placements, newest last.
     path: VecDeque<(Instant, Placement)>,
-    /// When it was first seen here, and when last.
+    /// Time of the first sighting here.
     first: Instant,
+    /// Time of the last sighting here.
     last: Instant,
-    /// How often it has been seen here.
+    /// Number of sightings here.
     times: u32,
-    /// It was seen elsewhere at the same time.
+    /// Whether it was also seen elsewhere at the same time.
     is_twin: bool,
 }
 
 impl IdentifierTrack {
-    /// Takes where a frame shows the identifier: where the robot was then.
+    /// Takes the placements of the identifier in one frame and returns the robot's pose, if it has one.
     pub(super) fn observe(
         &mut self,
         camera: usize,
@@ -98,21 +102,21 @@ impl IdentifierTrack {
         self.places.retain(|place| newest.since(place.last) <= MARKER_PLACE_LOST || before == 1);
         self.judge();
         let (index, placement) = joined?;
-        // One sighting elsewhere, and never again, is not the robot.
+        // A single sighting elsewhere that is not repeated is not the robot.
         let others = || self.places.iter().skip(1);
         let is_sure = self.trouble != Some(Trouble::Twice)
             && (self.places.len() == 1 || index == 0 && others().all(|place| place.times == 1));
         is_sure.then_some(placement)
     }
 
-    /// What has gone wrong, once.
+    /// The current trouble, reported once.
     pub(super) fn poll_trouble(&mut self) -> Option<Trouble> {
         let trouble = self.trouble.filter(|_| !self.is_told);
         self.is_told = true;
         trouble
     }
 
-    /// Where it should be at a moment, and how long it has not been seen there.
+    /// The expected placements at a moment, and the time since each was last seen.
     pub(super) fn expected(&self, moment: Instant) -> impl Iterator<Item = (Placement, Duration)> {
         self.places.iter().map(move |place| {
             let unseen = moment.since(place.last);
@@ -120,7 +124,8 @@ impl IdentifierTrack {
         })
     }
 
-    /// A place where it is seen again, while it has been seen elsewhere since, and not just once.
+    /// Marks a place where the identifier is seen again although it has since been seen elsewhere more
+    /// than once.
     fn meet_twins(&mut self, index: usize, captured: Instant) {
         let seen = self.places[index].first;
         let others = self.places.iter_mut().enumerate().filter(|(other, _)| *other != index);
@@ -157,12 +162,12 @@ impl Place {
         }
     }
 
-    /// Where it was last: a place has a path from its beginning.
+    /// The newest placement; a place always has one.
     fn newest(&self) -> &Placement {
         &self.path[self.path.len() - 1].1
     }
 
-    /// Whether wheels can bring it there in the time between.
+    /// Whether a robot can drive to a placement in the time since the last sighting.
     fn reaches(&self, captured: Instant, placement: &Placement) -> bool {
         let seconds = seconds(apart(self.last, captured));
         let turn = wrapped(placement.heading_rad - self.newest().heading_rad).abs();
@@ -170,10 +175,10 @@ impl Place {
             && turn <= TURN_LIMIT_RAD_S * seconds + TOLERANCE_RAD
     }
 
-    /// Takes a sighting. If it is the newest: where the robot was, by all cameras that saw it at
-    /// about that time, each weighted by its information. A sighting goes into as many such poses
-    /// as there are cameras, so that each has that share of its information: a filter that takes
-    /// them all counts nothing twice.
+    /// Adds a sighting. If it is the newest, returns the robot's pose: the average of the sightings by all
+    /// cameras at about that time, weighted by information. A sighting enters as many such poses as there
+    /// are cameras, so each pose carries only that fraction of the information: a filter that takes all
+    /// poses counts nothing twice.
     fn join(
         &mut self,
         camera: usize,
@@ -215,11 +220,11 @@ impl Place {
         Some(joined)
     }
 
-    /// Of x, y and heading, a second.
+    /// The velocity of x, y and heading, per second.
     fn velocity(&self) -> Vector3<f64> {
         let ((then, from), to) = (&self.path[0], self.newest());
         let elapsed = self.last.since(*then);
-        if elapsed < LEAST_BASELINE {
+        if elapsed < MIN_BASELINE {
             return Vector3::zeros();
         }
         let [x, y] = [0, 1].map(|axis| to.position_m[axis] - from.position_m[axis]);
@@ -228,7 +233,7 @@ impl Place {
     }
 }
 
-/// Where it is after a while, if it goes on like that.
+/// The placement after `elapsed` at a constant velocity.
 fn moved(from: &Placement, velocity: Vector3<f64>, elapsed: Duration) -> Placement {
     let way = velocity * seconds(elapsed);
     let doubt = Vector3::from(VELOCITY_DOUBT) * seconds(elapsed);
@@ -248,7 +253,7 @@ fn seconds(duration: Duration) -> f64 {
     duration.micros() as f64 / 1e6
 }
 
-/// The same angle between minus and plus half a turn.
+/// Wraps an angle to plus or minus half a turn.
 fn wrapped(angle: f64) -> f64 {
     use core::f64::consts::{PI, TAU};
     (angle + PI).rem_euclid(TAU) - PI

@@ -1,4 +1,4 @@
-//! From the frames of all cameras to where the robots are.
+//! Localises the robots from the frames of all cameras.
 
 mod events;
 mod identifier_track;
@@ -26,43 +26,43 @@ use crate::{
     timing::{STRANGER_AWAY, STRANGER_CONFIRMED},
 };
 
-/// A marker that fits no pose of its robot in so many views, and in none between them, is not level:
-/// one that is blurred or half hidden fits soon again.
+/// A marker that fits no pose of its robot in this number of consecutive views is reported as not level;
+/// a blurred or partly hidden one soon fits again.
 const NOT_LEVEL: u32 = 4;
 
-/// Why the markers of a deployment cannot be told apart.
+/// Why the markers of a deployment are refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RegistryError {
-    /// Two robots carry the same.
+    /// Two robots carry the same identifier.
     #[error("robots {} and {} carry the same identifier", .0.0, .1.0)]
     Twice(RobotId, RobotId),
-    /// Head and tail have one colour, so that they cannot be told apart.
+    /// Head and tail have the same colour.
     #[error("the colour marker of robot {} has a head and a tail of one colour", .0.0)]
     OneColour(RobotId),
-    /// Where it is on the robot is not finite, or it has no size.
-    #[error("the marker of robot {} has no size, or no place on the robot", .0.0)]
+    /// The marker's size is not positive, or its position is not finite.
+    #[error("the marker of robot {} needs a positive size and a finite position", .0.0)]
     Mount(RobotId),
 }
 
-/// Localises the robots: finds their markers, tells where the robots are, and follows them over all
-/// cameras. The paper's zone 2, which two cameras see, is the general case here.
+/// Localises the robots: finds their markers, computes their poses and tracks them over all cameras.
+/// Overlapping views (zone 2 of the paper) are the general case.
 #[derive(Debug)]
 pub struct Localiser {
     lenses: Vec<Option<Lens>>,
     mounts: BTreeMap<Identifier, Mount>,
     search: Search,
     tracks: BTreeMap<Identifier, IdentifierTrack>,
-    /// Markers that were where no robot carries them when they were last seen, and in how many views.
+    /// For each marker that fits no pose of its robot, the number of consecutive such views.
     not_there: BTreeMap<Identifier, u32>,
-    /// When a number that nobody registered was last read, and whether that has been told.
+    /// For each unregistered identifier the time of its last sighting, and whether it was reported.
     strangers: BTreeMap<Identifier, (Instant, bool)>,
-    /// Cameras whose last frame was of a time to come.
+    /// Cameras whose last frame had a capture time in the future.
     ahead: BTreeSet<usize>,
     events: VecDeque<(Instant, SightingEvent)>,
 }
 
 impl Localiser {
-    /// For these cameras and the markers of all robots.
+    /// A localiser for these cameras and the markers of all robots.
     ///
     /// # Errors
     /// Every [`RegistryError`].
@@ -82,7 +82,7 @@ impl Localiser {
                 if head == tail {
                     return Err(RegistryError::OneColour(robot));
                 }
-                // From a pair of colours nobody can say which is the head.
+                // Which colour is the head is ambiguous, so the swapped pair must be unique too.
                 same.push(Identifier::Colours { head: tail, tail: head });
             }
             if let Some(other) = same.iter().find_map(|it| mounts.get(it)) {
@@ -104,9 +104,9 @@ impl Localiser {
         })
     }
 
-    /// Takes a frame of a camera: where the robots were when it was captured, each joined with what
-    /// other cameras saw of it at about that time. A frame that arrives after newer ones of other
-    /// cameras joins the next one; one that is too old, or of a time after `now`, says nothing.
+    /// The poses of the robots when `frame` was captured, each fused with the sightings by other cameras
+    /// at about that time. A frame that arrives after newer ones of other cameras contributes to the next
+    /// pose; one that is too old, or captured after `now`, is ignored.
     pub fn observe(&mut self, frame: &Frame, now: Instant) -> Vec<Sighting> {
         let Some(&Some(lens)) = self.lenses.get(frame.camera) else { return Vec::new() };
         let Some(picture) = &frame.picture else { return Vec::new() };
@@ -143,18 +143,18 @@ impl Localiser {
         sightings
     }
 
-    /// What has gone wrong, and when the frame was captured that shows it. Each is told once until
-    /// it has passed.
+    /// The next problem, and the capture time of the frame that shows it. Each is reported once until it
+    /// has ended.
     pub fn poll_event(&mut self) -> Option<(Instant, SightingEvent)> {
         self.events.pop_front()
     }
 
-    /// Where a marker's robot is.
+    /// The pose of the robot that carries a marker.
     fn place(&mut self, lens: &Lens, marker: &Marker, captured: Instant) -> Option<Placement> {
         let identifier = marker.identifier;
         let is_tag = matches!(identifier, Identifier::Tag(_));
         let Some(mount) = self.mounts.get(&identifier) else {
-            // Any two colours beside each other might be a marker.
+            // Any two adjacent colours might be a marker, so only tags are reported as unregistered.
             if is_tag {
                 self.meet_stranger(identifier, captured);
             }
@@ -188,7 +188,7 @@ impl Localiser {
         self.strangers.insert(identifier, (captured, told));
     }
 
-    /// Where markers should be at a moment.
+    /// The expected placements of all markers at a moment.
     fn expected(&self, moment: Instant) -> impl Iterator<Item = Expected> {
         self.tracks.iter().flat_map(move |(identifier, track)| {
             let mount = self.mounts.get(identifier);
@@ -203,7 +203,7 @@ impl Localiser {
 fn sighting(robot: RobotId, placement: &Placement) -> Sighting {
     let [x, y] = placement.position_m;
     let deviation = |axis: usize| libm::sqrt(placement.covariance[(axis, axis)]);
-    // The casts saturate.
+    // The cast saturates.
     let millimetres = |axis: usize| (deviation(axis) * 1000.0).ceil() as u16;
     let turn = deviation(2) * f64::from(u16::MAX) / core::f64::consts::TAU;
     Sighting {

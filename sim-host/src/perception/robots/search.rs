@@ -1,5 +1,5 @@
-//! Where in a picture markers are looked for: about where they should be, and now and then
-//! everywhere.
+//! Decides which regions of a picture to search for markers: around their expected positions, and
+//! periodically the whole picture.
 
 use nalgebra::Point3;
 use ubimap_protocol::time::{Duration, Instant};
@@ -10,33 +10,33 @@ use crate::{
     timing::MARKER_LOST,
 };
 
-/// Between two searches of a camera's whole picture.
+/// Interval between searches of a camera's whole picture.
 const EVERYWHERE: Duration = Duration::from_millis(500);
-/// How far from its expected place a marker is looked for, in metres, and by how much more for each
-/// second since it was last seen.
+/// Radius of the search around a marker's expected position, in metres.
 const REACH_M: f64 = 0.03;
+/// Growth of that radius since the marker was last seen, in m/s.
 const REACH_M_S: f64 = 1.0;
-/// Two of one identifier are one marker if they are so near each other, in pixels.
+/// Maximum distance between two detections of one marker, in pixels.
 const SAME_PX: f64 = 2.0;
-/// Half of a tag's diagonal, with its margin, in parts of its side.
+/// Half the diagonal of a tag with its margin, in units of its side.
 const HALF_DIAGONAL: f64 = 0.9;
 
-/// A marker that should be in view.
+/// A marker that should be visible.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Expected {
     pub(super) mount: Mount,
     pub(super) placement: Placement,
-    /// How long it has not been seen.
+    /// Time since it was last seen.
     pub(super) unseen: Duration,
 }
 
-/// Looks for the markers in the pictures of all cameras.
+/// Searches the pictures of all cameras for markers.
 #[derive(Debug)]
 pub(super) struct Search {
     tags: TagDetector,
-    /// Whether colour markers are looked for as well.
+    /// Whether to search for colour markers too.
     colours: bool,
-    /// When each camera's whole picture is searched next.
+    /// When each camera's whole picture is due to be searched.
     everywhere: Vec<Instant>,
 }
 
@@ -49,7 +49,8 @@ impl Search {
         }
     }
 
-    /// The markers in a picture.
+    /// The markers found in a picture: around their expected positions, or anywhere if the whole picture is
+    /// due.
     pub(super) fn markers(
         &mut self,
         camera: usize,
@@ -59,7 +60,7 @@ impl Search {
         expected: &[Expected],
     ) -> Vec<Marker> {
         let regions = match self.everywhere.get_mut(camera) {
-            // The second where the clock has been set back.
+            // The second condition holds after the clock was set back.
             Some(next) if *next <= captured || captured + EVERYWHERE < *next => {
                 *next = captured + EVERYWHERE;
                 vec![ImageRegion::all(picture)]
@@ -96,14 +97,14 @@ impl Expected {
     }
 }
 
-/// Windows that overlap are made one where that saves pixels.
+/// Merges overlapping regions if that reduces the number of pixels.
 fn merged(mut regions: Vec<ImageRegion>) -> Vec<ImageRegion> {
     let mut merged: Vec<ImageRegion> = Vec::new();
     while let Some(region) = regions.pop() {
         let saves =
             |other: &ImageRegion| other.with(&region).pixels() <= other.pixels() + region.pixels();
         match merged.iter().position(saves) {
-            // What they make together may save more with others.
+            // The merged region may overlap others.
             Some(index) => regions.push(merged.swap_remove(index).with(&region)),
             None => merged.push(region),
         }
@@ -111,7 +112,7 @@ fn merged(mut regions: Vec<ImageRegion>) -> Vec<ImageRegion> {
     merged
 }
 
-/// A marker in two regions is one.
+/// Removes the repeated detections of markers that lie in two regions.
 fn without_repeats(markers: Vec<Marker>) -> Vec<Marker> {
     let mut once: Vec<Marker> = Vec::with_capacity(markers.len());
     for marker in markers {
@@ -134,7 +135,7 @@ mod tests {
     use crate::perception::markers::Identifier;
 
     #[test]
-    fn windows_are_merged_where_that_saves_pixels() {
+    fn regions_are_merged_if_that_saves_pixels() {
         let square = |left, top| ImageRegion { left, top, width: 10, height: 10 };
         assert_eq!(
             merged(vec![square(0, 0), square(100, 0), square(0, 1), square(8, 8)]),
@@ -143,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn one_marker_in_two_windows_is_one_and_two_of_one_number_are_two() {
+    fn a_marker_in_two_regions_is_one_and_two_with_one_number_are_two() {
         let at = |number, column: f64| Marker {
             identifier: Identifier::Tag(number),
             points: vec![[column, 3.0], [column + 20.0, 3.0]],

@@ -25,7 +25,7 @@ fn frame(number: u64, camera: usize, lens: &Lens, plates: &[Plate]) -> Frame {
     Frame { camera, captured, depth: None, picture }
 }
 
-/// What the localiser says of a frame that arrives at once.
+/// The sightings in a frame that arrives without delay.
 fn observe(localiser: &mut Localiser, frame: &Frame) -> Vec<Sighting> {
     localiser.observe(frame, frame.captured)
 }
@@ -34,7 +34,7 @@ fn events(localiser: &mut Localiser) -> Vec<SightingEvent> {
     core::iter::from_fn(|| localiser.poll_event()).map(|(_, event)| event).collect()
 }
 
-/// A robot on a circle at half a metre a second, at a frame.
+/// The pose at a frame of a robot that drives in a circle at 0.5 m/s.
 fn circling(number: f64, radius: f64) -> [f64; 3] {
     let angle = 0.5 * number * FRAME.micros() as f64 / 1e6 / radius;
     let heading = angle + core::f64::consts::FRAC_PI_2;
@@ -49,14 +49,14 @@ fn error(sighting: &Sighting, [x, y, heading]: [f64; 3]) -> (f64, f64) {
 }
 
 #[test]
-fn robots_that_drive_under_two_cameras_are_located_and_never_confused() {
+fn robots_under_two_cameras_are_located_and_never_confused() {
     let lenses =
         [ceiling_camera([-0.3, 0.0, 2.8], 0.0, 1.6), ceiling_camera([0.4, 0.3, 2.8], 0.15, -1.5)];
     let mut localiser = Localiser::new(&lenses.map(camera), (1..=4).map(tag)).unwrap();
     let mut found = [0; 4];
     let (mut squares, mut count) = ((0.0, 0.0), 0.0);
     for number in 0..30 {
-        // The second camera half a frame after the first.
+        // The second camera captures half a frame later.
         let moment = number as f64 / 2.0;
         let index = number as usize % 2;
         let at = |robot: usize| {
@@ -82,7 +82,7 @@ fn robots_that_drive_under_two_cameras_are_located_and_never_confused() {
 }
 
 #[test]
-fn what_is_no_pose_is_told_once() {
+fn a_marker_without_a_pose_is_reported_once() {
     let lens = ceiling_camera([0.0, 0.0, 2.8], 0.0, 0.0);
     let mut localiser = Localiser::new(&[camera(lens)], [tag(1), tag(2), tag(3)]).unwrap();
     let mut sloping = plate(2, [0.5, -0.6, 1.0]);
@@ -90,7 +90,7 @@ fn what_is_no_pose_is_told_once() {
     let mut poses = 0;
     for number in 0..30 {
         let twins = [plate(3, [-0.4, 0.3, 0.2]), plate(3, [0.6, 0.5, 0.2])];
-        // Number 9 is nobody's.
+        // Number 9 is not registered.
         let plates = [plate(1, [0.0, -0.3, 0.0]), sloping, plate(9, [0.0, 0.7, 0.0])];
         let plates: Vec<Plate> = plates.into_iter().chain(twins).collect();
         let sightings = observe(&mut localiser, &frame(number, 0, &lens, &plates));
@@ -111,7 +111,7 @@ fn what_is_no_pose_is_told_once() {
 }
 
 #[test]
-fn a_robot_that_is_carried_off_is_believed_after_a_second() {
+fn a_robot_that_was_carried_away_is_accepted_after_a_second() {
     let lens = ceiling_camera([0.0, 0.0, 2.8], 0.0, 0.0);
     let mut localiser = Localiser::new(&[camera(lens)], [tag(1)]).unwrap();
     let (here, there) = ([-0.5, -0.5, 0.0], [0.7, 0.6, 2.0]);
@@ -123,7 +123,7 @@ fn a_robot_that_is_carried_off_is_believed_after_a_second() {
     for number in 0..4 {
         assert_eq!(at(number, Some(here)), (1, vec![]));
     }
-    // Hidden for a while.
+    // Occluded for a while.
     for number in 4..9 {
         assert_eq!(at(number, None), (0, vec![]));
     }
@@ -143,7 +143,7 @@ fn a_robot_that_is_carried_off_is_believed_after_a_second() {
 }
 
 #[test]
-fn late_frames_help_and_frames_of_the_future_or_the_far_past_say_nothing() {
+fn late_frames_are_used_and_future_or_very_old_ones_ignored() {
     let lens = ceiling_camera([0.0, 0.0, 2.8], 0.0, 0.0);
     let cameras = [camera(lens), camera(lens)];
     let mut localiser = Localiser::new(&cameras, [tag(1)]).unwrap();
@@ -155,20 +155,20 @@ fn late_frames_help_and_frames_of_the_future_or_the_far_past_say_nothing() {
     assert_eq!(events(&mut localiser), [SightingEvent::ClockAhead { camera: 0 }]);
     let [alone] = localiser.observe(&of(39, 0), now)[..] else { panic!("in view") };
     assert_eq!(localiser.observe(&of(2, 1), now), [], "two seconds late");
-    assert_eq!(localiser.observe(&of(38, 1), now), [], "late, for the next");
+    assert_eq!(localiser.observe(&of(38, 1), now), [], "late: contributes to the next pose");
     let [joined] = localiser.observe(&of(40, 0), now)[..] else { panic!("in view") };
     for sighting in [alone, joined] {
         let (away, turn) = error(&sighting, [0.3, 0.1, 0.4]);
         assert!(away < 0.002 && turn.abs() < 0.5, "{sighting:?}");
     }
-    // The older one of the same camera.
+    // An older frame of the same camera.
     assert_eq!(localiser.observe(&of(38, 0), now), []);
     assert_eq!(events(&mut localiser), []);
 }
 
 /// `cargo test --release -p ubimap-sim-host --lib ten_milliseconds -- --ignored --nocapture`
 #[test]
-#[ignore = "a measurement: wants an idle machine and a release build"]
+#[ignore = "benchmark: run it alone on an idle machine, in release mode"]
 fn a_second_of_frames_with_ten_robots_takes_less_than_ten_milliseconds_a_frame() {
     let lens = ceiling_camera([0.0, 0.0, 2.8], 0.15, 1.5);
     let mut localiser = Localiser::new(&[camera(lens)], (0..10).map(tag)).unwrap();
@@ -200,7 +200,7 @@ fn a_second_of_frames_with_ten_robots_takes_less_than_ten_milliseconds_a_frame()
 }
 
 #[test]
-fn colour_markers_are_as_good_and_need_a_camera_that_sees_colours() {
+fn colour_markers_are_as_accurate_and_need_a_colour_camera() {
     let lens = ceiling_camera([0.2, -0.3, 2.8], 0.15, 1.5);
     let pairs = [(Hue::Red, Hue::Blue), (Hue::Green, Hue::Magenta), (Hue::Cyan, Hue::Yellow)];
     let markers = pairs.iter().zip(1..).map(|(&(head, tail), robot)| {
@@ -235,7 +235,7 @@ fn colour_markers_are_as_good_and_need_a_camera_that_sees_colours() {
 }
 
 #[test]
-fn markers_that_nobody_can_tell_apart_are_refused() {
+fn indistinguishable_markers_are_refused() {
     let colours = |robot, head, tail| {
         (Identifier::Colours { head, tail }, Mount::centred(RobotId(robot), 0.2, 0.3))
     };

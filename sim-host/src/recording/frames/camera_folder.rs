@@ -24,19 +24,19 @@ use crate::{
     },
 };
 
-/// Where the pictures are.
+/// The folder of a camera's pictures.
 pub(super) const PICTURES: &str = "color";
 
-/// One sensor of a camera: its intrinsics and poses as the files state them.
+/// A sensor of a camera: its intrinsics and poses as stated in the files.
 #[derive(Debug)]
 pub(super) struct SensorFiles {
-    /// Of the images as they are on disk.
+    /// Intrinsics of the images on disk.
     pub(super) intrinsics: IntrinsicsFile,
-    /// One for all frames, or one per frame.
+    /// One pose for all frames, or one per frame.
     poses: Vec<CameraPose>,
 }
 
-/// The images of one frame.
+/// The image files of one frame.
 #[derive(Debug)]
 pub(super) struct FrameFiles {
     pub(super) time: FrameTime,
@@ -50,24 +50,24 @@ pub(super) struct FrameFiles {
 #[derive(Debug)]
 pub(super) struct CameraFolder {
     pub(super) path: PathBuf,
-    /// One for all frames, or one per frame.
+    /// One calibration for all frames, or one per frame.
     pub(super) calibrations: Vec<Calibration>,
     pub(super) depth: Option<SensorFiles>,
     pub(super) picture: Option<SensorFiles>,
-    /// In the order of their numbers.
+    /// The frames in the order of their numbers.
     pub(super) frames: Vec<FrameFiles>,
-    /// Number of frames that have a time but no image.
+    /// Number of frames with a time but without an image.
     pub(super) lost: u64,
-    /// Whether the times are those of a clock that other cameras share.
+    /// Whether the times come from a clock shared with other cameras.
     pub(super) has_clock: bool,
     /// Notes for the user, one line each.
     pub(super) notes: Vec<String>,
 }
 
-/// Depth image and picture of each frame, by number.
+/// The depth image and the picture of each frame, by number.
 type Images = BTreeMap<u128, (Option<PathBuf>, Option<PathBuf>)>;
 
-/// The folders of cameras in a folder: itself, or those below, in the order of their names.
+/// The camera folders in a folder: the folder itself, or its subfolders in the order of their names.
 pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
     let is_camera = |path: &Path| {
         path.join("depth").is_dir() || path.join(PICTURES).is_dir() || has_poses(path)
@@ -89,7 +89,7 @@ pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
 }
 
 impl CameraFolder {
-    /// Reads everything but the pixels, and checks that the images have the size of the intrinsics.
+    /// Reads everything except the pixels, and checks that the images have the size in the intrinsics.
     pub(super) fn open(path: &Path) -> Result<Self, FramesError> {
         let times_file = path.join(TIMES_FILE);
         let (depth_files, picture_files) = image_files(path, times_file.is_file())?;
@@ -117,7 +117,7 @@ impl CameraFolder {
             times
         });
         if images.is_empty() {
-            notes.push("no image in it: none came".to_owned());
+            notes.push("no image in it: all its frames were lost".to_owned());
         }
         let lost = times.keys().filter(|number| !images.contains_key(number)).count() as u64;
         let frames = frames(images, &times, &times_file, calibrations.len())?;
@@ -125,7 +125,7 @@ impl CameraFolder {
         Ok(Self { path, calibrations, depth, picture, frames, lost, has_clock, notes })
     }
 
-    /// What it is called, and the frame too where each has a calibration of its own.
+    /// The camera's name; with the frame if each frame has a calibration of its own.
     pub(super) fn name(&self, calibration: usize) -> String {
         let name = self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy();
         if self.calibrations.len() == 1 { name.into() } else { format!("{name}#{calibration}") }
@@ -133,14 +133,14 @@ impl CameraFolder {
 }
 
 impl SensorFiles {
-    /// With a note where the intrinsics are a guess.
+    /// The files of the depth sensor, with a note if the intrinsics are a guess.
     fn of_depth(
         folder: &Path,
         frames: usize,
         images: &[PathBuf],
     ) -> Result<(Self, Option<String>), FramesError> {
         let poses = poses(folder, frames)?;
-        // Only the well-known sets of images, which have a pose each, are known by their form.
+        // Intrinsics are guessed only for the well-known data sets, which have one pose per frame.
         let (intrinsics, note) = if poses.len() > 1 {
             intrinsics::find(folder, images)?
         } else {
@@ -153,7 +153,7 @@ impl SensorFiles {
         Ok((Self { intrinsics, poses }, note))
     }
 
-    /// What the pictures' own folder does not say is as that of the camera says.
+    /// The files of the picture sensor. Missing ones are taken from the depth sensor.
     fn of_pictures(
         folder: &Path,
         frames: usize,
@@ -181,17 +181,17 @@ impl SensorFiles {
         Ok(Self { intrinsics, poses })
     }
 
-    /// When its images were taken, if each pose says so.
+    /// The capture times, if each pose has a time stamp.
     fn stamps(&self) -> Option<Vec<f64>> {
         self.poses.iter().map(|pose| pose.stamp_s).collect()
     }
 
-    /// Whether y points up in its images.
+    /// Whether the y axis of its images points up.
     pub(super) fn is_upside_down(&self) -> bool {
         self.intrinsics.fy < 0.0
     }
 
-    /// Makes sure that an image has the size of the intrinsics.
+    /// Checks that an image has the size in the intrinsics.
     fn check(&self, path: &Path, kind: Option<ColorType>) -> Result<(), FramesError> {
         let (size, found) = raster::look(path)
             .map_err(|error| FramesError::Damaged { path: path.to_owned(), error })?;
@@ -207,13 +207,13 @@ impl SensorFiles {
         Err(LogError::Frame { path: path.to_owned(), fault }.into())
     }
 
-    /// As it is in a frame, whose first row is the top one.
+    /// The lens for a frame whose first row is the top one.
     fn lens(&self, frame: usize) -> Result<Lens, CalibrationError> {
         let IntrinsicsFile { width, height, fx, fy, cx, mut cy, mut distortion, .. } =
             self.intrinsics;
         if self.is_upside_down() {
             cy = f64::from(height) - 1.0 - cy;
-            // What bends the image downwards.
+            // The tangential distortion p1 acts along the flipped axis.
             distortion[2] = -distortion[2];
         }
         let fy = fy.abs();
@@ -228,8 +228,8 @@ impl SensorFiles {
     }
 }
 
-/// The depth images and the pictures of a camera's folder. With a file of times either may be missing:
-/// the images were then lost.
+/// The depth images and pictures in a camera's folder. With a file of times, a missing image means a lost
+/// frame.
 fn image_files(
     folder: &Path,
     has_times: bool,
@@ -241,7 +241,7 @@ fn image_files(
     let pictures = folder.join(PICTURES);
     let pictures = if pictures.is_dir() { or_lost(picture_files(&pictures))? } else { Vec::new() };
     let depths = match depth_images(folder) {
-        // A camera without a depth sensor.
+        // The camera has no depth sensor.
         Err(LogError::Empty { path, .. }) if path == folder && !pictures.is_empty() => Vec::new(),
         images => or_lost(images)?,
     };
@@ -271,7 +271,7 @@ fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesErro
     Ok(images)
 }
 
-/// Checks that all images have the size of their sensor's intrinsics.
+/// Checks that all images have the size in their sensor's intrinsics.
 fn check_sizes(
     images: &Images,
     depth: Option<&SensorFiles>,
@@ -316,7 +316,7 @@ fn mounted_intrinsics(folder: &Path, image: &Path) -> Result<Option<IntrinsicsFi
     Ok(camera.intrinsics(width, height).map(|pinhole| IntrinsicsFile::of(&pinhole, None)))
 }
 
-/// The poses of a folder: one, or as many as frames.
+/// The poses in a folder: one, or one for each frame.
 fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
     if !has_poses(folder)
         && let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose())
@@ -351,7 +351,7 @@ fn calibrations(
     let calibrations = (0..if is_fixed { 1 } else { frames }).map(calibration);
     let refuse = |error| FramesError::Calibration { path: path.to_owned(), error };
     let calibrations: Vec<Calibration> = calibrations.collect::<Result<_, _>>().map_err(refuse)?;
-    // Whoever carries a camera about says where it was in any frame.
+    // With one pose per frame the camera moves, so its height need not be checked.
     if let [Calibration { depth, picture, .. }] = &calibrations[..]
         && let Some(lens) = [depth, picture].into_iter().flatten().find(|it| it.centre().z <= 0.0)
     {

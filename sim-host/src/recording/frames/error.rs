@@ -1,16 +1,16 @@
-//! Why recorded frames can't be played.
+//! Errors of playing recorded frames.
 
 use std::path::PathBuf;
 
 use crate::{camera::CalibrationError, grid::RasterError, recording::error::LogError};
 
-/// Why recorded frames can't be watched. Each is one line.
+/// Why recorded frames cannot be played. Each error is one line.
 #[derive(Debug, thiserror::Error)]
 pub enum FramesError {
-    /// What depth images, poses and intrinsics share with logs.
+    /// An error in the depth images, poses or intrinsics, which have the form of logs.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// No camera is recorded there.
+    /// The folder contains no camera.
     #[error(
         "{path}: no camera in it: neither here nor in a folder below is there a depth/, a color/ \
          or a pose.txt",
@@ -20,29 +20,29 @@ pub enum FramesError {
         /// The folder.
         path: PathBuf,
     },
-    /// More cameras than any room has.
+    /// There are more cameras than can be played.
     #[error(
         "{path}: {cameras} cameras in all, and no more than {most} can be watched; a camera that \
          stands still has one pose, not one for each image",
         path = path.display()
     )]
     TooMany {
-        /// The folder of the camera with which they are too many.
+        /// The folder with the first camera above the limit.
         path: PathBuf,
-        /// Cameras so far.
+        /// Number of cameras up to there.
         cameras: usize,
-        /// Those that can be watched.
+        /// Maximum number of cameras.
         most: usize,
     },
-    /// No camera can be like that.
+    /// The calibration is impossible.
     #[error("{path}: {error}", path = path.display())]
     Calibration {
         /// The folder.
         path: PathBuf,
-        /// Why not.
+        /// The problem.
         error: CalibrationError,
     },
-    /// A camera on the floor or below it.
+    /// The camera is not above the floor.
     #[error(
         "{path}: its camera is at a height of {height_m} m; it must be above the floor: a pose is \
          that of the camera in map, with z up and the floor at 0",
@@ -51,21 +51,21 @@ pub enum FramesError {
     NotAboveFloor {
         /// The folder.
         path: PathBuf,
-        /// Above the floor.
+        /// Height above the floor in metres.
         height_m: f64,
     },
-    /// Not one pose, nor one for each frame.
+    /// The number of poses is neither one nor the number of frames.
     #[error("{path}: {frames} frames but {poses} poses; write one pose, or one for each frame",
         path = path.display())]
     Poses {
         /// The file of the poses.
         path: PathBuf,
-        /// Frames in the folder.
+        /// Number of frames in the folder.
         frames: usize,
-        /// Poses in the file.
+        /// Number of poses in the file.
         poses: usize,
     },
-    /// Pictures with a pose of their own, of a camera that moves.
+    /// The pictures of a moving camera have poses of their own.
     #[error(
         "{path}: depth images and pictures each have a file of poses, so that there must be one \
          pose in each; leave this one out for a camera that moves",
@@ -75,15 +75,15 @@ pub enum FramesError {
         /// The file of the pictures' poses.
         path: PathBuf,
     },
-    /// An image that can't be read.
+    /// An image cannot be read.
     #[error("{path}: {error}; remove the file to go on without it", path = path.display())]
     Damaged {
         /// The image.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The problem.
         error: RasterError,
     },
-    /// Two images of one sensor with one number.
+    /// Two images of one sensor have the same number.
     #[error("{path}: has the number {number} in its name, as {other} has; number them apart",
         path = path.display(), other = other.display())]
     SameNumber {
@@ -94,17 +94,17 @@ pub enum FramesError {
         /// The number.
         number: u128,
     },
-    /// A line of the times that can't be right.
+    /// A line of the file of times is invalid.
     #[error("{path}:{line}: {reason}", path = path.display())]
     Time {
         /// The file of the times.
         path: PathBuf,
         /// The line, from 1.
         line: usize,
-        /// What is wrong with it, and what it should be.
+        /// The problem, and how to solve it.
         reason: String,
     },
-    /// An image without a time where others have one.
+    /// An image has no line in the file of times.
     #[error("{path}: no line in {times} for number {number}; add one, or remove the image",
         path = path.display(), times = times.display())]
     NoTime {
@@ -115,7 +115,7 @@ pub enum FramesError {
         /// The number of the image.
         number: u128,
     },
-    /// Some cameras have times and some have not.
+    /// Some cameras have a file of times and others have none.
     #[error("{path}: missing, but {other} is there; all cameras need their times, by one clock",
         path = path.display(), other = other.display())]
     NoClock {
@@ -124,13 +124,13 @@ pub enum FramesError {
         /// The file of another camera.
         other: PathBuf,
     },
-    /// Cameras whose times have nothing to do with each other.
+    /// The times of two cameras are more than a day apart.
     #[error("{path}: begins more than a day after {other}; all cameras need one clock",
         path = path.display(), other = other.display())]
     OtherClock {
-        /// The file of the camera that is late.
+        /// The times of the later camera.
         path: PathBuf,
-        /// The file of the first camera.
+        /// The times of the first camera.
         other: PathBuf,
     },
 }

@@ -1,4 +1,4 @@
-//! When recorded frames were captured and when they arrived: `times.txt`.
+//! The capture and arrival times of recorded frames: `times.txt`.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -10,13 +10,13 @@ use crate::recording::{
     time_stamps,
 };
 
-/// The name of the file.
+/// The name of the file of times.
 pub(super) const TIMES_FILE: &str = "times.txt";
 
-/// No clock shows so many seconds: these are milliseconds, or less.
-const LATEST_S: f64 = 1e11;
-/// Nothing in a recording is farther apart: that is another clock, or one that was set.
-pub(super) const LONGEST_S: f64 = 86_400.0;
+/// Maximum time stamp in seconds: a larger one is in milliseconds or less.
+const MAX_TIME_S: f64 = 1e11;
+/// Maximum span of a recording in seconds: a larger one means that a clock differs or was set.
+pub(super) const MAX_SPAN_S: f64 = 86_400.0;
 
 /// The times of a frame, in seconds of the recording's clock.
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +58,7 @@ pub(super) fn read(path: &Path) -> Result<Option<FrameTimes>, FramesError> {
             );
             return Err(fault(written[frame], reason));
         }
-        if captured_s - last > LONGEST_S {
+        if captured_s - last > MAX_SPAN_S {
             let reason = format!(
                 "frame {frame} was captured at {captured_s} s, and the one before it at {last} s: \
                  more than a day apart; a clock was set, or these are two recordings"
@@ -84,7 +84,7 @@ fn parse(words: &[&str]) -> Result<(u128, FrameTime), String> {
     if arrived_s < captured_s {
         return Err(format!("arrived at {arrived_s} s, before it was captured at {captured_s} s"));
     }
-    if arrived_s - captured_s > LONGEST_S {
+    if arrived_s - captured_s > MAX_SPAN_S {
         return Err(format!(
             "arrived at {arrived_s} s, a day after it was captured at {captured_s} s"
         ));
@@ -97,15 +97,15 @@ fn parse(words: &[&str]) -> Result<(u128, FrameTime), String> {
 
 fn seconds(word: &str) -> Result<f64, String> {
     let value = number(word, Field::Named("time")).map_err(|fault| fault.to_string())?;
-    if (0.0..LATEST_S).contains(&value) {
+    if (0.0..MAX_TIME_S).contains(&value) {
         Ok(value)
     } else {
-        Err(format!("{value} is no time in seconds, from 0 to {LATEST_S}"))
+        Err(format!("{value} is no time in seconds, from 0 to {MAX_TIME_S}"))
     }
 }
 
-/// The times of frames that have none of their own, and what the user should know of it: those of
-/// the poses, where each has one, or one each second.
+/// Default times of frames without a file of times, and a note for the user: those of the poses if each
+/// has one, otherwise one second apart.
 pub(super) fn by_rule(
     frames: impl ExactSizeIterator<Item = u128>,
     stamps: Option<Vec<f64>>,

@@ -1,4 +1,4 @@
-//! Recorded frames as a source of frames, in the order in which they arrived.
+//! Plays recorded frames in the order in which they arrived.
 
 use std::{
     collections::VecDeque,
@@ -15,7 +15,7 @@ use ubimap_protocol::time::Instant;
 use super::{
     camera_folder::{self, CameraFolder, FrameFiles, SensorFiles},
     error::FramesError,
-    frame_times::{LONGEST_S, TIMES_FILE},
+    frame_times::{MAX_SPAN_S, TIMES_FILE},
 };
 use crate::{
     camera::{Calibration, DepthImage, Frame, FrameSource, Picture},
@@ -26,8 +26,8 @@ use crate::{
     },
 };
 
-/// Limit on the number of cameras: each costs megabytes.
-const MOST_CAMERAS: usize = 64;
+/// Maximum number of cameras: each takes megabytes of memory.
+const MAX_CAMERAS: usize = 64;
 
 /// Recorded frames of cameras.
 #[derive(Debug)]
@@ -46,19 +46,19 @@ pub struct RecordedFrames {
     notes: Vec<String>,
 }
 
-/// A frame that is not read yet.
+/// A frame that has not been read yet.
 #[derive(Debug)]
 struct Due {
     arrived: Instant,
     captured: Instant,
     camera: usize,
     folder: Arc<CameraFolder>,
-    /// Of the frames of its folder.
+    /// Index among the frames of its folder.
     index: usize,
 }
 
 impl RecordedFrames {
-    /// Opens folders of cameras, or folders of such folders. Checks everything but the pixels.
+    /// Opens folders of cameras, or folders that contain such folders. Checks everything except the pixels.
     ///
     /// # Errors
     /// Every [`FramesError`].
@@ -71,7 +71,7 @@ impl RecordedFrames {
         }
         one_clock(&folders)?;
         let captured = folders.iter().flat_map(|it| &it.frames).map(|frame| frame.time.captured_s);
-        // Whole seconds, so that fractions of a second stay what they were.
+        // Whole seconds, so that the fractions of a second are preserved.
         let origin_s = captured.reduce(f64::min).unwrap_or(0.0).floor();
         let moment = |seconds: f64| Instant(((seconds - origin_s) * 1e6).round() as u64);
 
@@ -91,9 +91,9 @@ impl RecordedFrames {
             let first = all.calibrations.len();
             all.calibrations.extend(&folder.calibrations);
             let cameras = all.calibrations.len();
-            if cameras > MOST_CAMERAS {
+            if cameras > MAX_CAMERAS {
                 let path = folder.path.clone();
-                return Err(FramesError::TooMany { path, cameras, most: MOST_CAMERAS });
+                return Err(FramesError::TooMany { path, cameras, most: MAX_CAMERAS });
             }
             all.names.extend((0..cameras - first).map(|index| folder.name(index)));
             all.frames.resize(cameras, 0);
@@ -118,17 +118,17 @@ impl RecordedFrames {
         &self.names
     }
 
-    /// For each camera, the number of frames played so far and of those lost in all.
+    /// For each camera the number of frames played and the total number lost.
     pub fn counts(&self) -> impl Iterator<Item = (u64, u64)> {
         self.frames.iter().copied().zip(self.lost.iter().copied())
     }
 
-    /// The recording's clock at a time of this source, in seconds.
+    /// The recording's clock in seconds at a time of this source.
     pub fn clock_s(&self, moment: Instant) -> f64 {
         self.origin_s + moment.micros() as f64 / 1e6
     }
 
-    /// When the last frame arrives.
+    /// Arrival time of the last frame.
     pub fn end(&self) -> Instant {
         self.rest.back().map_or(Instant(0), |due| due.arrived)
     }
@@ -138,12 +138,12 @@ impl RecordedFrames {
         &self.notes
     }
 
-    /// The error that ended the frames early: an image that can't be read.
+    /// The error that ended playback early, if any: an image that cannot be read.
     pub fn take_fault(&mut self) -> Option<FramesError> {
         self.fault.take()
     }
 
-    /// Reads the next few frames, as many at once as there are processors.
+    /// Reads the next frames, one for each processor in parallel.
     fn read_ahead(&mut self) {
         let abreast = thread::available_parallelism().map_or(1, NonZero::get);
         let next: Vec<Due> = self.rest.drain(..abreast.min(self.rest.len())).collect();
@@ -200,7 +200,7 @@ impl Due {
     }
 }
 
-/// All cameras have times by one clock, or none has times.
+/// Checks that either all cameras have times, by one clock, or none has.
 fn one_clock(folders: &[Arc<CameraFolder>]) -> Result<(), FramesError> {
     let times_of = |folder: &CameraFolder| folder.path.join(TIMES_FILE);
     let [with, without] = [true, false].map(|has| folders.iter().find(|it| it.has_clock == has));
@@ -211,14 +211,14 @@ fn one_clock(folders: &[Arc<CameraFolder>]) -> Result<(), FramesError> {
     let mut begun: Vec<_> = folders.iter().filter_map(|it| Some((begin(it)?, it))).collect();
     begun.sort_by(|a, b| a.0.total_cmp(&b.0));
     if let [(first_s, first), .., (last_s, last)] = &begun[..]
-        && last_s - first_s > LONGEST_S
+        && last_s - first_s > MAX_SPAN_S
     {
         return Err(FramesError::OtherClock { path: times_of(last), other: times_of(first) });
     }
     Ok(())
 }
 
-/// Where y points up in an image (a negative focal length), the rows are turned round.
+/// The depth image of a file. If y points up (negative focal length), the rows are reversed.
 fn depth_image(path: &Path, sensor: &SensorFiles) -> Result<DepthImage, FramesError> {
     let depths = depths_mm(path, &sensor.intrinsics).map_err(|error| match error {
         LogError::Frame { path, fault: FrameFault::Image(error) } => {
@@ -227,7 +227,7 @@ fn depth_image(path: &Path, sensor: &SensorFiles) -> Result<DepthImage, FramesEr
         error => error.into(),
     })?;
     let (width, height) = (sensor.intrinsics.width, sensor.intrinsics.height);
-    // The depths have the size of the intrinsics.
+    // The depths have the size in the intrinsics, so this cannot fail.
     let mut image = DepthImage::from_raw(width, height, depths).unwrap_or_default();
     if sensor.is_upside_down() {
         flip_vertical_in_place(&mut image);

@@ -1,4 +1,4 @@
-//! Frames written down, in the form that [`frames`](super) describes.
+//! Writes frames to a folder, in the layout that [`frames`](super) describes.
 
 use std::{
     fs::{self, File},
@@ -21,7 +21,7 @@ use crate::{
     },
 };
 
-/// Writes frames to a folder as they arrive. They are numbered by the microsecond of their capture.
+/// Writes frames to a folder as they arrive. A frame's number is its capture time in microseconds.
 #[derive(Debug)]
 pub struct Recorder {
     cameras: Vec<CameraWriter>,
@@ -34,10 +34,10 @@ struct CameraWriter {
 }
 
 impl Recorder {
-    /// Makes a folder for the frames of these cameras, with their calibration in it.
+    /// Creates a folder for the frames of these cameras and writes their calibrations.
     ///
     /// # Errors
-    /// [`LogError::Io`] if it can't be written to, or holds something already.
+    /// [`LogError::Io`] if the folder cannot be written to, or is not empty.
     pub fn create(folder: &Path, cameras: &[Calibration]) -> Result<Self, LogError> {
         let refuse = |error| LogError::Io { path: folder.to_owned(), error };
         fs::create_dir_all(folder).map_err(refuse)?;
@@ -51,7 +51,7 @@ impl Recorder {
         Ok(Self { cameras: cameras.collect::<Result<_, _>>()? })
     }
 
-    /// Writes a frame that has arrived now.
+    /// Writes a frame that has arrived `now`.
     ///
     /// # Errors
     /// [`LogError::Io`].
@@ -81,8 +81,8 @@ impl CameraWriter {
             format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000)
         };
         let [captured, arrived] = [frame.captured, now].map(seconds);
-        // The line first, and at once: if the recording breaks off, a line without images is a lost
-        // frame, but with an image that has no time no frame could be watched.
+        // Write the line first and flush it. If the recording is interrupted, a line without images is a
+        // lost frame, whereas an image without a time would make the folder unreadable.
         let line = format!("{number:012} {captured} {arrived}\n");
         self.times
             .write_all(line.as_bytes())
@@ -107,10 +107,10 @@ fn create_folder(path: &Path) -> Result<(), LogError> {
     fs::create_dir_all(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
 }
 
-/// Writes the calibration of a sensor; `noise` is that of depths.
+/// Writes the calibration of a sensor; `noise` is that of its depths.
 fn calibrate(place: &Path, lens: &Lens, noise: Option<&DepthNoise>) -> Result<(), LogError> {
     create_folder(place)?;
-    // Plain numbers: there is nothing that could fail.
+    // Serialising plain numbers cannot fail.
     let intrinsics =
         toml::to_string(&IntrinsicsFile::of(lens.intrinsics(), noise)).unwrap_or_default();
     write_file(&place.join(INTRINSICS_FILE), |file| file.write_all(intrinsics.as_bytes()))?;
@@ -122,7 +122,7 @@ fn calibrate(place: &Path, lens: &Lens, noise: Option<&DepthNoise>) -> Result<()
     Ok(())
 }
 
-/// Writes an image, with the folder it lies in. Until it is whole it has another name.
+/// Writes an image, creating its folder if necessary. It is renamed into place once complete.
 fn write_png(
     path: &Path,
     encode: impl FnOnce(PngEncoder<&mut BufWriter<&mut File>>) -> Result<(), ImageError>,

@@ -20,7 +20,7 @@ fn all(source: &mut RecordedFrames) -> Vec<Frame> {
     std::iter::from_fn(|| source.poll(Instant(u64::MAX))).collect()
 }
 
-/// One camera of two pixels, and three frames.
+/// One camera with images of two pixels, and three frames.
 fn one_camera(name: &str) -> Folder {
     let folder = Folder::new(name);
     folder.file("intrinsics.toml", INTRINSICS);
@@ -32,11 +32,11 @@ fn one_camera(name: &str) -> Folder {
 }
 
 #[test]
-fn images_come_when_they_are_due() {
+fn frames_are_returned_when_they_are_due() {
     let folder = one_camera("recorded-frames");
     let mut source = open(folder.path()).unwrap();
     let [camera] = source.cameras() else { panic!("one camera") };
-    // It looks straight down.
+    // The camera looks straight down.
     let floor = camera.depth.unwrap().direction([0.5, 0.0]) * 3.0;
     assert!((floor.z + 3.0).abs() < 1e-9, "{floor}");
     let first = source.poll(Instant(0)).unwrap();
@@ -87,7 +87,7 @@ fn a_camera_without_a_pose_is_looked_for_among_those_that_were_placed() {
 }
 
 #[test]
-fn cameras_share_a_clock_and_frames_come_as_they_arrived() {
+fn cameras_share_a_clock_and_frames_are_ordered_by_arrival() {
     let folder = Folder::new("recorded-cameras");
     let camera = |name: &str, times: &[u8]| {
         folder.file(&format!("{name}/intrinsics.toml"), INTRINSICS);
@@ -99,7 +99,7 @@ fn cameras_share_a_clock_and_frames_come_as_they_arrived() {
         let image = format!("P2 2 1 65535 {number} 0");
         folder.file(&format!("b/depth/{number}.pgm"), image.as_bytes());
     }
-    // Pictures alone in one frame; they have a sensor of their own.
+    // One frame has only a picture; the pictures have a sensor of their own.
     camera("a", b"1 101\n3 102.5\n");
     folder.file("a/depth/1.pgm", b"P2 2 1 65535 1 0");
     folder.file("a/color/1.pgm", b"P2 1 2 255 10 20");
@@ -124,7 +124,7 @@ fn cameras_share_a_clock_and_frames_come_as_they_arrived() {
 }
 
 #[test]
-fn what_the_recorder_writes_is_read_again() {
+fn recorded_frames_read_back() {
     let folder = one_camera("recorder");
     folder.file("color/2.ppm", b"P3 2 1 255 1 2 3 4 5 6");
     folder.file("times.txt", b"1 0\n2 0.066667 0.2\n10 0.133333\n");
@@ -141,7 +141,7 @@ fn what_the_recorder_writes_is_read_again() {
     assert_eq!(again.cameras(), source.cameras());
     assert_eq!(all(&mut again), frames);
     assert_eq!(frames[1].captured.0, 133_333);
-    // A recording that broke off, when the last image was not whole, nor even there.
+    // An interrupted recording: the last picture is incomplete, its depth image missing.
     let picture = copy.join("camera-00/color/000000066667.png");
     std::fs::rename(&picture, picture.with_extension("png.part")).unwrap();
     std::fs::remove_file(copy.join("camera-00/depth/000000133333.png")).unwrap();
@@ -155,7 +155,7 @@ fn what_the_recorder_writes_is_read_again() {
 }
 
 #[test]
-fn the_noise_of_depths_is_what_the_intrinsics_state_or_a_d435s() {
+fn the_depth_noise_is_that_of_the_intrinsics_or_of_a_d435() {
     let folder = one_camera("recorded-noise");
     let noise = || open(folder.path()).map(|it| it.cameras()[0].depth_noise);
     assert_eq!(noise().unwrap(), DepthNoise::D435);
@@ -170,7 +170,7 @@ fn the_noise_of_depths_is_what_the_intrinsics_state_or_a_d435s() {
 }
 
 #[test]
-fn pictures_alone_have_a_pose_each_or_one() {
+fn pictures_without_depth_have_one_pose_or_one_each() {
     let folder = Folder::new("recorded-pictures");
     folder.file("intrinsics.toml", INTRINSICS);
     for number in [1, 2, 3] {
@@ -180,7 +180,7 @@ fn pictures_alone_have_a_pose_each_or_one() {
     let mut source = open(folder.path()).unwrap();
     let places = source.cameras().iter().map(|it| it.picture.unwrap().centre().x);
     assert_eq!(places.collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
-    // The times of the poses.
+    // The times come from the poses.
     let captured = all(&mut source).iter().map(|it| it.captured.0).collect::<Vec<_>>();
     assert_eq!(captured, [0, 1_500_000, 4_000_000]);
     folder.file("pose.txt", b"0 0 3 1 0 0 0\n");
@@ -188,7 +188,7 @@ fn pictures_alone_have_a_pose_each_or_one() {
 }
 
 #[test]
-fn a_camera_that_sent_nothing_has_lost_all_its_frames() {
+fn all_frames_of_a_camera_without_images_are_lost() {
     let folder = one_camera("recorder-silent");
     folder.file("color/2.ppm", b"P3 2 1 255 1 2 3 4 5 6");
     let source = open(folder.path()).unwrap();
@@ -201,7 +201,7 @@ fn a_camera_that_sent_nothing_has_lost_all_its_frames() {
     assert!(again.notes()[0].contains("camera-00: no image in it"), "{:?}", again.notes());
 }
 
-/// Opening the folder fails with one line that says all this.
+/// Checks that opening the folder fails with one line that contains all of `expected`.
 fn expect(folder: &Folder, expected: &[&str]) {
     let error = open(folder.path()).unwrap_err().to_string();
     assert!(expected.iter().all(|it| error.contains(it)), "{error}");
@@ -209,7 +209,7 @@ fn expect(folder: &Folder, expected: &[&str]) {
 }
 
 #[test]
-fn faults_of_times_name_the_line() {
+fn faults_in_times_name_the_line() {
     let folder = one_camera("recorded-times");
     for (times, expected) in [
         ("1 1\n2 0.5\n10 2\n", ["times.txt:2: frame 2 was captured at 0.5 s", "set back"]),
@@ -229,7 +229,7 @@ fn faults_of_times_name_the_line() {
 }
 
 #[test]
-fn faults_of_images_name_the_file() {
+fn faults_in_images_name_the_file() {
     let folder = one_camera("recorded-images");
     folder.file("depth/02.pgm", b"P2 2 1 65535 2000 0");
     expect(&folder, &["depth/2.pgm: has the number 2", "02.pgm has; number them apart"]);
@@ -243,7 +243,7 @@ fn faults_of_images_name_the_file() {
 }
 
 #[test]
-fn faults_of_poses_say_what_to_write() {
+fn faults_in_poses_say_what_to_write() {
     let folder = one_camera("recorded-poses");
     for (pose, height) in [("1 2 -3 0 0 0 1\n", "of -3 m;"), ("0 0 0 0 0 0 1\n", "of 0 m;")] {
         folder.file("pose.txt", pose.as_bytes());
@@ -267,18 +267,18 @@ fn faults_of_poses_say_what_to_write() {
 }
 
 #[test]
-fn faults_of_intrinsics_say_what_to_write() {
+fn faults_in_intrinsics_say_what_to_write() {
     let folder = one_camera("recorded-intrinsics");
     folder.file("intrinsics.toml", b"width = 2\nheight = 1\n");
     expect(&folder, &["intrinsics.toml: intrinsics: missing field `fx`"]);
-    // A focal length in millimetres.
+    // A focal length given in millimetres.
     let text = "width = 640\nheight = 480\nfx = 1.93\nfy = 1.93\ncx = 320\ncy = 240\n";
     folder.file("intrinsics.toml", text.as_bytes());
     expect(
         &folder,
         &["intrinsics.toml: intrinsics: fx and fy see more than 170 degrees", "in pixels"],
     );
-    // No guess is made of a camera that stands still.
+    // The intrinsics of a fixed camera are never guessed.
     std::fs::remove_file(folder.path().join("intrinsics.toml")).unwrap();
     expect(&folder, &["intrinsics.toml: intrinsics: missing; write width, height"]);
     folder.file("intrinsics.toml", INTRINSICS);
@@ -336,7 +336,7 @@ proptest! {
 }
 
 #[test]
-fn an_image_that_breaks_off_ends_the_frames() {
+fn a_truncated_image_ends_playback() {
     let folder = one_camera("recorded-damage");
     folder.file("depth/2.pgm", b"P2 2 1 65535 2000");
     let mut source = open(folder.path()).unwrap();
@@ -346,9 +346,9 @@ fn an_image_that_breaks_off_ends_the_frames() {
     assert!(error.contains("depth/2.pgm: not a readable image: "), "{error}");
 }
 
-/// Real images, with all that is wrong with them, lead to the same evidence both ways.
+/// Real images, with all their defects, give the same evidence by `fuse` and by `scatter`.
 #[test]
-fn recorded_images_make_the_same_evidence_both_ways() {
+fn fuse_and_scatter_agree_on_recorded_images() {
     for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
         let Some(folder) = shared_data(name) else { continue };
         let mut source = open(&folder).unwrap();
@@ -362,7 +362,7 @@ fn recorded_images_make_the_same_evidence_both_ways() {
         let taken = vec![false; rays.cells()];
         let (mut fast, mut plain) = (Evidence::default(), Evidence::default());
         for turn in 0..17 {
-            // The first image until it is learnt, then others before the same background.
+            // The first image during learning, then the others.
             let image = frames[(turn as usize).saturating_sub(14)].depth.as_ref().unwrap();
             fast.fuse(&rays, &background, image);
             plain.scatter(&rays, &background, image);

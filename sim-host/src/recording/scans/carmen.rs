@@ -4,13 +4,12 @@
 //! FLASER n r1 .. rn x y theta odom_x odom_y odom_theta ipc_time host log_time
 //! ```
 //!
-//! Metres, radians, seconds; a scan covers half a turn, beam 0 to the right. Other records are
-//! passed over.
+//! Metres, radians, seconds; a scan covers half a turn, beam 0 to the right. Other records are ignored.
 //!
-//! Corrected logs keep one trajectory in both triples of fields: the corrected pose of the laser.
-//! Raw logs do so too, but there it is odometry. Nothing in the records tells them apart with
-//! certainty, so one trajectory is taken as poses, unless a comment in the file speaks of dead
-//! reckoning and nothing of what a corrector writes (`NEFF`) is in it.
+//! Corrected logs store one trajectory in both triples: the corrected pose of the laser. Raw logs do the
+//! same with odometry. The records alone cannot distinguish the two, so a single trajectory is taken as
+//! poses unless a comment in the file mentions dead reckoning and the file contains no output of a
+//! corrector (`NEFF`).
 
 use std::{f64::consts::PI, path::Path};
 
@@ -26,24 +25,24 @@ use crate::recording::{
     time_stamps,
 };
 
-/// Readings in these ranges (metres) say that nothing came back: SICK in centimetres (81.83,
-/// 81.91), other scanners' 50 to 51.2, and 15 bits of millimetres (32.76). Rounding included.
+/// Ranges of readings in metres that mean "no return": SICK in centimetres (81.83, 81.91), 50 to 51.2 of
+/// other scanners, and 15 bits of millimetres (32.76). Tolerances for rounding are included.
 const NO_RETURN_M: [(f64, f64); 3] = [(81.8, f64::MAX), (49.9995, 51.2005), (32.755, 32.7705)];
 
-/// The same for SICK in millimetres: 13 bits, so only in a log without a greater reading.
+/// "No return" of a SICK in millimetres, 13 bits. Applies only to logs without a greater reading.
 const NO_RETURN_13_BITS_M: (f64, f64) = (8.1825, 8.1915);
 
-/// Fields of a record beside its kind, its count, its readings: two poses, and the times.
+/// Number of fields for the two poses; a record also has its kind, a count, readings and times.
 const POSE_FIELDS: usize = 6;
 const TIME_FIELDS: usize = 3;
 
-/// Names under which a log states the greatest range of its front laser.
+/// Parameters that state the maximum range of the front laser in a log.
 const MAXIMUM_PARAMS: [&str; 2] = ["robot_front_laser_max", "robot_frontlaser_max"];
 
-/// The widest scan that is believed.
+/// Maximum number of beams accepted in a scan.
 const MAX_BEAMS: usize = 16_384;
 
-/// Whether a word could be the kind of a record: `FLASER`, `ODOM`, `ROBOTLASER1`.
+/// Whether a word could be a kind of record: `FLASER`, `ODOM`, `ROBOTLASER1`.
 pub(super) fn is_record_kind(word: &str) -> bool {
     word.len() <= 64
         && word.starts_with(|first: char| first.is_ascii_alphabetic())
@@ -71,14 +70,14 @@ pub(super) fn read(path: &Path) -> Result<Log, LogError> {
 struct Record {
     line: usize,
     ranges_m: Vec<f64>,
-    /// The laser, as the log has it.
+    /// Pose of the laser as stated in the log.
     laser: [f64; 3],
-    /// The robot by its odometry, as the log has it.
+    /// Odometry pose of the robot as stated in the log.
     odometry: [f64; 3],
     stamp_s: Option<f64>,
 }
 
-/// What is gathered from a file, line by line.
+/// The content of a file, collected line by line.
 #[derive(Default)]
 struct Content {
     records: Vec<Record>,
@@ -120,7 +119,7 @@ impl Content {
         let beams = self.records.first()?.ranges_m.len();
         let mut notes = Vec::new();
         if ![180, 181, 360, 361].contains(&beams) {
-            notes.push(format!("{beams} beams are taken to cover half a turn"));
+            notes.push(format!("assuming that the {beams} beams cover half a turn"));
         }
         let stamps: Option<Vec<f64>> = self.records.iter().map(|record| record.stamp_s).collect();
         let (times, note) = time_stamps::repair(stamps.as_deref(), self.records.len());
@@ -153,7 +152,7 @@ impl Content {
     }
 
     fn trajectories(&self) -> Trajectories {
-        // The laser may sit anywhere on the robot: one trajectory, if it always sits there.
+        // The laser's offset on the robot is unknown; if it is constant, there is only one trajectory.
         let offsets = || self.records.iter().map(|record| relative(record.odometry, record.laser));
         let is_one = is_still(offsets());
         if is_one && self.speaks_of_dead_reckoning && !self.has_corrector_records {
@@ -171,7 +170,7 @@ impl Content {
 }
 
 impl Record {
-    /// From the fields after the kind; every record must be like the first.
+    /// Parses the fields after the kind; every record must have the same layout as the first.
     fn parse(line: usize, fields: &[&str], first: Option<&Self>) -> Result<Self, LineFault> {
         let counted = Field::Named("number of readings");
         let count = number(fields.first().copied().unwrap_or(""), counted)?;
@@ -186,7 +185,7 @@ impl Record {
             return Err(LineFault::Width { found: count, expected: first.ranges_m.len() });
         }
 
-        // A log without times has no such fields at all; one with them has them in every record.
+        // Either all records have the time fields or none has.
         let untimed = 1 + count + POSE_FIELDS;
         let timed = untimed + TIME_FIELDS;
         let expected = match first {
@@ -219,18 +218,18 @@ impl Record {
     }
 }
 
-/// What the two triples of pose fields hold.
+/// The contents of the two triples of pose fields.
 #[derive(Clone, Copy, PartialEq)]
 enum Trajectories {
-    /// Poses and odometry, and they differ.
+    /// Poses and odometry, which differ.
     Both,
-    /// One trajectory, taken as poses.
+    /// One trajectory, taken as corrected poses.
     Corrected,
-    /// One trajectory, said to be odometry.
+    /// One trajectory, declared to be odometry.
     DeadReckoned,
-    /// The poses never change, the odometry does.
+    /// The poses are constant, the odometry is not.
     MovingOdometry,
-    /// The odometry never changes, the poses do.
+    /// The odometry is constant, the poses are not.
     MovingPoses,
 }
 
@@ -246,13 +245,13 @@ impl Trajectories {
             Self::DeadReckoned => {
                 Some("poses and odometry are one trajectory, dead-reckoned; taken as odometry")
             }
-            Self::MovingOdometry => Some("the poses never change; going by odometry"),
-            Self::MovingPoses => Some("the odometry never changes; going by poses"),
+            Self::MovingOdometry => Some("the poses are constant; using odometry"),
+            Self::MovingPoses => Some("the odometry is constant; using poses"),
         }
     }
 }
 
-/// Whether poses are all the same within a centimetre and half a degree.
+/// Whether all poses are equal within a centimetre and half a degree.
 fn is_still(mut poses: impl Iterator<Item = [f64; 3]>) -> bool {
     let Some(first) = poses.next() else { return true };
     poses.all(|pose| {
@@ -261,21 +260,21 @@ fn is_still(mut poses: impl Iterator<Item = [f64; 3]>) -> bool {
     })
 }
 
-/// A log of an odd number of beams has one on either edge of its half turn; one of an even number
-/// leaves the left edge out.
+/// With an odd number of beams, the first and the last are at the edges of the half turn; with an even
+/// number, the left edge is left out.
 fn sensor(beams: usize) -> Sensor {
     let steps = if beams % 2 == 1 { beams - 1 } else { beams };
     Sensor::Radial { first_rad: -PI / 2.0, step_rad: PI / steps as f64, beams }
 }
 
-/// From what range on a reading says nothing.
+/// The ranges that mean "no return".
 struct Limits {
     stated_m: f64,
     is_13_bits: bool,
 }
 
 impl Limits {
-    /// A range in whole millimetres; 0 if nothing came back, or from farther than 65 m.
+    /// A range in whole millimetres; 0 for no return, and for more than 65 m.
     fn millimetres(&self, range_m: f64) -> u16 {
         let within = |(least, most): (f64, f64)| (least..=most).contains(&range_m);
         let is_code = NO_RETURN_M.into_iter().any(within)
@@ -294,7 +293,7 @@ mod tests {
         testing::{Folder, shared_data},
     };
 
-    /// A record of four beams.
+    /// A record with four beams.
     fn flaser(ranges: &str, poses: &str, time: &str) -> String {
         format!("FLASER 4 {ranges} {poses} {time} host {time}\n")
     }
@@ -307,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn odd_counts_end_at_both_edges() {
+    fn an_odd_number_of_beams_includes_both_edges() {
         let last_deg = |beams| match sensor(beams) {
             Sensor::Radial { first_rad, step_rad, beams } => {
                 (first_rad + step_rad * (beams - 1) as f64).to_degrees()
@@ -320,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn every_code_for_no_return_becomes_zero() {
+    fn all_codes_for_no_return_become_zero() {
         let text = flaser("81.83 81.91 50 51.2", "0 0 0 0 0 0", "1")
             + &flaser("51.1 32.759 32.767 70", "0 0 0 0 0 0", "2")
             + &flaser("49.99 51.3 32.7 8.19", "0 0 0 0 0 0", "3")
@@ -340,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn one_trajectory_is_poses_unless_the_file_says_otherwise() {
+    fn one_trajectory_is_taken_as_poses_unless_the_file_says_otherwise() {
         let two = flaser("1 1 1 1", "0 0 0 0 0 0", "1") + &flaser("1 1 1 1", "1 2 3 1 2 3", "2");
         let log = read_text(&two).unwrap();
         assert_eq!((log.scans[1].pose, log.scans[1].odometry), (Some([1.0, 2.0, 3.0]), None));
@@ -390,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn records_without_times_go_by_index() {
+    fn records_without_times_are_timed_by_index() {
         let text = "FLASER 2 1 1 0 0 0 0 0 0\nFLASER 2 1 1 0 0 0 0 0 0\n";
         let log = read_text(text).unwrap();
         assert_eq!(log.scans[1].time.micros(), 1_000_000);
@@ -419,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn raw_odometry_is_no_pose() {
+    fn raw_odometry_is_not_taken_as_poses() {
         let Some(file) = shared_data("intel_raw/intel_raw_2726.flaser.log.gz") else { return };
         let log = read_all(&[file], None, Slicing::default()).unwrap();
         assert_eq!(log.scans.len(), 2_726);

@@ -1,4 +1,4 @@
-//! Several logs of one sensor joined into one.
+//! Joins several logs of one sensor.
 
 use std::path::PathBuf;
 
@@ -10,8 +10,8 @@ use super::{
 };
 use crate::recording::error::LogError;
 
-/// Joins logs of one sensor into one; the paths are those that errors name. Each log continues where the
-/// previous one ended, in time and in odometry, because their `odom` frames are unrelated.
+/// Joins logs of one sensor; the paths are used in errors. Each log continues the time and the odometry of
+/// the previous one, because their `odom` frames are unrelated.
 ///
 /// # Errors
 /// [`LogError::Mixed`] for different sensors or kinds of poses, [`LogError::Empty`] without any log.
@@ -29,7 +29,7 @@ pub fn concatenate(logs: Vec<(PathBuf, Log)>) -> Result<Log, LogError> {
             return Err(mixed("sensor"));
         }
         if has(&log.scans) != has(&joined.scans) {
-            return Err(mixed("kind of poses (corrected or odometry alone)"));
+            return Err(mixed("kind of poses (corrected, or odometry only)"));
         }
         append(&mut joined, log);
     }
@@ -47,7 +47,7 @@ fn append(joined: &mut Log, log: Log) {
     let begin_of = |scans: &[LoggedScan]| scans.first().and_then(|scan| scan.odometry);
     let odometry_shift = end_of(&joined.scans).zip(begin_of(&log.scans));
     if odometry_shift.is_some() {
-        joined.notes.push("odometry goes on from where the log before ended".to_owned());
+        joined.notes.push("the odometry of each log continues that of the previous log".to_owned());
     }
     joined.scans.extend(log.scans.into_iter().map(|mut scan| {
         scan.time = start + scan.time;
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn joined_logs_go_on_in_time_and_odometry() {
+    fn joined_logs_continue_time_and_odometry() {
         let first = log(0.1, vec![scan(0, 5.0), scan(3, 6.0)]);
         let second = log(0.1, vec![scan(0, 1.0), scan(1, 1.5)]);
         let joined = concatenate(vec![("a".into(), first.clone()), ("b".into(), second)]).unwrap();

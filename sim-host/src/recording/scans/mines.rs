@@ -1,7 +1,7 @@
 //! The log of CoreSLAM's mine robot: a Hokuyo URG-04LX and two wheel encoders.
 //!
-//! 707 numbers a line: \[0\] microseconds, \[2\] and \[3\] ticks of the left and of the right wheel,
-//! \[24\] to \[705\] 682 ranges in millimetres over 240 degrees, beam 0 to the right. No poses.
+//! Each line has 707 numbers: \[0\] microseconds, \[2\] and \[3\] ticks of the left and the right wheel,
+//! \[24\] to \[705\] 682 ranges in millimetres over 240 degrees, beam 0 to the right. There are no poses.
 
 use std::{f64::consts::PI, path::Path};
 
@@ -22,17 +22,17 @@ const FIRST_RANGE: usize = 24;
 const BEAMS: usize = 682;
 const SPREAD_RAD: f64 = 240.0 / 180.0 * PI;
 
-/// The scanner's error codes lie below its shortest range, and nothing is measured beyond its
-/// longest one.
-const SHORTEST_MM: f64 = 20.0;
-const LONGEST_MM: f64 = 5_600.0;
+/// Minimum valid reading in millimetres: error codes are below it.
+const MIN_RANGE_MM: f64 = 20.0;
+/// Maximum range of the scanner in millimetres.
+const MAX_RANGE_MM: f64 = 5_600.0;
 
 const WHEEL_RADIUS_M: f64 = 0.077;
 const HALF_AXLE_M: f64 = 0.165;
 const TICKS_A_TURN: f64 = 2_000.0;
 
-/// A wheel that went faster than this (metres a second) is a counter that wrapped or was reset.
-const FASTEST_M_S: f64 = 10.0;
+/// Maximum speed of a wheel in m/s: beyond it, the counter wrapped or was reset.
+const MAX_SPEED_M_S: f64 = 10.0;
 
 /// Reads a log of the mine robot, plain or gzipped. Odometry starts at the origin of `odom`.
 pub(super) fn read(path: &Path) -> Result<Log, LogError> {
@@ -60,7 +60,7 @@ pub(super) fn read(path: &Path) -> Result<Log, LogError> {
     let (poses, lost) = dead_reckon(&records, elapsed_s);
     if let Some(line) = lost.first() {
         notes.push(format!(
-            "the wheel counters leap {} times (first at line {line}); no motion counted there",
+            "the wheel counters jump {} times (first at line {line}); no motion assumed there",
             lost.len()
         ));
     }
@@ -80,11 +80,11 @@ pub(super) fn read(path: &Path) -> Result<Log, LogError> {
     Ok(Log { format: Format::Mines, sensor, scans: scans.collect(), notes })
 }
 
-/// One line.
+/// One line of the log.
 struct Record {
     line: usize,
     stamp_s: f64,
-    /// Left and right.
+    /// Ticks of the left and the right wheel.
     ticks: [f64; 2],
     readings_mm: Vec<u16>,
 }
@@ -99,7 +99,7 @@ impl Record {
         let readings_mm: Result<_, _> = ranges
             .map(|(index, text)| {
                 let range = reading(text, index)?;
-                let is_measured = (SHORTEST_MM..LONGEST_MM).contains(&range);
+                let is_measured = (MIN_RANGE_MM..MAX_RANGE_MM).contains(&range);
                 Ok(if is_measured { range.round() as u16 } else { 0 })
             })
             .collect();
@@ -115,7 +115,7 @@ impl Record {
     }
 }
 
-/// The poses in `odom` by the wheels alone, and the lines where the counters tell nothing.
+/// The poses in `odom` from the wheels alone, and the lines whose counters are unusable.
 fn dead_reckon(
     records: &[Record],
     elapsed_s: impl Iterator<Item = f64>,
@@ -129,7 +129,7 @@ fn dead_reckon(
         if let [Some(left), Some(right)] = steps {
             let turn = (right - left) / (2.0 * HALF_AXLE_M);
             let forward = (left + right) / 2.0;
-            // Along the chord of the arc.
+            // Move along the chord of the arc.
             let (sin, cos) = (turn / 2.0).sin_cos();
             pose = compose(pose, [forward * cos, forward * sin, turn]);
         } else {
@@ -140,15 +140,15 @@ fn dead_reckon(
     (poses, lost)
 }
 
-/// How far a wheel rolled, through a wrap of a 16- or 32-bit counter if there was one; `None` if
-/// the counter was reset.
+/// The distance that a wheel rolled, corrected for a wrap of a 16- or 32-bit counter; `None` if the counter
+/// was reset.
 fn wheel_step_m(before: f64, after: f64, elapsed_s: f64) -> Option<f64> {
     let bits_16 = f64::from(1 << 16);
     let bits_32 = bits_16 * bits_16;
     [0.0, bits_16, -bits_16, bits_32, -bits_32]
         .map(|wrap| (after - before + wrap) / TICKS_A_TURN * 2.0 * PI * WHEEL_RADIUS_M)
         .into_iter()
-        .find(|step| step.abs() <= FASTEST_M_S * elapsed_s)
+        .find(|step| step.abs() <= MAX_SPEED_M_S * elapsed_s)
 }
 
 #[cfg(test)]
@@ -170,9 +170,9 @@ mod tests {
     }
 
     #[test]
-    fn wheels_drive_the_odometry() {
+    fn wheel_ticks_give_odometry() {
         let folder = Folder::new("mines-wheels");
-        // A turn on the spot by a quarter, then a metre along y; the right counter wraps.
+        // Turn a quarter on the spot, then drive a metre along y; the right counter wraps.
         let quarter =
             (HALF_AXLE_M * PI / 2.0 / (2.0 * PI * WHEEL_RADIUS_M) * 2000.0).round() as i64;
         let metre = (1.0 / (2.0 * PI * WHEEL_RADIUS_M) * 2000.0).round() as i64;

@@ -1,4 +1,4 @@
-//! Logs of scans: one reader for each format, and what their scans have in common.
+//! Logs of scans: a reader for each format, and the common representation.
 
 mod carmen;
 mod join;

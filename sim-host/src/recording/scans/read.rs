@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use super::{carmen, join::concatenate, mines, rgbd, scan_log::Log, slicing::Slicing};
 use crate::recording::{error::LogError, format::Format, lines::Lines};
 
-/// Reads a log. Without a `format` the content decides: a folder holds depth images, a file that
-/// begins with a word is CARMEN text, one that begins with a number is a mines log. `slicing` applies
-/// to depth images.
+/// Reads a log. Without a `format` it is detected: a folder holds depth images, a file that begins with a
+/// word is CARMEN text, and one that begins with a number is a mines log. `slicing` applies to depth
+/// images.
 ///
 /// # Errors
-/// Every [`LogError`] but [`LogError::Mixed`].
+/// Every [`LogError`] except [`LogError::Mixed`].
 pub fn read(path: &Path, format: Option<Format>, slicing: Slicing) -> Result<Log, LogError> {
     let is_folder = std::fs::metadata(path)
         .map_err(|error| LogError::Io { path: path.to_owned(), error })?
@@ -45,14 +45,14 @@ pub fn read_all(
     concatenate(logs?)
 }
 
-/// Recognises a text format by its first word, comments left out.
+/// Detects a text format by the first word that is not a comment.
 fn detect(path: &Path) -> Result<Format, LogError> {
     let mut lines = Lines::open(path)?;
     let unknown = || LogError::UnknownFormat { path: path.to_owned() };
     while let Some(line) = lines.next() {
         let text = match line {
             Ok((_, text)) => text,
-            // Binary data is never a log.
+            // Binary data is not a log.
             Err(LogError::Line { .. }) => return Err(unknown()),
             Err(error) => return Err(error),
         };
@@ -79,7 +79,7 @@ mod tests {
     use crate::testing::Folder;
 
     #[test]
-    fn formats_are_told_by_content() {
+    fn formats_are_detected_by_content() {
         let folder = Folder::new("log-detect");
         for (bytes, format) in [
             (&b"# c\n\nPARAM x 1 h 0\nFLASER"[..], Some(Format::Carmen)),
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_off_gzip_names_the_last_line() {
+    fn a_truncated_gzip_names_the_last_line() {
         use std::io::Write;
         let line = "FLASER 2 1 1 0 0 0 0 0 0\n";
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::none());
@@ -130,7 +130,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
 
-        /// Whatever is in a file, reading it ends with a log or with one line.
+        /// Any file content gives a log or an error of one line.
         #[test]
         fn garbled_files_never_panic(
             at in any::<prop::sample::Index>(),

@@ -1,23 +1,23 @@
-//! Folders of depth images with the camera's poses; a slice of each image becomes a scan.
+//! Reads folders of depth images with camera poses; a slice of each image becomes a scan.
 //!
 //! ```text
-//! depth/*.png, *.pgm    16-bit grey; or the images lie in the folder itself
+//! depth/*.png, *.pgm    16-bit grey; the images may also lie in the folder itself
 //! pose.txt              one line for each image: [time] x y z qx qy qz qw
-//! trajectory.log        or five: three numbers, then the four rows of a matrix
-//! intrinsics.toml       width, height, fx, fy, cx, cy, distortion (k1, k2, p1, p2, k3; none),
-//!                       depth_per_metre (1000), row (cy); depth_noise is of no use here
-//! *.json                or Open3D's camera file; depth in millimetres
+//! trajectory.log        or five lines: three numbers, then the four rows of a matrix
+//! intrinsics.toml       width, height, fx, fy, cx, cy, distortion (k1, k2, p1, p2, k3; default none),
+//!                       depth_per_metre (1000), row (cy); depth_noise is ignored
+//! *.json                or Open3D's camera file, with depths in millimetres
 //! ```
 //!
-//! Images are taken in the order of the numbers in their names, and there are as many as poses.
-//! Poses are camera to world, the camera's x to the right and z forward; y points down, or up if
-//! `fy` is negative. Which way is up in the world is not said: the mean of the cameras' own up axes
-//! is. A scan's pose in `map` is the camera's position and forward axis seen from above, x of `map`
-//! being the world's x (its y, if x is closer to the vertical).
+//! Images are ordered by the numbers in their names, and there must be one pose for each. Poses are camera
+//! to world, with the camera's x to the right and z forward; y points down, or up if `fy` is negative. The
+//! up axis of the world is not stated: it is taken to be the mean of the cameras' up axes. A scan's pose in
+//! `map` is the camera's position and forward axis seen from above; the x axis of `map` is the world's x
+//! (or its y, if x is closer to the vertical).
 //!
-//! Two sets of frames are often passed on without their intrinsics, both 640 x 480 with a
-//! `pose.txt`: ICL-NUIM's (PNG) and a hand-held sensor's (PGM), from the slambook examples. A folder
-//! of that form without intrinsics is taken as one of them, and a note says so.
+//! Two data sets are often distributed without their intrinsics, both 640 x 480 with a `pose.txt`:
+//! ICL-NUIM (PNG), and that of a hand-held sensor (PGM) from the slambook examples. A folder of that form
+//! without intrinsics is assumed to be one of them, and a note says so.
 
 use std::path::Path;
 
@@ -36,10 +36,10 @@ use crate::recording::{
     time_stamps,
 };
 
-/// A camera that looks more steeply up or down than this draws no map.
-const STEEPEST_DEG: f64 = 75.0;
+/// Maximum tilt of a camera in degrees: a steeper one is refused.
+const MAX_TILT_DEG: f64 = 75.0;
 
-/// A camera that looks more steeply than this is worth a note: its row is no level slice.
+/// Tilt in degrees from which a note warns that a row is not a level slice.
 const TILTED_DEG: f64 = 10.0;
 
 /// Reads a folder of depth images.
@@ -53,7 +53,7 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
     let (intrinsics, note) = intrinsics::find(folder, &images)?;
     let mut notes: Vec<String> = note.into_iter().collect();
     if intrinsics.distortion != [0.0; 5] {
-        notes.push("the distortion of the lens is left out of account".to_owned());
+        notes.push("the distortion of the lens is ignored".to_owned());
     }
 
     let planar = Plane::under(&poses, intrinsics.fy.signum())
@@ -62,7 +62,7 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
     let mut planar_poses = Vec::new();
     for pose in &poses {
         let tilt_deg = planar.tilt_deg(pose);
-        if tilt_deg > STEEPEST_DEG {
+        if tilt_deg > MAX_TILT_DEG {
             let fault = LineFault::Steep { tilt_deg };
             return Err(LogError::Line { path: pose_file, line: pose.line, fault });
         }
@@ -97,7 +97,7 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
     Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), notes })
 }
 
-/// The horizontal plane of a world, and `map`'s axes in it.
+/// The horizontal plane of the world, with the axes of `map` in it.
 struct Plane {
     up: Vector3<f64>,
     x: Vector3<f64>,
@@ -106,8 +106,8 @@ struct Plane {
 }
 
 impl Plane {
-    /// From the mean of the cameras' up axes; `None` if they cancel out. `down_sign` is 1 where the
-    /// camera's y points down, -1 where it points up, which makes the world a mirrored one.
+    /// The plane perpendicular to the mean of the cameras' up axes; `None` if they cancel out. `down_sign`
+    /// is 1 if the camera's y points down and -1 if it points up, which mirrors the world.
     fn under(poses: &[CameraPose], down_sign: f64) -> Option<Self> {
         let sum: Vector3<f64> = poses.iter().map(|pose| pose.rotation.column(1).into_owned()).sum();
         let mean = sum * (-down_sign / poses.len().max(1) as f64);
@@ -121,12 +121,12 @@ impl Plane {
         Some(Self { up, x, y, down_sign })
     }
 
-    /// How far the camera looks above or below the horizon.
+    /// Angle of the optical axis above or below the horizon, in degrees.
     fn tilt_deg(&self, pose: &CameraPose) -> f64 {
         self.up.dot(&pose.forward()).clamp(-1.0, 1.0).asin().to_degrees().abs()
     }
 
-    /// How the cameras stood, above their mean height.
+    /// The stance of each camera, with heights relative to their mean.
     fn stances(&self, poses: &[CameraPose]) -> Vec<Stance> {
         let height = |pose: &CameraPose| self.up.dot(&pose.position);
         let mean = poses.iter().map(height).sum::<f64>() / poses.len().max(1) as f64;
@@ -172,13 +172,13 @@ mod tests {
         depth_png(&folder, "depth/10.png", [5; 12]);
         depth_png(&folder, "depth/9.png", [1, 1, 1, 1, 0, 1_000, 2_000, 65_535, 3, 3, 3, 3]);
         folder.file("intrinsics.toml", INTRINSICS.as_bytes());
-        // The camera's z along the world's x, its y down along -z; then turned left by a quarter.
+        // The camera's z is along the world's x and its y along -z; then it turns left by a quarter.
         folder.file("pose.txt", b"1 2 0.5 -0.5 0.5 -0.5 0.5\n3 4 0.5 -0.70710678 0 0 0.70710678\n");
         folder
     }
 
     #[test]
-    fn rows_and_poses_come_from_the_frames_in_their_order() {
+    fn rows_and_poses_follow_the_order_of_the_frames() {
         let log = recording::read(two_frames("rgbd").path(), None, Slicing::default()).unwrap();
         assert_eq!(log.sensor, Sensor::Pinhole { fx: 2.0, cx: 1.5, width: 4 });
         assert_eq!(log.scans[0].readings_mm, [0, 1_000, 2_000, 0]);
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_and_a_scale_can_be_asked_for() {
+    fn the_row_and_the_scale_can_be_set() {
         let folder = two_frames("rgbd-row");
         let asked = format!("{INTRINSICS}row = 2\ndepth_per_metre = 5000\n");
         folder.file("intrinsics.toml", asked.replace("5000", "100").as_bytes());
@@ -239,7 +239,7 @@ mod tests {
         assert!(error().contains("9.png"));
     }
 
-    /// Where the readings of a scan lie in `map`.
+    /// The points of a scan in `map`.
     fn points(log: &Log, scan: &LoggedScan) -> Vec<[f64; 2]> {
         let Sensor::Pinhole { fx, cx, .. } = log.sensor else { return Vec::new() };
         let pose = scan.pose.unwrap();
@@ -254,8 +254,8 @@ mod tests {
     }
 
     #[test]
-    fn recorded_frames_lie_on_each_other() {
-        // The hand-held camera and ICL-NUIM's turn away between some of their five frames.
+    fn scans_of_recorded_frames_coincide() {
+        // Some of the five frames of each data set look in different directions.
         for (name, share) in
             [("rgbd_redwood", 0.9), ("rgbd_frames/icl_nuim", 0.15), ("rgbd_frames/handheld", 0.4)]
         {

@@ -1,4 +1,4 @@
-//! A log of scans, whatever format it was read from.
+//! A log of scans, independent of its format.
 
 use ubimap_protocol::time::Duration;
 
@@ -8,19 +8,20 @@ use crate::recording::format::Format;
 /// One scan of a log.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoggedScan {
-    /// Since the first scan; strictly increasing.
+    /// Time since the first scan; strictly increasing.
     pub time: Duration,
-    /// In millimetres, one for each direction of [`Sensor`]; 0 for no return, whatever the log's code for it.
+    /// Readings in millimetres, one for each direction of [`Sensor`]; 0 for no return, whatever the log's code for it.
     pub readings_mm: Vec<u16>,
-    /// The sensor in `map`: x and y in metres, heading in radians.
+    /// Pose of the sensor in `map`: x and y in metres, heading in radians.
     pub pose: Option<[f64; 3]>,
-    /// The robot in `odom`: x and y in metres, heading in radians.
+    /// Pose of the robot in `odom`: x and y in metres, heading in radians.
     pub odometry: Option<[f64; 3]>,
-    /// The line in its file, or the number of the frame, from 1.
+    /// The line in its file, or the number of the frame; both from 1.
     pub line: usize,
 }
 
-/// A log: at least one scan, all of one sensor, all with a pose or none, all with odometry or none.
+/// A log: at least one scan, all of one sensor; either all scans have a pose or none, and the same holds
+/// for odometry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
     /// The format it was read from.

@@ -1,17 +1,17 @@
-//! What made the scans of a log.
+//! The sensor of a log's scans.
 
 use ubimap_agent::sense::{Camera, PixelModel, SensorModel};
 
-/// Where the readings of one scan point, in the frame of the sensor: x forward, y left.
+/// The directions of a scan's readings in the frame of the sensor: x forward, y left.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Sensor {
     /// Readings are distances along beams. Angles in radians, counter-clockwise from x.
     Radial {
         /// Angle of beam 0, the clockwise-most one.
         first_rad: f64,
-        /// From one beam to the next.
+        /// Angle from one beam to the next.
         step_rad: f64,
-        /// Readings in a scan.
+        /// Number of readings in a scan.
         beams: usize,
     },
     /// Readings are depths along x, one for each image column `u` from the left: the point is
@@ -19,25 +19,25 @@ pub enum Sensor {
     Pinhole {
         /// Focal length in pixels.
         fx: f64,
-        /// Column of the optical axis.
+        /// Column of the principal point.
         cx: f64,
-        /// Readings in a scan.
+        /// Number of readings in a scan.
         width: usize,
     },
-    /// The same, but every column is taken to be as wide an angle as the next: the point is
+    /// Depths along x of image columns that are assumed to subtend equal angles: the point is
     /// y = x * tan(field / 2 * (n / 2 - u) / (n / 2)) for n columns (Aluckal, equation 2).
     LinearAngle {
         /// Focal length in pixels.
         fx: f64,
-        /// Between the outermost columns.
+        /// Angle between the outermost columns in radians.
         field_rad: f64,
-        /// Readings in a scan.
+        /// Number of readings in a scan.
         width: usize,
     },
 }
 
 impl Sensor {
-    /// Readings in a scan.
+    /// Number of readings in a scan.
     pub fn readings(&self) -> usize {
         match self {
             Self::Radial { beams, .. } => *beams,
@@ -45,7 +45,7 @@ impl Sensor {
         }
     }
 
-    /// The same, as a robot is told it.
+    /// The sensor model in the robot's configuration.
     pub fn model(&self) -> SensorModel {
         match *self {
             Self::Radial { first_rad, step_rad, .. } => {

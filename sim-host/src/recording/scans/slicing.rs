@@ -1,4 +1,4 @@
-//! Depth images on the robots' own way from a frame to a scan.
+//! Slices depth images into scans, with the robots' own code.
 
 use std::path::Path;
 
@@ -9,60 +9,60 @@ use ubimap_protocol::units::Millimetres;
 use super::sensor::Sensor;
 use crate::recording::{depth_image::depths_mm, error::LogError, intrinsics::IntrinsicsFile};
 
-/// Rows of a band.
+/// Number of rows in a band.
 const BAND: u16 = 5;
 
-/// How far from a height the points of its slice may lie.
+/// Maximum distance of a slice's points from its height.
 const TOLERANCE: Millimetres = Millimetres(20);
 
-/// How depth images become scans.
+/// How depth images are converted to scans.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Slicing {
-    /// Which part of an image is mapped.
+    /// The part of an image that is mapped.
     pub slice: DepthSlice,
-    /// What a column of it means.
+    /// The model of its columns.
     pub pixels: PixelModel,
 }
 
-/// Which part of a depth image is mapped.
+/// The part of a depth image that is mapped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum DepthSlice {
-    /// One row: that of the intrinsics, or the one on the optical axis
+    /// One row: the one in the intrinsics, or the one on the optical axis
     #[default]
     Row,
-    /// The median of five rows about it
+    /// The median of five rows around that row
     Band,
-    /// The pixels that lie as high as the cameras do on average, however tilted they are
+    /// The pixels at the mean height of the cameras, whatever their tilt
     Height,
 }
 
-/// What a column of a depth image means.
+/// The model of a depth image's columns.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum PixelModel {
-    /// A pinhole camera's
+    /// A pinhole camera
     #[default]
     Pinhole,
-    /// As wide an angle as any other, as Aluckal et al. have it (their equation 2)
+    /// Equal angles for all columns, as in Aluckal et al. (equation 2)
     Linear,
 }
 
-/// How a camera stood when it took a frame.
+/// The attitude and height of a camera at one frame.
 pub(super) struct Stance {
-    /// Looking down, in radians.
+    /// Downward pitch in radians.
     pub(super) pitch: f64,
-    /// The right side lowered, in radians.
+    /// Roll with the right side lowered, in radians.
     pub(super) roll: f64,
-    /// Above the height that is sliced, in metres.
+    /// Height above the slice in metres.
     pub(super) above_m: f64,
 }
 
 impl Slicing {
-    /// What made the scans that [`Slicing::slice`] gives.
+    /// The sensor of the scans that [`Slicing::slice`] returns.
     pub(super) fn sensor(self, intrinsics: &IntrinsicsFile) -> Sensor {
         let IntrinsicsFile { fx, cx, width, .. } = *intrinsics;
         let width = width as usize;
         match (self.slice, self.pixels) {
-            // A height comes in the columns of a level pinhole camera.
+            // A slice at a height has the columns of a level pinhole camera.
             (DepthSlice::Height, _) | (_, PixelModel::Pinhole) => Sensor::Pinhole { fx, cx, width },
             (_, PixelModel::Linear) => {
                 let field_rad = field_rad(intrinsics);
@@ -71,7 +71,7 @@ impl Slicing {
         }
     }
 
-    /// A depth image to one reading for each column, in millimetres.
+    /// Slices a depth image: one reading for each column, in millimetres.
     pub(super) fn slice(
         self,
         path: &Path,
@@ -97,7 +97,7 @@ impl Slicing {
         let camera = self.camera(intrinsics, stance);
         let mut slicer = Slicer::new(slice, camera, width, Validity::default(), &mut buffer);
         let readings = slicer.as_mut().map_err(|error| *error).and_then(|it| it.frame(&depths));
-        // The slice was cut to the image above.
+        // Cannot fail: the slice was clipped to the image above.
         Ok(readings.map(<[u16]>::to_vec).unwrap_or_default())
     }
 
@@ -115,7 +115,7 @@ impl Slicing {
     }
 }
 
-/// The angle between the outermost columns.
+/// The angle between the outermost columns in radians.
 fn field_rad(intrinsics: &IntrinsicsFile) -> f64 {
     let IntrinsicsFile { fx, cx, width, .. } = *intrinsics;
     (cx / fx).atan() + ((f64::from(width) - 1.0 - cx) / fx).atan()

@@ -1,4 +1,5 @@
-//! The place from which a robot looks at a frontier: near, on its way, and not in anybody's.
+//! Chooses the viewpoint from which a robot looks at a frontier: near, on its way, and not in the
+//! way of others.
 
 use super::{
     frontiers::{Frontier, Vantage},
@@ -7,18 +8,18 @@ use super::{
     settings::ViewpointCosts,
 };
 
-/// How a robot can come to look at frontiers.
+/// What determines a robot's viewpoints.
 pub(super) struct Approach<'a> {
     pub(super) ground: &'a Ground,
     pub(super) terrain: Terrain<'a>,
-    /// Where it starts, and its heading in radians.
+    /// Its start position, and its heading in radians.
     pub(super) from: Point,
     pub(super) heading: f64,
-    /// Whether it would be in another robot's way, for each cell.
+    /// For each cell, whether the robot would be in the way of another one there.
     pub(super) in_the_way: Vec<bool>,
-    /// Places from which frontiers were looked at in vain.
+    /// Viewpoints that have failed.
     pub(super) tried: &'a [Disc],
-    /// How the places are compared.
+    /// The costs by which viewpoints are compared.
     pub(super) rules: &'a ViewpointCosts,
 }
 
@@ -26,21 +27,20 @@ pub(super) struct Approach<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Viewpoint {
     pub(super) place: Point,
-    /// The way there, and turning and waiting, in metres.
+    /// Cost of the way there, including turning and waiting, in metres.
     pub(super) cost_m: f64,
 }
 
 impl Approach<'_> {
-    /// For each frontier the viewpoint that the robot passes last on the shortest way to it, but none
-    /// of those that were tried in vain: the robot looks as it drives by and need not stop. One
-    /// search.
+    /// For each frontier the last suitable viewpoint on the shortest way to it, without failed
+    /// ones: the robot sees the frontier as it drives by and need not stop. Cost: one search.
     pub(super) fn views(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         frontiers.iter().map(|frontier| self.view(frontier, ways.as_ref()?)).collect()
     }
 
-    /// For each frontier the reachable place nearest to it, to look again at what blocks the way.
-    /// Places near the robot and those that were tried in vain are left out. One search.
+    /// For each frontier the nearest reachable place, to check again what blocks the way. Excludes
+    /// failed viewpoints and places near the robot. Cost: one search.
     pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         let view = |at| {
@@ -96,7 +96,7 @@ mod tests {
     };
 
     #[test]
-    fn a_frontier_is_looked_at_from_the_last_place_on_the_way_that_was_not_tried() {
+    fn the_viewpoint_is_the_last_untried_one_on_the_way() {
         let plan = Plan::room(8.0, 6.0);
         let ground = drawn(&plan, |x, _| x > 6.0);
         let from = Point::new(1.0, 3.0);
@@ -115,12 +115,12 @@ mod tests {
         };
         let nowhere = |_| false;
         let best = view(0.0, &[], &nowhere).unwrap();
-        // It need not be looked at straight: it is a metre long on both sides.
+        // It need not be opposite the middle: the frontier extends a metre to both sides.
         let away = (best.place - middle.place).norm();
         assert!((nearest_m..nearest_m + 1.0).contains(&away), "{best:?}");
         let straight = (middle.place - from).norm();
         assert!(best.cost_m < straight && best.cost_m + nearest_m > 0.95 * straight, "{best:?}");
-        // To turn round first takes time, and so does it to wait for others.
+        // Turning round first takes time, and so does waiting for others.
         let turned = view(core::f64::consts::PI, &[], &nowhere).unwrap();
         assert!((turned.cost_m - best.cost_m - turn_m * core::f64::consts::PI).abs() < 0.1);
         let near = |place: Point| (place - best.place).norm() < 0.3;

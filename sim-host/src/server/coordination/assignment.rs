@@ -1,18 +1,18 @@
-//! Which robot goes to which frontier.
+//! Assigns robots to frontiers.
 
 /// The cost of a pair that must not be assigned.
 pub(super) const NEVER: i64 = 1 << 40;
 
-/// For each row a column of its own so that the sum of the costs is least, by the Hungarian method
-/// with potentials (Kuhn 1955; Jonker and Volgenant 1987): exact, and for twenty robots and a
-/// hundred frontiers far below a millisecond, so nothing is gained by an auction or by a greedy
-/// choice. A row is left without a column if that is cheaper than [`NEVER`].
+/// Assigns each row a column of its own with the minimum total cost, by the Hungarian method with
+/// potentials (Kuhn 1955; Jonker and Volgenant 1987). The result is exact and takes far less than a
+/// millisecond for twenty robots and a hundred frontiers, so an auction or a greedy choice has no
+/// advantage. A row stays without a column if every column costs [`NEVER`].
 ///
-/// `costs` has as many columns in every row, each cost at most [`NEVER`].
+/// All rows of `costs` have the same length, and each cost is at most [`NEVER`].
 pub(super) fn assign(costs: &[Vec<i64>]) -> Vec<Option<usize>> {
     let rows = costs.len();
     let columns = costs.first().map_or(0, Vec::len);
-    // Each row may take one of `rows` columns that stand for none. Row and column 0 are auxiliary.
+    // `rows` additional columns stand for no assignment. Row and column 0 are auxiliary.
     let cost = |row: usize, column: usize| {
         costs[row - 1].get(column - 1).map_or(NEVER - 1, |cost| (*cost).min(NEVER))
     };
@@ -26,7 +26,7 @@ pub(super) fn assign(costs: &[Vec<i64>]) -> Vec<Option<usize>> {
         let mut column = 0;
         let mut least = vec![i64::MAX; all + 1];
         let mut used = vec![false; all + 1];
-        // The cheapest chain of exchanges that ends at a column which nobody has.
+        // The cheapest chain of exchanges that ends at a free column.
         while row_of[column] != 0 {
             used[column] = true;
             let (row, mut delta, mut next) = (row_of[column], i64::MAX, 0);
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The cheapest way to give rows from `row` on columns that are not taken.
+    /// The minimum cost of assigning the rows from `row` on to columns that are not taken.
     fn least(costs: &[Vec<i64>], row: usize, taken: &mut Vec<bool>) -> i64 {
         if row == costs.len() {
             return 0;
@@ -99,7 +99,7 @@ mod tests {
             sorted.sort_unstable();
             let count = sorted.len();
             sorted.dedup();
-            prop_assert_eq!(sorted.len(), count, "one column for two rows");
+            prop_assert_eq!(sorted.len(), count, "a column is assigned twice");
             let of = |(row, column): (usize, &Option<usize>)| column.map_or(NEVER - 1, |it| costs[row][it]);
             let sum: i64 = taken.iter().enumerate().map(of).sum();
             prop_assert_eq!(sum, least(&costs, 0, &mut vec![false; columns]));

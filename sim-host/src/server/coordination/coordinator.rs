@@ -1,4 +1,4 @@
-//! The sans-IO core: what is known of the room goes in, commands come out.
+//! The sans-IO core: takes the state of the room, returns commands.
 
 use std::collections::VecDeque;
 
@@ -20,28 +20,28 @@ use super::{
 };
 use crate::server::command::Command;
 
-/// Sends robots to their goals or to unexplored ground, and never two to one place at a time. It
-/// decides in ticks: call [`Coordinator::tick`] at [`Coordinator::poll_timeout`], then drain
-/// [`Coordinator::poll_command`] and [`Coordinator::poll_notice`]. Its methods are spread over the
-/// files of this folder by what they decide.
+/// Sends robots to their goals or to unexplored ground, never two to the same place at the same
+/// time. It decides in ticks: call [`Coordinator::tick`] at [`Coordinator::poll_timeout`], then
+/// drain [`Coordinator::poll_command`] and [`Coordinator::poll_notice`]. Its methods are in the
+/// files of this folder, by subject.
 ///
-/// The same inputs give the same commands.
+/// Deterministic: the same inputs give the same commands.
 #[derive(Debug)]
 pub struct Coordinator {
     pub(super) settings: Settings,
     next_path: u32,
-    /// In order of their ids; the reservations have the same order.
+    /// In order of id; `reservations` has the same order.
     pub(super) members: Vec<Member>,
     pub(super) reservations: Reservations,
     pub(super) ground: Option<Ground>,
     pub(super) frontiers: Vec<Frontier>,
-    /// Frontiers that were looked at in vain.
+    /// Frontiers that could not be seen from a viewpoint, or not be reached.
     pub(super) tried: Vec<Tried>,
     surveyed: Instant,
     pub(super) passers: Vec<Passer>,
-    /// Where robots were held up, and until when that is avoided.
+    /// Where robots were held up, and until when these places are avoided.
     pub(super) held_up: Vec<(Disc, Instant)>,
-    /// Who is granted first, in turn.
+    /// Rotating index of the robot that is granted ground first.
     pub(super) turn: usize,
     next_tick: Instant,
     commands: VecDeque<(RobotId, Command)>,
@@ -49,7 +49,7 @@ pub struct Coordinator {
 }
 
 impl Coordinator {
-    /// A coordinator that knows of no robot.
+    /// A coordinator without robots.
     pub fn new(settings: Settings) -> Self {
         Self {
             settings,
@@ -69,10 +69,10 @@ impl Coordinator {
         }
     }
 
-    /// Sends a robot to a place in `map`, in metres, in place of its present goal or target.
+    /// Sends a robot to a position in `map`, in metres; replaces its present goal or target.
     ///
     /// # Errors
-    /// Every [`GoalError`], which is a notice as well; the robot carries on as before.
+    /// Every [`GoalError`], which is also a notice; the robot then continues as before.
     pub fn goal(&mut self, robot: RobotId, x: f64, y: f64, now: Instant) -> Result<(), GoalError> {
         let goal = Point::new(x, y);
         let checked = self.check(robot, goal);
@@ -88,7 +88,8 @@ impl Coordinator {
         checked.map(|_| ())
     }
 
-    /// Lets a robot explore while it has no goal, or ends that. Returns whether the robot is known.
+    /// Lets a robot explore while it has no goal, or stops it from exploring. Returns whether the
+    /// robot is known.
     pub fn set_exploring(&mut self, robot: RobotId, explores: bool) -> bool {
         let Ok(index) = self.index(robot) else { return false };
         let member = &mut self.members[index];
@@ -99,13 +100,13 @@ impl Coordinator {
         true
     }
 
-    /// A robot has reported an event.
+    /// Handles an event that a robot reported.
     pub fn event(&mut self, robot: RobotId, code: EventCode, now: Instant) {
         let Ok(index) = self.index(robot) else { return };
         let rules = self.settings.following;
         let claim = self.reservations.claim_mut(index);
         match code {
-            // It may be about the end of an earlier path.
+            // The report may be about an earlier path.
             EventCode::PathDone
                 if claim.to_grant_m() <= rules.arrived_m
                     || now.since(self.members[index].sent) >= rules.in_flight =>
@@ -127,8 +128,8 @@ impl Coordinator {
         }
     }
 
-    /// Takes what is known now, and decides. The work is bounded by [`Rates`](super::settings::Rates)
-    /// (surveys and routes) and by the number of pairs of robots.
+    /// Takes the current situation, and decides. The cost is bounded by
+    /// [`Rates`](super::settings::Rates) (surveys and routes) and by the number of pairs of robots.
     pub fn tick(&mut self, situation: &Situation<'_>, now: Instant) {
         self.next_tick = now + self.settings.rates.tick;
         self.see(situation, now);
@@ -153,7 +154,7 @@ impl Coordinator {
         self.send(now);
     }
 
-    /// When to call [`Coordinator::tick`].
+    /// The deadline for the next call of [`Coordinator::tick`].
     pub fn poll_timeout(&self) -> Instant {
         self.next_tick
     }
@@ -164,13 +165,13 @@ impl Coordinator {
         self.commands.pop_front()
     }
 
-    /// The next notice for the user who gave a robot its goal.
+    /// The next notice about a robot's drive.
     #[must_use]
     pub fn poll_notice(&mut self) -> Option<(RobotId, Notice)> {
         self.notices.pop_front()
     }
 
-    /// The frontier that a robot goes to look at, in metres in `map`.
+    /// The frontier that a robot is sent to look at, in metres in `map`.
     pub fn target(&self, robot: RobotId) -> Option<[f64; 2]> {
         let target = self.members[self.index(robot).ok()?].target?;
         Some(target.frontier.into())
@@ -180,7 +181,7 @@ impl Coordinator {
         self.members.binary_search_by_key(&robot, |member| member.id)
     }
 
-    /// Whether a goal can be reached, as far as the ground is known.
+    /// Checks whether a goal is reachable on the known ground.
     fn check(&self, robot: RobotId, goal: Point) -> Result<usize, GoalError> {
         let index = self.index(robot).map_err(|_| GoalError::UnknownRobot(robot))?;
         let ground = self.ground.as_ref().ok_or(GoalError::OutsideMap)?;
@@ -208,8 +209,8 @@ impl Coordinator {
         let Situation { fused, coverage, .. } = situation;
         self.ground = Ground::survey(fused, coverage, &trodden, &self.settings);
         let Some(ground) = &self.ground else { return };
-        // A route was planned with more room than its robot takes up, and is kept until there is
-        // less than that.
+        // Routes are planned with a larger clearance than the robot's radius, and kept until that
+        // radius is violated.
         for (index, member) in self.members.iter().enumerate() {
             let ahead = self.reservations.claim(index).ahead();
             if !ahead.iter().all(|place| ground.has_room(*place, member.radius_m)) {
@@ -233,7 +234,7 @@ impl Coordinator {
         let mut waypoints = heapless::Vec::new();
         for place in path {
             let [x, y] = [place.x, place.y].map(Millimetres::from_metres);
-            // A claim never has more corners than there is room for.
+            // A claim never has more corners than a path has waypoints.
             let _ = waypoints.push(Waypoint { x, y });
         }
         let member = &mut self.members[index];

@@ -1,4 +1,4 @@
-//! Robots that stand in the way of another one are sent aside.
+//! Sends robots aside that stand in the way of another one.
 
 use super::{
     ground::{Disc, Ground, Point},
@@ -6,14 +6,14 @@ use super::{
     route::{SPACING_M, Terrain},
 };
 
-/// Every third point of a route is checked, with correspondingly more room around it.
+/// Every third point of a route is checked, with a correspondingly larger radius.
 const STRIDE: usize = 3;
 
-/// Gives a robot its route, by its corners, and sends the robots aside that stand in its way: to the
-/// nearest places where they are in nobody's way. All or nothing; returns whether it was done.
+/// Gives a robot its route, by its corners, and sends the standing robots on it aside, each to the
+/// nearest place that is in nobody's way. All or nothing; returns whether it succeeded.
 ///
-/// `may_yield` says who can be sent, and `terrain` the ground for a robot. One search for each
-/// robot that stands in the way.
+/// `may_yield` says which robots can be sent aside, and `terrain` is the ground for a robot. Cost:
+/// one search per robot sent aside.
 pub(super) fn make_way<'a>(
     reservations: &mut Reservations,
     ground: &'a Ground,
@@ -26,7 +26,7 @@ pub(super) fn make_way<'a>(
     planned.plan(robot, route);
     let way = planned.claim(robot).ahead().to_vec();
     let disc_m = planned.claim(robot).disc_m();
-    // How far along the route each stands that has no way of its own to go.
+    // The standing robots on the route, each with the last point of the route that it blocks.
     let mut standing: Vec<(usize, usize)> = Vec::new();
     for (other, claim) in planned.claims().iter().enumerate() {
         let is_met = |point: &Point| is_crossed(&[*point], claim.held(), disc_m + claim.disc_m());
@@ -37,7 +37,7 @@ pub(super) fn make_way<'a>(
     if standing.is_empty() || !standing.iter().all(|&(_, other)| may_yield(other)) {
         return false;
     }
-    // Whoever stands farthest along goes first: the others may have to follow.
+    // The one farthest along goes first: the others may have to follow it.
     standing.sort_unstable_by(|a, b| b.cmp(a));
     let mut routes = Vec::new();
     for (_, other) in standing {
@@ -52,7 +52,7 @@ pub(super) fn make_way<'a>(
 }
 
 /// The way to the nearest place where a robot is in nobody's way. It does not pass the robot that
-/// it makes way for, nor places where others will stand.
+/// it yields to, nor places where others will stop.
 fn aside(
     planned: &Reservations,
     ground: &Ground,

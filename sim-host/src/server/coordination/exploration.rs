@@ -1,4 +1,4 @@
-//! Sharing out what nobody has seen.
+//! Distributes frontiers among robots.
 
 use ubimap_protocol::time::Instant;
 
@@ -12,7 +12,7 @@ use super::{
 };
 
 impl Coordinator {
-    /// Gives robots that explore, and have nothing to do, frontiers of their own.
+    /// Gives idle exploring robots frontiers of their own.
     pub(super) fn share_out(&mut self, now: Instant) {
         let Some(ground) = self.ground.take() else { return };
         self.tried.retain(|tried| now < tried.until);
@@ -25,7 +25,7 @@ impl Coordinator {
         self.ground = Some(ground);
     }
 
-    /// Drops targets where nothing is left to see, or nothing can be seen from the place chosen.
+    /// Drops targets that have been explored, or that can't be seen from the chosen viewpoint.
     fn drop_targets(&mut self, now: Instant) {
         let (look, rules) = (self.settings.look, self.settings.exploration);
         let arrives = self.settings.following.tiles_arrive;
@@ -33,7 +33,7 @@ impl Coordinator {
             let Some(target) = member.target else { continue };
             let is_left =
                 self.frontiers.iter().any(|it| (it.place - target.frontier).norm() <= rules.same_m);
-            // If it is still there, it can't be seen from here.
+            // A frontier that remains can't be seen from here.
             let is_vain = target.is_heard_of(arrives, now)
                 || target.reached.is_some_and(|reached| now.since(reached) >= look);
             if is_vain && is_left {
@@ -69,7 +69,7 @@ impl Coordinator {
         }
     }
 
-    /// The frontiers that nobody goes to and that can still be seen.
+    /// The frontiers that are nobody's target and have not been given up.
     fn open_frontiers(&self, taken: &[Target]) -> Vec<&Frontier> {
         let rules = &self.settings.exploration;
         let is_seen_in_vain = |it: &Frontier| {
@@ -82,12 +82,12 @@ impl Coordinator {
         self.frontiers.iter().filter(is_open).collect()
     }
 
-    /// Whether a frontier is another one than a target's.
+    /// Whether a frontier differs from a target's.
     fn is_apart(&self, frontier: &Frontier, target: &Target) -> bool {
         (frontier.place - target.frontier).norm() > self.settings.exploration.same_m
     }
 
-    /// The assignment of idle robots to frontiers that costs least.
+    /// The minimum-cost assignment of idle robots to frontiers.
     fn cheapest(
         &self,
         ground: &Ground,
@@ -100,7 +100,7 @@ impl Coordinator {
             idle.iter().map(|&index| self.approach(ground, index, tried).views(open)).collect();
         let cost = |((view, frontier), crowded_m): ((&Option<Viewpoint>, &&Frontier), &f64)| {
             let worth_m = self.settings.exploration.worth_m * frontier.gain_m2;
-            // Millimetres.
+            // In millimetres.
             view.map_or(NEVER, |view| ((view.cost_m + crowded_m - worth_m) * 1000.0) as i64)
         };
         let costs: Vec<Vec<i64>> = views
@@ -112,7 +112,8 @@ impl Coordinator {
             let Some((frontier, view)) = column.and_then(|it| Some((open[it], row[it]?))) else {
                 continue;
             };
-            // Two that are the same frontier go to one robot; the other one waits for its turn.
+            // Two pieces of the same frontier go to one robot; the other robot waits for the next
+            // assignment.
             if given.iter().all(|(_, other)| self.is_apart(frontier, other)) {
                 given.push((index, Target::new(frontier.place, view.place)));
             }
@@ -120,8 +121,8 @@ impl Coordinator {
         given
     }
 
-    /// The robot that looks again at what keeps all robots from a frontier, and its target: a person
-    /// may have stood there. The nearest that can be reached.
+    /// If no frontier can be seen, picks the nearest reachable place to check again what blocks the
+    /// way, such as a person who may have left. Returns the robot and its target.
     fn look_again(
         &self,
         ground: &Ground,
@@ -141,7 +142,7 @@ impl Coordinator {
         Some((index, target))
     }
 
-    /// What it costs to look at each of these frontiers while other robots go to look near it, in
+    /// The cost of looking at each of these frontiers while other robots look at places nearby, in
     /// metres.
     fn crowding(&self, ground: &Ground, open: &[&Frontier]) -> Vec<f64> {
         let rules = &self.settings.exploration;
@@ -159,7 +160,7 @@ impl Coordinator {
         crowding
     }
 
-    /// How a robot can come to look at frontiers from where it may drive now.
+    /// What determines a robot's viewpoints, from the end of its granted ground.
     fn approach<'a>(&'a self, ground: &'a Ground, index: usize, tried: &'a [Disc]) -> Approach<'a> {
         let me = self.reservations.claim(index);
         let mut in_the_way = vec![false; ground.len()];
@@ -181,14 +182,14 @@ impl Coordinator {
         }
     }
 
-    /// There is no way to a frontier.
+    /// Gives up a frontier that can't be reached.
     pub(super) fn give_up_target(&mut self, index: usize, now: Instant) {
         if let Some(target) = self.members[index].target.take() {
             self.tried.push(Tried::new(&target, now + self.settings.exploration.put_off));
         }
     }
 
-    /// Others leave no room on the way to a frontier.
+    /// Gives up a frontier if other robots have blocked the way for too long.
     pub(super) fn give_up_waiting(&mut self, index: usize, now: Instant) {
         let waits_since = self.members[index].waits_since;
         let patience = self.settings.exploration.patience;

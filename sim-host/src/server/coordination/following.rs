@@ -1,5 +1,5 @@
-//! Whether robots follow their paths: where they were seen, and what is done about one that is
-//! stuck, lost or off its route.
+//! Checks whether robots follow their paths, and handles those that are stuck, lost or off their
+//! routes.
 
 use ubimap_protocol::{message::ObstacleClass, time::Instant};
 
@@ -12,7 +12,7 @@ use super::{
 };
 
 impl Coordinator {
-    /// Takes where everybody is.
+    /// Takes the positions of robots and obstacles.
     pub(super) fn see(&mut self, situation: &Situation<'_>, now: Instant) {
         let margin_m = self.settings.clearances.route_m;
         for robot in situation.robots {
@@ -27,7 +27,7 @@ impl Coordinator {
         }
         let others = situation.obstacles.iter().filter(|it| it.class != ObstacleClass::Fixed);
         let passers = others.map(Passer::new).filter(|passer| {
-            // Cameras may report a robot as something that moves.
+            // Cameras may report a robot as a moving thing.
             let is_it = |robot: &Whereabouts| {
                 (robot.place() - passer.discs[0].centre).norm() < robot.radius_m()
             };
@@ -52,7 +52,7 @@ impl Coordinator {
         }
     }
 
-    /// Checks how far every robot has come.
+    /// Checks the progress of every robot.
     pub(super) fn follow(&mut self, now: Instant) {
         for index in 0..self.members.len() {
             let member = &self.members[index];
@@ -66,7 +66,7 @@ impl Coordinator {
         }
     }
 
-    /// A robot that can't be told anything comes to a stand by itself.
+    /// A robot that can't be commanded stops by itself.
     fn follow_lost(&mut self, index: usize, now: Instant) {
         let lost_for = self.members[index].lost.map(|lost| now.since(lost));
         let claim = self.reservations.claim_mut(index);
@@ -75,7 +75,7 @@ impl Coordinator {
         }
     }
 
-    /// A robot that was told to stop is given another route once it stands.
+    /// A robot that was told to stop gets another route once it stands.
     fn follow_halted(&mut self, index: usize, now: Instant) {
         let (rules, member) = (&self.settings.following, &mut self.members[index]);
         let Some(halted) = member.halted.map(|halted| now.since(halted)) else { return };
@@ -114,7 +114,8 @@ impl Coordinator {
         }
     }
 
-    /// A robot can't go on along its path: it gets another one from where it comes to a stand.
+    /// Handles a robot that can't continue on its path: it is stopped, and gets another route from
+    /// there.
     pub(super) fn blocked(&mut self, index: usize, now: Instant) {
         let (costs, member) = (&self.settings.costs, &self.members[index]);
         let before_m = member.radius_m + costs.held_up_m / 2.0;

@@ -1,4 +1,4 @@
-//! Where the known ground ends at ground that no camera sees (frontiers: Yamauchi 1997).
+//! The edges of known ground that no camera sees (frontiers: Yamauchi 1997).
 
 use ubimap_protocol::tile::Cell;
 
@@ -8,32 +8,32 @@ use super::{
     settings::Settings,
 };
 
-/// Rays by which ground in sight is found.
+/// Number of rays for visibility.
 const RAYS: usize = 32;
 
-/// Unknown, blind cells side by side, next to free ones.
+/// Connected unknown, blind cells next to free ones.
 #[derive(Clone, Debug)]
 pub(super) struct Frontier {
-    /// One of its cells, in the middle of them.
+    /// The cell nearest to its centroid.
     pub(super) place: Point,
-    /// The most unknown ground that can be seen through one of its cells, in square metres.
+    /// Largest area of unknown ground visible through one of its cells, in square metres.
     pub(super) gain_m2: f64,
     pub(super) vantages: Vec<Vantage>,
 }
 
-/// A place from which a frontier is in view.
+/// A place from which a frontier is visible.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Vantage {
     /// The cell.
     pub(super) at: usize,
-    /// How far the frontier is, in metres.
+    /// Distance to the frontier in metres.
     pub(super) away_m: f64,
-    /// Whether a surface is known behind it.
+    /// Whether there is a known surface behind the frontier.
     pub(super) is_backed: bool,
 }
 
 impl Frontier {
-    /// The way to the nearest place from which it is in view, in metres.
+    /// Cost of the way to the nearest place from which it is visible, in metres.
     pub(super) fn metres(&self, ways: &Ways<'_>) -> Option<f64> {
         self.vantages.iter().filter_map(|it| ways.metres(it.at)).min_by(f64::total_cmp)
     }
@@ -82,7 +82,7 @@ pub(super) fn frontiers(ground: &Ground, settings: &Settings) -> Vec<Frontier> {
     frontiers.filter(|it| it.gain_m2 >= rules.least_gain_m2).collect()
 }
 
-/// Takes the cells of one piece of a frontier: neighbours of neighbours, not far from the first.
+/// Takes the cells of one piece of a frontier: connected cells within `piece_m` of the first.
 fn piece(ground: &Ground, open: &mut [bool], first: usize, piece_m: f64) -> Vec<usize> {
     let width = ground.width() as isize;
     let mut piece = vec![first];
@@ -103,7 +103,7 @@ fn piece(ground: &Ground, open: &mut [bool], first: usize, piece_m: f64) -> Vec<
     piece
 }
 
-/// Looks along straight lines.
+/// Casts rays.
 struct Rays<'a> {
     ground: &'a Ground,
     settings: &'a Settings,
@@ -117,12 +117,13 @@ impl<'a> Rays<'a> {
         Self { ground, settings, directions: (0..RAYS).map(direction).collect() }
     }
 
-    /// The cells on a ray from a cell, that one left out, and how far they are in metres.
+    /// The cells on a ray, without its first, and their distances in metres; up to the view
+    /// distance.
     fn ray(&self, from: usize, direction: usize) -> impl Iterator<Item = (f64, usize)> {
         self.long_ray(from, direction, self.settings.view_m)
     }
 
-    /// The same, so many metres long.
+    /// The same up to a distance of `metres`.
     fn long_ray(
         &self,
         from: usize,
@@ -138,8 +139,8 @@ impl<'a> Rays<'a> {
         (1..=steps).map_while(at)
     }
 
-    /// The unknown ground in sight of a cell, if nothing stands in what is unknown, in square
-    /// metres; and where most of it is.
+    /// Unknown ground visible from a cell, in square metres, assuming that unknown cells are free;
+    /// and its weighted direction.
     fn gain(&self, from: usize) -> (f64, nalgebra::Vector2<f64>) {
         let side_m = self.ground.side_m();
         let ring = core::f64::consts::TAU / RAYS as f64 * side_m;
@@ -158,9 +159,9 @@ impl<'a> Rays<'a> {
         )
     }
 
-    /// Whether a sensor that sees so far beyond a cell has a wall behind it; `None` if it has known
-    /// ground alone at its end, from where nothing comes back: then nothing before it is known
-    /// either, as along an aisle that is longer than sensors see.
+    /// Whether a sensor with `reach_m` beyond a cell would see a wall behind it. `None` if known
+    /// ground extends to the end of that range: a beam without an echo leaves everything before it
+    /// unknown, as along an aisle longer than the sensor's range.
     fn is_backed(&self, from: usize, direction: usize, reach_m: f64) -> Option<bool> {
         let mut last = None;
         for (_, at) in self.long_ray(from, direction, reach_m) {
@@ -172,8 +173,9 @@ impl<'a> Rays<'a> {
         last.is_none_or(|at| self.ground.is_blind(at)).then_some(false)
     }
 
-    /// The known free cells in sight of a cell, over free ground alone, from where what is unknown
-    /// is ahead; and whether a sensor that sees so far has a wall behind it from there.
+    /// The known free cells from which the frontier cell `from` is visible across free ground, with
+    /// the unknown ground ahead; and whether each has a wall behind the frontier within sensor
+    /// range.
     fn vantages(&self, from: usize, towards: nalgebra::Vector2<f64>) -> Vec<Vantage> {
         let Settings { range_m, frontiers, .. } = self.settings;
         let ahead = |direction: &usize| {
@@ -184,7 +186,7 @@ impl<'a> Rays<'a> {
             .flat_map(|direction| {
                 let ray = self.ray(from, direction);
                 let free = ray.take_while(|(metres, at)| {
-                    // Beside the frontier there is more of it.
+                    // Next to the cell the frontier may continue.
                     let near = *metres < frontiers.nearest_m && self.ground.is_blind(*at);
                     near || self.ground.cell(*at) == Cell::Free
                 });
@@ -196,7 +198,7 @@ impl<'a> Rays<'a> {
                 })
             })
             .collect();
-        // Of two ways to look from one cell the better one.
+        // If a cell has several views, keep the better one.
         vantages.sort_by_key(|it| (it.at, !it.is_backed));
         vantages.dedup_by_key(|it| it.at);
         vantages
@@ -209,15 +211,15 @@ mod tests {
     use crate::server::coordination::tests::plan::{Plan, drawn};
 
     #[test]
-    fn each_end_of_the_known_ground_is_found_and_a_long_one_is_shared() {
+    fn every_frontier_is_found_and_long_ones_are_divided() {
         let plan = Plan::room(8.0, 6.0);
-        // Unknown: the eastern quarter, and a little pocket.
+        // Unknown: the eastern quarter, and a small pocket.
         let hidden = |x: f64, y: f64| x > 6.0 || (x - 1.0).hypot(y - 1.0) < 0.08;
         let ground = drawn(&plan, hidden);
         let found = frontiers(&ground, &Settings { view_m: 2.0, ..Settings::default() });
         assert!(found.iter().all(|it| (it.place.x - 6.0).abs() < 0.1), "{found:?}");
         assert!(found.len() >= 3 && found.len() <= 6, "{}", found.len());
-        // Across the edge half a disc of 2 m is to be seen: 17 or 18 of 32 rays.
+        // Half a disc of 2 m is visible across the edge: 17 or 18 of 32 rays.
         let most = found.iter().map(|it| it.gain_m2).fold(0.0, f64::max);
         assert!(most > 6.2 && most < 7.2, "{most}");
     }

@@ -1,4 +1,4 @@
-//! The ground as robots may use it: what is known, what no camera sees, how far the next wall is.
+//! The ground for route planning: known and blind cells, and distances to walls.
 
 use nalgebra::Point2;
 use ubimap_protocol::{
@@ -9,7 +9,7 @@ use ubimap_protocol::{
 use super::settings::Settings;
 use crate::mapping::ServedLayer;
 
-/// A place in `map`, in metres.
+/// A position in `map`, in metres.
 pub(super) type Point = Point2<f64>;
 
 /// A disc in `map`, in metres.
@@ -19,27 +19,26 @@ pub(super) struct Disc {
     pub(super) radius: f64,
 }
 
-/// The known part of the floor, as a rectangle of cells with a border of unknown ones. A cell is
-/// named by its index, row by row from the south-west.
+/// The known part of the floor, as a rectangle of cells with a border of unknown ones. Cells are
+/// indexed row by row from the south-west.
 #[derive(Clone, Debug)]
 pub(super) struct Ground {
     side_m: f64,
-    /// The grid coordinates of the first cell.
+    /// Grid coordinates of the first cell.
     first: (i32, i32),
     width: usize,
     cells: Vec<Cell>,
-    /// Nobody knows the cell and no camera looks at it.
+    /// Whether the cell is unknown and out of view of the cameras.
     blind: Vec<bool>,
-    /// Squared distances in cells to the nearest cell that is occupied for good or deep in unknown
-    /// ground, and to the nearest movable one.
+    /// Squared distance in cells to the nearest wall (occupied, or deep in unknown ground), and to
+    /// the nearest movable cell.
     walls: Vec<u32>,
     movable: Vec<u32>,
 }
 
 impl Ground {
-    /// Draws the ground from the map and what the cameras see. Unknown cells in `trodden`, the
-    /// discs where robots stand, are passable. `None` while nothing is known. Linear in the cells
-    /// (0.03 microseconds each).
+    /// Builds the ground from the map and the coverage. Unknown cells in `trodden`, the discs where
+    /// robots stand, are passable. `None` while no tile is known. Cost: 0.03 microseconds per cell.
     pub(super) fn survey(
         fused: &ServedLayer,
         coverage: &ServedLayer,
@@ -56,7 +55,7 @@ impl Ground {
         Some(ground)
     }
 
-    /// Ground of which nothing is known.
+    /// Ground without known cells.
     fn unknown(extent: &Extent, side_m: f64) -> Self {
         let along = |from: i16, to: i16| (i32::from(to) - i32::from(from) + 1) as usize * TILE_SIDE;
         let width = along(extent.west, extent.east);
@@ -72,7 +71,7 @@ impl Ground {
         }
     }
 
-    /// Takes over a tile of the map and of what the cameras see.
+    /// Copies a tile of the map and of the coverage.
     fn draw(&mut self, id: TileId, fused: &ServedLayer, coverage: &ServedLayer) {
         let (known, covered) = (fused.get(id), coverage.get(id));
         if known.is_none() && covered.is_none() {
@@ -91,8 +90,8 @@ impl Ground {
         }
     }
 
-    /// Measures how far every cell is from walls and from what is movable. Unknown cells more than
-    /// `edge_cells` from free ones count as walls.
+    /// Computes the distances to walls and to movable cells. Unknown cells more than `edge_cells`
+    /// from free ones count as walls.
     fn measure(&mut self, trodden: &[Disc], edge_cells: u32) {
         let is_free: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Free).collect();
         let is_wall = |(cell, to_free)| match cell {
@@ -104,7 +103,7 @@ impl Ground {
         for disc in trodden {
             self.within(disc, |at| is_wall[at] &= self.cells[at] != Cell::Unknown);
         }
-        // The border stays closed: a search need not check where the rectangle ends.
+        // The border stays closed, so that searches need no bounds check.
         for (at, is_wall) in is_wall.iter_mut().enumerate() {
             *is_wall |= self.is_border(at);
         }
@@ -117,12 +116,12 @@ impl Ground {
         self.cells.len()
     }
 
-    /// Cells from one row to the next.
+    /// Number of cells per row.
     pub(super) fn width(&self) -> usize {
         self.width
     }
 
-    /// The side of a cell, in metres.
+    /// The side length of a cell in metres.
     pub(super) fn side_m(&self) -> f64 {
         self.side_m
     }
@@ -135,28 +134,28 @@ impl Ground {
         self.cells[at] == Cell::Unknown
     }
 
-    /// Whether nobody knows the cell and no camera looks at it.
+    /// Whether the cell is unknown and out of view of the cameras.
     pub(super) fn is_blind(&self, at: usize) -> bool {
         self.blind[at]
     }
 
-    /// The squared distance to the nearest wall, or cell deep in unknown ground, in cells.
+    /// Squared distance to the nearest wall or cell deep in unknown ground, in cells.
     pub(super) fn to_wall(&self, at: usize) -> u32 {
         self.walls[at]
     }
 
-    /// The squared distance to the nearest movable cell, in cells.
+    /// Squared distance to the nearest movable cell, in cells.
     pub(super) fn to_movable(&self, at: usize) -> u32 {
         self.movable[at]
     }
 
-    /// Whether no wall and no cell deep in unknown ground is nearer to a place, in metres.
+    /// Whether the nearest wall or cell deep in unknown ground is at least `metres` away.
     pub(super) fn has_room(&self, place: Point, metres: f64) -> bool {
         let cells = metres / self.side_m;
         self.at(place).is_some_and(|at| f64::from(self.walls[at]) >= cells * cells)
     }
 
-    /// The cell that holds a place, without the border. `None` outside.
+    /// The cell that contains a position; `None` on the border and outside.
     pub(super) fn at(&self, place: Point) -> Option<usize> {
         let column = (place.x / self.side_m).floor() - f64::from(self.first.0);
         let row = (place.y / self.side_m).floor() - f64::from(self.first.1);
@@ -169,7 +168,7 @@ impl Ground {
         inside.then(|| row * self.width + column)
     }
 
-    /// The middle of a cell.
+    /// The centre of a cell.
     pub(super) fn place(&self, at: usize) -> Point {
         let (column, row) = (at % self.width, at / self.width);
         let along =
@@ -177,7 +176,7 @@ impl Ground {
         Point::new(along(self.first.0, column), along(self.first.1, row))
     }
 
-    /// Calls for every cell whose middle lies in a disc.
+    /// Calls `each` for every cell whose centre lies in a disc.
     pub(super) fn within(&self, disc: &Disc, mut each: impl FnMut(usize)) {
         let rows = self.len() / self.width;
         let span = |centre: f64, first: i32, end: usize| {
@@ -204,7 +203,7 @@ impl Ground {
     }
 }
 
-/// The rectangle of tiles that is surveyed.
+/// The rectangle of surveyed tiles.
 struct Extent {
     west: i16,
     east: i16,
@@ -213,8 +212,8 @@ struct Extent {
 }
 
 impl Extent {
-    /// The known tiles no farther than `reach` from a tile, and one more on each side: from there
-    /// a robot can look at them.
+    /// The known tiles within `reach` of the middle tile, plus one more on each side, from where
+    /// robots may look at them.
     fn of(fused: &ServedLayer, middle: (i32, i32), reach: i32) -> Option<Self> {
         let near = |id: &TileId| {
             (i32::from(id.x) - middle.0).abs() <= reach
@@ -235,7 +234,7 @@ impl Extent {
     }
 }
 
-/// The tile in the middle of the robots: the median, as a robot may report a nonsensical pose.
+/// The tile in the middle of the robots: the median, because a robot may report a nonsensical pose.
 fn middle(trodden: &[Disc], side_m: f64) -> (i32, i32) {
     let tile_m = side_m * TILE_SIDE as f64;
     let median = |along: fn(&Disc) -> f64| {
@@ -246,9 +245,9 @@ fn middle(trodden: &[Disc], side_m: f64) -> (i32, i32) {
     (median(|disc| disc.centre.x), median(|disc| disc.centre.y))
 }
 
-/// The exact squared distance from each cell to the nearest marked one, by Meijster, Roerdink and
-/// Hesselink's two passes ("A general algorithm for computing distance transforms in linear time",
-/// 2000). Where nothing is marked it is larger than the grid.
+/// The exact squared distance from each cell to the nearest marked one, by the two passes of
+/// Meijster, Roerdink and Hesselink ("A general algorithm for computing distance transforms in
+/// linear time", 2000). Larger than the grid if nothing is marked.
 fn squared_distances(marked: &[bool], width: usize) -> Vec<u32> {
     let height = marked.len() / width;
     let far = (width + height) as i64;
@@ -261,7 +260,7 @@ fn squared_distances(marked: &[bool], width: usize) -> Vec<u32> {
         along_y[at] = along_y[at].min(along_y[at + width] + 1);
     }
     let mut squared = vec![0; marked.len()];
-    // Of the row's parabolas those that are lowest somewhere, and from where on.
+    // The lower envelope of the row's parabolas: each with the column from which it is the lowest.
     let mut lowest: Vec<(i64, i64)> = Vec::with_capacity(width);
     for (row, out) in along_y.chunks(width).zip(squared.chunks_mut(width)) {
         let height_at = |x: i64, column: i64| {
@@ -317,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn places_and_cells_agree() {
+    fn positions_and_cells_agree() {
         let fused = layer(|x, y| if x == y { Cell::Occupied } else { Cell::Free });
         let ground = Ground::survey(&fused, &fused, &[], &Settings::default()).unwrap();
         for (x, y) in [(-32, 0), (31, 31), (0, 0), (-1, 7)] {
@@ -332,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_ground_is_blind_but_where_a_camera_looks_and_passable_where_a_robot_stands() {
+    fn unknown_ground_is_blind_out_of_view_and_passable_below_robots() {
         let fused = layer(|x, _| if x < 0 { Cell::Free } else { Cell::Unknown });
         let coverage = layer(|_, y| if y < 8 { Cell::Free } else { Cell::Unknown });
         let robot = Disc { centre: Point::new(0.5, 0.8), radius: 0.2 };
@@ -354,7 +353,7 @@ mod tests {
     }
 
     proptest! {
-        /// The oracle looks at every pair.
+        /// The oracle compares all pairs.
         #[test]
         fn distances_are_exact(
             width in 1usize..14,

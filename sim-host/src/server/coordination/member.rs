@@ -1,4 +1,4 @@
-//! What is known of one robot, and what it is to do.
+//! The state and the task of one robot.
 
 use ubimap_protocol::{
     time::{Duration, Instant},
@@ -11,27 +11,27 @@ use super::{ground::Point, settings::FollowingRules, situation::Whereabouts, tar
 #[derive(Clone, Debug)]
 pub(super) struct Member {
     pub(super) id: RobotId,
-    /// Of a disc that holds it however it turns, in metres.
+    /// Circumscribed radius in metres.
     pub(super) radius_m: f64,
-    /// Since when it can't be reached.
+    /// Since when it has been unreachable.
     pub(super) lost: Option<Instant>,
     /// Whether it explores while it has no goal.
     pub(super) explores: bool,
-    /// Where a user has sent it; that goes before any frontier.
+    /// The goal given by a user; it takes precedence over frontiers.
     pub(super) goal: Option<Point>,
     pub(super) target: Option<Target>,
-    /// When it was told to stop, to get another route from where it comes to a stand.
+    /// When it was told to stop, to get another route from there.
     pub(super) halted: Option<Instant>,
-    /// Since when a person stands in its way.
+    /// Since when a person has stood in its way.
     pub(super) held_up: Option<Instant>,
-    /// Since when it waits for a route, and when the search is repeated.
+    /// Since when it has waited for a route, and when the search is repeated.
     pub(super) waits_since: Option<Instant>,
     pub(super) retry: Instant,
-    /// Whether a notice said that there is no way to its goal.
+    /// Whether [`Notice::NoWay`](super::situation::Notice::NoWay) was issued for its goal.
     pub(super) is_told: bool,
     /// When it was last sent a path.
     pub(super) sent: Instant,
-    /// Its heading, in radians in `map`.
+    /// Heading in radians in `map`.
     pub(super) heading: f64,
     still_at: Point,
     still_since: Instant,
@@ -60,7 +60,7 @@ impl Member {
         }
     }
 
-    /// It was seen. Returns whether it has come back after it was lost.
+    /// Updates it from a sighting or report. Returns whether it has become reachable again.
     pub(super) fn see(
         &mut self,
         robot: &Whereabouts,
@@ -78,18 +78,18 @@ impl Member {
         was_lost && robot.has_session
     }
 
-    /// For how long it has been seen to stand.
+    /// How long it has been seen standing still.
     pub(super) fn still_for(&self) -> Duration {
         self.seen.since(self.still_since)
     }
 
-    /// For how long nobody has seen it move. Where no camera sees it, a robot that stands does not
-    /// repeat where it is, and one that drives reports it every two seconds.
+    /// How long no motion has been reported. Out of view, a standing robot does not repeat its
+    /// pose, and a driving one reports it every 2 s.
     pub(super) fn unmoved_for(&self, now: Instant) -> Duration {
         now.since(self.still_since)
     }
 
-    /// Its goal, or the place to look at its target from.
+    /// Its goal, or the viewpoint of its target.
     pub(super) fn destination(&self) -> Option<Point> {
         self.goal.or(self.target.map(|target| target.view))
     }
@@ -104,7 +104,7 @@ impl Member {
         self.lost.is_none() && self.halted.is_none()
     }
 
-    /// It has a new destination.
+    /// Prepares for a new destination.
     pub(super) fn set_out(&mut self, now: Instant) {
         self.is_told = false;
         self.retry = now;

@@ -1,21 +1,21 @@
-//! Several robots on one floor: who goes where, by which way, and when.
+//! Coordination of several robots on one floor: who goes where, on which route, and when.
 //!
-//! | file | from | to |
+//! | file | input | content |
 //! |---|---|---|
-//! | `settings` | | what it assumes of robots and rooms, with the reasons |
-//! | `situation` | the server | what is known; what it reports |
-//! | `ground` | the fused and the coverage layer | where robots can stand, and what nobody sees |
-//! | `route` | the ground | the cheapest ways |
-//! | `frontiers` | the ground | where there is something to find out |
-//! | `approach` | frontiers, ways | the place to look at one from, and what that costs |
-//! | `assignment` | those costs | which robot goes to which |
-//! | `reservation` | routes | who may drive how far: no meeting, no deadlock |
+//! | `settings` | | parameters, with the assumptions behind them |
+//! | `situation` | the server | the coordinator's input, and its notices |
+//! | `ground` | the fused and the coverage layer | passable and blind ground |
+//! | `route` | the ground | cheapest routes |
+//! | `frontiers` | the ground | frontiers of unknown ground |
+//! | `approach` | frontiers, routes | viewpoints and their costs |
+//! | `assignment` | those costs | which robot goes to which frontier |
+//! | `reservation` | routes | who may drive how far, without collision or deadlock |
 //! | `evasion` | reservations | standing robots that make way |
-//! | `target`, `member` | | what one robot looks at; what is known of it |
-//! | `coordinator` | all of these | commands, tick by tick: |
-//! | `following` | | whether robots follow their paths |
-//! | `exploration` | | frontiers shared out |
-//! | `routing` | | routes found and granted |
+//! | `target`, `member` | | the state of one target, and of one robot |
+//! | `coordinator` | all of these | commands, in ticks: |
+//! | `following` | | checks that robots follow their paths |
+//! | `exploration` | | distributes frontiers |
+//! | `routing` | | finds and grants routes |
 
 mod approach;
 mod assignment;

@@ -1,55 +1,56 @@
-//! Who holds which floor, and who may have more of it: no two robots hold the same place, and
-//! never does everybody wait for somebody else.
+//! Reserves ground so that robots neither collide nor deadlock: no two robots hold the same place,
+//! and they never all wait for each other.
 //!
-//! A robot states its whole route beforehand and is granted it piece by piece. What it holds are
-//! the discs about the granted points that it has not passed. By the banker's algorithm (Dijkstra
-//! 1965; for vehicles Reveliotis 2000) a piece is granted if afterwards there is an order in which
-//! each robot in turn can drive its whole route, while those after it stay where they hold and
-//! those before it stand at their ends. That is a question of pairs:
+//! A robot states its whole route in advance and is granted it piece by piece. It holds the discs
+//! around the granted points that it has not passed. By the banker's algorithm (Dijkstra 1965; for
+//! vehicles Reveliotis 2000) a piece is granted if the resulting state is safe: there is an order
+//! in which each robot in turn can drive its whole route, while those after it stay on the ground
+//! that they hold and those before it stand at their ends. This follows from pairs of robots:
 //!
-//! - a route crosses what another one holds: the other goes first;
-//! - a route crosses the place where another one ends: it goes itself first.
+//! - if a route crosses ground that another robot holds, the other one goes first;
+//! - if a route crosses the end of another one's route, its robot goes first.
 //!
-//! So there is such an order exactly if these precedences have no cycle, and whoever is first in
-//! it can be granted all of its route.
+//! Such an order exists exactly if these precedences have no cycle, and the first robot in it can
+//! be granted its whole route.
 
 use ubimap_protocol::message::MAX_WAYPOINTS;
 
 use super::{ground::Point, route::SPACING_M, settings::GrantingRules};
 
-/// Points ahead of where a robot was on its route among which its place is looked for. A route may
-/// cross itself, so not all of it is searched.
+/// Number of points ahead of its last position among which a robot is located on its route. Limited
+/// because a route may cross itself.
 const SEARCHED_POINTS: usize = 8;
 
-/// What one robot holds and will need.
+/// The ground that one robot holds, and the rest of its route.
 #[derive(Clone, Debug)]
 pub(super) struct Claim {
-    /// Where the robot was seen last.
+    /// The robot's last known position.
     position: Point,
-    /// The radius of the discs that it holds, in metres.
+    /// Radius of the discs that it holds, in metres.
     disc_m: f64,
-    /// The part of that beyond the robot's own radius while it follows a route, in metres.
+    /// The part of `disc_m` beyond the robot's radius, while it has a destination, in metres.
     margin_m: f64,
-    /// The route; never empty. From point to point [`SPACING_M`] at most.
+    /// The route; never empty. Points are at most [`SPACING_M`] apart.
     points: Vec<Point>,
-    /// Which of the points are its corners, the last one included.
+    /// Indices of the corners among the points, including the last point.
     corners: Vec<usize>,
-    /// The point where the robot is, and the last one that it may drive to.
+    /// Index of the point where the robot is, and of the last granted point.
     tail: usize,
     granted: usize,
-    /// The point up to which it was sent its route.
+    /// Index of the last point that was sent to the robot.
     sent: usize,
 }
 
 impl Claim {
-    /// A robot of this radius that stands at a place and may be this far off its route, in metres.
+    /// A standing robot of this radius, with a tolerance of `margin_m` for driving beside its
+    /// route; in metres.
     pub(super) fn standing(position: Point, radius_m: f64, margin_m: f64) -> Self {
         let disc_m = radius_m + margin_m;
         let (points, corners) = (vec![position], vec![0]);
         Self { position, disc_m, margin_m, points, corners, tail: 0, granted: 0, sent: 0 }
     }
 
-    /// A robot without a destination holds no more than it takes up.
+    /// Sets the radius. A robot without a destination holds only its own size.
     pub(super) fn set_radius(&mut self, radius_m: f64, has_nowhere_to_go: bool) {
         self.disc_m = if has_nowhere_to_go { radius_m } else { radius_m + self.margin_m };
     }
@@ -62,50 +63,50 @@ impl Claim {
         self.disc_m
     }
 
-    /// Where it may drive now.
+    /// The end of the granted part of its route.
     pub(super) fn granted_end(&self) -> Point {
         self.points[self.granted]
     }
 
-    /// Where its route ends.
+    /// The end of its route.
     pub(super) fn end(&self) -> Point {
         self.points[self.points.len() - 1]
     }
 
-    /// Whether it has no route beyond what it may drive now.
+    /// Whether its whole route is granted.
     pub(super) fn is_all_granted(&self) -> bool {
         self.granted + 1 == self.points.len()
     }
 
-    /// Whether it has driven all of its route.
+    /// Whether it has driven its whole route.
     pub(super) fn is_at_end(&self) -> bool {
         self.is_all_granted() && self.is_at_grant()
     }
 
-    /// Whether it is where it may drive to.
+    /// Whether it is at the end of the granted part.
     pub(super) fn is_at_grant(&self) -> bool {
         self.tail == self.granted
     }
 
-    /// How far it is from where it may drive to, as the crow flies, in metres.
+    /// Straight-line distance to the end of the granted part, in metres.
     pub(super) fn to_grant_m(&self) -> f64 {
         (self.granted_end() - self.position).norm()
     }
 
-    /// Metres that it may still drive.
+    /// Length of the granted part ahead of it, in metres.
     fn granted_m(&self) -> f64 {
         (self.granted - self.tail) as f64 * SPACING_M
     }
 
-    /// The points that it holds: those that it was granted and has not passed, and where it is if
-    /// that is beside them.
+    /// The points that it holds: those granted and not passed, and its position if that is off the
+    /// route.
     pub(super) fn held(&self) -> impl Iterator<Item = Point> {
         let is_beside = self.off_m() > self.margin_m;
         let beside = is_beside.then_some(self.position);
         self.points[self.tail..=self.granted].iter().copied().chain(beside)
     }
 
-    /// How far it is from its route, in metres.
+    /// Distance from its route in metres.
     pub(super) fn off_m(&self) -> f64 {
         (self.points[self.tail] - self.position).norm()
     }
@@ -115,15 +116,15 @@ impl Claim {
         &self.points[self.granted + 1..]
     }
 
-    /// The point of the route at a distance ahead of the robot, in metres, or the end of the route.
+    /// The point of the route at a distance ahead of the robot in metres, or the end of the route.
     pub(super) fn point_before(&self, metres: f64) -> Point {
         let at = self.tail + (metres / SPACING_M) as usize;
         self.points[at.min(self.points.len() - 1)]
     }
 
-    /// The corners of what it was granted, the last granted point included, if it should be sent
-    /// them: it was granted enough more than it knows, and comes near the end of what it knows.
-    /// At most [`MAX_WAYPOINTS`] of them.
+    /// The corners of the granted part with its last point, if they should be sent: enough more was
+    /// granted than the robot knows, and it approaches the end of what it knows. At most
+    /// [`MAX_WAYPOINTS`].
     pub(super) fn poll_path(&mut self, rules: &GrantingRules) -> Option<Vec<Point>> {
         let known = self.sent.saturating_sub(self.tail);
         let more = self.granted.saturating_sub(self.sent);
@@ -138,13 +139,13 @@ impl Claim {
         Some(path.iter().map(|&at| self.points[at]).collect())
     }
 
-    /// The robot may have forgotten its path: it is sent again.
+    /// Causes the path to be sent again, because the robot may have lost it.
     pub(super) fn forget_sent(&mut self) {
         self.sent = self.tail;
     }
 
-    /// The robot was seen here: it gives up what it has passed. One that has come to its end, and
-    /// is beside it, holds the place where it is instead.
+    /// Updates the robot's position and releases what it has passed. A robot that has finished
+    /// beside its end holds its position instead.
     pub(super) fn advance(&mut self, position: Point) {
         self.position = position;
         let off = |at: &usize| (self.points[*at] - position).norm();
@@ -155,12 +156,12 @@ impl Claim {
         }
     }
 
-    /// The robot is at the end of what it may drive.
+    /// Moves the robot to the end of the granted part.
     pub(super) fn arrive(&mut self) {
         self.tail = self.granted;
     }
 
-    /// It stands where it is and holds no more than that.
+    /// Releases the route; the robot holds only its position.
     pub(super) fn stand(&mut self) {
         *self = Self { disc_m: self.disc_m, ..Self::standing(self.position, 0.0, self.margin_m) };
     }
@@ -171,7 +172,7 @@ impl Claim {
         self.corners.push(self.granted);
     }
 
-    /// Gives it a route, by its corners, from the end of its grant.
+    /// Appends a route, by its corners, to the end of the granted part.
     fn set_route(&mut self, corners: &[Point]) {
         self.drop_ahead();
         self.points.drain(..self.tail);
@@ -191,18 +192,18 @@ impl Claim {
     }
 }
 
-/// What all robots hold and will need. A robot is named by its index.
+/// The claims of all robots, which are identified by their index.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reservations {
     claims: Vec<Claim>,
-    /// Whether the one robot must go before the other, row by row.
+    /// Whether one robot (row) must go before another (column), row by row.
     precedes: Vec<bool>,
 }
 
-/// Why a robot may not drive farther.
+/// Why a robot's grant was not extended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Held {
-    /// It has all of its route.
+    /// It was extended as requested.
     NotAtAll,
     /// Another robot holds the next place, or must go there first.
     ByRobots,
@@ -211,7 +212,7 @@ pub(super) enum Held {
 }
 
 impl Reservations {
-    /// Adds a robot before the one that has this index now.
+    /// Inserts a robot at an index.
     pub(super) fn insert(&mut self, index: usize, claim: Claim) {
         self.claims.insert(index, claim);
         self.order_anew();
@@ -225,18 +226,18 @@ impl Reservations {
         &self.claims
     }
 
-    /// Changes what a robot holds; call [`Self::order_anew`] after the last of such changes.
+    /// A robot's claim for changes; call [`Self::order_anew`] after the last change.
     pub(super) fn claim_mut(&mut self, robot: usize) -> &mut Claim {
         &mut self.claims[robot]
     }
 
-    /// A robot has no route any more beyond what it may drive.
+    /// Drops a robot's route beyond the granted part.
     pub(super) fn drop_ahead(&mut self, robot: usize) {
         self.claims[robot].drop_ahead();
         self.order(robot);
     }
 
-    /// Finds all precedences anew. Some ten microseconds for ten robots.
+    /// Recomputes all precedences. Cost: some 10 microseconds for ten robots.
     pub(super) fn order_anew(&mut self) {
         let count = self.claims.len();
         self.precedes.clear();
@@ -244,7 +245,7 @@ impl Reservations {
         (0..count).for_each(|robot| self.order(robot));
     }
 
-    /// Finds the precedences of one robot anew.
+    /// Recomputes the precedences of one robot.
     fn order(&mut self, robot: usize) {
         let count = self.claims.len();
         for other in (0..count).filter(|other| *other != robot) {
@@ -278,14 +279,14 @@ impl Reservations {
         false
     }
 
-    /// Gives a robot a route, by its corners, from the end of its grant, whatever the others do.
-    /// What the precedences are then is not known before [`Self::order_anew`].
+    /// Appends a route, by its corners, to the end of a robot's grant, without checks. The
+    /// precedences are invalid until [`Self::order_anew`].
     pub(super) fn plan(&mut self, robot: usize, corners: &[Point]) {
         self.claims[robot].set_route(corners);
     }
 
-    /// Gives robots routes, by their corners, from the ends of their grants, all or none: whether
-    /// there is an order in which all can be driven.
+    /// Appends routes, by their corners, to the ends of the robots' grants, if all robots can then
+    /// still finish; all or none. Returns whether it did.
     pub(super) fn admit(&mut self, routes: &[(usize, Vec<Point>)]) -> bool {
         let before = self.clone();
         for (robot, corners) in routes {
@@ -299,8 +300,8 @@ impl Reservations {
         is_safe
     }
 
-    /// Grants a robot its route up to a distance ahead of it, in metres, as far as that is safe and no
-    /// place is held by a robot or `taken` otherwise. Returns what holds it back.
+    /// Grants a robot its route up to a distance ahead of it in metres, while that is safe and no
+    /// place is held by another robot or `taken`. Returns what stopped it.
     pub(super) fn extend(
         &mut self,
         robot: usize,
@@ -331,7 +332,7 @@ impl Reservations {
     }
 }
 
-/// Whether a point of a route is nearer than `reach` to one of some places.
+/// Whether any point of a route is nearer than `reach` to one of the places.
 pub(super) fn is_crossed(
     route: &[Point],
     places: impl IntoIterator<Item = Point>,
@@ -344,7 +345,7 @@ pub(super) fn is_crossed(
             if spare < 0.0 {
                 return true;
             }
-            // A point that is near enough is at least this far along the route.
+            // The next point within reach is at least this far along the route.
             at += ((spare / SPACING_M) as usize).max(1);
         }
         false
@@ -369,14 +370,18 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_holds_what_it_was_granted_until_it_has_passed() {
+    fn granted_ground_is_held_until_it_is_passed() {
         let mut all = of(&[at(0.0, 0.0)]);
         assert!(all.admit(&[(0, vec![at(0.0, 0.0), at(2.0, 0.0), at(2.0, 2.0)])]));
         assert_eq!(all.extend(0, 2.5, |_| false), Held::NotAtAll);
         assert!((all.claim(0).granted_end() - at(2.0, 0.5)).norm() < 1e-9);
         let path = all.claim_mut(0).poll_path(&GrantingRules::default()).unwrap();
         assert_eq!(path, [at(2.0, 0.0), all.claim(0).granted_end()]);
-        assert_eq!(all.claim_mut(0).poll_path(&GrantingRules::default()), None, "it knows that");
+        assert_eq!(
+            all.claim_mut(0).poll_path(&GrantingRules::default()),
+            None,
+            "nothing new to send"
+        );
         all.claim_mut(0).advance(at(0.52, 0.05));
         assert!(all.claim(0).off_m() < 0.06);
         assert!(all.claim(0).held().all(|point| point.x > 0.45));
@@ -385,18 +390,21 @@ mod tests {
     }
 
     #[test]
-    fn nose_to_nose_is_never_granted() {
+    fn opposing_routes_are_never_granted() {
         let mut all = of(&[at(0.0, 0.0), at(5.0, 0.0)]);
-        assert!(!all.admit(&[(0, vec![at(0.0, 0.0), at(6.0, 0.0)])]), "the other one stands there");
+        assert!(!all.admit(&[(0, vec![at(0.0, 0.0), at(6.0, 0.0)])]), "blocked by the other robot");
         assert!(all.admit(&[(0, vec![at(0.0, 0.0), at(4.0, 0.0), at(4.0, 3.0)])]));
-        assert!(all.admit(&[(1, vec![at(5.0, 0.0), at(-1.0, 0.0)])]), "once the first has gone");
+        assert!(
+            all.admit(&[(1, vec![at(5.0, 0.0), at(-1.0, 0.0)])]),
+            "safe after the other robot has gone"
+        );
         all.extend(1, 9.0, |_| false);
         assert!(all.claim(1).granted_end().x > 4.7, "{}", all.claim(1).granted_end());
         assert_eq!(all.extend(0, 9.0, |_| false), Held::NotAtAll);
     }
 
-    /// Robots at random places with random routes; whatever is granted in whatever order, there is
-    /// an order in which all can be driven, and driving by grants comes to an end.
+    /// Robots at random places with random routes: in whatever order ground is granted, all robots
+    /// can finish, and driving terminates.
     fn check_progress(starts: &[(f64, f64)], ends: &[(f64, f64)], turns: &[usize]) {
         let mut places: Vec<Point> = Vec::new();
         for &(x, y) in starts {
@@ -428,7 +436,7 @@ mod tests {
                 }
             }
         }
-        // In each round at least the first in the order gets to its end.
+        // In each round at least the first robot in the order reaches its end.
         for _ in 0..places.len() {
             for robot in 0..places.len() {
                 all.extend(robot, f64::MAX, |_| false);
@@ -444,7 +452,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn whatever_is_granted_all_get_to_their_ends(
+        fn all_robots_finish_whatever_is_granted(
             starts in proptest::collection::vec((0.0..6.0, 0.0..4.0), 2..9),
             ends in proptest::collection::vec((0.0..6.0, 0.0..4.0), 9),
             turns in proptest::collection::vec(0usize..1000, 1..60),

@@ -1,21 +1,23 @@
-//! Shortest ways over the ground for one robot.
+//! Shortest routes over the ground for one robot.
 
 use super::{
     ground::{Disc, Ground, Point},
     settings::Settings,
 };
 
-/// The cost of crossing a cell of roomy ground, times its length. What other ground costs is among
-/// the [`CrossingCosts`](super::settings::CrossingCosts).
+/// Cost factor of open ground. Those of other ground are in
+/// [`CrossingCosts`](super::settings::CrossingCosts).
 const ROOMY: u8 = 2;
-/// A cell that can be left, but not entered.
+/// Cost factor of a cell that can be left but not entered.
 const SHUT: u8 = 0;
-/// The cost of leaving ground where a robot has less room than it should.
+/// Cost factor for leaving ground with too little clearance.
 const LEAVING: u32 = 16;
 
-/// The length of a step between neighbours, straight and diagonal, in fifths of a cell: 1 % off.
+/// Length of a straight step in fifths of a cell.
 const STRAIGHT: u32 = 5;
+/// Length of a diagonal step in fifths of a cell: 1 % too short.
 const DIAGONAL: u32 = 7;
+/// Steps to neighbours: columns, rows and length.
 const NEIGHBOURS: [(isize, isize, u32); 8] = [
     (1, 0, STRAIGHT),
     (0, 1, STRAIGHT),
@@ -26,29 +28,29 @@ const NEIGHBOURS: [(isize, isize, u32); 8] = [
     (-1, -1, DIAGONAL),
     (1, -1, DIAGONAL),
 ];
-/// The highest cost of crossing a cell.
-const DEAREST: u8 = 63;
-/// More than any step can raise the estimate of a whole way: [`DEAREST`] times a diagonal step, and
-/// the diagonal step that the estimate was for.
+/// Maximum cost factor of a cell.
+const MAX_WEIGHT: u8 = 63;
+/// Upper bound for the increase of a route's estimated cost by one step: [`MAX_WEIGHT`] times a
+/// diagonal step, plus the diagonal step of the estimate.
 const BUCKETS: usize = 512;
-const _: () = assert!(((DEAREST + ROOMY) as u32 * DIAGONAL) < BUCKETS as u32);
-/// From one point of a route to the next at most, in metres.
+const _: () = assert!(((MAX_WEIGHT + ROOMY) as u32 * DIAGONAL) < BUCKETS as u32);
+/// Maximum distance between consecutive points of a route, in metres.
 pub(super) const SPACING_M: f64 = 0.1;
 
-/// The ground as one robot may cross it.
+/// The ground as one robot can cross it.
 #[derive(Clone, Debug)]
 pub(super) struct Terrain<'a> {
     ground: &'a Ground,
     weights: Vec<u8>,
-    /// The weight of ground with little room to spare.
+    /// The cost factor of ground with little clearance.
     tight: u8,
 }
 
 impl<'a> Terrain<'a> {
-    /// The ground for a robot that needs this much room around its middle, in metres.
+    /// The ground for a robot that needs `room_m` around its centre, in metres.
     pub(super) fn new(ground: &'a Ground, room_m: f64, settings: &Settings) -> Self {
         let costs = &settings.costs;
-        // From the middle of a cell to the middle of an occupied one; half of that is its own.
+        // From the centre of a cell to the centre of an occupied one, half of which is occupied.
         let squared = |metres: f64| {
             let cells = metres / ground.side_m() + 0.5;
             (cells * cells).ceil() as u32
@@ -56,25 +58,25 @@ impl<'a> Terrain<'a> {
         let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
             (wall, _) if wall < least => SHUT,
-            (_, movable) if movable < least => costs.movable.min(DEAREST),
-            (wall, movable) if wall.min(movable) < roomy => costs.tight.min(DEAREST),
+            (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
+            (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
             _ => ROOMY,
         };
         let weights = (0..ground.len()).map(weight).collect();
-        Self { ground, weights, tight: costs.tight.min(DEAREST) }
+        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT) }
     }
 
-    /// Raises the cost of crossing a disc, to at most [`DEAREST`].
+    /// Raises the cost factor in a disc, up to [`MAX_WEIGHT`].
     pub(super) fn make_dear(&mut self, disc: &Disc, weight: u8) {
         let Self { ground, weights, .. } = self;
         ground.within(disc, |at| {
             if weights[at] != SHUT {
-                weights[at] = weights[at].max(weight.min(DEAREST));
+                weights[at] = weights[at].max(weight.min(MAX_WEIGHT));
             }
         });
     }
 
-    /// Closes a disc, shrunk if need be so that the place where the robot starts stays outside.
+    /// Closes a disc, shrunk if necessary so that `start` stays outside.
     pub(super) fn shut(&mut self, disc: &Disc, start: Point) {
         let Self { ground, weights, .. } = self;
         let radius = disc.radius.min((start - disc.centre).norm() - ground.side_m());
@@ -86,12 +88,12 @@ impl<'a> Terrain<'a> {
         self.weights[at] != SHUT
     }
 
-    /// The cheapest ways from a place to everywhere. A few milliseconds for 100,000 cells.
+    /// The cheapest routes from a place to all cells. Cost: a few milliseconds for 100,000 cells.
     pub(super) fn everywhere(&self, from: Point) -> Option<Ways<'_>> {
         Some(self.search(self.ground.at(from)?, |_| 0, |_| false).0)
     }
 
-    /// The cheapest way between two places, if there is one (A*, Hart, Nilsson and Raphael 1968).
+    /// The cheapest route between two places (A*: Hart, Nilsson and Raphael 1968).
     pub(super) fn route(&self, from: Point, to: Point) -> Option<Vec<Point>> {
         let (start, goal) = (self.ground.at(from)?, self.ground.at(to)?);
         let width = self.ground.width();
@@ -107,7 +109,7 @@ impl<'a> Terrain<'a> {
         ways.route(from, to)
     }
 
-    /// The cheapest way to the nearest suitable cell, if there is one.
+    /// The cheapest route to the nearest cell for which `will_do` is true.
     pub(super) fn nearest(
         &self,
         from: Point,
@@ -117,8 +119,8 @@ impl<'a> Terrain<'a> {
         ways.route(from, self.ground.place(found?))
     }
 
-    /// Dijkstra's search, or A* if the estimate is not zero, up to the first suitable cell. The queue
-    /// consists of buckets, as all costs are small whole numbers (Dial 1969).
+    /// Dijkstra's search, or A* with a non-zero estimate, up to the first cell for which `will_do`
+    /// is true. The queue consists of buckets, because all costs are small integers (Dial 1969).
     fn search(
         &self,
         start: usize,
@@ -143,7 +145,7 @@ impl<'a> Terrain<'a> {
             let at = at as usize;
             let cost = costs[at];
             if cost + estimate(at) != total {
-                // It was reached at less cost since it was queued.
+                // It was reached at a lower cost since it was queued.
                 continue;
             }
             if will_do(at) {
@@ -166,7 +168,7 @@ impl<'a> Terrain<'a> {
         (Ways { terrain: self, start, costs, towards_start }, found)
     }
 
-    /// From ground without enough room a robot may only go where there is more of it.
+    /// From ground with too little clearance, a robot may only move towards more clearance.
     fn weight_of_step(&self, at: usize, next: usize) -> Option<u32> {
         match *self.weights.get(next)? {
             SHUT if self.weights[at] == SHUT => {
@@ -177,8 +179,8 @@ impl<'a> Terrain<'a> {
         }
     }
 
-    /// The corners of a way from cell to cell after string pulling: straight pieces that cross
-    /// nothing dearer than the way itself.
+    /// The corners of a route after string pulling: straight segments that cross nothing more
+    /// expensive than the route itself.
     fn straightened(&self, cells: &[usize]) -> Vec<usize> {
         let mut corners: Vec<usize> = cells.first().copied().into_iter().collect();
         let mut anchor = 0;
@@ -195,7 +197,8 @@ impl<'a> Terrain<'a> {
         corners
     }
 
-    /// Whether the cells on the line between two are open and none is dearer than this.
+    /// Whether all cells on the line between two cells are open and at most as expensive as
+    /// `dearest`.
     fn is_straight(&self, from: usize, to: usize, dearest: u8) -> bool {
         let (a, b) = (self.ground.place(from), self.ground.place(to));
         let steps = ((b - a).norm() / self.ground.side_m() * 2.0).ceil();
@@ -206,7 +209,7 @@ impl<'a> Terrain<'a> {
     }
 }
 
-/// The cheapest ways from one place.
+/// The cheapest routes from one place.
 #[derive(Clone, Debug)]
 pub(super) struct Ways<'a> {
     terrain: &'a Terrain<'a>,
@@ -217,7 +220,7 @@ pub(super) struct Ways<'a> {
 }
 
 impl Ways<'_> {
-    /// The cost of the way to a cell as metres of roomy ground. `None` if there is no way.
+    /// The cost of the route to a cell, as metres of open ground. `None` if it is unreachable.
     pub(super) fn metres(&self, at: usize) -> Option<f64> {
         let cost = *self.costs.get(at).filter(|cost| **cost < u32::MAX)?;
         Some(
@@ -225,7 +228,7 @@ impl Ways<'_> {
         )
     }
 
-    /// The corners of the way from a place in the first cell to another place.
+    /// The corners of the route between two places, of which `from` is in the start cell.
     fn route(&self, from: Point, to: Point) -> Option<Vec<Point>> {
         let goal = self.terrain.ground.at(to).filter(|goal| self.costs[*goal] < u32::MAX)?;
         let mut cells = vec![goal];
@@ -238,7 +241,7 @@ impl Ways<'_> {
         let corners = self.terrain.straightened(&cells);
         let mut route: Vec<Point> =
             corners.iter().map(|&at| self.terrain.ground.place(at)).collect();
-        // The ends are where they are, not in the middle of their cells.
+        // Use the exact end points instead of the centres of their cells.
         route.pop();
         match route.first_mut() {
             Some(first) => *first = from,
@@ -254,7 +257,7 @@ mod tests {
     use super::*;
     use crate::server::coordination::tests::plan::{Plan, drawn};
 
-    /// A room of 6 m by 4 m with a wall across it that has one door, 1 m wide, at its north end.
+    /// A room of 6 m by 4 m, divided by a wall with a door of 1 m at its north end.
     fn with_a_wall() -> Plan {
         let mut plan = Plan::room(6.0, 4.0);
         plan.wall(2.9, 0.0, 3.1, 2.9);
@@ -266,15 +269,15 @@ mod tests {
     }
 
     #[test]
-    fn a_route_goes_through_the_door_with_room_on_all_sides() {
+    fn a_route_passes_a_door_with_clearance_on_all_sides() {
         let plan = with_a_wall();
         let ground = drawn(&plan, |_, _| false);
         let terrain = Terrain::new(&ground, 0.3, &Settings::default());
         let (from, to) = (Point::new(1.0, 1.0), Point::new(5.0, 1.0));
         let route = terrain.route(from, to).unwrap();
         assert_eq!((route[0], *route.last().unwrap()), (from, to));
-        // The shortest way around a wall that is 0.3 m thicker on all sides: two tangents, two
-        // arcs, and the piece between them.
+        // The shortest route around a wall that is 0.3 m thicker on all sides: two tangents, two
+        // arcs, and the segment between them.
         let to_corner = 1.9f64.hypot(1.9);
         let arc = 0.3 * (core::f64::consts::FRAC_PI_4 + (0.3 / to_corner).asin());
         let shortest = 2.0 * ((to_corner * to_corner - 0.09).sqrt() + arc) + 0.2;
@@ -294,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_dear_is_gone_around_if_the_detour_is_short() {
+    fn expensive_ground_is_avoided_if_the_detour_is_short() {
         let plan = Plan::room(6.0, 4.0);
         let ground = drawn(&plan, |_, _| false);
         let mut terrain = Terrain::new(&ground, 0.3, &Settings::default());
@@ -305,7 +308,7 @@ mod tests {
         terrain.make_dear(&somebody, standing);
         let around = terrain.route(from, to).unwrap();
         assert!(length(&around) > 4.1 && length(&around) < 4.5, "{}", length(&around));
-        // Where there is no way around, it is crossed.
+        // Without a way around it, it is crossed.
         let across = Disc { centre: Point::new(3.0, 2.0), radius: 2.2 };
         terrain.make_dear(&across, standing);
         assert!(terrain.route(from, to).is_some());
@@ -314,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_too_near_to_a_wall_can_leave_it_but_not_go_there() {
+    fn a_robot_can_leave_ground_near_a_wall_but_not_enter_it() {
         let plan = Plan::room(6.0, 4.0);
         let ground = drawn(&plan, |_, _| false);
         let terrain = Terrain::new(&ground, 0.3, &Settings::default());

@@ -1,4 +1,4 @@
-//! Which way each robot goes, and how far it may drive along it now.
+//! Finds the robots' routes, and decides how far they may drive along them now.
 
 use ubimap_protocol::time::Instant;
 
@@ -12,8 +12,8 @@ use super::{
 };
 
 impl Coordinator {
-    /// Takes the routes from robots that wait for each other in a circle: one of them has lost its
-    /// route, or stopped, where others have to pass. They get new ones.
+    /// Drops the routes of robots that wait for each other in a cycle, after one of them has lost
+    /// its route or stopped in the way of others. They get new ones.
     pub(super) fn untangle(&mut self) {
         let mut order: Vec<usize> = (0..self.members.len()).rev().collect();
         order.sort_by_key(|&index| self.members[index].goal.is_some());
@@ -26,8 +26,7 @@ impl Coordinator {
         }
     }
 
-    /// Searches routes for robots that have none to their destinations: first to goals of users,
-    /// then for the robot that has waited longest.
+    /// Finds routes for robots without one: first for users' goals, then by waiting time.
     pub(super) fn find_routes(&mut self, now: Instant) {
         let (rates, following) = (self.settings.rates, self.settings.following);
         let is_waiting = |index: &usize| {
@@ -86,7 +85,7 @@ impl Coordinator {
             self.reservations = changed;
             return Outcome::Admitted;
         }
-        // Around all robots that stand, at any cost.
+        // Around all standing robots, at any cost.
         for (_, claim) in self.standing(index) {
             let radius = claim.disc_m() + self.reservations.claim(index).disc_m();
             terrain.shut(&Disc { centre: claim.end(), radius }, from);
@@ -98,8 +97,8 @@ impl Coordinator {
         }
     }
 
-    /// The ground for one robot. Places of robots that can't be told to go away are closed, those of
-    /// others that stand cost more.
+    /// The ground for one robot. Places of robots that can't be sent away are closed; those of
+    /// other standing robots cost more.
     pub(super) fn terrain<'a>(&self, ground: &'a Ground, index: usize) -> Terrain<'a> {
         let (member, mine) = (&self.members[index], self.reservations.claim(index));
         let (clearances, costs) = (&self.settings.clearances, &self.settings.costs);
@@ -123,13 +122,13 @@ impl Coordinator {
         terrain
     }
 
-    /// The other robots that have no route to go away on.
+    /// The other robots without a route ahead, which stay where they are.
     fn standing(&self, index: usize) -> impl Iterator<Item = (usize, &Claim)> {
         let claims = self.reservations.claims().iter().enumerate();
         claims.filter(move |(other, claim)| *other != index && claim.is_all_granted())
     }
 
-    /// Grants robots more of their routes, in turns.
+    /// Grants robots more of their routes, with a rotating first robot.
     pub(super) fn grant(&mut self, now: Instant) {
         let rules = self.settings.granting;
         let count = self.members.len();
@@ -155,7 +154,7 @@ impl Coordinator {
 /// The outcome of the search for a route.
 enum Outcome {
     Admitted,
-    /// There is a way, but other robots are in it.
+    /// There is a route, but other robots block it.
     NoRoom,
     NoWay,
 }

@@ -1,42 +1,40 @@
-//! What can be set about coordination: what it assumes of the robots and the room, and how careful
-//! it is.
+//! Settings of the coordinator: its assumptions about robots and rooms, and its safety margins.
 
 use ubimap_protocol::{time::Duration, units::Millimetres};
 
-/// Settings of the [`Coordinator`](super::Coordinator). The defaults suit indoor robots of some
-/// 0.4 m that drive at 0.2 to 0.6 m/s; what differs from one deployment to another is the first
-/// five fields.
+/// Settings of the [`Coordinator`](super::Coordinator). The defaults suit indoor robots of some 0.4
+/// m that drive at 0.2 to 0.6 m/s; the first five fields depend on the deployment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// The side of the map's cells. The server sets it.
+    /// The side length of the map's cells. The server sets it.
     pub resolution: Millimetres,
-    /// The number of the first path. A robot follows the path with the highest number, so a server
-    /// that restarts must number on from its earlier life. The server sets it, from its epoch.
+    /// The number of the first path. A robot follows the path with the highest number, so a
+    /// restarted server must continue its earlier numbers. The server sets it from its epoch.
     pub first_path: u32,
-    /// The distance from which robots look at a frontier, in metres; at most `range_m`.
+    /// Maximum distance from which a robot looks at a frontier, in metres; at most `range_m`.
     pub view_m: f64,
-    /// The range of the robots' sensors, in metres. Beyond it nothing comes back, and a beam
-    /// without an echo says nothing about the ground before it.
+    /// The range of the robots' sensors in metres. A beam without an echo leaves the ground before
+    /// it unknown.
     pub range_m: f64,
-    /// How long a robot takes to look around at the end of its path.
+    /// Time that a robot takes to look around at the end of its path.
     pub look: Duration,
-    /// How often things are decided.
+    /// Intervals between decisions.
     pub rates: Rates,
-    /// The space kept between a robot and everything else.
+    /// Clearances between a robot and everything else.
     pub clearances: Clearances,
-    /// How the coordinator judges whether a robot follows its path.
+    /// When a robot counts as following its path.
     pub following: FollowingRules,
     /// How a route is granted and sent.
     pub granting: GrantingRules,
-    /// What it costs to cross ground that is not roomy.
+    /// Cost of crossing ground that is not open.
     pub costs: CrossingCosts,
-    /// Which part of the map is surveyed, and what counts as passable at its edge.
+    /// Which part of the map is surveyed, and what is passable at its edge.
     pub survey: SurveyRules,
     /// What counts as a frontier.
     pub frontiers: FrontierRules,
-    /// How the places to look at a frontier from are compared.
+    /// How viewpoints are compared.
     pub viewpoints: ViewpointCosts,
-    /// How frontiers are shared out among robots.
+    /// How frontiers are distributed among robots.
     pub exploration: ExplorationRules,
 }
 
@@ -61,20 +59,20 @@ impl Default for Settings {
     }
 }
 
-/// How often things are decided.
+/// Intervals between decisions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// From one tick to the next. A robot at 0.6 m/s covers 12 cm in 200 ms, far less than the
-    /// ground granted ahead of it.
+    /// Interval between ticks. A robot at 0.6 m/s covers 12 cm in 200 ms, far less than the ground
+    /// granted ahead of it.
     pub tick: Duration,
-    /// From one survey of the ground to the next. A survey costs milliseconds, and the map
-    /// changes slowly.
+    /// Interval between surveys of the ground. A survey costs milliseconds, and the map changes
+    /// slowly.
     pub survey: Duration,
-    /// Robots for which a route is searched in one tick, which bounds the time of a tick.
+    /// Maximum number of route searches per tick, which bounds the duration of a tick.
     pub routes_per_tick: usize,
-    /// When to search again after other robots left no room for a route: they move on soon.
+    /// Delay before another search after robots blocked a route: they move on soon.
     pub retry: Duration,
-    /// When to search again after there was no way at all: only a change of the map helps.
+    /// Delay before another search after there was no route at all: only a change of the map helps.
     pub retry_no_way: Duration,
 }
 
@@ -90,22 +88,22 @@ impl Default for Rates {
     }
 }
 
-/// The space kept between a robot and everything else, in metres, beyond the robot's own radius.
+/// Clearances between a robot and everything else, in metres, beyond the robot's radius.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearances {
-    /// From walls, when a route is planned: the 3 cm that a robot's own driver keeps, and the error
-    /// of a wall that is drawn in cells of 5 cm.
+    /// From walls, for planning: the 3 cm that a robot's own driver keeps, plus the error of walls
+    /// drawn in cells of 5 cm.
     pub wall_m: f64,
-    /// Ground is roomy if there is this much more room than a robot needs; other ground costs
-    /// more, so that routes keep off the walls where they can.
+    /// Additional clearance from which ground counts as open. Other ground costs more, so that
+    /// routes keep off walls where possible.
     pub spare_m: f64,
-    /// From the points of its route, for which a robot reserves room: drivers cut corners and
-    /// poses are a few centimetres off.
+    /// From the points of its route, for reservations: drivers cut corners, and poses are a few
+    /// centimetres off.
     pub route_m: f64,
-    /// From people, on top of the obstacle's radius.
+    /// From people, in addition to the obstacle's radius.
     pub person_m: f64,
-    /// Unknown ground is passable up to this distance around a robot. A robot that has seen
-    /// nothing yet must be able to leave its place.
+    /// Unknown ground is passable up to this distance from a robot, so that a robot that has not
+    /// seen anything yet can leave its place.
     pub trodden_m: f64,
 }
 
@@ -115,37 +113,36 @@ impl Default for Clearances {
     }
 }
 
-/// How the coordinator judges whether a robot follows its path.
+/// When a robot counts as following its path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FollowingRules {
-    /// A robot that stops this near the end of its path has arrived, in metres. Drivers stop short
-    /// of an obstacle at the very end.
+    /// A robot that stops within this distance of the end of its path has arrived, in metres:
+    /// drivers stop short of an obstacle at the end.
     pub arrived_m: f64,
-    /// A robot that moved less than this stands still, in metres: above the noise of its poses.
+    /// Maximum movement of a robot that stands still, in metres: above the noise of its poses.
     pub still_m: f64,
-    /// A robot this far off its route has lost it, in metres, and gets a new one.
+    /// Distance from its route at which a robot gets a new one, in metres.
     pub astray_m: f64,
-    /// A report about the end of a path is about the newest path once that was sent this long ago:
-    /// until then it may be about the one before, and in flight.
+    /// A report about the end of a path refers to the newest path if that was sent at least this
+    /// long ago; before that it may be about the previous one, and in flight.
     pub in_flight: Duration,
-    /// A robot that should drive and was seen to stand for this long is stuck. A driver waits 3 s
-    /// for its way to clear before it turns to another one.
+    /// A robot that should drive but was seen standing for this long is stuck. Drivers wait 3 s for
+    /// their way to clear before they try another one.
     pub stalled: Duration,
-    /// The same for a robot that no camera sees: it reports its pose every 2 s, so seven reports in
-    /// a row show no motion or got lost.
+    /// The same out of the cameras' view: pose reports come every 2 s, so seven in a row showed no
+    /// motion or were lost.
     pub unmoved: Duration,
-    /// A robot that was told to stop has had time to brake after this, its way through a lossy link
-    /// included.
+    /// Time for a robot to receive a stop over a lossy link and to brake.
     pub halting: Duration,
-    /// Then it must be seen to stand for this long.
+    /// After `halting` it must be seen standing for this long.
     pub halted: Duration,
-    /// Where no camera sees it, it has reported its pose after this: the report's interval of 2 s
-    /// on top of `halting`.
+    /// Time until a robot out of view has reported that it stands: `halting` plus the 2 s report
+    /// interval.
     pub reported: Duration,
-    /// A robot without a session has stopped by itself after this long: drivers accept 2 to 3 s of
-    /// the server's silence, and then brake.
+    /// Time after which a robot without a session has stopped by itself: drivers tolerate 2 to 3 s
+    /// without the server, and then brake.
     pub lost: Duration,
-    /// After a robot has looked around, its last tiles take this long to reach the map.
+    /// Time for the last tiles to reach the map after a robot has looked around.
     pub tiles_arrive: Duration,
 }
 
@@ -170,17 +167,17 @@ impl Default for FollowingRules {
 /// How a route is granted and sent. Routes are lists of points 0.1 m apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GrantingRules {
-    /// How much of its route a robot is granted ahead of it, in metres: more than it needs to
-    /// brake, so that it never slows down for want of a grant.
+    /// Length of the route granted ahead of a robot, in metres: more than its braking distance, so
+    /// that it never slows down for lack of a grant.
     pub ahead_m: f64,
-    /// How long a robot waits behind a person before it looks for another way.
+    /// How long a robot waits behind a person before it takes another way.
     pub patience: Duration,
     /// A robot that knows at most this many points ahead is sent more ...
     pub low_points: usize,
-    /// ... if there are at least this many more, or the rest of its route: fewer are not worth a
+    /// ... if there are at least this many, or the rest of its route: fewer are not worth a
     /// message.
     pub least_points: usize,
-    /// At this many points, or fewer, it is sent any that there are: it would have to brake.
+    /// At this many points or fewer it is sent any that there are, because it would have to brake.
     pub urgent_points: usize,
 }
 
@@ -196,20 +193,20 @@ impl Default for GrantingRules {
     }
 }
 
-/// What it costs to cross ground, relative to 2 for roomy ground. 63 is the most that counts.
+/// Cost factors of ground, relative to 2 for open ground; at most 63.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CrossingCosts {
-    /// Ground with little room to spare: half as much again.
+    /// Ground with little clearance: 1.5 times open ground.
     pub tight: u8,
-    /// Ground that something movable took up when it was last seen.
+    /// Ground last seen occupied by something movable.
     pub movable: u8,
-    /// Where somebody stands: worth a detour of up to 6 m.
+    /// Where a robot or a person stands: worth a detour of up to 6 m.
     pub standing: u8,
     /// Where a robot reported that it could not pass: worth a detour of some 20 m.
     pub held_up: u8,
     /// The radius of that place, in metres.
     pub held_up_m: f64,
-    /// How long it is avoided: whatever stood there may have left.
+    /// How long that place is avoided: the obstacle may leave.
     pub held_up_for: Duration,
 }
 
@@ -226,15 +223,15 @@ impl Default for CrossingCosts {
     }
 }
 
-/// Which part of the map is surveyed, and what counts as passable at its edge.
+/// Which part of the map is surveyed, and what is passable at its edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurveyRules {
-    /// Tiles surveyed on each side of the middle robot: 64 m with cells of 5 cm. It bounds the
-    /// memory that a stray tile can cost.
+    /// Maximum distance of surveyed tiles from the middle robot: 40 tiles are 64 m with 5 cm cells.
+    /// Bounds the memory that a stray tile can cost.
     pub reach_tiles: i32,
     /// Unknown cells at most this far from free ones are passable. Little can hide there, and a
-    /// robot stops before what it sees; if the edge counted as a wall, it would close every narrow
-    /// passage until everything around it is known.
+    /// robot stops before obstacles that it sees; otherwise every narrow passage would be closed
+    /// until all cells around it are known.
     pub edge_cells: u32,
 }
 
@@ -247,20 +244,20 @@ impl Default for SurveyRules {
 /// What counts as a frontier: unknown ground that no camera sees, next to free ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrontierRules {
-    /// Fewer cells side by side are noise.
+    /// Minimum number of connected cells; fewer are noise.
     pub least_cells: usize,
-    /// A frontier is cut into pieces of this reach, in metres, so that robots can share a long one.
+    /// Maximum extent of a piece of a frontier, in metres, so that robots can share a long one.
     pub piece_m: f64,
-    /// A frontier that would reveal less ground than this is not worth a drive, in square metres.
+    /// Minimum ground revealed by a frontier, in square metres; less is not worth a drive.
     pub least_gain_m2: f64,
-    /// A frontier is looked at through cells this far apart, in metres: one side of it may offer
-    /// no room to stand.
+    /// Spacing of the cells through which a frontier is looked at, in metres: there may be no room
+    /// to stand on one side of it.
     pub through_m: f64,
-    /// The nearest that a robot stands to a frontier it looks at, in metres: depth sensors are
+    /// Minimum distance between a robot and the frontier it looks at, in metres: depth sensors are
     /// blind at close range.
     pub nearest_m: f64,
-    /// The cosine of the largest angle between the line of sight and the direction to the unknown
-    /// ground, 70 degrees. Along the edge of a shadow only what casts it is in view.
+    /// Cosine of the maximum angle between the line of sight and the direction to the unknown
+    /// ground, 70 degrees. Along the edge of a shadow only the object that casts it is visible.
     pub ahead_cosine: f64,
 }
 
@@ -277,21 +274,21 @@ impl Default for FrontierRules {
     }
 }
 
-/// How the places to look at a frontier from are compared. The unit is a metre of roomy way.
+/// How viewpoints are compared. The unit is a metre of open ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewpointCosts {
-    /// The cost of a metre between the place and the frontier. Above 1: of the places along one
-    /// straight way the last is best.
+    /// Cost per metre between the viewpoint and the frontier. Above 1, so that the last viewpoint
+    /// on a straight way is the best.
     pub away: f64,
-    /// Added where no surface is known behind the frontier: a sensor may get no echo there.
+    /// Penalty without a known surface behind the frontier: a sensor may get no echo there.
     pub unbacked_m: f64,
-    /// The cost of a turn by one radian: it takes as long as this many metres.
+    /// Cost of a turn by one radian: it takes as long as this many metres.
     pub turn_m: f64,
-    /// Added where others have to pass, as the robot would have to wait for them.
+    /// Penalty where others have to pass, because the robot would have to wait for them.
     pub wait_m: f64,
-    /// No turn is needed towards a place nearer than this, in metres.
+    /// Up to this distance, in metres, no turn is needed.
     pub here_m: f64,
-    /// A robot that drives this far has something else before its sensor, in metres.
+    /// Minimum distance, in metres, that a robot drives to see something different.
     pub afresh_m: f64,
 }
 
@@ -301,27 +298,27 @@ impl Default for ViewpointCosts {
     }
 }
 
-/// How frontiers are shared out among robots.
+/// How frontiers are distributed among robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExplorationRules {
-    /// The way that a square metre of unknown ground is worth, in metres.
+    /// Driving distance that a square metre of unknown ground is worth, in metres.
     pub worth_m: f64,
-    /// Two frontiers with less way than this between them are better left to one robot, in metres:
+    /// Frontiers with less driving distance between them, in metres, are better left to one robot:
     /// two would be in each other's way.
     pub neighbours_m: f64,
-    /// The cost of each metre by which they are nearer.
+    /// Cost per metre below `neighbours_m`.
     pub neighbours_cost: f64,
-    /// Two frontiers nearer to each other than this are the same one, in metres.
+    /// Maximum distance between positions of the same frontier, in metres.
     pub same_m: f64,
-    /// A frontier looked at in vain is not looked at from places within this radius, in metres ...
+    /// Radius around a failed viewpoint, in metres, that is not tried again ...
     pub tried_m: f64,
     /// ... for this long.
     pub tried_for: Duration,
-    /// After this many looks in vain a frontier is given up: it can't be seen.
+    /// Number of failed looks after which a frontier is given up: it can't be seen.
     pub most_looks: usize,
-    /// A robot gives up a frontier if other robots leave it no room for this long ...
+    /// A robot gives up a frontier if other robots block the way for this long ...
     pub patience: Duration,
-    /// ... and tries another one for this long.
+    /// ... and does not try it again for this long.
     pub put_off: Duration,
 }
 

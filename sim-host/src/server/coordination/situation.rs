@@ -10,65 +10,65 @@ use ubimap_protocol::{
 use super::ground::{Disc, Point};
 use crate::{mapping::ServedLayer, perception::Footprint};
 
-/// Everything that is known of the room.
+/// The state of the room.
 #[derive(Clone, Copy, Debug)]
 pub struct Situation<'a> {
-    /// The map that everybody gets.
+    /// The map that all robots get.
     pub fused: &'a ServedLayer,
-    /// The cells that the cameras see now.
+    /// The cells that cameras see now.
     pub coverage: &'a ServedLayer,
-    /// Every robot whose place is known, those without a session too.
+    /// All robots with a known position, including those without a session.
     pub robots: &'a [Whereabouts],
-    /// People, and whatever else moves.
+    /// People, and other tracked things.
     pub obstacles: &'a [Obstacle],
 }
 
-/// Where a robot is.
+/// The position of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Whereabouts {
-    /// Which robot.
+    /// The robot's id.
     pub robot: RobotId,
-    /// When it was there.
+    /// The time of the pose.
     pub moment: Instant,
-    /// `base_link` in `map`.
+    /// The pose of `base_link` in `map`.
     pub pose: Pose,
-    /// What it takes up.
+    /// The robot's footprint.
     pub footprint: Footprint,
     /// Whether it can be commanded.
     pub has_session: bool,
 }
 
-/// Why a goal is refused.
+/// Why a goal was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GoalError {
-    /// Nobody has said where the robot is.
-    #[error("nobody knows where robot {} is", .0.0)]
+    /// The robot's position is unknown.
+    #[error("the position of robot {} is unknown; it must be seen by a camera or report its pose", .0.0)]
     UnknownRobot(RobotId),
-    /// There is no map there.
+    /// The goal is outside of the map.
     #[error("the goal is outside the map")]
     OutsideMap,
-    /// Nobody has seen the place.
-    #[error("nobody knows what is at the goal: let a robot explore")]
+    /// The goal is in unknown ground.
+    #[error("the goal is in unknown ground; let a robot explore it first")]
     UnknownGround,
-    /// A wall or the like is there, or nearer than the robot's own radius.
-    #[error("something is in the way at the goal")]
+    /// A wall or another obstacle is closer to the goal than the robot's radius plus clearance.
+    #[error("the goal is too close to a wall or another obstacle")]
     Occupied,
-    /// Walls, closed doors or unknown ground are all around it.
-    #[error("there is no way to the goal")]
+    /// Walls, closed doors or unknown ground surround the goal.
+    #[error("there is no route to the goal")]
     Unreachable,
 }
 
-/// What has become of a robot's drive.
+/// Progress or the end of a robot's drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// It is at the goal that it was given.
+    /// The robot has reached its goal.
     Reached,
-    /// Its goal is refused.
+    /// Its goal was refused.
     Refused(GoalError),
-    /// There is no way to its goal any more. The search is repeated now and then, without another
-    /// notice.
+    /// There is no longer a route to its goal. The search is repeated from time to time, without
+    /// another notice.
     NoWay,
-    /// It can't go on along its path, and will get another one.
+    /// It can't continue on its path, and will get another one.
     Blocked,
 }
 
@@ -77,22 +77,22 @@ impl Whereabouts {
         Point::new(self.pose.x.metres(), self.pose.y.metres())
     }
 
-    /// The radius of a disc that holds the robot however it turns, in metres.
+    /// The circumscribed radius of the robot, in metres.
     pub(super) fn radius_m(&self) -> f64 {
         let Footprint { half_length, half_width } = self.footprint;
         Vector2::new(f64::from(half_length), f64::from(half_width)).norm() / 1000.0
     }
 }
 
-/// A person or a thing that moves.
+/// A person or a moving thing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Passer {
-    /// The floor that is taken up now, in half a second and in a second.
+    /// The occupied ground now, in half a second and in a second.
     pub(super) discs: [Disc; 3],
 }
 
 impl Passer {
-    /// Where an obstacle is now, in half a second and in a second.
+    /// Predicts an obstacle's position from its velocity.
     pub(super) fn new(obstacle: &Obstacle) -> Self {
         let now = Point::new(obstacle.x.metres(), obstacle.y.metres());
         let velocity =
@@ -103,7 +103,7 @@ impl Passer {
         }
     }
 
-    /// Whether a disc about a place is touched.
+    /// Whether a disc around a place touches any of these.
     pub(super) fn is_near(&self, place: Point, radius_m: f64) -> bool {
         self.discs.iter().any(|it| (it.centre - place).norm() < it.radius + radius_m)
     }

@@ -1,15 +1,15 @@
-//! A frontier that a robot goes to look at, and one that it looked at in vain.
+//! Targets: a frontier that a robot is sent to look at, and one that it failed to see.
 
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::ground::{Disc, Point};
 
-/// A frontier that a robot goes to look at.
+/// A frontier that a robot is sent to look at.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Target {
-    /// Where the frontier was.
+    /// Position of the frontier.
     pub(super) frontier: Point,
-    /// Where to look at it from.
+    /// The viewpoint.
     pub(super) view: Point,
     /// When the robot arrived there.
     pub(super) reached: Option<Instant>,
@@ -18,18 +18,18 @@ pub(super) struct Target {
 }
 
 impl Target {
-    /// A frontier to be looked at from a place.
+    /// A frontier with its viewpoint.
     pub(super) fn new(frontier: Point, view: Point) -> Self {
         Self { frontier, view, reached: None, looked: None }
     }
 
-    /// Whether the robot has looked at it, and what it saw has had this long to arrive.
+    /// Whether the robot has looked at it at least `arrives` ago, so that its tiles have arrived.
     pub(super) fn is_heard_of(&self, arrives: Duration, now: Instant) -> bool {
         self.looked.is_some_and(|looked| now.since(looked) >= arrives)
     }
 }
 
-/// A frontier that was looked at in vain, or that could not be reached.
+/// A frontier that could not be seen from a viewpoint, or not be reached.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tried {
     frontier: Point,
@@ -43,12 +43,12 @@ impl Tried {
         Self { frontier: target.frontier, view: target.view, until }
     }
 
-    /// Whether it is the frontier at this place, within a radius in metres.
+    /// Whether it is the frontier at this position, within a radius in metres.
     pub(super) fn is_of(&self, frontier: Point, radius_m: f64) -> bool {
         (self.frontier - frontier).norm() <= radius_m
     }
 
-    /// The places that count as the one it was looked at from, within a radius in metres.
+    /// The disc of viewpoints that count as the failed one, with a radius in metres.
     pub(super) fn views(&self, radius_m: f64) -> Disc {
         Disc { centre: self.view, radius: radius_m }
     }

@@ -1,4 +1,4 @@
-//! A robot's time in blind ground, where what it sees shows where it is.
+//! Localises a robot in blind ground by its distance vectors.
 
 use ubimap_protocol::{
     message::DistanceVector,
@@ -11,41 +11,41 @@ use crate::{
     server::shared_map::SharedMap,
 };
 
-/// What a robot drew counts for its own fixes once it is this old, in seconds: what it has just
-/// drawn can only agree with where it believes to be.
+/// Minimum age in seconds of a robot's own cells that are used to localise it: newer ones can only
+/// agree with its current estimate.
 const OWN_AGE: u32 = 30;
-/// How far a robot strays from its odometry after a metre or a radian, in millimetres and radians:
-/// standard deviations, whose squares grow with the way.
+/// Odometry drift per square root of a metre or radian: standard deviations in millimetres and
+/// radians.
 const STRAYS: (f64, f64) = (20.0, 0.0175);
-/// The longest way, in metres, that a robot is taken to have come, at 1 m/s, before it is first heard
-/// of in blind ground.
+/// Maximum distance in metres that a robot is assumed to have driven, at 1 m/s, before its first
+/// report from blind ground.
 const UNHEARD_M: f64 = 6.0;
 
 /// A robot's time out of view.
 #[derive(Debug)]
 pub(super) struct BlindTrip {
-    /// What it has seen since.
+    /// The surfaces that it has seen since.
     trail: Trail,
-    /// Where it believed to be last.
+    /// The pose that it last reported.
     last: Pose,
-    /// How far it has come and turned since its pose was known.
+    /// Distance and turn since its pose was last known.
     way_mm: f64,
     turned: f64,
 }
 
 impl BlindTrip {
-    /// A robot that has been out of view for a time and believes to be here.
+    /// Starts for a robot at `last` that has been out of view for `unseen`.
     pub(super) fn after(unseen: Duration, last: Pose) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
         Self { trail: Trail::default(), last, way_mm: 1_000.0 * metres, turned: 0.0 }
     }
 
-    /// It has just left the view and knows well where it is: what it sees from there is remembered.
+    /// Adds to the trail while the robot has just left the view and its pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
         self.trail.add(pose, points, resolution);
     }
 
-    /// Where the robot must be to see what it sees.
+    /// Finds the pose from which the robot sees the given points.
     pub(super) fn locate(
         &mut self,
         robot: RobotId,
@@ -59,7 +59,7 @@ impl BlindTrip {
         let reach = reach(points, search);
         let drawn = |id| {
             let mut tile = map.without(Some(robot), id);
-            // What it has seen on its way is finer than what it drew, and goes before.
+            // The trail is finer than the robot's own cells, and replaces them.
             if let Some(own) = own.filter(|_| !self.trail.has(id)) {
                 tile.fill_unknown_from(&own.drawn_by(id, settled));
             }
@@ -75,14 +75,14 @@ impl BlindTrip {
         found
     }
 
-    /// It believes to be somewhere else now. Returns where to look for it.
+    /// Moves on to the next reported pose. Returns the search range around it.
     fn go(&mut self, to: Pose) -> Search {
         let (x, y) = (to.x - self.last.x, to.y - self.last.y);
         self.way_mm += f64::from(x.0).hypot(f64::from(y.0));
         self.turned += (to.heading - self.last.heading).radians().abs();
         self.last = to;
         let (way, turned) = (self.way_mm / 1_000.0, self.turned);
-        // A robot that slips by 10 % and turns by 3 degrees on each metre is found again.
+        // Sufficient for a robot that slips by 10 % and turns by 3 degrees per metre.
         Search {
             position: Millimetres((200.0 + 100.0 * way).min(800.0) as i32),
             turn: Angle((800.0 + 500.0 * way).min(4_000.0) as u16),
@@ -94,7 +94,7 @@ impl BlindTrip {
     }
 }
 
-/// How far around a robot the map is looked at.
+/// Radius of the map around a robot that is needed for a search.
 pub(super) fn reach(points: &[[f64; 2]], search: Search) -> Millimetres {
     let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     Millimetres(farthest as i32 + search.position.0 + 300)

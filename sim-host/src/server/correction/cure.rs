@@ -1,5 +1,5 @@
-//! The cure of a robot's constant errors, step by step: the fixes are corrected, or the sensor's
-//! mounting on the robot; then what was drawn before is retired.
+//! The cure of a robot's constant errors in steps: first its fixes or its sensor's mounting are
+//! corrected, then its earlier tiles are retired.
 
 use ubimap_agent::Parameter;
 use ubimap_protocol::{
@@ -13,44 +13,44 @@ use ubimap_protocol::{
 
 use crate::{mapping::ConstantErrors, server::command::FIRST_OWN_NUMBER};
 
-/// How long a robot's filter takes to follow a correction of its fixes.
+/// Time for a robot's filter to follow a correction of its fixes.
 const SETTLING: Duration = Duration::from_secs(3);
-/// How far a robot's epochs may be ahead of those that the server has heard of: it begins one with
-/// each tile that leaves its pool.
+/// Margin for the epochs that a robot has used but the server has not seen: it starts one with each
+/// tile that leaves its pool.
 const EPOCHS_AHEAD: u32 = 4_096;
-/// The highest epoch that a robot is told to begin with.
+/// Maximum first epoch that a robot is given.
 const LAST_EPOCH: u32 = 1 << 30;
 
-/// How far a cure has come.
+/// The state of a cure.
 #[derive(Debug, Default)]
 pub(super) enum Cure {
     #[default]
     None,
-    /// An earlier life of the server left it where the robot's older epochs are to be retired.
+    /// An earlier life of the server ended before the robot's older epochs were retired.
     LeftOff,
-    /// The fixes are corrected; the robot's older epochs are retired when its filter has followed.
+    /// Fixes are corrected; the robot's older epochs are retired when its filter has followed.
     Settling(Instant),
-    /// The sensor's error is found. The angle is to be added.
+    /// The sensor's error is known; `turn` is to be added to its mounting.
     Found { turn: Angle },
-    /// The robot is asked how it believes its sensor to be mounted.
+    /// The robot was asked for its sensor's mounting.
     Asking { number: u16, turn: Angle },
-    /// It is told how.
+    /// The new mounting was sent to the robot.
     Mounting { number: u16, turn: Angle },
-    /// It is told to begin its tiles anew.
+    /// The robot was told to restart its tiles.
     Retiring { number: u16 },
 }
 
 /// A step of a cure.
 pub(super) enum CureStep {
-    /// The robot is to be told this.
+    /// Send this command to the robot.
     Tell(ParameterCommand),
-    /// Fixes are corrected from now on; the progress is to be kept.
+    /// Fixes are corrected from now on; store the progress.
     IdentifierCorrected,
-    /// The sensor's error was found, or the sensor is corrected; the progress is to be kept.
+    /// The sensor's error was found or corrected; store the progress.
     SensorCorrected,
-    /// The cure is over without effect.
+    /// The cure ended without effect.
     GiveUp,
-    /// The cure is over: the tiles of epochs below this one are void.
+    /// The cure is complete: tiles of epochs below this one are void.
     Retire(Epoch),
 }
 
@@ -91,7 +91,7 @@ impl Cure {
         Some(CureStep::Tell(ParameterCommand { number, action }))
     }
 
-    /// Takes the robot's answer to one of the cure's commands.
+    /// Handles the robot's answer to one of the cure's commands.
     pub(super) fn reported(
         &mut self,
         errors: &mut ConstantErrors,
@@ -125,7 +125,7 @@ impl Cure {
         }
     }
 
-    /// The robot does not take the parameter: everything begins again.
+    /// The robot refuses the parameter: starts again.
     fn give_up(&mut self, errors: &mut ConstantErrors) -> CureStep {
         *self = Self::None;
         errors.remounted(Angle(0));
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn with_a_robot_that_refuses_nothing_is_cured_and_the_cure_is_over() {
+    fn a_robot_that_refuses_parameters_ends_the_cure() {
         let turn = Angle::from_degrees(3.0);
         for mut cure in [Cure::Asking { number: 7, turn }, Cure::Mounting { number: 7, turn }] {
             let mut errors = ConstantErrors::default();

@@ -1,6 +1,5 @@
-//! What the server corrects in where robots are and what they draw, from their fixes and distance
-//! vectors: constant errors of identifiers and sensors, found on covered ground, and poses in blind
-//! ground, by a match with the map.
+//! Corrections from robots' fixes and distance vectors: constant errors of identifiers and sensors,
+//! estimated on covered ground, and poses in blind ground, matched with the map.
 
 mod blind;
 mod cure;
@@ -24,29 +23,29 @@ use crate::mapping::{ConstantErrors, CureRecord};
 #[derive(Debug, Default)]
 pub(super) struct Corrections {
     robots: BTreeMap<RobotId, RobotCorrection>,
-    /// Robots whose newest distance vector has not been looked at, each once, in turn.
+    /// Robots with an unprocessed distance vector, in order, each once.
     waiting: VecDeque<RobotId>,
-    /// Nothing is corrected, to compare.
+    /// Turned off for comparisons.
     are_off: bool,
 }
 
 impl Corrections {
-    /// Leaves constant errors as they are, and robots in blind ground without fixes.
+    /// Turns off the correction of constant errors and the fixes in blind ground.
     pub(super) fn turn_off(&mut self) {
         self.are_off = true;
     }
 
-    /// What has been found of a robot's constant errors.
+    /// The estimates of a robot's constant errors.
     pub(super) fn errors(&self, robot: RobotId) -> Option<&ConstantErrors> {
         self.robots.get(&robot).map(RobotCorrection::errors)
     }
 
-    /// Takes back what an earlier life of the server has done about a robot's errors.
+    /// Restores the corrections of an earlier life of the server.
     pub(super) fn restore(&mut self, record: &CureRecord) {
         self.robots.insert(record.robot, RobotCorrection::of(record));
     }
 
-    /// Takes where a camera saw a robot, and returns where it was.
+    /// Adds a camera fix of a robot; returns its corrected pose.
     pub(super) fn fix(&mut self, robot: RobotId, captured: Instant, seen: Pose) -> Pose {
         self.robots.entry(robot).or_default().fix(captured, seen)
     }
@@ -56,13 +55,12 @@ impl Corrections {
         self.waiting.pop_front()
     }
 
-    /// Whether [`Corrections::poll_waiting`] has one.
+    /// Whether [`Corrections::poll_waiting`] would return one.
     pub(super) fn has_waiting(&self) -> bool {
         !self.waiting.is_empty()
     }
 
-    /// Looks at a robot's newest distance vector. Takes about a millisecond, several in blind
-    /// ground.
+    /// Processes a robot's newest distance vector. Cost: about 1 ms, several in blind ground.
     pub(super) fn look(
         &mut self,
         session: &mut Session,
@@ -81,9 +79,8 @@ impl Corrections {
         }
     }
 
-    /// Takes what a robot has said: its newest distance vector is queued to be looked at, and its
-    /// parameter reports advance its cure, unless something holds that up. Returns the cure's
-    /// progress, if there is any.
+    /// Queues the robot's newest distance vector for processing, and advances its cure by its
+    /// parameter reports unless it must wait. Returns the cure's progress, if any.
     pub(super) fn advance(
         &mut self,
         session: &mut Session,

@@ -19,22 +19,20 @@ use crate::{
     timing::{FIX_GAP, FIX_HISTORY, OUT_OF_VIEW},
 };
 
-/// Where a robot in view is looked for: at most this far from where cameras see it.
+/// Search range for a robot in view, around the pose seen by cameras.
 const IN_VIEW: Search = Search {
     position: Millimetres(100),
     turn: Angle(2_600),
     prior: Prior::Measured(Millimetres(25)),
 };
-/// The shortest time from one distance vector that is looked at to the next: an agent sends one a
-/// second.
+/// Minimum interval between processed distance vectors of a robot; agents send one per second.
 const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 
-/// What the server makes of a distance vector.
+/// The result of a distance vector.
 pub(super) enum Finding {
-    /// It was taken in blind ground and fits the map in one place.
+    /// A unique match with the map in blind ground.
     Fix(PoseFix),
-    /// It was taken in view: how many of its points lie on what the cameras see, and how many lie
-    /// in free space.
+    /// In view: the number of points on surfaces that cameras see, and of those in free ground.
     Agreement(u32, u32),
 }
 
@@ -43,27 +41,27 @@ pub(super) enum Finding {
 pub(super) struct RobotCorrection {
     errors: ConstantErrors,
     cure: Cure,
-    /// Distance vectors up to this moment were taken before the last correction.
+    /// Distance vectors up to this time were taken before the last correction.
     corrected: Instant,
-    /// Where cameras saw it of late, corrected; newest last.
+    /// Recent camera fixes, corrected; newest last.
     fixes: VecDeque<(Instant, Pose)>,
     blind: Option<BlindTrip>,
     next_look: Instant,
 }
 
 impl RobotCorrection {
-    /// A robot of which no more is known than what was done about its errors.
+    /// Starts without measurements, from a stored record.
     pub(super) fn of(record: &CureRecord) -> Self {
         let cure = if record.is_over { Cure::None } else { Cure::LeftOff };
         Self { errors: ConstantErrors::of(record.cured), cure, ..Self::default() }
     }
 
-    /// What has been found of the robot's constant errors.
+    /// The estimates of the robot's constant errors.
     pub(super) fn errors(&self) -> &ConstantErrors {
         &self.errors
     }
 
-    /// Takes where a camera saw the robot, and returns where it was.
+    /// Adds a camera fix; returns the corrected pose.
     pub(super) fn fix(&mut self, captured: Instant, seen: Pose) -> Pose {
         if self.fixes.back().is_some_and(|&(newest, _)| captured <= newest) {
             return self.errors.corrected(seen);
@@ -75,7 +73,7 @@ impl RobotCorrection {
         pose
     }
 
-    /// Takes a distance vector of the robot. Takes some milliseconds.
+    /// Processes a distance vector of the robot. Cost: some milliseconds.
     pub(super) fn look(
         &mut self,
         robot: RobotId,
@@ -106,7 +104,7 @@ impl RobotCorrection {
         Some(Finding::Fix(fix_of(&found, vector.time)))
     }
 
-    /// Where cameras saw it at a moment.
+    /// The robot's pose at a given time, interpolated between camera fixes.
     fn seen_at(&self, moment: Instant) -> Option<Pose> {
         let after = self.fixes.iter().position(|&(fix, _)| fix >= moment)?;
         let (to, end) = self.fixes[after];
@@ -123,8 +121,8 @@ impl RobotCorrection {
         Some(Pose { x: mix(start.x, end.x), y: mix(start.y, end.y), heading: start.heading + turn })
     }
 
-    /// Compares what the robot sees from where cameras see it with what they see. A constant error
-    /// explains part of the difference; the rest is how well they agree.
+    /// Matches a distance vector from a known pose with what the cameras see. The rotation is a
+    /// measurement of the constant errors; the remaining difference decides how well they agree.
     fn compare(
         &mut self,
         points: &[[f64; 2]],
@@ -156,7 +154,7 @@ impl RobotCorrection {
         step
     }
 
-    /// Takes the robot's answer to a command of a cure.
+    /// Handles the robot's answer to a command of a cure.
     pub(super) fn reported(&mut self, report: &ParameterReport, now: Instant) -> Option<CureStep> {
         let step = self.cure.reported(&mut self.errors, report, now);
         if matches!(step, Some(CureStep::SensorCorrected)) {
@@ -166,8 +164,7 @@ impl RobotCorrection {
     }
 }
 
-/// A match with the map as a fix. The correlations between its deviations are left out, which makes
-/// these wider.
+/// Converts a map match to a fix. Omits the correlations, so the deviations are conservative.
 fn fix_of(found: &Match, time: Instant) -> PoseFix {
     let [x, y, heading] = found.deviations();
     // The casts saturate.

@@ -4,17 +4,17 @@ use std::collections::VecDeque;
 
 use ubimap_protocol::time::{Duration, Instant};
 
-/// The most bytes in any second.
+/// Maximum number of bytes in any second.
 const BYTES_PER_SECOND: u64 = 2_000;
-/// Room kept for one frame and a few fixes: anything that can wait does so until there is this much.
+/// Reserve for one frame and a few fixes: deferrable messages wait until this much is available.
 const FRAME: u64 = 400;
+/// The period of the budget.
 const SECOND: Duration = Duration::from_secs(1);
 
-/// What has been sent within the last second. Urgent messages are sent even beyond the budget, and
-/// are charged to it all the same.
+/// Bytes sent within the last second. Urgent messages are charged but may exceed the budget.
 #[derive(Debug)]
 pub(super) struct Budget {
-    /// Bytes that a robot gets on top once, when it joins.
+    /// One-time bonus in bytes when the robot joins.
     credit: u64,
     sent: VecDeque<(Instant, u64)>,
 }
@@ -26,8 +26,8 @@ impl Default for Budget {
 }
 
 impl Budget {
-    /// The first moment at which one more frame keeps within the budget, if nothing urgent is sent
-    /// before it.
+    /// The earliest time at which another frame is within the budget, if nothing urgent is sent
+    /// before.
     pub(super) fn ready_at(&self) -> Instant {
         let mut left = BYTES_PER_SECOND - FRAME;
         for &(moment, bytes) in self.sent.iter().rev() {

@@ -1,4 +1,4 @@
-//! The fixes of one robot on their way to it.
+//! Delivery of camera fixes to one robot.
 
 use ubimap_protocol::{
     message::{Certainty, FixSource, MAX_EARLIER_FIXES, PoseFix, ToRobot, Writer},
@@ -7,15 +7,15 @@ use ubimap_protocol::{
 
 use crate::camera::Sighting;
 
-/// The shortest time from one message with fixes to the next, however many cameras see the robot:
-/// each message carries the fixes before it as well.
+/// Minimum interval between messages with fixes, however many cameras see the robot: each message
+/// also carries earlier fixes.
 const INTERVAL: Duration = Duration::from_millis(60);
 
-/// What cameras saw of a robot, and where a match with the map found it.
+/// Fixes from cameras and from map matches.
 #[derive(Debug, Default)]
 pub(super) struct Fixes {
     newest_first: Vec<(Instant, Sighting)>,
-    /// Whether the newest has not been sent.
+    /// Whether the newest fix has not been sent.
     is_due: bool,
     next: Instant,
     /// A fix from a match with the map.
@@ -23,7 +23,7 @@ pub(super) struct Fixes {
 }
 
 impl Fixes {
-    /// Takes what a camera saw. A fix that is not newer than all before it is left out.
+    /// Adds a camera fix. Ignores one that is not newer than all before.
     pub(super) fn add(&mut self, moment: Instant, sighting: Sighting) {
         if self.newest_first.first().is_some_and(|&(newest, _)| newest >= moment) {
             return;
@@ -33,12 +33,12 @@ impl Fixes {
         self.is_due = true;
     }
 
-    /// Takes a fix from a match with the map.
+    /// Adds a fix from a match with the map.
     pub(super) fn add_matched(&mut self, fix: PoseFix) {
         self.matched = Some(fix);
     }
 
-    /// Whether there is one to be sent now.
+    /// Whether a fix can be sent now.
     pub(super) fn is_ready(&self, now: Instant) -> bool {
         self.is_camera_fix_ready(now) || self.matched.is_some()
     }
@@ -47,7 +47,7 @@ impl Fixes {
         self.is_due && self.next <= now
     }
 
-    /// Adds what is ready to a frame.
+    /// Adds the ready fixes to a frame.
     pub(super) fn write(&mut self, now: Instant, writer: &mut Writer<'_, ToRobot>) {
         if self.is_camera_fix_ready(now)
             && let Some((newest, earlier)) = self.newest_first.split_first()
@@ -64,18 +64,18 @@ impl Fixes {
         self.matched.take_if(|fix| writer.push(fix));
     }
 
-    /// When there is one to be sent.
+    /// When the next fix is due.
     pub(super) fn poll_timeout(&self, now: Instant) -> Option<Instant> {
         if self.matched.is_some() { Some(now) } else { self.is_due.then_some(self.next) }
     }
 
-    /// Messages that wait to be sent.
+    /// Number of messages waiting to be sent.
     pub(super) fn waiting(&self) -> usize {
         usize::from(self.is_due) + usize::from(self.matched.is_some())
     }
 }
 
-/// A certainty that holds for each of some fixes.
+/// The lowest certainty of several fixes.
 fn least_certain(fixes: &[(Instant, Sighting)]) -> Certainty {
     fixes.iter().fold(Certainty::default(), |least, (_, Sighting { certainty, .. })| Certainty {
         x: least.x.max(certainty.x),
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_said_of_several_fixes_holds_for_the_least_certain() {
+    fn the_certainty_of_a_message_is_that_of_its_least_certain_fix() {
         let of = |x, y, heading| {
             let certainty = Certainty { x, y, heading };
             let robot = Sighting::usual(RobotId(1), Pose::default());

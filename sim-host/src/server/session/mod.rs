@@ -1,4 +1,4 @@
-//! The server's end of a conversation with one robot: a file for each subject.
+//! The server's side of the conversation with one robot: one file per subject.
 
 mod budget;
 mod fixes;
@@ -33,7 +33,7 @@ use self::{
 use super::{command::Command, snapshot::Snapshot};
 use crate::{camera::Sighting, timing::ROBOT_UNREACHABLE};
 
-/// Reliable frames in flight to one robot.
+/// Maximum number of reliable frames in flight to one robot.
 const WINDOW: usize = 16;
 
 pub(super) type Link = Endpoint<ToRobot, u16, WINDOW, MAX_FRAME>;
@@ -42,9 +42,9 @@ pub(super) type Link = Endpoint<ToRobot, u16, WINDOW, MAX_FRAME>;
 #[derive(Debug)]
 pub(super) struct Session {
     robot: RobotId,
-    /// The nonce of the hello that it answers.
+    /// The nonce of the Hello that opened it.
     nonce: u32,
-    /// When anything was last heard in it.
+    /// When the last frame of the session was received.
     heard: Instant,
     said: Said,
     fixes: Fixes,
@@ -55,9 +55,9 @@ pub(super) struct Session {
     budget: Budget,
 }
 
-/// What came in.
+/// Input.
 impl Session {
-    /// The session that a hello begins.
+    /// Opens the session that a Hello asks for.
     pub(super) fn new(hello: &Hello, now: Instant) -> Self {
         Self {
             robot: hello.robot,
@@ -73,7 +73,7 @@ impl Session {
         }
     }
 
-    /// Takes over from an earlier session of the same robot: commands, and what it has reported.
+    /// Takes over commands and reports from an earlier session of the same robot.
     pub(super) fn continue_from(&mut self, earlier: Self) {
         self.said.continue_from(earlier.said);
         self.orders.continue_from(earlier.orders);
@@ -83,17 +83,17 @@ impl Session {
         self.robot
     }
 
-    /// Whether it answers this hello.
+    /// Whether it was opened by this Hello.
     pub(super) fn answers(&self, hello: &Hello) -> bool {
         self.robot == hello.robot && self.nonce == hello.nonce
     }
 
-    /// Something of the robot has come in.
+    /// Records that a frame of the session was received.
     pub(super) fn hear(&mut self, now: Instant) {
         self.heard = now;
     }
 
-    /// How long nothing has come in.
+    /// Time since the last frame of the session.
     pub(super) fn silent_for(&self, now: Instant) -> Duration {
         now.since(self.heard)
     }
@@ -125,40 +125,40 @@ impl Session {
         self.said.add_vector(vector);
     }
 
-    /// The robot's window has moved.
+    /// Moves the window of tiles that the robot wants.
     pub(super) fn interested(&mut self, interest: Interest) {
         self.tiles.move_window(interest);
     }
 
-    /// The robot lacks tiles of the server's.
+    /// Handles a robot's request for tiles of the server.
     pub(super) fn requested(&mut self, request: &Request) {
         self.tiles.requested(request);
     }
 
-    /// The robot has acknowledged a frame, by its token.
+    /// Handles the acknowledgement of a frame, given by its token.
     pub(super) fn acknowledged(&mut self, frame: u16) {
         self.tiles.acknowledged(frame);
     }
 
-    /// What the robot has said.
+    /// The robot's reports.
     pub(super) fn said(&self) -> &Said {
         &self.said
     }
 
-    /// The same, to take what is read once.
+    /// The robot's reports, to take those that are read once.
     pub(super) fn said_mut(&mut self) -> &mut Said {
         &mut self.said
     }
 }
 
-/// What is to go out.
+/// Output.
 impl Session {
-    /// Adds a fix by a camera.
+    /// Adds a camera fix.
     pub(super) fn fix(&mut self, moment: Instant, sighting: Sighting) {
         self.fixes.add(moment, sighting);
     }
 
-    /// Adds a fix by a match with the map.
+    /// Adds a fix from a match with the map.
     pub(super) fn matched(&mut self, fix: PoseFix) {
         self.fixes.add_matched(fix);
     }
@@ -168,22 +168,22 @@ impl Session {
         self.orders.add(command);
     }
 
-    /// A state of one of the robot's tiles is on disk.
+    /// Records that a state of one of the robot's tiles is on disk.
     pub(super) fn stored(&mut self, id: TileId, stamp: Stamp) {
         self.replies.stored(id, stamp);
     }
 
-    /// Asks the robot for one of its tiles.
+    /// Requests one of the robot's tiles.
     pub(super) fn ask_for(&mut self, id: TileId) {
         self.replies.missing(id);
     }
 
-    /// Whether something waits that goes before frames that are sent again: a pose, a stop.
+    /// Whether a message waits that goes before retransmissions: a fix or a Stop.
     pub(super) fn is_urgent(&self, now: Instant) -> bool {
         self.fixes.is_ready(now) || self.orders.is_urgent()
     }
 
-    /// Puts what is due into a frame: first what is urgent or soon stale.
+    /// Fills a frame with due messages: urgent and short-lived ones first.
     pub(super) fn fill(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -206,7 +206,7 @@ impl Session {
         if is_affordable { self.tiles.write(snapshot, now, writer) } else { Fill::Nothing }
     }
 
-    /// Adds messages of which only the newest counts, so that they are never sent again.
+    /// Adds messages that are superseded by newer ones, and are therefore never retransmitted.
     fn write_newest(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -224,12 +224,12 @@ impl Session {
         }
     }
 
-    /// A frame of this length was sent.
+    /// Charges a sent frame of `bytes` bytes to the budget.
     pub(super) fn sent(&mut self, bytes: usize, now: Instant) {
         self.budget.spend(bytes as u64, now);
     }
 
-    /// When there is something to send.
+    /// When the next frame is due.
     pub(super) fn poll_timeout(
         &self,
         snapshot: &Snapshot<'_>,
@@ -248,17 +248,17 @@ impl Session {
         affordable.into_iter().chain(self.fixes.poll_timeout(now)).min()
     }
 
-    /// Messages that wait to be sent, tiles and news aside: only their newest state is sent.
+    /// Number of messages waiting to be sent, without tiles and news.
     pub(super) fn waiting(&self) -> usize {
         self.fixes.waiting() + self.replies.waiting() + self.orders.waiting()
     }
 
-    /// Peers and obstacles that messages had no room for, counted each time.
+    /// Number of peers and obstacles left out of messages, counted per message.
     pub(super) fn left_out(&self) -> u64 {
         self.news.left_out()
     }
 
-    /// Whether the robot has acknowledged the newest state of every fused tile that it wants.
+    /// Whether the robot has acknowledged the newest state of every fused tile in its window.
     pub(super) fn is_level(&self, snapshot: &Snapshot<'_>) -> bool {
         self.tiles.is_level(snapshot)
     }

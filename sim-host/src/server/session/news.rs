@@ -1,4 +1,5 @@
-//! Peers and obstacles on their way to one robot: only the newest list is sent, and never again.
+//! Delivery of peers and obstacles to one robot: only the newest list is sent, without
+//! retransmission.
 
 use std::ops::RangeInclusive;
 
@@ -10,39 +11,39 @@ use ubimap_protocol::{
 
 use crate::server::surroundings::Surroundings;
 
-/// The shortest time from one list of a kind to the next.
+/// Minimum interval between lists of one kind.
 const INTERVAL: Duration = Duration::from_millis(200);
-/// The rate of lists, which leaves most of the budget to tiles.
+/// Average rate of lists in bytes per second, which leaves most of the budget for tiles.
 const BYTES_PER_SECOND: u64 = 600;
 
-/// What one robot has been told.
+/// The lists sent to one robot.
 #[derive(Debug, Default)]
 pub(super) struct News {
     peers: Told,
     obstacles: Told,
-    /// When the lists sent so far are paid for at that rate.
+    /// When the lists sent so far are within that rate.
     ready_at: Instant,
     left_out: u64,
 }
 
-/// The newest list of a kind that was sent.
+/// The last list of a kind that was sent.
 #[derive(Debug, Default)]
 struct Told {
-    /// Its moment.
+    /// The time of its positions.
     moment: Option<Instant>,
-    /// Whether there was anything in it.
+    /// Whether it had any elements.
     any: bool,
-    /// When the next one may follow.
+    /// The earliest time for the next one.
     next: Instant,
 }
 
 impl News {
-    /// Peers and obstacles that lists had no room for, counted each time.
+    /// Number of peers and obstacles left out of lists, counted per list.
     pub(super) fn left_out(&self) -> u64 {
         self.left_out
     }
 
-    /// When there is something to tell.
+    /// When the next list is due.
     pub(super) fn poll_timeout(&self, about: &Surroundings, robot: RobotId) -> Option<Instant> {
         let peers = self.peers.due(about.peers_moment(robot));
         let obstacles = self.obstacles.due(Some(about.obstacles_moment()));
@@ -50,7 +51,7 @@ impl News {
         Some(due.max(self.ready_at))
     }
 
-    /// Adds the lists that are due. A list is truncated only if it has a frame to itself.
+    /// Adds the due lists. A list is truncated only if it has a frame to itself.
     pub(super) fn fill(
         &mut self,
         about: &Surroundings,
@@ -89,14 +90,14 @@ impl News {
 }
 
 impl Told {
-    /// When a list of this moment may be sent, if it is newer than the last one.
+    /// When a list of this time may be sent; `None` if it is not newer than the last one.
     fn due(&self, moment: Option<Instant>) -> Option<Instant> {
         moment.filter(|moment| Some(*moment) > self.moment).map(|_| self.next)
     }
 
-    /// Sends a list of `longest` elements, or as much of its beginning as fits; an empty one only
-    /// after one that was not. `push` tries lengths, and returns the one that fitted. Returns the
-    /// length that was sent; `None` if the list waits for a frame to itself.
+    /// Sends a list of up to `longest` elements, truncated to fit if `alone`; an empty one only
+    /// after one with elements. `push` tries the given lengths and returns the one that fits.
+    /// Returns the number of elements sent; `None` if the list waits for a frame to itself.
     fn tell(
         &mut self,
         moment: Instant,
@@ -125,13 +126,13 @@ mod tests {
         Instant(second * 1_000_000)
     }
 
-    /// Robots 1 to `robots`, as many metres to the east of a place far away.
+    /// Robots 1 to `robots`, at 1 m intervals to the east of a distant point.
     fn saw(about: &mut Surroundings, robots: u16, at: Instant) {
         let pose = |robot: u16| Pose::from_metres(200_000.0 + f64::from(robot), 0.0, 0.0);
         (1..=robots).for_each(|robot| about.robot(RobotId(robot), at, pose(robot)));
     }
 
-    /// The robots that the next frame with so much room tells of, if it tells anything.
+    /// The robots listed in the next frame of the given size, if it has a list.
     fn told(
         news: &mut News,
         about: &Surroundings,
@@ -149,11 +150,15 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_are_told_and_the_others_counted() {
+    fn the_nearest_are_sent_and_the_others_counted() {
         let (mut news, mut about) = (News::default(), Surroundings::default());
         saw(&mut about, 30, second(1));
-        assert_eq!(told(&mut news, &about, second(1), 60, false), None, "beside other messages");
-        // Of those within 8 m, in the order of their distance.
+        assert_eq!(
+            told(&mut news, &about, second(1), 60, false),
+            None,
+            "with other messages in the frame"
+        );
+        // All within 8 m, by distance.
         let near = vec![2, 3, 4, 5, 6, 7, 8, 9];
         assert_eq!(told(&mut news, &about, second(1), 242, true), Some(near));
         assert_eq!(news.left_out(), 0);
@@ -162,11 +167,11 @@ mod tests {
         assert_eq!(news.left_out(), 7);
         saw(&mut about, 30, second(3));
         assert_eq!(told(&mut news, &about, second(3), 10, true), None);
-        assert_eq!(news.left_out(), 15, "nothing had room, and that is counted");
+        assert_eq!(news.left_out(), 15, "peers left out are counted");
     }
 
     #[test]
-    fn the_newest_state_alone_is_told_and_an_empty_one_once() {
+    fn only_the_newest_list_is_sent_and_an_empty_one_once() {
         let (mut news, mut about) = (News::default(), Surroundings::default());
         let tell = |news: &mut News, about: &Surroundings, millis: u64| {
             told(news, about, Instant(millis * 1_000), 242, true)
@@ -180,7 +185,7 @@ mod tests {
         assert_eq!(due, Instant(1_200_000));
         assert_eq!(tell(&mut news, &about, 1_200), Some(vec![2, 3]));
         assert_eq!(news.poll_timeout(&about, ME), None);
-        // Robot 9 is far off, and of the others nothing is heard any more.
+        // Robot 9 is far away, and the others' poses are stale.
         let far = Pose::from_metres(0.0, 0.0, 0.0);
         about.robot(RobotId(9), second(5), far);
         assert_eq!(tell(&mut news, &about, 5_000), Some(vec![]));
@@ -190,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn long_lists_come_less_often() {
+    fn long_lists_are_sent_less_often() {
         let (mut news, mut about) = (News::default(), Surroundings::default());
         let mut bytes = 0;
         for step in 0..1_000 {

@@ -1,4 +1,4 @@
-//! Commands on their way to one robot.
+//! Delivery of commands to one robot.
 
 use std::collections::VecDeque;
 
@@ -6,20 +6,19 @@ use ubimap_protocol::message::{ParameterCommand, ToRobot, Writer};
 
 use crate::server::command::Command;
 
-/// Commands that wait to be sent, those that hold, and the one that waits for its answer.
+/// Waiting commands, those in force, and the one waiting for its answer.
 #[derive(Debug, Default)]
 pub(super) struct Orders {
     /// Commands that have not been sent, in order.
     waiting: VecDeque<Command>,
-    /// The newest of each command that holds until it is replaced: a new session repeats them.
+    /// The newest command of each kind that stays in force: a new session repeats them.
     standing: Vec<Command>,
-    /// The parameter command that was sent and is not answered yet. A robot answers only the
-    /// newest, so the next one waits.
+    /// The parameter command in progress. A robot answers only the newest one, so the next waits.
     asked: Option<ParameterCommand>,
 }
 
 impl Orders {
-    /// Adds a command. One of its kind that has not been sent is replaced.
+    /// Adds a command. Replaces an unsent one of its kind.
     pub(super) fn add(&mut self, command: Command) {
         self.waiting.retain(|waiting| !waiting.is_replaced_by(&command));
         if command.stands() {
@@ -33,8 +32,8 @@ impl Orders {
         }
     }
 
-    /// Takes over from an earlier session of the robot: commands that hold, the one that was not
-    /// answered, and those that were not sent.
+    /// Takes over from an earlier session of the robot: commands in force, unanswered and unsent
+    /// ones.
     pub(super) fn continue_from(&mut self, earlier: Self) {
         let asked = earlier.asked.map(Command::Parameter);
         for command in earlier.standing.into_iter().chain(asked).chain(earlier.waiting) {
@@ -42,7 +41,7 @@ impl Orders {
         }
     }
 
-    /// The robot has answered a parameter command.
+    /// Handles the answer to a parameter command.
     pub(super) fn answered(&mut self, number: u16) {
         self.asked.take_if(|asked| asked.number == number);
     }
@@ -72,7 +71,7 @@ impl Orders {
         true
     }
 
-    /// Whether there is a command to be sent now.
+    /// Whether a command can be sent now.
     pub(super) fn is_ready(&self) -> bool {
         self.next().is_some()
     }
@@ -83,7 +82,7 @@ impl Orders {
         self.waiting.iter().position(|command| !waits(command))
     }
 
-    /// Commands that wait to be sent.
+    /// Number of commands waiting to be sent.
     pub(super) fn waiting(&self) -> usize {
         self.waiting.len()
     }

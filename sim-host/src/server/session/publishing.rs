@@ -1,4 +1,4 @@
-//! One of the server's layers on its way to one robot: what the robot holds, and what is due.
+//! Publishing of one of the server's layers to one robot: which tiles it holds, and which are due.
 
 use std::collections::BTreeMap;
 
@@ -13,41 +13,41 @@ use ubimap_protocol::{
 
 use crate::server::snapshot::Snapshot;
 
-/// From one message with digests of a few tiles to the next.
+/// Interval between messages with digests of a few tiles.
 const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
-/// The time in which all coverage tiles are confirmed once.
+/// Period in which all coverage tiles are confirmed once.
 const CONFIRM_INTERVAL: Duration = Duration::from_millis(250);
-/// A tile is confirmed if the robot holds what was the newest this long ago: a newer update is in
-/// flight.
+/// A tile is confirmed if the robot holds the state that was the newest at most this long ago: a
+/// newer update may be in flight.
 const CONFIRM_DELAY: Duration = Duration::from_millis(500);
 
-/// What a robot holds of one layer.
+/// The tiles of one layer that a robot holds.
 #[derive(Debug)]
 pub(super) struct Publishing {
     layer: Layer,
-    /// How long changes of a tile are gathered.
+    /// Minimum interval between updates of a tile, in which changes are gathered.
     hold: Duration,
     tiles: BTreeMap<TileId, Published>,
     /// The tile whose digest was sent last, and when the next ones are due.
     digested: Option<TileId>,
     next_digests: Instant,
-    /// The index within the window of the tile to be confirmed next, and when.
+    /// Index within the window of the next tile to confirm, and when.
     confirmed: u16,
     next_confirmation: Instant,
 }
 
-/// What a robot holds of one tile.
+/// The state of one tile on the robot.
 #[derive(Debug, Default)]
 struct Published {
     publication: Publication,
     /// When it was last sent.
     sent: Option<Instant>,
-    /// When the state that the robot has acknowledged was last the newest.
+    /// When the state acknowledged by the robot was last the newest.
     newest: Option<Instant>,
 }
 
 impl Publishing {
-    /// A robot that holds nothing.
+    /// Starts with a robot that holds no tiles.
     pub(super) fn new(layer: Layer, hold: Duration, now: Instant) -> Self {
         Self {
             layer,
@@ -60,13 +60,13 @@ impl Publishing {
         }
     }
 
-    /// The robot has dropped the tiles for which `kept` is false.
+    /// Forgets the tiles that the robot has dropped: those for which `kept` is false.
     pub(super) fn retain(&mut self, kept: impl Fn(TileId) -> bool) {
         self.tiles.retain(|&id, _| kept(id));
     }
 
-    /// The robot could not read an update: that tile, and all that travelled with it, is sent
-    /// whole.
+    /// Handles a request for tiles that the robot could not decode: sends them, and all tiles of
+    /// the same frames, in full.
     pub(super) fn requested(&mut self, request: &Request) {
         for id in &request.tiles {
             let Some(one) = self.tiles.get(id).map(|tile| tile.publication.clone()) else {
@@ -88,9 +88,9 @@ impl Publishing {
         }
     }
 
-    /// Adds tile updates, one tile to a message: a robot that has dropped a tile can't read what
-    /// follows it in the same message. Tiles that were sent longest ago go first. `empty` is the
-    /// length of the frame before the first tile. Returns whether everything due had room.
+    /// Adds tile updates, one tile per message: a robot that has dropped a tile can't decode the
+    /// rest of its message. Least recently sent tiles go first. `empty` is the length of the frame
+    /// before the first tile. Returns whether all due tiles fit.
     pub(super) fn fill(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -148,8 +148,8 @@ impl Publishing {
             .min()
     }
 
-    /// When there is something to send of a tile. One that has changed and changed back has a new
-    /// version all the same.
+    /// When an update of a tile is due, if it has changed. A tile that has changed and changed back
+    /// counts, because its version is new.
     fn due(&self, id: TileId, version: Version, tile: &Tile) -> Option<Instant> {
         let Some(Published { publication, sent, .. }) = self.tiles.get(&id) else {
             return Some(Instant(0));
@@ -160,7 +160,7 @@ impl Publishing {
         more.then(|| waits.map_or(Instant(0), |sent| sent + self.hold))
     }
 
-    /// Whether the robot has acknowledged the newest state of every tile that it wants.
+    /// Whether the robot has acknowledged the newest state of every tile in its window.
     pub(super) fn is_level(&self, snapshot: &Snapshot<'_>, interest: &Interest) -> bool {
         snapshot
             .layer(self.layer)
@@ -177,7 +177,7 @@ impl Publishing {
         self.next_digests
     }
 
-    /// Adds the digests of the next few tiles that the robot should hold, if they are due.
+    /// Adds the digests of the next few tiles that the robot should hold, if due.
     pub(super) fn fill_digests(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -201,7 +201,7 @@ impl Publishing {
                 hash: tile_hash(tile),
             })
             .collect();
-        // As many as fit.
+        // Up to the number that fits.
         let told = writer.push_longest(1..=tiles.len(), |count| {
             let tiles = tiles[..count].iter().copied().collect();
             Digests { layer: self.layer, tiles }
@@ -209,7 +209,7 @@ impl Publishing {
         self.digested = told.map(|count| tiles[count - 1].id);
     }
 
-    /// When tiles are to be confirmed, if there are any.
+    /// When the next confirmation is due; `None` if there are no tiles.
     pub(super) fn next_confirmation(
         &self,
         snapshot: &Snapshot<'_>,
@@ -218,8 +218,8 @@ impl Publishing {
         snapshot.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
     }
 
-    /// Adds the confirmation of tiles that the robot holds as they were a moment ago. A window too
-    /// large for one message is confirmed in parts.
+    /// Adds the confirmation of tiles whose state on the robot was recently the newest. A window
+    /// too large for one message is confirmed in parts.
     pub(super) fn fill_confirmation(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -242,7 +242,7 @@ impl Publishing {
         let most = (8 * MAX_FRESH_BYTES).min(8 * writer.room().saturating_sub(12).max(1));
         for (index, id) in interest.ids().skip(first.into()).take(most).enumerate() {
             if self.tiles.get(&id).is_some_and(|tile| tile.newest >= Some(time)) {
-                // There is room for `most` of them.
+                // The capacity is sufficient for `most` bits.
                 let _ = tiles.resize(index / 8 + 1, 0);
                 tiles[index / 8] |= 1 << (index % 8);
             }
@@ -256,7 +256,7 @@ impl Publishing {
         let rounds = u64::from(all).div_ceil(most as u64).max(1);
         self.next_confirmation = now + Duration(CONFIRM_INTERVAL.micros() / rounds);
         if !freshness.tiles.is_empty() {
-            // If it does not fit, the next one confirms these tiles.
+            // If it does not fit, a later message confirms these tiles.
             let _ = writer.push(&freshness);
         }
     }

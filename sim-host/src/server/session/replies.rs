@@ -1,4 +1,4 @@
-//! What one robot is answered: the time, what is stored of its tiles, and which of them are missing.
+//! Replies to one robot: the time, stored tiles, and requests for missing tiles.
 
 use std::collections::BTreeMap;
 
@@ -8,46 +8,46 @@ use ubimap_protocol::{
     time::Instant,
 };
 
-/// Replies of one kind that wait for one robot, at the most. An agent causes far fewer.
-const MOST_WAITING: usize = 256;
+/// Maximum number of waiting replies of one kind; a working agent causes far fewer.
+const MAX_WAITING: usize = 256;
 
-/// Replies that wait to be sent.
+/// Replies waiting to be sent.
 #[derive(Debug, Default)]
 pub(super) struct Replies {
-    /// Nonces of time requests, and when each was received.
+    /// Nonces of time requests, with their time of reception.
     times: Vec<(u16, Instant)>,
-    /// States of the robot's tiles that are on disk and that it has not been told of.
+    /// Stored states of the robot's tiles that have not been acknowledged to it.
     stored: Vec<(TileId, Stamp)>,
-    /// The newest state of each tile that was put there.
+    /// The newest state of each tile ever added to `stored`.
     newest_stored: BTreeMap<TileId, Stamp>,
-    /// Tiles of the robot's layer to ask for.
+    /// Tiles of the robot's layer to request.
     missing: Vec<TileId>,
 }
 
 impl Replies {
-    /// The robot asked for the time. Beyond a bound requests are dropped: it asks again.
+    /// Queues the answer to a time request. Excess requests are dropped; the robot repeats them.
     pub(super) fn time(&mut self, nonce: u16, received: Instant) {
-        if self.times.len() < MOST_WAITING {
+        if self.times.len() < MAX_WAITING {
             self.times.push((nonce, received));
         }
     }
 
-    /// A state of a tile is on disk. The robot is told once in a session.
+    /// Queues the notice that a tile's state is on disk, once per session and state.
     pub(super) fn stored(&mut self, id: TileId, stamp: Stamp) {
         if self.newest_stored.insert(id, stamp) != Some(stamp) {
             self.stored.push((id, stamp));
         }
     }
 
-    /// A tile of the robot is missing, or not as the robot says. Beyond a bound tiles are dropped:
-    /// the robot's digests bring them up again.
+    /// Queues a request for a robot's tile that is missing or differs. Excess requests are dropped;
+    /// the robot's digests cause them again.
     pub(super) fn missing(&mut self, id: TileId) {
-        if self.missing.len() < MOST_WAITING && !self.missing.contains(&id) {
+        if self.missing.len() < MAX_WAITING && !self.missing.contains(&id) {
             self.missing.push(id);
         }
     }
 
-    /// Adds the replies to time requests to a frame.
+    /// Adds the answers to time requests to a frame.
     pub(super) fn write_times(&mut self, now: Instant, writer: &mut Writer<'_, ToRobot>) {
         while let Some(&(nonce, received)) = self.times.first() {
             let held_micros = now.since(received).micros() as u32;
@@ -59,8 +59,7 @@ impl Replies {
         }
     }
 
-    /// Adds to a reliable frame which tiles are stored, or which are missing. Returns whether it
-    /// did.
+    /// Adds stored or missing tiles to a reliable frame. Returns whether it did.
     pub(super) fn write_reliable(&mut self, writer: &mut Writer<'_, ToRobot>) -> bool {
         let stored = writer.push_longest(1..=self.stored.len().min(MAX_STORED), |count| Stored {
             tiles: self.stored[..count].iter().copied().collect(),
@@ -76,17 +75,17 @@ impl Replies {
         missing.map(|count| self.missing.drain(..count)).is_some()
     }
 
-    /// Whether the time is to be told.
+    /// Whether a time request waits for its answer.
     pub(super) fn has_times(&self) -> bool {
         !self.times.is_empty()
     }
 
-    /// Whether [`Replies::write_reliable`] has something.
+    /// Whether [`Replies::write_reliable`] would add anything.
     pub(super) fn has_reliable(&self) -> bool {
         !self.stored.is_empty() || !self.missing.is_empty()
     }
 
-    /// Replies that wait to be sent.
+    /// Number of replies waiting to be sent.
     pub(super) fn waiting(&self) -> usize {
         self.times.len() + self.stored.len() + self.missing.len()
     }

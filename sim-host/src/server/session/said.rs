@@ -1,4 +1,4 @@
-//! What one robot has said of itself in its session.
+//! A robot's reports in its session.
 
 use ubimap_protocol::{
     message::{DistanceVector, Event, ParameterReport, State},
@@ -7,7 +7,7 @@ use ubimap_protocol::{
 
 use crate::server::{command, events::EventLog};
 
-/// The newest of everything, and counts.
+/// The newest report of each kind, and counts.
 #[derive(Debug, Default)]
 pub(crate) struct Said {
     state: Option<State>,
@@ -15,11 +15,11 @@ pub(crate) struct Said {
     time_requests: u32,
     /// The answer to the newest parameter command of a user.
     parameters: Option<ParameterReport>,
-    /// The answer to the newest parameter command of the server, until it is taken.
+    /// The answer to the server's newest parameter command, until it is taken.
     own_parameters: Option<ParameterReport>,
     vector: Option<DistanceVector>,
     vectors: u32,
-    /// The distance vector that came last, until it is taken.
+    /// The last received distance vector, until it is taken.
     new_vector: Option<DistanceVector>,
 }
 
@@ -50,7 +50,7 @@ impl Said {
         }
     }
 
-    /// Takes a distance vector; they may overtake one another.
+    /// Adds a distance vector; they may arrive out of order.
     pub(super) fn add_vector(&mut self, vector: DistanceVector) {
         self.vectors = self.vectors.saturating_add(1);
         self.new_vector = Some(vector.clone());
@@ -59,17 +59,17 @@ impl Said {
         }
     }
 
-    /// The distance vector that came last, once.
+    /// Takes the last received distance vector.
     pub(crate) fn take_vector(&mut self) -> Option<DistanceVector> {
         self.new_vector.take()
     }
 
-    /// Whether [`Said::take_vector`] has one.
+    /// Whether [`Said::take_vector`] would return one.
     pub(crate) fn has_vector(&self) -> bool {
         self.new_vector.is_some()
     }
 
-    /// The answer to the server's own parameter command, once.
+    /// Takes the answer to the server's own parameter command.
     pub(crate) fn take_own_parameters(&mut self) -> Option<ParameterReport> {
         self.own_parameters.take()
     }
@@ -90,7 +90,7 @@ impl Said {
         self.parameters.as_ref()
     }
 
-    /// The newest distance vector, and how many have come.
+    /// The newest distance vector, and the number received.
     pub(crate) fn vectors(&self) -> (Option<&DistanceVector>, u32) {
         (self.vector.as_ref(), self.vectors)
     }

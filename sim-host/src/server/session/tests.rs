@@ -17,7 +17,7 @@ fn window(number: u32, west: i16) -> Interest {
     Interest { number, from, to: TileId { x: west + 1, y: 1 } }
 }
 
-/// Nothing but a fused layer.
+/// A snapshot with only a fused layer.
 fn snapshot(fused: &ServedLayer) -> Snapshot<'_> {
     let (coverage, surroundings) = Box::leak(Box::default());
     Snapshot { epoch: Epoch(1), fused, coverage, surroundings }
@@ -37,7 +37,7 @@ fn new_session() -> Session {
     Session::new(&hello, Instant(0))
 }
 
-/// Sends what is due, and has it acknowledged.
+/// Sends the due frame and acknowledges it.
 fn tell(session: &mut Session, fused: &ServedLayer, now: Instant) {
     let mut buffer = [0u8; 200];
     let mut writer = Writer::new(&mut buffer);
@@ -56,7 +56,7 @@ fn level(fused: &ServedLayer) -> Session {
 }
 
 #[test]
-fn what_is_long_is_cut_to_a_small_frame() {
+fn long_messages_are_cut_to_small_frames() {
     let mut session = new_session();
     let far = Sighting::usual(RobotId(1), Pose::from_metres(-900.0, 900.0, 3.0));
     (0..4).for_each(|hour| session.fix(Instant((hour + 1) * 3_600_000_000), far));
@@ -68,14 +68,14 @@ fn what_is_long_is_cut_to_a_small_frame() {
         let mut buffer = [0u8; 24];
         let mut writer = Writer::new(&mut buffer);
         let filled = session.fill(&snapshot(&fused), now, &mut writer, true);
-        assert!(!writer.is_empty(), "{filled:?} stands still");
+        assert!(!writer.is_empty(), "{filled:?} makes no progress");
         frames += 1;
     }
-    assert_eq!(frames, 1 + 3, "one with a fix, and three tiles in each of the others");
+    assert_eq!(frames, 1 + 3, "one frame with a fix, three with tiles");
 }
 
 #[test]
-fn in_small_frames_the_digests_of_all_tiles_take_turns() {
+fn digests_rotate_through_all_tiles_in_small_frames() {
     let mut tile = Tile::UNKNOWN;
     tile.set(3, 3, Cell::Free);
     let mut fused = ServedLayer::default();
@@ -99,7 +99,7 @@ fn in_small_frames_the_digests_of_all_tiles_take_turns() {
 }
 
 #[test]
-fn a_tile_that_has_changed_back_is_sent_for_its_version() {
+fn a_tile_that_changed_back_is_sent_for_its_version() {
     let mut fused = ServedLayer::default();
     let (mut tile, mut other) = (Tile::UNKNOWN, Tile::UNKNOWN);
     tile.set(3, 3, Cell::Free);
@@ -112,22 +112,22 @@ fn a_tile_that_has_changed_back_is_sent_for_its_version() {
 }
 
 #[test]
-fn what_a_window_that_was_never_heard_of_left_out_is_sent_again() {
+fn tiles_are_sent_again_after_a_lost_window() {
     let mut tile = Tile::UNKNOWN;
     tile.set(3, 3, Cell::Free);
     let mut fused = ServedLayer::default();
     fused.set(ID, tile);
     let mut session = level(&fused);
     session.interested(window(2, 1));
-    assert!(session.is_level(&snapshot(&fused)), "it has kept the tile");
-    // The third window may have been elsewhere.
+    assert!(session.is_level(&snapshot(&fused)), "the robot kept the tile");
+    // The lost third window may not have included the tile.
     session.interested(window(4, 0));
     assert!(!session.is_level(&snapshot(&fused)));
     assert!(session.poll_timeout(&snapshot(&fused), true, Instant(0)).is_some());
 }
 
 #[test]
-fn many_cameras_make_no_more_messages() {
+fn more_cameras_cause_no_more_messages() {
     let mut session = new_session();
     let fused = ServedLayer::default();
     let mut sent = Vec::new();
@@ -148,11 +148,11 @@ fn many_cameras_make_no_more_messages() {
     }
     assert!(sent.len() <= 17, "{}", sent.len());
     let told: BTreeSet<Instant> = sent.into_iter().flatten().collect();
-    assert_eq!(told.len(), 49, "all of fifty but the newest");
+    assert_eq!(told.len(), 49, "all of the fifty except the newest");
 }
 
 #[test]
-fn coverage_is_confirmed_while_the_robot_holds_it() {
+fn coverage_is_confirmed_while_the_robot_has_it() {
     let mut tile = Tile::UNKNOWN;
     tile.set(3, 3, Cell::Free);
     let (fused, mut coverage) = (ServedLayer::default(), ServedLayer::default());
@@ -160,7 +160,7 @@ fn coverage_is_confirmed_while_the_robot_holds_it() {
     let surroundings = Surroundings::default();
     let mut session = new_session();
     session.interested(window(1, 0));
-    // The tiles that are confirmed until then, and by when; frames with tiles get lost if so.
+    // The time of the last confirmation until `until`; frames with tiles are lost if `lost`.
     let mut confirmed = |coverage: &ServedLayer, until: u64, lost: bool| {
         let snapshot =
             Snapshot { epoch: Epoch(1), fused: &fused, coverage, surroundings: &surroundings };
@@ -178,7 +178,7 @@ fn coverage_is_confirmed_while_the_robot_holds_it() {
             for message in Messages::<ToRobot>::new(&buffer[..len]).map(Result::unwrap) {
                 if let Ok(freshness) = message.decode::<Freshness>() {
                     assert_eq!((freshness.interest, freshness.first), (1, 0));
-                    assert_eq!(&freshness.tiles[..], [0b10], "the second tile of the window");
+                    assert_eq!(&freshness.tiles[..], [0b10], "only the second tile of the window");
                     newest = Some(freshness.time.0 / 1_000);
                 }
             }
@@ -188,6 +188,6 @@ fn coverage_is_confirmed_while_the_robot_holds_it() {
     assert_eq!(confirmed(&coverage, 3_000, false), Some(2_500));
     tile.set(4, 3, Cell::Free);
     coverage.set(ID, tile);
-    // What it holds was the newest until now.
+    // The robot's state was the newest until now.
     assert_eq!(confirmed(&coverage, 6_000, true), Some(3_000));
 }

@@ -1,4 +1,4 @@
-//! The server's tiles on their way to one robot.
+//! Delivery of the server's tiles to one robot.
 
 use ubimap_protocol::{
     link::Fill,
@@ -10,20 +10,21 @@ use ubimap_protocol::{
 use super::publishing::Publishing;
 use crate::server::snapshot::Snapshot;
 
-/// The token of frames in which no tile travels.
+/// The token of frames without tiles.
 pub(super) const NO_TILES: u16 = 0;
 /// Changes of a fused tile are gathered for this long, so that one message carries many.
 pub(super) const FUSED_HOLD: Duration = Duration::from_secs(1);
-/// Changes of a coverage tile are gathered for this long: robots depend on it sooner.
+/// Changes of a coverage tile are gathered for this long; shorter, because robots depend on it
+/// sooner.
 const COVERAGE_HOLD: Duration = Duration::from_millis(500);
-/// From one burst of frames with tiles to the next: the robot must acknowledge each frame.
+/// Interval between bursts of frames with tiles: the robot must acknowledge each frame.
 const BURST_INTERVAL: Duration = Duration::from_millis(400);
 
-/// What a robot holds of the fused and the coverage layer within the window that it wants.
+/// The tiles of the fused and the coverage layer in the robot's window.
 #[derive(Debug)]
 pub(super) struct Tiles {
     interest: Option<Interest>,
-    /// The most tiles of a layer that the robot has room for.
+    /// Maximum number of tiles per layer in the robot's memory.
     capacity: u16,
     fused: Publishing,
     coverage: Publishing,
@@ -33,7 +34,7 @@ pub(super) struct Tiles {
 }
 
 impl Tiles {
-    /// A robot that holds nothing, and has room for this many tiles of a layer.
+    /// Starts with a robot that holds no tiles and has room for `capacity` per layer.
     pub(super) fn new(capacity: u16, now: Instant) -> Self {
         Self {
             interest: None,
@@ -45,20 +46,20 @@ impl Tiles {
         }
     }
 
-    /// The robot's window has moved: it has dropped what lies outside.
+    /// Moves the window; the robot has dropped the tiles outside.
     pub(super) fn move_window(&mut self, interest: Interest) {
         let newer = self.interest.is_none_or(|now| now.number < interest.number);
         if !newer || interest.tiles() > u32::from(self.capacity) {
             return;
         }
-        // If a window in between was lost on the way, the robot has dropped tiles for it as well.
+        // If a window in between was lost, the robot may have dropped more tiles for it.
         let next = self.interest.is_none_or(|now| now.number.wrapping_add(1) == interest.number);
         self.fused.retain(|id: TileId| next && interest.contains(id));
         self.coverage.retain(|id: TileId| next && interest.contains(id));
         self.interest = Some(interest);
     }
 
-    /// The robot lacks tiles of the server's.
+    /// Handles a request for tiles of the server.
     pub(super) fn requested(&mut self, request: &Request) {
         match request.layer {
             Layer::Robot => {}
@@ -67,13 +68,13 @@ impl Tiles {
         }
     }
 
-    /// The robot has acknowledged a frame, by its token.
+    /// Handles the acknowledgement of a frame, given by its token.
     pub(super) fn acknowledged(&mut self, frame: u16) {
         self.fused.acknowledged(frame);
         self.coverage.acknowledged(frame);
     }
 
-    /// Adds the confirmation of coverage tiles to a frame, if it is due.
+    /// Adds the confirmation of coverage tiles to a frame, if due.
     pub(super) fn write_confirmation(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -85,8 +86,7 @@ impl Tiles {
         }
     }
 
-    /// Adds tiles that are due to an empty frame, or else digests. The layers take turns in going
-    /// first.
+    /// Adds due tiles to an empty frame, or else digests. The layers alternate in going first.
     pub(super) fn write(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -120,7 +120,7 @@ impl Tiles {
         }
     }
 
-    /// When there is something to send; tiles only if a reliable frame may go.
+    /// When the next message is due; tiles only if a reliable frame can be sent.
     pub(super) fn poll_timeout(&self, snapshot: &Snapshot<'_>, reliable: bool) -> Option<Instant> {
         let interest = self.interest.as_ref()?;
         let confirmation = self.coverage.next_confirmation(snapshot, interest);
@@ -132,7 +132,7 @@ impl Tiles {
         due.chain(confirmation).min()
     }
 
-    /// Whether the robot has acknowledged the newest state of every fused tile that it wants.
+    /// Whether the robot has acknowledged the newest state of every fused tile in its window.
     pub(super) fn is_level(&self, snapshot: &Snapshot<'_>) -> bool {
         self.interest.as_ref().is_none_or(|interest| self.fused.is_level(snapshot, interest))
     }

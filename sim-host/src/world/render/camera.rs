@@ -1,4 +1,4 @@
-//! A camera that takes frames: the room is drawn once, and what moves is drawn into it.
+//! A camera that captures frames: the static room is rendered once, moving parts are drawn into it.
 
 use std::sync::Arc;
 
@@ -23,32 +23,33 @@ use crate::{
     },
 };
 
-/// A depth sensor and one of pictures beside it.
+/// A depth sensor with a picture sensor beside it.
 pub(in super::super) struct FrameCamera {
     calibration: Calibration,
     config: CameraConfig,
     dice: ChaCha8Rng,
-    /// Bytes of light for each pixel of a picture.
+    /// Bytes per pixel of a picture.
     channels: usize,
-    /// Made for the first frame.
+    /// Created for the first frame.
     drawing: Option<Drawing>,
 }
 
-/// What a camera that takes frames has drawn.
+/// The images that a camera has rendered.
 struct Drawing {
     depth: Imager,
     picture: Imager,
     depth_noise: StereoNoise,
     picture_noise: PictureNoise,
-    /// The room that has been drawn.
+    /// The room that was rendered.
     room: Arc<Room>,
-    /// Its picture as the lens shows it; and with what moves, while a frame is taken.
+    /// The room's picture after the lens blur.
     still: Vec<u8>,
+    /// The same; moving parts are added while a frame is captured.
     soft: Vec<u8>,
 }
 
 impl FrameCamera {
-    /// A camera whose pictures are grey or in colour.
+    /// A camera with grey or colour pictures.
     pub(in super::super) fn new(
         config: &CameraConfig,
         in_colour: bool,
@@ -72,18 +73,18 @@ impl FrameCamera {
         })
     }
 
-    /// Of the sensors whose images are handed out.
+    /// The calibration of the sensors whose images are published.
     pub(in super::super) fn calibration(&self) -> Calibration {
         let depth = self.calibration.depth.filter(|_| self.has_depth());
         Calibration { depth, ..self.calibration }
     }
 
-    /// Whether its depths are handed out.
+    /// Whether the depth images are published.
     pub(in super::super) fn has_depth(&self) -> bool {
         self.config.has_depth
     }
 
-    /// What its sensors give of a scene, with noise by these dice.
+    /// The depth image and picture of a scene, with noise drawn from `dice`.
     pub(in super::super) fn take(
         &mut self,
         scene: &Scene,
@@ -92,7 +93,7 @@ impl FrameCamera {
         Some(self.drawing(&scene.room)?.take(&scene.moving, dice))
     }
 
-    /// Depth in metres before any noise, row by row.
+    /// The noise-free depths in metres, row by row.
     #[cfg(test)]
     pub(in super::super) fn exact_depth(&mut self, scene: &Scene) -> Vec<f32> {
         let drawing = self.drawing(&scene.room).unwrap();
@@ -102,7 +103,7 @@ impl FrameCamera {
         depth
     }
 
-    /// With this room drawn.
+    /// The drawing of a room, rendered if necessary.
     fn drawing(&mut self, room: &Arc<Room>) -> Option<&mut Drawing> {
         let Calibration { depth: Some(depth), picture: Some(picture), .. } = &self.calibration
         else {
@@ -161,7 +162,7 @@ impl Drawing {
         (depth, picture)
     }
 
-    /// Draws what looks different from the room before.
+    /// Redraws the regions where a new room differs from the last one.
     fn enter(&mut self, room: &Arc<Room>) {
         if Arc::ptr_eq(&self.room, room) {
             return;
@@ -170,7 +171,7 @@ impl Drawing {
         self.redraw(|sensor| sensor.changed(&before, room));
     }
 
-    /// Draws the room again within each sensor's rectangles.
+    /// Redraws the room within the rectangles of each sensor.
     fn redraw(&mut self, within: impl Fn(&Imager) -> Vec<Rectangle>) {
         for sensor in [&mut self.depth, &mut self.picture] {
             for rectangle in within(sensor) {
@@ -185,7 +186,7 @@ impl Drawing {
     }
 }
 
-/// A pinhole with its own angle each way.
+/// The intrinsics of a pinhole from its horizontal and vertical fields of view.
 fn intrinsics(width: u32, height: u32, [across, down]: [f64; 2]) -> Intrinsics {
     let level = Intrinsics::pinhole(width, height, across.to_radians());
     Intrinsics { fy: Intrinsics::pinhole(height, width, down.to_radians()).fx, ..level }
@@ -194,9 +195,9 @@ fn intrinsics(width: u32, height: u32, [across, down]: [f64; 2]) -> Intrinsics {
 /// One of a camera's sensors.
 struct Imager {
     pinhole: Pinhole,
-    /// The room alone.
+    /// The static room.
     room: Canvas,
-    /// The same, but for what moves while a frame is taken.
+    /// The room, with moving parts while a frame is captured.
     canvas: Canvas,
 }
 
@@ -217,7 +218,7 @@ impl Imager {
         }
     }
 
-    /// Where two rooms look different.
+    /// The regions where two rooms look different.
     fn changed(&self, before: &Room, after: &Room) -> Vec<Rectangle> {
         let same = |a: &Prism, b: &Prism| {
             (a.bottom, a.top) == (b.bottom, b.top) && a.footprint.rim() == b.footprint.rim()
@@ -230,7 +231,7 @@ impl Imager {
             .collect()
     }
 
-    /// Draws what moves; gives where.
+    /// Draws moving parts and returns their regions.
     fn draw(&mut self, parts: &[Part]) -> Vec<Rectangle> {
         let bounds = parts.iter().map(|part| self.pinhole.bounds(&part.prism));
         let bounds: Vec<Rectangle> = bounds.collect();
@@ -240,7 +241,7 @@ impl Imager {
         bounds.into_iter().filter(|bounds| !bounds.is_empty()).collect()
     }
 
-    /// Takes out what was drawn there.
+    /// Restores the room in the drawn regions.
     fn remove(&mut self, drawn: &[Rectangle]) {
         for rectangle in drawn {
             self.canvas.restore(&self.room, rectangle);
@@ -248,12 +249,12 @@ impl Imager {
     }
 }
 
-/// What the part of a room looks like that comes from this key of a scenario.
+/// The paint of the part of a room with this scenario key.
 fn paint_of(key: &str) -> Paint {
     if key.starts_with("room.") {
         return paint::WALL;
     }
-    // Every piece of furniture has a number in its key.
+    // Each piece of furniture gets a number from its key.
     let number = key.bytes().fold(1_u32, |sum, byte| sum.wrapping_mul(31) + u32::from(byte));
     Paint::numbered(number)
 }

@@ -1,4 +1,4 @@
-//! What one sensor sees: a depth for each pixel and, of a picture, its light.
+//! The image buffer of one sensor: a depth for each pixel and, for pictures, its light.
 
 use parry2d_f64::glamx::{Vec2, Vec3};
 
@@ -10,16 +10,16 @@ use super::{
     solid::{Face, Hit, Solid},
 };
 
-/// Rays to a side of a pixel where a marker is.
+/// Rays per pixel in each direction where a marker is.
 const RAYS: usize = 3;
 
-/// An image in the making.
+/// An image that is being rendered.
 #[derive(Clone)]
 pub(super) struct Canvas {
     width: usize,
-    /// Depth along the optical axis in metres, infinite where there is nothing.
+    /// Depth along the optical axis in metres; infinite where there is nothing.
     pub(super) depth: Vec<f32>,
-    /// Bytes of light for each pixel: none of a depth sensor, one of a grey one, three of colour.
+    /// Bytes of light per pixel: none for a depth sensor, one for grey, three for colour.
     pub(super) channels: usize,
     pub(super) light: Vec<u8>,
 }
@@ -35,7 +35,7 @@ impl Canvas {
         }
     }
 
-    /// Draws the empty room: its floor and its ceiling.
+    /// Draws an empty room: floor and ceiling.
     pub(super) fn clear(&mut self, pinhole: &Pinhole, ceiling: f64, clip: &Rectangle) {
         for row in clip.top..clip.bottom {
             self.depth[row * self.width..][clip.left..clip.right].fill(f32::INFINITY);
@@ -52,7 +52,7 @@ impl Canvas {
         });
     }
 
-    /// Draws a part where nothing hides it, within `clip`.
+    /// Draws the unoccluded pixels of a part within `clip`.
     pub(super) fn draw(&mut self, pinhole: &Pinhole, part: &Part, clip: &Rectangle) {
         let solid = Solid::new(&part.prism, pinhole.eye);
         let eye = pinhole.eye.as_vec3();
@@ -70,8 +70,8 @@ impl Canvas {
         });
     }
 
-    /// Puts what rays meet into the pixels: `cast` has the direction of a ray and the depth that
-    /// it must not exceed, and says what it meets and which colour a point there has.
+    /// Casts a ray through each pixel. `cast` gets the ray's direction and the maximum depth, and returns
+    /// the hit and a function for the colour there.
     fn each<C: FnOnce(Vec3) -> Colour>(
         &mut self,
         pinhole: &Pinhole,
@@ -91,7 +91,7 @@ impl Canvas {
                 }
                 let point = eye + way * hit.at;
                 let aside = (Vec2::new(column as f32, row as f32) - half) / half.x;
-                // The lens lets less light through towards the corners.
+                // Vignetting: the lens darkens the corners.
                 let light = paint::light(point, hit.face) * (1.0 - 0.18 * aside.length_squared());
                 let colour = colour(point);
                 let bytes = &mut self.light[index * self.channels..][..self.channels];
@@ -106,7 +106,7 @@ impl Canvas {
         }
     }
 
-    /// Takes a rectangle from another canvas of the same size.
+    /// Copies a rectangle from another canvas of the same size.
     pub(super) fn restore(&mut self, from: &Self, rectangle: &Rectangle) {
         for row in rectangle.top..rectangle.bottom {
             let pixels = row * self.width + rectangle.left..row * self.width + rectangle.right;
@@ -116,8 +116,7 @@ impl Canvas {
         }
     }
 
-    /// Writes a rectangle of this picture as a lens shows it: each point spread over its
-    /// neighbours, by 1 2 1 both ways.
+    /// Writes a rectangle of this picture with the blur of the lens: a 1-2-1 filter in both directions.
     pub(super) fn blur(&self, rectangle: &Rectangle, into: &mut [u8]) {
         let (stride, channels) = (self.width * self.channels, self.channels);
         let last = self.depth.len() / self.width - 1;
@@ -126,7 +125,7 @@ impl Canvas {
         for row in rectangle.top..rectangle.bottom {
             let (above, here, below) =
                 (line(row.saturating_sub(1)), line(row), line((row + 1).min(last)));
-            // One pixel more on both sides; at the edges of the picture the last one again.
+            // One additional pixel on both sides; at the picture's edges the last one is repeated.
             let first = rectangle.left.saturating_sub(1) * channels;
             let end = (rectangle.right + 1).min(self.width) * channels;
             let within = &mut sums[first + channels..end + channels];
@@ -151,7 +150,7 @@ impl Canvas {
     }
 }
 
-/// The mean colour of a pixel that looks at a robot's top.
+/// The mean colour of a pixel on a robot's top.
 fn on_a_pixel(pinhole: &Pinhole, paint: &Paint, eye: Vec3, way: Vec3, top: f32) -> Colour {
     let mut mean = [0.0; 3];
     for index in 0..RAYS * RAYS {
@@ -166,7 +165,7 @@ fn on_a_pixel(pinhole: &Pinhole, paint: &Paint, eye: Vec3, way: Vec3, top: f32) 
     mean
 }
 
-/// How bright a colour is in a grey picture (ITU-R BT.601).
+/// The luminance of a colour (ITU-R BT.601).
 fn luminance([red, green, blue]: Colour) -> f32 {
     0.299 * red + 0.587 * green + 0.114 * blue
 }

@@ -1,9 +1,9 @@
-//! Frames of the simulated cameras: what their sensors would give.
+//! Renders the frames of simulated cameras.
 //!
-//! Upright prisms are drawn one after the other into an image of depths (`pinhole`: which pixels,
-//! `solid`: where their rays meet, `canvas`: the nearest wins). The room is drawn once for each
-//! camera; for a frame what moves is drawn into a copy, `noise` is added, and the copy is mended
-//! where something was drawn.
+//! Upright prisms are drawn one by one into a depth buffer (`pinhole`: which pixels, `solid`: ray
+//! intersections, `canvas`: the nearest wins). The static room is rendered once per camera. For each frame
+//! the moving parts are drawn into a copy, `noise` is added, and the copy is restored where something
+//! was drawn.
 
 mod camera;
 mod canvas;

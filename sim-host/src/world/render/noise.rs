@@ -1,7 +1,7 @@
-//! What sensors add to what there is: a stereo camera's errors of depth, a picture's noise.
+//! Sensor noise: disparity errors of a stereo camera, and noise of a picture.
 //!
-//! The noise is thrown once, into a long field; each row of each frame reads it from a place of
-//! its own. That costs a fraction of a throw for each pixel and is as random to the eye.
+//! The noise is drawn once, into a long field; each row of each frame reads it from a random position. This
+//! costs far less than drawing it for each pixel, and looks equally random.
 
 use image::{ImageBuffer, Luma};
 use rand::RngExt;
@@ -17,21 +17,21 @@ use crate::{
     },
 };
 
-/// Throws of a field; a row of a frame is far shorter.
+/// Number of values in a field; a row of a frame is far shorter.
 const LENGTH: usize = 1 << 18;
 
-/// Neighbouring pixels are matched by windows that overlap: how much of a throw they share.
+/// Correlation of neighbouring pixels, whose matching windows overlap: weights of three adjacent values.
 const SHARED: [f32; 3] = [0.5, 0.707_106_77, 0.5];
 
-/// The errors of a stereo camera's depth.
+/// The noise of a stereo camera.
 pub(super) struct StereoNoise {
     stereo: Stereo,
-    /// What is added to a disparity, in parts of a pixel; infinite where there is no match.
+    /// Disparity errors in fractions of a pixel ([`PARTS`]); infinite for no match.
     field: Vec<f32>,
 }
 
 impl StereoNoise {
-    /// The noise of a sensor with this focal length in pixels.
+    /// The noise of a sensor with a focal length in pixels.
     pub(super) fn new(camera: &CameraConfig, focal: f64, dice: &mut ChaCha8Rng) -> Self {
         let config = &camera.depth;
         let deviation = config.noise_px as f32 * PARTS;
@@ -46,7 +46,7 @@ impl StereoNoise {
         Self { stereo: Stereo::new(focal, config.baseline_m, range), field: field.collect() }
     }
 
-    /// The image that the sensor gives.
+    /// The depth image of the sensor.
     pub(super) fn image(&self, canvas: &Canvas, width: usize, dice: &mut ChaCha8Rng) -> DepthImage {
         let height = canvas.depth.len() / width;
         let mut image = Vec::with_capacity(width * height);
@@ -74,18 +74,18 @@ fn image_of(width: usize, height: usize, pixels: Vec<u16>) -> DepthImage {
 
 /// The noise of a picture.
 pub(super) struct PictureNoise {
-    /// In grey levels, 128 more than it is.
+    /// In grey levels, offset by 128.
     field: Vec<u8>,
 }
 
 impl PictureNoise {
-    /// Noise of this standard deviation in grey levels.
+    /// Noise with a standard deviation in grey levels.
     pub(super) fn new(deviation: f64, dice: &mut ChaCha8Rng) -> Self {
         let mut throw = || -> f64 { StandardNormal.sample(dice) };
         Self { field: (0..LENGTH).map(|_| (128.0 + deviation * throw()).round() as u8).collect() }
     }
 
-    /// The bytes of a picture, of `stride` to a row, with noise.
+    /// Adds noise to the bytes of a picture with `stride` bytes per row.
     pub(super) fn add(&self, light: &[u8], stride: usize, dice: &mut ChaCha8Rng) -> Vec<u8> {
         let mut noisy = Vec::with_capacity(light.len());
         for row in light.chunks(stride) {

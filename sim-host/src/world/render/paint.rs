@@ -1,4 +1,4 @@
-//! What surfaces look like: procedural textures, and lamps under the ceiling.
+//! The appearance of surfaces: procedural textures, and lamps under the ceiling.
 
 use parry2d_f64::glamx::{DVec2, Vec2, Vec3};
 
@@ -7,24 +7,24 @@ use super::{
     solid::Face,
 };
 
-/// The light that falls on what faces up, and is thrown back by white: of 255.
+/// Brightness of a white horizontal surface, on a scale of 255.
 const EXPOSURE: f32 = 290.0;
 
-/// Between two lamps, in metres.
+/// Distance between lamps in metres.
 const LAMPS: f32 = 3.0;
 
-/// What a part is painted with.
+/// The paint of a part.
 #[derive(Clone, Debug)]
 pub(in super::super) enum Paint {
-    /// One colour with a slight grain; each number has its own.
+    /// A colour with a slight grain; the number selects the grain.
     Grained(Colour, u32),
-    /// A robot: one colour, and a marker on its top.
+    /// A robot: a plain body with a marker on top.
     Robot {
-        /// Of the body.
+        /// Colour of the body.
         colour: Colour,
-        /// On its top.
+        /// Marker on its top.
         marker: MarkerPlate,
-        /// Its middle in `map`.
+        /// Centre in `map`.
         middle: DVec2,
         /// Cosine and sine of its heading.
         facing: Vec2,
@@ -35,14 +35,14 @@ pub(in super::super) enum Paint {
 pub(super) const WALL: Paint = Paint::Grained([0.62, 0.61, 0.58], 0);
 
 impl Paint {
-    /// Furniture and people: each number a colour of its own.
+    /// Paint for furniture and people: each number has its own colour.
     pub(in super::super) fn numbered(number: u32) -> Self {
         let part = |salt: u32| 0.16 + 0.44 * unit(hash(number, salt, 77));
         let (wood, tint) = (part(1), part(2));
         Self::Grained([wood, 0.8 * wood + 0.15 * tint, 0.6 * wood + 0.25 * tint], number)
     }
 
-    /// The colour at a point of `map`, without light.
+    /// The unlit colour at a point of `map`.
     pub(super) fn colour(&self, point: Vec3, face: Face) -> Colour {
         match self {
             Self::Grained(colour, number) => {
@@ -62,7 +62,7 @@ impl Paint {
         }
     }
 
-    /// Whether a point is so near to a marker that a pixel of this size has part in it.
+    /// Whether a point is close enough to a marker that a pixel of this size shows some of it.
     pub(super) fn is_fine(&self, point: Vec3, face: Face, pixel: f32) -> bool {
         let Self::Robot { marker, .. } = self else { return false };
         let reach = marker.reach() + pixel;
@@ -70,7 +70,7 @@ impl Paint {
             && self.on_top(point).is_some_and(|at| at.length_squared() < reach * reach)
     }
 
-    /// A point ahead and to the left of a robot's middle.
+    /// The coordinates of a point ahead and to the left of a robot's centre.
     fn on_top(&self, point: Vec3) -> Option<Vec2> {
         let Self::Robot { middle, facing, .. } = self else { return None };
         let offset = Vec2::new(point.x - middle.x as f32, point.y - middle.y as f32);
@@ -78,7 +78,7 @@ impl Paint {
     }
 }
 
-/// The floor: tiles of 0.6 m with joints, worn in spots.
+/// The colour of the floor: tiles of 0.6 m with joints and worn spots.
 pub(super) fn floor(point: Vec3) -> Colour {
     let tile = Vec2::new(point.x, point.y) / 0.6;
     let (column, row) = (floor_of(tile.x), floor_of(tile.y));
@@ -93,9 +93,9 @@ pub(super) fn floor(point: Vec3) -> Colour {
 /// The ceiling.
 pub(super) const CEILING: Colour = [0.75; 3];
 
-/// How bright a point is that faces some way: lamps hang in a square grid under the ceiling.
+/// The brightness at a point of a face; lamps hang in a square grid under the ceiling.
 pub(super) fn light(point: Vec3, face: Face) -> f32 {
-    // A smooth hill over each lamp, one high.
+    // A smooth bump of height one under each lamp.
     let hill = |at: f32| {
         let part = (at / LAMPS - floor_of(at / LAMPS) as f32 - 0.5) * 2.0;
         let slope = 1.0 - part * part;
@@ -110,7 +110,7 @@ pub(super) fn light(point: Vec3, face: Face) -> f32 {
     EXPOSURE * lamps * facing
 }
 
-/// Smooth noise from 0 to 1 with one hill or hollow to a unit.
+/// Smooth noise from 0 to 1 with about one bump per unit of length.
 fn noise(x: f32, y: f32, salt: u32) -> f32 {
     let (column, row) = (floor_of(x), floor_of(y));
     let (right, up) = (x - column as f32, y - row as f32);
@@ -121,13 +121,13 @@ fn noise(x: f32, y: f32, salt: u32) -> f32 {
     low + (high - low) * up
 }
 
-/// The whole number below; quicker than the call that `floor` is without SSE 4.1.
+/// The largest integer not above a number; faster than `floor`, which is a call without SSE 4.1.
 fn floor_of(number: f32) -> i32 {
     let whole = number as i32;
     whole - i32::from(whole as f32 > number)
 }
 
-/// The upper bits of a hash, from 0 to 1.
+/// The upper bits of a hash, scaled to 0..1.
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 / (1 << 24) as f32
 }

@@ -1,4 +1,4 @@
-//! One sensor's pixels: the rays through them, and which of them a prism may be seen by.
+//! The pixels of one sensor: their rays, and which of them may see a prism.
 
 use nalgebra::Point3;
 use parry2d_f64::glamx::{DVec2, DVec3, Vec3};
@@ -6,10 +6,10 @@ use parry2d_f64::glamx::{DVec2, DVec3, Vec3};
 use super::super::shapes::{Prism, Rim};
 use crate::camera::Lens;
 
-/// Nearer than this to the plane of a sensor, nothing is projected, in metres.
+/// Minimum distance in metres from the sensor's plane of anything that is projected.
 const NEAR: f64 = 0.01;
 
-/// A rectangle of pixels, from the first to before the last.
+/// A rectangle of pixels; the ends are exclusive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Rectangle {
     pub(super) left: usize,
@@ -23,7 +23,7 @@ impl Rectangle {
         self.left >= self.right || self.top >= self.bottom
     }
 
-    /// What both have.
+    /// The intersection of two rectangles.
     pub(super) fn within(&self, other: &Self) -> Self {
         Self {
             left: self.left.max(other.left),
@@ -33,7 +33,7 @@ impl Rectangle {
         }
     }
 
-    /// With the pixels about it.
+    /// The rectangle enlarged by one pixel on each side.
     pub(super) fn grown(&self) -> Self {
         Self {
             left: self.left.saturating_sub(1),
@@ -44,15 +44,15 @@ impl Rectangle {
     }
 }
 
-/// A sensor without distortion in its place.
+/// A sensor without distortion, with its pose.
 pub(super) struct Pinhole {
     lens: Lens,
     pub(super) width: usize,
     pub(super) height: usize,
-    /// The optical centre in `map`.
+    /// Optical centre in `map`.
     pub(super) eye: DVec3,
-    /// The direction of the first pixel in `map`, one metre of depth long; and how it changes
-    /// along a row and down a column.
+    /// Ray of the first pixel in `map` for one metre of depth, and its change along a row and down a
+    /// column.
     first: Vec3,
     across: Vec3,
     down: Vec3,
@@ -77,27 +77,27 @@ impl Pinhole {
         }
     }
 
-    /// All pixels.
+    /// The rectangle of all pixels.
     pub(super) fn whole(&self) -> Rectangle {
         Rectangle { left: 0, top: 0, right: self.width, bottom: self.height }
     }
 
-    /// The direction of a place in the image, one metre of depth long.
+    /// The ray of a position in the image, for one metre of depth.
     pub(super) fn way(&self, column: f32, row: f32) -> Vec3 {
         self.first + self.step(column, row)
     }
 
-    /// How a direction changes from one place in the image to another.
+    /// The change of the ray for an offset in the image.
     pub(super) fn step(&self, columns: f32, rows: f32) -> Vec3 {
         self.across * columns + self.down * rows
     }
 
-    /// The focal length along a row, in pixels.
+    /// Horizontal focal length in pixels.
     pub(super) fn focal(&self) -> f64 {
         self.lens.intrinsics().fx
     }
 
-    /// The pixels that may see a prism.
+    /// A rectangle that contains all pixels that may see a prism.
     pub(super) fn bounds(&self, prism: &Prism) -> Rectangle {
         let corners = match prism.footprint.rim() {
             Rim::Corners(corners) => corners,

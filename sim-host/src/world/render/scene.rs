@@ -1,4 +1,4 @@
-//! What there is to draw.
+//! The scene to be rendered.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ pub(in super::super) struct Part {
     pub(in super::super) paint: Paint,
 }
 
-/// Everything that cameras can see at one moment: the room, and what moves in it.
+/// Everything that cameras can see at one time: the room and its moving parts.
 pub(in super::super) struct Scene {
     pub(in super::super) room: Arc<Room>,
     pub(in super::super) moving: Vec<Part>,

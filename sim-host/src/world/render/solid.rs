@@ -1,13 +1,13 @@
-//! Rays from a camera through an upright prism, as fast as a pixel needs it.
+//! Fast intersection of camera rays with an upright prism.
 //!
-//! [`Room::first_hit`](super::super::room::Room::first_hit) answers the same question for any ray,
-//! many times slower: the tests hold one against the other.
+//! [`Room::first_hit`](super::super::room::Room::first_hit) answers the same question for any ray but is
+//! much slower; tests compare the two.
 
 use parry2d_f64::glamx::{DVec2, DVec3, Vec2, Vec3};
 
 use super::super::shapes::{Prism, Rim};
 
-/// A prism as seen from a camera: positions count from its optical centre.
+/// A prism relative to a camera's optical centre.
 pub(super) struct Solid {
     rim: SolidRim,
     low: f32,
@@ -17,15 +17,15 @@ pub(super) struct Solid {
 enum SolidRim {
     Disc {
         centre: Vec2,
-        /// Of the distance from the optical centre less that of the radius.
+        /// Squared distance of the axis from the optical centre minus the squared radius.
         apart: f32,
         radius: f32,
     },
-    /// Outward normals of the sides, and how far each side lies along its own.
+    /// Outward normal of each side, and its distance along the normal.
     Sides(Vec<(Vec2, f32)>),
 }
 
-/// Which face of a prism is seen.
+/// The visible face of a prism.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Face {
     /// From above.
@@ -36,7 +36,7 @@ pub(super) enum Face {
     Side(Vec2),
 }
 
-/// Where a ray meets a prism: a multiple of its direction.
+/// The intersection of a ray with a prism, as a multiple of its direction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
     pub(super) at: f32,
@@ -58,7 +58,7 @@ impl Solid {
                 let next = corners.iter().cycle().skip(1);
                 let side = |(from, to): (&DVec2, &DVec2)| {
                     let edge = *to - *from;
-                    // Counter-clockwise: outward is to the right.
+                    // Corners are counter-clockwise: outward is to the right of an edge.
                     let normal = -edge.perp().normalize_or_zero();
                     (normal.as_vec2(), normal.dot(*from - eye.truncate()) as f32)
                 };
@@ -68,7 +68,7 @@ impl Solid {
         Self { rim, low: (prism.bottom - eye.z) as f32, high: (prism.top - eye.z) as f32 }
     }
 
-    /// Where a ray from the optical centre first meets it, before `limit`.
+    /// The first intersection of a ray from the optical centre, before `limit`.
     #[inline]
     pub(super) fn hit(&self, way: Vec3, limit: f32) -> Option<Hit> {
         let (low, high) = (self.low / way.z, self.high / way.z);

@@ -1,69 +1,69 @@
-//! A fixed camera, as a scenario says it.
+//! A fixed camera in a scenario.
 
 use serde::Deserialize;
 
-/// A fixed camera. It looks at a point, or along a heading and a tilt.
+/// A fixed camera. Its direction is given by a point, or by heading and tilt.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraConfig {
-    /// What it is called; the simulation numbers its cameras all the same.
+    /// Its name, for people; the simulation numbers its cameras.
     #[serde(default)]
     pub name: String,
-    /// Where its optical centre is.
+    /// Position of its optical centre.
     pub position_m: [f64; 3],
-    /// The point in the middle of its picture.
+    /// The point in the centre of its picture.
     pub look_at_m: Option<[f64; 3]>,
-    /// Where it faces, counter-clockwise from x; with `tilt_deg` instead of `look_at_m`.
+    /// Heading, counter-clockwise from x; with `tilt_deg`, instead of `look_at_m`.
     pub heading_deg: Option<f64>,
-    /// How far it looks down: 0 level, 90 straight down.
+    /// Downward tilt: 0 is level, 90 straight down.
     pub tilt_deg: Option<f64>,
-    /// From the left to the right edge of the picture.
+    /// Horizontal field of view.
     #[serde(default = "defaults::horizontal_fov_deg")]
     pub horizontal_fov_deg: f64,
-    /// From the upper to the lower edge of the picture.
+    /// Vertical field of view.
     #[serde(default = "defaults::vertical_fov_deg")]
     pub vertical_fov_deg: f64,
-    /// How far it sees.
+    /// Maximum range.
     #[serde(default = "defaults::range_m")]
     pub range_m: f64,
-    /// Frames each second; each localises the robots in view.
+    /// Frame rate; each frame localises the robots in view.
     #[serde(default = "defaults::rate_hz")]
     pub rate_hz: f64,
-    /// How often, at most, a frame also says which cells are free or occupied.
+    /// Maximum rate of frames that also report free and occupied cells.
     #[serde(default = "defaults::cells_rate_hz")]
     pub cells_rate_hz: f64,
-    /// From capture to arrival.
+    /// Minimum latency from capture to arrival.
     #[serde(default = "defaults::latency_ms")]
     pub latency_ms: f64,
-    /// Standard deviation of a robot's position, in x and in y.
+    /// Standard deviation of a robot's measured x and y.
     #[serde(default)]
     pub position_noise_m: f64,
-    /// Standard deviation of a robot's heading.
+    /// Standard deviation of a robot's measured heading.
     #[serde(default)]
     pub heading_noise_deg: f64,
-    /// How much later than `latency_ms` a frame arrives on average; each by its own throw of an
-    /// exponential distribution, so that some overtake others.
+    /// Mean additional latency of a frame. It is exponentially distributed, so that some frames overtake
+    /// others.
     #[serde(default = "defaults::latency_jitter_ms")]
     pub latency_jitter_ms: f64,
-    /// The share of frames that never arrive.
+    /// Fraction of frames that are lost.
     #[serde(default = "defaults::lost_frames")]
     pub lost_frames: f64,
-    /// From when on nothing comes from it any more.
+    /// Time of failure, after which no more frames arrive.
     pub fails_at_s: Option<f64>,
-    /// Whether it sees depths. Without, it says where robots are, and of no cell what is there
-    /// (Ahmed et al., 2.2).
+    /// Whether it has a depth sensor. Without one it localises robots but reports no cells (Ahmed et al.,
+    /// 2.2).
     #[serde(default = "defaults::has_depth")]
     pub has_depth: bool,
-    /// Its depth images; their field of view and range are the camera's.
+    /// The depth sensor; its field of view and maximum range are the camera's.
     #[serde(default)]
     pub depth: DepthConfig,
-    /// Its pictures.
+    /// The picture sensor.
     #[serde(default)]
     pub picture: PictureConfig,
 }
 
 impl CameraConfig {
-    /// The usual camera, which looks straight down from there.
+    /// The default camera, looking straight down from a position.
     pub(in super::super) fn looking_down(position_m: [f64; 3]) -> Self {
         Self {
             name: String::new(),
@@ -89,22 +89,21 @@ impl CameraConfig {
     }
 }
 
-/// A stereo depth sensor; unless it says otherwise, that of an Intel RealSense D435.
+/// A stereo depth sensor; defaults to an Intel RealSense D435.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DepthConfig {
-    /// Pixels of a row.
+    /// Width of the image in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height of the image in pixels.
     pub height: u32,
-    /// Nearer surfaces give no depth.
+    /// Minimum range: closer surfaces have no depth.
     pub min_range_m: f64,
-    /// Between its two imagers.
+    /// Distance between its two imagers.
     pub baseline_m: f64,
-    /// Standard deviation of a disparity, in pixels. The calibration states the noise of depths that
-    /// follows from it.
+    /// Standard deviation of a disparity, in pixels. The calibration states the resulting depth noise.
     pub noise_px: f64,
-    /// The share of pixels that find no match, wherever they look.
+    /// Fraction of pixels without a match, independent of the scene.
     pub dropout: f64,
 }
 
@@ -121,21 +120,21 @@ impl Default for DepthConfig {
     }
 }
 
-/// A sensor of pictures beside that of depth; unless it says otherwise, that of a D435.
+/// A picture sensor beside the depth sensor; defaults to that of a D435.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PictureConfig {
-    /// Pixels of a row.
+    /// Width of the image in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height of the image in pixels.
     pub height: u32,
-    /// From the left to the right edge of the picture.
+    /// Horizontal field of view.
     pub horizontal_fov_deg: f64,
-    /// From the upper to the lower edge of the picture.
+    /// Vertical field of view.
     pub vertical_fov_deg: f64,
-    /// How far it sits to the left of the depth sensor.
+    /// Distance to the left of the depth sensor.
     pub left_m: f64,
-    /// Standard deviation of a pixel, in grey levels of 256.
+    /// Standard deviation of a pixel, in grey levels (0 to 255).
     pub noise: f64,
 }
 
@@ -152,7 +151,7 @@ impl Default for PictureConfig {
     }
 }
 
-/// What a scenario need not say of a camera.
+/// Defaults of a camera.
 mod defaults {
     /// The depth camera of an Intel RealSense D435.
     pub(super) fn horizontal_fov_deg() -> f64 {

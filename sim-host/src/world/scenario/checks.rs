@@ -1,4 +1,4 @@
-//! What the numbers of a scenario alone can say about a mistake.
+//! Checks of a scenario that need only its numbers.
 
 use std::ops::RangeInclusive;
 
@@ -10,7 +10,7 @@ use super::{
 use crate::world::TAGS;
 
 impl Scenario {
-    /// Refuses numbers that no room can have.
+    /// Refuses impossible numbers.
     pub(in super::super) fn check(&self) -> Result<(), ScenarioError> {
         self.number("duration_s", self.duration_s, 0.1..=86_400.0)?;
         self.number("slice_height_m", self.slice_height_m, 0.0..=10.0)?;
@@ -31,8 +31,7 @@ impl Scenario {
             let key = format!("robots[{index}]");
             self.check_robot(&key, robot)?;
             if let Some(first) = self.robots[..index].iter().position(|r| r.id == robot.id) {
-                let problem =
-                    format!("is {}, which robots[{first}] has already; give another", robot.id);
+                let problem = format!("is {}, as for robots[{first}]; choose another", robot.id);
                 return Err(self.invalid(format!("{key}.id"), problem));
             }
         }
@@ -52,7 +51,7 @@ impl Scenario {
                 return Err(self.invalid("room.outline_m", problem));
             }
             (Some(_), 1..) => {
-                let problem = "and room.map are both given; leave one out";
+                let problem = "and room.map are both given; remove one";
                 return Err(self.invalid("room.outline_m", problem));
             }
             _ => {}
@@ -105,7 +104,7 @@ impl Scenario {
         if let Some(legs) = furniture.legs_m {
             let key = format!("{key}.legs_m");
             let FootprintConfig::Box { size_m, .. } = &furniture.footprint else {
-                return Err(self.invalid(key, "is only for a box; leave it out"));
+                return Err(self.invalid(key, "is only for a box; remove it"));
             };
             if furniture.bottom_m <= 0.0 {
                 return Err(self.invalid(key, "needs bottom_m above zero"));
@@ -115,7 +114,7 @@ impl Scenario {
         if matches!(furniture.footprint, FootprintConfig::Polygon { .. })
             && !furniture.moved.is_empty()
         {
-            return Err(self.invalid(format!("{key}.moved"), "is not for a polygon; leave it out"));
+            return Err(self.invalid(format!("{key}.moved"), "is not for a polygon; remove it"));
         }
         let mut from = 0.0;
         for (index, moved) in furniture.moved.iter().enumerate() {
@@ -156,7 +155,7 @@ impl Scenario {
                     self.number(&key, coordinate, -1e4..=1e4)?;
                 }
                 if look_at == camera.position_m {
-                    return Err(self.invalid(key, "is the camera's own position"));
+                    return Err(self.invalid(key, "equals position_m; choose another point"));
                 }
             }
             (None, Some(heading), Some(tilt)) => {
@@ -209,20 +208,20 @@ impl Scenario {
         self.check_odometry(&format!("{key}.odometry"), &robot.odometry)
     }
 
-    /// The box and the identifier on it.
+    /// Checks the box and the marker on it.
     fn check_body(&self, key: &str, robot: &RobotConfig) -> Result<(), ScenarioError> {
         if let Some(sides) = robot.box_m {
             for side in sides {
                 self.number(&format!("{key}.box_m"), side, 0.01..=2.0 * robot.radius_m)?;
             }
             if sides[0].hypot(sides[1]) > 2.0 * robot.radius_m + 1e-9 {
-                let problem = "reaches beyond radius_m; make the radius half its diagonal";
+                let problem = "exceeds radius_m; increase the radius to half the box's diagonal";
                 return Err(self.invalid(format!("{key}.box_m"), problem));
             }
         }
         let width = robot.box_m.map_or(2.0 * robot.radius_m, |[length, width]| length.min(width));
         let most = match robot.marker {
-            // The white margin is a quarter of the square more.
+            // The white margin adds a quarter to the square's side.
             MarkerConfig::Tag => width / 1.25,
             MarkerConfig::Colour => width,
         };
@@ -252,7 +251,7 @@ impl Scenario {
             let problem = format!("is {}; give a number from 2 to 4096", sensor.beams);
             return Err(self.invalid(key_of("beams"), problem));
         }
-        // A reading is a whole number of millimetres in 16 bits.
+        // A reading is a 16-bit number of millimetres.
         self.number(&key_of("max_range_m"), sensor.max_range_m, 0.01..=65.5)?;
         self.number(&key_of("min_range_m"), sensor.min_range_m, 0.0..=sensor.max_range_m)?;
         self.number(&key_of("rate_hz"), sensor.rate_hz, 0.01..=100.0)?;
@@ -289,7 +288,7 @@ impl Scenario {
         self.number(&format!("{key}.height_m"), person.height_m, 0.01..=self.room.height_m)?;
         self.angle(&format!("{key}.heading_deg"), person.heading_deg)?;
         if person.posture != PostureConfig::Standing && person.waypoints_m.len() > 1 {
-            return Err(self.invalid(waypoints, "are for who stands; leave the first alone"));
+            return Err(self.invalid(waypoints, "must be a single point unless the person stands"));
         }
         Ok(())
     }
@@ -313,7 +312,7 @@ impl Scenario {
         self.number(key, degrees, -3600.0..=3600.0)
     }
 
-    /// Not a number is outside of every range.
+    /// Refuses a number outside of a range; NaN is outside of any.
     fn number(
         &self,
         key: &str,
@@ -329,7 +328,7 @@ impl Scenario {
     }
 }
 
-/// Whether corners go round a convex polygon once, in either sense, without three on a line.
+/// Whether the corners go once round a convex polygon, in either direction, without three on a line.
 fn is_convex(points: &[[f64; 2]]) -> bool {
     let count = points.len();
     let corner = |index: usize| points[index % count];
@@ -337,8 +336,8 @@ fn is_convex(points: &[[f64; 2]]) -> bool {
         let ([ax, ay], [bx, by], [cx, cy]) = (corner(index), corner(index + 1), corner(index + 2));
         (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
     };
-    // All corners turn the same way, and no corner lies beyond any edge: a star turns the same
-    // way everywhere too, but twice round.
+    // All corners turn the same way, and no corner lies beyond any edge. The first condition alone also
+    // holds for a star, which goes round twice.
     let beyond = |index: usize, other: usize| {
         let ([ax, ay], [bx, by], [cx, cy]) = (corner(index), corner(index + 1), corner(other));
         (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)

@@ -1,9 +1,8 @@
-//! What a simulated room is made of, as a TOML file says it.
+//! The scenario file (TOML): what a simulated room contains.
 //!
-//! Lengths are in metres and angles in degrees (the unit is in the key's name), axes are those of
-//! REP-103, and positions are in the frame `map`. What the numbers alone can say about a mistake
-//! is said here; what needs the geometry (a robot inside a wall) is said by
-//! [`World::new`](super::World::new).
+//! Lengths are in metres and angles in degrees (each key names its unit); axes follow REP-103, and
+//! positions are in the frame `map`. Mistakes in the numbers are reported here; mistakes that depend on
+//! the geometry (a robot inside a wall) are reported by [`World::new`](super::World::new).
 
 mod camera;
 mod checks;
@@ -18,10 +17,10 @@ pub use robot::{
     MarkerConfig, OdometryConfig, RobotConfig, RouteConfig, SensorConfig, SensorPreset, StartConfig,
 };
 
-/// The usual scenario: one room with blind spots, two cameras, four robots, two people.
+/// The default scenario: one room with blind spots, two cameras, four robots, two people.
 pub const BUILT_IN: &str = include_str!("../../../scenarios/room.toml");
 
-/// All built-in scenarios by their names; the first is the usual one.
+/// All built-in scenarios by name; the first is the default.
 pub const NAMED: [(&str, &str); 5] = [
     ("room", BUILT_IN),
     ("warehouse", include_str!("../../../scenarios/warehouse.toml")),
@@ -30,35 +29,35 @@ pub const NAMED: [(&str, &str); 5] = [
     ("ahmed-2013", include_str!("../../../scenarios/ahmed-2013.toml")),
 ];
 
-/// Why a scenario can't be simulated. Each is one line that names the file and the line or key.
+/// Why a scenario cannot be simulated. Each error is one line that names the file and the line or key.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// The file can't be read.
+    /// The file cannot be read.
     #[error("{file}: {cause}")]
     Read {
         /// The file.
         file: String,
-        /// What the operating system says.
+        /// The error of the operating system.
         cause: std::io::Error,
     },
-    /// The file is not TOML, or has a key that no scenario has, or lacks one.
+    /// The file is not TOML, has an unknown key, or lacks a key.
     #[error("{file}, line {line}: {problem}")]
     Syntax {
         /// The file.
         file: String,
         /// The line, from one.
         line: usize,
-        /// What is wrong there.
+        /// The problem.
         problem: String,
     },
-    /// A value that no room can have.
+    /// A value is impossible.
     #[error("{file}: {key} {problem}")]
     Invalid {
         /// The file.
         file: String,
-        /// The key, as `robots[2].start`.
+        /// The key, such as `robots[2].start`.
         key: String,
-        /// What is wrong with it and what would be right.
+        /// The problem, and what would be right.
         problem: String,
     },
 }
@@ -67,22 +66,22 @@ pub enum ScenarioError {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// What error messages call this scenario: its file.
+    /// The name used in error messages: the file.
     #[serde(skip)]
     pub file: String,
-    /// How long a run lasts unless the caller says otherwise.
+    /// Default duration of a run.
     pub duration_s: f64,
-    /// The height at which the map is scored: surfaces there are the truth.
+    /// The height at which the map is scored: the truth consists of the surfaces there.
     pub slice_height_m: f64,
     /// The walls.
     pub room: RoomConfig,
-    /// What stands, lies or hangs in the room, and moves at most when somebody moves it.
+    /// Furniture: everything that stands, lies or hangs in the room and moves only when it is moved.
     #[serde(default)]
     pub furniture: Vec<FurnitureConfig>,
-    /// Doors in the walls' gaps.
+    /// Doors in gaps of the walls.
     #[serde(default)]
     pub doors: Vec<DoorConfig>,
-    /// What is put into a map in addition, wherever there is room.
+    /// Cameras, robots and people to be placed automatically in a map.
     pub grow: Option<GrowConfig>,
     /// The fixed cameras.
     #[serde(default)]
@@ -99,12 +98,12 @@ pub struct Scenario {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoomConfig {
-    /// From the floor to the ceiling.
+    /// Height of the ceiling.
     pub height_m: f64,
-    /// Of the drawn walls, unless a wall has its own.
+    /// Default thickness of drawn walls.
     #[serde(default = "defaults::wall_thickness_m")]
     pub wall_thickness_m: f64,
-    /// The centre lines of the outer walls, corner by corner; closed by itself.
+    /// Centre lines of the outer walls as a polygon, which is closed automatically.
     #[serde(default)]
     pub outline_m: Vec<[f64; 2]>,
     /// Walls inside the room.
@@ -114,15 +113,15 @@ pub struct RoomConfig {
     pub map: Option<PathBuf>,
 }
 
-/// How many of each are put into a map.
+/// Numbers of cameras, robots and people to be placed in a map.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GrowConfig {
-    /// Cameras that look straight down.
+    /// Number of cameras; they look straight down.
     pub cameras: u8,
-    /// Robots.
+    /// Number of robots.
     pub robots: u8,
-    /// People.
+    /// Number of people.
     pub people: u8,
 }
 
@@ -130,11 +129,11 @@ pub struct GrowConfig {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WallConfig {
-    /// The centre line, corner by corner.
+    /// The corners of the centre line.
     pub points_m: Vec<[f64; 2]>,
-    /// The room's unless given.
+    /// Thickness (default: the room's).
     pub thickness_m: Option<f64>,
-    /// Up to the ceiling unless given.
+    /// Height (default: the ceiling's).
     pub height_m: Option<f64>,
 }
 
@@ -142,64 +141,64 @@ pub struct WallConfig {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FurnitureConfig {
-    /// What it is, for people who read the file.
+    /// A description for readers of the file.
     #[serde(default)]
     pub name: String,
-    /// Its shape from above.
+    /// Its footprint.
     pub footprint: FootprintConfig,
-    /// Its lower side; above zero it overhangs the floor.
+    /// Height of its underside; above zero it overhangs the floor.
     #[serde(default)]
     pub bottom_m: f64,
-    /// Its upper side.
+    /// Height of its upper side.
     pub top_m: f64,
-    /// Square legs of this side, from the floor to `bottom_m`, at the corners of a box.
+    /// Side of square legs from the floor to `bottom_m`, at the corners of a box.
     pub legs_m: Option<f64>,
-    /// When and where it is moved, in the order of time; not for a polygon.
+    /// The times and places to which it is moved, in order of time; not for a polygon.
     #[serde(default)]
     pub moved: Vec<MoveConfig>,
 }
 
-/// A piece of furniture is moved: at once, or as soon as nobody stands there.
+/// A move of a piece of furniture, made at its time or as soon as the new place is free.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MoveConfig {
-    /// When.
+    /// The time of the move.
     pub at_s: f64,
-    /// Where its centre is from then on.
+    /// The new centre.
     pub centre_m: [f64; 2],
-    /// How it is turned from then on.
+    /// The new heading.
     #[serde(default)]
     pub heading_deg: f64,
 }
 
-/// A door: a leaf that hangs on a hinge. It opens and shuts at once, or as soon as nobody is in
-/// its way; robots and people wait before a shut one.
+/// A door: a leaf on a hinge. It opens and closes as soon as nobody is in its way; robots and people wait
+/// before a closed door.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DoorConfig {
-    /// Where it hangs.
+    /// Position of the hinge.
     pub hinge_m: [f64; 2],
-    /// From the hinge along the shut leaf, counter-clockwise from x.
+    /// Direction from the hinge along the closed leaf, counter-clockwise from x.
     #[serde(default)]
     pub heading_deg: f64,
-    /// How far it turns to be open, counter-clockwise.
+    /// Opening angle, counter-clockwise.
     #[serde(default = "defaults::door_swing_deg")]
     pub swing_deg: f64,
-    /// From the hinge to the handle's edge.
+    /// Width of the leaf.
     #[serde(default = "defaults::door_width_m")]
     pub width_m: f64,
-    /// From the floor to its upper edge.
+    /// Height of the leaf.
     #[serde(default = "defaults::door_height_m")]
     pub height_m: f64,
-    /// Of the leaf.
+    /// Thickness of the leaf.
     #[serde(default = "defaults::door_thickness_m")]
     pub thickness_m: f64,
-    /// From when to when it is open, in the order of time; shut otherwise.
+    /// Intervals (from, to) during which it is open, in order of time; otherwise it is closed.
     #[serde(default)]
     pub open_s: Vec<[f64; 2]>,
 }
 
-/// A shape from above.
+/// The footprint of a piece of furniture.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "lowercase")]
 pub enum FootprintConfig {
@@ -207,9 +206,9 @@ pub enum FootprintConfig {
     Box {
         /// Its centre.
         centre_m: [f64; 2],
-        /// Its sides along x and y before it is turned.
+        /// Its sides along x and y before rotation.
         size_m: [f64; 2],
-        /// Turned about its centre, counter-clockwise.
+        /// Rotation about its centre, counter-clockwise.
         #[serde(default)]
         heading_deg: f64,
     },
@@ -222,7 +221,7 @@ pub enum FootprintConfig {
     },
     /// A convex polygon.
     Polygon {
-        /// Its corners, in either sense.
+        /// Its corners, clockwise or counter-clockwise.
         points_m: Vec<[f64; 2]>,
     },
 }
@@ -231,41 +230,41 @@ pub enum FootprintConfig {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PersonConfig {
-    /// The stops; the person starts at the first and comes back to it after the last.
+    /// The stops; the person starts at the first and returns to it after the last.
     pub waypoints_m: Vec<[f64; 2]>,
-    /// The speed between stops.
+    /// Walking speed.
     #[serde(default = "defaults::person_speed_m_s")]
     pub speed_m_s: f64,
-    /// The mean pause at a stop; each lasts half to one and a half of it, by the seed.
+    /// Mean pause at a stop; each pause is random, from half to one and a half times the mean.
     #[serde(default)]
     pub pause_s: f64,
-    /// Of the body.
+    /// Radius of the body.
     #[serde(default = "defaults::person_radius_m")]
     pub radius_m: f64,
-    /// Upright, from the sole to the crown.
+    /// Standing height.
     #[serde(default = "defaults::person_height_m")]
     pub height_m: f64,
-    /// Standing, sitting or lying; who sits or lies stays at the first waypoint.
+    /// Posture; a person who sits or lies stays at the first waypoint.
     #[serde(default)]
     pub posture: PostureConfig,
-    /// Where who sits or lies faces: the head of who lies is there.
+    /// Heading of a person who sits, and direction of the head of one who lies.
     #[serde(default)]
     pub heading_deg: f64,
 }
 
-/// How a person is.
+/// The posture of a person.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum PostureConfig {
     /// Upright.
     #[default]
     Standing,
-    /// On something 0.45 m high.
+    /// On a seat 0.45 m high.
     Sitting,
     /// On the floor.
     Lying,
 }
-/// What a scenario need not say.
+/// Defaults of a scenario.
 mod defaults {
     pub(super) fn door_width_m() -> f64 {
         0.9
@@ -294,7 +293,7 @@ mod defaults {
 }
 
 impl PersonConfig {
-    /// The usual person, who walks along these points.
+    /// The default person, walking along these points.
     pub(super) fn along(waypoints_m: Vec<[f64; 2]>) -> Self {
         Self {
             waypoints_m,
@@ -314,13 +313,13 @@ impl Scenario {
         Self::from_toml(BUILT_IN, "built-in scenario")
     }
 
-    /// Reads a scenario: one of [`NAMED`] by its name, or a file; a map that a file names is
-    /// looked for beside it.
+    /// Reads a scenario: one of [`NAMED`] by its name, or a file. The path of a map in a file is relative
+    /// to that file.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
         Self::read_with(path, None)
     }
 
-    /// The same; `map`, if given, is the room's in place of any that it has.
+    /// Reads a scenario like [`Scenario::read`]; `map`, if given, replaces the room's map.
     pub fn read_with(path: &Path, map: Option<&Path>) -> Result<Self, ScenarioError> {
         let mut scenario = match NAMED.iter().find(|(name, _)| path == Path::new(name)) {
             Some((name, text)) => Self::parse(text, &format!("built-in scenario {name}"))?,
@@ -339,14 +338,14 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// A scenario from text; `file` is what error messages call it.
+    /// Parses and checks a scenario; `file` is its name in error messages.
     pub fn from_toml(text: &str, file: &str) -> Result<Self, ScenarioError> {
         let scenario = Self::parse(text, file)?;
         scenario.check()?;
         Ok(scenario)
     }
 
-    /// A scenario from text, whose numbers may still be wrong.
+    /// Parses a scenario without checking its numbers.
     fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
         let mut scenario: Self = toml::from_str(text).map_err(|error| {
             let start = error.span().map_or(0, |span| span.start);
@@ -361,7 +360,7 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// The height of the tallest robot: what stands above it is in no robot's way.
+    /// The height of the tallest robot: obstacles above it block no robot.
     pub fn robot_height_m(&self) -> f64 {
         self.robots
             .iter()
@@ -370,7 +369,7 @@ impl Scenario {
             .unwrap_or_else(robot::defaults::height_m)
     }
 
-    /// What is wrong with a key of this scenario.
+    /// The error for a key of this scenario.
     pub(super) fn invalid(
         &self,
         key: impl Into<String>,

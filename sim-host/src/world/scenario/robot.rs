@@ -1,4 +1,4 @@
-//! A robot, as a scenario says it.
+//! A robot in a scenario.
 
 use serde::Deserialize;
 
@@ -8,49 +8,48 @@ use serde::Deserialize;
 pub struct RobotConfig {
     /// Its number, unique in the scenario.
     pub id: u16,
-    /// Where it stands in the beginning; also the last stop of its route.
+    /// Pose at the start; also the last stop of its route.
     pub start: StartConfig,
-    /// Of its footprint.
+    /// Radius of its footprint.
     #[serde(default = "defaults::radius_m")]
     pub radius_m: f64,
-    /// From the floor to its top.
+    /// Height of its top above the floor.
     #[serde(default = "defaults::height_m")]
     pub height_m: f64,
-    /// Its length and width where it is a box; a cylinder without.
+    /// Length and width of a box-shaped robot; a cylinder if not given.
     pub box_m: Option<[f64; 2]>,
-    /// What the cameras know it by.
+    /// The kind of marker on its top.
     #[serde(default)]
     pub marker: MarkerConfig,
-    /// The side of the black square of a tag, or of a colour marker.
+    /// Side of a tag's black square, or of a colour marker.
     #[serde(default = "defaults::marker_size_m")]
     pub marker_size_m: f64,
-    /// The number that its tag says; the robot's own unless given. Only the first
-    /// [`TAGS`](crate::world::TAGS) of the family are known: a robot of a higher number wears a
-    /// blank plate.
+    /// Number of its tag (default: the robot's). Only the first [`TAGS`](crate::world::TAGS) of the family
+    /// are available: a robot with a higher number carries a blank plate.
     pub tag_id: Option<u16>,
-    /// How far its identifier is turned against the robot, counter-clockwise: glued on askew.
+    /// Mounting error of its marker: rotation relative to the robot, counter-clockwise.
     #[serde(default)]
     pub identifier_askew_deg: f64,
-    /// Its range sensor.
+    /// The range sensor.
     #[serde(default)]
     pub sensor: SensorConfig,
-    /// Where it drives.
+    /// The route.
     #[serde(default)]
     pub route: RouteConfig,
-    /// How wrong its wheel encoders are.
+    /// The odometry errors.
     #[serde(default)]
     pub odometry: OdometryConfig,
 }
 
 impl RobotConfig {
-    /// The colours of the head and the tail of its colour marker, of red, yellow, green, cyan, blue,
-    /// magenta: fifteen robots can be told apart, for nobody knows the head of a pair by its colour.
+    /// Colours of the head and tail of its colour marker, as indices into red, yellow, green, cyan, blue,
+    /// magenta. There are fifteen distinct unordered pairs, because head and tail look alike.
     pub fn colours(&self) -> [usize; 2] {
         let pairs = (0..6).flat_map(|head| (head + 1..6).map(move |tail| [head, tail]));
         pairs.cycle().nth(usize::from(self.id) % 15).unwrap_or([0, 1])
     }
 
-    /// The usual robot, with a route through these points.
+    /// The default robot, with a route through these points.
     pub(in super::super) fn at(id: u16, start: StartConfig, waypoints_m: Vec<[f64; 2]>) -> Self {
         Self {
             id,
@@ -69,62 +68,61 @@ impl RobotConfig {
     }
 }
 
-/// What a robot wears on its top, over `base_link`.
+/// The kind of marker on a robot's top, centred over `base_link`.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "lowercase")]
 pub enum MarkerConfig {
-    /// A tag of the AprilTag family 36h11 with a white margin; its upper edge is ahead.
+    /// A tag of the AprilTag family 36h11 with a white margin; its top edge is ahead.
     #[default]
     Tag,
-    /// A light cover with a head ahead and a tail behind, in two colours that say which robot
+    /// A light cover with a head disc ahead and a tail disc behind; their two colours identify the robot
     /// (Ahmed et al., 2.2).
     Colour,
 }
 
-/// A pose in the beginning.
+/// The pose of a robot at the start.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StartConfig {
-    /// In `map`.
+    /// x in `map`.
     pub x_m: f64,
-    /// In `map`.
+    /// y in `map`.
     pub y_m: f64,
-    /// Counter-clockwise from x.
+    /// Heading, counter-clockwise from x.
     #[serde(default)]
     pub heading_deg: f64,
 }
 
-/// A robot's range sensor, which gives one row of ranges at its own height. `preset` says which
-/// kind of sensor it is and what it need not say.
+/// A robot's range sensor, which measures a row of ranges at its own height. The `preset` gives the kind of
+/// sensor and the defaults of all other keys.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(from = "SensorKeys")]
 pub struct SensorConfig {
-    /// Which kind it is.
+    /// The kind of sensor.
     pub preset: SensorPreset,
-    /// Ahead of `base_link`.
+    /// Position ahead of `base_link`.
     pub x_m: f64,
-    /// To the left of `base_link`.
+    /// Position to the left of `base_link`.
     pub y_m: f64,
-    /// Above the floor.
+    /// Height above the floor.
     pub height_m: f64,
-    /// The middle of the view, counter-clockwise from the robot's x.
+    /// Direction of the centre of its view, counter-clockwise from the robot's x.
     pub heading_deg: f64,
-    /// How far it is really turned from there, counter-clockwise: mounted askew, and the robot
-    /// does not know.
+    /// Mounting error: actual rotation from that direction, counter-clockwise, unknown to the robot.
     pub askew_deg: f64,
-    /// From the first beam to the last; of a camera, from edge to edge.
+    /// Field of view: from the first beam to the last; for a camera, from edge to edge.
     pub fov_deg: f64,
-    /// How many beams, or columns.
+    /// Number of beams or columns.
     pub beams: usize,
-    /// Nearer returns are lost.
+    /// Minimum range; closer returns are lost.
     pub min_range_m: f64,
-    /// Farther returns are lost.
+    /// Maximum range; farther returns are lost.
     pub max_range_m: f64,
-    /// Scans each second.
+    /// Scan rate.
     pub rate_hz: f64,
-    /// Standard deviation of a range, whatever the range.
+    /// Standard deviation of a range: constant part.
     pub noise_m: f64,
-    /// Standard deviation that grows with the range: metres for each metre.
+    /// Standard deviation of a range: part proportional to the range (metres per metre).
     pub noise_ratio: f64,
 }
 
@@ -132,22 +130,22 @@ pub struct SensorConfig {
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorPreset {
-    /// A fan of thin beams, each with its range.
+    /// A fan of thin beams.
     #[default]
     Beams,
-    /// A row of 640 pixels of a stereo camera, a D435: depths along the optical axis. Its noise is
-    /// that of a stereo camera, whatever `noise_m` and `noise_ratio` say.
+    /// A row of 640 pixels of a stereo camera (D435): depths along the optical axis, with stereo noise;
+    /// `noise_m` and `noise_ratio` are ignored.
     DepthRow,
-    /// The row that looks level of a time-of-flight camera of 100 x 100 pixels and 70 degrees,
-    /// which sees 2.5 m far.
+    /// The level row of a time-of-flight camera with 100 x 100 pixels, a field of view of 70 degrees and a
+    /// range of 2.5 m.
     Tof100,
-    /// The row above the horizon of a time-of-flight sensor of 8 x 8 zones and 45 degrees. A zone
-    /// is a wide cone: it gives the nearest that stands in it.
+    /// The row just above the horizon of a time-of-flight sensor with 8 x 8 zones and a field of view of 45
+    /// degrees. A zone is a wide cone that reports its nearest return.
     Tof8,
 }
 
 impl SensorPreset {
-    /// The sensor that says nothing more.
+    /// The default sensor of this kind.
     fn sensor(self) -> SensorConfig {
         let beams = SensorConfig {
             preset: self,
@@ -199,7 +197,7 @@ impl Default for SensorConfig {
     }
 }
 
-/// The keys of a sensor as they are written.
+/// The keys of a sensor in the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SensorKeys {
@@ -239,18 +237,18 @@ impl From<SensorKeys> for SensorConfig {
     }
 }
 
-/// A robot's route: from its start through the waypoints, back to the start, and again. It turns
+/// A robot's route: from its start through the waypoints and back to the start, repeatedly. The robot turns
 /// in place, then drives straight.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RouteConfig {
-    /// The stops after the start; none, and the robot stands.
+    /// The stops after the start; without any, the robot stands still.
     pub waypoints_m: Vec<[f64; 2]>,
-    /// The speed between stops.
+    /// Maximum speed.
     pub speed_m_s: f64,
-    /// Gained and lost each second.
+    /// Acceleration, and deceleration before a stop.
     pub acceleration_m_s2: f64,
-    /// How fast it turns in place.
+    /// Maximum turn rate in place.
     pub turn_rate_deg_s: f64,
 }
 
@@ -265,19 +263,19 @@ impl Default for RouteConfig {
     }
 }
 
-/// How odometry departs from the truth.
+/// The errors of the odometry.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OdometryConfig {
-    /// The share by which the wheels measure too long a way (0.01 is one per cent).
+    /// Relative error of measured distances (0.01: one per cent too long).
     pub slip: f64,
-    /// The share by which the wheels measure too wide a turn.
+    /// Relative error of measured turns.
     pub turn_slip: f64,
-    /// The heading that it wrongly gains on each metre.
+    /// Heading error gained per metre.
     pub drift_deg_per_m: f64,
-    /// Standard deviation of the way after one metre; grows with the root of the way.
+    /// Standard deviation of the distance after one metre; grows with the square root of the distance.
     pub noise_m: f64,
-    /// Standard deviation of the heading after one metre or one radian; grows with the root.
+    /// Standard deviation of the heading after one metre or one radian; grows with the square root.
     pub heading_noise_deg: f64,
 }
 
@@ -293,7 +291,7 @@ impl Default for OdometryConfig {
     }
 }
 
-/// What a scenario need not say of a robot.
+/// Defaults of a robot.
 pub(super) mod defaults {
     pub(super) fn radius_m() -> f64 {
         0.15

@@ -1,4 +1,4 @@
-//! What cameras see, against a slow answer, and what a frame says of people and robots.
+//! Ideal cameras compared with slow ray marching; people and robots in frames.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -28,7 +28,7 @@ const ROOM: &str = "
     range_m = 4.5
 ";
 
-/// Whether furniture of this test's kinds holds a point.
+/// Whether a point is inside the furniture of this test.
 fn holds(scenario: &Scenario, point: DVec3) -> bool {
     scenario.furniture.iter().any(|piece| {
         let inside = match &piece.footprint {
@@ -46,13 +46,13 @@ fn holds(scenario: &Scenario, point: DVec3) -> bool {
     })
 }
 
-/// Whether small steps from the camera to a point meet nothing on the way.
+/// Whether ray marching from the camera to a point meets nothing.
 fn is_clear(scenario: &Scenario, from: DVec3, to: DVec3) -> bool {
     let steps = (from.distance(to) / 0.002) as usize;
     (0..steps).all(|step| !holds(scenario, from.lerp(to, step as f64 / steps as f64)))
 }
 
-/// Whether a point is in the picture of the camera of this test.
+/// Whether a point is in the picture of this test's camera.
 fn is_in_picture(scenario: &Scenario, point: DVec3) -> bool {
     let camera = &scenario.cameras[0];
     let eye = DVec3::from(camera.position_m);
@@ -68,7 +68,7 @@ fn is_in_picture(scenario: &Scenario, point: DVec3) -> bool {
 }
 
 #[test]
-fn the_floor_in_view_is_what_small_steps_reach() {
+fn the_visible_floor_is_what_ray_marching_reaches() {
     let scenario = small_room(ROOM);
     let mut world = world(&scenario, 0);
     let eye = DVec3::from(scenario.cameras[0].position_m);
@@ -78,7 +78,7 @@ fn the_floor_in_view_is_what_small_steps_reach() {
     let (mut free, mut occupied, mut blind) = (0, 0, 0);
     for (x, y) in (0..80).flat_map(|x| (0..60).map(move |y| (x, y))) {
         let centre = (DVec2::new(f64::from(x), f64::from(y)) + 0.5) * 0.05;
-        // A cell that some furniture only grazes may be either: it is left out.
+        // Cells that furniture only grazes may be either, and are skipped.
         let corners = (-4..=4).flat_map(|dx| (-4..=4).map(move |dy| (dx, dy)));
         let stands = corners
             .map(|(dx, dy)| centre + DVec2::new(f64::from(dx), f64::from(dy)) * 0.0065)
@@ -91,7 +91,7 @@ fn the_floor_in_view_is_what_small_steps_reach() {
             *(if expected { &mut free } else { &mut blind }) += 1;
         } else if stands == 81 {
             assert_ne!(visible.get(&(x, y)), Some(&Cell::Free), "{x}, {y} is not free");
-            // The top of the box in its middle is open to the camera.
+            // The camera can see the centre of the box's top.
             let top = centre.extend(0.6);
             if holds(&scenario, top) && is_in_picture(&scenario, top) {
                 let expected = is_clear(&scenario, eye, top + DVec3::Z * 0.001);
@@ -104,18 +104,18 @@ fn the_floor_in_view_is_what_small_steps_reach() {
 }
 
 #[test]
-fn what_overhangs_the_robots_hides_but_does_not_occupy() {
+fn overhangs_hide_cells_but_do_not_occupy_them() {
     let mut world = world(&small_room(ROOM), 0);
     let under_the_board = (64, 16);
     assert!(!world.covered(0).contains(&under_the_board));
     assert!(world.truth().free.contains(&under_the_board));
-    // No cell of it is called occupied either.
+    // No cell under the board may be occupied.
     let board = |cell: &(i32, i32)| (43..73).contains(&cell.0) && (8..24).contains(&cell.1);
     let visible = world.cameras.cameras().next().unwrap().visible();
     assert!(visible.iter().filter(|it| board(&it.cell)).all(|it| it.state == Cell::Free));
 }
 
-/// All observations of the first seconds.
+/// All observations until a time in seconds.
 fn observations(world: &mut World, until: f64) -> Vec<Observation> {
     std::iter::from_fn(|| world.poll(seconds(until))).collect()
 }
@@ -141,15 +141,15 @@ fn a_person_is_movable_and_casts_a_shadow() {
         match with.get(&(x, y)) {
             Some(&Cell::Movable) => assert!(distance < 0.2 + 0.04, "{x}, {y}"),
             Some(&now) => assert_eq!(now, state),
-            // Hidden: farther away than the person, or in the person.
+            // Not listed: behind the person, or inside.
             None => {
                 shadow += 1;
-                assert!(centre.distance(eye) > 0.9, "{x}, {y} is before the person");
+                assert!(centre.distance(eye) > 0.9, "{x}, {y} is in front of the person");
             }
         }
     }
     let movable = with.values().filter(|&&state| state == Cell::Movable).count();
-    // A disc of 0.2 m covers fifty cells, and touches some more.
+    // A disc of 0.2 m covers fifty cells and touches some more.
     assert!((50..90).contains(&movable), "{movable}");
     let [person] = &seen.things[..] else { panic!("{:?}", seen.things) };
     assert_eq!((person.cells.len(), empty.things.len()), (movable, 0));
@@ -197,7 +197,7 @@ fn frames_come_at_their_rate_after_their_latency() {
     while let Some(next) = world.next_arrival().filter(|&next| next <= seconds(20.0)) {
         assert!(next >= now);
         now = next;
-        let observation = world.poll(now).expect("it was said to arrive");
+        let observation = world.poll(now).expect("an observation was announced");
         assert_eq!(observation.captured.micros() + latency, now.micros());
         captured[observation.camera].push(observation.captured);
         with_cells += usize::from(!observation.cells.is_empty());
@@ -214,7 +214,7 @@ fn frames_come_at_their_rate_after_their_latency() {
 }
 
 #[test]
-fn shadows_are_what_small_steps_find() {
+fn shadows_agree_with_ray_marching() {
     let mut low = small_room(ROOM);
     low.cameras[0].position_m[2] = 1.2;
     low.people = small_room(
@@ -247,7 +247,7 @@ fn shadows_are_what_small_steps_find() {
                         })
                     });
                     hidden_cells += usize::from(is_hidden);
-                    // Small steps may miss a grazed edge; and a body hides what it touches.
+                    // Ray marching may miss a grazed edge; a body also hides what it touches.
                     let is_listed = listed.get(&seen.cell) == Some(&seen.state);
                     assert!(!(is_hidden && is_listed), "{:?} is hidden", seen.cell);
                     if !is_hidden && !is_listed {

@@ -1,4 +1,4 @@
-//! Furniture that is moved and doors that open and shut, and who waits for whom.
+//! Moved furniture, opening and closing doors, and who waits for whom.
 
 use parry2d_f64::glamx::DVec2;
 
@@ -6,7 +6,7 @@ use super::{RESOLUTION, seconds, small_room, world};
 use crate::world::World;
 
 #[test]
-fn the_truth_is_that_of_the_furniture_in_its_new_place() {
+fn the_truth_shows_furniture_in_its_new_place() {
     let scenario = small_room(
         "[[furniture]]
         footprint.box = { centre_m = [1.025, 1.025], size_m = [0.3, 0.3] }
@@ -14,7 +14,7 @@ fn the_truth_is_that_of_the_furniture_in_its_new_place() {
         moved = [{ at_s = 2.0, centre_m = [3.025, 2.025] }]",
     );
     let mut world = world(&scenario, 1);
-    // A cell on the middle of the western side of each place.
+    // The middle of the western side, before and after the move.
     let (before, after) = ((17, 20), (57, 40));
     let is_surface = |world: &World, cell| world.truth().surfaces.contains(&cell);
     assert!(is_surface(&world, before) && !is_surface(&world, after));
@@ -25,7 +25,7 @@ fn the_truth_is_that_of_the_furniture_in_its_new_place() {
 }
 
 #[test]
-fn furniture_waits_until_nobody_is_in_its_place() {
+fn furniture_waits_until_its_place_is_free() {
     let scenario = small_room(
         "[[robots]]
         id = 1
@@ -48,8 +48,8 @@ fn furniture_waits_until_nobody_is_in_its_place() {
             moved_at = Some((time, body.centre.x));
         }
     }
-    let (time, x) = moved_at.expect("it is moved in the end");
-    // A centimetre beside its way is too near; past the corner it is not.
+    let (time, x) = moved_at.expect("the furniture is moved eventually");
+    // Until the robot is past the corner, it is too close.
     assert!(time > 0.5 && x > 0.8, "moved at {time} s with the robot at {x}");
 }
 
@@ -69,7 +69,7 @@ const DOOR: &str = "
 ";
 
 #[test]
-fn a_person_waits_before_a_shut_door_and_goes_through_when_it_opens() {
+fn a_person_waits_at_a_closed_door_and_passes_when_it_opens() {
     let scenario = small_room(DOOR);
     let mut world = world(&scenario, 1);
     let mut passed = None;
@@ -84,12 +84,12 @@ fn a_person_waits_before_a_shut_door_and_goes_through_when_it_opens() {
             passed = Some(time);
         }
     }
-    let passed = passed.expect("somebody goes through");
-    assert!(passed > 6.0, "through the shut door at {passed} s");
+    let passed = passed.expect("the person passes the door");
+    assert!(passed > 6.0, "passed the closed door at {passed} s");
 }
 
 #[test]
-fn a_way_through_a_place_that_will_be_taken_is_refused() {
+fn a_path_through_a_future_place_of_furniture_is_refused() {
     let scenario = small_room(
         "[[robots]]
         id = 1
@@ -101,5 +101,5 @@ fn a_way_through_a_place_that_will_be_taken_is_refused() {
         moved = [{ at_s = 0.5, centre_m = [2.0, 1.5] }]",
     );
     let error = World::new(&scenario, None, RESOLUTION, 1).err().unwrap().to_string();
-    assert!(error.contains("the way touches furniture[0]"), "{error}");
+    assert!(error.contains("the path touches furniture[0]"), "{error}");
 }

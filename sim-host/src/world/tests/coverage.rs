@@ -1,5 +1,5 @@
-//! The built-in room is what it is meant to be: two cameras leave blind spots, and the robots'
-//! routes see into all of them.
+//! The built-in room has the intended coverage: two cameras leave blind spots, and the robots' routes see
+//! into all of them.
 
 use std::collections::BTreeSet;
 
@@ -16,7 +16,7 @@ fn cameras_and_robots_together_see_the_room() {
     let truth = world.truth().clone();
     let (mut by_cameras, mut by_robots) = (BTreeSet::new(), BTreeSet::new());
     while let Some(scan) = world.poll_scan(seconds(scenario.duration_s)) {
-        // An ideal map: the cells that the beams cross, from where the robot really is.
+        // An ideal map: the cells that the beams cross from the robot's true pose.
         let sensor = world.robots()[scan.robot].sensor();
         let heading = scan.truth.heading.radians();
         let at = DVec2::new(scan.truth.x.metres(), scan.truth.y.metres());

@@ -1,4 +1,4 @@
-//! Frames show what is there, where the calibration says, with the noise that is promised.
+//! Frames agree with the scene and the calibration, and have the specified noise.
 
 use nalgebra::Point3;
 use parry2d_f64::glamx::{DVec2, DVec3};
@@ -27,7 +27,7 @@ fn camera(scenario: &Scenario, index: usize) -> FrameCamera {
     FrameCamera::new(&scenario.cameras[index], false, dice(1)).unwrap()
 }
 
-/// Small images, for tests that need many.
+/// Reduces the images, for tests that need many.
 fn shrunk(mut scenario: Scenario) -> Scenario {
     for camera in &mut scenario.cameras {
         (camera.depth.width, camera.depth.height) = (160, 120);
@@ -36,7 +36,7 @@ fn shrunk(mut scenario: Scenario) -> Scenario {
     scenario
 }
 
-/// How far a ray goes before it meets anything: the slow way, in double precision.
+/// Distance of a ray's first hit, computed the slow way in double precision.
 fn cast(scene: &Scene, eye: DVec3, way: DVec3) -> f64 {
     let plane = if way.z < 0.0 { 0.0 } else { scene.room.height() };
     let nearest = (plane - eye.z) / way.z;
@@ -46,7 +46,7 @@ fn cast(scene: &Scene, eye: DVec3, way: DVec3) -> f64 {
 }
 
 #[test]
-fn depth_is_how_far_a_ray_goes() {
+fn depths_agree_with_ray_casting() {
     let scenario = Scenario::built_in().unwrap();
     let mut world = built_in(1);
     world.advance(seconds(7.0));
@@ -60,8 +60,7 @@ fn depth_is_how_far_a_ray_goes() {
         for _ in 0..5_000 {
             let (column, row) = (throw.random_range(0..640), throw.random_range(0..480));
             let found = f64::from(depth[row * 640 + column]);
-            // On an outline a hair decides: a ray that is a fiftieth of a pixel beside may see
-            // what is behind.
+            // At an outline rounding decides: accept the depth of a ray a fiftieth of a pixel beside.
             let beside = [(0.0, 0.0), (-0.02, 0.0), (0.02, 0.0), (0.0, -0.02), (0.0, 0.02)];
             let mut near = beside.iter().map(|&(right, down)| {
                 let way = lens.direction([column as f64 + right, row as f64 + down]);
@@ -75,7 +74,7 @@ fn depth_is_how_far_a_ray_goes() {
     }
 }
 
-/// A camera that looks straight down on the floor from 2.5 m.
+/// A camera 2.5 m above the floor that looks straight down.
 const ABOVE: &str = "
     [[cameras]]
     position_m = [2.0, 1.5, 2.5]
@@ -86,11 +85,11 @@ const ABOVE: &str = "
 ";
 
 #[test]
-fn depth_is_as_noisy_as_a_stereo_camera_of_that_baseline() {
+fn depth_noise_is_that_of_a_stereo_camera_with_this_baseline() {
     let scenario = small_room(ABOVE);
     let scene = scene_of(&world(&scenario, 1));
     let (image, _) = camera(&scenario, 0).take(&scene, &mut dice(9)).unwrap();
-    // In disparity the noise is the same everywhere: 0.08 pixels, and steps of 1/32.
+    // The noise is uniform in disparity: 0.08 pixels, plus steps of 1/32.
     let focal = 320.0 / 30_f64.to_radians().tan();
     let expected = focal * 0.05 / 2.5;
     let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
@@ -119,13 +118,13 @@ fn the_calibration_states_the_noise_of_the_depths() {
             measured.map(|pixel| (f64::from(pixel.0[0]) / 1000.0 - 2.5).powi(2)).collect();
         let found = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
         let stated = camera.calibration().depth_noise.sigma_m(2.5);
-        // The millimetre for rounding is more than the rounding.
+        // The stated constant of one millimetre exceeds the actual rounding.
         assert!((0.0..0.001).contains(&(stated - found)), "{stated} m stated, {found} m found");
     }
 }
 
 #[test]
-fn what_stands_out_casts_a_shadow_to_its_left_where_there_is_no_depth() {
+fn objects_cast_a_shadow_without_depth_to_their_left() {
     let mut scenario = small_room(&format!(
         "[[furniture]]
         footprint.box = {{ centre_m = [2.0, 1.5], size_m = [0.6, 0.6] }}
@@ -138,7 +137,7 @@ fn what_stands_out_casts_a_shadow_to_its_left_where_there_is_no_depth() {
     let (image, _) = camera(&scenario, 0).take(&scene, &mut dice(9)).unwrap();
     let row: Vec<u16> = (0..640).map(|column| image.get_pixel(column, 240).0[0]).collect();
     let focal = 320.0 / 30_f64.to_radians().tan();
-    // The floor at 2.5 m, the box's top at 1.3 m: so many columns apart in the other imager.
+    // The width of the shadow in columns, for the floor at 2.5 m and the box's top at 1.3 m.
     let shadow = focal * 0.05 * (1.0 / 1.3 - 1.0 / 2.5);
     let (left, right) = (319.5 - focal * 0.3 / 1.3, 319.5 + focal * 0.3 / 1.3);
     for (column, &millimetres) in row.iter().enumerate() {
@@ -150,7 +149,7 @@ fn what_stands_out_casts_a_shadow_to_its_left_where_there_is_no_depth() {
             _ => None,
         };
         if let Some(expected) = expected {
-            // Within a step of 1/32 pixel of disparity.
+            // Within one disparity step of 1/32 pixel.
             assert!(millimetres.abs_diff(expected) <= 8, "column {column}: {millimetres} mm");
         }
     }
@@ -171,10 +170,10 @@ fn a_tag_lies_where_the_calibration_says_and_shows_its_number() {
     let scene = scene_of(&world(&scenario, 1));
     let mut camera = camera(&scenario, 0);
     let (_, picture) = camera.take(&scene, &mut dice(3)).unwrap();
-    let Picture::Grey(picture) = picture else { panic!("nobody wears colours") };
+    let Picture::Grey(picture) = picture else { panic!("expected a grey picture") };
     let lens = camera.calibration().picture.unwrap();
     let turn = DVec2::from_angle(42_f64.to_radians());
-    // A place on the tag, in modules ahead and to the left of its middle.
+    // A position on the tag, in modules ahead and to the left of its centre.
     let pixel = |ahead: f64, left: f64| {
         let at = DVec2::new(2.2, 1.4) + turn.rotate(DVec2::new(ahead, left) * 0.1 / 8.0);
         DVec2::from(lens.project(&Point3::new(at.x, at.y, 0.3)).unwrap())
@@ -196,7 +195,7 @@ fn a_tag_lies_where_the_calibration_says_and_shows_its_number() {
             assert_eq!(found > 100.0, is_white, "module ({column}, {row}): {found}");
         }
     }
-    // Each edge of the black square, where brightness is half way: beside its middle on average.
+    // At each edge of the black square, brightness crosses half way at the edge, on average.
     for (side, name) in [DVec2::X, DVec2::Y, -DVec2::X, -DVec2::Y]
         .into_iter()
         .zip(["ahead", "left", "behind", "right"])
@@ -219,7 +218,7 @@ fn a_tag_lies_where_the_calibration_says_and_shows_its_number() {
 }
 
 #[test]
-fn what_moves_leaves_nothing_behind() {
+fn moving_parts_leave_nothing_behind() {
     let scenario = shrunk(Scenario::built_in().unwrap());
     let mut world = built_in(1);
     let mut camera = camera(&scenario, 0);
@@ -230,13 +229,13 @@ fn what_moves_leaves_nothing_behind() {
     for step in 0..20 {
         world.advance(seconds(f64::from(step)));
         let with = camera.take(&scene_of(&world), &mut dice(2)).unwrap();
-        assert!(with != before, "nobody is seen after {step} s");
+        assert!(with != before, "nothing in view has moved after {step} s");
     }
     assert!(camera.take(&Scene { room, moving: Vec::new() }, &mut dice(2)).unwrap() == before);
 }
 
 #[test]
-fn a_room_that_has_changed_looks_as_if_it_had_been_so_always() {
+fn a_changed_room_looks_like_one_built_that_way() {
     let scenario = shrunk(small_room(&format!(
         "[[furniture]]
         footprint.box = {{ centre_m = [1.5, 1.0], size_m = [0.6, 0.4] }}
@@ -257,7 +256,7 @@ fn a_room_that_has_changed_looks_as_if_it_had_been_so_always() {
     assert!(after == fresh.take(&scene_of(&world), &mut dice(1)).unwrap());
 }
 
-/// The frames that arrive until some moment, polled at these intervals, each with its arrival.
+/// The frames that arrive until a time, polled at an interval (seconds), each with its arrival.
 fn frames(world: &mut World, until: f64, interval: f64) -> Vec<(f64, Frame)> {
     let mut frames = Vec::new();
     let mut time = 0.0;
@@ -270,7 +269,7 @@ fn frames(world: &mut World, until: f64, interval: f64) -> Vec<(f64, Frame)> {
 }
 
 #[test]
-fn a_seed_is_a_film_however_it_is_polled() {
+fn frames_depend_on_the_seed_and_not_on_polling() {
     let scenario = shrunk(Scenario::built_in().unwrap());
     let film = |seed: u64, interval: f64| -> Vec<Frame> {
         let frames = frames(&mut world(&scenario, seed), 1.0, interval);
@@ -283,7 +282,7 @@ fn a_seed_is_a_film_however_it_is_polled() {
 }
 
 #[test]
-fn frames_come_late_out_of_order_or_not_at_all() {
+fn frames_arrive_late_out_of_order_or_not_at_all() {
     let mut scenario = small_room(ABOVE);
     let camera = &mut scenario.cameras[0];
     (camera.depth.width, camera.depth.height) = (8, 6);
@@ -293,20 +292,20 @@ fn frames_come_late_out_of_order_or_not_at_all() {
     let frames = frames(&mut world(&scenario, 1), 100.0, 0.01);
     let captured: Vec<f64> =
         frames.iter().map(|(_, frame)| frame.captured.micros() as f64 / 1e6).collect();
-    // 1350 were taken; three standard deviations of a tenth of them are 33.
+    // Of 1350 frames a tenth is lost; three standard deviations are 33.
     assert!((1350 - captured.len()).abs_diff(135) < 33, "{} arrived", captured.len());
     assert!(captured.iter().all(|&moment| moment < 90.0));
     assert!(captured.windows(2).any(|pair| pair[1] < pair[0]), "all in order");
     let delays = frames.iter().zip(&captured).map(|((arrived, _), captured)| arrived - captured);
     let delays: Vec<f64> = delays.collect();
     assert!(delays.iter().all(|&delay| delay > 0.0599));
-    // The latency, the mean of the jitter, and half an interval of polling.
+    // The sum of latency, mean jitter and half a polling interval.
     let mean = delays.iter().sum::<f64>() / delays.len() as f64;
     assert!((mean - 0.095).abs() < 0.004, "late by {mean} s on average");
 }
 
 #[test]
-fn postures_are_as_high_as_they_should_be() {
+fn postures_have_the_right_heights() {
     for (posture, expected) in [("standing", 1.75), ("sitting", 1.36), ("lying", 0.24)] {
         let scenario = shrunk(small_room(&format!(
             "[[people]]

@@ -1,4 +1,4 @@
-//! Rays against a slow answer: small steps, and the plainest test of what holds a point.
+//! Ray casting compared with ray marching in small steps.
 
 use parry2d_f64::glamx::{DVec2, DVec3};
 use proptest::prelude::*;
@@ -6,10 +6,10 @@ use proptest::prelude::*;
 use super::{super::room::Room, small_room};
 use crate::world::{FootprintConfig, FurnitureConfig, Scenario, WallGrid, World};
 
-/// How finely the slow answer looks, in metres.
+/// Step of the ray marching in metres.
 const FINE: f64 = 0.002;
 
-/// Whether a piece of furniture holds a point, from its description alone.
+/// Whether a point is inside a piece of furniture, computed from its description.
 fn holds(furniture: &FurnitureConfig, point: DVec3) -> bool {
     let at = point.truncate();
     (furniture.bottom_m..=furniture.top_m).contains(&point.z)
@@ -33,7 +33,7 @@ fn holds(furniture: &FurnitureConfig, point: DVec3) -> bool {
         }
 }
 
-/// How far along a unit direction some furniture begins.
+/// Distance along a unit direction at which ray marching enters furniture.
 fn slow_hit(scenario: &Scenario, from: DVec3, along: DVec3, limit: f64) -> Option<f64> {
     (0..=(limit / FINE) as usize)
         .map(|step| step as f64 * FINE)
@@ -75,7 +75,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn rays_hit_what_small_steps_find(
+    fn ray_casting_agrees_with_ray_marching(
         pieces in prop::collection::vec(furniture(), 1..6),
         from in point(),
         to in point(),
@@ -93,8 +93,8 @@ proptest! {
         match (fast, slow_hit(&scenario, from, along, limit)) {
             (Some(fast), Some(slow)) => {
                 prop_assert!(fast <= slow + 1e-6, "{fast} is beyond {slow}");
-                // Small steps jump over a corner that is thinner than they are: what the fast
-                // answer found must then be on a surface.
+                // Ray marching skips corners thinner than its steps: then the fast result must lie on
+                // a surface.
                 let at = from + along * fast;
                 let is_there = touches(&scenario, at, 1e-6);
                 prop_assert!(slow - fast <= FINE + 1e-6 || is_there, "{fast}, not {slow}");
@@ -111,7 +111,7 @@ proptest! {
     }
 }
 
-/// Whether some furniture is within a hair of a point.
+/// Whether furniture is within `hair` metres of a point.
 fn touches(scenario: &Scenario, point: DVec3, hair: f64) -> bool {
     let steps = [-hair, 0.0, hair];
     scenario.furniture.iter().any(|piece| {
@@ -126,7 +126,7 @@ fn walls_of_a_map_are_its_occupied_cells() {
     let mut scenario = small_room("");
     scenario.room.outline_m.clear();
     scenario.room.map = Some("map.yaml".into());
-    // A border, and noise inside it.
+    // A border, and random cells inside.
     let (width, height, resolution_m) = (37, 23, 0.1);
     let is_wall = |x: usize, y: usize| {
         x == 0 || y == 0 || x == width - 1 || y == height - 1 || (x * 7 + y * y * 3) % 11 < 3
@@ -165,7 +165,7 @@ fn the_truth_of_an_empty_room_is_the_inner_faces_of_its_walls() {
         start = { x_m = 1.0, y_m = 1.0 }",
     );
     let truth = super::world(&scenario, 0).truth().clone();
-    // Inside there are 80 x 60 cells, and the faces lie on their outer edges.
+    // There are 80 x 60 cells inside, and the faces lie on the outer edges of these.
     assert_eq!(truth.free.len(), 80 * 60);
     let expected: Vec<(i32, i32)> = (-1..=80)
         .flat_map(|x| (-1..=60).map(move |y| (x, y)))
@@ -177,7 +177,7 @@ fn the_truth_of_an_empty_room_is_the_inner_faces_of_its_walls() {
 }
 
 #[test]
-fn what_stands_against_a_wall_hides_its_surface_and_has_no_inside() {
+fn a_box_at_a_wall_hides_the_wall_and_its_own_inside() {
     let scenario = small_room(
         "[[furniture]]
         footprint.box = { centre_m = [3.48, 1.5], size_m = [1.06, 1.02] }
@@ -187,7 +187,7 @@ fn what_stands_against_a_wall_hides_its_surface_and_has_no_inside() {
         start = { x_m = 1.0, y_m = 1.0 }",
     );
     let truth = super::world(&scenario, 0).truth().clone();
-    // The box begins at x = 2.95 and goes from y = 0.99 to y = 2.01.
+    // The box starts at x = 2.95 and extends from y = 0.99 to y = 2.01.
     assert!(truth.surfaces.contains(&(59, 30)));
     let inside = |cell: &&(i32, i32)| cell.0 >= 60 && (20..40).contains(&cell.1);
     assert_eq!(truth.surfaces.iter().find(inside), None);

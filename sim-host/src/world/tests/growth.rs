@@ -1,9 +1,9 @@
-//! A map becomes a scenario: everybody stands on free floor and can go where it is sent.
+//! Scenarios generated from a map: everybody stands on free floor and can reach its stops.
 
 use super::{RESOLUTION, seconds};
 use crate::world::{Scenario, WallGrid, World};
 
-/// Two rooms of 6 x 5 m with a door of 1.2 m between, and a third that nobody can get into.
+/// Two rooms of 6 x 5 m with a door of 1.2 m between them, and an inaccessible third.
 fn rooms() -> (WallGrid, Vec<bool>) {
     let (width, height) = (200, 100);
     let mut occupied = vec![false; width * height];
@@ -25,19 +25,19 @@ fn office() -> Scenario {
 }
 
 #[test]
-fn cameras_robots_and_people_find_their_places_in_both_rooms() {
+fn cameras_robots_and_people_are_placed_in_both_rooms() {
     let (grid, free) = rooms();
     let mut scenario = office();
     scenario.grow_in(&grid, &free).unwrap();
     assert_eq!((scenario.cameras.len(), scenario.robots.len(), scenario.people.len()), (8, 4, 2));
-    // The world refuses places and ways that are not free.
+    // `World::new` refuses places and paths that are not free.
     let mut world = World::new(&scenario, Some(&grid), RESOLUTION, 1).unwrap();
     let column = |x: f64| (x + 3.0) / 0.05;
     let in_west = |x: f64| column(x) < 65.0;
     assert!(scenario.cameras.iter().all(|camera| column(camera.position_m[0]) < 130.0));
     assert!(scenario.cameras.iter().any(|camera| in_west(camera.position_m[0])));
     assert!(scenario.cameras.iter().any(|camera| !in_west(camera.position_m[0])));
-    // Somebody goes from one room into the other.
+    // Somebody moves from one room to the other.
     let side = |world: &World| -> Vec<bool> {
         world.robots().iter().map(|robot| in_west(robot.truth().x.metres())).collect()
     };
@@ -50,13 +50,13 @@ fn cameras_robots_and_people_find_their_places_in_both_rooms() {
 }
 
 #[test]
-fn a_map_without_room_for_all_says_for_how_many() {
+fn a_map_with_too_little_room_reports_the_number_of_places() {
     let (mut grid, mut free) = rooms();
-    // All but a corner of two metres is wall.
+    // Fill everything except a corner of two metres.
     for (index, occupied) in grid.occupied.iter_mut().enumerate() {
         *occupied |= index % 200 > 40 || index / 200 > 40;
         free[index] &= !*occupied;
     }
     let error = office().grow_in(&grid, &free).unwrap_err().to_string();
-    assert!(error.contains("grow has free floor for"), "{error}");
+    assert!(error.contains("grow has free floor for only"), "{error}");
 }

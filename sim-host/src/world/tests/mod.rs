@@ -1,4 +1,4 @@
-//! Tests of the simulated room, against slow independent answers where there are any.
+//! Tests of the simulated room, where possible against slow independent implementations.
 
 mod cameras;
 mod changes;
@@ -18,14 +18,14 @@ const RESOLUTION: Millimetres = Millimetres(50);
 
 /// The built-in room.
 fn built_in(seed: u64) -> World {
-    world(&Scenario::built_in().expect("the built-in scenario is good"), seed)
+    world(&Scenario::built_in().expect("the built-in scenario is valid"), seed)
 }
 
 fn world(scenario: &Scenario, seed: u64) -> World {
-    World::new(scenario, None, RESOLUTION, seed).expect("the scenario is good")
+    World::new(scenario, None, RESOLUTION, seed).expect("the scenario is valid")
 }
 
-/// An empty room of 4 x 3 m inside, and what is added to it.
+/// An empty room, 4 x 3 m inside, plus `more`.
 fn small_room(more: &str) -> Scenario {
     let text = format!(
         "duration_s = 10.0
@@ -36,7 +36,7 @@ fn small_room(more: &str) -> Scenario {
         outline_m = [[-0.05, -0.05], [4.05, -0.05], [4.05, 3.05], [-0.05, 3.05]]
         {more}"
     );
-    Scenario::from_toml(&text, "small.toml").expect("the scenario is good")
+    Scenario::from_toml(&text, "small.toml").expect("the scenario is valid")
 }
 
 fn seconds(seconds: f64) -> Instant {

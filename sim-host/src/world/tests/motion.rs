@@ -1,4 +1,4 @@
-//! Everybody moves the same way for a seed, comes to every stop, and runs into nobody.
+//! Motion is reproducible, reaches every stop, and is free of collisions.
 
 use parry2d_f64::glamx::DVec2;
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ use crate::{
     world::{STEP, ScanEvent, Scenario, World},
 };
 
-/// All that is measured in some seconds, polled at these intervals.
+/// All scans and observations until a time, polled at an interval (seconds).
 fn recorded(world: &mut World, until: f64, interval: f64) -> (Vec<ScanEvent>, Vec<Observation>) {
     let (mut scans, mut frames) = (Vec::new(), Vec::new());
     let mut time = 0.0;
@@ -23,7 +23,7 @@ fn recorded(world: &mut World, until: f64, interval: f64) -> (Vec<ScanEvent>, Ve
 }
 
 #[test]
-fn a_seed_is_a_run_however_it_is_polled() {
+fn results_depend_on_the_seed_and_not_on_polling() {
     let run = recorded(&mut built_in(3), 12.0, 12.0);
     assert!(run == recorded(&mut built_in(3), 12.0, 0.0137));
     assert!(run != recorded(&mut built_in(4), 12.0, 12.0));
@@ -31,7 +31,7 @@ fn a_seed_is_a_run_however_it_is_polled() {
 }
 
 #[test]
-fn one_robot_fewer_leaves_the_noise_of_the_others() {
+fn removing_a_robot_does_not_change_the_noise_of_the_others() {
     let mut scenario = Scenario::built_in().unwrap();
     let all = recorded(&mut world(&scenario, 5), 1.0, 1.0).0;
     scenario.robots.remove(0);
@@ -45,7 +45,7 @@ fn one_robot_fewer_leaves_the_noise_of_the_others() {
 
 #[test]
 fn each_robot_has_noise_of_its_own() {
-    // Both look at the same wall from the same distance.
+    // Both sensors see the same wall at the same distance.
     let scenario = small_room(
         "[[robots]]
         id = 1
@@ -59,7 +59,7 @@ fn each_robot_has_noise_of_its_own() {
     let mut world = world(&scenario, 1);
     let [first, second] = [(); 2].map(|()| world.poll_scan(seconds(0.0)).unwrap().readings_mm);
     assert_ne!(first, second);
-    // Five standard deviations at 1.8 m.
+    // More than five standard deviations at 1.8 m.
     let differ = |(a, b): (&u16, &u16)| a.abs_diff(*b) > 55;
     assert!(!first.iter().zip(&second).any(differ), "{first:?} {second:?}");
 }
@@ -89,7 +89,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
-    fn a_crowd_with_any_routes_never_touches(
+    fn a_crowd_with_random_routes_never_collides(
         stops in prop::collection::vec([0.3..3.7, 0.3..2.7_f64], 12),
         seed in any::<u64>(),
     ) {
@@ -100,14 +100,14 @@ proptest! {
         )
         .people;
         let (robot, person) = (scenario.robots.remove(0), scenario.people.remove(0));
-        // Everybody starts in a corner or at the side of the room, and goes anywhere.
+        // Everybody starts in a corner or at a side of the room and goes anywhere.
         for (index, ([x_m, y_m], ways)) in
             [[0.3, 0.3], [3.7, 0.3], [0.3, 2.7]].into_iter().zip(stops.chunks(2)).enumerate()
         {
             let mut robot = robot.clone();
             (robot.id, robot.start.x_m, robot.start.y_m) = (index as u16, x_m, y_m);
             robot.route.waypoints_m = ways.to_vec();
-            // Too fast to stop in time by braking alone.
+            // Too fast to stop in time by normal braking.
             robot.route.speed_m_s = 1.2;
             scenario.robots.push(robot);
         }
@@ -133,7 +133,7 @@ proptest! {
 }
 
 #[test]
-fn robots_are_no_faster_than_they_should_be_and_come_to_every_stop() {
+fn robots_keep_their_speed_limits_and_reach_every_stop() {
     let scenario = Scenario::built_in().unwrap();
     let mut world = world(&scenario, 1);
     let mut missing: Vec<Vec<DVec2>> = scenario
@@ -153,7 +153,7 @@ fn robots_are_no_faster_than_they_should_be_and_come_to_every_stop() {
             assert!(way <= route.speed_m_s * seconds + 1e-9);
             let turned = (pose.heading - before[index].heading).sin().asin().abs();
             assert!(turned <= route.turn_rate_deg_s.to_radians() * seconds + 1e-9);
-            assert!(way == 0.0 || turned == 0.0, "turns in place");
+            assert!(way == 0.0 || turned == 0.0, "robot moves and turns at the same time");
             before[index] = pose;
         }
     }
@@ -169,7 +169,7 @@ const ROBOT: &str = "
     sensor.noise_ratio = 0.0
 ";
 
-/// The robot's truth in the frame in which its odometry began.
+/// The robot's true pose in the frame of its odometry.
 fn from_start(world: &World) -> (DVec2, f64) {
     let pose = world.robots()[0].pose();
     let offset = pose.position - DVec2::new(1.0, 0.5);
@@ -177,7 +177,7 @@ fn from_start(world: &World) -> (DVec2, f64) {
 }
 
 #[test]
-fn good_odometry_is_the_truth_from_the_start_and_slip_stretches_it() {
+fn odometry_without_errors_is_exact_and_slip_stretches_it() {
     let mut scenario = small_room(ROBOT);
     let error = &mut scenario.robots[0].odometry;
     (error.slip, error.turn_slip, error.noise_m, error.heading_noise_deg) = (0.0, 0.0, 0.0, 0.0);
@@ -199,7 +199,7 @@ fn good_odometry_is_the_truth_from_the_start_and_slip_stretches_it() {
 }
 
 #[test]
-fn a_scan_without_noise_measures_the_walls_and_who_stands_before_them() {
+fn a_scan_without_noise_measures_walls_and_people() {
     let mut scenario = small_room(ROBOT);
     scenario.robots[0].route.waypoints_m.clear();
     let empty = world(&scenario, 1).poll_scan(seconds(0.0)).unwrap();
@@ -211,7 +211,7 @@ fn a_scan_without_noise_measures_the_walls_and_who_stands_before_them() {
     .people;
     let person = world(&with_person, 1).poll_scan(seconds(0.0)).unwrap();
     let sensor = world(&scenario, 1).robots()[0].sensor().clone();
-    // The sensor is 0.1 m ahead of the robot, which looks north.
+    // The sensor is 0.1 m ahead of the robot, which faces north.
     let eye = DVec2::new(1.0, 0.6);
     let mut nearer = 0;
     for beam in 0..sensor.beams() {
@@ -239,7 +239,7 @@ fn a_scan_without_noise_measures_the_walls_and_who_stands_before_them() {
 }
 
 #[test]
-fn two_robots_that_meet_head_on_get_on() {
+fn two_robots_that_meet_head_on_resolve_it() {
     let mut scenario = small_room(
         "[[robots]]
         id = 1
@@ -262,7 +262,10 @@ fn two_robots_that_meet_head_on_get_on() {
                 last_moved[index] = time;
             }
             before[index] = robot.pose().position;
-            assert!(time - last_moved[index] < 30.0, "robot {index} stands since {last_moved:?}");
+            assert!(
+                time - last_moved[index] < 30.0,
+                "robot {index} has not moved since {last_moved:?}"
+            );
         }
         assert!(before[0].distance(before[1]) > 0.3);
     }

@@ -1,26 +1,27 @@
-//! What is wrong with a scenario is said in one line that names the file and the key.
+//! Errors in a scenario are reported in one line that names the file and the key.
 
 use super::RESOLUTION;
 use crate::world::{BUILT_IN, NAMED, Scenario, ScenarioError, World};
 
-/// What is said about the built-in scenario after a change, made once.
+/// The error for the built-in scenario after replacing the first occurrence of `from` by `to`.
 fn complaint(from: &str, to: &str) -> String {
     assert!(BUILT_IN.contains(from), "the built-in scenario has no {from}");
     let text = BUILT_IN.replacen(from, to, 1);
     let world = Scenario::from_toml(&text, "hall.toml")
         .and_then(|scenario| World::new(&scenario, None, RESOLUTION, 1));
     match world {
-        Ok(_) => panic!("nothing is said about {to}"),
+        Ok(_) => panic!("no error for {to}"),
         Err(error) => error.to_string(),
     }
 }
 
-/// The start and the first stop of the first robot.
+/// The start of the first robot, in the file.
 const START: &str = "start = { x_m = 5.6, y_m = 3.4, heading_deg = -90.0 }";
+/// The first stops of its route, in the file.
 const ROUTE: &str = "[[5.6, 1.6], [7.4, 1.6]";
 
-/// Numbers that can't be. Each change of the scenario makes one mistake: the text that is replaced, its
-/// replacement, and a part of the complaint.
+/// Impossible numbers. Each entry makes one mistake: the text that is replaced, its replacement, and a part
+/// of the expected error.
 const NUMBERS: &[(&str, &str, &str)] = &[
     ("duration_s = 120.0", "duration_s = nan", "duration_s is NaN"),
     ("duration_s = 120.0", "duration_s = -1.0", "duration_s is -1"),
@@ -41,33 +42,33 @@ const NUMBERS: &[(&str, &str, &str)] = &[
     ),
 ];
 
-/// Places that are taken or out of reach.
+/// Occupied or unreachable places.
 const PLACES: &[(&str, &str, &str)] = &[
     (
         START,
         "start = { x_m = 6.6, y_m = 0.5 }",
-        "robots[0].start is in or too near to room.walls[0]",
+        "robots[0].start overlaps or is too close to room.walls[0]",
     ),
     (
         START,
         "start = { x_m = 2.3, y_m = 1.7 }",
-        "robots[0].start is in or too near to furniture[0]",
+        "robots[0].start overlaps or is too close to furniture[0]",
     ),
     (START, "start = { x_m = 12.0, y_m = 3.0 }", "robots[0].start is outside of the room"),
     (
         START,
         "start = { x_m = 4.4, y_m = 2.7 }",
-        "robots[1].start touches who stands at robots[0].start",
+        "robots[1].start overlaps the body that starts at robots[0].start",
     ),
     (
         ROUTE,
         "[[6.6, 0.5], [7.4, 1.6]",
-        "robots[0].route.waypoints_m[0] is in or too near to room.walls[0]",
+        "robots[0].route.waypoints_m[0] overlaps or is too close to room.walls[0]",
     ),
     (
         ROUTE,
         "[[5.6, 0.6], [7.4, 0.6]",
-        "robots[0].route.waypoints_m[1] can't be reached from robots[0].route.waypoints_m[0]: the way touches room.walls[0]",
+        "robots[0].route.waypoints_m[1] can't be reached from robots[0].route.waypoints_m[0]: the path touches room.walls[0]",
     ),
     (ROUTE, "[[5.6, nan], [7.4, 1.6]", "robots[0].route.waypoints_m[0] is NaN"),
     (
@@ -83,11 +84,11 @@ const PLACES: &[(&str, &str, &str)] = &[
     (
         "[[2.2, 4.9], ",
         "[[0.45, 4.4], ",
-        "people[0].waypoints_m[0] is in or too near to furniture[6]",
+        "people[0].waypoints_m[0] overlaps or is too close to furniture[6]",
     ),
 ];
 
-/// What is no scenario at all.
+/// Texts that are not a scenario.
 const WORDS: &[(&str, &str, &str)] = &[
     ("duration_s = 120.0", "duration_s = \"long\"", "line 7: invalid type"),
     ("duration_s = 120.0", "duration_min = 2.0", "line 7: unknown field `duration_min`"),
@@ -106,14 +107,14 @@ fn every_mistake_is_one_line_with_file_and_key() {
 }
 
 #[test]
-fn a_missing_file_is_named() {
+fn a_missing_file_is_named_in_the_error() {
     let error = Scenario::read("/nowhere/hall.toml".as_ref()).unwrap_err();
     assert!(matches!(error, ScenarioError::Read { .. }));
     assert!(error.to_string().starts_with("/nowhere/hall.toml: "), "{error}");
 }
 
 #[test]
-fn a_room_of_too_many_cells_is_refused() {
+fn a_room_with_too_many_cells_is_refused() {
     let mut scenario = Scenario::built_in().unwrap();
     scenario.room.outline_m = vec![[-9e3, -9e3], [9e3, -9e3], [9e3, 9e3], [-9e3, 9e3]];
     let error = World::new(&scenario, None, RESOLUTION, 1).err().unwrap();
@@ -121,7 +122,7 @@ fn a_room_of_too_many_cells_is_refused() {
 }
 
 #[test]
-fn every_built_in_scenario_is_good_and_office_asks_for_its_map() {
+fn all_built_in_scenarios_are_valid_and_office_asks_for_its_map() {
     for (name, _) in NAMED {
         let scenario = Scenario::read(name.as_ref());
         if name == "office" {

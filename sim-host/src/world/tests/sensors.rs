@@ -1,9 +1,9 @@
-//! Robots' sensors measure what stands before them, each in its own way.
+//! Each kind of range sensor measures what is in front of it.
 
 use super::{seconds, small_room, world};
 
-/// What a robot in the middle of the small room's south reads, looking north at the wall 1.9 m
-/// before its sensor.
+/// The readings of a robot in the south of the small room that looks north at a wall 1.9 m from its
+/// sensor.
 fn readings(preset: &str, more: &str) -> Vec<u16> {
     let scenario = small_room(&format!(
         "[[robots]]
@@ -16,10 +16,10 @@ fn readings(preset: &str, more: &str) -> Vec<u16> {
 }
 
 #[test]
-fn a_row_of_a_depth_camera_gives_the_depth_of_the_wall_in_every_column_that_sees_it() {
+fn a_depth_row_measures_the_depth_of_the_wall_in_every_column() {
     let row = readings("depth_row", "");
     assert_eq!(row.len(), 640);
-    // 337 pixels of focal length: the corners of the wall, 2 m to each side, are out of the view.
+    // With a focal length of 337 pixels the corners of the wall, 2 m to each side, are out of view.
     let (focal, baseline, depth) = (320.0 / 43.5_f64.to_radians().tan(), 0.05, 1.9);
     let errors: Vec<f64> = row
         .iter()
@@ -30,17 +30,17 @@ fn a_row_of_a_depth_camera_gives_the_depth_of_the_wall_in_every_column_that_sees
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     let square = errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64;
     assert!(mean.abs() < 0.015, "off by {mean} px");
-    // 0.08 px and steps of 1/32.
+    // Standard deviation: 0.08 px plus steps of 1/32.
     assert!((square.sqrt() / 0.0805 - 1.0).abs() < 0.12, "{} px", square.sqrt());
 }
 
 #[test]
-fn time_of_flight_gives_depths_too_and_an_8_x_8_one_the_nearest_in_a_wide_zone() {
+fn time_of_flight_sensors_measure_depths_and_zones_report_the_nearest() {
     let camera = readings("tof100", "");
     assert_eq!(camera.len(), 100);
-    // Two hundredths of the range, and a little more: five standard deviations and then some.
+    // Noise of 2 % of the range: more than five standard deviations.
     assert!(camera.iter().all(|&reading| reading.abs_diff(1900) < 120), "{camera:?}");
-    // A board from 0.3 m up, 1.2 m before the sensor, on the left half of the view.
+    // A board from 0.3 m up, 1.2 m from the sensor, in the left half of the view.
     let board = "
         [[furniture]]
         footprint.box = { centre_m = [1.0, 2.4], size_m = [1.8, 0.2] }
@@ -55,7 +55,7 @@ fn time_of_flight_gives_depths_too_and_an_8_x_8_one_the_nearest_in_a_wide_zone()
 }
 
 #[test]
-fn a_sensor_mounted_askew_measures_where_it_really_looks() {
+fn a_misaligned_sensor_measures_in_its_actual_direction() {
     let scan = |askew: &str| {
         let scenario = small_room(&format!(
             "[[robots]]
@@ -68,6 +68,6 @@ fn a_sensor_mounted_askew_measures_where_it_really_looks() {
     };
     let ((straight, mount), (askew, believed)) = (scan("askew_deg = 0.0"), scan("askew_deg = 3.0"));
     assert_eq!(mount, believed);
-    // One beam to a degree.
+    // One beam per degree.
     assert_eq!(straight[3..], askew[..78]);
 }

@@ -1,4 +1,4 @@
-//! On rendered pictures.
+//! Accuracy on rendered pictures.
 
 use ubimap_protocol::units::RobotId;
 
@@ -11,12 +11,12 @@ use crate::camera::Lens;
 const HEIGHT_M: f64 = 0.3;
 const SIDE_M: f64 = 0.1;
 
-/// Errors of many poses.
+/// Errors over many poses.
 #[derive(Default)]
 struct Errors {
     position: Vec<f64>,
     heading_deg: Vec<f64>,
-    /// Squared and over the covariance: three on average if the covariance is right.
+    /// Squared errors over their covariance (NEES): three on average if the covariance is right.
     normalised: Vec<f64>,
 }
 
@@ -36,17 +36,17 @@ impl Errors {
         (values.iter().map(|it| it * it).sum::<f64>() / values.len() as f64).sqrt()
     }
 
-    /// RMSE in metres and degrees, and the mean of the normalised ones.
+    /// RMSE in metres and in degrees, and the mean normalised error.
     fn summary(&self) -> (f64, f64, f64) {
         let mean = self.normalised.iter().sum::<f64>() / self.normalised.len() as f64;
         (Self::rms(&self.position), Self::rms(&self.heading_deg), mean)
     }
 }
 
-/// A robot on its way: each pose is some centimetres and degrees from the one before.
+/// A sequence of poses in a disc, each close to the one before.
 fn drive(middle: [f64; 2], radius: f64, poses: usize) -> impl Iterator<Item = [f64; 3]> {
     (0..poses).map(move |index| {
-        // The golden angle: all over the disc, in all headings.
+        // The golden angle covers the disc and all headings.
         let turn = 2.399_963 * index as f64;
         let distance = radius * ((index as f64 + 0.5) / poses as f64).sqrt();
         let heading = (turn * 3.7).rem_euclid(std::f64::consts::TAU);
@@ -54,7 +54,7 @@ fn drive(middle: [f64; 2], radius: f64, poses: usize) -> impl Iterator<Item = [f
     })
 }
 
-/// The errors of the poses of a tag under a camera, and the sides of the tags in pixels.
+/// The errors of a tag's poses under a camera, and the sides of the tags in pixels.
 fn measure(lens: &Lens, poses: impl Iterator<Item = [f64; 3]>) -> (Errors, Vec<f64>) {
     let mount = Mount::centred(RobotId(1), SIDE_M, HEIGHT_M);
     let mut detector = TagDetector::default();

@@ -1,4 +1,4 @@
-//! What the markers are good for, on pictures that others took and on rendered ones.
+//! Tests of marker detection on recorded and on rendered pictures.
 
 mod accuracy;
 mod recorded;

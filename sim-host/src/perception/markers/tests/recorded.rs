@@ -1,4 +1,4 @@
-//! On pictures that others took.
+//! Detection on recorded pictures.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::{camera::Picture, testing::shared_data};
 /// A tag's number and corners.
 type Tag = (u16, Vec<[f64; 2]>);
 
-/// The tags in a picture.
+/// The tags detected in a picture.
 fn detected(path: &std::path::Path) -> Vec<Tag> {
     let picture = Picture::Colour(image::open(path).unwrap().to_rgb8());
     let markers = TagDetector::default().detect(&picture, ImageRegion::all(&picture));
@@ -20,7 +20,7 @@ fn detected(path: &std::path::Path) -> Vec<Tag> {
 }
 
 #[test]
-fn every_tag_of_the_photographs_is_found_where_opencv_sees_it() {
+fn tags_in_photographs_are_found_where_opencv_finds_them() {
     let Some(folder) = shared_data("fiducials/apriltag") else { return };
     let list = std::fs::read_to_string(folder.join("IDS_opencv5.txt")).unwrap();
     let mut expected: BTreeMap<&str, Vec<Tag>> = BTreeMap::new();
@@ -43,7 +43,7 @@ fn every_tag_of_the_photographs_is_found_where_opencv_sees_it() {
             tags += 1;
             let same: Vec<_> = found.iter().filter(|it| it.0 == *number).collect();
             let [(_, points)] = &same[..] else { panic!("{name}: tag {number} {same:?}") };
-            // The two name different corners the first one.
+            // The two libraries start at different corners.
             for point in points {
                 let away = |corner: &[f64; 2]| (corner[0] - point[0]).hypot(corner[1] - point[1]);
                 let nearest = corners.iter().map(away).fold(f64::INFINITY, f64::min);
@@ -58,7 +58,7 @@ fn every_tag_of_the_photographs_is_found_where_opencv_sees_it() {
 }
 
 #[test]
-fn markers_of_another_family_are_no_tags() {
+fn markers_of_another_family_are_not_detected() {
     let Some(folder) = shared_data("fiducials/overhead_arena") else { return };
     for name in ["terrain_1.png", "terrain_2.png"] {
         assert_eq!(detected(&folder.join(name)), []);

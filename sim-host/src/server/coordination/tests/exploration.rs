@@ -1,4 +1,4 @@
-//! Robots that go where nobody has been.
+//! Exploration of unknown ground.
 
 use ubimap_protocol::tile::Cell;
 
@@ -29,9 +29,8 @@ fn exploring(plan: Plan, starts: &[Point], seed: u64) -> Floor {
     floor
 }
 
-/// Lets robots explore until all is known, or so many seconds are over. Checks that no two of them
-/// go to one frontier at a time, and returns the seconds, and the share of the ground that can be
-/// known and is.
+/// Runs until all ground is known, or for a limited time. Checks that no two robots go to one
+/// frontier at a time; returns the seconds, and the known share of the ground that can be known.
 fn explore(mut floor: Floor) -> (u64, f64, Floor) {
     let robots = floor.bodies.len();
     let mut looked = 0;
@@ -46,7 +45,7 @@ fn explore(mut floor: Floor) -> (u64, f64, Floor) {
         for (at, one) in targets.iter().enumerate() {
             for other in &targets[at + 1..] {
                 let apart = (one[0] - other[0]).hypot(one[1] - other[1]);
-                assert!(apart > 1.0, "two robots go to one frontier: {one:?}, {other:?}");
+                assert!(apart > 1.0, "two robots have the same frontier: {one:?}, {other:?}");
             }
         }
         if !targets.is_empty() {
@@ -92,7 +91,7 @@ fn report(floor: &Floor, known: f64, seconds: u64) {
 }
 
 #[test]
-fn all_of_a_maze_gets_known() {
+fn a_maze_is_explored_completely() {
     let starts = [Point::new(1.0, 0.6), Point::new(1.0, 1.6)];
     let (seconds, known, floor) = explore(exploring(maze(), &starts, 1));
     report(&floor, known, seconds);
@@ -111,7 +110,7 @@ fn three_robots_share_rooms() {
 }
 
 #[test]
-fn people_in_the_corridor_hold_robots_up_but_not_for_ever() {
+fn people_in_the_corridor_delay_but_do_not_stop_robots() {
     let starts = [Point::new(1.0, 4.0), Point::new(2.0, 4.0), Point::new(3.0, 4.0)];
     let mut floor = exploring(rooms(), &starts, 1);
     floor.people = vec![(Point::new(8.0, 4.3), 0.7), (Point::new(10.0, 3.7), -0.5)];
@@ -120,7 +119,7 @@ fn people_in_the_corridor_hold_robots_up_but_not_for_ever() {
 }
 
 #[test]
-fn a_goal_goes_before_exploration() {
+fn a_goal_takes_precedence_over_exploration() {
     let mut floor = exploring(rooms(), &[Point::new(1.0, 4.0)], 1);
     floor.run(3, |_| false);
     assert!(floor.coordinator.target(id(0)).is_some());
@@ -132,7 +131,7 @@ fn a_goal_goes_before_exploration() {
     assert!(floor.run(3, |floor| floor.coordinator.target(id(0)).is_some()));
 }
 
-/// Behind a wall without a door nothing can be known, and nobody tries for ever.
+/// Ground behind a wall without a door can't be known; attempts must end.
 #[test]
 fn ground_out_of_reach_is_left_alone() {
     let mut plan = Plan::room(6.0, 4.0);
@@ -147,13 +146,13 @@ fn ground_out_of_reach_is_left_alone() {
     );
 }
 
-/// What a person leaves behind in a doorway when it is drawn as a wall there.
+/// A person was drawn as a wall in a doorway, and left.
 #[test]
-fn what_shuts_the_only_way_is_looked_at_again() {
+fn a_stale_obstacle_in_the_only_way_is_checked_again() {
     let mut plan = Plan::room(9.0, 4.0);
     plan.wall(4.0, 0.0, 4.1, 1.5);
     plan.wall(4.0, 2.5, 4.1, 4.0);
-    // The frontier is in view from beyond the door alone.
+    // The frontier is only visible from beyond the door.
     let mut floor = Floor::new(plan, &[Point::new(2.6, 2.0)], 1, |place| place.x > 6.6);
     assert!(floor.coordinator.set_exploring(id(0), true));
     let ghost = (37..40).map(|y| (80, y));
@@ -164,7 +163,7 @@ fn what_shuts_the_only_way_is_looked_at_again() {
         floor.look_around();
         is_gone(floor)
     });
-    assert!(is_gone(&floor), "it stands at {before}");
+    assert!(is_gone(&floor), "it is still at {before}");
     set(&mut floor.fused, ghost.map(|it| (it, Cell::Free)));
     let (seconds, known, floor) = explore(floor);
     report(&floor, known, seconds);

@@ -1,4 +1,4 @@
-//! A floor with point robots that follow their paths, late, at speeds of their own and with stops.
+//! A floor with point robots that follow their paths with delays, random speeds and stops.
 
 use std::collections::VecDeque;
 
@@ -21,9 +21,9 @@ use crate::{
 };
 
 const STEP: Duration = Duration::from_millis(50);
-/// The robots are 40 cm wide and long.
+/// Circumscribed radius of robots of 40 cm by 40 cm.
 pub(super) const RADIUS_M: f64 = 0.2828;
-/// How far their sensors see.
+/// Range of their sensors.
 const RANGE_M: f64 = 3.0;
 
 pub(super) struct Body {
@@ -32,10 +32,10 @@ pub(super) struct Body {
     path: VecDeque<Point>,
     is_done: bool,
     stands_until: Instant,
-    /// Since when a person stands before it.
+    /// Since when a person has stood in its way.
     blocked_since: Option<Instant>,
     pub(super) has_session: bool,
-    /// Paths that are under way, and where it was when that is told.
+    /// Paths in flight, and its pose reports in flight.
     mail: VecDeque<(Instant, Vec<Point>)>,
     reports: VecDeque<(Instant, Instant, Point)>,
     reported: (Instant, Point),
@@ -46,12 +46,12 @@ pub(super) struct Floor {
     pub(super) plan: Plan,
     pub(super) coordinator: Coordinator,
     pub(super) bodies: Vec<Body>,
-    /// Where people are, and how fast they walk along x.
+    /// Positions of people, and their speeds along x.
     pub(super) people: Vec<(Point, f64)>,
     pub(super) fused: ServedLayer,
     pub(super) now: Instant,
     pub(super) notices: Vec<(Instant, RobotId, Notice)>,
-    /// Pairs of robots whose discs overlapped, and robots in walls, in each step.
+    /// Pairs of robots whose discs overlapped, and robots in walls, summed over the steps.
     pub(super) overlaps: u32,
     pub(super) collisions: u32,
     pub(super) slowest_tick: std::time::Duration,
@@ -65,7 +65,7 @@ pub(super) fn id(index: usize) -> RobotId {
 }
 
 impl Floor {
-    /// A floor of which everything is known but what something hides.
+    /// A floor on which all cells are known except the hidden ones.
     pub(super) fn new(
         plan: Plan,
         starts: &[Point],
@@ -120,7 +120,7 @@ impl Floor {
         self.overlaps + self.collisions > 0
     }
 
-    /// Lets time pass until something is so, or so many seconds are over. Whether it came so.
+    /// Runs until a condition holds, or for a limited time. Returns whether it held.
     pub(super) fn run(&mut self, seconds: u64, mut until: impl FnMut(&mut Self) -> bool) -> bool {
         let end = self.now + Duration::from_secs(seconds);
         while self.now < end {
@@ -178,7 +178,7 @@ impl Floor {
                     let is_near =
                         |(it, _): &(Point, f64)| (it - ahead).norm() < RADIUS_M + 0.25 + 0.1;
                     let next = body.place + way * (step_m / way.norm()).min(1.0);
-                    // A wall that nobody knew of is stopped for as well.
+                    // The robot also stops for an unmapped wall.
                     let room_m = self.plan.room_around(next);
                     let is_wall = room_m < RADIUS_M.min(self.plan.room_around(body.place));
                     if is_wall || self.people.iter().any(is_near) {
@@ -267,7 +267,7 @@ impl Floor {
         }
     }
 
-    /// All robots see what is in sight and range of them. How many cells became known.
+    /// Lets all robots see the cells in sight and range. Returns the number of new cells.
     pub(super) fn look_around(&mut self) -> usize {
         let unknown: Vec<(i32, i32)> = self
             .plan
@@ -288,7 +288,7 @@ impl Floor {
         })
     }
 
-    /// Whether nothing stands between two places but at the second one.
+    /// Whether there is nothing between two places; the second one may be occupied.
     fn sees(&self, from: Point, to: Point) -> bool {
         let way = to - from;
         let steps = (way.norm() / SIDE_M * 2.0) as usize;
@@ -297,7 +297,7 @@ impl Floor {
                 .all(|step| self.plan.room_around(from + way * (step as f64 / steps as f64)) > 0.0)
     }
 
-    /// A place with so much room around it and from all others, in a rectangle.
+    /// A random place in a rectangle with `room` around it and from the others.
     pub(super) fn free_place(
         plan: &Plan,
         rng: &mut ChaCha8Rng,

@@ -1,4 +1,4 @@
-//! Whole drives of several robots on simple floors.
+//! Complete drives of several robots on simple floors.
 
 mod exploration;
 mod floor;

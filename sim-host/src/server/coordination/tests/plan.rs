@@ -1,4 +1,4 @@
-//! Floor plans, and the layers and the ground that are drawn from them.
+//! Floor plans, and the layers and the ground drawn from them.
 
 use ubimap_protocol::tile::{Cell, TILE_SIDE, Tile, TileId};
 
@@ -12,7 +12,7 @@ use crate::{
 
 pub(in crate::server::coordination) const SIDE_M: f64 = 0.05;
 
-/// A hall from the origin to the north-east, and the walls in it: west, south, east, north.
+/// A hall from the origin to the north-east, and its walls as west, south, east and north.
 #[derive(Clone, Debug)]
 pub(in crate::server::coordination) struct Plan {
     pub(super) width: f64,
@@ -42,7 +42,7 @@ impl Plan {
         self.walls.push([west, south, east, north]);
     }
 
-    /// The distance from a place to the nearest wall; zero in one.
+    /// The distance from a place to the nearest wall; zero inside one.
     pub(in crate::server::coordination) fn room_around(&self, place: Point) -> f64 {
         let to = |&[west, south, east, north]: &[f64; 4]| {
             let x = (west - place.x).max(place.x - east).max(0.0);
@@ -52,7 +52,7 @@ impl Plan {
         self.walls.iter().map(to).fold(f64::MAX, f64::min)
     }
 
-    /// What is at a place.
+    /// The true state of a place.
     pub(super) fn cell(&self, place: Point) -> Cell {
         let inside = (-0.1..self.width + 0.1).contains(&place.x)
             && (-0.1..self.height + 0.1).contains(&place.y);
@@ -91,7 +91,7 @@ pub(super) fn set(layer: &mut ServedLayer, cells: impl Iterator<Item = ((i32, i3
     }
 }
 
-/// The ground of a plan, unknown where something hides it.
+/// The ground of a plan, unknown where it is hidden.
 pub(in crate::server::coordination) fn drawn(
     plan: &Plan,
     hides: impl Fn(f64, f64) -> bool,

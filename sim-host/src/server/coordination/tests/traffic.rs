@@ -20,16 +20,16 @@ fn two_rooms() -> Plan {
 const WEST: [f64; 4] = [0.0, 0.0, 4.5, 6.0];
 const EAST: [f64; 4] = [5.5, 0.0, 10.0, 6.0];
 
-/// Where the robots of each room are to go in the other one.
+/// The goals of the robots of each room in the other one.
 #[derive(Clone, Copy, Debug)]
 enum Goals {
     /// Anywhere.
     Anywhere,
-    /// Where one of the others comes from.
+    /// The start of a robot of the other room.
     Exchange,
 }
 
-/// Five robots in each room, and for each a goal in the other one.
+/// Five robots in each room, each with a goal in the other one.
 fn crossing(seed: u64, kind: Goals) -> Floor {
     let plan = two_rooms();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -95,7 +95,7 @@ fn ten_robots_pass_one_door_from_both_sides() {
     cross(0..10, Goals::Anywhere);
 }
 
-/// No order is safe in which each drives all of its way at once: they must make way.
+/// No order is safe in which each drives its whole route at once: they must make way.
 #[test]
 fn robots_of_two_rooms_change_places_through_one_door() {
     cross(0..5, Goals::Exchange);
@@ -109,7 +109,7 @@ fn ten_robots_pass_one_door_from_both_sides_in_a_hundred_seeds() {
 }
 
 #[test]
-fn the_same_inputs_give_the_same_commands() {
+fn the_coordinator_is_deterministic() {
     let run = || {
         let mut floor = crossing(3, Goals::Anywhere);
         floor.run(40, |_| false);
@@ -120,7 +120,7 @@ fn the_same_inputs_give_the_same_commands() {
 }
 
 #[test]
-fn a_person_in_the_door_is_waited_for() {
+fn robots_wait_for_a_person_in_the_door() {
     let mut floor = Floor::new(two_rooms(), &[Point::new(2.0, 3.0)], 1, |_| false);
     floor.coordinator.goal(id(0), 8.0, 3.0, floor.now).unwrap();
     floor.people = vec![(Point::new(5.0, 2.95), 0.0)];
@@ -129,14 +129,14 @@ fn a_person_in_the_door_is_waited_for() {
     floor.people.clear();
     let left = floor.now;
     assert!(floor.run(60, |floor| floor.count(Notice::Reached) == 1));
-    println!("there {:?} after the person has left", floor.now.since(left));
+    println!("arrived {:?} after the person left", floor.now.since(left));
     assert!(!floor.is_blocked());
     assert_eq!(floor.count(Notice::NoWay), 0);
 }
 
-/// A person who steps before a robot that has its path already.
+/// A person steps in front of a robot that already has its path.
 #[test]
-fn a_robot_that_a_person_holds_up_goes_around() {
+fn a_robot_held_up_by_a_person_goes_around() {
     let plan = Plan::room(8.0, 5.0);
     let mut floor = Floor::new(plan, &[Point::new(1.0, 2.5)], 1, |_| false);
     floor.coordinator.goal(id(0), 7.0, 2.5, floor.now).unwrap();
@@ -148,7 +148,7 @@ fn a_robot_that_a_person_holds_up_goes_around() {
 }
 
 #[test]
-fn of_a_robot_that_dies_in_the_door_the_others_are_told_once() {
+fn a_dead_robot_in_the_door_causes_one_notice_per_robot() {
     let starts = [Point::new(4.0, 2.95), Point::new(2.0, 2.0), Point::new(2.0, 4.0)];
     let mut floor = Floor::new(two_rooms(), &starts, 1, |_| false);
     for (index, y) in [3.0, 2.0, 4.0].into_iter().enumerate() {
@@ -158,16 +158,16 @@ fn of_a_robot_that_dies_in_the_door_the_others_are_told_once() {
     floor.bodies[0].has_session = false;
     assert!(!floor.run(120, |floor| floor.count(Notice::Reached) > 0));
     assert_eq!(floor.count(Notice::NoWay), 2, "{:?}", floor.notices);
-    // It comes back to life, and all go on.
+    // It comes back, and all continue.
     floor.bodies[0].has_session = true;
     assert!(floor.run(120, |floor| floor.count(Notice::Reached) == 3), "{:?}", floor.notices);
     assert!(!floor.is_blocked());
     assert_eq!(floor.count(Notice::NoWay), 2);
 }
 
-/// A corridor 1 m wide with a niche; each robot wants to go where the other one comes from.
+/// A corridor 1 m wide with a niche; each robot's goal is the other one's start.
 #[test]
-fn nose_to_nose_in_a_corridor_one_makes_way_in_a_niche() {
+fn a_robot_makes_way_in_a_niche_of_a_corridor() {
     let mut plan = Plan::room(12.0, 3.0);
     plan.wall(0.0, 1.0, 3.0, 3.0);
     plan.wall(4.2, 1.0, 12.0, 3.0);
@@ -181,7 +181,7 @@ fn nose_to_nose_in_a_corridor_one_makes_way_in_a_niche() {
 }
 
 #[test]
-fn a_goal_that_can_not_be_is_refused_and_said_so_once() {
+fn an_impossible_goal_is_refused_with_one_notice() {
     let mut plan = two_rooms();
     plan.wall(4.95, 2.5, 5.05, 3.4);
     let mut floor = Floor::new(plan, &[Point::new(2.0, 3.0)], 1, |place| place.x > 9.0);
@@ -203,7 +203,7 @@ fn a_goal_that_can_not_be_is_refused_and_said_so_once() {
     assert_eq!(floor.paths, 0);
 }
 
-/// How long a tick of ten robots takes in a hall of 20 m by 15 m.
+/// Measures the duration of a tick of ten robots in a hall of 20 m by 15 m.
 #[test]
 #[ignore = "a measurement: for a release build"]
 fn the_time_of_a_tick() {
@@ -220,7 +220,7 @@ fn the_time_of_a_tick() {
         let place = Floor::free_place(&plan, &mut rng, [0.0, 0.0, 20.0, 15.0], &starts);
         starts.push(place);
     }
-    // The same ticks several times: the least of each is its own time, the rest is the machine's.
+    // Runs the same ticks several times: the minimum of each is the least disturbed by other load.
     let mut least: Vec<std::time::Duration> = Vec::new();
     for _ in 0..5 {
         let mut floor = Floor::new(plan.clone(), &starts, 1, |place| place.x > 10.0);
