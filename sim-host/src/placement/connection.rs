@@ -10,10 +10,16 @@ use std::collections::VecDeque;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{programme::Programme, selection::Selection};
+use super::{
+    programme::{Goal, Programme},
+    selection::Selection,
+};
 
-/// What one piece more counts, in cells.
+/// What one piece more counts in the first round, in cells.
 const PIECE: f64 = 3.0;
+/// What it counts at most. Where coverage is the goal it doubles with each round, so that no more is
+/// given up than connecting takes.
+const MOST_PIECE: f64 = 400.0;
 /// The temperatures at which a round begins and ends, in cells.
 const HOT: f64 = 2.0;
 const COLD: f64 = 0.15;
@@ -157,6 +163,8 @@ pub(super) struct Connecting<'p> {
     graph: Graph<'p>,
     dice: ChaCha8Rng,
     pieces: usize,
+    /// What one piece more counts, in cells.
+    price: f64,
     /// Optional weight that a placement must cover to be taken.
     least_weight: u64,
     best: Option<(usize, u64, Vec<u32>)>,
@@ -179,6 +187,7 @@ impl<'p> Connecting<'p> {
             graph: Graph::new(programme, shared),
             dice: ChaCha8Rng::seed_from_u64(seed),
             pieces: 0,
+            price: PIECE,
             least_weight,
             best: None,
             step: 0,
@@ -205,6 +214,9 @@ impl<'p> Connecting<'p> {
             if self.step.is_multiple_of(ROUND) {
                 // What has stayed violated weighs more.
                 self.selection.weigh_violations();
+                if matches!(self.programme.goal, Goal::Best { .. }) {
+                    self.price = (2.0 * self.price).min(MOST_PIECE);
+                }
             }
             self.try_exchange(HOT * libm::pow(COLD / HOT, done));
         }
@@ -227,7 +239,7 @@ impl<'p> Connecting<'p> {
         let change = (self.selection.gain(new) - loss) as f64;
         self.selection.add(old);
         // Fewer pieces may make up for it, but not for everything.
-        let most = change + PIECE * self.pieces.saturating_sub(1).min(4) as f64;
+        let most = change + self.price * self.pieces.saturating_sub(1).min(4) as f64;
         let chance = self.dice.random::<f64>();
         if most < temperature * libm::log(chance) {
             return;
@@ -235,7 +247,7 @@ impl<'p> Connecting<'p> {
         self.remove(old);
         self.add(new);
         let pieces = self.graph.count_pieces(self.selection.chosen());
-        let change = change - PIECE * (pieces as f64 - self.pieces as f64);
+        let change = change - self.price * (pieces as f64 - self.pieces as f64);
         if change >= temperature * libm::log(chance) {
             self.pieces = pieces;
             self.note();

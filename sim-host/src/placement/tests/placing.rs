@@ -150,6 +150,19 @@ fn overlap_is_connected_for_free_or_with_more_cameras() {
 }
 
 #[test]
+fn coverage_is_given_up_to_connect_a_number_of_cameras() {
+    let plan = room(20.0, 15.0);
+    let four = Request { aim: Aim::Cameras(4), ..request(0.5) };
+    let plain = place_within(&plan, &four, 3_000).unwrap();
+    // There is room for four without any overlap.
+    assert_eq!((plain.value, plain.pieces), (4 * 63, 4));
+    let connected = place_within(&plan, &Request { connect: true, ..four }, 3_000).unwrap();
+    assert_eq!((connected.cameras.len(), connected.pieces), (4, 1));
+    // Three shared cells at least join four cameras.
+    assert!((220..=4 * 63 - 3).contains(&connected.value), "{} cells", connected.value);
+}
+
+#[test]
 fn what_can_not_be_is_said_in_one_line() {
     let plan = room(10.0, 8.0);
     let model = CameraModel { range_m: 2.0, ..request(0.5).model };
