@@ -10,9 +10,10 @@
 //! 6. [`deployment`]: perception, the server and persistence behind one interface.
 //! 7. [`run`]: the drivers of a deployment, one file per `ubimap` command.
 //!
-//! Beside them: [`channel`] (fault channel, serial ports), [`store`] (layers on disk),
-//! [`recording`] (recorded logs and frames), [`report`] (figures and pictures) and [`timing`] (age
-//! limits of data). [`world`] is the simulated room; only [`run`] may import it.
+//! Beside them: [`placement`] (where to hang cameras), [`channel`] (fault channel, serial ports),
+//! [`store`] (layers on disk), [`recording`] (recorded logs and frames), [`report`] (figures and
+//! pictures) and [`timing`] (age limits of data). [`world`] is the simulated room; only [`run`] may
+//! import it.
 //!
 //! # The driving rule
 //!
@@ -33,6 +34,7 @@ pub mod deployment;
 pub mod grid;
 pub mod mapping;
 pub mod perception;
+pub mod placement;
 pub mod recording;
 pub mod report;
 pub mod run;

@@ -20,6 +20,7 @@ use ubimap_sim_host::{
             CompareOptions, ReplayOptions, ResultOptions, ServeOptions, SimulateOptions, Verbosity,
             WatchOptions,
         },
+        place::{self, options::PlaceOptions},
         replay, serve, simulate, terminal, watch,
     },
 };
@@ -47,6 +48,8 @@ enum Command {
     Simulate(SimulateOptions),
     /// Run the camera server on recorded frames of fixed RGB-D cameras
     Watch(WatchOptions),
+    /// Find out where to hang a room's cameras
+    Place(PlaceOptions),
     /// Serve real robots on serial ports
     Serve(ServeOptions),
     /// Score one ROS map against another
@@ -77,6 +80,7 @@ fn main() -> ExitCode {
         Command::Watch(options) => {
             finish((&options.results, is_verbose), || watch::run(&options), |_| true)
         }
+        Command::Place(options) => place(&options),
         Command::Serve(options) => serve(&options),
         Command::Compare(options) => compare(&options),
     };
@@ -109,6 +113,20 @@ fn finish<R: Brief + fmt::Display + Serialize>(
 
 fn status(is_success: bool) -> ExitCode {
     if is_success { ExitCode::SUCCESS } else { ExitCode::from(FAILED) }
+}
+
+/// Succeeds if the placement keeps what was asked for, `--connect` included.
+fn place(options: &PlaceOptions) -> Result<ExitCode, RunError> {
+    let folder = OutputFolder::create(&options.out)?;
+    let outcome = place::run(options)?;
+    outcome.write(folder)?;
+    let report = &outcome.report;
+    if options.json {
+        print(&json_pretty(report));
+    } else {
+        print(&format!("{report}results: in {}; open coverage.png first\n", options.out.display()));
+    }
+    Ok(status(!options.connect || report.is_connected()))
 }
 
 fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {

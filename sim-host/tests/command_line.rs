@@ -5,6 +5,9 @@ use std::{
     process::{Command, Output},
 };
 
+#[path = "command_line/place.rs"]
+mod place;
+
 /// Runs in the folder of the tests' own files, so that default output stays out of the checkout.
 fn ubimap(arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));

@@ -13,7 +13,7 @@ use graph::Graph;
 mod graph;
 
 /// The folders of `sim-host`, with the folders that each may import.
-const HOST: [(&str, &[&str]); 13] = [
+const HOST: [(&str, &[&str]); 14] = [
     ("timing", &[]),
     ("grid", &[]),
     ("camera", &["grid"]),
@@ -23,6 +23,7 @@ const HOST: [(&str, &[&str]); 13] = [
     ("server", &["grid", "camera", "perception", "mapping", "timing"]),
     ("deployment", &["grid", "camera", "perception", "mapping", "server"]),
     ("store", &["mapping", "server"]),
+    ("placement", &["grid"]),
     ("channel", &[]),
     ("report", &["grid", "camera", "perception", "mapping", "server"]),
     ("world", &["grid", "camera"]),
@@ -35,6 +36,7 @@ const HOST: [(&str, &[&str]); 13] = [
             "grid",
             "mapping",
             "perception",
+            "placement",
             "recording",
             "report",
             "server",

@@ -5,6 +5,7 @@
 //! cameras have no frames: they are a [`Source`] of observations.
 
 mod calibration;
+mod cameras_file;
 mod depth_noise;
 mod error;
 mod frame;
@@ -18,6 +19,7 @@ use ubimap_protocol::{
 };
 
 pub use calibration::{Calibration, Intrinsics, Lens};
+pub use cameras_file::{CAMERAS_FILE, CamerasFile, MountedCamera};
 pub use depth_noise::DepthNoise;
 pub use error::CalibrationError;
 pub use frame::{DepthImage, Frame, FrameSource, Picture};

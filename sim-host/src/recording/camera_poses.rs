@@ -59,6 +59,11 @@ pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), Lo
 }
 
 impl CameraPose {
+    /// A pose that no line of a file states.
+    pub(super) fn mounted(position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
+        Self { line: 0, stamp_s: None, position, rotation }
+    }
+
     /// `[time] x y z qx qy qz qw`.
     fn from_quaternion(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
         let (line, numbers) = &rows[0];

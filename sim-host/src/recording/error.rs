@@ -98,6 +98,14 @@ pub enum LogError {
         /// The problem, on one line.
         reason: String,
     },
+    /// A `cameras.toml` is malformed.
+    #[error("{path}: {reason}", path = path.display())]
+    Cameras {
+        /// The file.
+        path: PathBuf,
+        /// The problem, on one line.
+        reason: String,
+    },
     /// Logs cannot be joined.
     #[error("{path}: its {what} differs from that of {first}; replay them one by one",
         path = path.display(), first = first.display())]

@@ -24,6 +24,7 @@ mod format;
 pub mod frames;
 mod intrinsics;
 mod lines;
+mod mounted;
 mod numbered_files;
 mod scans;
 mod time_stamps;

@@ -7,6 +7,7 @@ mod brief;
 mod comparison;
 mod output;
 mod picture;
+mod placing;
 mod serving;
 mod summary;
 mod watching;
@@ -18,7 +19,9 @@ pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
 pub use picture::{
     Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error, render_frames,
+    render_overlap,
 };
+pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
 pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
 pub use summary::{
     DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores,

@@ -12,6 +12,7 @@ pub mod keeper;
 mod markers;
 pub mod member;
 pub mod options;
+pub mod place;
 mod progress;
 pub mod record;
 pub mod replay;
@@ -142,6 +143,9 @@ pub enum RunError {
         /// Robots in the scenario.
         there: usize,
     },
+    /// Cameras can't be placed.
+    #[error(transparent)]
+    Place(#[from] place::PlaceFault),
     /// A map that is to be the walls lies askew.
     #[error("{path}: origin: walls must lie straight, but the map is turned by {yaw_rad} rad", path = path.display())]
     TurnedMap {
@@ -169,6 +173,7 @@ impl RunError {
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
             | Self::TurnedMap { .. } => true,
+            Self::Place(fault) => fault.is_bad_input(),
             Self::Grid(_) | Self::Picture(_) => false,
         }
     }

@@ -341,7 +341,7 @@ impl FormatChoice {
 
 /// Why the value of an option is refused.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-enum OptionError {
+pub(super) enum OptionError {
     #[error("not a number")]
     NotANumber,
     #[error("must be from {least} to {most} {unit}")]
@@ -356,7 +356,13 @@ fn robots() -> clap::builder::RangedI64ValueParser<u16> {
     value_parser!(u16).range(1..=1_000)
 }
 
-fn number(text: &str, least: f64, most: f64, unit: &'static str) -> Result<f64, OptionError> {
+/// A number within bounds.
+pub(super) fn number(
+    text: &str,
+    least: f64,
+    most: f64,
+    unit: &'static str,
+) -> Result<f64, OptionError> {
     let value: f64 = text.parse().map_err(|_| OptionError::NotANumber)?;
     if (least..=most).contains(&value) {
         Ok(value)

@@ -86,7 +86,7 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let caption = Caption {
         subject: names.collect::<Vec<_>>().join(", "),
         seed: Some(options.run.seed),
-        time_s: report.simulated_s,
+        time_s: Some(report.simulated_s),
     };
     let markers = markers::robots(&fleet);
     Ok(Outcome { report, map, markers, caption, pictures: Vec::new(), tables: Vec::new() })

@@ -197,7 +197,7 @@ impl Seen {
             caption: Caption {
                 subject: name.to_string_lossy().into_owned(),
                 seed: Some(options.run.seed),
-                time_s: fleet.elapsed().micros() as f64 / 1e6,
+                time_s: Some(fleet.elapsed().micros() as f64 / 1e6),
             },
         })
     }

@@ -68,7 +68,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let caption = Caption {
         subject: folders.collect::<Vec<_>>().join(", "),
         seed: None,
-        time_s: report.recorded_s,
+        time_s: Some(report.recorded_s),
     };
     let markers = seen.markers();
     // Robots and people stand where the floor is covered or not: without them it can be seen.

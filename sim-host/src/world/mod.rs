@@ -13,6 +13,7 @@
 mod cadence;
 mod changes;
 mod filming;
+mod fixed_parts;
 mod growth;
 mod ideal_camera;
 mod ideal_cameras;
@@ -50,6 +51,7 @@ use ubimap_protocol::{
 use crate::camera::{Calibration, Frame, FrameSource, Observation, Source};
 
 pub use cadence::STEP;
+pub use fixed_parts::{FixedOutline, FixedPart};
 pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;

@@ -19,6 +19,7 @@ use crate::{
         camera_poses::{CameraPose, has_poses, read_poses},
         error::{FrameFault, LogError},
         intrinsics::{self, DepthNoiseFile, IntrinsicsFile},
+        mounted::mounted,
         numbered_files::{PICTURE_KINDS, depth_images, files_in, number_in},
     },
 };
@@ -143,7 +144,10 @@ impl SensorFiles {
         let (intrinsics, note) = if poses.len() > 1 {
             intrinsics::find(folder, images)?
         } else {
-            let stated = intrinsics::stated(folder)?;
+            let stated = match intrinsics::stated(folder)? {
+                None => mounted_intrinsics(folder, &images[0])?,
+                stated => stated,
+            };
             (stated.ok_or_else(|| intrinsics::missing(folder))?, None)
         };
         Ok((Self { intrinsics, poses }, note))
@@ -304,8 +308,22 @@ fn frames(
     images.into_iter().enumerate().map(frame).collect()
 }
 
+/// The intrinsics that a `cameras.toml` states for this folder, for depth images like this one.
+fn mounted_intrinsics(folder: &Path, image: &Path) -> Result<Option<IntrinsicsFile>, FramesError> {
+    let Some(camera) = mounted(folder)? else { return Ok(None) };
+    let ((width, height), _) = raster::look(image)
+        .map_err(|error| FramesError::Damaged { path: image.to_owned(), error })?;
+    Ok(camera.intrinsics(width, height).map(|pinhole| IntrinsicsFile::of(&pinhole, None)))
+}
+
 /// The poses in a folder: one, or one for each frame.
 fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
+    if !has_poses(folder)
+        && let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose())
+    {
+        let rotation = *pose.rotation.to_rotation_matrix().matrix();
+        return Ok(vec![CameraPose::mounted(pose.translation.vector, rotation)]);
+    }
     let (path, poses) = read_poses(folder)?;
     if poses.len() != 1 && poses.len() != frames {
         return Err(FramesError::Poses { path, frames, poses: poses.len() });

@@ -2,6 +2,8 @@
 //!
 //! ```text
 //! robots.toml           the robots and their markers: see `run::registry`
+//! cameras.toml          poses and fields of view of cameras whose folders state none: see
+//!                       `camera::CamerasFile`
 //! CAMERA/               one folder per camera; cameras are numbered in the order of their names.
 //!                       With a single camera, the files below may lie beside robots.toml
 //!   pose.txt            pose of the depth sensor: x y z qx qy qz qw

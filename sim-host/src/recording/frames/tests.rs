@@ -53,6 +53,40 @@ fn frames_are_returned_when_they_are_due() {
 }
 
 #[test]
+fn a_camera_without_a_pose_is_looked_for_among_those_that_were_placed() {
+    let folder = Folder::new("placed-cameras");
+    folder.file("camera-01/depth/1.pgm", b"P2 4 2 65535 1000 0 0 0 0 0 0 0");
+    let error = open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("no pose.txt or trajectory.log in it"), "{error}");
+    let of = |name: &str| {
+        format!(
+            "[[cameras]]\nname = \"{name}\"\nposition_m = [1.0, 2.0, 3.0]\nheading_deg = 90.0\n\
+             tilt_deg = 45.0\nhorizontal_fov_deg = 90.0\nvertical_fov_deg = 60.0\nrate_hz = 15.0\n"
+        )
+    };
+    folder.file("cameras.toml", (of("camera-00") + &of("camera-01")).as_bytes());
+    let source = open(folder.path()).unwrap();
+    let lens = source.cameras()[0].depth.unwrap();
+    // Through the middle it sees the floor 3 m to the north.
+    let floor = lens.centre() + lens.direction([1.5, 0.5]) * 3.0 * 2f64.sqrt();
+    assert!((floor - nalgebra::Point3::new(1.0, 5.0, 0.0)).norm() < 1e-9, "{floor}");
+    assert!((lens.intrinsics().fx - 2.0).abs() < 1e-9);
+    // What the folder says itself comes first.
+    folder.file("camera-01/pose.txt", b"0 0 3 1 0 0 0\n");
+    folder.file(
+        "camera-01/intrinsics.toml",
+        b"width = 4\nheight = 2\nfx = 9\nfy = 9\ncx = 1\ncy = 1\n",
+    );
+    let source = open(folder.path()).unwrap();
+    let lens = source.cameras()[0].depth.unwrap();
+    assert_eq!((lens.centre().x, lens.intrinsics().fx), (0.0, 9.0));
+    std::fs::remove_file(folder.path().join("camera-01/pose.txt")).unwrap();
+    folder.file("cameras.toml", b"[[cameras]]\nposition_m = 3\n");
+    let error = open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("cameras.toml: ") && error.lines().count() == 1, "{error}");
+}
+
+#[test]
 fn cameras_share_a_clock_and_frames_are_ordered_by_arrival() {
     let folder = Folder::new("recorded-cameras");
     let camera = |name: &str, times: &[u8]| {

@@ -27,8 +27,8 @@ pub struct Caption {
     pub subject: String,
     /// The seed of the run, if it had one.
     pub seed: Option<u64>,
-    /// The moment that is shown, in seconds since the run began.
-    pub time_s: f64,
+    /// The moment that is shown, in seconds since the run began, if there was a run.
+    pub time_s: Option<f64>,
 }
 
 /// As in "room, seed 2, after 120.0 s".
@@ -38,7 +38,10 @@ impl fmt::Display for Caption {
         if let Some(seed) = self.seed {
             write!(f, ", seed {seed}")?;
         }
-        write!(f, ", after {:.1} s", self.time_s)
+        if let Some(time_s) = self.time_s {
+            write!(f, ", after {time_s:.1} s")?;
+        }
+        Ok(())
     }
 }
 
@@ -186,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_caption_names_subject_seed_and_time() {
-        let mut caption = Caption { subject: "room".into(), seed: Some(2), time_s: 120.04 };
+        let mut caption = Caption { subject: "room".into(), seed: Some(2), time_s: Some(120.04) };
         assert_eq!(caption.to_string(), "room, seed 2, after 120.0 s");
         caption.seed = None;
         assert_eq!(caption.to_string(), "room, after 120.0 s");

@@ -24,7 +24,7 @@ use image::RgbImage;
 
 pub use caption::Caption;
 pub use marker::{Marker, MarkerKind};
-pub use views::{Moment, render, render_coverage, render_error, render_frames};
+pub use views::{Moment, render, render_coverage, render_error, render_frames, render_overlap};
 
 /// A picture as the bytes of a PNG file.
 pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {

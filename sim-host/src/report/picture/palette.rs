@@ -23,6 +23,13 @@ pub(super) const MOVABLE: Rgb<u8> = Rgb([200, 88, 0]);
 pub(super) const COVERED: Rgb<u8> = Rgb([200, 235, 250]);
 /// Known floor that no camera sees now.
 pub(super) const BLIND: Rgb<u8> = Rgb([140, 90, 190]);
+/// Floor that one camera sees, two, three, and more.
+pub(super) const SEEN_BY: [Rgb<u8>; 4] =
+    [Rgb([206, 226, 246]), Rgb([150, 192, 232]), Rgb([92, 148, 208]), Rgb([44, 104, 176])];
+/// Floor that no camera sees.
+pub(super) const UNSEEN: Rgb<u8> = Rgb([240, 170, 165]);
+/// Floor that no camera could see.
+pub(super) const HIDDEN: Rgb<u8> = Rgb([160, 90, 130]);
 /// On the map, and not in the room.
 pub(super) const EXTRA: Rgb<u8> = Rgb([200, 40, 150]);
 /// In the room, and not on the map.
@@ -87,8 +94,10 @@ fn luminance(colour: Rgb<u8>, eyes: &[[f64; 3]; 3]) -> f64 {
 
 /// All colours.
 #[cfg(test)]
-pub(super) const ALL: [Rgb<u8>; 12] =
-    [INK, PAPER, UNKNOWN, FREE, MOVABLE, COVERED, BLIND, EXTRA, MISSING, ROBOT, PERSON, CAMERA];
+pub(super) const ALL: [Rgb<u8>; 18] = [
+    INK, PAPER, UNKNOWN, FREE, MOVABLE, COVERED, BLIND, EXTRA, MISSING, ROBOT, PERSON, CAMERA,
+    UNSEEN, HIDDEN, SEEN_BY[0], SEEN_BY[1], SEEN_BY[2], SEEN_BY[3],
+];
 
 #[cfg(test)]
 mod tests {

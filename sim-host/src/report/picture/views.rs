@@ -7,7 +7,10 @@ use super::{
     canvas::{Canvas, scale_of},
     caption::{Caption, Entry, Sample, with_caption, with_title},
     marker::{self, Marker, MarkerKind},
-    palette::{BLIND, COVERED, EXTRA, FREE, MISSING, MOVABLE, PAPER, UNKNOWN, WALL},
+    palette::{
+        BLIND, COVERED, EXTRA, FREE, HIDDEN, MISSING, MOVABLE, PAPER, SEEN_BY, UNKNOWN, UNSEEN,
+        WALL,
+    },
 };
 use crate::grid::OccupancyGrid;
 
@@ -98,6 +101,40 @@ pub fn render_coverage(
         (Sample::Cell(UNKNOWN), "unknown"),
     ];
     finish(canvas, markers, caption, &cells)
+}
+
+/// Draws the floor by the number of cameras that see it, and the cameras. `floor` gives that number
+/// for a point of `map` in metres, and whether any camera could see it; `None` outside of the floor.
+/// Occupied cells of the map are drawn over it: black, or as dots (movable) where something hangs
+/// above the floor.
+pub fn render_overlap(
+    map: &OccupancyGrid,
+    cameras: &[Marker],
+    floor: impl Fn([f64; 2]) -> Option<(u16, bool)>,
+    caption: &Caption,
+) -> RgbImage {
+    let canvas = Canvas::new(map, scale_of(map), |column, row| {
+        let seen = floor(map.to_map([column as f64 + 0.5, row as f64 + 0.5]));
+        match (map.cell(column, row), seen) {
+            (Cell::Occupied, _) => WALL,
+            (Cell::Movable, _) if column.wrapping_add(row).is_multiple_of(2) => WALL,
+            (_, None) => UNKNOWN,
+            (_, Some((0, true))) => UNSEEN,
+            (_, Some((0, false))) => HIDDEN,
+            (_, Some((count, _))) => SEEN_BY[usize::from(count).min(SEEN_BY.len()) - 1],
+        }
+    });
+    let cells = [
+        (Sample::Cell(SEEN_BY[0]), "seen by one camera"),
+        (Sample::Cell(SEEN_BY[1]), "by two"),
+        (Sample::Cell(SEEN_BY[2]), "by three"),
+        (Sample::Cell(SEEN_BY[3]), "by more"),
+        (Sample::Cell(UNSEEN), "blind"),
+        (Sample::Cell(HIDDEN), "hidden from every place"),
+        (Sample::Cell(WALL), "wall or furniture"),
+        (Sample::Cell(UNKNOWN), "no floor"),
+    ];
+    finish(canvas, cameras, caption, &cells)
 }
 
 /// Draws a map against the truth: surfaces that are where they should be black, within one cell;
@@ -302,6 +339,12 @@ mod tests {
                 render(&map, markers, &caption),
                 render_coverage(&map, &other, markers, &caption),
                 render_error(&map, &other, &random(), &caption),
+                render_overlap(
+                    &map,
+                    markers,
+                    |[x, y]| Some((((20.0 * x) as u16 + 3 * (20.0 * y) as u16) % 6, x > y)),
+                    &caption,
+                ),
             ] {
                 let mut pairs = pairs(&picture);
                 // A stroke's edge is blended: black over free floor may be as grey as what is

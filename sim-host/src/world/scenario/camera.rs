@@ -6,6 +6,9 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraConfig {
+    /// Its name, for people; the simulation numbers its cameras.
+    #[serde(default)]
+    pub name: String,
     /// Position of its optical centre.
     pub position_m: [f64; 3],
     /// The point in the centre of its picture.
@@ -63,6 +66,7 @@ impl CameraConfig {
     /// The default camera, looking straight down from a position.
     pub(in super::super) fn looking_down(position_m: [f64; 3]) -> Self {
         Self {
+            name: String::new(),
             position_m,
             look_at_m: None,
             heading_deg: Some(0.0),

@@ -1,0 +1,186 @@
+//! `cameras.toml`: where a room's cameras hang and what they are like.
+//!
+//! One form for all: `ubimap place` writes it, its `[[cameras]]` can be copied into a scenario of
+//! `ubimap simulate`, and `ubimap watch` takes from it the pose of each camera folder of that name
+//! that has no `pose.txt`.
+//!
+//! ```toml
+//! [[cameras]]
+//! name = "camera-00"
+//! position_m = [1.25, 0.75, 2.9]  # the optical centre in `map`
+//! heading_deg = 90.0              # counter-clockwise from x
+//! tilt_deg = 60.0                 # 0 level, 90 straight down
+//! horizontal_fov_deg = 87.0
+//! vertical_fov_deg = 58.0
+//! range_m = 8.0
+//! ```
+//!
+//! In place of heading and tilt, `look_at_m` may name the point in the middle of the image. Other keys
+//! of a scenario's cameras may be there, and are kept.
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::Intrinsics;
+
+/// The name of such a file in the folder of a recording.
+pub const CAMERAS_FILE: &str = "cameras.toml";
+
+/// The cameras of a room.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+pub struct CamerasFile {
+    /// Each camera.
+    pub cameras: Vec<MountedCamera>,
+}
+
+/// A camera in its place.
+#[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
+pub struct MountedCamera {
+    /// What it is called: the name of its folder in a recording.
+    #[serde(default)]
+    pub name: String,
+    /// The optical centre of the depth sensor in `map`, in metres.
+    pub position_m: [f64; 3],
+    /// The point in the middle of its image, in `map`, in metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub look_at_m: Option<[f64; 3]>,
+    /// Where it faces, counter-clockwise from x, in degrees. The top of the image of a camera that
+    /// looks straight down is on this side.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heading_deg: Option<f64>,
+    /// How far it looks down, in degrees: 0 level, 90 straight down.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tilt_deg: Option<f64>,
+    /// From the left to the right edge of the depth image, in degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub horizontal_fov_deg: Option<f64>,
+    /// From the upper to the lower edge of the depth image, in degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vertical_fov_deg: Option<f64>,
+    /// How far it sees, in metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range_m: Option<f64>,
+    /// What else is said of it.
+    #[serde(flatten)]
+    pub rest: toml::Table,
+}
+
+impl CamerasFile {
+    /// The cameras that a text names.
+    ///
+    /// # Errors
+    /// What is wrong with the text, on one line.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let file: Self =
+            toml::from_str(text).map_err(|error| error.message().replace('\n', ", "))?;
+        for (index, camera) in file.cameras.iter().enumerate() {
+            if camera.direction().is_none() {
+                let key = format!("cameras[{index}]");
+                return Err(format!("{key} needs either look_at_m, or heading_deg and tilt_deg"));
+            }
+        }
+        Ok(file)
+    }
+
+    /// The cameras as a text that [`CamerasFile::parse`] reads.
+    pub fn to_toml(&self) -> String {
+        // Plain tables with string keys: there is nothing that could fail.
+        toml::to_string(self).unwrap_or_default()
+    }
+
+    /// The camera of this name.
+    pub fn named(&self, name: &str) -> Option<&MountedCamera> {
+        self.cameras.iter().find(|camera| camera.name == name)
+    }
+}
+
+impl MountedCamera {
+    /// The optical frame (x to the right, y down, z forward) in `map`, in metres. Its x is level.
+    /// `None` if no direction is stated, or two are.
+    pub fn pose(&self) -> Option<Isometry3<f64>> {
+        let [heading, tilt] = self.direction()?;
+        let (sin, cos) = (libm::sin(heading), libm::cos(heading));
+        let (sin_tilt, cos_tilt) = (libm::sin(tilt), libm::cos(tilt));
+        let right = Vector3::new(sin, -cos, 0.0);
+        let forward = Vector3::new(cos * cos_tilt, sin * cos_tilt, -sin_tilt);
+        let axes = Matrix3::from_columns(&[right, forward.cross(&right), forward]);
+        Some(Isometry3::from_parts(
+            Translation3::from(self.position_m),
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
+        ))
+    }
+
+    /// A pinhole with the stated fields of view for an image of this size, in pixels; `None` if they
+    /// are not stated.
+    pub fn intrinsics(&self, width: u32, height: u32) -> Option<Intrinsics> {
+        let focal = |size: u32, fov: f64| f64::from(size) / 2.0 / libm::tan(fov.to_radians() / 2.0);
+        let fx = focal(width, self.horizontal_fov_deg?);
+        let fy = focal(height, self.vertical_fov_deg?);
+        Some(Intrinsics { fx, fy, ..Intrinsics::pinhole(width, height, 1.0) })
+    }
+
+    /// Heading and tilt in radians.
+    fn direction(&self) -> Option<[f64; 2]> {
+        match (self.look_at_m, self.heading_deg, self.tilt_deg) {
+            (None, Some(heading), Some(tilt)) => Some([heading.to_radians(), tilt.to_radians()]),
+            (Some(look_at), None, None) => {
+                let [x, y, z] = [0, 1, 2].map(|axis| look_at[axis] - self.position_m[axis]);
+                Some([libm::atan2(y, x), libm::atan2(-z, libm::hypot(x, y))])
+            }
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Lens;
+
+    fn camera(text: &str) -> MountedCamera {
+        let text = format!("[[cameras]]\nposition_m = [1.0, 2.0, 3.0]\n{text}");
+        CamerasFile::parse(&text).unwrap().cameras.remove(0)
+    }
+
+    #[test]
+    fn a_camera_looks_where_it_is_said_to() {
+        let stated = "horizontal_fov_deg = 90.0\nvertical_fov_deg = 60.0\n";
+        for (text, middle, above) in [
+            // The top of the image of one that looks down is towards its heading.
+            ("heading_deg = 90.0\ntilt_deg = 90.0", [1.0, 2.0, 0.0], [1.0, 2.5, 0.0]),
+            ("heading_deg = 0.0\ntilt_deg = 45.0", [4.0, 2.0, 0.0], [4.5, 2.0, 0.0]),
+            ("look_at_m = [1.0, -1.0, 0.0]", [1.0, -1.0, 0.0], [1.0, -1.5, 0.0]),
+        ] {
+            let camera = camera(&format!("{text}\n{stated}"));
+            let intrinsics = camera.intrinsics(640, 480).unwrap();
+            let lens = Lens::new(intrinsics, camera.pose().unwrap()).unwrap();
+            let [column, row] = lens.project(&middle.into()).unwrap();
+            assert!((column - 319.5).abs() < 1e-6 && (row - 239.5).abs() < 1e-6, "{text}");
+            let [column, row] = lens.project(&above.into()).unwrap();
+            assert!((column - 319.5).abs() < 1e-6 && row < 239.0, "{text}: {row}");
+        }
+        // Half of the field of view reaches the edges.
+        let intrinsics = camera(&format!("look_at_m = [0.0, 0.0, 0.0]\n{stated}"));
+        let intrinsics = intrinsics.intrinsics(640, 480).unwrap();
+        assert!((intrinsics.fx - 320.0).abs() < 1e-9);
+        assert!((intrinsics.fy - 240.0 / 30f64.to_radians().tan()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_is_written_is_read_again_and_other_keys_stay() {
+        let text = "[[cameras]]\nname = \"a\"\nposition_m = [0.0, 0.0, 2.0]\nheading_deg = 0.0\n\
+                    tilt_deg = 60.0\nrate_hz = 5.0\ndepth = { width = 320 }\n";
+        let file = CamerasFile::parse(text).unwrap();
+        assert_eq!(file.named("a").unwrap().rest["rate_hz"].as_float(), Some(5.0));
+        assert_eq!(CamerasFile::parse(&file.to_toml()), Ok(file));
+    }
+
+    #[test]
+    fn a_direction_is_stated_once() {
+        for text in ["", "heading_deg = 0.0", "tilt_deg = 1.0\nlook_at_m = [0.0, 0.0, 0.0]"] {
+            let text = format!("[[cameras]]\nposition_m = [1.0, 2.0, 3.0]\n{text}");
+            assert!(CamerasFile::parse(&text).unwrap_err().contains("cameras[0] needs either"));
+        }
+        assert!(CamerasFile::parse("[[cameras]]\n").unwrap_err().contains("position_m"));
+    }
+}

@@ -1,0 +1,158 @@
+//! Simulated annealing over exchanges: for programmes in which not every cell must be covered.
+//!
+//! The number of cameras stays as it is; a candidate of a random short cell takes the place of a
+//! random chosen one. Rounds cool geometrically, each twice as long as the one before, and start from
+//! the best set so far.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    programme::{Goal, Programme},
+    selection::Selection,
+};
+
+/// The temperatures at which a round begins and ends, as shares of what a camera of the start
+/// covers on average.
+const HOT: f64 = 0.05;
+const COLD: f64 = 0.003;
+/// Exchanges of the first round.
+const FIRST_ROUND: u64 = 20_000;
+/// By how much a required cell weighs more than an optional one of weight one, at first.
+const REQUIRED: i64 = 4;
+
+/// A search that goes on for as long as it is run.
+pub(super) struct Annealing<'p> {
+    programme: &'p Programme,
+    selection: Selection<'p>,
+    dice: ChaCha8Rng,
+    hot: f64,
+    cold: f64,
+    /// Length of the round and the exchange that is next.
+    round: u64,
+    step: u64,
+    best: Option<Vec<u32>>,
+    best_weight: u64,
+}
+
+impl<'p> Annealing<'p> {
+    /// A search that starts from a set of candidates, feasible or not.
+    pub(super) fn new(programme: &'p Programme, start: &[u32], seed: u64) -> Self {
+        let weight = programme.weight().max(1) as f64 / programme.demands.len().max(1) as f64;
+        let covered: usize =
+            start.iter().map(|&candidate| programme.covers.row(candidate as usize).len()).sum();
+        let each = weight * covered as f64 / start.len().max(1) as f64;
+        let mut search = Self {
+            programme,
+            selection: Selection::new(programme, (REQUIRED as f64 * weight).ceil() as i64),
+            dice: ChaCha8Rng::seed_from_u64(seed),
+            hot: (HOT * each).max(1.0),
+            cold: (COLD * each).max(0.1),
+            round: FIRST_ROUND,
+            step: 0,
+            best: None,
+            best_weight: 0,
+        };
+        start.iter().for_each(|&candidate| search.selection.add(candidate));
+        search.note();
+        search
+    }
+
+    /// The best feasible set found so far, ascending.
+    pub(super) fn best(&self) -> Option<&[u32]> {
+        self.best.as_deref()
+    }
+
+    /// Tries this number of exchanges.
+    pub(super) fn run(&mut self, steps: usize) {
+        for _ in 0..steps {
+            if self.step == self.round {
+                self.begin_round();
+            }
+            let done = self.step as f64 / self.round as f64;
+            let temperature = self.hot * libm::pow(self.cold / self.hot, done);
+            self.step += 1;
+            self.try_exchange(temperature);
+        }
+    }
+
+    fn begin_round(&mut self) {
+        (self.round, self.step) = (self.round * 2, 0);
+        // What is still violated at the end of a round weighs more in the next one.
+        self.selection.weigh_violations();
+        if let Some(best) = &self.best {
+            self.selection.chosen().to_vec().into_iter().for_each(|it| self.selection.remove(it));
+            best.iter().for_each(|&it| self.selection.add(it));
+            self.drop_surplus();
+        }
+    }
+
+    fn try_exchange(&mut self, temperature: f64) {
+        let Some(old) = self.pick_chosen() else { return };
+        let Some(new) = self.pick_new() else { return };
+        let loss = self.selection.loss(old);
+        self.selection.remove(old);
+        let change = (self.selection.gain(new) - loss) as f64;
+        if change >= 0.0 || self.dice.random::<f64>() < libm::exp(change / temperature) {
+            self.selection.add(new);
+            self.note();
+        } else {
+            self.selection.add(old);
+        }
+    }
+
+    fn pick_chosen(&mut self) -> Option<u32> {
+        let chosen = self.selection.chosen();
+        (!chosen.is_empty()).then(|| chosen[self.dice.random_range(0..chosen.len())])
+    }
+
+    /// A random candidate, not chosen, of a random short cell.
+    fn pick_new(&mut self) -> Option<u32> {
+        let short = self.selection.short();
+        if short.is_empty() {
+            return None;
+        }
+        let cell = short[self.dice.random_range(0..short.len())] as usize;
+        let there = self.programme.covered_by.row(cell);
+        if there.is_empty() {
+            return None;
+        }
+        let new = there[self.dice.random_range(0..there.len())];
+        (!self.selection.is_chosen(new)).then_some(new)
+    }
+
+    /// Keeps the present set if it is the best so far; for the fewest cameras, goes on with one less.
+    fn note(&mut self) {
+        if !self.selection.is_feasible() {
+            return;
+        }
+        let (count, weight) = (self.selection.chosen().len(), self.selection.optional_weight());
+        let is_better = match (&self.best, self.programme.goal) {
+            (None, _) => true,
+            (Some(best), Goal::Fewest { .. }) => count < best.len(),
+            (Some(_), Goal::Best { .. }) => weight > self.best_weight,
+        };
+        if is_better {
+            self.best = Some(self.selection.sorted());
+            self.best_weight = weight;
+        }
+        self.drop_surplus();
+    }
+
+    /// Takes out the candidates that are missed least while the goal is met without them.
+    fn drop_surplus(&mut self) {
+        if matches!(self.programme.goal, Goal::Best { .. }) {
+            return;
+        }
+        while self.selection.is_feasible() {
+            let chosen = self.selection.chosen().iter().copied();
+            let Some(least) = chosen.min_by_key(|&it| (self.selection.loss(it), it)) else {
+                return;
+            };
+            if self.best.as_ref().is_none_or(|best| self.selection.chosen().len() < best.len()) {
+                self.best = Some(self.selection.sorted());
+            }
+            self.selection.remove(least);
+        }
+    }
+}

@@ -1,0 +1,358 @@
+//! Branch and bound: whether a placement within a limit exists.
+//!
+//! Depth first. Each node fixes what its decisions imply, bounds what is left by a few subgradient
+//! steps from the multipliers of the node before, and fixes the candidates whose reduced cost alone
+//! would break the limit. It branches on a candidate of the required cell with the fewest left to
+//! choose from; where no required cell is short, on the candidate with the least reduced cost.
+
+use super::{
+    programme::{Goal, Programme},
+    relaxation::{self, Fixed, Relaxation},
+};
+
+/// Subgradient steps of a node at most, and how long they are.
+const STEPS: u32 = 20;
+const STEP: f64 = 0.3;
+
+/// What a search has come to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    /// Nothing yet.
+    Unfinished,
+    /// A placement within the limit, ascending. From now on only a better one is.
+    Found(Vec<u32>),
+    /// There is none.
+    Exhausted,
+}
+
+/// A decision on the way from the root to a node.
+struct Decision {
+    candidate: u32,
+    /// Length of the trail before it.
+    trail: usize,
+    /// Whether the candidate was tried as chosen already.
+    is_second: bool,
+}
+
+/// A contradiction: no placement agrees with the decisions.
+struct Contradiction;
+
+/// A search that goes on where it was left.
+pub(super) struct Branching<'p> {
+    programme: &'p Programme,
+    relaxation: Relaxation<'p>,
+    /// For the fewest cameras: no placement with more counts. For the best coverage: none with less
+    /// optional weight.
+    limit: u64,
+    fixed: Vec<Fixed>,
+    /// For each cell the fixed candidates that cover it, and those that are still free.
+    inside: Vec<u32>,
+    free: Vec<u32>,
+    /// Number of candidates fixed as chosen.
+    chosen: usize,
+    /// Fixed candidates, the last one last.
+    trail: Vec<u32>,
+    decisions: Vec<Decision>,
+    /// Cells whose bounds may imply something.
+    pending: Vec<u32>,
+    is_begun: bool,
+    is_done: bool,
+}
+
+impl<'p> Branching<'p> {
+    /// A search for a placement with at most `limit` cameras, or with a covered optional weight of
+    /// at least `limit`. The relaxation is one of the same programme.
+    pub(super) fn new(programme: &'p Programme, relaxation: Relaxation<'p>, limit: u64) -> Self {
+        Self {
+            programme,
+            relaxation,
+            limit,
+            fixed: vec![Fixed::Free; programme.candidates()],
+            inside: vec![0; programme.demands.len()],
+            free: programme.covered_by.iter().map(|there| there.len() as u32).collect(),
+            chosen: 0,
+            trail: Vec::new(),
+            decisions: Vec::new(),
+            pending: (0..programme.demands.len() as u32).collect(),
+            is_begun: false,
+            is_done: false,
+        }
+    }
+
+    /// The limit: see [`Branching::new`].
+    pub(super) fn limit(&self) -> u64 {
+        self.limit
+    }
+
+    /// What a node costs, in matrix entries looked at.
+    pub(super) fn cost(&self) -> usize {
+        self.relaxation.cost() * STEPS as usize
+    }
+
+    /// Asks for at least this weight; only for the best coverage.
+    pub(super) fn raise_limit(&mut self, weight: u64) {
+        self.limit = self.limit.max(weight);
+    }
+
+    /// Begins anew with another limit.
+    pub(super) fn begin_again(self, limit: u64) -> Self {
+        Self::new(self.programme, self.relaxation, limit)
+    }
+
+    /// Looks at this number of nodes.
+    pub(super) fn run(&mut self, nodes: usize) -> Verdict {
+        for _ in 0..nodes {
+            if self.is_done {
+                return Verdict::Exhausted;
+            }
+            let is_consistent = !self.is_begun || self.decide_next().is_ok();
+            self.is_begun = true;
+            if !is_consistent {
+                continue;
+            }
+            if let Some(found) = self.look_at_node() {
+                return Verdict::Found(found);
+            }
+        }
+        if self.is_done { Verdict::Exhausted } else { Verdict::Unfinished }
+    }
+
+    /// Implications, leaf test and bound of the present node; puts the next decision on the stack, or
+    /// gives the node up.
+    fn look_at_node(&mut self) -> Option<Vec<u32>> {
+        if self.imply().is_err() || self.is_out_of_reach() {
+            self.give_up();
+            return None;
+        }
+        let mut found = self.take_leaf();
+        // Below a leaf there are only more cameras, which may cover more.
+        let is_end = found.is_some() && matches!(self.programme.goal, Goal::Fewest { .. });
+        if is_end || self.bound().is_err() || self.imply().is_err() {
+            self.give_up();
+            return found;
+        }
+        match self.branching_candidate() {
+            Some(candidate) => {
+                let trail = self.trail.len();
+                self.decisions.push(Decision { candidate, trail, is_second: false });
+            }
+            None => {
+                // The bound has decided all that was left.
+                found = found.or_else(|| self.take_leaf());
+                self.give_up();
+            }
+        }
+        found
+    }
+
+    /// The present node as a placement, if it is one; lowers or raises the limit.
+    fn take_leaf(&mut self) -> Option<Vec<u32>> {
+        let found = self.leaf()?;
+        self.limit = match self.programme.goal {
+            Goal::Fewest { .. } => (found.len() as u64).saturating_sub(1),
+            Goal::Best { .. } => self.programme.tally(&found).optional_weight + 1,
+        };
+        Some(found)
+    }
+
+    /// Carries out the decision on top of the stack.
+    fn decide_next(&mut self) -> Result<(), Contradiction> {
+        let Some(decision) = self.decisions.last() else {
+            self.is_done = true;
+            return Err(Contradiction);
+        };
+        let how = if decision.is_second { Fixed::Out } else { Fixed::In };
+        let candidate = decision.candidate;
+        let fixed = self.fix(candidate, how);
+        if fixed.is_err() {
+            self.give_up();
+        }
+        fixed
+    }
+
+    /// Goes back to the last decision with another side to try, and turns it.
+    fn give_up(&mut self) {
+        self.pending.clear();
+        while let Some(mut decision) = self.decisions.pop() {
+            while self.trail.len() > decision.trail {
+                self.unfix();
+            }
+            if !decision.is_second {
+                decision.is_second = true;
+                self.decisions.push(decision);
+                return;
+            }
+        }
+        self.is_done = true;
+    }
+
+    fn fix(&mut self, candidate: u32, how: Fixed) -> Result<(), Contradiction> {
+        self.fixed[candidate as usize] = how;
+        self.trail.push(candidate);
+        let is_in = how == Fixed::In;
+        self.chosen += usize::from(is_in);
+        for &cell in self.programme.covers.row(candidate as usize) {
+            self.free[cell as usize] -= 1;
+            self.inside[cell as usize] += u32::from(is_in);
+            self.pending.push(cell);
+        }
+        if self.chosen > self.most_cameras() { Err(Contradiction) } else { Ok(()) }
+    }
+
+    fn most_cameras(&self) -> usize {
+        match self.programme.goal {
+            Goal::Fewest { .. } => self.limit as usize,
+            Goal::Best { cameras } => cameras,
+        }
+    }
+
+    fn unfix(&mut self) {
+        let Some(candidate) = self.trail.pop() else { return };
+        let was_in = self.fixed[candidate as usize] == Fixed::In;
+        self.fixed[candidate as usize] = Fixed::Free;
+        self.chosen -= usize::from(was_in);
+        for &cell in self.programme.covers.row(candidate as usize) {
+            self.free[cell as usize] += 1;
+            self.inside[cell as usize] -= u32::from(was_in);
+        }
+    }
+
+    /// Fixes what the bounds of the pending cells leave no choice about.
+    fn imply(&mut self) -> Result<(), Contradiction> {
+        while let Some(cell) = self.pending.pop() {
+            let demand = self.programme.demands[cell as usize];
+            let (inside, free) = (self.inside[cell as usize], self.free[cell as usize]);
+            let least = if demand.is_required { u32::from(demand.at_least) } else { 0 };
+            let most = u32::from(demand.at_most);
+            if inside > most || inside + free < least {
+                return Err(Contradiction);
+            }
+            if free == 0 {
+                continue;
+            }
+            if inside == most {
+                self.fix_all(cell, Fixed::Out)?;
+            } else if inside + free == least {
+                self.fix_all(cell, Fixed::In)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Fixes the free candidates of a cell.
+    fn fix_all(&mut self, cell: u32, how: Fixed) -> Result<(), Contradiction> {
+        let programme = self.programme;
+        for &candidate in programme.covered_by.row(cell as usize) {
+            if self.fixed[candidate as usize] == Fixed::Free {
+                self.fix(candidate, how)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether what is asked for can't be reached with the candidates and cameras that are left.
+    fn is_out_of_reach(&self) -> bool {
+        // The limit may have fallen since these were chosen.
+        if self.chosen > self.most_cameras() {
+            return true;
+        }
+        let is_full = self.chosen == self.most_cameras();
+        let reach = |cell: usize| self.inside[cell] + if is_full { 0 } else { self.free[cell] };
+        let mut required = self.programme.demands.iter().enumerate();
+        if required.any(|(cell, it)| it.is_required && reach(cell) < u32::from(it.at_least)) {
+            return true;
+        }
+        let least = match self.programme.goal {
+            Goal::Fewest { weight } => weight,
+            Goal::Best { .. } => self.limit,
+        };
+        self.optional_weight(reach) < least
+    }
+
+    /// The weight of the optional cells that would be covered with this overlap.
+    fn optional_weight(&self, overlap: impl Fn(usize) -> u32) -> u64 {
+        let cells = self.programme.demands.iter().enumerate();
+        let covered = cells.filter(|(cell, demand)| {
+            !demand.is_required && overlap(*cell) >= u32::from(demand.at_least)
+        });
+        covered.map(|(_, demand)| u64::from(demand.weight)).sum()
+    }
+
+    /// The chosen candidates, if they are a placement within the limit.
+    fn leaf(&self) -> Option<Vec<u32>> {
+        let cells = self.programme.demands.iter().zip(&self.inside);
+        let mut required = cells.filter(|(demand, _)| demand.is_required);
+        if required.any(|(demand, &inside)| inside < u32::from(demand.at_least)) {
+            return None;
+        }
+        let weight = self.optional_weight(|cell| self.inside[cell]);
+        let least = match self.programme.goal {
+            Goal::Fewest { weight } => weight,
+            Goal::Best { .. } => self.limit,
+        };
+        let chosen = || {
+            let all = 0..self.fixed.len() as u32;
+            all.filter(|&it| self.fixed[it as usize] == Fixed::In).collect()
+        };
+        (weight >= least).then(chosen)
+    }
+
+    /// Bounds the node, and fixes candidates by their reduced costs.
+    fn bound(&mut self) -> Result<(), Contradiction> {
+        let goal = self.programme.goal;
+        let target = match goal {
+            Goal::Fewest { .. } => self.limit + 1,
+            Goal::Best { .. } => self.limit,
+        };
+        self.relaxation.forget(STEP);
+        for _ in 0..STEPS {
+            let value = self.relaxation.step(&self.fixed, target);
+            if self.is_broken(value) {
+                return Err(Contradiction);
+            }
+        }
+        if let Goal::Best { .. } = goal {
+            return Ok(());
+        }
+        self.relaxation.restart(STEP);
+        let value = self.relaxation.evaluate(&self.fixed);
+        for candidate in 0..self.fixed.len() as u32 {
+            if self.fixed[candidate as usize] != Fixed::Free {
+                continue;
+            }
+            let cost = self.relaxation.reduced_cost(candidate);
+            if self.is_broken(value + cost.abs()) {
+                self.fix(candidate, if cost >= 0 { Fixed::Out } else { Fixed::In })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether no placement with this value of the relaxation is within the limit.
+    fn is_broken(&self, value: i64) -> bool {
+        let bound = relaxation::round(self.programme.goal, value);
+        match self.programme.goal {
+            Goal::Fewest { .. } => bound > self.limit,
+            Goal::Best { .. } => bound < self.limit,
+        }
+    }
+
+    fn branching_candidate(&self) -> Option<u32> {
+        let cells = self.programme.demands.iter().enumerate();
+        let short = cells.filter(|(cell, demand)| {
+            demand.is_required && self.inside[*cell] < u32::from(demand.at_least)
+        });
+        let tightest = short.min_by_key(|&(cell, _)| {
+            (self.free[cell], std::cmp::Reverse(self.relaxation.multiplier(cell)))
+        });
+        let cheapest = |candidates: &mut dyn Iterator<Item = u32>| {
+            candidates
+                .filter(|&it| self.fixed[it as usize] == Fixed::Free)
+                .min_by_key(|&it| (self.relaxation.reduced_cost(it), it))
+        };
+        match tightest {
+            Some((cell, _)) => cheapest(&mut self.programme.covered_by.row(cell).iter().copied()),
+            None => cheapest(&mut (0..self.fixed.len() as u32)),
+        }
+    }
+}

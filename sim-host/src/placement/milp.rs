@@ -1,0 +1,175 @@
+//! The integer programme as it is written in the paper, through [`good_lp`]: for comparison with
+//! solvers that know nothing of cameras, and as an oracle of tests.
+
+use good_lp::{
+    Expression, ProblemVariables, ResolutionError, Solution as _, SolverModel, Variable,
+    WithInitialSolution, WithTimeLimit, constraint, solvers::SolutionStatus, variable, variables,
+};
+
+use super::{
+    programme::{ANY_OVERLAP, Goal, Programme},
+    reduction::Reduction,
+    solver::Solution,
+};
+
+/// A solver of integer programmes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MilpSolver {
+    /// `microlp`, in Rust.
+    Microlp,
+    /// HiGHS, in C++.
+    #[cfg(feature = "highs")]
+    Highs,
+}
+
+/// How an integer programme is to be solved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Milp {
+    /// By what.
+    pub solver: MilpSolver,
+    /// How long at most, in seconds of the wall clock.
+    pub seconds: f64,
+}
+
+/// Why a solver has no answer.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("the solver of integer programmes failed: {reason}")]
+pub struct MilpError {
+    /// What it says, on one line.
+    pub reason: String,
+}
+
+/// A solution that may be better, or proved, from a solution that is known.
+///
+/// # Errors
+/// If the solver fails. That it ran out of time is no failure.
+pub fn improve(programme: &Programme, known: Solution, milp: &Milp) -> Result<Solution, MilpError> {
+    let reduction = Reduction::exact(programme);
+    let start = known.chosen.iter().flatten();
+    let start: Vec<u32> = start
+        .filter_map(|candidate| reduction.candidates.binary_search(candidate).ok())
+        .map(|place| place as u32)
+        .collect();
+    // The reductions may have replaced a candidate of the start.
+    let start = Some(start).filter(|start| reduction.programme.is_feasible(start));
+    let model = Model::new(&reduction.programme);
+    let answer = match milp.solver {
+        MilpSolver::Microlp => model.solve(good_lp::microlp, start.as_deref(), milp.seconds),
+        #[cfg(feature = "highs")]
+        MilpSolver::Highs => model.solve(good_lp::highs, start.as_deref(), milp.seconds),
+    };
+    let (chosen, is_optimal) = match answer {
+        Ok(answer) => answer,
+        Err(ResolutionError::Infeasible) => {
+            return Ok(Solution { is_infeasible: known.chosen.is_none(), ..known });
+        }
+        // Out of time.
+        Err(ResolutionError::Other(_)) => return Ok(known),
+        Err(error) => {
+            let reason = error.to_string().lines().collect::<Vec<_>>().join(" ");
+            return Err(MilpError { reason });
+        }
+    };
+    let chosen = reduction.original(&chosen);
+    if !programme.is_feasible(&chosen) {
+        return Ok(known);
+    }
+    let value = |chosen: &[u32]| match programme.goal {
+        Goal::Fewest { .. } => chosen.len() as u64,
+        Goal::Best { .. } => programme.tally(chosen).optional_weight,
+    };
+    let is_better = known.chosen.as_ref().is_none_or(|known| match programme.goal {
+        Goal::Fewest { .. } => value(&chosen) < value(known),
+        Goal::Best { .. } => value(&chosen) > value(known),
+    });
+    let bound = if is_optimal { value(&chosen) } else { known.bound };
+    Ok(if is_better {
+        Solution { chosen: Some(chosen), bound, is_infeasible: false }
+    } else {
+        Solution { bound, ..known }
+    })
+}
+
+/// The programme in the terms of [`good_lp`].
+struct Model<'p> {
+    programme: &'p Programme,
+    variables: ProblemVariables,
+    /// For each candidate whether it is chosen.
+    chosen: Vec<Variable>,
+    /// For each optional cell whether it counts as covered.
+    covered: Vec<Option<Variable>>,
+}
+
+impl<'p> Model<'p> {
+    fn new(programme: &'p Programme) -> Self {
+        let mut variables = variables!();
+        let chosen = variables.add_vector(variable().binary(), programme.candidates());
+        let covered = programme
+            .demands
+            .iter()
+            .map(|demand| (!demand.is_required).then(|| variables.add(variable().binary())));
+        let covered = covered.collect();
+        Self { programme, variables, chosen, covered }
+    }
+
+    /// The candidates that a solver chooses, ascending, and whether it has proved that no choice is
+    /// better.
+    fn solve<S: SolverModel<Error = ResolutionError> + WithTimeLimit + WithInitialSolution>(
+        self,
+        solver: impl FnOnce(good_lp::variable::UnsolvedProblem) -> S,
+        start: Option<&[u32]>,
+        seconds: f64,
+    ) -> Result<(Vec<u32>, bool), ResolutionError> {
+        let Self { programme, variables, chosen, covered } = self;
+        let weight: Expression = programme
+            .demands
+            .iter()
+            .zip(&covered)
+            .filter_map(|(demand, covered)| Some(f64::from(demand.weight) * (*covered)?))
+            .sum();
+        let cameras: Expression = chosen.iter().sum();
+        let objective = match programme.goal {
+            Goal::Fewest { .. } => cameras.clone(),
+            Goal::Best { .. } => -weight.clone(),
+        };
+        let mut model = solver(variables.minimise(objective)).with_time_limit(seconds);
+        model.add_constraint(match programme.goal {
+            Goal::Fewest { weight: least } => constraint!(weight >= least as f64),
+            Goal::Best { cameras: most } => constraint!(cameras <= most as f64),
+        });
+        for (cell, demand) in programme.demands.iter().enumerate() {
+            let there = programme.covered_by.row(cell).iter();
+            let overlap: Expression = there.map(|&it| chosen[it as usize]).sum();
+            let least = f64::from(demand.at_least);
+            match covered[cell] {
+                Some(covered) => {
+                    model.add_constraint(constraint!(overlap.clone() >= least * covered));
+                }
+                None if demand.at_least > 0 => {
+                    model.add_constraint(constraint!(overlap.clone() >= least));
+                }
+                None => {}
+            }
+            if demand.at_most != ANY_OVERLAP {
+                model.add_constraint(constraint!(overlap <= f64::from(demand.at_most)));
+            }
+        }
+        if let Some(start) = start {
+            let overlap = programme.overlap(start);
+            let is_chosen = |it: usize| start.binary_search(&(it as u32)).is_ok();
+            let cells = covered.iter().enumerate();
+            let cells = cells.filter_map(|(cell, covered)| {
+                let is_covered = overlap[cell] >= programme.demands[cell].at_least;
+                Some(((*covered)?, f64::from(u8::from(is_covered))))
+            });
+            let candidates = chosen.iter().enumerate();
+            let candidates =
+                candidates.map(|(it, &variable)| (variable, f64::from(u8::from(is_chosen(it)))));
+            model = model.with_initial_solution(candidates.chain(cells).collect::<Vec<_>>());
+        }
+        let solution = model.solve()?;
+        let is_chosen = |it: &u32| solution.value(chosen[*it as usize]) > 0.5;
+        let found = (0..chosen.len() as u32).filter(is_chosen).collect();
+        Ok((found, matches!(solution.status(), SolutionStatus::Optimal)))
+    }
+}

@@ -1,0 +1,331 @@
+//! Bounds by Lagrangian relaxation.
+//!
+//! Each cell `s` gets a multiplier `lambda_s`. A positive one is the price of a camera that the cell
+//! lacks below `m`, a negative one (only where there is a `k`) that of a camera beyond it. With the
+//! constraints priced instead of kept, each candidate decides for itself. For the fewest cameras,
+//! with `y_s` for "the optional cell `s` is covered" and `W` the weight asked for, every placement
+//! has at least
+//!
+//! ```text
+//! L(lambda) = sum_c min(0, 1 - sum_{s in f(c)} lambda_s)                 reduced costs
+//!           + sum_{required s, lambda_s > 0} m_s lambda_s
+//!           + sum_{s, lambda_s < 0} k_s lambda_s
+//!           + max_{mu >= 0} mu W + sum_{optional s} min(0, m_s lambda_s - mu w_s)
+//! ```
+//!
+//! cameras; for the best coverage with `N` cameras, the covered optional weight is at most `-L` with
+//! `1` replaced by `0`, `mu` by 1, `W` by 0, and only the `N` least reduced costs counted. `L` is
+//! concave; its greatest value is that of the linear relaxation, and is approached by subgradient
+//! steps (Held, Wolfe and Crowder, "Validation of Subgradient Optimization", 1974). Every value on
+//! the way is a valid bound, and is computed in integers, so that no rounding makes it too good.
+
+use super::programme::{ANY_OVERLAP, Demand, Goal, Programme};
+
+/// One camera, or one unit of weight, in the units of multipliers.
+pub(super) const ONE: i64 = 1 << 24;
+
+/// Steps without a better bound after which steps become shorter, by this factor.
+const PATIENCE: u32 = 30;
+const SHORTER: f64 = 0.7;
+/// How much of the last direction goes into the next one.
+const DEFLECTION: f64 = 0.7;
+/// The shortest steps, as shares of the usual one; then the bound has converged.
+const SHORTEST: f64 = 1e-4;
+
+/// The greatest multiplier, so that no sum of them overflows: the price of 65,536 cameras.
+const DEAREST: i64 = ONE << 16;
+
+/// What has been decided about a candidate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Fixed {
+    /// Nothing.
+    #[default]
+    Free,
+    /// It is chosen.
+    In,
+    /// It is not chosen.
+    Out,
+}
+
+/// The multipliers of a programme's cells, and the best bound that they have given.
+pub(super) struct Relaxation<'p> {
+    programme: &'p Programme,
+    multipliers: Vec<i64>,
+    /// Of each candidate, at the last evaluation.
+    reduced_costs: Vec<i64>,
+    /// Of each cell: the cameras of the relaxed solution there.
+    overlap: Vec<i32>,
+    /// Of each optional cell: whether it counts as covered in the relaxed solution.
+    is_counted: Vec<bool>,
+    direction: Vec<f64>,
+    order: Vec<u32>,
+    best: Option<i64>,
+    best_multipliers: Vec<i64>,
+    step: f64,
+    failures: u32,
+}
+
+impl<'p> Relaxation<'p> {
+    /// Multipliers with which no candidate costs less than nothing: a dual feasible start.
+    pub(super) fn new(programme: &'p Programme) -> Self {
+        let cells = programme.demands.len();
+        let start = |cell: usize| {
+            let Demand { is_required, weight, at_least, .. } = programme.demands[cell];
+            match programme.goal {
+                _ if at_least == 0 => 0,
+                Goal::Best { .. } if !is_required => i64::from(weight) * ONE / 2,
+                _ => {
+                    let there = programme.covered_by.row(cell).iter();
+                    let most = there.map(|&it| programme.covers.row(it as usize).len()).max();
+                    ONE / most.unwrap_or(1).max(1) as i64
+                }
+            }
+        };
+        let multipliers: Vec<i64> = (0..cells).map(start).collect();
+        Self {
+            programme,
+            best_multipliers: multipliers.clone(),
+            multipliers,
+            reduced_costs: vec![0; programme.candidates()],
+            overlap: vec![0; cells],
+            is_counted: vec![false; cells],
+            direction: vec![0.0; cells],
+            order: Vec::new(),
+            best: None,
+            step: 1.0,
+            failures: 0,
+        }
+    }
+
+    /// The best bound so far, rounded to what a placement can have: the fewest cameras, or the most
+    /// covered optional weight. `None` before the first step.
+    pub(super) fn bound(&self) -> Option<u64> {
+        self.best.map(|value| round(self.programme.goal, value))
+    }
+
+    /// Whether the bound is beyond what any placement can have, so that there is none: more cameras
+    /// than candidates, or less than no weight.
+    pub(super) fn proves_infeasible(&self) -> bool {
+        let most = match self.programme.goal {
+            Goal::Fewest { .. } => self.programme.candidates() as i64 * ONE,
+            Goal::Best { .. } => 0,
+        };
+        self.best.is_some_and(|value| value > most)
+    }
+
+    /// Number of candidates.
+    pub(super) fn candidates(&self) -> usize {
+        self.programme.candidates()
+    }
+
+    /// What a step costs, in matrix entries looked at.
+    pub(super) fn cost(&self) -> usize {
+        let Programme { demands, covers, .. } = self.programme;
+        2 * covers.ones() + 8 * (demands.len() + covers.rows()) + 100
+    }
+
+    /// Whether more steps hardly make the bound better.
+    pub(super) fn has_converged(&self) -> bool {
+        self.step < SHORTEST
+    }
+
+    /// The reduced cost of a candidate at the last evaluation, in units of [`ONE`].
+    pub(super) fn reduced_cost(&self, candidate: u32) -> i64 {
+        self.reduced_costs[candidate as usize]
+    }
+
+    /// The multiplier of a cell at the last evaluation, in units of [`ONE`].
+    pub(super) fn multiplier(&self, cell: usize) -> i64 {
+        self.multipliers[cell]
+    }
+
+    /// One subgradient step towards `target`, the value of the best placement known, with these
+    /// candidates fixed. Returns the bound with them fixed, in units of [`ONE`], before the step.
+    pub(super) fn step(&mut self, fixed: &[Fixed], target: u64) -> i64 {
+        let value = self.evaluate(fixed);
+        if self.best.is_none_or(|best| value > best + ONE / 10_000) {
+            self.failures = 0;
+        } else {
+            self.failures += 1;
+        }
+        if self.best.is_none_or(|best| value > best) {
+            self.best = Some(value);
+            self.best_multipliers.copy_from_slice(&self.multipliers);
+        }
+        if self.failures > PATIENCE {
+            self.step *= SHORTER;
+            self.failures = 0;
+            self.multipliers.copy_from_slice(&self.best_multipliers);
+            self.direction.fill(0.0);
+            self.evaluate(fixed);
+        }
+        let target = match self.programme.goal {
+            Goal::Fewest { .. } => target as i64 * ONE,
+            Goal::Best { .. } => -(target as i64 * ONE),
+        };
+        // A little beyond, so that a bound that is nearly there does not stop the steps.
+        self.move_multipliers((target - value).max(0) + ONE / 50);
+        value
+    }
+
+    /// Begins again with usual steps from the best multipliers so far, for another set of fixed
+    /// candidates.
+    pub(super) fn restart(&mut self, step: f64) {
+        self.multipliers.copy_from_slice(&self.best_multipliers);
+        self.forget(step);
+    }
+
+    /// The same from the present multipliers.
+    pub(super) fn forget(&mut self, step: f64) {
+        self.best = None;
+        self.step = step;
+        self.failures = 0;
+        self.direction.fill(0.0);
+    }
+
+    /// `L` at the present multipliers; also the reduced costs and the relaxed solution.
+    pub(super) fn evaluate(&mut self, fixed: &[Fixed]) -> i64 {
+        let mut value = 0;
+        for (&multiplier, demand) in self.multipliers.iter().zip(&self.programme.demands) {
+            if multiplier < 0 {
+                value += i64::from(demand.at_most) * multiplier;
+            } else if demand.is_required {
+                value += i64::from(demand.at_least) * multiplier;
+            }
+        }
+        value += self.count_optional();
+        let cost = match self.programme.goal {
+            Goal::Fewest { .. } => ONE,
+            Goal::Best { .. } => 0,
+        };
+        for (candidate, reduced) in self.reduced_costs.iter_mut().enumerate() {
+            let cells = self.programme.covers.row(candidate).iter();
+            *reduced = cost - cells.map(|&cell| self.multipliers[cell as usize]).sum::<i64>();
+        }
+        value + self.choose(fixed)
+    }
+
+    /// The optional cells' part of `L`.
+    fn count_optional(&mut self) -> i64 {
+        let price = |cell: usize, demand: &Demand| {
+            i64::from(demand.at_least) * self.multipliers[cell].max(0)
+        };
+        let demands = &self.programme.demands;
+        let mu = match self.programme.goal {
+            Goal::Best { .. } => ONE,
+            Goal::Fewest { weight: 0 } => 0,
+            Goal::Fewest { weight } => {
+                // The greatest is where the cheapest cells, by price and weight, reach the weight.
+                let rate = |&cell: &u32| {
+                    let demand = &demands[cell as usize];
+                    price(cell as usize, demand) as f64 / f64::from(demand.weight.max(1))
+                };
+                let is_optional = |&cell: &u32| !demands[cell as usize].is_required;
+                self.order.clear();
+                self.order.extend((0..demands.len() as u32).filter(is_optional));
+                self.order.sort_unstable_by(|a, b| rate(a).total_cmp(&rate(b)).then(a.cmp(b)));
+                let mut reached = 0;
+                let last = self.order.iter().find(|&&cell| {
+                    reached += u64::from(demands[cell as usize].weight);
+                    reached >= weight
+                });
+                // Any other value would give a bound too, but for the rounding up that it may need.
+                last.or(self.order.last()).map_or(0, |cell| rate(cell).ceil() as i64)
+            }
+        };
+        let mut value = match self.programme.goal {
+            Goal::Best { .. } => 0,
+            Goal::Fewest { weight } => mu * weight as i64,
+        };
+        for (cell, demand) in demands.iter().enumerate().filter(|(_, demand)| !demand.is_required) {
+            let part = price(cell, demand) - mu * i64::from(demand.weight);
+            self.is_counted[cell] = part < 0;
+            value += part.min(0);
+        }
+        value
+    }
+
+    /// The candidates' part of `L`; notes the overlap of those that the relaxed solution chooses.
+    fn choose(&mut self, fixed: &[Fixed]) -> i64 {
+        self.overlap.fill(0);
+        let mut value = 0;
+        let mut taken = 0;
+        self.order.clear();
+        for (candidate, (&reduced, fixed)) in self.reduced_costs.iter().zip(fixed).enumerate() {
+            match fixed {
+                Fixed::Out => {}
+                Fixed::In => {
+                    value += reduced;
+                    taken += 1;
+                    for &cell in self.programme.covers.row(candidate) {
+                        self.overlap[cell as usize] += 1;
+                    }
+                }
+                Fixed::Free if reduced < 0 => self.order.push(candidate as u32),
+                Fixed::Free => {}
+            }
+        }
+        if let Goal::Best { cameras } = self.programme.goal {
+            let left = cameras.saturating_sub(taken);
+            if left < self.order.len() {
+                let key = |&it: &u32| (self.reduced_costs[it as usize], it);
+                if left > 0 {
+                    self.order.select_nth_unstable_by_key(left - 1, key);
+                }
+                self.order.truncate(left);
+            }
+        }
+        for &candidate in &self.order {
+            value += self.reduced_costs[candidate as usize];
+            for &cell in self.programme.covers.row(candidate as usize) {
+                self.overlap[cell as usize] += 1;
+            }
+        }
+        value
+    }
+
+    /// Moves the multipliers along the deflected subgradient, as far as would close `gap` if `L` were
+    /// linear.
+    fn move_multipliers(&mut self, gap: i64) {
+        let mut squared = 0.0;
+        for (cell, demand) in self.programme.demands.iter().enumerate() {
+            let overlap = self.overlap[cell];
+            let counts = demand.is_required || self.is_counted[cell];
+            let lacks = if counts { i32::from(demand.at_least) - overlap } else { -overlap };
+            let has_too_many = i32::from(demand.at_most) - overlap;
+            let slope = match self.multipliers[cell].signum() {
+                1 => lacks,
+                -1 => has_too_many,
+                _ => lacks.max(0) + has_too_many.min(0),
+            };
+            let along = f64::from(slope) + DEFLECTION * self.direction[cell];
+            self.direction[cell] = along;
+            squared += along * along;
+        }
+        if squared == 0.0 {
+            return;
+        }
+        let length = self.step * gap as f64 / squared;
+        for (cell, multiplier) in self.multipliers.iter_mut().enumerate() {
+            let moved = multiplier.saturating_add((length * self.direction[cell]) as i64);
+            // Where there is no placement, prices would rise for ever.
+            let moved = moved.clamp(-DEAREST, DEAREST);
+            let has_bound = self.programme.demands[cell].at_most != ANY_OVERLAP;
+            // A price changes its meaning at zero, and stops there.
+            *multiplier = match multiplier.signum() {
+                1 => moved.max(0),
+                -1 => moved.min(0),
+                _ if has_bound => moved,
+                _ => moved.max(0),
+            };
+        }
+    }
+}
+
+/// A value of `L` as what a placement can have: at least so many cameras, or at most that weight.
+pub(super) fn round(goal: Goal, value: i64) -> u64 {
+    match goal {
+        Goal::Fewest { .. } => (value.max(0) as u64).div_ceil(ONE as u64),
+        Goal::Best { .. } => ((-value).max(0) / ONE) as u64,
+    }
+}

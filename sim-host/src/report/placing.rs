@@ -1,0 +1,223 @@
+//! What came of placing cameras: what `ubimap place` prints, and its `report.json`.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// The figures of a placement.
+///
+/// As JSON, `schema` and `version` tell a reader what to expect: within a version names keep their
+/// meaning, and new ones may be added.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PlaceReport {
+    /// Always "ubimap-place".
+    pub schema: &'static str,
+    /// The version of the schema.
+    pub version: u32,
+    /// The room: a file or the name of a scenario.
+    pub room: String,
+    /// "true" or "paper": which floor a camera sees.
+    pub model: &'static str,
+    /// What was asked for, in words.
+    pub goal: &'static str,
+    /// A cell counts as covered from this number of cameras on: UbiSLAM's `m`.
+    pub min_overlap: u16,
+    /// The most cameras that may see a cell: UbiSLAM's `k`.
+    pub max_overlap: Option<u16>,
+    /// The floor.
+    pub floor: FloorSummary,
+    /// The placement.
+    pub placement: PlacementSummary,
+    /// Each camera.
+    pub cameras: Vec<PlacedCamera>,
+    /// Whether Ctrl-C ended the search.
+    pub was_interrupted: bool,
+    /// Seconds until the integer programme was solved or given up.
+    pub solved_s: f64,
+    /// Seconds in all, of the wall clock.
+    pub elapsed_s: f64,
+}
+
+/// The floor to be covered: UbiSLAM's `S`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct FloorSummary {
+    /// The side of a cell in metres.
+    pub cell_m: f64,
+    /// Number of cells.
+    pub cells: u64,
+    /// Cells that no candidate sees.
+    pub blind: u64,
+    /// Cells that fewer candidates see than cameras must: as many as there are must see them.
+    pub lowered: u64,
+    /// Cells of pieces of floor under a square metre, at 0.5 m, which were left out.
+    pub left_out: u64,
+}
+
+/// A placement and how good it is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PlacementSummary {
+    /// Number of candidates: UbiSLAM's `C`.
+    pub candidates: u64,
+    /// Side of the squares with one place for cameras each, in metres.
+    pub spacing_m: f64,
+    /// Number of cameras.
+    pub cameras: u64,
+    /// Those among them that were added to connect the overlap.
+    pub added: u64,
+    /// Cells that `min_overlap` cameras or more see.
+    pub covered: u64,
+    /// Their share of all cells.
+    pub coverage: f64,
+    /// Cells by the number of cameras that see them, from zero on.
+    pub by_overlap: Vec<u64>,
+    /// What was optimised: the number of cameras, without those added, or the weight of the covered
+    /// cells.
+    pub value: u64,
+    /// No placement has a better value.
+    pub bound: u64,
+    /// How far from optimal the value can be: the difference to the bound, as a share of the
+    /// greater of both.
+    pub gap: f64,
+    /// Whether the value is proved to be optimal.
+    pub is_optimal: bool,
+    /// Pieces into which the graph of overlapping cameras falls; one where calibration can follow it
+    /// everywhere.
+    pub pieces: u64,
+    /// The fewest pieces that are possible.
+    pub fewest_pieces: u64,
+}
+
+/// A camera of the placement.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PlacedCamera {
+    /// What it is called.
+    pub name: String,
+    /// The optical centre in `map`, in metres.
+    pub position_m: [f64; 3],
+    /// Where it faces, counter-clockwise from x, in degrees.
+    pub heading_deg: f64,
+    /// How far it looks down, in degrees: 0 level, 90 straight down.
+    pub tilt_deg: f64,
+}
+
+impl PlaceReport {
+    /// What [`PlaceReport::schema`] says.
+    pub const SCHEMA: &'static str = "ubimap-place";
+    /// The version that is written.
+    pub const VERSION: u32 = 1;
+
+    /// Whether calibration can follow the overlap wherever the room allows it.
+    pub fn is_connected(&self) -> bool {
+        self.placement.pieces <= self.placement.fewest_pieces
+    }
+}
+
+impl Default for PlaceReport {
+    fn default() -> Self {
+        Self {
+            schema: Self::SCHEMA,
+            version: Self::VERSION,
+            room: String::new(),
+            model: "",
+            goal: "",
+            min_overlap: 0,
+            max_overlap: None,
+            floor: FloorSummary::default(),
+            placement: PlacementSummary::default(),
+            cameras: Vec::new(),
+            was_interrupted: false,
+            solved_s: 0.0,
+            elapsed_s: 0.0,
+        }
+    }
+}
+
+impl fmt::Display for PlaceReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.describe_placement())?;
+        let stopped = if self.was_interrupted { ", interrupted" } else { "" };
+        writeln!(
+            f,
+            "{:.2} s, {:.2} s of it for the placement{stopped}",
+            self.elapsed_s, self.solved_s
+        )?;
+        for camera in &self.cameras {
+            let [x, y, z] = camera.position_m;
+            writeln!(
+                f,
+                "{}: at {x:.2}, {y:.2}, {z:.2} m, heading {:.0}, tilt {:.0} degrees",
+                camera.name, camera.heading_deg, camera.tilt_deg
+            )?;
+        }
+        Ok(())
+    }
+}
+
+impl PlaceReport {
+    /// Coverage, overlap, optimality and candidates in words, one line each; neither times nor the
+    /// single cameras.
+    pub fn describe_placement(&self) -> String {
+        let PlacementSummary { cameras, covered, coverage, candidates, spacing_m, .. } =
+            &self.placement;
+        let FloorSummary { cells, cell_m, blind, lowered, left_out } = &self.floor;
+        let shares = self.placement.by_overlap.iter().enumerate();
+        let shares: Vec<String> = shares
+            .map(|(overlap, &count)| format!("{overlap}: {:.1} %", percent(count, *cells)))
+            .collect();
+        let mut lines = vec![format!(
+            "{room}: {cameras} cameras cover {percent:.1} % of the floor, {covered} of {cells} \
+             cells of {cell_m} m",
+            room = self.room,
+            percent = 100.0 * coverage,
+        )];
+        lines.extend(self.describe_optimality());
+        lines.push(format!("cells by the number of cameras that see them: {}", shares.join(", ")));
+        lines.push(self.describe_overlap_graph());
+        lines.push(format!(
+            "{candidates} candidates, a place every {spacing_m} m ({} model)",
+            self.model
+        ));
+        if *blind > 0 {
+            lines.push(format!("{blind} cells are blind: no candidate sees them"));
+        }
+        if *lowered > 0 {
+            lines.push(format!("{lowered} cells are seen by fewer candidates than required"));
+        }
+        if *left_out > 0 {
+            lines.push(format!("{left_out} cells in small pieces of floor are left out"));
+        }
+        lines.iter().map(|line| format!("{line}\n")).collect()
+    }
+
+    fn describe_optimality(&self) -> Vec<String> {
+        let PlacementSummary { value, bound, gap, is_optimal, added, .. } = self.placement;
+        let mut lines = vec![if is_optimal {
+            "proved optimal".to_owned()
+        } else {
+            let side = if value > bound { "least" } else { "most" };
+            format!("{value}, at {side} {bound}: within {:.1} % of optimal", 100.0 * gap)
+        }];
+        if added > 0 {
+            lines.push(format!("{added} of the cameras were added to connect the overlap"));
+        }
+        lines
+    }
+
+    fn describe_overlap_graph(&self) -> String {
+        let PlacementSummary { pieces, fewest_pieces, .. } = self.placement;
+        match (pieces, fewest_pieces) {
+            (0 | 1, _) => "the overlap connects all cameras".to_owned(),
+            (pieces, fewest) if pieces <= fewest => {
+                format!("the overlap falls into {pieces} pieces, as the floor does")
+            }
+            (pieces, fewest) => format!(
+                "the overlap falls into {pieces} pieces ({fewest} are possible): calibration can't \
+                 follow it everywhere; --connect adds cameras"
+            ),
+        }
+    }
+}
+
+fn percent(part: u64, whole: u64) -> f64 {
+    100.0 * part as f64 / whole.max(1) as f64
+}

@@ -1,0 +1,58 @@
+//! What stands in a scenario's room, as plain geometry: for those who ask what hides what, and know
+//! nothing of the simulation.
+
+use super::{
+    room::Room,
+    scenario::{Scenario, ScenarioError},
+    shapes::Rim,
+};
+
+/// A shape from above, in `map`, metres.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FixedOutline {
+    /// A circle.
+    Disc {
+        /// Its centre.
+        centre_m: [f64; 2],
+        /// Its radius.
+        radius_m: f64,
+    },
+    /// A convex polygon by its corners, counter-clockwise.
+    Polygon(Vec<[f64; 2]>),
+}
+
+/// An upright prism: a wall, a shut door, a piece of furniture or a part of one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FixedPart {
+    /// Its shape from above.
+    pub outline: FixedOutline,
+    /// Height of its lower side above the floor, in metres.
+    pub bottom_m: f64,
+    /// Height of its upper side above the floor, in metres.
+    pub top_m: f64,
+}
+
+impl Scenario {
+    /// Walls, doors (shut) and furniture as they are at first, without the walls of a map.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Invalid`] for furniture that has no area.
+    pub fn fixed_parts(&self) -> Result<Vec<FixedPart>, ScenarioError> {
+        let mut drawn = self.clone();
+        drawn.room.map = None;
+        let room = Room::new(&drawn, None, &[])?;
+        let part = |prism: &super::shapes::Prism| FixedPart {
+            outline: match prism.footprint.rim() {
+                Rim::Disc { centre, radius } => {
+                    FixedOutline::Disc { centre_m: centre.to_array(), radius_m: radius }
+                }
+                Rim::Corners(corners) => {
+                    FixedOutline::Polygon(corners.iter().map(|it| it.to_array()).collect())
+                }
+            },
+            bottom_m: prism.bottom,
+            top_m: prism.top,
+        };
+        Ok(room.prisms().iter().map(part).collect())
+    }
+}
