@@ -10,7 +10,7 @@ use std::{
 };
 
 use serialport::{SerialPort, TTYPort};
-use ubimap_agent::{Agent, Config, locate::PoseSource, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, Robot, locate::PoseSource, sense::SensorModel};
 use ubimap_protocol::{
     tile::{Epoch, Layer, Tile, TileId, Version},
     time::{Duration, Instant},
@@ -18,7 +18,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     mapping::{MapTime, RobotLayer, SeenTile, Sight, Weight, fuse, hollow},
-    run::fleet::AgentMemory,
+    run::heap::{BOUNDS, Heap},
     store::Store,
 };
 
@@ -34,7 +34,7 @@ struct Serving(Child);
 
 impl Serving {
     /// A server with its robots behind new ports.
-    fn start(store: &Path, robots: &mut [Robot<'_>]) -> Self {
+    fn start(store: &Path, robots: &mut [Member<'_>]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
         command.arg("serve").arg("--store").arg(store);
         for robot in robots {
@@ -58,15 +58,15 @@ impl Drop for Serving {
 /// What a robot was promised: the version that is stored of an epoch of a tile, and its cells.
 type Promises = BTreeMap<(TileId, Epoch), (Version, Tile)>;
 
-struct Robot<'b> {
+struct Member<'b> {
     id: RobotId,
-    agent: Agent<'b>,
+    robot: Robot<'b>,
     port: Option<TTYPort>,
     next_scan: Instant,
     promises: Promises,
 }
 
-impl Robot<'_> {
+impl Member<'_> {
     /// Takes a scan if it drives and one is due, and talks to the server.
     fn turn(&mut self, now: Instant, drives: bool) {
         if drives && self.next_scan <= now {
@@ -77,21 +77,21 @@ impl Robot<'_> {
             let readings: Vec<u16> = (0..BEAMS)
                 .map(|beam| 700 + ((beam as u64 * 97 + now.micros()) % 500) as u16)
                 .collect();
-            self.agent.odometry(now, pose, now);
-            let _ = self.agent.scan(now, &readings, now);
+            self.robot.odometry(now, pose, now);
+            let _ = self.robot.scan(now, &readings, now);
         }
         let mut buffer = [0; 1_024];
         // A port without a server behind it is a link that loses everything.
         if let Some(count) = self.port.as_mut().and_then(|port| port.read(&mut buffer).ok()) {
-            self.agent.receive(&buffer[..count], now);
+            self.robot.receive(&buffer[..count], now);
         }
-        self.agent.timeout(now);
-        while let Some(len) = self.agent.poll_transmit(now, &mut buffer) {
+        self.robot.timeout(now);
+        while let Some(len) = self.robot.poll_transmit(now, &mut buffer) {
             if let Some(port) = &mut self.port {
                 let _ = port.write_all(&buffer[..len]);
             }
         }
-        for tile in self.agent.own_tiles().tiles().filter(|tile| is_stored(tile)) {
+        for tile in self.robot.own_tiles().tiles().filter(|tile| is_stored(tile)) {
             let key = (tile.id().unwrap(), tile.epoch());
             self.promises.insert(key, (tile.stored(), *tile.publication().sent()));
         }
@@ -99,7 +99,7 @@ impl Robot<'_> {
 
     /// Whether all that it knows is stored, and it holds the server's map of its surroundings.
     fn is_done(&self) -> bool {
-        self.agent.is_idle() && self.agent.own_tiles().tiles().all(is_stored)
+        self.robot.is_idle() && self.robot.own_tiles().tiles().all(is_stored)
     }
 }
 
@@ -108,7 +108,7 @@ fn is_stored(tile: &ubimap_agent::map::OwnTile) -> bool {
 }
 
 /// The layers in the file, once its server is dead. What was promised must be among it.
-fn layers(store: &Path, robots: &[Robot<'_>]) -> BTreeMap<RobotId, RobotLayer> {
+fn layers(store: &Path, robots: &[Member<'_>]) -> BTreeMap<RobotId, RobotLayer> {
     let mut layers = BTreeMap::<RobotId, RobotLayer>::new();
     for (robot, record) in Store::open(store, RESOLUTION).unwrap().records().unwrap() {
         layers.entry(robot).or_default().restore(&record);
@@ -135,37 +135,44 @@ fn file() -> PathBuf {
 fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
     let store = file();
     let model = SensorModel::Radial { first: -3.0, step: 0.1 };
-    let configs = (1..=ROBOTS).map(|id| Config {
+    let bounds = Bounds {
+        readings: BEAMS,
+        own_tiles: OWN_TILES,
+        fused_tiles: 16,
         max_range: 1_400,
+        ..BOUNDS
+    };
+    let configs = (1..=ROBOTS).map(|id| Config {
         hold: Duration::from_millis(100),
         pose_source: PoseSource::Odometry(Pose::default()),
         boot_nonce: id.into(),
-        ..Config::new(RobotId(id), model)
+        ..Config::new(RobotId(id), model, bounds)
     });
     let configs: Vec<Config> = configs.collect();
-    let memory = |config: &Config| AgentMemory::new(config, BEAMS, OWN_TILES, 16);
-    let mut memories: Vec<AgentMemory> = configs.iter().map(memory).collect();
-    let robots = configs.iter().zip(&mut memories).map(|(config, memory)| Robot {
+    let mut memories: Vec<Memory<Heap>> =
+        configs.iter().map(|config| Memory::new(&config.bounds)).collect();
+    let robots = configs.iter().zip(&mut memories).map(|(config, memory)| Member {
         id: config.robot,
-        agent: Agent::new(*config, memory.lend()).unwrap(),
+        robot: Robot::new(*config, memory).unwrap(),
         port: None,
         next_scan: Instant(0),
         promises: Promises::new(),
     });
-    let mut robots: Vec<Robot<'_>> = robots.collect();
+    let mut robots: Vec<Member<'_>> = robots.collect();
     let start = time::Instant::now();
     let now = || Instant(start.elapsed().as_micros() as u64);
 
     for life in 1..=3 {
         let serving = Serving::start(&store, &mut robots);
-        let evicted = |robots: &[Robot<'_>]| -> u32 {
-            robots.iter().map(|robot| robot.agent.own_tiles().evicted()).sum()
+        let evicted = |robots: &[Member<'_>]| -> u32 {
+            robots.iter().map(|member| member.robot.own_tiles().evicted()).sum()
         };
         // Work goes on: room is made for new tiles by giving up what is stored.
         let (began, before) = (now(), evicted(&robots));
         while evicted(&robots) < before + 25 {
             robots.iter_mut().for_each(|robot| robot.turn(now(), true));
-            let states = || robots.iter().map(|robot| robot.agent.statistics()).collect::<Vec<_>>();
+            let states =
+                || robots.iter().map(|member| member.robot.statistics()).collect::<Vec<_>>();
             assert!(now().since(began) < PATIENCE, "life {life}: {:?}", states());
         }
         drop(serving);
@@ -177,7 +184,7 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
     let mut done_since = None;
     while done_since.is_none_or(|since| now().since(since) < Duration::from_secs(3)) {
         robots.iter_mut().for_each(|robot| robot.turn(now(), false));
-        let done = robots.iter().all(|robot| robot.agent.is_connected() && robot.is_done());
+        let done = robots.iter().all(|member| member.robot.is_connected() && member.is_done());
         done_since = done_since.filter(|_| done).or(done.then(now));
         assert!(now().since(began) < PATIENCE, "they never agree");
     }
@@ -195,7 +202,7 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
         assert!(kept == told, "robot {}", robot.id.0);
         assert!(robot.promises.len() > kept.len() + 10, "evictions begin tiles anew");
         // What it holds of the server's map is what the layers in the file make.
-        let held: Vec<_> = robot.agent.fused_tiles().tiles(Layer::Fused).collect();
+        let held: Vec<_> = robot.robot.fused_tiles().tiles(Layer::Fused).collect();
         assert!(!held.is_empty());
         for (id, replica) in held {
             let whole = |id| {

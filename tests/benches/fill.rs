@@ -1,4 +1,4 @@
-//! A scan into a map on the host: the agent's polygon, and one line of cells for each beam.
+//! A scan into a map on the host: the robot's polygon, and one line of cells for each beam.
 
 use std::hint::black_box;
 
@@ -6,7 +6,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::{
-    Config,
+    Bounds, Config, Memory, Settings,
     map::{LocalMap, Pool, Surround},
     sense::fill_beams,
 };
@@ -14,7 +14,7 @@ use ubimap_protocol::{
     time::Instant,
     units::{Pose, RobotId},
 };
-use ubimap_sim_host::run::fleet::{AgentMemory, OWN_TILES};
+use ubimap_sim_host::run::heap::{BOUNDS, Heap};
 use ubimap_tests::{
     boxes::{Boxes, Fan},
     per_ray,
@@ -22,19 +22,19 @@ use ubimap_tests::{
 
 /// A depth row of 640 pixels across 86 degrees, to 4 m.
 const FAN: Fan = Fan { beams: 640, angle: 1.5 };
-const MAX_RANGE: u16 = 4_000;
 
 fn fill(criterion: &mut Criterion) {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let room = Boxes::random(&mut rng);
     let pose = Pose::from_metres(0.31, -0.17, 0.48);
     let readings = room.scan(FAN, pose, Instant(0));
-    let config = Config { max_range: MAX_RANGE, ..Config::new(RobotId(1), FAN.model()) };
-    let mut memory = AgentMemory::new(&config, FAN.beams, OWN_TILES, 1);
-    let memory = memory.lend();
-    fill_beams(memory.beams, config.sensor, config.mounting);
+    let bounds = Bounds { readings: FAN.beams, ..BOUNDS };
+    let settings = Settings::from(&Config::new(RobotId(1), FAN.model(), bounds));
+    let mut memory = Memory::<Heap>::new(&bounds);
+    let memory = memory.slices();
+    fill_beams(memory.beams, settings.sensor, settings.mounting);
     let mut map =
-        LocalMap::new((&config).into(), memory.beams, memory.scratch, Pool::new(memory.own));
+        LocalMap::new((&settings).into(), memory.beams, memory.scratch, Pool::new(memory.own));
 
     let mut group = criterion.benchmark_group("a scan of 640 beams");
     group.bench_function("the polygon, into evidence planes", |bench| {

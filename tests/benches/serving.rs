@@ -10,7 +10,7 @@ use std::{
     time::{Duration as Span, Instant as Clock},
 };
 
-use ubimap_agent::{Agent, Config, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, Robot, sense::SensorModel};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, MAX_FRAME},
     link::Terms,
@@ -20,7 +20,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
-    run::fleet::AgentMemory,
+    run::heap::{BOUNDS, Heap},
     server::Server,
 };
 
@@ -163,43 +163,39 @@ fn covered(robot: usize) -> impl Iterator<Item = ((i32, i32), Cell)> {
 /// The robots' thread: how many fixes they have taken.
 fn drive(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>) -> u64 {
     let sensor = SensorModel::Radial { first: FIRST_RAD as f32, step: STEP_RAD as f32 };
-    let configs: Vec<Config> =
-        (0..robots).map(|robot| Config::new(RobotId(robot as u16), sensor)).collect();
-    let mut memory: Vec<AgentMemory> =
-        configs.iter().map(|config| AgentMemory::new(config, BEAMS, 32, 64)).collect();
-    let mut agents: Vec<(Agent<'_>, Instant)> = configs
-        .iter()
+    let bounds = Bounds { readings: BEAMS, ..BOUNDS };
+    let mut memory: Vec<Memory<Heap>> = (0..robots).map(|_| Memory::new(&bounds)).collect();
+    let mut members: Vec<(Robot<'_>, Instant)> = (0..)
         .zip(&mut memory)
-        .enumerate()
-        .map(|(robot, (config, memory))| {
-            let first = Instant(robot as u64 * INTERVAL.micros() / robots as u64);
-            (Agent::new(*config, memory.lend()).unwrap(), first)
+        .map(|(number, memory)| {
+            let first = Instant(u64::from(number) * INTERVAL.micros() / robots as u64);
+            (Robot::new(Config::new(RobotId(number), sensor, bounds), memory).unwrap(), first)
         })
         .collect();
     let mut frame = vec![0; DEFAULT_FRAME];
     loop {
         match from.recv_timeout(Span::from_millis(2)) {
-            Ok((port, bytes)) => agents[port].0.receive(&bytes, now(began)),
+            Ok((port, bytes)) => members[port].0.receive(&bytes, now(began)),
             Err(mpsc::RecvTimeoutError::Timeout) => {}
             Err(mpsc::RecvTimeoutError::Disconnected) => break,
         }
         for (port, bytes) in from.try_iter() {
-            agents[port].0.receive(&bytes, now(began));
+            members[port].0.receive(&bytes, now(began));
         }
-        for (robot, (agent, next)) in agents.iter_mut().enumerate() {
+        for (number, (robot, next)) in members.iter_mut().enumerate() {
             let moment = now(began);
             if *next <= moment {
                 *next = *next + INTERVAL;
-                let there = pose(robot, moment);
-                agent.odometry(moment, there, moment);
+                let there = pose(number, moment);
+                robot.odometry(moment, there, moment);
                 // A robot that is behind drops the scan, and counts it.
-                let _ = agent.scan(moment, &scan(robot, moment), moment);
+                let _ = robot.scan(moment, &scan(number, moment), moment);
             }
-            agent.timeout(moment);
-            while let Some(len) = agent.poll_transmit(moment, &mut frame) {
-                let _ = to.send((robot, frame[..len].to_vec()));
+            robot.timeout(moment);
+            while let Some(len) = robot.poll_transmit(moment, &mut frame) {
+                let _ = to.send((number, frame[..len].to_vec()));
             }
         }
     }
-    agents.iter().map(|(agent, _)| u64::from(agent.statistics().fixes)).sum()
+    members.iter().map(|(robot, _)| u64::from(robot.statistics().fixes)).sum()
 }

@@ -5,7 +5,7 @@ use std::fmt;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_agent::{Config, locate::PoseSource};
+use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction},
     link::Terms,
@@ -13,11 +13,14 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::{channel::fault::Faults, run::fleet::AgentMemory};
+use ubimap_sim_host::{
+    channel::fault::Faults,
+    run::heap::{BOUNDS, Heap},
+};
 
 use crate::{
     boxes::{Boxes, Fan, Walk},
-    star::{Robot, Star},
+    star::{Member, Star},
 };
 
 /// Between two moments at which the robots move.
@@ -60,8 +63,6 @@ enum Happening {
 #[derive(Clone, Debug)]
 struct Plan {
     config: Config,
-    own: usize,
-    fused: usize,
     walk: Walk,
     /// Steps from scan to scan.
     scan_every: u64,
@@ -215,9 +216,8 @@ impl Schedule {
         let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(20_000_000));
         for plan in &mut schedule.plans {
             plan.config.pose_source = PoseSource::Odometry(Pose::default());
-            plan.config.max_range = 4_000;
-            plan.own = 128;
-            plan.fused = 100;
+            let bounds = &mut plan.config.bounds;
+            (bounds.own_tiles, bounds.fused_tiles, bounds.max_range) = (128, 100, 4_000);
             plan.scan_every = 3;
         }
         schedule.frame = DEFAULT_FRAME as u16;
@@ -233,13 +233,12 @@ impl Schedule {
     /// If it never holds what it wants.
     pub fn level_after(&self, who: Newcomer) -> Level {
         let plans = [&self.plans[0], &self.plans[1], &self.plans[1]];
-        let mut lives = plans
-            .map(|plan| AgentMemory::new(&plan.config, self.sensor.beams, plan.own, plan.fused));
+        let mut lives = plans.map(|plan| Memory::new(&plan.config.bounds));
         let [first, second, third] = &mut lives;
         let terms = self.terms();
         let mut star = Star::new(terms, self.ports, self.seed);
         let ids = self.plans.iter().enumerate();
-        star.robots = ids.map(|(port, plan)| Robot::new(plan.config.robot, port)).collect();
+        star.members = ids.map(|(port, plan)| Member::new(plan.config.robot, port)).collect();
         let (up, down) = (self.calm_faults, self.calm_faults);
         for robot in 0..2 {
             self.happen(&mut star, Instant(0), Happening::Weather { robot, up, down });
@@ -267,7 +266,7 @@ impl Schedule {
         assert_eq!(star.behind(), None);
 
         let booted = star.now();
-        let before = star.robots[1].down.bytes();
+        let before = star.members[1].down.bytes();
         star.boot(1, Config { boot_nonce: 99, ..self.plans[1].config }, third);
         star.scan(1, Some(self.plans[1].walk.pose(booted)), &vec![0; self.sensor.beams]);
         while star.holds_its_window(1) != Some(true) {
@@ -275,12 +274,12 @@ impl Schedule {
             star.run_until(star.now() + TICK);
         }
         let fused =
-            star.robots[1].agent().map(|agent| agent.fused_tiles().tiles(Layer::Fused).count());
+            star.members[1].robot().map(|robot| robot.fused_tiles().tiles(Layer::Fused).count());
         Level {
             took: star.now().since(booted),
             round_trip: Duration(2 * self.calm_faults.latency.0),
             tiles: fused.unwrap_or(0),
-            bytes: star.robots[1].down.bytes() - before,
+            bytes: star.members[1].down.bytes() - before,
         }
     }
 
@@ -331,16 +330,14 @@ impl Schedule {
             Happening::Boot { robot } => Some(*robot),
             _ => None,
         });
-        let mut lives: Vec<AgentMemory> = boots
-            .map(|robot| &self.plans[robot])
-            .map(|plan| AgentMemory::new(&plan.config, self.sensor.beams, plan.own, plan.fused))
-            .collect();
+        let mut lives: Vec<Memory<Heap>> =
+            boots.map(|robot| Memory::new(&self.plans[robot].config.bounds)).collect();
         let mut lives = lives.iter_mut();
         let mut star = Star::new(terms, self.ports, self.seed);
         let robots = self.plans.iter().enumerate();
-        star.robots = robots.map(|(port, plan)| Robot::new(plan.config.robot, port)).collect();
+        star.members = robots.map(|(port, plan)| Member::new(plan.config.robot, port)).collect();
         if self.drop_repeats {
-            star.robots.iter_mut().for_each(|robot| robot.up.drop_repeats());
+            star.members.iter_mut().for_each(|robot| robot.up.drop_repeats());
         }
 
         let mut happenings = self.happenings.iter().peekable();
@@ -376,13 +373,13 @@ impl Schedule {
             Happening::Boot { .. } => {}
             Happening::Cut { robot, length } => {
                 let until = (moment + length).min(self.calm);
-                star.robots[robot].up.cut(until);
-                star.robots[robot].down.cut(until);
+                star.members[robot].up.cut(until);
+                star.members[robot].down.cut(until);
             }
             Happening::Weather { robot, up, down } => {
                 let seed = self.seed.wrapping_mul(0x1_0001) ^ moment.0 << 8 ^ (robot as u64) << 1;
-                star.robots[robot].up.weather(up, seed);
-                star.robots[robot].down.weather(down, seed ^ 1);
+                star.members[robot].up.weather(up, seed);
+                star.members[robot].down.weather(down, seed ^ 1);
             }
             Happening::Move { robot, port } => star.move_to_port(robot, port),
             Happening::Restart => star.restart_server(),
@@ -437,15 +434,15 @@ impl Schedule {
                 star.run_until(star.now() + STEP);
             }
         }
-        let agents = || star.robots.iter().filter_map(|robot| robot.agent());
+        let robots = || star.members.iter().filter_map(|member| member.robot());
         let known = star.server().fused().tiles().map(|(.., tile)| {
             let (free, occupied, movable) = tile.counts();
             free + occupied + movable
         });
         Ending {
             level,
-            retransmissions: agents().map(|agent| agent.link_counters().retransmissions).sum(),
-            evicted: agents().map(|agent| agent.own_tiles().evicted()).sum(),
+            retransmissions: robots().map(|robot| robot.link_counters().retransmissions).sum(),
+            evicted: robots().map(|robot| robot.own_tiles().evicted()).sum(),
             known: known.sum(),
         }
     }
@@ -458,10 +455,11 @@ fn plan(rng: &mut ChaCha8Rng, world: &Boxes, sensor: Fan, id: RobotId) -> Plan {
     let own = side * side + if rng.random() { 0 } else { rng.random_range(0..12) };
     let pose_source =
         if rng.random() { PoseSource::Fixes } else { PoseSource::Odometry(Pose::default()) };
+    let fused_tiles = rng.random_range(4..=16);
+    let readings = sensor.beams;
+    let bounds = Bounds { readings, own_tiles: own, fused_tiles, max_range, ..BOUNDS };
     Plan {
-        config: Config { max_range, pose_source, ..Config::new(id, sensor.model()) },
-        own,
-        fused: rng.random_range(4..=16),
+        config: Config { pose_source, ..Config::new(id, sensor.model(), bounds) },
         walk: Walk::random(world, rng),
         scan_every: rng.random_range(1..8),
     }

@@ -1,7 +1,7 @@
 //! Evidence against the server's map that is too rare to be reported is forgotten, even if the
 //! robot can't send anything.
 
-use ubimap_agent::{Agent, Config, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, Robot, sense::SensorModel};
 use ubimap_protocol::{
     frame::DEFAULT_FRAME,
     link::{Answer, Endpoint, Fill, Received, Terms, answer},
@@ -12,7 +12,7 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Pose, RobotId, SessionId},
 };
-use ubimap_sim_host::run::fleet::AgentMemory;
+use ubimap_sim_host::run::heap::{BOUNDS, Heap};
 
 /// Beams of the sensor.
 const BEAMS: usize = 12;
@@ -33,37 +33,37 @@ struct Server {
 
 impl Server {
     /// Opens a session and synchronises the clocks.
-    fn connect(agent: &mut Agent<'_>, config: &Config) -> Self {
+    fn connect(robot: &mut Robot<'_>, config: &Config) -> Self {
         let mut link = Endpoint::new();
         let mut out = [0; DEFAULT_FRAME];
-        let len = agent.poll_transmit(Instant(0), &mut out).expect("a Hello");
+        let len = robot.poll_transmit(Instant(0), &mut out).expect("a Hello");
         let Some(Received::Handshake(hello)) = link.receive(&mut &out[..len], Instant(0)) else {
             panic!("no Hello")
         };
         let hello = hello.decode::<Hello>().unwrap();
-        let (resolution, frame) = (config.resolution, DEFAULT_FRAME as u16);
+        let (resolution, frame) = (config.bounds.resolution, DEFAULT_FRAME as u16);
         let terms = Terms { resolution, frame, server_epoch: 1, stores: false };
         let Answer::Welcome(welcome) = answer(&hello, &terms, SessionId(1), 1) else {
             panic!("refused")
         };
         let len = link.handshake(&welcome, &mut out).unwrap();
         link.begin(welcome.session, DEFAULT_FRAME);
-        agent.receive(&out[..len], Instant(0));
+        robot.receive(&out[..len], Instant(0));
         // The first time request has the nonce 0.
-        agent.poll_transmit(Instant(0), &mut out).expect("a request for the time");
+        robot.poll_transmit(Instant(0), &mut out).expect("a request for the time");
         let mut server = Self { link };
         let reply = TimeReply { nonce: 0, received: Instant(0), held_micros: 0 };
-        server.say(agent, Instant(0), &reply);
+        server.say(robot, Instant(0), &reply);
         server
     }
 
-    fn say(&mut self, agent: &mut Agent<'_>, now: Instant, message: &impl Body<ToRobot>) {
-        self.send(agent, now, |writer| writer.push(message));
+    fn say(&mut self, robot: &mut Robot<'_>, now: Instant, message: &impl Body<ToRobot>) {
+        self.send(robot, now, |writer| writer.push(message));
     }
 
     fn send(
         &mut self,
-        agent: &mut Agent<'_>,
+        robot: &mut Robot<'_>,
         now: Instant,
         fill: impl FnOnce(&mut Writer<'_, ToRobot>) -> bool,
     ) {
@@ -72,7 +72,7 @@ impl Server {
             assert!(fill(writer));
             Fill::Datagram
         });
-        agent.receive(&out[..sent.unwrap().len], now);
+        robot.receive(&out[..sent.unwrap().len], now);
     }
 }
 
@@ -80,48 +80,49 @@ impl Server {
 /// server's map is free. It has a session, but its port never has room for a frame.
 fn contradicts(apart: Duration) -> bool {
     let sensor = SensorModel::Radial { first: -1.1, step: STEP };
-    let config = Config::new(RobotId(3), sensor);
-    let mut memory = AgentMemory::new(&config, BEAMS, 8, 16);
-    let mut agent = Agent::new(config, memory.lend()).unwrap();
-    let mut server = Server::connect(&mut agent, &config);
+    let bounds = Bounds { readings: BEAMS, own_tiles: 8, fused_tiles: 16, ..BOUNDS };
+    let config = Config::new(RobotId(3), sensor, bounds);
+    let mut memory = Memory::<Heap>::new(&bounds);
+    let mut robot = Robot::new(config, &mut memory).unwrap();
+    let mut server = Server::connect(&mut robot, &config);
     let mut now = Instant(0);
     for scan in 0..=10u32 {
         let end = now + apart;
         while now < end {
             now = end.min(now + Duration::from_millis(500));
-            agent.timeout(now);
+            robot.timeout(now);
         }
         // Alternates the heading by one beam, so that each scan is mapped.
         let pose = Pose::from_metres(0.0, 0.0, f64::from(STEP) * f64::from(scan % 2));
         let before = std::iter::empty();
         let certainty = Certainty { x: 5, y: 5, heading: 50 };
         let fix = PoseFix::from_fixes((now, pose), before, certainty, FixSource::Camera);
-        server.say(&mut agent, now, &fix);
-        agent.odometry(now, pose, now);
+        server.say(&mut robot, now, &fix);
+        robot.odometry(now, pose, now);
         // The first scan only initialises the pose.
         let reading = if scan == 0 { 0 } else { READING };
-        agent.scan(now, &[reading; BEAMS], now).unwrap();
+        robot.scan(now, &[reading; BEAMS], now).unwrap();
         if scan == 0 {
-            say_free(&mut server, &mut agent, now);
+            say_free(&mut server, &mut robot, now);
         }
     }
-    assert_eq!(agent.statistics().mapped, 11);
-    let tile = agent.own_tiles().find(ID).expect("it was hit");
+    assert_eq!(robot.statistics().mapped, 11);
+    let tile = robot.own_tiles().find(ID).expect("it was hit");
     tile.row(CELL.1).high >> CELL.0 & 1 != 0
 }
 
 /// Sends a tile whose cells are all free.
-fn say_free(server: &mut Server, agent: &mut Agent<'_>, now: Instant) {
+fn say_free(server: &mut Server, robot: &mut Robot<'_>, now: Instant) {
     let free = Tile { low: [u32::MAX; TILE_SIDE], ..Tile::UNKNOWN };
     let stamp = Stamp { epoch: Epoch(1), version: Version(1) };
-    server.send(agent, now, |writer| {
+    server.send(robot, now, |writer| {
         writer.push_with(&TileUpdateHead { layer: Layer::Fused, seconds: 0 }, |coded| {
             let mut encoder = TileEncoder::new(coded);
             encoder.push(ID, stamp, None, 0, &Tile::UNKNOWN, &free)?;
             encoder.finish()
         })
     });
-    assert_eq!(agent.fused_tiles().tile(ID), Some(&free));
+    assert_eq!(robot.fused_tiles().tile(ID), Some(&free));
 }
 
 #[test]

@@ -9,6 +9,7 @@ use std::{
     rc::Rc,
 };
 
+use ubimap_agent::Memory;
 use ubimap_protocol::{
     tile::Epoch,
     time::{Duration, Instant},
@@ -21,11 +22,11 @@ use ubimap_sim_host::{
     grid::OccupancyGrid,
     mapping::CureRecord,
     run::{
-        fleet::{Event, Fleet, OWN_TILES, Stage},
+        fleet::{Event, Fleet, Stage},
         keeper::Keeper,
         room_stage::RoomStage,
         scoring::score,
-        simulate::{RESOLUTION, config, memory},
+        simulate::{RESOLUTION, config},
     },
     server::RobotEvent,
     store::Store,
@@ -92,8 +93,9 @@ fn world(seed: u64, sensor_deg: f64, identifier_deg: f64) -> World {
 
 fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
     let world = world(seed, askew_deg, -askew_deg);
-    let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, seed)).collect();
-    let mut memory = memory(&world, &configs, OWN_TILES);
+    let robots = world.robots().iter();
+    let configs: Vec<_> = robots.map(|robot| config(robot, seed).with_drive(None)).collect();
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
     let deployment = Config { corrects_errors: cures, ..Config::new(RESOLUTION) };
     let mut fleet = Fleet::new(&configs, &mut memory, faults, seed, deployed(deployment)).unwrap();
@@ -190,8 +192,9 @@ fn askew_sensors_and_identifiers_are_told_apart_and_cured() {
 /// A life of a server with a store, of half a minute, in which no identifier is askew.
 fn live(store: &Path, sensor_deg: f64, watch: impl FnMut(&Fleet<'_>)) {
     let world = world(1, sensor_deg, 0.0);
-    let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, 1)).collect();
-    let mut memory = memory(&world, &configs, OWN_TILES);
+    let robots = world.robots().iter();
+    let configs: Vec<_> = robots.map(|robot| config(robot, 1).with_drive(None)).collect();
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = Keeper::open(store, RESOLUTION, Epoch(1)).unwrap();
     let deployment = Deployment::new(Config::new(RESOLUTION), life).unwrap();
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };

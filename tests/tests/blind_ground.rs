@@ -7,7 +7,7 @@ use std::{
     ops::RangeInclusive,
 };
 
-use ubimap_agent::{Config, locate::OdometryNoise};
+use ubimap_agent::{Config, Memory, locate::OdometryNoise};
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
@@ -15,7 +15,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     channel::fault::Faults,
     run::{
-        fleet::{AgentMemory, FUSED_TILES, Fleet, OWN_TILES},
+        fleet::Fleet,
         room_stage::RoomStage,
         simulate::{RESOLUTION, config},
     },
@@ -165,18 +165,16 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
     let position_per_metre = Millimetres(20);
     let odometry_noise =
         OdometryNoise { position_per_metre, heading_per_metre, ..OdometryNoise::default() };
-    let configs: Vec<Config> = mirror
+    let configs: Vec<_> = mirror
         .robots()
         .iter()
         .map(|robot| match config(robot, seed) {
             slipping if slipping.robot == RobotId(1) => Config { odometry_noise, ..slipping },
             scout => scout,
         })
+        .map(|config| config.with_drive(None))
         .collect();
-    let mut memory: Vec<AgentMemory> = configs
-        .iter()
-        .map(|config| AgentMemory::new(config, 160, OWN_TILES, FUSED_TILES))
-        .collect();
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
     let mut fleet = Fleet::new(&configs, &mut memory, faults, seed, bare(RESOLUTION)).unwrap();
     let mut stage = RoomStage::new(world(), Instant(0) + Duration::from_secs(100));
@@ -194,7 +192,7 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
             entered = None;
         } else {
             let (start, then) = *entered.get_or_insert((truth, odometry));
-            let Some((moment, believed)) = fleet.robots()[0].agent().pose() else { return };
+            let Some((moment, believed)) = fleet.robots()[0].robot().pose() else { return };
             way += last.map_or(0.0, |last: Pose| off(last, truth).0);
             // Up to a step older than the pose.
             let Some((_, was)) = truths.range(..=moment.0).next_back() else { return };

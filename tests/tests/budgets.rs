@@ -2,7 +2,7 @@
 
 use std::{collections::VecDeque, path::Path};
 
-use ubimap_agent::{Config, locate::PoseSource, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource, sense::SensorModel};
 use ubimap_protocol::{
     message::ObstacleClass,
     tile::{Cell, Layer, TILE_SIDE, Tile},
@@ -12,7 +12,8 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     channel::fault::Faults,
     run::{
-        fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+        fleet::{Event, Fleet, Stage},
+        heap::BOUNDS,
         room_stage::RoomStage,
         simulate::{RESOLUTION, config},
     },
@@ -28,8 +29,9 @@ const BEAMS: usize = 30;
 fn other_formats_are_compared_by_what_is_published() {
     let model = SensorModel::Radial { first: -1.5, step: 0.02 };
     let pose_source = PoseSource::Odometry(Pose::from_metres(0.4, -0.3, 0.7));
-    let config = Config { pose_source, ..Config::new(RobotId(1), model) };
-    let mut memory = [AgentMemory::new(&config, 150, OWN_TILES, FUSED_TILES)];
+    let bounds = Bounds { readings: 150, ..BOUNDS };
+    let config = Config { pose_source, ..Config::new(RobotId(1), model, bounds) }.with_drive(None);
+    let mut memory = [Memory::new(&bounds)];
     let faults = Faults::default();
     let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(Millimetres(50))).unwrap();
     assert!(fleet.run(&mut OneScan::default(), |_| {}).unwrap());
@@ -114,12 +116,13 @@ impl Stage for Standing {
 fn sent(mut stage: impl Stage, faults: Faults) -> (u64, u32) {
     let model = SensorModel::Radial { first: -1.5, step: 0.1 };
     let pose_source = PoseSource::Odometry(Pose::default());
-    let config = Config { pose_source, ..Config::new(RobotId(1), model) };
-    let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
+    let bounds = Bounds { readings: BEAMS, ..BOUNDS };
+    let config = Config { pose_source, ..Config::new(RobotId(1), model, bounds) }.with_drive(None);
+    let mut memory = [Memory::new(&bounds)];
     let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(Millimetres(50))).unwrap();
     fleet.run(&mut stage, |_| {}).unwrap();
     let vectors = fleet.server().distance_vectors(RobotId(1));
-    (fleet.robots()[0].agent().statistics().bytes_sent, vectors)
+    (fleet.robots()[0].robot().statistics().bytes_sent, vectors)
 }
 
 #[test]
@@ -184,15 +187,15 @@ impl Seen {
         }
         let before = self.second.front().map_or(self.bytes, |&(_, bytes)| bytes);
         self.busiest = self.busiest.max(self.bytes - before);
-        let agent = fleet.robots()[0].agent();
-        let Some((_, pose)) = agent.pose() else { return };
+        let robot = fleet.robots()[0].robot();
+        let Some((_, pose)) = robot.pose() else { return };
         // Half a metre before it, which stands nowhere near a wall.
         let ahead = |metres: f64, unit: f64| ((metres + unit / 2.0) / RESOLUTION.metres()) as i32;
         let (sine, cosine) = pose.heading.radians().sin_cos();
         let cell = (ahead(pose.x.metres(), cosine), ahead(pose.y.metres(), sine));
         self.samples += 1;
         self.fresh += u32::from(fleet.robots()[0].is_left_to_cameras(fleet.now(), cell));
-        let commands = agent.commands();
+        let commands = robot.commands();
         self.peers = self.peers.max(commands.peers().map_or(0, |it| it.peers.len()));
         let people = commands.obstacles().map_or(0, |it| {
             it.obstacles.iter().filter(|it| it.class == ObstacleClass::Person).count()
@@ -206,10 +209,9 @@ fn cross(faults: Faults) -> Seen {
     let scenario = Scenario::read(&path).unwrap();
     assert!(scenario.cameras.len() == 4 && scenario.people.len() >= 4);
     let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
-    let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, 1)).collect();
-    let beams = world.robots()[0].sensor().beams();
-    let memory = configs.iter().map(|it| AgentMemory::new(it, beams, OWN_TILES, FUSED_TILES));
-    let mut memory: Vec<AgentMemory> = memory.collect();
+    let robots = world.robots().iter();
+    let configs: Vec<_> = robots.map(|robot| config(robot, 1).with_drive(None)).collect();
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let mut fleet = Fleet::new(&configs, &mut memory, faults, 1, bare(RESOLUTION)).unwrap();
     let mut seen = Seen::default();
     let level = fleet.run(&mut RoomStage::new(world, END), |fleet| seen.look(fleet)).unwrap();
@@ -217,7 +219,7 @@ fn cross(faults: Faults) -> Seen {
 
     // The cameras fall silent: nothing is covered any more, and the robot knows.
     fleet.run(&mut Idle(Some(fleet.now() + Duration::from_secs(10))), |_| {}).unwrap();
-    let held: Vec<_> = fleet.robots()[0].agent().fused_tiles().tiles(Layer::Coverage).collect();
+    let held: Vec<_> = fleet.robots()[0].robot().fused_tiles().tiles(Layer::Coverage).collect();
     // In a corner of the hall, a good half of its window lies outside.
     assert!(held.len() >= 20, "{}", held.len());
     for (id, replica) in held {

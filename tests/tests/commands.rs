@@ -1,7 +1,7 @@
 //! What the server wants of a robot arrives over a bad link, and is answered.
 
 use ubimap_agent::{
-    Config, Parameter,
+    Bounds, Config, Memory, Parameter,
     locate::PoseSource,
     sense::{Exposure, SensorModel},
 };
@@ -16,10 +16,14 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     channel::fault::Faults,
-    run::fleet::AgentMemory,
+    run::heap::BOUNDS,
     server::{Command, CommandError},
 };
-use ubimap_tests::star::{Robot, Star};
+use ubimap_tests::star::{Member, Star};
+
+/// A robot that sees little and keeps little.
+const SENSOR: SensorModel = SensorModel::Radial { first: -1.5, step: 0.1 };
+const SMALL: Bounds = Bounds { readings: 30, own_tiles: 4, fused_tiles: 4, ..BOUNDS };
 
 fn seconds(seconds: u64) -> Instant {
     Instant(0) + Duration::from_secs(seconds)
@@ -27,12 +31,13 @@ fn seconds(seconds: u64) -> Instant {
 
 #[test]
 fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
-    let config = Config::new(RobotId(7), SensorModel::Radial { first: -1.5, step: 0.1 });
+    let config = Config::new(RobotId(7), SENSOR, SMALL);
     for (seed, frame) in [(1, 250), (2, 250), (3, 32), (4, 32)] {
-        let mut memory = AgentMemory::new(&config, 30, 4, 4);
-        let terms = Terms { resolution: config.resolution, frame, server_epoch: 1, stores: false };
+        let mut memory = Memory::new(&config.bounds);
+        let terms =
+            Terms { resolution: config.bounds.resolution, frame, server_epoch: 1, stores: false };
         let mut star = Star::new(terms, 1, seed);
-        star.robots.push(Robot::new(config.robot, 0));
+        star.members.push(Member::new(config.robot, 0));
         let latency = Duration::from_millis(5);
         let bad = Faults {
             loss: 0.4,
@@ -42,8 +47,8 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
             latency,
             ..Faults::default()
         };
-        star.robots[0].up.weather(bad, seed);
-        star.robots[0].down.weather(bad, seed + 100);
+        star.members[0].up.weather(bad, seed);
+        star.members[0].down.weather(bad, seed + 100);
         let stop = Command::Stop(Stop { number: 1, stop: true });
         assert_eq!(star.command(0, stop.clone()), Err(CommandError::NoSession(config.robot)));
         star.boot(0, config, &mut memory);
@@ -75,7 +80,7 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
             answered.dedup();
         }
 
-        let commands = star.robots[0].agent().unwrap().commands();
+        let commands = star.members[0].robot().unwrap().commands();
         assert!(commands.must_stop(), "seed {seed}");
         assert_eq!(commands.path(), Some(&path), "seed {seed}");
         let report = star
@@ -88,7 +93,7 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
 
         star.command(0, Command::Stop(Stop { number: 2, stop: false })).unwrap();
         star.run_until(seconds(100));
-        assert!(!star.robots[0].agent().unwrap().commands().must_stop(), "seed {seed}");
+        assert!(!star.members[0].robot().unwrap().commands().must_stop(), "seed {seed}");
     }
 }
 
@@ -96,13 +101,15 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
 fn what_is_never_to_be_mapped_can_be_told_from_afar() {
     let sensor = SensorModel::Radial { first: -0.5, step: 0.01 };
     let pose_source = PoseSource::Odometry(Pose::default());
-    let mut config = Config { pose_source, ..Config::new(RobotId(7), sensor) };
+    let bounds = Bounds { readings: 100, own_tiles: 12, fused_tiles: 4, ..BOUNDS };
+    let mut config = Config { pose_source, ..Config::new(RobotId(7), sensor, bounds) };
     // Every scan is mapped anew.
     config.gate.distance = Millimetres(0);
-    let mut memory = AgentMemory::new(&config, 100, 12, 4);
-    let terms = Terms { resolution: config.resolution, frame: 250, server_epoch: 1, stores: false };
+    let mut memory = Memory::new(&config.bounds);
+    let terms =
+        Terms { resolution: config.bounds.resolution, frame: 250, server_epoch: 1, stores: false };
     let mut star = Star::new(terms, 1, 5);
-    star.robots.push(Robot::new(config.robot, 0));
+    star.members.push(Member::new(config.robot, 0));
     star.boot(0, config, &mut memory);
     star.run_until(seconds(5));
     let mut readings = [1_500; 100];
@@ -114,7 +121,7 @@ fn what_is_never_to_be_mapped_can_be_told_from_afar() {
             star.command(0, Command::Parameter(set)).unwrap();
         }
         star.run_until(star.now() + Duration::from_secs(2));
-        let pixels = |star: &Star<'_>| star.robots[0].agent().unwrap().statistics().pixels;
+        let pixels = |star: &Star<'_>| star.members[0].robot().unwrap().statistics().pixels;
         let before = pixels(&star);
         let x = Millimetres(star.now().micros() as i32 / 100_000);
         star.scan(0, Some(Pose { x, ..Pose::default() }), &readings);
@@ -133,23 +140,27 @@ fn what_is_never_to_be_mapped_can_be_told_from_afar() {
     assert_eq!(invalid(Some((Parameter::RemovedDistances, 0))), 0);
     // For who masks rows by their light.
     assert_eq!(invalid(Some((Parameter::Exposure, 10 << 16 | 240))), 0);
-    let exposure = star.robots[0].agent().unwrap().config().exposure;
+    let exposure = star.members[0].robot().unwrap().settings().exposure;
     assert_eq!(exposure, Exposure { darkest: 10, brightest: 240 });
 }
 
 #[test]
 fn an_event_arrives_once_over_a_bad_link_and_no_more_of_its_kind_for_a_while() {
-    let config = Config::new(RobotId(7), SensorModel::Radial { first: -1.5, step: 0.1 });
+    let config = Config::new(RobotId(7), SENSOR, SMALL);
     for seed in 1..4 {
-        let mut memory = AgentMemory::new(&config, 30, 4, 4);
-        let terms =
-            Terms { resolution: config.resolution, frame: 32, server_epoch: 1, stores: false };
+        let mut memory = Memory::new(&config.bounds);
+        let terms = Terms {
+            resolution: config.bounds.resolution,
+            frame: 32,
+            server_epoch: 1,
+            stores: false,
+        };
         let mut star = Star::new(terms, 1, seed);
-        star.robots.push(Robot::new(config.robot, 0));
+        star.members.push(Member::new(config.robot, 0));
         let bad =
             Faults { loss: 0.4, duplicate: 0.1, reorder: 0.2, corrupt: 0.05, ..Faults::default() };
-        star.robots[0].up.weather(bad, seed);
-        star.robots[0].down.weather(bad, seed + 100);
+        star.members[0].up.weather(bad, seed);
+        star.members[0].down.weather(bad, seed + 100);
         star.boot(0, config, &mut memory);
         for second in 20..60 {
             star.run_until(seconds(second));

@@ -4,7 +4,7 @@ use std::num::NonZero;
 
 use nalgebra::Point2;
 use ubimap_agent::{
-    Agent, Config,
+    Bounds, Config, Memory, Robot,
     locate::PoseSource,
     sense::{
         COLUMNS, FloorConfig, GroundClearance, ScaleCurve, SensorModel, boundary_point,
@@ -18,7 +18,8 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     channel::fault::Faults,
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage},
+    run::fleet::{Event, Fleet, Stage},
+    run::heap::{BOUNDS, Heap},
 };
 use ubimap_tests::{
     deployments::bare,
@@ -191,21 +192,22 @@ fn boundaries_lie_on_the_walls_whichever_way_the_robot_looks() {
 fn stays(depth: f64, near: Option<NonZero<u16>>) -> bool {
     let model = SensorModel::Pinhole { focal: VIEW.focal as f32, centre: 159.5 };
     let pose_source = PoseSource::Odometry(Pose::default());
-    let config = Config { pose_source, near, ..Config::new(RobotId(1), model) };
-    let mut memory = AgentMemory::new(&config, COLUMNS, 8, 4);
-    let mut agent = Agent::new(config, memory.lend()).unwrap();
+    let bounds = Bounds { readings: COLUMNS, own_tiles: 8, fused_tiles: 4, ..BOUNDS };
+    let config = Config { pose_source, near, ..Config::new(RobotId(1), model, bounds) };
+    let mut memory = Memory::<Heap>::new(&bounds);
+    let mut robot = Robot::new(config, &mut memory).unwrap();
     let curve = calibrated();
     for (count, depth) in (1..).zip([depth, 1_000.0, 1_000.0]) {
         let now = Instant(0) + Duration::from_secs(count);
         let pose = Pose::from_metres(0.0, 0.04 * count as f64, 0.0);
-        agent.odometry(now, pose, now);
+        robot.odometry(now, pose, now);
         let image = VIEW.render(OBJECT, |_| depth, CLEAN);
-        agent.scan(now, &floor_readings(&distances(&image), &curve), now).unwrap();
+        robot.scan(now, &floor_readings(&distances(&image), &curve), now).unwrap();
     }
-    assert_eq!(agent.statistics().mapped, 3);
+    assert_eq!(robot.statistics().mapped, 3);
     let (x, y) = ((depth / 50.0) as i32, 1);
     let id = TileId { x: (x / 32) as i16, y: 0 };
-    let tile = agent.own_tiles().tiles().find(|tile| tile.id() == Some(id)).unwrap();
+    let tile = robot.own_tiles().tiles().find(|tile| tile.id() == Some(id)).unwrap();
     tile.cells().cell(x as usize % 32, y as usize) == Cell::Occupied
 }
 
@@ -256,8 +258,10 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
     let model = SensorModel::Pinhole { focal: VIEW.focal as f32, centre: 159.5 };
     let pose_source = PoseSource::Odometry(Pose::default());
     let near = NonZero::new(curve.near() as u16);
-    let config = Config { pose_source, max_range: 2_000, near, ..Config::new(RobotId(1), model) };
-    let mut memory = [AgentMemory::new(&config, COLUMNS, OWN_TILES, FUSED_TILES)];
+    let bounds = Bounds { readings: COLUMNS, max_range: 2_000, ..BOUNDS };
+    let config = Config { pose_source, near, ..Config::new(RobotId(1), model, bounds) };
+    let config = config.with_drive(None);
+    let mut memory = [Memory::new(&bounds)];
     let mut fleet =
         Fleet::new(&[config], &mut memory, Faults::default(), 1, bare(Millimetres(50))).unwrap();
     fleet.run(&mut Script { events }, |_| {}).unwrap();

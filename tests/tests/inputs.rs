@@ -1,4 +1,4 @@
-//! Whatever is put into an agent, in whatever order: a typed error or a counted event, what it holds
+//! Whatever is put into a robot, in whatever order: a typed error or a counted event, what it holds
 //! unchanged, and never a panic.
 //!
 //! There is no NaN to be put in: poses travel and are given in whole millimetres and binary angles,
@@ -6,7 +6,7 @@
 
 use proptest::{collection::vec, prelude::*};
 use ubimap_agent::{
-    Agent, Config,
+    Bounds, Config, Memory, Robot,
     sense::{ScanError, SensorModel},
 };
 use ubimap_protocol::{
@@ -22,7 +22,7 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::run::fleet::AgentMemory;
+use ubimap_sim_host::run::heap::{BOUNDS, Heap};
 
 const BEAMS: usize = 12;
 /// Fewer tiles than a scan touches.
@@ -297,30 +297,31 @@ impl Message {
     }
 }
 
-/// All that the agent knows: everything but what is waiting, under way or counted.
-fn state(agent: &Agent<'_>) -> String {
-    let own: Vec<_> = agent.own_tiles().tiles().collect();
+/// All that the robot knows: everything but what is waiting, under way or counted.
+fn state(robot: &Robot<'_>) -> String {
+    let own: Vec<_> = robot.own_tiles().tiles().collect();
     let [fused, coverage] = [Layer::Fused, Layer::Coverage]
-        .map(|layer| agent.fused_tiles().tiles(layer).collect::<Vec<_>>());
-    format!("{own:?} {fused:?} {coverage:?} {:?} {:?}", agent.commands(), agent.pose())
+        .map(|layer| robot.fused_tiles().tiles(layer).collect::<Vec<_>>());
+    format!("{own:?} {fused:?} {coverage:?} {:?} {:?}", robot.commands(), robot.pose())
 }
 
 fn config() -> Config {
     let sensor = SensorModel::Radial { first: -1.1, step: 0.2 };
-    Config { max_range: 4_000, ..Config::new(RobotId(3), sensor) }
+    let bounds = Bounds { readings: BEAMS, own_tiles: TILES, fused_tiles: 4, ..BOUNDS };
+    Config::new(RobotId(3), sensor, bounds)
 }
 
 /// Puts one thing in.
-fn put(agent: &mut Agent<'_>, server: &mut Server, input: Input, now: Instant) {
+fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
     // What is due by now is not this input's doing.
-    agent.timeout(now);
-    let (before, counted) = (state(agent), agent.statistics());
+    robot.timeout(now);
+    let (before, counted) = (state(robot), robot.statistics());
     match input {
         Input::Scan { taken, readings } => {
-            let taken_in = agent.scan(taken, &readings, now);
-            let after = agent.statistics();
+            let taken_in = robot.scan(taken, &readings, now);
+            let after = robot.statistics();
             if let Err(error) = taken_in {
-                assert_eq!(state(agent), before, "{error:?}");
+                assert_eq!(state(robot), before, "{error:?}");
                 assert_eq!(after.scans, counted.scans, "{error:?}");
                 let overflowed = u32::from(error == ScanError::Full);
                 assert_eq!(after.overflowed, counted.overflowed + overflowed);
@@ -333,24 +334,24 @@ fn put(agent: &mut Agent<'_>, server: &mut Server, input: Input, now: Instant) {
                 assert_eq!(taken_in, Err(ScanError::Width { expected, found }));
             }
         }
-        Input::Odometry { moment, pose } => agent.odometry(moment, pose, now),
-        Input::Gyro { moment, turn } => agent.gyro(moment, Angle(turn)),
-        Input::Jolt { moment } => agent.jolt(moment),
+        Input::Odometry { moment, pose } => robot.odometry(moment, pose, now),
+        Input::Gyro { moment, turn } => robot.gyro(moment, Angle(turn)),
+        Input::Jolt { moment } => robot.jolt(moment),
         Input::Noise(bytes) => {
-            agent.receive(&bytes, now);
-            assert_eq!(state(agent), before, "noise was believed");
+            robot.receive(&bytes, now);
+            assert_eq!(state(robot), before, "noise was believed");
         }
         Input::Body { kind, body } => {
             if let Some(frame) = server.frame(kind, &body, now) {
-                agent.receive(&frame, now);
-                let after = agent.statistics();
+                robot.receive(&frame, now);
+                let after = robot.statistics();
                 let unread =
                     |it: &ubimap_agent::Statistics| it.unknown_messages + it.malformed_messages;
                 if unread(&after) != unread(&counted) {
                     assert_eq!(unread(&after), unread(&counted) + 1);
                     // Of a tile update that breaks off, what came before it stands.
                     if kind != u8::from(ToRobotKind::TileUpdate) {
-                        assert_eq!(state(agent), before, "kind {kind} was not read, and believed");
+                        assert_eq!(state(robot), before, "kind {kind} was not read, and believed");
                     }
                 }
             }
@@ -358,51 +359,51 @@ fn put(agent: &mut Agent<'_>, server: &mut Server, input: Input, now: Instant) {
         Input::Message(message) => {
             let (kind, body) = message.bytes();
             if let Some(frame) = server.frame(kind, &body, now) {
-                agent.receive(&frame, now);
-                let after = agent.statistics();
+                robot.receive(&frame, now);
+                let after = robot.statistics();
                 let passed_over = match message {
                     Message::Tile { layer, .. } => layer == Layer::Robot,
                     Message::Fix(_) => after.fixes == counted.fixes,
                     _ => false,
                 };
-                assert!(!passed_over || state(agent) == before, "it was passed over, and believed");
+                assert!(!passed_over || state(robot) == before, "it was passed over, and believed");
             }
         }
         Input::Reset => {
             let frame = server.handshake(&Reset);
-            agent.receive(&frame, now);
-            assert_eq!(state(agent), before);
+            robot.receive(&frame, now);
+            assert_eq!(state(robot), before);
         }
         Input::Transmit { room } => {
             let mut out = vec![0; room];
-            if let Some(len) = agent.poll_transmit(now, &mut out) {
+            if let Some(len) = robot.poll_transmit(now, &mut out) {
                 assert!(len <= room);
                 server.hear(&out[..len], now);
             }
         }
-        Input::Timeout => agent.timeout(now),
+        Input::Timeout => robot.timeout(now),
         Input::Welcome { epoch, stores } => {
             if let Some(frame) = server.welcome(epoch, stores) {
-                agent.receive(&frame, now);
+                robot.receive(&frame, now);
             }
         }
         Input::Refusal => {
             let nonce = server.hello.map_or(0, |hello| hello.nonce);
             let refusal = Refusal { nonce, reason: RefusalReason::Resolution(Millimetres(1)) };
             let frame = server.handshake(&refusal);
-            agent.receive(&frame, now);
-            assert_eq!(state(agent), before);
+            robot.receive(&frame, now);
+            assert_eq!(state(robot), before);
         }
     }
-    assert!(agent.own_tiles().tiles().count() <= TILES);
-    let _ = agent.poll_timeout();
+    assert!(robot.own_tiles().tiles().count() <= TILES);
+    let _ = robot.poll_timeout();
 }
 
-/// An agent with a session, and the frame sizes of both ends.
-fn connect(agent: &mut Agent<'_>, server: &mut Server) {
-    put(agent, server, Input::Transmit { room: DEFAULT_FRAME }, Instant(0));
-    put(agent, server, Input::Welcome { epoch: 1, stores: false }, Instant(0));
-    assert!(agent.is_connected());
+/// A robot with a session, and the frame sizes of both ends.
+fn connect(robot: &mut Robot<'_>, server: &mut Server) {
+    put(robot, server, Input::Transmit { room: DEFAULT_FRAME }, Instant(0));
+    put(robot, server, Input::Welcome { epoch: 1, stores: false }, Instant(0));
+    assert!(robot.is_connected());
 }
 
 proptest! {
@@ -414,27 +415,27 @@ proptest! {
         in_order: bool,
     ) {
         let config = config();
-        let mut memory = AgentMemory::new(&config, BEAMS, TILES, 4);
-        let mut agent = Agent::new(config, memory.lend()).unwrap();
-        let mut server = Server::new(config.resolution);
-        connect(&mut agent, &mut server);
+        let mut memory = Memory::<Heap>::new(&config.bounds);
+        let mut robot = Robot::new(config, &mut memory).unwrap();
+        let mut server = Server::new(config.bounds.resolution);
+        connect(&mut robot, &mut server);
         let mut now = Instant(0);
         for (input, moment) in inputs {
             // Time goes on, or leaps to and fro.
             now = if in_order { now + Duration(moment.0 % 700_000) } else { moment };
-            put(&mut agent, &mut server, input, now);
+            put(&mut robot, &mut server, input, now);
         }
     }
 }
 
-/// Each of the bad inputs that the agent must tell of, one by one: what it comes to.
+/// Each of the bad inputs that the robot must tell of, one by one: what it comes to.
 #[test]
 fn each_bad_input_is_told() {
     let config = config();
-    let mut memory = AgentMemory::new(&config, BEAMS, TILES, 4);
-    let mut agent = Agent::new(config, memory.lend()).unwrap();
-    let mut server = Server::new(config.resolution);
-    connect(&mut agent, &mut server);
+    let mut memory = Memory::<Heap>::new(&config.bounds);
+    let mut robot = Robot::new(config, &mut memory).unwrap();
+    let mut server = Server::new(config.bounds.resolution);
+    connect(&mut robot, &mut server);
     let at = |millis: u64| Instant(millis * 1_000);
     let fix = |millis: u64, x: f64| {
         let fix = (at(millis), Pose::from_metres(x, 0.0, 0.0));
@@ -446,50 +447,50 @@ fn each_bad_input_is_told() {
     let scan = |millis| Input::Scan { taken: at(millis), readings: vec![3_000; BEAMS] };
 
     // A fix of an unknown time: the clocks do not agree yet.
-    put(&mut agent, &mut server, fix(10, 0.0), at(10));
-    assert_eq!((agent.statistics().fixes_untimely, agent.pose()), (1, None));
-    put(&mut agent, &mut server, Input::Transmit { room: 250 }, at(20));
+    put(&mut robot, &mut server, fix(10, 0.0), at(10));
+    assert_eq!((robot.statistics().fixes_untimely, robot.pose()), (1, None));
+    put(&mut robot, &mut server, Input::Transmit { room: 250 }, at(20));
     let reply = TimeReply { nonce: 0, received: at(20), held_micros: 0 };
-    put(&mut agent, &mut server, Input::Message(Message::Time(reply)), at(20));
-    assert!(agent.server_time(at(20)).is_some());
+    put(&mut robot, &mut server, Input::Message(Message::Time(reply)), at(20));
+    assert!(robot.server_time(at(20)).is_some());
     // One of a time to come.
-    put(&mut agent, &mut server, fix(9_000, 0.0), at(30));
-    assert_eq!((agent.statistics().fixes_untimely, agent.pose()), (2, None));
-    put(&mut agent, &mut server, fix(100, 0.0), at(100));
-    assert_eq!((agent.statistics().fixes, agent.statistics().fixes_untimely), (1, 2));
+    put(&mut robot, &mut server, fix(9_000, 0.0), at(30));
+    assert_eq!((robot.statistics().fixes_untimely, robot.pose()), (2, None));
+    put(&mut robot, &mut server, fix(100, 0.0), at(100));
+    assert_eq!((robot.statistics().fixes, robot.statistics().fixes_untimely), (1, 2));
     // Odometry whose time goes backwards.
     let pose = Pose::default();
     for moment in [at(120), at(110)] {
-        put(&mut agent, &mut server, Input::Odometry { moment, pose }, at(120));
+        put(&mut robot, &mut server, Input::Odometry { moment, pose }, at(120));
     }
-    assert_eq!(agent.statistics().odometry_backwards, 1);
+    assert_eq!(robot.statistics().odometry_backwards, 1);
 
     // Scans: backwards, and more than can wait. 4 m around it are more tiles than there is room for.
-    put(&mut agent, &mut server, scan(150), at(150));
-    assert_eq!(agent.scan(at(140), &[3_000; BEAMS], at(150)), Err(ScanError::Backwards));
+    put(&mut robot, &mut server, scan(150), at(150));
+    assert_eq!(robot.scan(at(140), &[3_000; BEAMS], at(150)), Err(ScanError::Backwards));
     let full =
-        (0..20).find_map(|count| agent.scan(at(151 + count), &[3_000; BEAMS], at(180)).err());
+        (0..20).find_map(|count| robot.scan(at(151 + count), &[3_000; BEAMS], at(180)).err());
     assert_eq!(full, Some(ScanError::Full));
-    assert_eq!(agent.statistics().overflowed, 1);
-    put(&mut agent, &mut server, fix(200, 0.0), at(200));
-    put(&mut agent, &mut server, Input::Odometry { moment: at(200), pose }, at(200));
-    let counted = agent.statistics();
+    assert_eq!(robot.statistics().overflowed, 1);
+    put(&mut robot, &mut server, fix(200, 0.0), at(200));
+    put(&mut robot, &mut server, Input::Odometry { moment: at(200), pose }, at(200));
+    let counted = robot.statistics();
     assert!(counted.mapped > 0 && counted.cells_refused > 0, "{counted:?}");
-    assert_eq!(agent.own_tiles().tiles().count(), TILES);
+    assert_eq!(robot.own_tiles().tiles().count(), TILES);
 
     // An update of a tile upon a version that it does not hold: it asks for the whole.
     let (id, base) = (TileId { x: 0, y: 0 }, Some(Version(8)));
     let stamp = Stamp { epoch: Epoch(1), version: Version(9) };
     let update = Message::Tile { layer: Layer::Fused, id, stamp, base, cells: 7 };
-    put(&mut agent, &mut server, Input::Message(update), at(210));
-    assert!(agent.fused_tiles().tile(id).is_none_or(|tile| tile.cell(0, 3) == Cell::Unknown));
+    put(&mut robot, &mut server, Input::Message(update), at(210));
+    assert!(robot.fused_tiles().tile(id).is_none_or(|tile| tile.cell(0, 3) == Cell::Unknown));
     // A fix that is absurd.
-    put(&mut agent, &mut server, fix(220, 900.0), at(220));
-    assert_eq!(agent.statistics().fixes_rejected, 1);
+    put(&mut robot, &mut server, fix(220, 900.0), at(220));
+    assert_eq!(robot.statistics().fixes_rejected, 1);
     // Poses from numbers that are none.
     assert_eq!(Pose::from_metres(f64::NAN, f64::NAN, f64::NAN), Pose::default());
     // What was raised is known by its code.
-    let codes = format!("{agent:?}");
+    let codes = format!("{robot:?}");
     for code in [
         EventCode::SensorFault,
         EventCode::ClockBackwards,

@@ -33,9 +33,9 @@ const BOUNDS: [(&str, &str, u64); 20] = [
     ("a tile update", "the most", 150_000),
     ("a tile update", "", 40_000),
     ("", "bytes of link state", 4_096),
-    ("bytes of an agent", "default bounds", 62 * 1_024),
+    ("bytes of a robot", "default bounds", 62 * 1_024),
     ("bytes of it that are not tiles", "default bounds", 12 * 1_024),
-    ("bytes of an agent", "small bounds", 18 * 1_024),
+    ("bytes of a robot", "small bounds", 18 * 1_024),
     ("bytes of a tile of its own", "", 768),
     ("bytes of a fused tile", "", 400),
 ];

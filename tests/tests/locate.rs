@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ubimap_agent::{Config, Statistics, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, Statistics, sense::SensorModel};
 use ubimap_protocol::{
     time::Duration,
     units::{Pose, RobotId},
@@ -11,7 +11,8 @@ use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::Faults,
     deployment,
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
+    run::fleet::{Event, Fleet},
+    run::heap::BOUNDS,
 };
 use ubimap_tests::{deployments::deployed, script::Script};
 
@@ -25,10 +26,10 @@ struct Drive<'b> {
 }
 
 impl Drive<'_> {
-    /// Drives on for some seconds. `seen` tells where the cameras see a robot that is so many
-    /// metres along, in their so-manieth frame of this while. What the agent counted meanwhile.
+    /// Drives on for some seconds, and returns what the robot counted meanwhile. `seen` gives where the
+    /// cameras see it, from the metres that it has driven and the number of the frame.
     fn on(&mut self, seconds: u64, seen: impl Fn(f64, u64) -> Option<f64>) -> Statistics {
-        let before = self.fleet.robots()[0].agent().statistics();
+        let before = self.fleet.robots()[0].robot().statistics();
         let start = self.fleet.now() + Duration::from_millis(10);
         let mut events = VecDeque::new();
         for millis in (0..seconds * 1_000).step_by(10) {
@@ -55,7 +56,7 @@ impl Drive<'_> {
             }
         }
         self.fleet.run(&mut Script(events), |_| {}).unwrap();
-        let after = self.fleet.robots()[0].agent().statistics();
+        let after = self.fleet.robots()[0].robot().statistics();
         println!("{after:?}");
         Statistics {
             mapped: after.mapped - before.mapped,
@@ -72,12 +73,15 @@ impl Drive<'_> {
 #[test]
 fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
     let model = SensorModel::Radial { first: -1.5, step: 0.1 };
-    let config = Config::new(ROBOT, model);
-    let mut memory = [AgentMemory::new(&config, READINGS, OWN_TILES, FUSED_TILES)];
+    let bounds = Bounds { readings: READINGS, ..BOUNDS };
+    let config = Config::new(ROBOT, model, bounds).with_drive(None);
+    let mut memory = [Memory::new(&bounds)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
     // Nobody tells it by what it sees.
-    let deployment =
-        deployment::Config { corrects_errors: false, ..deployment::Config::new(config.resolution) };
+    let deployment = deployment::Config {
+        corrects_errors: false,
+        ..deployment::Config::new(config.bounds.resolution)
+    };
     let fleet = Fleet::new(&[config], &mut memory, faults, 1, deployed(deployment)).unwrap();
     let mut drive = Drive { fleet, driven: 0 };
 
@@ -105,6 +109,6 @@ fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
     // Carried off, it is believed to be there after five fixes.
     let carried = drive.on(10, |along, frame| Some(along + if frame < 50 { 0.0 } else { 5.0 }));
     assert_eq!((carried.fixes_rejected, carried.moves), (4, 1));
-    let pose = drive.fleet.robots()[0].agent().pose().unwrap().1;
+    let pose = drive.fleet.robots()[0].robot().pose().unwrap().1;
     assert!((5.0..=7.0).contains(&pose.x.metres()), "{pose:?}");
 }

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ubimap_agent::{Config, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, sense::SensorModel};
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, TileId},
     time::{Duration, Instant},
@@ -11,7 +11,8 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::Faults,
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
+    run::fleet::{Event, Fleet},
+    run::heap::BOUNDS,
 };
 use ubimap_tests::{deployments::bare, script::Script};
 
@@ -25,10 +26,12 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
     let step = 0.02;
     let first = -step * (BEAMS / 2) as f32;
     let sensor = SensorModel::Radial { first, step };
-    let config = Config::new(RobotId(1), sensor);
-    let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
+    let bounds = Bounds { readings: BEAMS, ..BOUNDS };
+    let config = Config::new(RobotId(1), sensor, bounds).with_drive(None);
+    let mut memory = [Memory::new(&bounds)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
-    let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, bare(config.resolution)).unwrap();
+    let mut fleet =
+        Fleet::new(&[config], &mut memory, faults, 1, bare(config.bounds.resolution)).unwrap();
     let mut codes = Vec::new();
     let mut millis = 0;
     for &(seconds, stands) in times {

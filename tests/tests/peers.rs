@@ -6,7 +6,7 @@ use std::collections::{BTreeSet, VecDeque};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_agent::{Config, map::PeerMask, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, map::PeerMask, sense::SensorModel};
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE},
     time::{Duration, Instant},
@@ -19,7 +19,8 @@ use ubimap_sim_host::{
         self,
         registry::{RegisteredRobot, Registry},
     },
-    run::fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES},
+    run::fleet::{Event, Fleet},
+    run::heap::BOUNDS,
 };
 use ubimap_tests::{deployments::deployed, script::Script};
 
@@ -79,7 +80,8 @@ fn run(way: Way, told: Told) -> Drawn {
     let step = std::f64::consts::PI / (BEAMS - 1) as f64;
     let first = -std::f64::consts::FRAC_PI_2;
     let sensor = SensorModel::Radial { first: first as f32, step: step as f32 };
-    let mut config = Config::new(RobotId(1), sensor);
+    let bounds = Bounds { readings: BEAMS, ..BOUNDS };
+    let mut config = Config::new(RobotId(1), sensor, bounds).with_drive(None);
     if let Told::Of(mask) | Told::Short(mask) = told {
         config.peer_mask = mask;
     }
@@ -111,7 +113,7 @@ fn run(way: Way, told: Told) -> Drawn {
             events.push_back((now, Event::Scan { robot: 0, readings: readings.collect() }));
         }
     }
-    let mut memory = [AgentMemory::new(&config, BEAMS, OWN_TILES, FUSED_TILES)];
+    let mut memory = [Memory::new(&bounds)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
     let [mut length_m, width_m] = BODY.map(|half| 2.0 * half);
     if matches!(told, Told::Short(_)) {
@@ -119,13 +121,14 @@ fn run(way: Way, told: Told) -> Drawn {
     }
     let other = RegisteredRobot::new(2, 0.1, 0.3, [length_m, width_m]);
     let registry = Registry { robots: vec![other] };
-    let deployment = deployment::Config { registry, ..deployment::Config::new(config.resolution) };
+    let deployment =
+        deployment::Config { registry, ..deployment::Config::new(config.bounds.resolution) };
     let mut fleet = Fleet::new(&[config], &mut memory, faults, 1, deployed(deployment)).unwrap();
 
     let mut drawn = Drawn { wrong: BTreeSet::new(), walls: BTreeSet::new() };
-    let side = config.resolution.metres();
+    let side = config.bounds.resolution.metres();
     let converged = fleet.run(&mut Script(events), |fleet| {
-        for tile in fleet.robots()[0].agent().own_tiles().tiles() {
+        for tile in fleet.robots()[0].robot().own_tiles().tiles() {
             let (x0, y0) = tile.id().unwrap().first_cell();
             let cells = (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y)));
             for (x, y) in cells {
@@ -142,7 +145,7 @@ fn run(way: Way, told: Told) -> Drawn {
         }
     });
     assert!(converged.unwrap());
-    let statistics = fleet.robots()[0].agent().statistics();
+    let statistics = fleet.robots()[0].robot().statistics();
     assert!(statistics.mapped > 30, "{statistics:?}");
     drawn
 }

@@ -1,4 +1,4 @@
-//! The polygon that an agent fills for a scan, cell by cell against a line of cells for each beam, in
+//! The polygon that a robot fills for a scan, cell by cell against a line of cells for each beam, in
 //! random rooms.
 //!
 //! The beams are closer than cells, so that the lines say something of every cell in view. What the
@@ -18,7 +18,7 @@ use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::{
-    Config,
+    Bounds, Config, Memory, Settings,
     map::{LocalMap, MappingConfig, Policy, Pool, Surround},
     sense::{Validity, fill_beams},
 };
@@ -27,7 +27,7 @@ use ubimap_protocol::{
     time::Instant,
     units::{Angle, Pose, RobotId},
 };
-use ubimap_sim_host::run::fleet::AgentMemory;
+use ubimap_sim_host::run::heap::{BOUNDS, Heap};
 use ubimap_tests::{
     boxes::{Boxes, Fan},
     per_ray::{self, Seen},
@@ -39,7 +39,7 @@ type Cells = HashSet<(i32, i32)>;
 const FAN: Fan = Fan { beams: 481, angle: 2.0 };
 const MAX_RANGE: u16 = 4_000;
 
-/// What the agent's map says after one scan: free, and occupied.
+/// What the robot's map says after one scan: free, and occupied.
 fn filled(pose: Pose, readings: &[u16], policy: Policy) -> (Cells, Cells) {
     filled_within(MAX_RANGE, MAX_RANGE, pose, readings, policy)
 }
@@ -52,12 +52,13 @@ fn filled_within(
     readings: &[u16],
     policy: Policy,
 ) -> (Cells, Cells) {
-    let config = Config { max_range, ..Config::new(RobotId(1), FAN.model()) };
-    let mut memory = AgentMemory::new(&config, FAN.beams, 40, 1);
-    let memory = memory.lend();
-    fill_beams(memory.beams, config.sensor, config.mounting);
+    let bounds = Bounds { readings: FAN.beams, own_tiles: 40, max_range, ..BOUNDS };
+    let settings = Settings::from(&Config::new(RobotId(1), FAN.model(), bounds));
+    let mut memory = Memory::<Heap>::new(&bounds);
+    let memory = memory.slices();
+    fill_beams(memory.beams, settings.sensor, settings.mounting);
     let validity = Validity::default();
-    let mapping = MappingConfig { validity, policy, near: MAX_RANGE / 8, ..(&config).into() };
+    let mapping = MappingConfig { validity, policy, near: MAX_RANGE / 8, ..(&settings).into() };
     let mut map = LocalMap::new(mapping, memory.beams, memory.scratch, Pool::new(memory.own));
     let mapped = map.add(memory.beams, readings, (pose, range), |_| Surround::default()).unwrap();
     assert_eq!(mapped.cells_refused, 0);

@@ -8,6 +8,7 @@ use std::{
     rc::Rc,
 };
 
+use ubimap_agent::Memory;
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, Tile, TileId},
     time::{Duration, Instant},
@@ -20,10 +21,10 @@ use ubimap_sim_host::{
     mapping::{RosMerge, ServedLayer},
     report::{PoseErrors, TruthScores},
     run::{
-        fleet::{Event, Fleet, OWN_TILES, Stage},
+        fleet::{Event, Fleet, Stage},
         room_stage::RoomStage,
         scoring,
-        simulate::{RESOLUTION, config, deployment_config, memory},
+        simulate::{RESOLUTION, config, deployment_config},
     },
     world::{Scenario, World},
 };
@@ -286,8 +287,9 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     change(&mut scenario);
     let started = std::time::Instant::now();
     let world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
-    let configs: Vec<_> = world.robots().iter().map(|robot| config(robot, seed)).collect();
-    let mut memory = memory(&world, &configs, OWN_TILES);
+    let robots = world.robots().iter();
+    let configs: Vec<_> = robots.map(|robot| config(robot, seed).with_drive(None)).collect();
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
     let deployment = Config { keeps_sightings: true, ..deployment_config(&scenario, &world, true) };
     let mut fleet = Fleet::new(&configs, &mut memory, faults, seed, deployed(deployment)).unwrap();

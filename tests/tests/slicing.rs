@@ -1,20 +1,21 @@
 //! Recorded depth frames through plane slicing, against the full 3-D points of the same frames;
-//! small sensors, shaking and left-out pixels through whole agents.
+//! small sensors, shaking and left-out pixels through whole robots.
 
 use std::{fs, path::Path};
 
 use ubimap_agent::{
-    Agent, Config, Memory,
+    Bounds, Config, Memory, Robot,
     locate::PoseSource,
-    map::{OwnTile, RowSighting, scratch_words},
     sense::{Beam, Camera, DIRECTION_BITS, Pick, Removal, Slice, Slicer, Validity, fill_beams},
-    share::FusedTile,
 };
 use ubimap_protocol::{
     time::Instant,
     units::{Angle, Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::recording::{self, DepthSlice, Log, PixelModel, Slicing};
+use ubimap_sim_host::{
+    recording::{self, DepthSlice, Log, PixelModel, Slicing},
+    run::heap::{BOUNDS, Heap},
+};
 use ubimap_tests::data;
 
 /// A folder of frames and its intrinsics, as the README of the data has them: fx, fy, cx, cy, and
@@ -92,7 +93,7 @@ fn frames(folder: &Path, per_metre: f64) -> Vec<Vec<f64>> {
     files.iter().map(depths).collect()
 }
 
-/// Where the readings of a scan lie before the camera by the agent's table of beams, with their
+/// Where the readings of a scan lie before the camera by the robot's table of beams, with their
 /// columns: forward and left, in metres.
 fn mapped(log: &Log, scan: usize) -> Vec<(usize, [f64; 2])> {
     let mut beams = vec![Beam::default(); log.sensor.readings()];
@@ -251,36 +252,15 @@ fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
     }
 }
 
-/// What an agent works in.
-struct Robot {
-    beams: Vec<Beam>,
-    waiting: Vec<u16>,
-    scratch: Vec<RowSighting>,
-    own: Vec<OwnTile>,
-    fused: Vec<FusedTile>,
-}
-
-impl Robot {
-    fn new(readings: usize) -> Self {
-        Self {
-            beams: vec![Beam::default(); readings],
-            waiting: vec![0; 4 * readings],
-            scratch: vec![RowSighting::default(); scratch_words(4_000, Millimetres(50))],
-            own: vec![OwnTile::FREE; 24],
-            fused: vec![FusedTile::FREE; 4],
-        }
-    }
-
-    fn agent(&mut self, config: Config) -> Agent<'_> {
-        let Self { beams, waiting, scratch, own, fused } = self;
-        Agent::new(config, Memory { beams, waiting, scratch, own, fused }).unwrap()
-    }
+/// What a robot keeps here.
+const fn bounds(readings: usize) -> Bounds {
+    Bounds { readings, own_tiles: 24, fused_tiles: 4, ..BOUNDS }
 }
 
 /// The usual robot, which starts at the origin and knows its odometry alone.
-fn config(slice: Slice, camera: Camera) -> Config {
-    let odometry = PoseSource::Odometry(Pose::default());
-    Config { pose_source: odometry, ..Config::new(RobotId(1), slice.sensor(camera)) }
+fn config(slice: Slice, camera: Camera, readings: usize) -> Config {
+    let pose_source = PoseSource::Odometry(Pose::default());
+    Config { pose_source, ..Config::new(RobotId(1), slice.sensor(camera), bounds(readings)) }
 }
 
 const fn at(millis: u64) -> Instant {
@@ -288,9 +268,9 @@ const fn at(millis: u64) -> Instant {
 }
 
 /// A robot that stands at the origin, with odometry every 20 ms until `end`.
-fn stand(agent: &mut Agent<'_>, start: u64, end: u64) {
+fn stand(robot: &mut Robot<'_>, start: u64, end: u64) {
     for moment in (start..end).step_by(20) {
-        agent.odometry(at(moment), Pose::default(), at(moment));
+        robot.odometry(at(moment), Pose::default(), at(moment));
     }
 }
 
@@ -312,8 +292,8 @@ fn time_of_flight_sensors_map_with_the_same_code() {
         };
         let lines: Vec<Vec<u16>> = (0..width).map(|row| vec![depth(row); width]).collect();
 
-        let mut robot = Robot::new(width);
-        let mut agent = robot.agent(config(slice, camera));
+        let mut memory = Memory::<Heap>::new(&bounds(width));
+        let mut robot = Robot::new(config(slice, camera, width), &mut memory).unwrap();
         let mut buffer = vec![0; slice.buffer_len(width)];
         let mut slicer =
             Slicer::new(slice, camera, width, Validity::default(), &mut buffer).unwrap();
@@ -322,13 +302,13 @@ fn time_of_flight_sensors_map_with_the_same_code() {
         }
         let readings = slicer.finish().unwrap();
         assert!(readings.iter().all(|&it| it == 0 || it.abs_diff(1_500) <= 2), "{readings:?}");
-        stand(&mut agent, 0, 100);
-        agent.scan(at(50), readings, at(100)).unwrap();
-        let statistics = agent.statistics();
+        stand(&mut robot, 0, 100);
+        robot.scan(at(50), readings, at(100)).unwrap();
+        let statistics = robot.statistics();
         assert_eq!((statistics.mapped, statistics.pixels.seen), (1, width as u32));
         assert!(statistics.pixels.invalid + least <= width as u32, "{statistics:?}");
         // So far ahead, and not along the ray, is what the table takes them for.
-        let beams = robot.beams.iter().filter(|beam| **beam != Beam::NONE);
+        let beams = robot.beams().iter().filter(|beam| **beam != Beam::NONE);
         assert!(beams.map(|beam| beam.forward).all(|forward| forward == 1 << DIRECTION_BITS));
     }
 }
@@ -337,21 +317,21 @@ fn time_of_flight_sensors_map_with_the_same_code() {
 fn what_is_removed_or_flies_is_not_mapped() {
     let camera = Camera::new((343.1, 343.1), (319.5, 239.5));
     let sensor = Slice::Row(240).sensor(camera);
-    let odometry = PoseSource::Odometry(Pose::default());
-    let usual = Config { pose_source: odometry, ..Config::new(RobotId(1), sensor) };
+    let pose_source = PoseSource::Odometry(Pose::default());
+    let usual = Config { pose_source, ..Config::new(RobotId(1), sensor, bounds(640)) };
     let mut row = [3_000; 640];
     row[300..340].fill(1_200);
     // Flying pixels at both edges of the box.
     (row[299], row[340]) = (1_800, 2_200);
     let invalid = |config| {
-        let mut robot = Robot::new(640);
-        let mut agent = robot.agent(config);
-        stand(&mut agent, 0, 100);
-        agent.scan(at(50), &row, at(100)).unwrap();
+        let mut memory = Memory::<Heap>::new(&bounds(640));
+        let mut robot = Robot::new(config, &mut memory).unwrap();
+        stand(&mut robot, 0, 100);
+        robot.scan(at(50), &row, at(100)).unwrap();
         // What does not count is no change in view either.
-        agent.scan(at(60), &row, at(100)).unwrap();
-        assert_eq!((agent.statistics().mapped, agent.statistics().gated), (1, 1));
-        agent.statistics().pixels.invalid
+        robot.scan(at(60), &row, at(100)).unwrap();
+        assert_eq!((robot.statistics().mapped, robot.statistics().gated), (1, 1));
+        robot.statistics().pixels.invalid
     };
     assert_eq!(invalid(usual), 2);
     let mut config = usual;
@@ -370,30 +350,30 @@ fn what_is_removed_or_flies_is_not_mapped() {
 #[test]
 fn a_scan_of_a_robot_that_shakes_is_counted_and_not_mapped() {
     let camera = Camera::new((61.7, 61.7), (49.5, 0.0));
-    let mut robot = Robot::new(100);
-    let mut config = config(Slice::Row(0), camera);
+    let mut memory = Memory::<Heap>::new(&bounds(100));
+    let mut config = config(Slice::Row(0), camera, 100);
     config.gate.distance = Millimetres(0);
     config.gate.turn = Angle(0);
-    let mut agent = robot.agent(config);
-    let scan = |agent: &mut Agent<'_>, moment: u64| {
-        agent.scan(at(moment), &[1_500; 100], at(moment + 20)).unwrap();
-        (agent.statistics().mapped, agent.statistics().shaken)
+    let mut robot = Robot::new(config, &mut memory).unwrap();
+    let scan = |robot: &mut Robot<'_>, moment: u64| {
+        robot.scan(at(moment), &[1_500; 100], at(moment + 20)).unwrap();
+        (robot.statistics().mapped, robot.statistics().shaken)
     };
-    stand(&mut agent, 0, 1_000);
-    assert_eq!(scan(&mut agent, 950), (1, 0));
+    stand(&mut robot, 0, 1_000);
+    assert_eq!(scan(&mut robot, 950), (1, 0));
     // It spins by 180 degrees in a second, then stands again.
     for moment in (1_000..2_000).step_by(20) {
         let heading = Angle::from_degrees((moment - 1_000) as f64 * 0.18);
-        agent.odometry(at(moment), Pose { heading, ..Pose::default() }, at(moment));
+        robot.odometry(at(moment), Pose { heading, ..Pose::default() }, at(moment));
     }
-    assert_eq!(scan(&mut agent, 1_950), (1, 1));
-    agent.jolt(at(2_500));
+    assert_eq!(scan(&mut robot, 1_950), (1, 1));
+    robot.jolt(at(2_500));
     for moment in (2_000..3_000).step_by(20) {
         let heading = Angle::from_degrees(180.0);
-        agent.odometry(at(moment), Pose { heading, ..Pose::default() }, at(moment));
+        robot.odometry(at(moment), Pose { heading, ..Pose::default() }, at(moment));
     }
-    assert_eq!(scan(&mut agent, 2_500), (1, 2));
-    agent.gyro(at(2_700), Angle::from_degrees(100.0));
-    assert_eq!(scan(&mut agent, 2_710), (1, 3));
-    assert_eq!(scan(&mut agent, 2_900), (2, 3));
+    assert_eq!(scan(&mut robot, 2_500), (1, 2));
+    robot.gyro(at(2_700), Angle::from_degrees(100.0));
+    assert_eq!(scan(&mut robot, 2_710), (1, 3));
+    assert_eq!(scan(&mut robot, 2_900), (2, 3));
 }

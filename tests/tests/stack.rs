@@ -1,4 +1,4 @@
-//! Stack usage of an agent, measured by images in the emulator: `cargo stack`, `cargo stack-m0`.
+//! Stack usage of a robot, measured by images in the emulator: `cargo stack`, `cargo stack-m0`.
 
 use ubimap_tests::{
     elf::Image,
@@ -13,7 +13,7 @@ const RAM: usize = 24 * 1_024;
 /// interrupts do not nest.
 const INTERRUPT: usize = 124;
 
-/// Maximum stack of the firmware including the agent: today's usage, rounded up to a hundred. It
+/// Maximum stack of the firmware including the robot: today's usage, rounded up to a hundred. It
 /// may only be lowered.
 const FIRMWARE_STACK: usize = 8_400;
 /// The same for the smallest agent.
@@ -37,7 +37,7 @@ fn the_firmware_with_its_stack_fits_its_ram() {
 fn the_smallest_agent_runs_on_a_cortex_m0_without_panics_or_heap() {
     let (image, stack) = match deepest(Core::M0) {
         Ok(measured) => measured,
-        Err(error) => return leave_out("the agent on a Cortex-M0+", &error),
+        Err(error) => return leave_out("the robot on a Cortex-M0+", &error),
     };
     assert!(image.symbols.iter().any(|name| name == "main"), "no symbols: {image:?}");
     assert_eq!(image.panics_and_heap(), [""; 0]);

@@ -11,12 +11,7 @@ use board::Board;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::entry;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
-use ubimap_agent::{
-    Agent, Bounds, Config, ConfigError, Memory,
-    map::{OwnTile, RowSighting},
-    sense::{Beam, SensorModel},
-    share::FusedTile,
-};
+use ubimap_agent::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
 use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant, units::RobotId};
 
 /// Which robot this is: unique in one deployment.
@@ -39,52 +34,41 @@ const BLINK: u32 = 18;
 #[entry]
 fn main() -> ! {
     // Here, and not on the stack, so that the image tells how much memory there must be.
-    static mut BEAMS: [Beam; BOUNDS.readings] = [Beam::NONE; _];
-    static mut WAITING: [u16; BOUNDS.readings * BOUNDS.waiting] = [0; _];
-    static mut SCRATCH: [RowSighting; BOUNDS.scratch()] = [RowSighting { free: 0, hit: 0 }; _];
-    static mut OWN: [OwnTile; BOUNDS.own_tiles] = [OwnTile::FREE; _];
-    static mut FUSED: [FusedTile; BOUNDS.fused_tiles] = [FusedTile::FREE; _];
+    static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
 
-    let memory =
-        Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: FUSED };
     let Some(board) = Board::take(BAUD) else { SCB::sys_reset() };
-    match &mut agent(board.nonce, memory) {
-        Ok(agent) => run(board, agent),
+    match &mut Robot::new(config(board.nonce), MEMORY) {
+        Ok(robot) => run(board, robot),
         // The constants above are at odds.
         Err(_) => SCB::sys_reset(),
     }
 }
 
-fn agent(nonce: u64, memory: Memory<'_>) -> Result<Agent<'_>, ConfigError> {
+fn config(nonce: u64) -> Config {
     let centre = (BOUNDS.readings - 1) as f32 / 2.0;
-    let config = Config {
-        boot_nonce: (nonce ^ nonce >> 32) as u32,
-        resolution: BOUNDS.resolution,
-        max_range: BOUNDS.max_range,
-        ..Config::new(ROBOT, SensorModel::Pinhole { focal: FOCAL, centre })
-    };
-    Agent::new(config, memory)
+    let sensor = SensorModel::Pinhole { focal: FOCAL, centre };
+    Config { boot_nonce: (nonce ^ nonce >> 32) as u32, ..Config::new(ROBOT, sensor, BOUNDS) }
 }
 
-/// Joins the port and the agent for ever: after every input, drain the outputs until none is left,
+/// Joins the port and the robot for ever: after every input, drain the outputs until none is left,
 /// then come back at the next deadline or with the next byte.
-fn run(mut board: Board, agent: &mut Agent<'_>) -> ! {
+fn run(mut board: Board, robot: &mut Robot<'_>) -> ! {
     flash(&mut board.led, &mut board.clock);
     let mut bytes = [0; DEFAULT_FRAME];
     loop {
         let count = board.port.read(&mut bytes);
         let now = board.clock.now();
-        agent.receive(bytes.get(..count).unwrap_or_default(), now);
-        agent.timeout(now);
+        robot.receive(bytes.get(..count).unwrap_or_default(), now);
+        robot.timeout(now);
         // The port's interrupt makes room meanwhile.
         while board.port.room() >= DEFAULT_FRAME
-            && let Some(count) = agent.poll_transmit(board.clock.now(), &mut bytes)
+            && let Some(count) = robot.poll_transmit(board.clock.now(), &mut bytes)
         {
             board.port.write(bytes.get(..count).unwrap_or_default());
         }
         let now = board.clock.now();
-        show(&mut board.led, agent.is_connected() || blinks(now));
-        if count == 0 && now < agent.poll_timeout() {
+        show(&mut board.led, robot.is_connected() || blinks(now));
+        if count == 0 && now < robot.poll_timeout() {
             board.port.wait();
         }
     }

@@ -7,50 +7,20 @@ use ubimap_protocol::{
 };
 
 use super::{
-    follow::{DriveCommand, Follower, Hindrance, Motion, Sight},
+    driving::Driving,
+    follow::{DriveCommand, Follower, Hindrance, Sight},
     look::{Gaze, LookAround},
     near::NearPoints,
     plan::PlanError,
     planning_window::{GroundRow, Mover, PlanningWindow, WindowInputs},
     reason::Reason,
-    safety::{Health, Safety, SafetyLimits},
-    search::{End, Outcome, Search},
+    safety::{Health, Safety},
+    search::{End, Outcome, Search, Workspace},
 };
 use crate::{
     timing::{AVOIDED_FOR, HINDERED_WAIT, MAP_LOOK_INTERVAL, NO_WAY_RETRY, REPLAN_INTERVAL},
     trigonometry::radians,
 };
-
-/// What does not change while the robot drives.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Config {
-    /// What the robot can do.
-    pub motion: Motion,
-    /// When it must stand.
-    pub safety: SafetyLimits,
-    /// The side of the map's cells.
-    pub resolution: Millimetres,
-    /// Whether ground that the cameras see is worth exploring, too.
-    pub explore_covered: bool,
-    /// What it looks around for at a goal, before it has arrived.
-    pub looks_at_goal: Option<Gaze>,
-    /// Corners that a search may expand in a step, about 5,000 instructions each.
-    pub corners_per_step: usize,
-}
-
-impl Default for Config {
-    /// 5 cm cells, eight corners a step.
-    fn default() -> Self {
-        Self {
-            motion: Motion::default(),
-            safety: SafetyLimits::default(),
-            resolution: Millimetres(50),
-            explore_covered: false,
-            looks_at_goal: None,
-            corners_per_step: 8,
-        }
-    }
-}
 
 /// What to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -115,11 +85,13 @@ struct Look {
     last: Pose,
 }
 
-/// Drives.
+/// Drives by a map.
 #[derive(Debug)]
-pub struct Driver {
-    config: Config,
-    search: Search,
+pub struct Driver<'b> {
+    config: Driving,
+    /// The side of the map's cells.
+    resolution: Millimetres,
+    search: Search<'b>,
     follower: Follower,
     safety: Safety,
     task: Task,
@@ -143,12 +115,13 @@ pub struct Driver {
     told: Reason,
 }
 
-impl Driver {
-    /// A robot that stands. It takes about 11 kB.
-    pub fn new(config: Config) -> Self {
+impl<'b> Driver<'b> {
+    /// A robot that stands, on a map with cells of this side.
+    pub fn new(config: Driving, resolution: Millimetres, workspace: &'b mut Workspace) -> Self {
         Self {
             config,
-            search: Search::new(),
+            resolution,
+            search: Search::new(workspace),
             follower: Follower::new(config.motion),
             safety: Safety::new(config.safety),
             task: Task::Stand,
@@ -208,7 +181,7 @@ impl Driver {
 
     /// The ground as it was last looked at.
     pub fn window(&self) -> &PlanningWindow {
-        &self.search.window
+        self.search.window()
     }
 
     /// What the wheels shall do until the next step. `ground` gives, for a column of tiles and a row
@@ -296,7 +269,7 @@ impl Driver {
     fn search(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if !self.is_begun {
             self.is_begun = true;
-            self.search.begin(self.goal(), step.pose, self.config.resolution);
+            self.search.begin(self.goal(), step.pose, self.resolution);
         }
         let none = NearPoints::default();
         let view = self.view(step, &none);
@@ -340,7 +313,7 @@ impl Driver {
         let motion = &self.config.motion;
         WindowInputs {
             pose: step.pose,
-            resolution: self.config.resolution,
+            resolution: self.resolution,
             level: 0,
             radius: motion.radius.saturating_add(motion.margin),
             near: if avoids { step.inputs.near } else { none },
@@ -362,7 +335,7 @@ impl Driver {
             End::Frontier(at, 0) => self.search.is_frontier(at),
             _ => step.now.since(self.planned) < REPLAN_INTERVAL,
         };
-        let clear = self.follower.is_clear(&self.search.window, step.pose);
+        let clear = self.follower.is_clear(self.search.window(), step.pose);
         if !(leads && clear) {
             self.set_out();
             // While it thinks it drives on, if it can.
@@ -377,7 +350,7 @@ impl Driver {
             unsure: step.unsure,
             near: step.inputs.near,
             movers: step.inputs.movers,
-            window: &self.search.window,
+            window: self.search.window(),
             elapsed: step.elapsed,
         };
         let (command, hindrance) = self.follower.step(&sight);
@@ -458,7 +431,7 @@ impl Driver {
         step: &StepContext<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> (DriveCommand, Reason) {
-        let Config { resolution, explore_covered, .. } = self.config;
+        let (resolution, explore_covered) = (self.resolution, self.config.explore_covered);
         if step.now.since(self.looked) >= MAP_LOOK_INTERVAL {
             self.looked = step.now;
             look.look(&gaze, step.pose, resolution, explore_covered, ground);

@@ -5,10 +5,25 @@ use heapless::Vec;
 use ubimap_protocol::{time::Instant, units::Pose};
 
 use super::root::root;
-use crate::sense::{Beam, DIRECTION_BITS};
+use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
 /// The most points.
 pub const MAX_POINTS: usize = 64;
+
+/// A scan as it was taken.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen<'s> {
+    /// When.
+    pub taken: Instant,
+    /// Readings in millimetres, 0 where nothing came back.
+    pub readings: &'s [u16],
+    /// What they stand for; [`Beam::NONE`] where readings are removed.
+    pub beams: &'s [Beam],
+    /// Which readings count.
+    pub validity: Validity,
+    /// The sensor in `base_link`; its heading is in the beams.
+    pub mounting: Pose,
+}
 
 /// The nearest points of a scan, in `base_link`, in millimetres.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -18,28 +33,15 @@ pub struct NearPoints {
 }
 
 impl NearPoints {
-    /// Of a scan taken at `taken`: of each [`MAX_POINTS`]th of its beams the nearest valid
-    /// reading. The sensor is mounted at `mounting` in `base_link`, its heading is in the beams.
-    /// About 20 instructions a beam.
-    pub fn of_scan(beams: &[Beam], readings: &[u16], mounting: Pose, taken: Instant) -> Self {
-        let mut near = Self { points: Vec::new(), taken: Some(taken) };
-        let each = beams.len().div_ceil(MAX_POINTS).max(1);
-        let one = 1.0 / (1 << DIRECTION_BITS) as f32;
-        for (beams, readings) in beams.chunks(each).zip(readings.chunks(each)) {
-            let points = beams
-                .iter()
-                .zip(readings)
-                .filter(|(beam, reading)| **beam != Beam::NONE && **reading != 0);
-            let points = points.map(|(beam, &reading)| {
-                let reading = f32::from(reading) * one;
-                let x = f32::from(beam.forward) * reading + mounting.x.0 as f32;
-                let y = f32::from(beam.left) * reading + mounting.y.0 as f32;
-                (x, y)
-            });
-            let square = |(x, y): (f32, f32)| x * x + y * y;
-            let nearest = points.reduce(|a, b| if square(b) < square(a) { b } else { a });
-            if let Some(point) = nearest {
-                // No more than there are stretches.
+    /// The nearest reading that counts, of each [`MAX_POINTS`]th of the beams. About 20 instructions
+    /// a beam.
+    pub fn of_scan(scan: &Seen<'_>) -> Self {
+        let mut near = Self { points: Vec::new(), taken: Some(scan.taken) };
+        let each = scan.beams.len().div_ceil(MAX_POINTS).max(1);
+        let stretches = scan.beams.chunks(each).zip(scan.readings.chunks(each));
+        for (number, (beams, readings)) in stretches.enumerate() {
+            if let Some(point) = scan.nearest(number * each, beams, readings) {
+                // There are no more stretches than there is room for points.
                 let _ = near.points.push(point);
             }
         }
@@ -63,27 +65,92 @@ impl NearPoints {
     }
 }
 
+impl Seen<'_> {
+    /// The point of the nearest reading that counts among some, of which the first is at `first`.
+    fn nearest(&self, first: usize, beams: &[Beam], readings: &[u16]) -> Option<(f32, f32)> {
+        let one = 1.0 / (1 << DIRECTION_BITS) as f32;
+        let mut nearest = None;
+        let mut least = f32::INFINITY;
+        for ((index, beam), &reading) in (first..).zip(beams).zip(readings) {
+            if *beam == Beam::NONE || reading == 0 {
+                continue;
+            }
+            let length = f32::from(reading) * one;
+            let x = f32::from(beam.forward) * length + self.mounting.x.0 as f32;
+            let y = f32::from(beam.left) * length + self.mounting.y.0 as f32;
+            let square = x * x + y * y;
+            if square < least && self.validity.counts_at(self.readings, index, reading) {
+                (nearest, least) = (Some((x, y)), square);
+            }
+        }
+        nearest
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sense::{SensorModel, fill_beams};
+    use crate::sense::{Removal, SensorModel, fill_beams, remove_beams};
+
+    const COUNT: usize = 256;
+
+    fn beams() -> [Beam; COUNT] {
+        let mut beams = [Beam::default(); COUNT];
+        let step = core::f32::consts::TAU / COUNT as f32;
+        fill_beams(&mut beams, SensorModel::Radial { first: 0.0, step }, Pose::default());
+        beams
+    }
+
+    fn seen<'s>(beams: &'s [Beam], readings: &'s [u16], validity: Validity) -> Seen<'s> {
+        Seen { taken: Instant(5), readings, beams, validity, mounting: Pose::default() }
+    }
 
     #[test]
     fn the_nearest_of_each_stretch_is_kept() {
-        let mut beams = [Beam::default(); 256];
-        let step = core::f32::consts::TAU / 256.0;
-        let model = SensorModel::Radial { first: 0.0, step };
-        fill_beams(&mut beams, model, Pose::default());
-        let mut readings = [2_000; 256];
+        let beams = beams();
+        let mut readings = [2_000; COUNT];
         // A quarter of a turn to the left, and an invalid one beside it.
         readings[64] = 700;
         readings[65] = 0;
         readings[128] = 4_001;
         let mounting = Pose { x: ubimap_protocol::units::Millimetres(100), ..Pose::default() };
-        let near = NearPoints::of_scan(&beams, &readings, mounting, Instant(5));
+        let scan = Seen { mounting, ..seen(&beams, &readings, Validity::default()) };
+        let near = NearPoints::of_scan(&scan);
         assert_eq!((near.points().len(), near.taken()), (64, Some(Instant(5))));
         let (x, y) = near.points()[16];
         assert!((x - 100.0).abs() < 1.0 && (y - 700.0).abs() < 1.0, "{x} {y}");
         assert!((near.nearest().unwrap() - 707.1).abs() < 1.0);
+    }
+
+    /// What the map leaves out must not stop the robot either.
+    #[test]
+    fn readings_that_do_not_count_and_removed_beams_are_no_obstacles() {
+        let nearest = |readings: &[u16], beams: &[Beam], validity| {
+            let near = NearPoints::of_scan(&seen(beams, readings, validity)).nearest();
+            libm::roundf(near.unwrap()) as u32
+        };
+        let usual = Validity::default();
+        let mut readings = [2_000; COUNT];
+        // Less than the sensor can measure.
+        readings[10] = 90;
+        assert_eq!(nearest(&readings, &beams(), usual), 90);
+        assert_eq!(nearest(&readings, &beams(), Validity { nearest: 100, ..usual }), 2_000);
+        assert_eq!(nearest(&readings, &beams(), Validity { removed: (80, 95), ..usual }), 2_000);
+        // The robot's own mast.
+        let mut without = beams();
+        remove_beams(&mut without, Removal::Pixels { first: 9, last: 11 });
+        assert_eq!(nearest(&readings, &without, usual), 2_000);
+        // A flying pixel at the edge of a box, on the border of two stretches: of the box the edge.
+        let mut readings = [2_000; COUNT];
+        readings[13..16].fill(1_000);
+        readings[16] = 1_500;
+        let edge = |validity| {
+            let (beams, near) = (beams(), |it: &[u16]| it.to_vec());
+            let near = NearPoints::of_scan(&seen(&beams, &near(&readings), validity));
+            let (x, y) = near.points()[4];
+            libm::roundf(libm::hypotf(x, y)) as u32
+        };
+        assert_eq!(edge(usual), 1_500);
+        assert_eq!(edge(Validity { flying: 150, ..usual }), 2_000);
     }
 }

@@ -59,7 +59,7 @@ impl Rooms {
             given_up: &[],
             explore_covered: true,
         };
-        let mut window = PlanningWindow::default();
+        let mut window = PlanningWindow::EMPTY;
         window.fill(&view, |column, row| self.row(column, row));
         window
     }
@@ -146,7 +146,7 @@ fn is_reachable(window: &PlanningWindow, start: Place, goal: Place) -> bool {
 }
 
 fn plan(window: &PlanningWindow, start: Place, target: Target) -> Result<Path, PlanError> {
-    let mut planner = std::boxed::Box::<Planner>::default();
+    let mut planner = std::boxed::Box::new(Planner::EMPTY);
     planner.begin(window, start, target)?;
     for _ in 0..SIDE * SIDE {
         match planner.step(window, 7) {

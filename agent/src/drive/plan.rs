@@ -29,12 +29,12 @@ const MOST_WORTH: u32 = 256;
 /// Where to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
+    /// The frontier that is worth most: cells from where blind ground is near against the way.
+    Frontier,
     /// A cell.
     Place(Place),
     /// Columns and rows from the corner, outside the window, at most 1,000: out through the rim.
     Beyond(i16, i16),
-    /// The frontier that is worth most: cells from where blind ground is near against the way.
-    Frontier,
 }
 
 /// Why there is no way.
@@ -110,20 +110,17 @@ pub struct Planner {
 
 const _: () = assert!(size_of::<Planner>() + size_of::<PlanningWindow>() <= 8 * 1024);
 
-impl Default for Planner {
-    fn default() -> Self {
-        Self {
-            nodes: Vec::new(),
-            goals: 0,
-            prices: [0.0; MOST_FRONTIERS],
-            target: Target::Frontier,
-            found: 0,
-            exit: Place::default(),
-        }
-    }
-}
-
 impl Planner {
+    /// A planner that has not begun: all zero bits.
+    pub const EMPTY: Self = Self {
+        nodes: Vec::new(),
+        goals: 0,
+        prices: [0.0; MOST_FRONTIERS],
+        target: Target::Frontier,
+        found: 0,
+        exit: Place { x: 0, y: 0 },
+    };
+
     /// Begins a search in a window that must stay as it is until the search ends. It floods the
     /// free cells first, so a closed door is found here. A start among blocked cells is moved to
     /// the nearest free one. Some 50,000 instructions, 1.5 KiB of stack.

@@ -117,22 +117,26 @@ pub struct PlanningWindow {
     cell: i32,
 }
 
-impl Default for PlanningWindow {
-    fn default() -> Self {
-        let [free, dear, frontier] = [Plane::EMPTY; 3];
-        Self { free, dear, frontier, has_dear: false, corner: (0, 0), cell: 1 }
-    }
-}
-
 impl PlanningWindow {
+    /// A window that has not looked at any map: all zero bits.
+    pub const EMPTY: Self = Self {
+        free: Plane::EMPTY,
+        dear: Plane::EMPTY,
+        has_dear: false,
+        frontier: Plane::EMPTY,
+        corner: (0, 0),
+        cell: 0,
+    };
+
     /// Looks at the map. `ground` gives, for a column of tiles and a row of cells of the map, 32
     /// cells. Takes 1 KiB of stack.
     pub fn fill(&mut self, view: &WindowInputs<'_>, ground: impl Fn(i32, i32) -> GroundRow) {
         let level = view.level.min(MAX_LEVEL);
         let resolution = view.resolution.0.max(1);
         self.cell = resolution.saturating_mul(1 << level);
-        let corner =
-            |middle: Millimetres| middle.0.div_euclid(self.cell).saturating_sub(SIDE as i32 / 2);
+        let corner = |middle: Millimetres| {
+            middle.0.div_euclid(self.cell.max(1)).saturating_sub(SIDE as i32 / 2)
+        };
         let (west, south) = (corner(view.pose.x), corner(view.pose.y));
         self.corner = (west.saturating_mul(self.cell), south.saturating_mul(self.cell));
         let mut occupied = Plane::EMPTY;
@@ -260,7 +264,7 @@ impl PlanningWindow {
 
     /// From forward and left of a robot to the cell there.
     pub(super) fn of_robot(&self, pose: Pose) -> impl Fn(f32, f32) -> Option<Place> + use<> {
-        let cells = 1.0 / self.cell as f32;
+        let cells = 1.0 / self.cell.max(1) as f32;
         let (sin, cos) = sin_cos(radians(pose.heading));
         let (sin, cos) = (sin * cells, cos * cells);
         let (from_x, from_y) = self.relative(pose.x, pose.y);

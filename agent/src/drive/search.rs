@@ -60,11 +60,22 @@ struct Attempt {
     via: Option<(Waypoint, End)>,
 }
 
+/// What a search works in: a window of the map and the plan across it, 7.6 KiB.
+#[derive(Debug)]
+pub struct Workspace {
+    window: PlanningWindow,
+    planner: Planner,
+}
+
+impl Workspace {
+    /// A workspace that nobody has used: all zero bits.
+    pub const EMPTY: Self = Self { window: PlanningWindow::EMPTY, planner: Planner::EMPTY };
+}
+
 /// Looks for routes.
 #[derive(Debug)]
-pub(super) struct Search {
-    pub(super) window: PlanningWindow,
-    planner: Planner,
+pub(super) struct Search<'b> {
+    workspace: &'b mut Workspace,
     given_up: Vec<GivenUp, MOST_GIVEN_UP>,
     /// `None` for the frontier that is worth most.
     goal: Option<Waypoint>,
@@ -75,11 +86,10 @@ pub(super) struct Search {
     route: Route,
 }
 
-impl Search {
-    pub(super) fn new() -> Self {
+impl<'b> Search<'b> {
+    pub(super) fn new(workspace: &'b mut Workspace) -> Self {
         Self {
-            window: PlanningWindow::default(),
-            planner: Planner::default(),
+            workspace,
             given_up: Vec::new(),
             goal: None,
             attempt: Attempt { level: 0, finest: 0, beyond: false, via: None },
@@ -87,6 +97,11 @@ impl Search {
             target: Target::Frontier,
             route: Route::new(),
         }
+    }
+
+    /// The ground as it was last looked at.
+    pub(super) fn window(&self) -> &PlanningWindow {
+        &self.workspace.window
     }
 
     /// The way that was found last.
@@ -114,14 +129,16 @@ impl Search {
         corners: usize,
     ) -> Outcome {
         let progress = if self.is_begun {
-            self.planner.step(&self.window, corners)
+            let Workspace { window, planner } = &mut *self.workspace;
+            planner.step(window, corners)
         } else {
             self.is_begun = true;
             let level = if self.attempt.via.is_some() { 0 } else { self.attempt.level };
             self.fill(level, view, ground);
             self.target = self.target();
-            let start = self.window.place(Waypoint { x: view.pose.x, y: view.pose.y });
-            match self.planner.begin(&self.window, start.unwrap_or_default(), self.target) {
+            let Workspace { window, planner } = &mut *self.workspace;
+            let start = window.place(Waypoint { x: view.pose.x, y: view.pose.y });
+            match planner.begin(window, start.unwrap_or_default(), self.target) {
                 Ok(()) => Progress::Searching,
                 Err(error) => Progress::Failed(error),
             }
@@ -141,12 +158,15 @@ impl Search {
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) {
         let view = WindowInputs { level, given_up: &self.given_up, ..*view };
-        self.window.fill(&view, ground);
+        self.workspace.window.fill(&view, ground);
     }
 
     /// Whether blind ground is near a point, by the window as it is.
     pub(super) fn is_frontier(&self, point: Waypoint) -> bool {
-        self.window.place(point).is_some_and(|place| self.window.frontier.has(place))
+        self.workspace
+            .window
+            .place(point)
+            .is_some_and(|place| self.workspace.window.frontier.has(place))
     }
 
     /// Passes over what can't be seen from a point, as far as a window of this level would find it
@@ -168,7 +188,7 @@ impl Search {
             (None, Some(goal)) => goal,
             (None, None) => return Target::Frontier,
         };
-        let (x, y) = self.window.column_and_row(goal);
+        let (x, y) = self.workspace.window.column_and_row(goal);
         let inner = |it: i32| (1..SIDE as i32 - 1).contains(&it);
         let Some(place) = Place::new(x, y).filter(|_| inner(x) && inner(y)) else {
             // Far enough to tell the direction.
@@ -182,21 +202,22 @@ impl Search {
             let (across, up) = (near.x.abs_diff(place.x), near.y.abs_diff(place.y));
             across.max(up) <= BESIDE
         };
-        let near = self.window.nearest_free(place).filter(|near| is_rough || is_beside(near));
+        let near =
+            self.workspace.window.nearest_free(place).filter(|near| is_rough || is_beside(near));
         Target::Place(near.unwrap_or(place))
     }
 
     fn found(&mut self, place: Place, pose: Pose) -> Outcome {
-        let path = self.planner.path();
+        let path = self.workspace.planner.path();
         let mut route = Route::new();
         for &place in &path.places {
             // As long as a path.
-            let _ = route.push(self.window.middle(place));
+            let _ = route.push(self.workspace.window.middle(place));
         }
         let whole = path.is_whole;
         let end = match (self.target, self.goal) {
             (Target::Frontier, _) if whole => {
-                End::Frontier(self.window.middle(place), self.attempt.level)
+                End::Frontier(self.workspace.window.middle(place), self.attempt.level)
             }
             (Target::Place(_), Some(_)) if whole => End::Goal,
             _ => End::OnTheWay,
@@ -208,7 +229,7 @@ impl Search {
         if self.attempt.level == 0 {
             return self.keep(route, end);
         }
-        let reach = self.window.cell() >> self.attempt.level;
+        let reach = self.workspace.window.cell() >> self.attempt.level;
         let (via, is_end) = within(&route, pose, reach.saturating_mul(SIDE as i32 / 2 - 4));
         // A goal that the finest window holds would have been found there.
         let end = if is_end && end != End::Goal { end } else { End::OnTheWay };

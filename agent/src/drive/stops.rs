@@ -8,8 +8,6 @@ use crate::{map::Gate, timing::UNSEEN_STOP};
 /// Drives from scan to scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Stops {
-    /// How far from one to the next: as far as on the move.
-    gate: Gate,
     phase: Phase,
     /// Whether it has not moved since it was localised.
     is_located: bool,
@@ -28,14 +26,17 @@ enum Phase {
     Standing(Instant),
 }
 
-impl Stops {
-    /// Stands until the first scan, and then stops where the gate opens.
-    pub fn new(gate: Gate) -> Self {
-        Self { gate, phase: Phase::New, is_located: false }
+impl Default for Stops {
+    /// Stands until the first scan.
+    fn default() -> Self {
+        Self { phase: Phase::New, is_located: false }
     }
+}
 
-    /// Whether the wheels must stand. To be asked at every step, with the newest odometry.
-    pub fn must_stand(&mut self, odometry: Option<Pose>, now: Instant) -> bool {
+impl Stops {
+    /// Whether the wheels must stand. To be asked at every step, with the newest odometry. From one
+    /// stop to the next the robot moves as far as opens the gate.
+    pub fn must_stand(&mut self, gate: Gate, odometry: Option<Pose>, now: Instant) -> bool {
         let Some(odometry) = odometry else { return true };
         if let Phase::Driving(Some(from)) = self.phase {
             self.is_located &= from == odometry;
@@ -43,7 +44,7 @@ impl Stops {
         self.phase = match self.phase {
             Phase::New => Phase::Standing(now),
             Phase::Driving(None) => Phase::Driving(Some(odometry)),
-            Phase::Driving(from) if self.gate.opens(from, odometry) => Phase::Stopping(odometry),
+            Phase::Driving(from) if gate.opens(from, odometry) => Phase::Stopping(odometry),
             Phase::Stopping(before) if before == odometry => Phase::Standing(now),
             Phase::Stopping(_) => Phase::Stopping(odometry),
             Phase::Standing(since) if now.since(since) >= UNSEEN_STOP => {
@@ -77,10 +78,12 @@ mod tests {
 
     #[test]
     fn it_maps_where_it_stands_and_has_been_localised_since() {
-        let mut stops = Stops::new(Gate::default());
-        let must_stand =
-            |stops: &mut Stops, x, now| stops.must_stand(Some(Pose::from_metres(x, 0.0, 0.0)), now);
-        assert!(stops.must_stand(None, at(0)), "nobody knows whether it has moved");
+        let mut stops = Stops::default();
+        let must_stand = |stops: &mut Stops, x, now| {
+            stops.must_stand(Gate::default(), Some(Pose::from_metres(x, 0.0, 0.0)), now)
+        };
+        let unknown = stops.must_stand(Gate::default(), None, at(0));
+        assert!(unknown, "nobody knows whether it has moved");
         assert!(must_stand(&mut stops, 0.0, at(20)), "the first scan is taken where it stands");
         assert!(stops.takes(at(30), Some(at(25))));
         assert!(!must_stand(&mut stops, 0.0, at(50)));

@@ -23,6 +23,14 @@ const GATE: f32 = 16.27;
 const UNKNOWN_POSITION: f32 = 6.0e6;
 const UNKNOWN_HEADING: f32 = 6.6;
 
+/// How a robot of this size changes its motion between two readings of the odometry: standard
+/// deviations in mm/s^2 and rad/s^2. In 50 ms they make 1.3 mm and 0.4 degrees.
+const ACCELERATION: f32 = 1_000.0;
+const TURN_ACCELERATION: f32 = 6.0;
+/// How it moves before two readings have told: standard deviations in mm/s and rad/s.
+const SPEED: f32 = 500.0;
+const TURN_SPEED: f32 = 1.5;
+
 /// Variances of the position and the heading beyond which an estimate says nothing (10 m and a
 /// radian): the filter is linear for small errors only.
 const LOST_POSITION: f32 = 1.0e8;
@@ -167,6 +175,17 @@ impl Estimate {
         if !self.is_lost() {
             self.covariance.grow(UNKNOWN_POSITION * seconds, UNKNOWN_HEADING * seconds);
         }
+    }
+
+    /// The motion was extrapolated for some seconds: with a speed that was measured, or with none.
+    pub(super) fn stray(&mut self, seconds: f32, has_speed: bool) {
+        let gained = 0.5 * seconds * seconds;
+        let (way, turn) = if has_speed {
+            (ACCELERATION * gained, TURN_ACCELERATION * gained)
+        } else {
+            (SPEED * seconds, TURN_SPEED * seconds)
+        };
+        self.covariance.grow(way * way, turn * turn);
     }
 
     /// From here on the odometry's heading counts from elsewhere: it was `from`, and is `to` now.

@@ -22,6 +22,12 @@ use crate::timing::BRIDGED_GAP;
 /// a scan waits in any case. Who brakes like that strays by a millimetre in between.
 const READINGS: usize = 15;
 const READING_INTERVAL: Duration = Duration::from_millis(100);
+/// Readings of the moments of scans, this far apart at least, are not replaced by later ones: at 15 Hz
+/// those of a second are remembered.
+const SCAN_INTERVAL: Duration = Duration::from_millis(60);
+/// The speed is measured over this span at least: in a shorter one the millimetres that readings are
+/// rounded to make more than 20 mm/s.
+const SPEED_SPAN: Duration = Duration::from_millis(50);
 /// Half a degree, in binary units.
 const STEADY: u16 = 91;
 /// Fixes that are remembered: half a second at 15 Hz.
@@ -148,6 +154,8 @@ pub(super) struct Filter {
     /// Of a later one, that most questions are about: not all need be replayed for them.
     recent: Belief,
     odometry: History<Pose, READINGS>,
+    /// When the newest scan was taken whose pose will be asked for.
+    scan: Instant,
     /// By the robot's clock; with each the lower word of its moment by the server's, to tell it
     /// again.
     fixes: History<(u32, Fix), FIXES>,
@@ -164,7 +172,14 @@ impl Filter {
             estimate: start.map(|pose| Estimate::certain(pose, odometry.heading)),
             rival: None,
         };
-        Self { noise, base, recent: base, odometry: History::new(), fixes: History::new() }
+        Self {
+            noise,
+            base,
+            recent: base,
+            odometry: History::new(),
+            scan: Instant(0),
+            fixes: History::new(),
+        }
     }
 
     /// Takes a fix of the moment `server` of the server's clock, which is `local` of the robot's.
@@ -215,16 +230,35 @@ impl Filter {
         Ok(last != Some(moment))
     }
 
-    /// Takes a reading of the odometry that says something new. Readings that come faster than they
-    /// are remembered replace one another.
+    /// The pose of this moment will be asked for.
+    pub(super) fn expect(&mut self, scan: Instant) {
+        self.scan = scan;
+    }
+
+    /// Takes a reading of the odometry that says something new. Between the reading before it and
+    /// this one it makes one of the moment of a scan: those that are remembered lie further apart.
     pub(super) fn odometry(&mut self, moment: Instant, pose: Pose) {
+        if let Some((last, before)) = self.odometry.newest()
+            && last < self.scan
+            && self.scan < moment
+            && moment.since(last) <= BRIDGED_GAP
+        {
+            let part = seconds(self.scan.since(last)) / seconds(moment.since(last));
+            self.remember(self.scan, between(before, pose, part));
+        }
+        self.remember(moment, pose);
+    }
+
+    /// Remembers a reading. Readings that come faster than they are remembered replace one another.
+    #[inline(never)]
+    fn remember(&mut self, moment: Instant, pose: Pose) {
         self.forget_what_is_old(moment);
         let (last, before) = {
             let mut newest = self.odometry.iter().rev().map(|(moment, _)| moment);
             (newest.next(), newest.next())
         };
-        let replaces =
-            before.filter(|before| last.is_some_and(|last| last.since(*before) < READING_INTERVAL));
+        let least = if last == Some(self.scan) { SCAN_INTERVAL } else { READING_INTERVAL };
+        let replaces = before.filter(|before| last.is_some_and(|last| last.since(*before) < least));
         // What was believed after the reading before this one did not know of this one.
         if replaces.or(last).is_none_or(|known| known < self.recent.moment) {
             self.recent = self.base;
@@ -241,6 +275,12 @@ impl Filter {
 
     pub(super) fn newest_odometry(&self) -> Option<(Instant, Pose)> {
         self.odometry.newest()
+    }
+
+    /// The two newest readings that are remembered, the newest first.
+    pub(super) fn newest_two(&self) -> Option<(Pose, Pose)> {
+        let mut readings = self.odometry.iter().rev().map(|(_, pose)| *pose);
+        readings.next().zip(readings.next())
     }
 
     pub(super) fn noise(&self) -> &MotionNoise {
@@ -279,6 +319,32 @@ impl Filter {
             return None;
         }
         self.replay(moment).0.told()
+    }
+
+    /// Where the robot is taken to be soon after the newest reading of the odometry: it goes on as it
+    /// did before. `None` later, or if the motion is not known up to there.
+    pub(super) fn soon_after_odometry(&self, moment: Instant) -> Option<Told> {
+        let (newest, odometry) = self.odometry.newest()?;
+        let ahead = moment.since(newest);
+        if moment < newest || ahead > BRIDGED_GAP {
+            return None;
+        }
+        let belief = self.replay(newest).0;
+        let mut estimate = belief.estimate.filter(|estimate| !estimate.is_guessed())?;
+        let mut readings = self.odometry.iter().rev();
+        let before = readings.find(|(before, _)| newest.since(*before) >= SPEED_SPAN);
+        let before = before.filter(|(before, _)| newest.since(*before) <= BRIDGED_GAP);
+        let to = before.map_or(odometry, |(before, pose)| {
+            let part = seconds(ahead) / seconds(newest.since(before));
+            between(*pose, odometry, 1.0 + part)
+        });
+        estimate.drive(odometry, to, seconds(ahead), &self.noise);
+        estimate.stray(seconds(ahead), before.is_some());
+        Some(Told {
+            pose: estimate.pose(to.heading),
+            variances: estimate.variances(),
+            guessed: false,
+        })
     }
 
     /// What is believed after all measurements up to a moment, and what became of the last fix

@@ -18,6 +18,10 @@ use crate::{
     trigonometry::RADIANS,
 };
 
+/// A robot stands that moves less from one reading of the odometry to the next: in millimetres along
+/// x and along y, and in binary angle units (a degree).
+const STANDS_WITHIN: (u32, u16) = (5, 182);
+
 /// Where the poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseSource {
@@ -116,6 +120,12 @@ impl Locator {
         Ok(())
     }
 
+    /// The pose of a scan will be asked for. Odometry that comes before and after it tells that pose best
+    /// if this is known when it comes.
+    pub(crate) fn expect(&mut self, taken: Instant) {
+        self.filter.expect(taken);
+    }
+
     /// Learns from a camera's fix that was taken in what odometry gets wrong each time.
     pub(crate) fn learn(&mut self, local: Instant, pose: Pose, certainty: Certainty) {
         if let Some(odometry) = self.filter.steady_odometry(local) {
@@ -126,6 +136,16 @@ impl Locator {
     /// The newest reading of the odometry without the errors that are known: `base_link` in `odom`.
     pub fn newest_odometry(&self) -> Option<Pose> {
         self.filter.newest_odometry().map(|(_, pose)| pose)
+    }
+
+    /// The newest reading of the odometry, if the robot has hardly moved since the one before: then
+    /// it is where the robot is now, too. `base_link` in `odom`.
+    pub(crate) fn standing_odometry(&self) -> Option<Pose> {
+        let (newest, before) = self.filter.newest_two()?;
+        let moved = |to: Millimetres, from: Millimetres| to.0.abs_diff(from.0) > STANDS_WITHIN.0;
+        let turned = newest.heading.distance(before.heading) > STANDS_WITHIN.1;
+        let moves = moved(newest.x, before.x) || moved(newest.y, before.y) || turned;
+        (!moves).then_some(newest)
     }
 
     /// The moment of the newest fix.
@@ -194,6 +214,13 @@ impl Locator {
             (Some(before), Some(after)) if after.1.position < before.1.position => Some(after),
             (before, after) => before.or(after),
         }
+    }
+
+    /// The pose at a moment that may lie after the newest reading of the odometry, and how unsure it
+    /// is. Up to a third of a second after that reading the robot is taken to go on as it did.
+    pub(crate) fn predicted(&self, moment: Instant) -> Option<(Pose, Variances)> {
+        let soon = self.filter.soon_after_odometry(moment);
+        soon.map(|told| (told.pose, told.variances)).or_else(|| self.best(moment))
     }
 
     fn is_within_limit(&self, variances: Variances) -> bool {
@@ -281,6 +308,89 @@ mod tests {
         // The next fix mends it.
         fix_at(&mut locator, 20_000, pose(1000, 11_400, 90.0));
         assert!(matches!(at(&locator, 20_000, 20_000), Located::At(..)));
+    }
+
+    /// Readings that are remembered lie 100 ms apart; at the moment of a scan the ones that came just
+    /// before and after it count.
+    #[test]
+    fn the_odometry_of_a_scans_moment_is_remembered() {
+        let (mut locator, mut other) = (
+            locator(PoseSource::Odometry(pose(0, 0, 0.0))),
+            locator(PoseSource::Odometry(pose(0, 0, 0.0))),
+        );
+        // It turns ever faster, by 2,000 degrees/s^2.
+        let at = |millis: u64| pose(0, 0, 0.001 * (millis * millis) as f64);
+        for millis in (10..600).step_by(50) {
+            let is_scan = millis % 100 == 60;
+            for locator in [&mut locator, &mut other] {
+                locator.odometry(moment(millis), at(millis)).unwrap();
+            }
+            if is_scan {
+                locator.expect(moment(millis + 40));
+            }
+        }
+        let off =
+            |locator: &Locator, millis: u64| match locator.at(moment(millis), moment(600), true) {
+                Located::At(found, _) => found.heading.distance(at(millis).heading),
+                missing => panic!("{missing:?}"),
+            };
+        // Binary units: 182 are a degree.
+        for scan in [200, 300, 400] {
+            assert!(off(&locator, scan) <= 90, "{}", off(&locator, scan));
+            assert!(off(&other, scan) > off(&locator, scan), "{}", off(&other, scan));
+        }
+    }
+
+    /// A step of the drive comes when it is due, and not with a reading of the odometry.
+    #[test]
+    fn soon_after_the_odometry_the_pose_is_known_and_then_it_is_lost() {
+        for turn in [0.0, 60.0] {
+            // At 0.5 m/s, read at 66 Hz, with fixes at 10 Hz until a tenth of a second ago.
+            let mut locator = locator(PoseSource::Fixes);
+            let at = |millis: f64| {
+                let degrees = turn * millis / 1_000.0;
+                let heading = degrees.to_radians();
+                let way = millis / 2.0;
+                // Along an arc, or straight.
+                let (sin, cos) = (libm::sin(heading), libm::cos(heading));
+                let bend = if turn == 0.0 {
+                    (way, 0.0)
+                } else {
+                    (way * sin / heading.max(1e-9), way * (1.0 - cos) / heading.max(1e-9))
+                };
+                pose(bend.0 as i32, bend.1 as i32, degrees)
+            };
+            for reading in 0..134u64 {
+                let millis = reading * 15;
+                locator.odometry(moment(millis), at(millis as f64)).unwrap();
+                if reading % 7 == 6 && millis > 90 {
+                    fix_at(&mut locator, millis - 90, at(millis as f64 - 90.0));
+                }
+            }
+            let newest = 133 * 15;
+            for micros in [0, 1, 1_900, 10_000, 25_000, 50_000] {
+                let now = Instant(newest * 1_000 + micros);
+                let (found, variances) = locator.predicted(now).unwrap();
+                let truth = at(now.0 as f64 / 1e3);
+                let off = libm::hypot((found.x - truth.x).metres(), (found.y - truth.y).metres());
+                assert!(off < 0.006, "{micros} us: {off} m off");
+                assert!(found.heading.distance(truth.heading) < 182, "{micros} us: {found:?}");
+                assert!(libm::sqrtf(variances.position) < 30.0, "{micros} us: {variances:?}");
+                assert!(locator.is_within_limit(variances));
+            }
+            let (_, later) = locator.predicted(moment(newest + 350)).unwrap();
+            assert!(libm::sqrtf(later.position) > 60.0, "{later:?}");
+            let (_, lost) = locator.predicted(moment(newest + 351)).unwrap();
+            assert!(libm::sqrtf(lost.position) > 150.0, "{lost:?}");
+        }
+        // With one reading the speed is not known, and a robot does not go far in 50 ms.
+        let mut locator = locator(PoseSource::Odometry(pose(0, 0, 0.0)));
+        assert_eq!(locator.predicted(moment(1)).map(|(pose, _)| pose), Some(pose(0, 0, 0.0)));
+        locator.odometry(moment(10), pose(100, 0, 0.0)).unwrap();
+        let (found, variances) = locator.predicted(moment(60)).unwrap();
+        let deviation = libm::sqrtf(variances.position);
+        assert_eq!(found, pose(100, 0, 0.0));
+        assert!((20.0..60.0).contains(&deviation), "{deviation}");
     }
 
     #[test]

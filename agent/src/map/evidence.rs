@@ -30,6 +30,9 @@ pub struct RowSighting {
 }
 
 impl RowSighting {
+    /// Nothing.
+    pub const NONE: Self = Self { free: 0, hit: 0 };
+
     /// The cells of which it says something.
     pub fn known(self) -> u32 {
         self.free | self.hit

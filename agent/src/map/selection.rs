@@ -55,7 +55,8 @@ impl Selection {
     }
 
     /// Whether a scan says nothing, without its pose: the robot stands where it mapped last, by its
-    /// odometry and by the newest pose that is known, and it sees what it saw.
+    /// odometry and by the newest pose that is known, and it sees what it saw. `odometry` is `None`
+    /// if the robot moves.
     pub fn stands(
         &self,
         gate: Gate,

@@ -298,9 +298,13 @@ pub(super) fn trace(
     pixels: &mut PixelCounts,
 ) -> u32 {
     let Part { beams, readings, is_continued } = part;
-    let mut outline = Outline::new(window, projection);
+    let sensor = projection.sensor();
     let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
     let mut is_first_invalid = false;
+    // As if an end at the sensor itself came before.
+    let mut last = End { index: 0, reach: 0, at: sensor, hit: None };
+    // Whether there is an invalid beam behind the last end.
+    let mut is_broken = true;
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
         if !grain.counts(readings, index, reading) || beam == Beam::NONE {
@@ -308,23 +312,63 @@ pub(super) fn trace(
             invalid += gap as u32;
             is_first_invalid |= index == 0;
             index += gap;
-            outline.is_broken = true;
+            is_broken = true;
             continue;
         }
         let reading = u32::from(reading);
-        let hit = grain.reach.has(beam, reading).then_some(reading);
-        let farthest = match hit {
-            Some(reading) => reading - grain.margin,
-            None => beam.reading_at(grain.reach.range),
-        };
+        let is_hit = grain.reach.has(beam, reading);
+        let reach =
+            if is_hit { reading - grain.margin } else { beam.reading_at(grain.reach.range) };
         kept += 1;
-        if let Some(reading) = hit {
+        let direction = projection.direction(beam);
+        let at = projection.corner(direction, reach);
+        let next = Next { direction, reach, passed: index - last.index, is_broken };
+        let (from, surface) = join(window, projection, grain, beams, &last, next);
+        window.edge(from, at);
+        let mut hit = None;
+        if is_hit {
+            let to = projection.point(direction, reading);
+            if let Some(surface) = surface {
+                window.surface(surface, to, next.passed as i32);
+            }
+            window.hit(to);
             nearest = nearest.min(reading);
+            hit = Some(to);
         }
-        outline.go_on(grain, beams, (index, beam), farthest, hit);
-        index = outline.pass_over(grain, (beams, readings), hit);
+        is_broken = false;
+        last = End { index, reach, at, hit };
+        // Passes over beams that end on the same surface, or are out of range as this one is. Not a
+        // function of its own: that costs 5 % of a row's instructions.
+        let here = index;
+        index += 1;
+        let ahead = grain.spread.checked_div(reach.max(grain.near())).unwrap_or(0) as usize;
+        if ahead < 2 * SPAN as usize {
+            continue;
+        }
+        let stride = ahead / CHECKS + 1;
+        if is_hit {
+            let end = grain.surface_up_to(readings, (here, here + ahead, stride), reading);
+            index = index.max(end);
+            if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
+                && !grain.reach.has(beam, reading.into())
+            {
+                // A surface that leaves the range.
+                let way = (here, stride, (end - here) / stride);
+                let end = grain.last_within((beams, readings), way);
+                if let Some(((&beam, &reading), from)) =
+                    beams.get(end).zip(readings.get(end)).zip(last.hit)
+                {
+                    let to = projection.point(projection.direction(beam), reading.into());
+                    window.surface(from, to, (end - here) as i32);
+                    window.hit(to);
+                }
+            }
+        } else {
+            let way = (here, here + ahead, stride);
+            index = index.max(grain.nothing_up_to((beams, readings), way, reach));
+        }
     }
-    outline.close();
+    window.edge(last.at, sensor);
     let seen = (readings.len() as u32).saturating_sub(u32::from(is_continued));
     // The first one has been counted with the part before.
     let again = if is_first_invalid { &mut invalid } else { &mut kept };
@@ -333,10 +377,10 @@ pub(super) fn trace(
     nearest
 }
 
-/// How many readings from `index` on say nothing: that one, and those without a return that follow.
+/// Number of invalid readings from `index` on: that one, and those without a return that follow.
 #[inline(always)]
 fn gap(readings: &[u16], index: usize) -> usize {
-    // Where nothing comes back, often much does not.
+    // Beams without a return often come in long runs.
     let rest = readings.get(index + 1..).unwrap_or_default();
     let (fours, _) = rest.as_chunks();
     let gap = 4 * fours.iter().take_while(|four| **four == [0; 4]).count();
@@ -344,136 +388,55 @@ fn gap(readings: &[u16], index: usize) -> usize {
     gap + 1 + rest.iter().take_while(|&&reading| reading == 0).count()
 }
 
-/// One end of the polygon.
+/// A corner of the polygon where a beam ends.
 #[derive(Clone, Copy)]
 struct End {
     index: usize,
-    /// What of the reading is free.
+    /// The part of the reading that is free.
     reach: u32,
     at: Corner,
     hit: Option<Point>,
 }
 
-/// The polygon as far as it has been drawn.
-struct Outline<'a, 'w> {
-    window: &'a mut ScanWindow<'w>,
-    projection: &'a Projection,
-    sensor: Corner,
-    last: End,
-    /// Whether there is a beam that says nothing behind the last end.
+/// The beam after the last end.
+#[derive(Clone, Copy)]
+struct Next {
+    direction: Direction,
+    /// The part of its reading that is free.
+    reach: u32,
+    /// Number of beams since the last end.
+    passed: usize,
+    /// Whether an invalid beam lies between.
     is_broken: bool,
 }
 
-impl<'a, 'w> Outline<'a, 'w> {
-    #[inline(always)]
-    fn new(window: &'a mut ScanWindow<'w>, projection: &'a Projection) -> Self {
-        let sensor = projection.sensor();
-        // As if an end at the sensor itself came before.
-        let last = End { index: 0, reach: 0, at: sensor, hit: None };
-        Self { window, projection, sensor, last, is_broken: true }
+/// Draws from the last end to where the edge to the next one starts: at the last end if the gap is too
+/// narrow for a cell, else at the sensor. Returns that corner, and the last hit if its surface continues.
+#[inline(always)]
+fn join(
+    window: &mut ScanWindow<'_>,
+    projection: &Projection,
+    grain: &Grain,
+    beams: &[Beam],
+    last: &End,
+    next: Next,
+) -> (Corner, Option<Point>) {
+    let least = last.reach.min(next.reach);
+    if next.is_broken && !grain.bridges(next.passed as u32, least) {
+        window.edge(last.at, projection.sensor());
+        return (projection.sensor(), None);
     }
-
-    /// Draws up to the end of a beam, `farthest` of whose reading is free and which ends on a
-    /// surface at `reading`, if it does.
-    #[inline(always)]
-    fn go_on(
-        &mut self,
-        grain: &Grain,
-        beams: &[Beam],
-        (index, beam): (usize, Beam),
-        farthest: u32,
-        reading: Option<u32>,
-    ) {
-        let direction = self.projection.direction(beam);
-        let at = self.projection.corner(direction, farthest);
-        let passed = index - self.last.index;
-        let (from, surface) = self.join(grain, beams, direction, farthest, passed);
-        self.window.edge(from, at);
-        let hit = reading.map(|reading| {
-            let to = self.projection.point(direction, reading);
-            if let Some(surface) = surface {
-                self.window.surface(surface, to, passed as i32);
-            }
-            self.window.hit(to);
-            to
-        });
-        self.is_broken = false;
-        self.last = End { index, reach: farthest, at, hit };
+    if !(next.is_broken || next.passed == 1) || last.reach.abs_diff(next.reach) <= JUMP {
+        return (last.at, last.hit);
     }
-
-    /// Draws from the last end to where the edge to the next one begins: there if no room for a cell is
-    /// between them, else from the sensor. Returns that corner, and the last hit if the surface goes on
-    /// from it.
-    #[inline(always)]
-    fn join(
-        &mut self,
-        grain: &Grain,
-        beams: &[Beam],
-        direction: Direction,
-        farthest: u32,
-        passed: usize,
-    ) -> (Corner, Option<Point>) {
-        let last = self.last;
-        let least = last.reach.min(farthest);
-        if self.is_broken && !grain.bridges(passed as u32, least) {
-            self.window.edge(last.at, self.sensor);
-            return (self.sensor, None);
-        }
-        if !(self.is_broken || passed == 1) || last.reach.abs_diff(farthest) <= JUMP {
-            return (last.at, last.hit);
-        }
-        // Only the nearer range is claimed between them.
-        let step = match beams.get(last.index) {
-            Some(&beam) if last.reach >= farthest => self.projection.direction(beam),
-            _ => direction,
-        };
-        let step = self.projection.corner(step, least);
-        self.window.edge(last.at, step);
-        (step, None)
+    // Only the nearer range is claimed between them.
+    let mut step = next.direction;
+    if last.reach >= next.reach
+        && let Some(&beam) = beams.get(last.index)
+    {
+        step = projection.direction(beam);
     }
-
-    /// The next beam to be drawn on: those in between end where the surface goes on, or are out of
-    /// range as the last one is. `reading` is that of the last end, if it is a hit.
-    #[inline(always)]
-    fn pass_over(
-        &mut self,
-        grain: &Grain,
-        (beams, readings): (&[Beam], &[u16]),
-        reading: Option<u32>,
-    ) -> usize {
-        let here = self.last.index;
-        let next = here + 1;
-        let farthest = self.last.reach;
-        let ahead = grain.spread.checked_div(farthest.max(grain.near())).unwrap_or(0) as usize;
-        if ahead < 2 * SPAN as usize {
-            return next;
-        }
-        let stride = ahead / CHECKS + 1;
-        let Some(reading) = reading else {
-            let way = (here, here + ahead, stride);
-            return next.max(grain.nothing_up_to((beams, readings), way, farthest));
-        };
-        let end = grain.surface_up_to(readings, (here, here + ahead, stride), reading);
-        if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
-            && !grain.reach.has(beam, reading.into())
-        {
-            // A surface that leaves the range.
-            let way = (here, stride, (end - here) / stride);
-            let end = grain.last_within((beams, readings), way);
-            if let Some(((&beam, &reading), from)) =
-                beams.get(end).zip(readings.get(end)).zip(self.last.hit)
-            {
-                let to = self.projection.point(self.projection.direction(beam), reading.into());
-                self.window.surface(from, to, (end - here) as i32);
-                self.window.hit(to);
-            }
-        }
-        end.max(next)
-    }
-
-    /// Draws the edge that closes the polygon.
-    #[inline(always)]
-    fn close(self) {
-        self.window.edge(self.last.at, self.sensor);
-    }
+    let step = projection.corner(step, least);
+    window.edge(last.at, step);
+    (step, None)
 }

@@ -117,12 +117,12 @@ impl Slice {
 /// for (row, line) in frame.chunks(8).enumerate() {
 ///     slicer.line(row as u16, line)?;
 /// }
-/// let readings = slicer.finish()?; // for `Agent::scan`
+/// let readings = slicer.finish()?; // for `Robot::scan`
 /// # assert_eq!(readings, [1_000; 8]);
 /// # Ok::<(), ubimap_agent::sense::SliceError>(())
 /// ```
 ///
-/// A row of a frame that lies in memory needs no slicer: `Agent::scan` borrows it.
+/// A row of a frame that lies in memory needs no slicer: `Robot::scan` borrows it.
 #[derive(Debug)]
 pub struct Slicer<'b> {
     slice: Slice,
@@ -219,7 +219,7 @@ impl<'b> Slicer<'b> {
     }
 
     /// The readings of the frame that ends here, one for each column; the next line begins
-    /// another frame. They still are to be held against [`Validity`], which the agent does.
+    /// another frame. They still are to be held against [`Validity`], which the robot does.
     ///
     /// # Errors
     /// [`SliceError::Incomplete`]

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 
 use crate::timing::EVENT_INTERVAL;
 
-/// One for each code that the agent has.
+/// One for each code that the robot has.
 const MOST: usize = 10;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -267,14 +267,13 @@ fn place_after(
 mod tests {
     use super::*;
     use crate::{
-        Config,
-        map::{LocalMap, RowSighting},
-        sense::SensorModel,
+        map::{LocalMap, MappingConfig, Policy, RowSighting},
+        sense::Validity,
         share::FusedTile,
     };
     use ubimap_protocol::{
         message::Messages,
-        units::{Millimetres, Pose, RobotId},
+        units::{Millimetres, Pose},
     };
 
     /// A pool of tiles that the server has.
@@ -358,9 +357,15 @@ mod tests {
         assert_eq!(merged.update(Layer::Fused, &out[..len]), Ok(()));
 
         let mut places = [OwnTile::FREE; 1];
-        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
-        let config = Config::new(RobotId(1), sensor);
-        let mut map = LocalMap::new((&config).into(), &[], &mut [], Pool::new(&mut places));
+        let config = MappingConfig {
+            resolution: Millimetres(50),
+            max_range: 4_000,
+            near: 700,
+            mounting: Pose::default(),
+            validity: Validity::default(),
+            policy: Policy::default(),
+        };
+        let mut map = LocalMap::new(config, &[], &mut [], Pool::new(&mut places));
         // What there is to tell after ten hits.
         let mut told = |apart: Duration| {
             map.pool.begin_anew(Epoch(0));

@@ -2,7 +2,7 @@
 
 use ubimap_protocol::tile::{Layer, Stamp, tile_hash};
 
-use super::fleet::{Fleet, Robot};
+use super::{fleet::Fleet, member::Member};
 
 impl Fleet<'_> {
     /// Whether the server holds the newest version of every tile that each robot has published,
@@ -11,18 +11,18 @@ impl Fleet<'_> {
     pub fn has_converged(&self) -> bool {
         !self.deployment().has_unsaved()
             && self.robots().iter().all(|robot| {
-                robot.agent().is_idle()
+                robot.robot().is_idle()
                     && self.server().is_level(robot.id())
                     && self.server_holds_all_of(robot)
                     && self.all_held_is_newest(robot)
             })
     }
 
-    fn server_holds_all_of(&self, robot: &Robot<'_>) -> bool {
+    fn server_holds_all_of(&self, robot: &Member<'_>) -> bool {
         let Some(layer) = self.server().layer(robot.id()) else {
-            return robot.agent().own_tiles().tiles().next().is_none();
+            return robot.robot().own_tiles().tiles().next().is_none();
         };
-        robot.agent().own_tiles().tiles().all(|tile| {
+        robot.robot().own_tiles().tiles().all(|tile| {
             let stamp = Stamp { epoch: tile.epoch(), version: tile.publication().version() };
             let held = tile.id().and_then(|id| layer.held(id, tile.epoch()));
             held.is_some_and(|(held, cells)| {
@@ -31,8 +31,8 @@ impl Fleet<'_> {
         })
     }
 
-    fn all_held_is_newest(&self, robot: &Robot<'_>) -> bool {
-        robot.agent().fused_tiles().tiles(Layer::Fused).all(|(id, replica)| {
+    fn all_held_is_newest(&self, robot: &Member<'_>) -> bool {
+        robot.robot().fused_tiles().tiles(Layer::Fused).all(|(id, replica)| {
             let newest = self.server().fused().get(id);
             newest.is_some_and(|(version, cells)| {
                 let stamp = Stamp { epoch: self.server().epoch(), version };

@@ -2,11 +2,10 @@
 
 use std::cell::Cell;
 
-use ubimap_agent::drive::{Config, DriveCommand, Gaze, Motion, SafetyLimits};
+use ubimap_agent::drive::{DriveCommand, Driving, Gaze, Motion, SafetyLimits};
 use ubimap_protocol::{
     tile::{Cell as MapCell, TILE_SIDE, TileId},
     time::{Duration, Instant},
-    units::Millimetres,
 };
 
 use super::{fleet::Fleet, options::MotionName};
@@ -41,17 +40,14 @@ pub(super) fn coordination(world: &World) -> Settings {
     Settings { view_m, range_m, look: LOOK, ..Settings::default() }
 }
 
-/// Lets all robots that have a route drive themselves.
-pub(super) fn set_out(fleet: &mut Fleet<'_>, world: &World, motion: MotionName) {
-    let resolution = fleet.deployment().resolution();
-    for robot in world.robots().iter().filter(|robot| robot.drives()) {
-        let stops = motion == MotionName::StopAndWait;
-        fleet.let_drive(robot.id(), config(robot, resolution), stops);
-    }
+/// How a simulated robot drives itself; `None` if it has no route and stands.
+pub(super) fn driving(robot: &SimRobot, motion: MotionName) -> Option<Driving> {
+    robot
+        .drives()
+        .then(|| Driving { stop_and_wait: motion == MotionName::StopAndWait, ..usual(robot) })
 }
 
-/// What a simulated robot's driver knows of it.
-fn config(robot: &SimRobot, resolution: Millimetres) -> Config {
+fn usual(robot: &SimRobot) -> Driving {
     let [speed, turn, acceleration] = robot.limits();
     let usual = Motion::default();
     let motion = Motion {
@@ -70,7 +66,7 @@ fn config(robot: &SimRobot, resolution: Millimetres) -> Config {
         radius: motion.radius,
     };
     let looks_at_goal = Some(gaze);
-    Config { motion, safety, resolution, looks_at_goal, ..Config::default() }
+    Driving { motion, safety, looks_at_goal, ..Driving::default() }
 }
 
 /// What a command means for the wheels: metres and radians a second.

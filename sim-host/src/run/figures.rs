@@ -5,7 +5,7 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-use super::fleet::{Fleet, Robot};
+use super::{fleet::Fleet, member::Member};
 use crate::{
     grid::OccupancyGrid,
     report::{Comparison, HexDigest, MapSummary, Marker, MarkerKind, Pixels, Report, RobotSummary},
@@ -44,10 +44,10 @@ pub(super) fn report(
     Report::new(seed, robots, map, comparison)
 }
 
-fn summary(fleet: &Fleet<'_>, robot: &Robot<'_>, tiles: usize) -> RobotSummary {
+fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary {
     let server = fleet.server();
     let port = fleet.deployment().port(robot.port());
-    let counted = robot.agent().statistics();
+    let counted = robot.robot().statistics();
     let mut digest = Digest::default();
     if let Some(layer) = server.layer(robot.id()) {
         let tiles = layer.tiles();
@@ -67,10 +67,10 @@ fn summary(fleet: &Fleet<'_>, robot: &Robot<'_>, tiles: usize) -> RobotSummary {
         bytes_up: counted.bytes_sent,
         bytes_up_map: counted.bytes_sent_map,
         bytes_down: port.map_or(0, |port| port.bytes_sent),
-        retransmissions: robot.agent().link_counters().retransmissions.into(),
+        retransmissions: robot.robot().link_counters().retransmissions.into(),
         frames_lost: robot.frames_lost(),
         tiles: tiles as u64,
-        tiles_evicted: robot.agent().own_tiles().evicted().into(),
+        tiles_evicted: robot.robot().own_tiles().evicted().into(),
         cells_refused: counted.cells_refused.into(),
         events: server.events(robot.id()).map_or(0, EventLog::count),
         news_left_out: server.left_out(robot.id()),
@@ -82,7 +82,7 @@ fn summary(fleet: &Fleet<'_>, robot: &Robot<'_>, tiles: usize) -> RobotSummary {
 /// The robots as the picture shows them.
 pub(super) fn markers(fleet: &Fleet<'_>) -> Vec<Marker> {
     let robots = fleet.robots().iter().filter_map(|robot| {
-        let (_, pose) = robot.agent().pose()?;
+        let (_, pose) = robot.robot().pose()?;
         let metres = |length: Millimetres| length.metres();
         Some(Marker {
             kind: MarkerKind::Robot,

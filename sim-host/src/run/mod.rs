@@ -7,7 +7,9 @@ mod convergence;
 mod driving;
 mod figures;
 pub mod fleet;
+pub mod heap;
 pub mod keeper;
+pub mod member;
 pub mod options;
 pub mod place;
 mod progress;
@@ -25,7 +27,10 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use serde::Serialize;
-use ubimap_agent::{ConfigError, map::MAX_RADIUS};
+use ubimap_agent::{
+    ConfigError, Part,
+    map::{MAX_RADIUS, MIN_RESOLUTION},
+};
 
 use crate::{
     channel::serial::SerialError,
@@ -124,7 +129,7 @@ pub enum RunError {
     },
     /// The robots can't work with these options.
     #[error("no robot can be made with these options: {}", explain(.0))]
-    Agent(ConfigError),
+    Robot(ConfigError),
     /// The robots' markers can't be told apart.
     #[error(transparent)]
     Registry(#[from] RegistryError),
@@ -162,7 +167,7 @@ impl RunError {
             | Self::Scenario(_)
             | Self::Port(_)
             | Self::Poses { .. }
-            | Self::Agent(_)
+            | Self::Robot(_)
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
             | Self::TurnedMap { .. } => true,
@@ -174,17 +179,27 @@ impl RunError {
 
 impl From<ConfigError> for RunError {
     fn from(error: ConfigError) -> Self {
-        Self::Agent(error)
+        Self::Robot(error)
     }
 }
 
 fn explain(error: &ConfigError) -> String {
     match error {
-        ConfigError::Resolution => "the cells have no size".into(),
+        ConfigError::Resolution => {
+            format!("the cells must be {} mm wide or more", MIN_RESOLUTION.0)
+        }
         ConfigError::Range => {
             format!("the range must be 1 to {MAX_RADIUS} cells; change --max-range or --resolution")
         }
-        ConfigError::Scratch(words) => format!("{words} words of scratch memory are needed"),
-        ConfigError::Memory => "there is no memory for a scan or a tile".into(),
+        ConfigError::Memory { part, needed, found } => {
+            let what = match part {
+                Part::Beams => "readings in a scan",
+                Part::Waiting => "readings of scans that wait",
+                Part::Scratch => "words of scratch memory",
+                Part::OwnTiles => "tiles",
+                Part::FusedTiles => "fused tiles",
+            };
+            format!("{needed} {what} are needed, there is memory for {found}")
+        }
     }
 }

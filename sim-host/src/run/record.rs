@@ -77,7 +77,7 @@ impl<S: Stage> Stage for Recorded<S> {
         event
     }
 
-    fn drive(&mut self, robot: usize, command: DriveCommand) {
-        self.stage.drive(robot, command);
+    fn drive(&mut self, moment: Instant, robot: usize, command: DriveCommand) {
+        self.stage.drive(moment, robot, command);
     }
 }

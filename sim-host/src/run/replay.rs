@@ -6,7 +6,7 @@
 
 use std::{collections::VecDeque, time};
 
-use ubimap_agent::{Config, locate::PoseSource};
+use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource};
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Pose, RobotId},
@@ -14,7 +14,8 @@ use ubimap_protocol::{
 
 use super::{
     Outcome, RunError, figures,
-    fleet::{AgentMemory, Event, FUSED_TILES, Fleet, OWN_TILES, Stage, Tap},
+    fleet::{Event, Fleet, Stage, Tap},
+    heap::BOUNDS,
     options::ReplayOptions,
     progress::Progress,
 };
@@ -43,14 +44,18 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     log.notes.iter().for_each(|note| log::info!("{note}"));
     let mut stage = LogStage::of(&log, usize::from(options.robots));
 
-    let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
-    let configs: Vec<Config> =
-        (1..=stage.robots as u16).map(|robot| config(RobotId(robot), &log, options)).collect();
-    let readings = log.sensor.readings();
-    let mut memory: Vec<AgentMemory> = configs
-        .iter()
-        .map(|config| AgentMemory::new(config, readings, own_tiles, FUSED_TILES))
-        .collect();
+    let bounds = Bounds {
+        readings: log.sensor.readings(),
+        own_tiles: options.run.tiles.map_or(BOUNDS.own_tiles, |tiles| tiles as usize),
+        resolution: options.resolution,
+        // The option's bound is 65 m.
+        max_range: options.max_range.0.clamp(0, i32::from(u16::MAX)) as u16,
+        ..BOUNDS
+    };
+    let robots = 1..=stage.robots as u16;
+    let configs: Vec<_> =
+        robots.map(|id| config(RobotId(id), bounds, &log, options).with_drive(None)).collect();
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let faults = options.run.channel.faults();
     let (keeper, life) = options.run.keeper(options.resolution)?;
     // The poses of a log are interpolated between scans: no course shows an error.
@@ -72,19 +77,16 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let fused = fleet.server().fused();
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
-    let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
+    let mut report = figures::report(&fleet, &map, options.run.seed, converged, bounds.own_tiles);
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let markers = figures::markers(&fleet);
     Ok(Outcome { report, map, markers, pictures: Vec::new(), tables: Vec::new() })
 }
 
-fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
+fn config(robot: RobotId, bounds: Bounds, log: &Log, options: &ReplayOptions) -> Config {
     let located = log.scans.iter().all(|scan| scan.pose.is_some());
     Config {
-        resolution: options.resolution,
-        // The option's bound is 65 m.
-        max_range: options.max_range.0.clamp(0, i32::from(u16::MAX)) as u16,
         boot_nonce: options.run.seed as u32 ^ u32::from(robot.0) << 16,
         pose_source: if located {
             PoseSource::Fixes
@@ -92,7 +94,7 @@ fn config(robot: RobotId, log: &Log, options: &ReplayOptions) -> Config {
             PoseSource::Odometry(Pose::default())
         },
         policy: options.policy.into(),
-        ..Config::new(robot, log.sensor.model())
+        ..Config::new(robot, log.sensor.model(), bounds)
     }
 }
 

@@ -3,7 +3,10 @@
 use std::collections::VecDeque;
 
 use ubimap_agent::drive::DriveCommand;
-use ubimap_protocol::{time::Instant, units::Pose};
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::Pose,
+};
 
 use super::{
     driving,
@@ -12,19 +15,31 @@ use super::{
 };
 use crate::{
     camera::{FrameSource, Source},
-    world::World,
+    world::{STEP, World},
 };
+
+/// A robot reads its wheels at 20 Hz.
+const ODOMETRY_INTERVAL: Duration = Duration::from_millis(50);
+
+/// When a robot reads its wheels first: on a real robot they are read when the scans are not, and
+/// when the drive makes no step.
+fn first_odometry(robot: usize) -> Instant {
+    let phases = ODOMETRY_INTERVAL.0 / STEP.0 - 1;
+    Instant((1 + robot as u64 * 3 % phases) * STEP.0)
+}
 
 /// A simulated room as a source of events.
 pub struct RoomStage {
     world: World,
     end: Instant,
-    next_odometry: Instant,
+    /// When each robot reads its wheels next.
+    next_odometry: Vec<Instant>,
+    next_track: Instant,
     waiting: VecDeque<Event>,
     /// Whether the cameras give frames, or observations of ideal cameras.
     is_filmed: bool,
-    /// Whether robots that have a route drive themselves.
-    is_driven: bool,
+    /// What wheels have been told and do not do yet, by time: when, and which robot's.
+    commands: VecDeque<(Instant, usize, DriveCommand)>,
     /// Where each robot really was, every [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
 }
@@ -33,9 +48,17 @@ impl RoomStage {
     /// The events of a world up to a moment, with ideal cameras: no frames are rendered, and what is
     /// in view is known.
     pub fn new(world: World, end: Instant) -> Self {
-        let tracks = vec![Vec::new(); world.robots().len()];
-        let (next_odometry, waiting) = (Instant(0), VecDeque::new());
-        Self { world, end, next_odometry, waiting, is_filmed: false, is_driven: false, tracks }
+        let robots = world.robots().len();
+        Self {
+            world,
+            end,
+            next_odometry: (0..robots).map(first_odometry).collect(),
+            next_track: Instant(0),
+            waiting: VecDeque::new(),
+            is_filmed: false,
+            commands: VecDeque::new(),
+            tracks: vec![Vec::new(); robots],
+        }
     }
 
     /// The same with the frames of RGB-D cameras.
@@ -50,7 +73,6 @@ impl RoomStage {
 
     /// Lets the robots that have a route drive themselves from now on.
     pub fn hand_over(&mut self) {
-        self.is_driven = true;
         for robot in 0..self.world.robots().len() {
             if self.world.robots()[robot].drives() {
                 self.world.tell_wheels(robot, 0.0, 0.0);
@@ -63,12 +85,35 @@ impl RoomStage {
         &self.world
     }
 
-    fn read_wheels(&mut self) {
-        for (index, robot) in self.world.robots().iter().enumerate() {
-            self.tracks[index].push(robot.truth());
-            self.waiting.push_back(Event::Odometry { robot: index, pose: robot.odometry() });
-            if self.is_driven && robot.drives() {
-                self.waiting.push_back(Event::Drive { robot: index });
+    /// Moves the world on. Wheels obey from the first step of the world that begins after they were
+    /// told.
+    fn advance(&mut self, now: Instant) {
+        let begins = |told: Instant| Instant(told.0.next_multiple_of(STEP.0));
+        while let Some(&(told, robot, command)) = self.commands.front()
+            && begins(told) <= now
+        {
+            self.world.advance(begins(told));
+            let (speed_m_s, turn_rad_s) = driving::wheels(command);
+            self.world.tell_wheels(robot, speed_m_s, turn_rad_s);
+            self.commands.pop_front();
+        }
+        self.world.advance(now);
+    }
+
+    fn follow_tracks(&mut self, now: Instant) {
+        if self.next_track <= now {
+            self.next_track = self.next_track + TRACK_INTERVAL;
+            let robots = self.tracks.iter_mut().zip(self.world.robots());
+            robots.for_each(|(track, robot)| track.push(robot.truth()));
+        }
+    }
+
+    fn read_wheels(&mut self, now: Instant) {
+        let robots = self.next_odometry.iter_mut().zip(self.world.robots()).enumerate();
+        for (robot, (next, simulated)) in robots {
+            if *next <= now {
+                *next = *next + ODOMETRY_INTERVAL;
+                self.waiting.push_back(Event::Odometry { robot, pose: simulated.odometry() });
             }
         }
     }
@@ -84,24 +129,20 @@ impl Stage for RoomStage {
         } else {
             Source::next_arrival(&self.world)
         };
-        let events = [Some(self.next_odometry), self.world.next_scan(), arrival];
-        events.into_iter().flatten().min().filter(|&next| next <= self.end)
+        let events = [Some(self.next_track), self.world.next_scan(), arrival];
+        let odometry = self.next_odometry.iter().copied();
+        events.into_iter().flatten().chain(odometry).min().filter(|&next| next <= self.end)
     }
 
     fn poll(&mut self, now: Instant) -> Option<Event> {
         if let Some(event) = self.waiting.pop_front() {
             return Some(event);
         }
-        self.world.advance(now);
-        if self.next_odometry <= now {
-            self.next_odometry = self.next_odometry + TRACK_INTERVAL;
-            self.read_wheels();
-        }
+        self.advance(now);
+        self.follow_tracks(now);
+        self.read_wheels(now);
         while let Some(scan) = self.world.poll_scan(now) {
-            // The wheels are read with each scan as well.
-            let robot = scan.robot;
-            self.waiting.push_back(Event::Odometry { robot, pose: scan.odometry });
-            self.waiting.push_back(Event::Scan { robot, readings: scan.readings_mm });
+            self.waiting.push_back(Event::Scan { robot: scan.robot, readings: scan.readings_mm });
         }
         if self.is_filmed {
             while let Some(frame) = FrameSource::poll(&mut self.world, now) {
@@ -116,8 +157,7 @@ impl Stage for RoomStage {
         self.waiting.pop_front()
     }
 
-    fn drive(&mut self, robot: usize, command: DriveCommand) {
-        let (speed_m_s, turn_rad_s) = driving::wheels(command);
-        self.world.tell_wheels(robot, speed_m_s, turn_rad_s);
+    fn drive(&mut self, moment: Instant, robot: usize, command: DriveCommand) {
+        self.commands.push_back((moment, robot, command));
     }
 }

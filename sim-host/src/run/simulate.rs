@@ -3,7 +3,7 @@
 use std::{path::Path, time};
 
 use image::RgbImage;
-use ubimap_agent::{Config, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, drive::Driving, sense::SensorModel};
 use ubimap_protocol::{
     tile::Cell,
     time::{Duration, Instant},
@@ -14,7 +14,8 @@ use super::{
     Outcome, RunError,
     driving::{self, BlindGround},
     figures,
-    fleet::{AgentMemory, FUSED_TILES, Fleet, OWN_TILES},
+    fleet::Fleet,
+    heap::BOUNDS,
     options::SimulateOptions,
     progress::Progress,
     record::{Recorded, Recording},
@@ -41,12 +42,13 @@ pub const RESOLUTION: Millimetres = Millimetres(50);
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let (scenario, world) = furnished(options)?;
-    let own_tiles = options.run.tiles.map_or(OWN_TILES, |tiles| tiles as usize);
-    let configs: Vec<Config> =
-        world.robots().iter().map(|robot| config(robot, options.run.seed)).collect();
-    let mut memory = memory(&world, &configs, own_tiles);
+    let configs = robots(options, &world);
+    let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
-    let deployment = Deployment::new(deployed(options, &scenario, &world), life)?;
+    let mut deployment = Deployment::new(deployed(options, &scenario, &world), life)?;
+    for config in configs.iter().filter(|config| config.drive.is_some()) {
+        deployment.explore(config.robot, true);
+    }
     let faults = options.run.channel.faults();
     let mut fleet = Fleet::new(&configs, &mut memory, faults, options.run.seed, deployment)?;
     if let Some(keeper) = keeper {
@@ -65,7 +67,6 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         RoomStage::filmed(world, end)
     };
     if !options.scripted {
-        driving::set_out(&mut fleet, stage.world(), options.motion);
         stage.hand_over();
     }
     let progress = Progress::new(end, options.run.json);
@@ -82,7 +83,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let stage = stage.finish()?;
 
     let map = time_lapse::grid(&fleet)?;
-    let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles);
+    let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles(options));
     report.truth = Some(scoring::score(&map, stage.world())?);
     report.pose = Some(scoring::pose_errors(&fleet, stage.tracks()));
     let sighted = scoring::sighting_errors(&fleet, stage.tracks());
@@ -113,6 +114,22 @@ fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
     }
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;
     Ok((scenario, world))
+}
+
+/// Tiles of its own that a robot keeps.
+fn own_tiles(options: &SimulateOptions) -> usize {
+    options.run.tiles.map_or(BOUNDS.own_tiles, |tiles| tiles as usize)
+}
+
+/// The configurations of a world's robots, which drive themselves unless they are scripted.
+fn robots(options: &SimulateOptions, world: &World) -> Vec<Config<Option<Driving>>> {
+    let robots = world.robots().iter().map(|robot| {
+        let driving = driving::driving(robot, options.motion).filter(|_| !options.scripted);
+        let mut config = config(robot, options.run.seed).with_drive(driving);
+        config.bounds.own_tiles = own_tiles(options);
+        config
+    });
+    robots.collect()
 }
 
 /// The deployment of a scenario. Ideal cameras give observations and no frames.
@@ -174,7 +191,7 @@ fn pictures(
     Ok(pictures)
 }
 
-/// The configuration of a simulated robot's agent.
+/// The configuration of a simulated robot that does not drive itself.
 pub fn config(robot: &SimRobot, seed: u64) -> Config {
     let sensor = robot.sensor();
     let model = match sensor.focal_px() {
@@ -186,22 +203,17 @@ pub fn config(robot: &SimRobot, seed: u64) -> Config {
             step: sensor.step_rad() as f32,
         },
     };
-    Config {
+    let bounds = Bounds {
+        readings: sensor.beams(),
         resolution: RESOLUTION,
         max_range: (sensor.max_range_m() * 1000.0).clamp(0.0, f64::from(u16::MAX)) as u16,
+        ..BOUNDS
+    };
+    Config {
         mounting: sensor.mount(),
         boot_nonce: seed as u32 ^ u32::from(robot.id().0) << 16,
-        ..Config::new(robot.id(), model)
+        ..Config::new(robot.id(), model, bounds)
     }
-}
-
-/// Memory for the agents of a world's robots, with so many tiles of their own.
-pub fn memory(world: &World, configs: &[Config], own_tiles: usize) -> Vec<AgentMemory> {
-    let robots = world.robots().iter().zip(configs);
-    let memory = robots.map(|(robot, config)| {
-        AgentMemory::new(config, robot.sensor().beams(), own_tiles, FUSED_TILES)
-    });
-    memory.collect()
 }
 
 /// The robots of a scenario.

@@ -6,7 +6,7 @@ use super::Server;
 use crate::mapping::{CameraTile, CureRecord, TileRecord};
 
 impl Server {
-    /// A state of a robot's tile to write, if the server has a store ([`Terms::stores`]). Call
+    /// A state of a robot's tile to write, if the server has a store (`stores` in its terms). Call
     /// [`Server::stored`] when it is on disk, or [`Server::store_failed`].
     #[must_use]
     pub fn poll_store(&mut self) -> Option<(RobotId, TileRecord)> {

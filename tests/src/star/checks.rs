@@ -5,49 +5,49 @@ use std::{
     iter, mem,
 };
 
-use ubimap_agent::Agent;
+use ubimap_agent::Robot;
 use ubimap_protocol::{
     link::Counters,
     tile::{Layer, Stamp, TILE_SIDE, Tile, TileId, tile_hash},
 };
 use ubimap_sim_host::mapping::{SeenTile, Sight, clear, fuse, hollow};
 
-use super::{Robot, Star};
+use super::{Member, Star};
 
 impl<'b> Star<'b> {
     /// Why not all hold the same yet; `None` if they do.
     pub fn behind(&self) -> Option<String> {
-        self.robots.iter().find_map(|robot| {
-            let agent = robot.agent.as_ref()?;
-            let why = self.behind_at(robot, agent)?;
-            Some(format!("robot {}: {why}", robot.id.0))
+        self.members.iter().find_map(|member| {
+            let robot = member.robot.as_ref()?;
+            let why = self.behind_at(member, robot)?;
+            Some(format!("robot {}: {why}", member.id.0))
         })
     }
 
-    fn behind_at(&self, robot: &Robot<'b>, agent: &Agent<'b>) -> Option<String> {
-        if !agent.is_connected() || self.server.robot_at(robot.port) != Some(robot.id) {
+    fn behind_at(&self, member: &Member<'b>, robot: &Robot<'b>) -> Option<String> {
+        if !robot.is_connected() || self.server.robot_at(member.port) != Some(member.id) {
             return Some(format!(
                 "no session, port {} has {:?}",
-                robot.port,
-                self.server.robot_at(robot.port)
+                member.port,
+                self.server.robot_at(member.port)
             ));
         }
-        if self.server.state(robot.id).is_none() {
+        if self.server.state(member.id).is_none() {
             // An old hello may have opened the session: then the robot speaks in another one.
             return Some("the server has heard nothing of it in this session".into());
         }
-        if !agent.is_idle() {
-            let dirty: Vec<_> = agent.own_tiles().tiles().filter(|tile| tile.is_dirty()).collect();
+        if !robot.is_idle() {
+            let dirty: Vec<_> = robot.own_tiles().tiles().filter(|tile| tile.is_dirty()).collect();
             let dirty: Vec<_> =
                 dirty.iter().map(|tile| (tile.id(), tile.publication().is_ready())).collect();
             return Some(format!("it has more to tell: {dirty:?}"));
         }
-        if !self.server.is_level(robot.id) {
+        if !self.server.is_level(member.id) {
             return Some("the server has more to tell it".into());
         }
-        for tile in agent.own_tiles().tiles() {
+        for tile in robot.own_tiles().tiles() {
             let stamp = Stamp { epoch: tile.epoch(), version: tile.publication().version() };
-            let layer = self.server.layer(robot.id);
+            let layer = self.server.layer(member.id);
             let held = layer.zip(tile.id()).and_then(|(layer, id)| layer.held(id, tile.epoch()));
             let hash = tile_hash(tile.publication().sent());
             if held.is_none_or(|(held, cells)| held != stamp || tile_hash(cells) != hash) {
@@ -59,7 +59,7 @@ impl<'b> Star<'b> {
             }
         }
         let epoch = self.server.epoch();
-        for (id, replica) in agent.fused_tiles().tiles(Layer::Fused) {
+        for (id, replica) in robot.fused_tiles().tiles(Layer::Fused) {
             let newest = self.server.fused().get(id);
             let same = newest.is_some_and(|(version, cells)| {
                 replica.stamp() == Stamp { epoch, version }
@@ -74,38 +74,38 @@ impl<'b> Star<'b> {
                 ));
             }
         }
-        self.missing_at(agent).map(|id| format!("it lacks the fused {id:?}"))
+        self.missing_at(robot).map(|id| format!("it lacks the fused {id:?}"))
     }
 
     /// A fused tile that a robot wants and does not hold.
-    fn missing_at(&self, agent: &Agent<'b>) -> Option<TileId> {
-        let window = agent.fused_tiles().interest()?;
+    fn missing_at(&self, robot: &Robot<'b>) -> Option<TileId> {
+        let window = robot.fused_tiles().interest()?;
         let mut wanted = self.server.fused().within(&window);
         wanted.find_map(|(id, ..)| {
-            (!agent.fused_tiles().tiles(Layer::Fused).any(|(held, _)| held == id)).then_some(id)
+            (!robot.fused_tiles().tiles(Layer::Fused).any(|(held, _)| held == id)).then_some(id)
         })
     }
 
     /// A tile of a robot's own that it holds acknowledged and does not know to be stored.
     pub fn unstored(&self) -> Option<String> {
         self.disk.as_ref()?;
-        self.robots.iter().find_map(|robot| {
-            let mut tiles = robot.agent.as_ref()?.own_tiles().tiles();
+        self.members.iter().find_map(|member| {
+            let mut tiles = member.robot.as_ref()?.own_tiles().tiles();
             let tile = tiles.find(|tile| tile.stored() != tile.publication().version())?;
             let (stored, version) = (tile.stored(), tile.publication().version());
-            let robot = robot.id.0;
+            let robot = member.id.0;
             Some(format!("{:?} of robot {robot}: {stored:?} of {version:?} is stored", tile.id()))
         })
     }
 
     /// When a robot holds every fused tile that it wants, as new as the server's. `None` before
     /// it wants any.
-    pub fn holds_its_window(&self, robot: usize) -> Option<bool> {
-        let agent = self.robots[robot].agent.as_ref()?;
-        let window = agent.fused_tiles().interest()?;
+    pub fn holds_its_window(&self, member: usize) -> Option<bool> {
+        let robot = self.members[member].robot.as_ref()?;
+        let window = robot.fused_tiles().interest()?;
         let epoch = self.server.epoch();
         let level = self.server.fused().within(&window).all(|(id, version, cells)| {
-            let mut held = agent.fused_tiles().tiles(Layer::Fused).filter(|(held, _)| *held == id);
+            let mut held = robot.fused_tiles().tiles(Layer::Fused).filter(|(held, _)| *held == id);
             held.any(|(_, replica)| {
                 let newest = replica.stamp() == Stamp { epoch, version };
                 newest && !replica.is_partial() && replica.tile() == cells
@@ -116,15 +116,15 @@ impl<'b> Star<'b> {
 
     /// Bytes of frames with tiles of robots so far, and frames sent again.
     pub fn effort(&self) -> Vec<(u64, u32)> {
-        let agents = self.robots.iter().filter_map(|robot| robot.agent.as_ref());
-        agents
-            .map(|agent| (agent.statistics().bytes_sent_map, agent.link_counters().retransmissions))
+        let robots = self.members.iter().filter_map(|member| member.robot.as_ref());
+        robots
+            .map(|robot| (robot.statistics().bytes_sent_map, robot.link_counters().retransmissions))
             .collect()
     }
 
     /// What must hold at any moment.
     pub(super) fn check(&mut self) {
-        self.check_agents();
+        self.check_robots();
         if mem::take(&mut self.server_changed) {
             self.check_layers();
             self.check_acknowledged();
@@ -137,10 +137,10 @@ impl<'b> Star<'b> {
     fn check_layers(&mut self) {
         let seconds = (self.server_now().micros() / 1_000_000) as u32 + 1;
         let mut changed = BTreeSet::new();
-        for robot in &self.robots {
-            let Some(layer) = self.server.layer(robot.id) else { continue };
+        for member in &self.members {
+            let Some(layer) = self.server.layer(member.id) else { continue };
             for (id, seen) in layer.tiles() {
-                let before = self.checked.layers.entry((robot.id, id));
+                let before = self.checked.layers.entry((member.id, id));
                 let before = before.or_insert(SeenTile::NOTHING);
                 if before.tile == seen.tile {
                     assert!(before.seconds == seen.seconds, "a time without a change: {id:?}");
@@ -151,7 +151,7 @@ impl<'b> Star<'b> {
                 let known = |tile: &Tile, y: usize| tile.row(y).known();
                 let kept =
                     (0..TILE_SIDE).all(|y| known(&before.tile, y) & !known(&seen.tile, y) == 0);
-                assert!(kept, "{:?} of robot {} has forgotten cells", id, robot.id.0);
+                assert!(kept, "{:?} of robot {} has forgotten cells", id, member.id.0);
                 *before = seen.clone();
                 changed.insert(id);
             }
@@ -178,10 +178,9 @@ impl<'b> Star<'b> {
     /// What all robots' layers make of a tile. The cameras of these runs see robots, and no cells.
     fn whole(&self, id: TileId) -> Tile {
         let server = &self.server;
-        let layers = self
-            .robots
-            .iter()
-            .filter_map(|robot| Some((server.weight(robot.id), server.layer(robot.id)?.seen(id)?)));
+        let layers = self.members.iter().filter_map(|member| {
+            Some((server.weight(member.id), server.layer(member.id)?.seen(id)?))
+        });
         let layers: Vec<_> = layers.collect();
         fuse(&SeenTile::NOTHING, &layers, server.map_time())
     }
@@ -194,21 +193,21 @@ impl<'b> Star<'b> {
 
     /// What the robot believes to be acknowledged is.
     fn check_acknowledged(&self) {
-        for robot in &self.robots {
-            let Some(agent) = &robot.agent else { continue };
+        for member in &self.members {
+            let Some(robot) = &member.robot else { continue };
             // A welcome of the server's life before may come late.
-            if agent.server_epoch() != Some(self.server.epoch()) || !agent.is_connected() {
+            if robot.server_epoch() != Some(self.server.epoch()) || !robot.is_connected() {
                 continue;
             }
-            let Some(layer) = self.server.layer(robot.id) else { continue };
-            for tile in agent.own_tiles().tiles().filter(|it| it.publication().is_acknowledged()) {
+            let Some(layer) = self.server.layer(member.id) else { continue };
+            for tile in robot.own_tiles().tiles().filter(|it| it.publication().is_acknowledged()) {
                 let held = tile.id().and_then(|id| layer.held(id, tile.epoch()));
                 let version = tile.publication().version();
                 assert!(
                     held.is_some_and(|(stamp, _)| stamp.version >= version),
                     "{:?} of robot {} at {version:?} is acknowledged, the server holds {:?}",
                     tile.id(),
-                    robot.id.0,
+                    member.id.0,
                     held.map(|(stamp, _)| stamp)
                 );
             }
@@ -224,17 +223,17 @@ impl<'b> Star<'b> {
         }
     }
 
-    fn check_agents(&mut self) {
-        for robot in &mut self.robots {
-            let Some(agent) = &robot.agent else { continue };
+    fn check_robots(&mut self) {
+        for member in &mut self.members {
+            let Some(robot) = &member.robot else { continue };
             if let Some(disk) = &self.disk {
-                disk.check_robot(robot.id, agent.own_tiles(), &mut robot.own);
+                disk.check_robot(member.id, robot.own_tiles(), &mut member.own);
             }
-            let (now, link) = (agent.statistics(), agent.link_counters());
-            let (before, link_before) = mem::replace(&mut robot.last, (now, link));
+            let (now, link) = (robot.statistics(), robot.link_counters());
+            let (before, link_before) = mem::replace(&mut member.last, (now, link));
             check_counters(link_before, link);
             assert_eq!((now.unknown_messages, now.malformed_messages), (0, 0));
-            assert_eq!(now.bytes_sent, robot.up.bytes() - robot.bytes_at_boot);
+            assert_eq!(now.bytes_sent, member.up.bytes() - member.bytes_at_boot);
             assert!(now.bytes_sent_map <= now.bytes_sent && now.bytes_sent >= before.bytes_sent);
             let settled = now.mapped + now.gated + now.shaken + now.unsure + now.expired;
             assert!((settled..=settled + 4).contains(&now.scans), "{now:?}");

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_agent::{Agent, Config, Statistics};
+use ubimap_agent::{Config, Memory, Robot, Statistics};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MAX_FRAME},
     link::{Counters, Terms},
@@ -19,7 +19,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     mapping::SeenTile,
-    run::fleet::AgentMemory,
+    run::heap::Heap,
     server::{Command, CommandError, Server},
 };
 
@@ -32,7 +32,7 @@ const MOST_ROUNDS: u32 = 2_000;
 
 /// One robot, in whichever of its lives.
 #[derive(Debug)]
-pub struct Robot<'b> {
+pub struct Member<'b> {
     /// Its number.
     pub id: RobotId,
     /// Where it is plugged in at the server.
@@ -41,7 +41,7 @@ pub struct Robot<'b> {
     pub up: Way,
     /// To the robot.
     pub down: Way,
-    agent: Option<Agent<'b>>,
+    robot: Option<Robot<'b>>,
     /// When it booted, and what its clock showed.
     booted: (Instant, u64),
     bytes_at_boot: u64,
@@ -50,7 +50,7 @@ pub struct Robot<'b> {
     own: Held,
 }
 
-impl<'b> Robot<'b> {
+impl<'b> Member<'b> {
     /// A robot that is not there yet.
     pub fn new(id: RobotId, port: usize) -> Self {
         Self {
@@ -58,7 +58,7 @@ impl<'b> Robot<'b> {
             port,
             up: Way::new(Direction::ToServer),
             down: Way::new(Direction::ToRobot),
-            agent: None,
+            robot: None,
             booted: (Instant(0), 0),
             bytes_at_boot: 0,
             last: Default::default(),
@@ -66,9 +66,9 @@ impl<'b> Robot<'b> {
         }
     }
 
-    /// Its agent, once it has booted.
-    pub fn agent(&self) -> Option<&Agent<'b>> {
-        self.agent.as_ref()
+    /// The robot itself, once it has booted.
+    pub fn robot(&self) -> Option<&Robot<'b>> {
+        self.robot.as_ref()
     }
 
     fn local(&self, now: Instant) -> Instant {
@@ -91,7 +91,7 @@ pub struct Star<'b> {
     /// When the server started, and what its clock showed.
     started: (Instant, u64),
     /// The robots.
-    pub robots: Vec<Robot<'b>>,
+    pub members: Vec<Member<'b>>,
     now: Instant,
     frame: Vec<u8>,
     rng: ChaCha8Rng,
@@ -116,7 +116,7 @@ impl<'b> Star<'b> {
             terms,
             ports,
             started: (Instant(0), 0),
-            robots: Vec::new(),
+            members: Vec::new(),
             now: Instant(0),
             frame: vec![0; MAX_FRAME],
             rng: ChaCha8Rng::seed_from_u64(seed),
@@ -139,22 +139,21 @@ impl<'b> Star<'b> {
     ///
     /// # Errors
     /// Every [`CommandError`].
-    pub fn command(&mut self, robot: usize, command: Command) -> Result<(), CommandError> {
-        let done = self.server.command(self.robots[robot].id, command);
+    pub fn command(&mut self, member: usize, command: Command) -> Result<(), CommandError> {
+        let done = self.server.command(self.members[member].id, command);
         self.drain();
         done
     }
 
     /// A robot boots, for the first time or anew, with fresh memory.
-    pub fn boot(&mut self, robot: usize, config: Config, life: &'b mut AgentMemory) {
+    pub fn boot(&mut self, member: usize, config: Config, life: &'b mut Memory<Heap>) {
         let start = self.rng.random_range(0..600_000_000);
-        let robot = &mut self.robots[robot];
-        let agent = Agent::new(config, life.lend());
-        robot.agent = Some(agent.expect("the configuration is good"));
-        robot.booted = (self.now, start);
-        robot.last = Default::default();
-        robot.own.clear();
-        robot.bytes_at_boot = robot.up.bytes();
+        let member = &mut self.members[member];
+        member.robot = Some(Robot::new(config, life).expect("the configuration is good"));
+        member.booted = (self.now, start);
+        member.last = Default::default();
+        member.own.clear();
+        member.bytes_at_boot = member.up.bytes();
     }
 
     /// The server is killed and starts anew, with a new epoch: from its disk, and then with the
@@ -177,47 +176,47 @@ impl<'b> Star<'b> {
     }
 
     /// A robot is plugged in elsewhere; what is under way is lost.
-    pub fn move_to_port(&mut self, robot: usize, port: usize) {
-        let robot = &mut self.robots[robot];
-        robot.port = port;
-        robot.up.lose_all();
-        robot.down.lose_all();
+    pub fn move_to_port(&mut self, member: usize, port: usize) {
+        let member = &mut self.members[member];
+        member.port = port;
+        member.up.lose_all();
+        member.down.lose_all();
     }
 
     /// Bytes that nobody sent arrive at the server or at a robot.
-    pub fn garbage(&mut self, robot: usize, direction: Direction) {
+    pub fn garbage(&mut self, member: usize, direction: Direction) {
         let len = self.rng.random_range(1..400);
         let bytes: Vec<u8> =
             (0..len).map(|_| self.rng.random::<u8>() & self.rng.random::<u8>()).collect();
-        self.inject(robot, direction, &bytes);
+        self.inject(member, direction, &bytes);
     }
 
     /// An earlier frame arrives once more.
-    pub fn replay(&mut self, robot: usize, direction: Direction) {
+    pub fn replay(&mut self, member: usize, direction: Direction) {
         let way = match direction {
-            Direction::ToServer => &self.robots[robot].up,
-            Direction::ToRobot => &self.robots[robot].down,
+            Direction::ToServer => &self.members[member].up,
+            Direction::ToRobot => &self.members[member].down,
         };
         if way.remembered.is_empty() {
             return;
         }
         let index = self.rng.random_range(0..way.remembered.len());
         let frame = way.remembered[index].clone();
-        self.inject(robot, direction, &frame);
+        self.inject(member, direction, &frame);
     }
 
-    fn inject(&mut self, robot: usize, direction: Direction, bytes: &[u8]) {
+    fn inject(&mut self, member: usize, direction: Direction, bytes: &[u8]) {
         let server_now = self.server_now();
-        let robot = &mut self.robots[robot];
+        let member = &mut self.members[member];
         match direction {
             Direction::ToServer => {
-                self.server.receive(robot.port, bytes, server_now).expect("there is such a port");
+                self.server.receive(member.port, bytes, server_now).expect("there is such a port");
                 self.server_changed = true;
             }
             Direction::ToRobot => {
-                let local = robot.local(self.now);
-                if let Some(agent) = &mut robot.agent {
-                    agent.receive(bytes, local);
+                let local = member.local(self.now);
+                if let Some(robot) = &mut member.robot {
+                    robot.receive(bytes, local);
                 }
             }
         }
@@ -226,24 +225,24 @@ impl<'b> Star<'b> {
     }
 
     /// A robot reads its odometry and takes a scan.
-    pub fn scan(&mut self, robot: usize, pose: Option<Pose>, readings: &[u16]) {
-        let robot = &mut self.robots[robot];
-        let local = robot.local(self.now);
-        let Some(agent) = &mut robot.agent else { return };
+    pub fn scan(&mut self, member: usize, pose: Option<Pose>, readings: &[u16]) {
+        let member = &mut self.members[member];
+        let local = member.local(self.now);
+        let Some(robot) = &mut member.robot else { return };
         if let Some(pose) = pose {
-            agent.odometry(local, pose, local);
+            robot.odometry(local, pose, local);
         }
-        // Full queues are counted by the agent.
-        let _ = agent.scan(local, readings, local);
+        // Full queues are counted by the robot.
+        let _ = robot.scan(local, readings, local);
         self.drain();
     }
 
     /// The cameras see a robot.
-    pub fn fix(&mut self, robot: usize, pose: Pose) {
-        let robots = vec![Sighting::usual(self.robots[robot].id, pose)];
+    pub fn fix(&mut self, member: usize, pose: Pose) {
+        let robots = vec![Sighting::usual(self.members[member].id, pose)];
         let captured = self.server_now();
         self.server.observe(&Observation {
-            camera: robot,
+            camera: member,
             captured,
             robots,
             ..Observation::default()
@@ -275,12 +274,12 @@ impl<'b> Star<'b> {
 
     fn next_due(&self) -> Option<Instant> {
         let server_now = self.server_now();
-        let robots = self.robots.iter().flat_map(|robot| {
-            let agent = robot.agent.as_ref();
+        let robots = self.members.iter().flat_map(|member| {
+            let robot = member.robot.as_ref();
             [
-                robot.up.next_delivery(),
-                robot.down.next_delivery(),
-                agent.map(|agent| robot.global(agent.poll_timeout())),
+                member.up.next_delivery(),
+                member.down.next_delivery(),
+                robot.map(|robot| member.global(robot.poll_timeout())),
             ]
         });
         let ports = (0..self.ports).map(|port| {
@@ -295,9 +294,9 @@ impl<'b> Star<'b> {
     /// For messages: who wants to come back, and when.
     fn who_is_due(&self) -> String {
         let server_now = self.server_now();
-        let robots = self.robots.iter().map(|robot| {
-            let due = robot.agent.as_ref().map(|agent| robot.global(agent.poll_timeout()));
-            format!("robot {} at {due:?}", robot.id.0)
+        let robots = self.members.iter().map(|member| {
+            let due = member.robot.as_ref().map(|robot| member.global(robot.poll_timeout()));
+            format!("robot {} at {due:?}", member.id.0)
         });
         let ports = (0..self.ports).map(|port| {
             let due = self.server.poll_timeout(port, server_now);
@@ -309,19 +308,19 @@ impl<'b> Star<'b> {
 
     fn deliver(&mut self) {
         let server_now = self.server_now();
-        for robot in &mut self.robots {
-            while let Some(bytes) = robot.up.poll(self.now) {
-                self.server.receive(robot.port, &bytes, server_now).expect("there is such a port");
+        for member in &mut self.members {
+            while let Some(bytes) = member.up.poll(self.now) {
+                self.server.receive(member.port, &bytes, server_now).expect("there is such a port");
                 self.server_changed = true;
             }
-            let local = robot.local(self.now);
-            while let Some(bytes) = robot.down.poll(self.now) {
-                if let Some(agent) = &mut robot.agent {
-                    agent.receive(&bytes, local);
+            let local = member.local(self.now);
+            while let Some(bytes) = member.down.poll(self.now) {
+                if let Some(robot) = &mut member.robot {
+                    robot.receive(&bytes, local);
                 }
             }
-            if let Some(agent) = &mut robot.agent {
-                agent.timeout(local);
+            if let Some(robot) = &mut member.robot {
+                robot.timeout(local);
             }
         }
         self.server.timeout(server_now);
@@ -329,22 +328,22 @@ impl<'b> Star<'b> {
 
     fn drain(&mut self) {
         let server_now = self.server_now();
-        for robot in &mut self.robots {
-            let local = robot.local(self.now);
-            let Some(agent) = &mut robot.agent else { continue };
+        for member in &mut self.members {
+            let local = member.local(self.now);
+            let Some(robot) = &mut member.robot else { continue };
             let out = &mut self.frame[..DEFAULT_FRAME];
             let mut frames = 0;
-            while let Some(len) = agent.poll_transmit(local, out) {
-                robot.up.send(self.now, &out[..len]);
+            while let Some(len) = robot.poll_transmit(local, out) {
+                member.up.send(self.now, &out[..len]);
                 frames += 1;
-                assert!(frames < MOST_ROUNDS, "robot {} never stops sending", robot.id.0);
+                assert!(frames < MOST_ROUNDS, "robot {} never stops sending", member.id.0);
             }
         }
         for port in 0..self.ports {
             let mut frames = 0;
             while let Some(len) = self.server.poll_transmit(port, server_now, &mut self.frame) {
-                if let Some(robot) = self.robots.iter_mut().find(|robot| robot.port == port) {
-                    robot.down.send(self.now, &self.frame[..len]);
+                if let Some(member) = self.members.iter_mut().find(|member| member.port == port) {
+                    member.down.send(self.now, &self.frame[..len]);
                 }
                 frames += 1;
                 assert!(frames < MOST_ROUNDS, "port {port} never stops sending");

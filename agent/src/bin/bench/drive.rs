@@ -6,9 +6,9 @@ use cortex_m::singleton;
 use ubimap_agent::{
     drive::{
         Follower, GroundRow, MAX_POINTS, Motion, Mover, NearPoints, Place, PlanError, Planner,
-        PlanningWindow, Progress, SIDE, Sight, Target, WindowInputs,
+        PlanningWindow, Progress, SIDE, Seen, Sight, Target, WindowInputs,
     },
-    sense::Beam,
+    sense::{Beam, SensorModel, Validity, fill_beams},
 };
 use ubimap_protocol::{
     tile::Row,
@@ -16,7 +16,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
-use super::{RESOLUTION, counter::Bench};
+use super::{counter::Bench, planes::BOUNDS};
 
 /// Rooms of 64 x 64 cells in which a robot of 30 cm goes from one corner to the other.
 #[derive(Clone, Copy, PartialEq)]
@@ -79,9 +79,8 @@ impl Scene {
 /// find what it should.
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
-    let planner = singleton!(: Option<Planner> = None)?.get_or_insert_with(Planner::default);
-    let window =
-        singleton!(: Option<PlanningWindow> = None)?.get_or_insert_with(PlanningWindow::default);
+    let planner = singleton!(: Planner = Planner::EMPTY)?;
+    let window = singleton!(: PlanningWindow = PlanningWindow::EMPTY)?;
     let size = size_of::<Planner>() + size_of::<PlanningWindow>();
     cortex_m_semihosting::hprintln!("{:>12}  bytes of a planner and its window", size);
     let (start, goal) = (Place { x: 5, y: 5 }, Place { x: 58, y: 58 });
@@ -108,10 +107,10 @@ pub(super) fn run(bench: &mut Bench) -> Option<()> {
 /// The window of a scene, its south-western corner the map's origin.
 fn fill(scene: Scene, window: &mut PlanningWindow) {
     let near = NearPoints::default();
-    let middle = Millimetres(SIDE as i32 / 2 * RESOLUTION.0);
+    let middle = Millimetres(SIDE as i32 / 2 * BOUNDS.resolution.0);
     let view = WindowInputs {
         pose: Pose { x: middle, y: middle, ..Pose::default() },
-        resolution: RESOLUTION,
+        resolution: BOUNDS.resolution,
         level: 0,
         radius: 150,
         near: &near,
@@ -143,9 +142,15 @@ fn plan(
 fn follow(bench: &mut Bench, window: &mut PlanningWindow) -> Option<()> {
     fill(Scene::Empty, window);
     let mut beams = [Beam::default(); MAX_POINTS];
-    let model = ubimap_agent::sense::SensorModel::Radial { first: -3.1, step: 6.2 / 64.0 };
-    ubimap_agent::sense::fill_beams(&mut beams, model, Pose::default());
-    let near = NearPoints::of_scan(&beams, &[450; MAX_POINTS], Pose::default(), Instant(1));
+    let model = SensorModel::Radial { first: -3.1, step: 6.2 / 64.0 };
+    fill_beams(&mut beams, model, Pose::default());
+    let near = NearPoints::of_scan(&Seen {
+        taken: Instant(1),
+        readings: &[450; MAX_POINTS],
+        beams: &beams,
+        validity: Validity::default(),
+        mounting: Pose::default(),
+    });
     let person = |x: i32| Mover {
         x: Millimetres(x),
         y: Millimetres(3_100),

@@ -1,4 +1,4 @@
-//! Instruction counts of the agent's stages: `cargo instructions`.
+//! Instruction counts of a robot's stages: `cargo instructions`.
 //!
 //! It needs QEMU with `-icount shift=0`, where every instruction takes one nanosecond of the
 //! emulated clock, and semihosting to print its table. It counts instructions, not cycles: the
@@ -25,14 +25,15 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::hprintln;
 use counter::Bench;
 use ending::end;
-use planes::{MAX_RANGE, PIXELS, POSE, RESOLUTION, local_map, rows};
+use planes::{BOUNDS, PIXELS, POSE, local_map, rows};
 // For its table of interrupt vectors.
 use stm32f4xx_hal as _;
 use ubimap_agent::{
-    Agent, Config, Memory,
-    map::{OwnTile, RowSighting, Surround, scratch_words},
-    sense::{Beam, SensorModel, fill_beams},
-    share::{FusedMap, FusedTile, Publisher},
+    Config, Memory, Robot, Slices, Storage,
+    map::Surround,
+    memory,
+    sense::{SensorModel, fill_beams},
+    share::{FusedMap, Publisher},
 };
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, SessionId, payload_capacity},
@@ -49,57 +50,46 @@ const WALL: u16 = 3_000;
 /// Boxes before it: from column, to column, depth.
 const BOXES: [(usize, usize, u16); 2] = [(150, 270, 1_200), (400, 500, 1_900)];
 
-/// Places for tiles: more than a row touches.
-const OWN_TILES: usize = 12;
-const FUSED_TILES: usize = 9;
-
 #[entry]
 fn main() -> ! {
-    static mut BEAMS: [Beam; PIXELS] = [Beam::NONE; PIXELS];
-    static mut WAITING: [u16; PIXELS] = [0; _];
-    static mut SCRATCH: [RowSighting; scratch_words(MAX_RANGE, RESOLUTION)] =
-        [RowSighting { free: 0, hit: 0 }; _];
-    static mut OWN: [OwnTile; OWN_TILES] = [OwnTile::FREE; _];
-    static mut FUSED: [FusedTile; FUSED_TILES] = [FusedTile::FREE; _];
+    static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
 
-    let memory =
-        Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: FUSED };
     let core = Peripherals::take();
-    end(core.and_then(|core| run(&mut Bench::new(core.SYST), memory)))
+    end(core.and_then(|core| run(&mut Bench::new(core.SYST), MEMORY)))
 }
 
 /// The table. `None` if a stage did not do what it is there for.
-fn run(bench: &mut Bench, mut memory: Memory<'_>) -> Option<()> {
+fn run(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     hprintln!("{:>12}  stage", "instructions");
-    fill_beams(memory.beams, sensor(), Pose::default());
+    fill_beams(memory.slices().beams, sensor(), Pose::default());
 
     let wall = [WALL; PIXELS];
     let mut readings = wall;
-    rows(bench, &mut memory, sensor(), "a row of 640 to planes: a wall", &readings)?;
+    rows(bench, memory.slices(), sensor(), "a row of 640 to planes: a wall", &readings)?;
     for (from, to, depth) in BOXES {
         readings.get_mut(from..to)?.fill(depth);
     }
-    rows(bench, &mut memory, sensor(), "a row of 640 to planes: two boxes before it", &readings)?;
+    rows(
+        bench,
+        memory.slices(),
+        sensor(),
+        "a row of 640 to planes: two boxes before it",
+        &readings,
+    )?;
 
     sense::run(bench, &wall, &readings)?;
 
     let mut frame = [0; DEFAULT_FRAME];
-    let len = publish(bench, &mut memory, &readings, &mut frame)?;
+    let len = publish(bench, memory.slices(), &readings, &mut frame)?;
     coder::run(bench, frame.get(..len)?)?;
-    vector::of_row(bench, memory.beams, &readings)?;
+    vector::of_row(bench, memory.slices().beams, &readings)?;
     vector::of_image(bench)?;
     locate::run(bench)?;
     drive::run(bench)?;
-    standing::run(bench, reborrowed(&mut memory), sensor(), &readings)?;
+    standing::run(bench, memory, sensor(), &readings)?;
     receive(bench, memory)?;
     memory::run();
     Some(())
-}
-
-/// The same memory for one stage.
-fn reborrowed<'m>(memory: &'m mut Memory<'_>) -> Memory<'m> {
-    let Memory { beams, waiting, scratch, own, fused } = memory;
-    Memory { beams, waiting, scratch, own, fused }
 }
 
 fn sensor() -> SensorModel {
@@ -109,7 +99,7 @@ fn sensor() -> SensorModel {
 /// A first message of the scene's tiles: as many as fit a frame. Its length.
 fn publish(
     bench: &mut Bench,
-    memory: &mut Memory<'_>,
+    memory: Slices<'_>,
     readings: &[u16],
     payload: &mut [u8],
 ) -> Option<usize> {
@@ -125,35 +115,35 @@ fn publish(
     Some(writer.len())
 }
 
-/// A frame with a pose fix, and the three before it, from bytes to the agent's pose.
+/// A frame with a pose fix, and the three before it, from bytes to the robot's pose.
 #[inline(never)]
-fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
-    let mut agent = Agent::new(Config::new(RobotId(1), sensor()), memory).ok()?;
+fn receive(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
+    let mut robot = Robot::new(Config::new(RobotId(1), sensor(), BOUNDS), memory).ok()?;
     let mut server = Endpoint::<ToRobot, (), 1, DEFAULT_FRAME>::new();
     let mut frame = [0; DEFAULT_FRAME];
     let mut now = Instant(0);
 
-    let len = agent.poll_transmit(now, &mut frame)?;
+    let len = robot.poll_transmit(now, &mut frame)?;
     let Some(Received::Handshake(message)) = server.receive(&mut frame.get(..len)?, now) else {
         return None;
     };
     let hello = message.decode::<Hello>().ok()?;
     let terms = Terms {
-        resolution: RESOLUTION,
+        resolution: BOUNDS.resolution,
         frame: DEFAULT_FRAME as u16,
         server_epoch: 1,
         stores: false,
     };
     let Answer::Welcome(welcome) = answer(&hello, &terms, SessionId(1), 1) else { return None };
     let len = server.handshake(&welcome, &mut frame)?;
-    agent.receive(frame.get(..len)?, now);
+    robot.receive(frame.get(..len)?, now);
     server.begin(welcome.session, DEFAULT_FRAME);
 
     // The clocks agree: the first request has the nonce 0.
-    agent.poll_transmit(now, &mut frame)?;
+    robot.poll_transmit(now, &mut frame)?;
     let reply = TimeReply { nonce: 0, received: now, held_micros: 0 };
     let len = datagram(&mut server, &reply, &mut frame, now)?;
-    agent.receive(frame.get(..len)?, now);
+    robot.receive(frame.get(..len)?, now);
 
     // Each time three of four are known, as at 15 Hz without a loss.
     for count in 1..=5u64 {
@@ -165,12 +155,12 @@ fn receive(bench: &mut Bench, memory: Memory<'_>) -> Option<()> {
         let bytes = frame.get(..len)?;
         if count == 5 {
             let name = format_args!("a frame of {} bytes with a pose fix, received", bytes.len());
-            bench.measure(name, || agent.receive(black_box(bytes), now));
+            bench.measure(name, || robot.receive(black_box(bytes), now));
         } else {
-            agent.receive(bytes, now);
+            robot.receive(bytes, now);
         }
     }
-    (agent.statistics().fixes == 5 && agent.pose() == Some((now, POSE))).then_some(())
+    (robot.statistics().fixes == 5 && robot.pose() == Some((now, POSE))).then_some(())
 }
 
 /// A frame with one message. Its length.

@@ -1,13 +1,13 @@
-//! Bytes of memory that an agent takes, by its bounds: the same on every 32-bit machine.
+//! Bytes of memory that a robot takes, by its bounds: the same on every 32-bit machine.
 
 use cortex_m_semihosting::hprintln;
-use ubimap_agent::{Bounds, LINK_STATE, map::OwnTile, share::FusedTile};
+use ubimap_agent::{Bounds, LINK_STATE, Robot, map::OwnTile, share::FusedTile};
 
 /// The lines of this file's table.
 pub(crate) fn run() {
     for (name, bounds) in [("default bounds", Bounds::DEFAULT), ("small bounds", Bounds::SMALL)] {
-        let (all, tiles) = (bounds.bytes(), bounds.tile_bytes());
-        hprintln!("{:>12}  bytes of an agent, {}", all, name);
+        let (all, tiles) = (size_of::<Robot<'_>>() + bounds.memory_bytes(), bounds.tile_bytes());
+        hprintln!("{:>12}  bytes of a robot, {}", all, name);
         hprintln!("{:>12}  bytes of it that are not tiles, {}", all - tiles, name);
     }
     hprintln!("{:>12}  bytes of a tile of its own", size_of::<OwnTile>());

@@ -3,7 +3,7 @@
 use core::hint::black_box;
 
 use ubimap_agent::{
-    Memory,
+    Bounds, Slices,
     map::{LocalMap, MappingConfig, OwnTile, Policy, Pool, RowSighting, Surround},
     sense::{Beam, SensorModel, Validity, WaitingScans},
 };
@@ -16,9 +16,9 @@ use crate::counter::Bench;
 
 /// Pixels of a depth row (Aluckal II.D).
 pub(crate) const PIXELS: usize = 640;
-/// The range that is mapped, in millimetres, and the cells.
-pub(crate) const MAX_RANGE: u16 = 4_000;
-pub(crate) const RESOLUTION: Millimetres = Millimetres(50);
+/// More tiles than a row touches.
+pub(crate) const BOUNDS: Bounds =
+    Bounds { readings: PIXELS, waiting: 1, own_tiles: 12, fused_tiles: 9, ..Bounds::DEFAULT };
 /// Where the rows are taken: along no axis.
 pub(crate) const POSE: Pose =
     Pose { x: Millimetres(310), y: Millimetres(-170), heading: Angle(5_000) };
@@ -30,7 +30,7 @@ pub(crate) fn local_map<'m>(
     scratch: &'m mut [RowSighting],
     own: &'m mut [OwnTile],
 ) -> LocalMap<'m> {
-    let (resolution, max_range, mounting) = (RESOLUTION, MAX_RANGE, Pose::default());
+    let (resolution, max_range, mounting) = (BOUNDS.resolution, BOUNDS.max_range, Pose::default());
     let (validity, policy) = (Validity::of(sensor), Policy::default());
     // In a square within a quarter of the range.
     let near = 703;
@@ -38,11 +38,11 @@ pub(crate) fn local_map<'m>(
     LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 
-/// A row of a frame to evidence planes, as the agent takes it: copied, sorted out, drawn, counted.
+/// A row of a frame to evidence planes, as a robot takes it: copied, sorted out, drawn, counted.
 /// And the same row once more.
 pub(crate) fn rows(
     bench: &mut Bench,
-    memory: &mut Memory<'_>,
+    memory: Slices<'_>,
     sensor: SensorModel,
     scene: impl core::fmt::Display,
     readings: &[u16; PIXELS],

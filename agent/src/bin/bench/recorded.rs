@@ -23,34 +23,24 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::hprintln;
 use counter::Bench;
 use ending::end;
-use planes::{MAX_RANGE, PIXELS, RESOLUTION, rows};
+use planes::{BOUNDS, PIXELS, rows};
 use port::Port;
 use ubimap_agent::{
-    Memory,
-    map::{OwnTile, RowSighting, scratch_words},
-    sense::{Beam, SensorModel, fill_beams},
+    Memory, Storage, memory,
+    sense::{SensorModel, fill_beams},
 };
 use ubimap_protocol::units::Pose;
 
-/// Places for tiles: more than a row touches.
-const OWN_TILES: usize = 16;
-
 #[entry]
 fn main() -> ! {
-    static mut BEAMS: [Beam; PIXELS] = [Beam::NONE; PIXELS];
-    static mut WAITING: [u16; PIXELS] = [0; _];
-    static mut SCRATCH: [RowSighting; scratch_words(MAX_RANGE, RESOLUTION)] =
-        [RowSighting { free: 0, hit: 0 }; _];
-    static mut OWN: [OwnTile; OWN_TILES] = [OwnTile::FREE; _];
+    static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
 
-    let memory =
-        Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: &mut [] };
     let core = Peripherals::take();
-    end(core.and_then(|core| run(&mut Bench::new(core.SYST), &mut Port::open()?, memory)))
+    end(core.and_then(|core| run(&mut Bench::new(core.SYST), &mut Port::open()?, MEMORY)))
 }
 
 /// The table. `None` if a row was not mapped.
-fn run(bench: &mut Bench, port: &mut Port, mut memory: Memory<'_>) -> Option<()> {
+fn run(bench: &mut Bench, port: &mut Port, memory: &mut Memory<impl Storage>) -> Option<()> {
     // Bytes that come before the port is open are lost: who sends them waits for this line.
     hprintln!("{:>12}  stage", "instructions");
     let mut number = 0;
@@ -59,11 +49,11 @@ fn run(bench: &mut Bench, port: &mut Port, mut memory: Memory<'_>) -> Option<()>
         let sensor = SensorModel::Pinhole { focal, centre: f32::from_bits(port.word()) };
         let mut readings = [0; PIXELS];
         readings.iter_mut().for_each(|reading| *reading = port.half_word());
-        fill_beams(memory.beams, sensor, Pose::default());
+        fill_beams(memory.slices().beams, sensor, Pose::default());
         number += 1;
         rows(
             bench,
-            &mut memory,
+            memory.slices(),
             sensor,
             format_args!("a recorded row of {PIXELS} to planes: {number}"),
             &readings,

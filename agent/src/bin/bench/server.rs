@@ -1,5 +1,5 @@
-//! The server that an agent's stack is measured with. It has an own frame for what it says, and
-//! none of it is inlined: its stack is not the agent's.
+//! The server that a robot's stack is measured with. It has an own frame for what it says, and
+//! none of it is inlined: its stack is not the robot's.
 
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, SessionId},

@@ -1,7 +1,7 @@
-//! Bytes of the stack that an agent takes, itself included: `cargo stack`, and on a Cortex-M0+
+//! Bytes of the stack that a robot takes, itself included: `cargo stack`, and on a Cortex-M0+
 //! `cargo stack-m0`. It is painted before each stage of a drive with a scripted server.
 //!
-//! Nothing is formatted here, so that the image holds no panic but those of the agent.
+//! Nothing is formatted here, so that the image holds no panic but those of the robot.
 #![no_std]
 #![no_main]
 
@@ -17,12 +17,7 @@ use server::Server;
 // For its table of interrupt vectors.
 #[cfg(feature = "firmware")]
 use stm32f4xx_hal as _;
-use ubimap_agent::{
-    Agent, Bounds, Config, Memory,
-    map::{OwnTile, RowSighting},
-    sense::{Beam, SensorModel},
-    share::FusedTile,
-};
+use ubimap_agent::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
 use ubimap_protocol::{
     frame::DEFAULT_FRAME,
     message::ToRobotKind,
@@ -52,7 +47,7 @@ enum Stage {
 
 /// The names of the stages, by their index.
 const NAMES: [&str; 15] = [
-    "a new agent",
+    "a new robot",
     "a frame to send",
     "odometry and a scan",
     "a welcome",
@@ -122,22 +117,16 @@ impl Depths {
 
 #[entry]
 fn main() -> ! {
-    static mut BEAMS: [Beam; BOUNDS.readings] = [Beam::NONE; _];
-    static mut WAITING: [u16; BOUNDS.readings * BOUNDS.waiting] = [0; _];
-    static mut SCRATCH: [RowSighting; BOUNDS.scratch()] = [RowSighting { free: 0, hit: 0 }; _];
-    static mut OWN: [OwnTile; BOUNDS.own_tiles] = [OwnTile::FREE; _];
-    static mut FUSED: [FusedTile; BOUNDS.fused_tiles] = [FusedTile::FREE; _];
+    static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
     // What is measured with, and not to be measured.
     static mut SERVER: Option<Server> = None;
     static mut DEPTHS: Depths = Depths([0; _]);
 
-    let memory =
-        Memory { beams: BEAMS, waiting: WAITING, scratch: SCRATCH, own: OWN, fused: FUSED };
     paint();
-    match &mut Agent::new(config(), memory) {
-        Ok(agent) => {
+    match &mut Robot::new(config(), MEMORY) {
+        Ok(robot) => {
             DEPTHS.note(Stage::Made);
-            end(drive(agent, Server::begin(SERVER), DEPTHS).and_then(|()| DEPTHS.print()))
+            end(drive(robot, Server::begin(SERVER), DEPTHS).and_then(|()| DEPTHS.print()))
         }
         Err(_) => end(None),
     }
@@ -146,16 +135,12 @@ fn main() -> ! {
 fn config() -> Config {
     let centre = (BOUNDS.readings - 1) as f32 / 2.0;
     let focal = BOUNDS.readings as f32 * 0.617;
-    Config {
-        resolution: BOUNDS.resolution,
-        max_range: BOUNDS.max_range,
-        ..Config::new(RobotId(1), SensorModel::Pinhole { focal, centre })
-    }
+    Config::new(RobotId(1), SensorModel::Pinhole { focal, centre }, BOUNDS)
 }
 
-/// Drives along a hall, with fixes at 15 Hz. `None` if the agent did not do what it should.
+/// Drives along a hall, with fixes at 15 Hz. `None` if the robot did not do what it should.
 #[inline(never)]
-fn drive(agent: &mut Agent<'_>, server: &mut Server, depths: &mut Depths) -> Option<()> {
+fn drive(robot: &mut Robot<'_>, server: &mut Server, depths: &mut Depths) -> Option<()> {
     let mut readings = [0; BOUNDS.readings];
     for count in 1..=SCANS {
         let now = Instant(count * INTERVAL.0);
@@ -163,45 +148,45 @@ fn drive(agent: &mut Agent<'_>, server: &mut Server, depths: &mut Depths) -> Opt
             server.forget();
         }
         if let Some(reset) = server.reset() {
-            depths.measure(Stage::Welcomed, || agent.receive(reset, now));
+            depths.measure(Stage::Welcomed, || robot.receive(reset, now));
         }
-        talk(agent, server, depths, now)?;
+        talk(robot, server, depths, now)?;
         let pose = pose(count);
         look(&mut readings, count);
         depths.measure(Stage::Mapped, || {
-            agent.odometry(now, pose, now);
+            robot.odometry(now, pose, now);
             // Where there is no session, scans wait in vain and there is no room for more.
-            let _ = agent.scan(now, &readings, now);
+            let _ = robot.scan(now, &readings, now);
         });
         for kind in told(count) {
-            let interest = agent.fused_tiles().interest();
+            let interest = robot.fused_tiles().interest();
             let Some(frame) = server.say(kind, count, pose, interest, now) else { continue };
-            depths.measure(Stage::Told(kind), || agent.receive(frame, now));
+            depths.measure(Stage::Told(kind), || robot.receive(frame, now));
         }
     }
-    let done = agent.statistics();
-    let held = agent.fused_tiles().tiles(Layer::Fused).count();
+    let done = robot.statistics();
+    let held = robot.fused_tiles().tiles(Layer::Fused).count();
     let well = done.mapped > 100 && done.sessions == 2 && held > 0 && done.malformed_messages == 0;
-    (well && agent.link_counters().retransmissions > 0).then_some(())
+    (well && robot.link_counters().retransmissions > 0).then_some(())
 }
 
-/// All that the agent has to send, and the answers to it.
+/// All that the robot has to send, and the answers to it.
 #[inline(never)]
 fn talk(
-    agent: &mut Agent<'_>,
+    robot: &mut Robot<'_>,
     server: &mut Server,
     depths: &mut Depths,
     now: Instant,
 ) -> Option<()> {
     let mut frame = [0; DEFAULT_FRAME];
-    while let Some(len) = depths.measure(Stage::Sent, || agent.poll_transmit(now, &mut frame)) {
+    while let Some(len) = depths.measure(Stage::Sent, || robot.poll_transmit(now, &mut frame)) {
         server.hear(frame.get(..len)?, now);
         if let Some(welcome) = server.welcome() {
-            depths.measure(Stage::Welcomed, || agent.receive(welcome, now));
+            depths.measure(Stage::Welcomed, || robot.receive(welcome, now));
         }
         if let Some(reply) = server.reply(now) {
             let told = Stage::Told(ToRobotKind::TimeReply);
-            depths.measure(told, || agent.receive(reply, now));
+            depths.measure(told, || robot.receive(reply, now));
         }
     }
     Some(())

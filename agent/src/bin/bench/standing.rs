@@ -1,38 +1,38 @@
-//! A robot that stands still and sees what it saw: the whole agent, from the readings on.
+//! A robot that stands still and sees what it saw: the whole robot, from the readings on.
 
 use core::hint::black_box;
 
-use ubimap_agent::{Agent, Config, Memory, locate::PoseSource, sense::SensorModel};
+use ubimap_agent::{Config, Memory, Robot, Storage, locate::PoseSource, sense::SensorModel};
 use ubimap_protocol::{
     time::Instant,
     units::{Pose, RobotId},
 };
 
-use super::counter::Bench;
+use super::{counter::Bench, planes::BOUNDS};
 
 /// A first scan is mapped; the next ones, with their odometry, are not. `None` if it goes otherwise.
 ///
-/// Not inlined, nor are other stages with an agent: their frames would add up.
+/// Not inlined, nor are other stages with a robot: their frames would add up.
 #[inline(never)]
 pub(super) fn run(
     bench: &mut Bench,
-    memory: Memory<'_>,
+    memory: &mut Memory<impl Storage>,
     sensor: SensorModel,
     readings: &[u16],
 ) -> Option<()> {
     let pose_source = PoseSource::Odometry(Pose::default());
-    let config = Config { pose_source, ..Config::new(RobotId(1), sensor) };
-    let mut agent = Agent::new(config, memory).ok()?;
+    let config = Config { pose_source, ..Config::new(RobotId(1), sensor, BOUNDS) };
+    let mut robot = Robot::new(config, memory).ok()?;
     for frame in 1..=3u64 {
         let now = Instant(frame * 66_667);
-        agent.odometry(now, Pose::default(), now);
-        let mut scan = || agent.scan(now, black_box(readings), now);
+        robot.odometry(now, Pose::default(), now);
+        let mut scan = || robot.scan(now, black_box(readings), now);
         match frame {
             3 => bench.measure("a row of 640 from a robot that stands and sees no change", scan),
             _ => scan(),
         }
         .ok()?;
     }
-    let count = agent.statistics();
+    let count = robot.statistics();
     (count.mapped == 1 && count.gated == 2).then_some(())
 }

@@ -12,7 +12,7 @@ use ubimap_protocol::{
 };
 
 use super::*;
-use crate::sense::{Beam, SensorModel, fill_beams};
+use crate::sense::{Beam, SensorModel, Validity, fill_beams};
 
 /// The side of a cell, of the room's drawing and of the map, in millimetres.
 const CELL: f64 = 50.0;
@@ -143,15 +143,21 @@ struct Simulation {
     heard: Instant,
     near: NearPoints,
     map: Vec<Row>,
-    driver: Box<Driver>,
+    driver: Box<Driver<'static>>,
     told: Vec<Reason>,
     /// The way driven, in millimetres.
     way: f64,
 }
 
-fn config() -> Config {
+fn config() -> Driving {
     let motion = Motion { radius: RADIUS as u16, ..Motion::default() };
-    Config { motion, explore_covered: true, ..Config::default() }
+    Driving { motion, explore_covered: true, ..Driving::default() }
+}
+
+/// A driver for the rest of the test.
+fn driver() -> Box<Driver<'static>> {
+    let workspace = Box::leak(Box::new(Workspace::EMPTY));
+    Box::new(Driver::new(config(), Millimetres(CELL as i32), workspace))
 }
 
 impl Simulation {
@@ -174,7 +180,7 @@ impl Simulation {
             heard: Instant(1_000_000),
             near: NearPoints::default(),
             map: vec![Row::default(); ROWS * COLUMNS],
-            driver: Box::new(Driver::new(config())),
+            driver: driver(),
             told: Vec::new(),
             way: 0.0,
         };
@@ -254,7 +260,13 @@ impl Simulation {
                 *reading = range.max(1.0) as u16;
             }
         }
-        self.near = NearPoints::of_scan(&beams, &readings, Pose::default(), self.now);
+        self.near = NearPoints::of_scan(&Seen {
+            taken: self.now,
+            readings: &readings,
+            beams: &beams,
+            validity: Validity::default(),
+            mounting: Pose::default(),
+        });
     }
 
     fn step(&mut self) {

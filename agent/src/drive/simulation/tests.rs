@@ -273,7 +273,7 @@ proptest! {
             any::<(i16, i16, u16, bool)>(), any::<(u32, u32)>(), 0..6u8, any::<(i32, i32)>(),
         ), 1..60),
     ) {
-        let mut driver = Box::new(Driver::new(config()));
+        let mut driver = driver();
         let pose = |(x, y, heading): (i32, i32, u16)| {
             Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) }
         };
@@ -290,7 +290,13 @@ proptest! {
             fill_beams(&mut beams, model, Pose::default());
             let readings = [radius; 70];
             let mounting = pose(odometry);
-            let near = NearPoints::of_scan(&beams, &readings, mounting, now);
+            let near = NearPoints::of_scan(&Seen {
+                taken: now,
+                readings: &readings,
+                beams: &beams,
+                validity: Validity::default(),
+                mounting,
+            });
             let health = Health {
                 now,
                 heard: Some(now),

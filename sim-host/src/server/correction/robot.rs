@@ -25,7 +25,7 @@ const IN_VIEW: Search = Search {
     turn: Angle(2_600),
     prior: Prior::Measured(Millimetres(25)),
 };
-/// Minimum interval between processed distance vectors of a robot; agents send one per second.
+/// Minimum interval between processed distance vectors of a robot; robots send one per second.
 const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 
 /// The result of a distance vector.

@@ -8,7 +8,7 @@ use ubimap_protocol::{
     time::Instant,
 };
 
-/// Maximum number of waiting replies of one kind; a working agent causes far fewer.
+/// Maximum number of waiting replies of one kind; a working robot causes far fewer.
 const MAX_WAITING: usize = 256;
 
 /// Replies waiting to be sent.

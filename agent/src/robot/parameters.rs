@@ -1,4 +1,4 @@
-//! What the server may ask of the robot's configuration, and change while it runs.
+//! What the server may ask of the robot's settings, and change while it runs.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -11,10 +11,8 @@ use ubimap_protocol::{
     units::{Angle, Millimetres},
 };
 
-use crate::{
-    config::Config,
-    sense::{Exposure, Removal},
-};
+use super::settings::Settings;
+use crate::sense::{Exposure, Removal};
 
 /// The parameters by number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,18 +98,18 @@ impl Parameter {
         }
     }
 
-    fn value(self, config: &Config) -> ParameterValue {
+    fn value(self, settings: &Settings) -> ParameterValue {
         let millis = |span: Duration| (span.micros().min(60_000_000) as u32 / 1_000) as i32;
-        let [.., pixels, bearings] = config.removed;
+        let [.., pixels, bearings] = settings.removed;
         let value = match self {
-            Self::MountingX => config.mounting.x.0,
-            Self::MountingY => config.mounting.y.0,
-            Self::MountingHeading => i32::from(config.mounting.heading.0),
-            Self::GateDistance => config.gate.distance.0,
-            Self::GateTurn => i32::from(config.gate.turn.0),
-            Self::Hold => millis(config.hold),
-            Self::ScanDeadline => millis(config.scan_deadline),
-            Self::FirstEpoch => config.first_epoch.0 as i32,
+            Self::MountingX => settings.mounting.x.0,
+            Self::MountingY => settings.mounting.y.0,
+            Self::MountingHeading => i32::from(settings.mounting.heading.0),
+            Self::GateDistance => settings.gate.distance.0,
+            Self::GateTurn => i32::from(settings.gate.turn.0),
+            Self::Hold => millis(settings.hold),
+            Self::ScanDeadline => millis(settings.scan_deadline),
+            Self::FirstEpoch => settings.first_epoch.0 as i32,
             Self::RemovedPixels => match pixels {
                 Some(Removal::Pixels { first, last }) => value_of(first, last),
                 _ => NONE,
@@ -121,36 +119,36 @@ impl Parameter {
                 _ => NONE,
             },
             Self::RemovedDistances => {
-                let (from, to) = config.validity.removed;
+                let (from, to) = settings.validity.removed;
                 value_of(from, to)
             }
-            Self::Exposure => value_of(config.exposure.darkest, config.exposure.brightest),
+            Self::Exposure => value_of(settings.exposure.darkest, settings.exposure.brightest),
         };
         ParameterValue { parameter: self as u16, value }
     }
 
-    fn set(self, config: &mut Config, value: i32) {
+    fn set(self, settings: &mut Settings, value: i32) {
         let span = Duration::from_millis(value.max(0) as u64);
         let (upper, lower) = halves(value);
         let removed = |removal| (value != NONE).then_some(removal);
-        let [.., pixels, bearings] = &mut config.removed;
+        let [.., pixels, bearings] = &mut settings.removed;
         match self {
-            Self::MountingX => config.mounting.x = Millimetres(value),
-            Self::MountingY => config.mounting.y = Millimetres(value),
-            Self::MountingHeading => config.mounting.heading = Angle(value as u16),
-            Self::GateDistance => config.gate.distance = Millimetres(value),
-            Self::GateTurn => config.gate.turn = Angle(value as u16),
-            Self::Hold => config.hold = span,
-            Self::ScanDeadline => config.scan_deadline = span,
-            Self::FirstEpoch => config.first_epoch = Epoch(value as u32),
+            Self::MountingX => settings.mounting.x = Millimetres(value),
+            Self::MountingY => settings.mounting.y = Millimetres(value),
+            Self::MountingHeading => settings.mounting.heading = Angle(value as u16),
+            Self::GateDistance => settings.gate.distance = Millimetres(value),
+            Self::GateTurn => settings.gate.turn = Angle(value as u16),
+            Self::Hold => settings.hold = span,
+            Self::ScanDeadline => settings.scan_deadline = span,
+            Self::FirstEpoch => settings.first_epoch = Epoch(value as u32),
             Self::RemovedPixels => {
                 *pixels = removed(Removal::Pixels { first: upper, last: lower });
             }
             Self::RemovedBearings => {
                 *bearings = removed(Removal::Bearings { from: Angle(upper), to: Angle(lower) });
             }
-            Self::RemovedDistances => config.validity.removed = (upper, lower),
-            Self::Exposure => config.exposure = Exposure { darkest: upper, brightest: lower },
+            Self::RemovedDistances => settings.validity.removed = (upper, lower),
+            Self::Exposure => settings.exposure = Exposure { darkest: upper, brightest: lower },
         }
     }
 }
@@ -163,8 +161,8 @@ pub(crate) struct Answer {
     untold: &'static [Parameter],
 }
 
-/// Carries out a command on a configuration.
-pub(crate) fn carry_out(command: &ParameterCommand, config: &mut Config) -> Answer {
+/// Carries out a command.
+pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> Answer {
     let mut outcome = ParameterOutcome::Done;
     let number = command.number;
     let wanted = match command.action {
@@ -175,7 +173,7 @@ pub(crate) fn carry_out(command: &ParameterCommand, config: &mut Config) -> Answ
             if let Some(wanted) = wanted.first() {
                 let (least, most) = wanted.range();
                 if (least..=most).contains(&value) {
-                    wanted.set(config, value);
+                    wanted.set(settings, value);
                 } else {
                     outcome = ParameterOutcome::OutOfRange;
                 }
@@ -195,7 +193,7 @@ const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 /// `false` if there is none.
 pub(crate) fn push_report(
     answer: &mut Option<Answer>,
-    config: &Config,
+    settings: &Settings,
     writer: &mut Writer<'_, ToServer>,
 ) -> bool {
     let Some(Answer { number, outcome, untold }) = answer else { return false };
@@ -203,7 +201,7 @@ pub(crate) fn push_report(
         let mut values = Vec::new();
         for parameter in untold.iter().take(count) {
             // There is room for all of them: checked above at compile time.
-            let _ = values.push(parameter.value(config));
+            let _ = values.push(parameter.value(settings));
         }
         ParameterReport { number: *number, outcome: *outcome, values }
     });
@@ -218,11 +216,12 @@ pub(crate) fn push_report(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sense::SensorModel;
+    use crate::{Bounds, Config, sense::SensorModel};
     use ubimap_protocol::{message::Messages, units::RobotId};
 
-    fn config() -> Config {
-        Config::new(RobotId(1), SensorModel::Radial { first: 0.0, step: 0.1 })
+    fn settings() -> Settings {
+        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
+        Settings::from(&Config::new(RobotId(1), sensor, Bounds::SMALL))
     }
 
     fn set(parameter: u16, value: i32) -> ParameterCommand {
@@ -232,49 +231,49 @@ mod tests {
 
     #[test]
     fn every_parameter_reads_back_what_was_set() {
-        let mut config = config();
+        let mut settings = settings();
         for &parameter in Parameter::ALL {
             let (least, most) = parameter.range();
             for value in [most, least.max(0), most / 3] {
-                let answer = carry_out(&set(parameter as u16, value), &mut config);
+                let answer = carry_out(&set(parameter as u16, value), &mut settings);
                 let told = (answer.outcome, answer.untold);
                 assert_eq!(told, (ParameterOutcome::Done, &[parameter][..]));
                 assert_eq!(
-                    parameter.value(&config),
+                    parameter.value(&settings),
                     ParameterValue { parameter: parameter as u16, value }
                 );
             }
         }
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
-        assert_eq!(carry_out(&list, &mut config).untold, Parameter::ALL);
+        assert_eq!(carry_out(&list, &mut settings).untold, Parameter::ALL);
     }
 
     #[test]
     fn what_was_removed_comes_back_and_what_the_robot_removes_itself_stays() {
-        let mut config = config();
+        let mut settings = settings();
         let own = Some(Removal::Pixels { first: 3, last: 4 });
-        config.removed[0] = own;
+        settings.removed[0] = own;
         for (parameter, value) in [(9, 0x0007_0009), (10, -0x0007_0009), (9, -1), (10, -1)] {
-            carry_out(&set(parameter, value), &mut config);
+            carry_out(&set(parameter, value), &mut settings);
         }
-        assert_eq!(config.removed, [own, None, None, None]);
-        carry_out(&set(9, 0x0007_0009), &mut config);
-        carry_out(&set(10, 0xFFF0_0010u32 as i32), &mut config);
+        assert_eq!(settings.removed, [own, None, None, None]);
+        carry_out(&set(9, 0x0007_0009), &mut settings);
+        carry_out(&set(10, 0xFFF0_0010u32 as i32), &mut settings);
         let pixels = Removal::Pixels { first: 7, last: 9 };
         let bearings = Removal::Bearings { from: Angle(0xFFF0), to: Angle(0x10) };
-        assert_eq!(config.removed, [own, None, Some(pixels), Some(bearings)]);
+        assert_eq!(settings.removed, [own, None, Some(pixels), Some(bearings)]);
     }
 
     #[test]
     fn a_report_that_is_too_long_for_a_frame_comes_in_parts() {
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
-        let mut config = config();
-        let mut answer = Some(carry_out(&list, &mut config));
+        let mut settings = settings();
+        let mut answer = Some(carry_out(&list, &mut settings));
         let mut numbers = std::vec::Vec::new();
         for _ in 0..Parameter::ALL.len() {
             let mut frame = [0; 24];
             let mut writer = Writer::new(&mut frame);
-            if !push_report(&mut answer, &config, &mut writer) {
+            if !push_report(&mut answer, &settings, &mut writer) {
                 break;
             }
             let len = writer.len();
@@ -288,7 +287,7 @@ mod tests {
 
     #[test]
     fn what_is_out_of_range_or_unknown_changes_nothing() {
-        let mut changed = config();
+        let mut changed = settings();
         for &parameter in Parameter::ALL {
             let (least, most) = parameter.range();
             let beyond = [least.wrapping_sub(1), most.wrapping_add(1), i32::MIN, i32::MAX];
@@ -298,6 +297,6 @@ mod tests {
             }
         }
         assert_eq!(carry_out(&set(99, 0), &mut changed).outcome, ParameterOutcome::Unknown);
-        assert_eq!(changed, config());
+        assert_eq!(changed, settings());
     }
 }

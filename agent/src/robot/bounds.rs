@@ -1,33 +1,34 @@
-//! What the memory of an agent comes to, by bounds that are chosen at compile time.
+//! How much a robot keeps.
 
 use ubimap_protocol::units::Millimetres;
 
 use crate::{
-    agent::Agent,
     map::{OwnTile, RowSighting, scratch_words},
     sense::Beam,
     share::FusedTile,
 };
 
-/// How much an agent can keep: the lengths of its [`Memory`](crate::Memory).
+/// How much a robot keeps. A [`Config`](crate::Config) and its [`Memory`](crate::Memory) are made
+/// from the same bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
-    /// Readings of a scan.
+    /// Readings in a scan.
     pub readings: usize,
-    /// Scans that can wait for their poses.
+    /// Scans that can wait for their poses, 1 to 8.
     pub waiting: usize,
-    /// Tiles of its own.
+    /// Tiles in the pool of the robot's own layer. A scan of 4 m touches at most 21 tiles of 5 cm
+    /// cells.
     pub own_tiles: usize,
-    /// Fused tiles.
+    /// Tiles of the server's map; the largest square that fits is the window around the robot.
     pub fused_tiles: usize,
-    /// What is mapped of a scan, in millimetres.
+    /// The radial range that is mapped, in millimetres.
     pub max_range: u16,
-    /// The side of the map's cells.
+    /// The side of the map's cells; the server's must be the same.
     pub resolution: Millimetres,
 }
 
 impl Bounds {
-    /// A depth camera's row of 640 pixels, and a chip like the reference board's.
+    /// A depth camera's row of 640 pixels, 4 m of range: 62 kB.
     pub const DEFAULT: Self = Self {
         readings: 640,
         waiting: 2,
@@ -37,12 +38,12 @@ impl Bounds {
         resolution: Millimetres(50),
     };
 
-    /// A row of 100 pixels, and the firmware of the reference board: as far as a pool of eight
+    /// The firmware of the reference board: a row of 100 pixels, and the range that a pool of eight
     /// tiles holds, in a window of 4 x 4.
     pub const REFERENCE: Self =
         Self { readings: 100, own_tiles: 8, fused_tiles: 16, max_range: 2_000, ..Self::DEFAULT };
 
-    /// A row of 64 pixels, and a Cortex-M0+.
+    /// A row of 64 pixels, for a Cortex-M0+: 17 kB.
     pub const SMALL: Self =
         Self { readings: 64, own_tiles: 8, fused_tiles: 12, max_range: 2_000, ..Self::DEFAULT };
 
@@ -56,10 +57,9 @@ impl Bounds {
         self.own_tiles * size_of::<OwnTile>() + self.fused_tiles * size_of::<FusedTile>()
     }
 
-    /// Bytes of everything: an [`Agent`] and its memory.
-    pub const fn bytes(&self) -> usize {
-        size_of::<Agent<'_>>()
-            + self.readings * (size_of::<Beam>() + self.waiting * size_of::<u16>())
+    /// Bytes of the [`Memory`](crate::Memory) of a robot without a drive.
+    pub const fn memory_bytes(&self) -> usize {
+        self.readings * (size_of::<Beam>() + self.waiting * size_of::<u16>())
             + self.scratch() * size_of::<RowSighting>()
             + self.tile_bytes()
     }
@@ -68,10 +68,6 @@ impl Bounds {
 // The same on every machine of 32 bits.
 #[cfg(target_pointer_width = "32")]
 const _: () = {
-    let default = Bounds::DEFAULT;
-    assert!(default.bytes() <= 62 * 1024);
-    assert!(default.bytes() - default.tile_bytes() <= 12 * 1024);
-    assert!(Bounds::SMALL.bytes() <= 18 * 1024);
     assert!(size_of::<OwnTile>() <= 768);
     assert!(size_of::<FusedTile>() <= 400);
 };

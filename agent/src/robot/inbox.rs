@@ -1,72 +1,64 @@
-//! What the server says: each message to the part of the agent that it is for.
+//! What the server says: each message to the part of the robot that it is for.
 
 use ubimap_protocol::{
     link::ClockSync,
     message::{
-        Digests, Encoded, EventCode, FixSource, Message, Messages, ParameterCommand, PoseFix,
-        Refusal, Request, Stored, ToRobot, ToRobotMessage, Welcome,
+        Digests, Encoded, EventCode, FixSource, Messages, ParameterAction, ParameterCommand,
+        PoseFix, Request, Stored, ToRobot, ToRobotMessage, Welcome,
     },
-    tile::Layer,
+    tile::{Epoch, Layer},
     time::Instant,
-    units::Pose,
 };
 
-use crate::{
-    locate::{FixError, FixOutcome, Locator},
-    map::LocalMap,
-    share::{Commands, Events, FusedMap, Publisher},
-    statistics::Statistics,
+use super::{
+    mapper::{Mapper, point_beams},
+    parameters::carry_out,
 };
+use crate::locate::{FixError, FixOutcome};
 
-/// A message of the handshake.
-pub(super) enum Knock {
-    Welcome(Welcome),
-    Refusal(Refusal),
-    Reset,
-}
-
-impl Knock {
-    pub(super) fn parse(message: Message<'_, ToRobot>) -> Option<Self> {
-        match message.by_kind()? {
-            ToRobotMessage::Welcome(welcome) => Some(Self::Welcome(welcome.decode().ok()?)),
-            ToRobotMessage::Refusal(refusal) => Some(Self::Refusal(refusal.decode().ok()?)),
-            ToRobotMessage::Reset(_) => Some(Self::Reset),
-            _ => None,
+impl Mapper<'_> {
+    /// A session has begun, with the server of the last one or with another.
+    pub(super) fn begin_session(&mut self, welcome: &Welcome, same_server: bool, now: Instant) {
+        self.statistics.sessions = self.statistics.sessions.wrapping_add(1);
+        if !same_server {
+            // Another life of the server has another clock: moments of the last one mean nothing.
+            self.clock = ClockSync::default();
+            self.commands.forget();
+            self.latest_pose = None;
         }
+        let pool = &mut self.map.pool;
+        pool.begin_session(welcome.stores, same_server);
+        pool.start_epochs_at(Epoch(welcome.first_epoch));
+        let is_first = self.statistics.sessions == 1;
+        self.outbox.begin_session(pool, same_server, is_first, now);
+        self.fused.begin_session(Epoch(welcome.server_epoch));
     }
-}
 
-/// The parts of an agent that messages of a session go to.
-pub(super) struct Inbox<'a, 'b> {
-    pub(super) clock: &'a mut ClockSync,
-    pub(super) locator: &'a mut Locator,
-    pub(super) latest_pose: &'a mut Option<(Instant, Pose)>,
-    pub(super) fused: &'a mut FusedMap<'b>,
-    pub(super) commands: &'a mut Commands,
-    /// A command about parameters, to be carried out when the frame has been read.
-    pub(super) command: &'a mut Option<ParameterCommand>,
-    pub(super) map: &'a mut LocalMap<'b>,
-    pub(super) publisher: &'a mut Publisher,
-    pub(super) events: &'a mut Events,
-    pub(super) statistics: &'a mut Statistics,
-}
-
-impl Inbox<'_, '_> {
+    /// Takes the messages of a frame.
     pub(super) fn take(&mut self, messages: Messages<'_, ToRobot>, now: Instant) {
+        let mut command = None;
         for message in messages.map_while(Result::ok) {
             let Some(message) = message.by_kind() else {
                 self.statistics.unknown_messages = self.statistics.unknown_messages.wrapping_add(1);
                 continue;
             };
-            if self.one(message, now).is_none() {
-                self.statistics.malformed_messages =
-                    self.statistics.malformed_messages.wrapping_add(1);
+            if self.take_one(message, &mut command, now).is_none() {
+                self.statistics.malformed();
             }
+        }
+        if let Some(command) = command {
+            self.configure(&command);
         }
     }
 
+    /// Takes a message; a command about parameters is carried out when the frame has been read.
     /// `None` if the message cannot be read.
-    fn one(&mut self, message: ToRobotMessage<'_>, now: Instant) -> Option<()> {
+    fn take_one(
+        &mut self,
+        message: ToRobotMessage<'_>,
+        command: &mut Option<ParameterCommand>,
+        now: Instant,
+    ) -> Option<()> {
         match message {
             // The link has taken it.
             ToRobotMessage::Ack(_) => {}
@@ -84,7 +76,7 @@ impl Inbox<'_, '_> {
             | ToRobotMessage::Obstacles(_)
             | ToRobotMessage::Path(_)
             | ToRobotMessage::Stop(_) => self.commands.take(message)?,
-            ToRobotMessage::Parameter(command) => *self.command = Some(command.decode().ok()?),
+            ToRobotMessage::Parameter(told) => *command = Some(told.decode().ok()?),
             ToRobotMessage::Stored(stored) => self.stored(stored)?,
             ToRobotMessage::Digests(digests) => self.compare(digests)?,
             ToRobotMessage::Freshness(freshness) => {
@@ -105,14 +97,14 @@ impl Inbox<'_, '_> {
     fn requested(&mut self, request: &Request, now: Instant) {
         let pool = &mut self.map.pool;
         if request.tiles.is_empty() {
-            self.publisher.requested(pool, None, now);
+            self.outbox.publisher.requested(pool, None, now);
         }
         for &tile in &request.tiles {
-            self.publisher.requested(pool, Some(tile), now);
+            self.outbox.publisher.requested(pool, Some(tile), now);
         }
     }
 
-    // Long messages are not decoded in `one`, where they would add to the stack of every other.
+    // Long messages are not decoded in `take_one`, where they would add to the stack of every other.
     #[inline(never)]
     fn stored(&mut self, stored: Encoded<'_, Stored>) -> Option<()> {
         for &(id, stamp) in &stored.decode().ok()?.tiles {
@@ -132,7 +124,7 @@ impl Inbox<'_, '_> {
     }
 
     fn fix(&mut self, message: &PoseFix, now: Instant) {
-        let count = &mut *self.statistics;
+        let count = &mut self.statistics;
         for (moment, told) in message.fixes() {
             let local = self.clock.to_local(moment);
             match self.locator.fix(moment, local, told, message.certainty, now) {
@@ -141,7 +133,7 @@ impl Inbox<'_, '_> {
                     match outcome {
                         FixOutcome::Rejected => {
                             count.fixes_rejected = count.fixes_rejected.wrapping_add(1);
-                            self.events.raise(EventCode::FixRejected, now);
+                            self.outbox.events.raise(EventCode::FixRejected, now);
                         }
                         FixOutcome::Moved => count.moves = count.moves.wrapping_add(1),
                         FixOutcome::Taken if message.source == FixSource::Camera => {
@@ -152,7 +144,7 @@ impl Inbox<'_, '_> {
                         FixOutcome::Began | FixOutcome::Taken => {}
                     }
                     if self.latest_pose.is_none_or(|(latest, _)| latest < moment) {
-                        *self.latest_pose = Some((moment, pose));
+                        self.latest_pose = Some((moment, pose));
                     }
                 }
                 Err(FixError::Repeated | FixError::Unused) => {}
@@ -160,6 +152,22 @@ impl Inbox<'_, '_> {
                     count.fixes_untimely = count.fixes_untimely.wrapping_add(1);
                 }
             }
+        }
+    }
+
+    /// Carries out a command about parameters.
+    fn configure(&mut self, command: &ParameterCommand) {
+        let first_epoch = self.settings.first_epoch;
+        self.outbox.answer = Some(carry_out(command, &mut self.settings));
+        self.outbox.publisher.set_hold(self.settings.hold);
+        if let ParameterAction::Set(_) = command.action {
+            // Whatever it was: commands are rare, and the table is soon filled.
+            point_beams(self.beams, &self.settings);
+            self.map.configure((&self.settings).into(), self.beams);
+        }
+        if self.settings.first_epoch != first_epoch {
+            self.map.pool.begin_anew(self.settings.first_epoch);
+            self.selection.begin_anew();
         }
     }
 }

@@ -1,8 +1,8 @@
-//! What an agent has counted.
+//! What a robot has counted.
 
 use crate::map::PixelCounts;
 
-/// What the agent has counted since it was made.
+/// What a robot has counted since it booted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
     /// Scans taken in.
@@ -44,4 +44,19 @@ pub struct Statistics {
     pub malformed_messages: u32,
     /// Sessions begun.
     pub sessions: u32,
+}
+
+impl Statistics {
+    /// A message could not be read.
+    pub(super) fn malformed(&mut self) {
+        self.malformed_messages = self.malformed_messages.wrapping_add(1);
+    }
+
+    /// A frame has been sent, with tile updates or without.
+    pub(super) fn sent(&mut self, len: usize, has_tiles: bool) {
+        self.bytes_sent = self.bytes_sent.wrapping_add(len as u64);
+        if has_tiles {
+            self.bytes_sent_map = self.bytes_sent_map.wrapping_add(len as u64);
+        }
+    }
 }

@@ -1,0 +1,60 @@
+//! Plays the journal of a robot, which comes in at USART1 once it is open, and prints what the robot
+//! gives: `cargo test --package ubimap-tests --test journal` compares it with what the same robot
+//! gives on a PC.
+#![no_std]
+#![no_main]
+
+mod ending;
+mod player;
+#[expect(dead_code, reason = "a journal is read byte by byte")]
+mod port;
+
+use core::fmt;
+
+use cortex_m_rt::entry;
+use cortex_m_semihosting::{
+    hio::{HostStream, hstdout},
+    hprintln,
+};
+use ending::end;
+use heapless::String;
+use player::{BOUNDS, config, play};
+use port::Port;
+use ubimap_agent::{Memory, Robot, drive::Driving, memory};
+use ubimap_protocol::frame::DEFAULT_FRAME;
+
+/// Bytes of the longest line: a frame, two digits for each byte.
+const LINE: usize = 2 * DEFAULT_FRAME + 8;
+
+#[entry]
+fn main() -> ! {
+    static mut MEMORY: memory!(BOUNDS, Driving) = Memory::EMPTY;
+
+    end(run(MEMORY))
+}
+
+fn run(memory: &'static mut memory!(BOUNDS, Driving)) -> Option<()> {
+    let mut port = Port::open()?;
+    let mut robot = Robot::new(config(), memory).ok()?;
+    let mut lines = Lines { host: hstdout().ok()?, line: String::new() };
+    // Bytes that come before the port is open are lost: who sends them waits for this line.
+    hprintln!("a journal, please");
+    play(&mut robot, || Some(port.byte()), &mut lines).ok()
+}
+
+/// Prints line by line: each time the host is asked takes long.
+struct Lines {
+    host: HostStream,
+    line: String<LINE>,
+}
+
+impl fmt::Write for Lines {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        self.line.push_str(text).map_err(|_| fmt::Error)?;
+        if self.line.ends_with('\n') {
+            self.host.write_all(self.line.as_bytes()).map_err(|()| fmt::Error)?;
+            self.line.clear();
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,140 @@
+//! What drives a robot, chosen at compile time.
+
+use core::fmt::Debug;
+
+use ubimap_protocol::{
+    message::EventCode,
+    time::Instant,
+    units::{Millimetres, Pose},
+};
+
+use super::{follow::DriveCommand, near::Seen};
+use crate::{
+    map::{Gate, Pool},
+    share::{Commands, FusedMap},
+};
+
+/// What drives a robot: its configuration as a type. [`Driving`](super::Driving) plans, follows and
+/// stops by the map; [`NoDrive`] takes no flash, RAM or stack; an `Option` decides at run time.
+pub trait Drive {
+    /// What it works in, part of the robot's [`Memory`](crate::Memory).
+    type Memory;
+    /// Memory that nobody has worked in yet: all zero bits.
+    const EMPTY: Self::Memory;
+    /// What it knows while it drives.
+    type State<'b>: Drives;
+
+    /// Begins to drive a robot whose map has cells of this side.
+    fn begin(self, resolution: Millimetres, memory: &mut Self::Memory) -> Self::State<'_>;
+}
+
+/// A drive at work. The robot calls it.
+pub trait Drives: Debug {
+    /// Whether a scan that was taken at `taken` is to be mapped. `fix` is the moment of the newest
+    /// fix.
+    fn wants_scan(&mut self, taken: Instant, fix: Option<Instant>) -> bool;
+
+    /// Looks at a scan, whether it is mapped or not.
+    fn see(&mut self, scan: &Seen<'_>);
+
+    /// When the next step is due; `None` if there will be none.
+    fn poll_timeout(&self) -> Option<Instant>;
+
+    /// Makes a step. Returns what the server should know of it.
+    fn step(&mut self, surroundings: &Surroundings<'_, '_>) -> Option<EventCode>;
+
+    /// What the wheels shall do until the next step.
+    fn command(&self) -> DriveCommand;
+}
+
+/// What a robot knows when its drive makes a step. Times are of the robot's clock unless they say
+/// otherwise.
+#[derive(Clone, Copy, Debug)]
+pub struct Surroundings<'r, 'b> {
+    /// The moment of the step.
+    pub now: Instant,
+    /// The same by the server's clock, once the clocks agree.
+    pub server_now: Option<Instant>,
+    /// `base_link` in `map`, and the standard deviation of the position in millimetres.
+    pub pose: Option<(Pose, f32)>,
+    /// The newest odometry: `base_link` in `odom`.
+    pub odometry: Option<Pose>,
+    /// When the server was last heard; `None` until the first session.
+    pub heard: Option<Instant>,
+    /// Whether there is a session.
+    pub is_connected: bool,
+    /// How far the robot must have moved to map again.
+    pub gate: Gate,
+    /// What the server wants, and what it tells of others.
+    pub commands: &'r Commands,
+    /// The robot's own tiles.
+    pub own: &'r Pool<'b>,
+    /// The server's tiles.
+    pub fused: &'r FusedMap<'b>,
+}
+
+/// Nothing drives the robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NoDrive;
+
+impl Drive for NoDrive {
+    type Memory = ();
+    const EMPTY: Self::Memory = ();
+    type State<'b> = Self;
+
+    fn begin(self, _: Millimetres, (): &mut ()) -> Self {
+        self
+    }
+}
+
+impl Drives for NoDrive {
+    fn wants_scan(&mut self, _: Instant, _: Option<Instant>) -> bool {
+        true
+    }
+
+    fn see(&mut self, _: &Seen<'_>) {}
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        None
+    }
+
+    fn step(&mut self, _: &Surroundings<'_, '_>) -> Option<EventCode> {
+        None
+    }
+
+    fn command(&self) -> DriveCommand {
+        DriveCommand::STAND
+    }
+}
+
+impl<D: Drive> Drive for Option<D> {
+    type Memory = D::Memory;
+    const EMPTY: Self::Memory = D::EMPTY;
+    type State<'b> = Option<D::State<'b>>;
+
+    fn begin(self, resolution: Millimetres, memory: &mut Self::Memory) -> Self::State<'_> {
+        self.map(|drive| drive.begin(resolution, memory))
+    }
+}
+
+impl<S: Drives> Drives for Option<S> {
+    fn wants_scan(&mut self, taken: Instant, fix: Option<Instant>) -> bool {
+        self.as_mut().is_none_or(|drive| drive.wants_scan(taken, fix))
+    }
+
+    fn see(&mut self, scan: &Seen<'_>) {
+        self.iter_mut().for_each(|drive| drive.see(scan));
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.as_ref()?.poll_timeout()
+    }
+
+    fn step(&mut self, surroundings: &Surroundings<'_, '_>) -> Option<EventCode> {
+        self.as_mut()?.step(surroundings)
+    }
+
+    fn command(&self) -> DriveCommand {
+        self.as_ref().map_or(DriveCommand::STAND, Drives::command)
+    }
+}

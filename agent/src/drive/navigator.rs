@@ -1,0 +1,252 @@
+//! A robot that drives itself: along the paths that the server sends, around what it tells of others
+//! and what the sensor sees, at its own rate.
+
+use heapless::Vec;
+use ubimap_protocol::{
+    message::{EventCode, MAX_OBSTACLES, MAX_PEERS, Obstacle, ObstacleClass, Peer, Waypoint},
+    tile::{TILE_SIDE, TileId},
+    time::{Duration, Instant},
+    units::{Millimetres, Pose},
+};
+
+use super::{
+    choice::{Drive, Drives, Surroundings},
+    driver::{Driver, Inputs, Task},
+    driving::Driving,
+    follow::DriveCommand,
+    near::{NearPoints, Seen},
+    planning_window::{GroundRow, Mover},
+    reason::Reason,
+    safety::Health,
+    search::Workspace,
+    stops::Stops,
+};
+use crate::timing::OBSTACLE_LOST;
+
+/// A point on the way counts as passed within this distance, in millimetres.
+const PASSED: i32 = 150;
+
+type Movers = Vec<Mover, { MAX_PEERS + MAX_OBSTACLES }>;
+
+impl Drive for Driving {
+    type Memory = Workspace;
+    const EMPTY: Workspace = Workspace::EMPTY;
+    type State<'b> = Navigator<'b>;
+
+    fn begin(self, resolution: Millimetres, memory: &mut Workspace) -> Navigator<'_> {
+        Navigator::new(self, resolution, memory)
+    }
+}
+
+/// Drives along the paths that the server sends, one point after another, and explores without a
+/// server if it may. Size: 2.5 kB, and 7.6 kB of [`Workspace`].
+#[derive(Debug)]
+pub struct Navigator<'b> {
+    driver: Driver<'b>,
+    near: NearPoints,
+    /// The robot's radius, in millimetres.
+    radius: i32,
+    /// From one step to the next.
+    interval: Duration,
+    /// When the next step is due.
+    next_step: Instant,
+    command: DriveCommand,
+    /// The number of the path.
+    path: Option<u32>,
+    /// The path's point that it drives to.
+    point: usize,
+    /// For a robot that stops to map.
+    stops: Option<Stops>,
+    /// What it does until the first session.
+    alone: Option<Task>,
+}
+
+impl<'b> Navigator<'b> {
+    /// A robot that stands until the server sends a path.
+    fn new(config: Driving, resolution: Millimetres, workspace: &'b mut Workspace) -> Self {
+        Self {
+            near: NearPoints::default(),
+            radius: config.motion.radius.into(),
+            // Without an interval there would always be a step due.
+            interval: config.interval.max(Duration::from_millis(1)),
+            next_step: Instant(0),
+            command: DriveCommand::STAND,
+            path: None,
+            point: 0,
+            stops: config.stop_and_wait.then(Stops::default),
+            alone: config.alone.map(|home| Task::Explore(Some(home))),
+            driver: Driver::new(config, resolution, workspace),
+        }
+    }
+
+    /// The driver, which has the task, its state and the window of the map.
+    pub fn driver(&self) -> &Driver<'b> {
+        &self.driver
+    }
+
+    /// Takes the path in force, and goes on to the next of its points. Whether that is the last.
+    fn follow(&mut self, surroundings: &Surroundings<'_, '_>) -> bool {
+        let Some(path) = surroundings.commands.path() else {
+            // Another server knows nothing of the path.
+            let task = self.alone.filter(|_| surroundings.heard.is_none()).unwrap_or(Task::Stand);
+            if self.path.take().is_some() || self.driver.task() != task {
+                self.driver.set_task(task);
+            }
+            return true;
+        };
+        if self.path != Some(path.number) {
+            (self.path, self.point) = (Some(path.number), 0);
+            match path.waypoints.first() {
+                None => self.driver.set_task(Task::Stand),
+                Some(&first) => self.head_for(first),
+            }
+        }
+        while let (Some(at), Some(&after)) =
+            (path.waypoints.get(self.point), path.waypoints.get(self.point + 1))
+        {
+            let is_near = |(pose, _): (Pose, f32)| {
+                squared_distance(pose, at.x, at.y) < i64::from(PASSED).pow(2)
+            };
+            if !surroundings.pose.is_some_and(is_near) && self.driver.reason() != Reason::Arrived {
+                break;
+            }
+            self.point += 1;
+            self.driver.go_to_next(after);
+        }
+        self.point + 1 >= path.waypoints.len()
+    }
+
+    /// Drives to a point. A new path that goes on to the same point changes nothing.
+    fn head_for(&mut self, point: Waypoint) {
+        let heads_there = self.driver.task() == Task::Go(point);
+        if !heads_there || self.driver.reason() == Reason::Arrived {
+            self.driver.go_to_next(point);
+        }
+    }
+
+    fn health(&mut self, surroundings: &Surroundings<'_, '_>) -> Health {
+        let &Surroundings { now, pose, odometry, heard, gate, .. } = surroundings;
+        let is_alone = self.alone.is_some() && heard.is_none();
+        let waits = self.stops.as_mut().is_some_and(|stops| stops.must_stand(gate, odometry, now));
+        Health {
+            now,
+            heard: if is_alone { Some(now) } else { heard.filter(|_| surroundings.is_connected) },
+            must_stop: surroundings.commands.must_stop() || waits,
+            pose,
+            odometry,
+            scan: self.near.taken(),
+        }
+    }
+}
+
+impl Drives for Navigator<'_> {
+    fn wants_scan(&mut self, taken: Instant, fix: Option<Instant>) -> bool {
+        self.stops.as_mut().is_none_or(|stops| stops.takes(taken, fix))
+    }
+
+    fn see(&mut self, scan: &Seen<'_>) {
+        self.near = NearPoints::of_scan(scan);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        Some(self.next_step)
+    }
+
+    fn step(&mut self, surroundings: &Surroundings<'_, '_>) -> Option<EventCode> {
+        let now = surroundings.now;
+        // A step that comes late moves the later ones only if one has been left out.
+        let next = self.next_step + self.interval;
+        self.next_step = if next > now { next } else { now + self.interval };
+        let is_last = self.follow(surroundings);
+        let movers = surroundings.pose.map(|(pose, _)| movers(surroundings, pose, self.radius));
+        let movers = movers.unwrap_or_default();
+        let health = self.health(surroundings);
+        let inputs = Inputs { health, near: &self.near, movers: &movers };
+        self.command = self.driver.step(&inputs, |column, row| ground(surroundings, column, row));
+        let code = self.driver.poll_event().and_then(Reason::event_code);
+        // Only the path's last point is its end.
+        code.filter(|&code| is_last || code != EventCode::PathDone)
+    }
+
+    fn command(&self) -> DriveCommand {
+        self.command
+    }
+}
+
+/// The other robots, and what moves about and is none of them. This robot is at `pose` and has this
+/// radius.
+fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> Movers {
+    let &Surroundings { server_now, commands, .. } = surroundings;
+    let mut movers = Movers::new();
+    let peers = commands.peers().map_or(&[][..], |peers| &peers.peers);
+    for peer in peers {
+        // It has room for all peers and obstacles.
+        let _ = movers.push(Mover {
+            x: peer.pose.x,
+            y: peer.pose.y,
+            radius: radius(peer),
+            ..Mover::default()
+        });
+    }
+    let Some((obstacles, server_now)) = commands.obstacles().zip(server_now) else {
+        return movers;
+    };
+    let age = server_now.since(obstacles.time);
+    if age > OBSTACLE_LOST {
+        return movers;
+    }
+    let millis = (age.micros() / 1_000) as i32;
+    let within = |obstacle: &Obstacle, of: Pose, radius: i32| {
+        squared_distance(of, obstacle.x, obstacle.y) < i64::from(radius).pow(2)
+    };
+    for obstacle in &obstacles.obstacles {
+        // Cameras may take a robot for something that moves.
+        let is_robot = within(obstacle, pose, own_radius)
+            || peers.iter().any(|peer| within(obstacle, peer.pose, radius(peer).into()));
+        if obstacle.class == ObstacleClass::Fixed || is_robot {
+            continue;
+        }
+        let moved = |at: Millimetres, velocity: i16| {
+            Millimetres(at.0.saturating_add(i32::from(velocity) * millis / 1_000))
+        };
+        let _ = movers.push(Mover {
+            x: moved(obstacle.x, obstacle.velocity_x),
+            y: moved(obstacle.y, obstacle.velocity_y),
+            velocity_x: obstacle.velocity_x,
+            velocity_y: obstacle.velocity_y,
+            radius: obstacle.radius,
+            is_person: obstacle.class == ObstacleClass::Person,
+        });
+    }
+    movers
+}
+
+/// The radius of the circle around a robot's footprint, in millimetres.
+fn radius(peer: &Peer) -> u16 {
+    let (length, width) = (f32::from(peer.half_length), f32::from(peer.half_width));
+    libm::sqrtf(length * length + width * width) as u16
+}
+
+/// The square of the distance from a pose to a point, in mm^2.
+fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
+    let way = |to: Millimetres, from: Millimetres| i64::from(to.0.saturating_sub(from.0));
+    way(x, from.x).pow(2) + way(y, from.y).pow(2)
+}
+
+/// What is known of 32 cells: what the server says, and where it says nothing what the robot has seen.
+fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundRow {
+    let side = TILE_SIDE as i32;
+    let Some(id) = TileId::of_cell(column.saturating_mul(side), row) else {
+        return GroundRow::default();
+    };
+    let y = row.rem_euclid(side) as usize;
+    let around = surroundings.fused.around(id, surroundings.now);
+    let mut cells = around.merged.map(|tile| tile.row(y)).unwrap_or_default();
+    if let Some(own) = surroundings.own.find(id) {
+        let (own, unknown) = (own.row(y), !(cells.low | cells.high));
+        cells.low |= own.low & unknown;
+        cells.high |= own.high & unknown;
+    }
+    let covered = around.covered.and_then(|rows| rows.get(y)).copied().unwrap_or_default();
+    GroundRow { cells, covered }
+}

@@ -1,0 +1,250 @@
+//! A robot's configuration, and what can be wrong with it.
+
+use core::num::NonZero;
+
+use ubimap_protocol::{
+    tile::Epoch,
+    time::Duration,
+    units::{Pose, RobotId},
+};
+
+use super::bounds::Bounds;
+use crate::{
+    drive::NoDrive,
+    locate::{OdometryNoise, PoseSource, UncertaintyLimit},
+    map::{Gate, MAX_RADIUS, MIN_RESOLUTION, PeerMask, Policy},
+    sense::{Exposure, Removal, SensorModel, SteadyLimits, Validity},
+    timing::SCAN_LATE,
+};
+
+/// What a robot is, and how it maps and drives. Some of it is the server's to change
+/// ([`Parameter`](crate::Parameter)).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Config<D = NoDrive> {
+    /// The robot's number, unique in a deployment.
+    pub robot: RobotId,
+    /// A number that should differ from boot to boot.
+    pub boot_nonce: u32,
+    /// How much the robot keeps, and how far and how finely it maps.
+    pub bounds: Bounds,
+    /// Hits this near along x and along y of the map count twice, in millimetres: for a grey camera
+    /// what [`ScaleCurve::near`](crate::sense::ScaleCurve::near) says. `None` is the square within a
+    /// quarter of the range, where beams are closer than cells.
+    pub near: Option<NonZero<u16>>,
+    /// What the sensor's readings mean.
+    pub sensor: SensorModel,
+    /// The sensor in `base_link`.
+    pub mounting: Pose,
+    /// Which readings count.
+    pub validity: Validity,
+    /// The light of pixels whose depths count, for who has an intensity image beside its depths:
+    /// by it the caller masks a row before the robot gets it ([`Exposure::mask`]).
+    pub exposure: Exposure,
+    /// Readings that are never mapped. The last two are the server's to set
+    /// ([`Parameter`](crate::Parameter)): pixels, and bearings.
+    pub removed: [Option<Removal>; 4],
+    /// How fast the robot may turn and gain speed for a scan to be mapped.
+    pub steady: SteadyLimits,
+    /// Where the poses come from.
+    pub pose_source: PoseSource,
+    /// How far the odometry is to be trusted.
+    pub odometry_noise: OdometryNoise,
+    /// Scans from poses that are less sure than this are not mapped.
+    pub uncertainty_limit: UncertaintyLimit,
+    /// How far the robot must have moved to map again.
+    pub gate: Gate,
+    /// How much of what the sensor says is mapped.
+    pub policy: Policy,
+    /// What is not mapped of other robots.
+    pub peer_mask: PeerMask,
+    /// How long a scan waits for its pose.
+    pub scan_deadline: Duration,
+    /// How long changes of the map are gathered before they are sent.
+    pub hold: Duration,
+    /// Between two distance vectors at least, while the robot moves; one that stands still sends
+    /// one in a minute at most, and one that has had no fix for a while one in a second.
+    pub vector_interval: Duration,
+    /// Tiles are begun from this epoch on, or a later one.
+    pub first_epoch: Epoch,
+    /// What drives the robot: [`Driving`](crate::drive::Driving) or [`NoDrive`].
+    pub drive: D,
+}
+
+impl Config {
+    /// A robot that only maps: a scan waits 1.5 s for its pose, changes are gathered for 1 s, a
+    /// distance vector is sent every 5 s.
+    pub fn new(robot: RobotId, sensor: SensorModel, bounds: Bounds) -> Self {
+        Self {
+            robot,
+            boot_nonce: 0,
+            bounds,
+            near: None,
+            sensor,
+            mounting: Pose::default(),
+            validity: Validity::of(sensor),
+            exposure: Exposure::ANY,
+            removed: [None; 4],
+            steady: SteadyLimits::default(),
+            pose_source: PoseSource::Fixes,
+            odometry_noise: OdometryNoise::default(),
+            uncertainty_limit: UncertaintyLimit::default(),
+            gate: Gate::default(),
+            policy: Policy::default(),
+            peer_mask: PeerMask::default(),
+            scan_deadline: SCAN_LATE,
+            hold: Duration::from_secs(1),
+            vector_interval: Duration::from_secs(5),
+            first_epoch: Epoch(0),
+            drive: NoDrive,
+        }
+    }
+}
+
+impl<D> Config<D> {
+    /// The same robot, driven otherwise.
+    pub fn with_drive<E>(self, drive: E) -> Config<E> {
+        Config {
+            drive,
+            robot: self.robot,
+            boot_nonce: self.boot_nonce,
+            bounds: self.bounds,
+            near: self.near,
+            sensor: self.sensor,
+            mounting: self.mounting,
+            validity: self.validity,
+            exposure: self.exposure,
+            removed: self.removed,
+            steady: self.steady,
+            pose_source: self.pose_source,
+            odometry_noise: self.odometry_noise,
+            uncertainty_limit: self.uncertainty_limit,
+            gate: self.gate,
+            policy: self.policy,
+            peer_mask: self.peer_mask,
+            scan_deadline: self.scan_deadline,
+            hold: self.hold,
+            vector_interval: self.vector_interval,
+            first_epoch: self.first_epoch,
+        }
+    }
+
+    /// Checks what does not depend on the memory.
+    pub(super) fn check(&self) -> Result<(), ConfigError> {
+        let Bounds { resolution, max_range, .. } = self.bounds;
+        if resolution < MIN_RESOLUTION {
+            return Err(ConfigError::Resolution);
+        }
+        let radius = i32::from(max_range) / resolution.0.max(1);
+        if radius < 1 || radius as usize > MAX_RADIUS {
+            return Err(ConfigError::Range);
+        }
+        Ok(())
+    }
+}
+
+/// A part of a [`Memory`](crate::Memory).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The table of beams: one for each reading.
+    Beams,
+    /// The readings of waiting scans.
+    Waiting,
+    /// The scratch memory, in words.
+    Scratch,
+    /// The robot's own tiles.
+    OwnTiles,
+    /// The fused tiles.
+    FusedTiles,
+}
+
+/// Why a robot cannot work with a configuration and a memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConfigError {
+    /// The cells are smaller than [`MIN_RESOLUTION`].
+    Resolution,
+    /// The range is less than a cell, or over [`MAX_RADIUS`] cells.
+    Range,
+    /// A part of the memory is smaller than the bounds of the configuration, or empty.
+    Memory {
+        /// Which part.
+        part: Part,
+        /// Elements that it must have.
+        needed: usize,
+        /// Elements that it has.
+        found: usize,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Memory, Robot, Storage, map::OwnTile, memory};
+    use std::{boxed::Box, vec::Vec};
+    use ubimap_protocol::units::Millimetres;
+
+    const BOUNDS: Bounds = Bounds::SMALL;
+
+    fn config(bounds: Bounds) -> Config {
+        Config::new(RobotId(1), SensorModel::Radial { first: 0.0, step: 0.1 }, bounds)
+    }
+
+    fn made<S: Storage>(bounds: Bounds, memory: &mut Memory<S>) -> Result<(), ConfigError> {
+        Robot::new(config(bounds), memory).map(|_| ())
+    }
+
+    #[test]
+    fn what_is_too_small_is_named_with_what_is_needed_and_what_there_is() {
+        let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+        let mut made = |bounds| made(bounds, &mut memory);
+        assert_eq!(made(BOUNDS), Ok(()));
+        let small = |part, needed, found| Err(ConfigError::Memory { part, needed, found });
+        assert_eq!(made(Bounds { readings: 65, ..BOUNDS }), small(Part::Beams, 65, 64));
+        assert_eq!(made(Bounds { waiting: 3, ..BOUNDS }), small(Part::Waiting, 192, 128));
+        assert_eq!(made(Bounds { own_tiles: 9, ..BOUNDS }), small(Part::OwnTiles, 9, 8));
+        assert_eq!(made(Bounds { fused_tiles: 16, ..BOUNDS }), small(Part::FusedTiles, 16, 12));
+        let far = Bounds { max_range: 4_000, ..BOUNDS };
+        assert_eq!(made(far), small(Part::Scratch, far.scratch(), BOUNDS.scratch()));
+        // What is larger than needed does no harm, and what is empty does.
+        assert_eq!(made(Bounds { readings: 9, fused_tiles: 0, own_tiles: 1, ..BOUNDS }), Ok(()));
+        assert_eq!(made(Bounds { readings: 0, ..BOUNDS }), small(Part::Beams, 1, 0));
+        assert_eq!(made(Bounds { waiting: 0, ..BOUNDS }), small(Part::Waiting, 1, 0));
+        assert_eq!(made(Bounds { own_tiles: 0, ..BOUNDS }), small(Part::OwnTiles, 1, 0));
+    }
+
+    #[test]
+    fn cells_and_ranges_that_cannot_be_mapped_are_refused() {
+        let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+        let mut made = |bounds| made(bounds, &mut memory);
+        for resolution in [-50, 0, 19] {
+            let bounds = Bounds { resolution: Millimetres(resolution), ..BOUNDS };
+            assert_eq!(made(bounds), Err(ConfigError::Resolution));
+        }
+        for (max_range, resolution) in [(49, 50), (0, 50), (20_020, 20)] {
+            let bounds = Bounds { max_range, resolution: Millimetres(resolution), ..BOUNDS };
+            assert_eq!(made(bounds), Err(ConfigError::Range), "{max_range}");
+        }
+    }
+
+    /// Storage that is sized while the program runs.
+    struct Grown;
+
+    impl Storage for Grown {
+        type Beams = Vec<crate::sense::Beam>;
+        type Waiting = Vec<u16>;
+        type Scratch = Vec<crate::map::RowSighting>;
+        type Own = Vec<OwnTile>;
+        type Fused = Vec<crate::share::FusedTile>;
+    }
+
+    #[test]
+    fn memory_that_is_sized_at_run_time_fits_its_bounds() {
+        for bounds in [Bounds::DEFAULT, Bounds::REFERENCE, Bounds { own_tiles: 77, ..BOUNDS }] {
+            assert_eq!(made(bounds, &mut Memory::<Grown>::new(&bounds)), Ok(()));
+            let less = Bounds { fused_tiles: bounds.fused_tiles - 1, ..bounds };
+            let found = made(bounds, &mut Memory::<Grown>::new(&less));
+            let (needed, found_tiles) = (bounds.fused_tiles, less.fused_tiles);
+            let part = Part::FusedTiles;
+            assert_eq!(found, Err(ConfigError::Memory { part, needed, found: found_tiles }));
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! The robot's end of the link: the handshake that begins a session, and its frames.
+
+use ubimap_protocol::{
+    frame::{DEFAULT_FRAME, MIN_VERSION, SessionId, VERSION},
+    link::{ClockSync, Counters, Endpoint, Knocking, Received},
+    message::{Hello, Message, Refusal, RefusalReason, ToRobot, ToRobotMessage, ToServer, Welcome},
+    tile::Epoch,
+    time::Instant,
+};
+
+use super::{mapper::Mapper, outbox::Token};
+use crate::timing::RESET_SILENCE;
+
+/// Reliable frames that may be in flight.
+const WINDOW: usize = 3;
+
+/// Bytes of a [`Robot`](crate::Robot) that are its end of the link: the frames in flight, the one
+/// that comes in and the one that goes out, the handshake and the server's time. At most 4 KiB on a
+/// machine of 32 bits.
+pub const LINK_STATE: usize = size_of::<Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>>()
+    + size_of::<Knocking>()
+    + size_of::<ClockSync>();
+
+#[cfg(target_pointer_width = "32")]
+const _: () = assert!(LINK_STATE <= 4 * 1024);
+
+/// The robot's end of the link.
+#[derive(Debug)]
+pub(super) struct Link {
+    endpoint: Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>,
+    knocking: Knocking,
+    server_epoch: Option<u32>,
+    /// When something of a session was last heard.
+    heard: Instant,
+    refusal: Option<RefusalReason>,
+}
+
+impl Link {
+    /// A robot that has just booted and knocks.
+    #[inline(never)]
+    pub(super) fn new(boot_nonce: u32) -> Self {
+        Self {
+            endpoint: Endpoint::new(),
+            knocking: Knocking::new(boot_nonce),
+            server_epoch: None,
+            heard: Instant(0),
+            refusal: None,
+        }
+    }
+
+    pub(super) fn is_connected(&self) -> bool {
+        self.endpoint.session() != SessionId::NONE
+    }
+
+    pub(super) fn server_epoch(&self) -> Option<Epoch> {
+        self.server_epoch.map(Epoch)
+    }
+
+    pub(super) fn refusal(&self) -> Option<RefusalReason> {
+        self.refusal
+    }
+
+    /// When something of a session was last heard, if ever.
+    pub(super) fn heard(&self) -> Option<Instant> {
+        self.server_epoch.map(|_| self.heard)
+    }
+
+    pub(super) fn counters(&self) -> Counters {
+        self.endpoint.counters()
+    }
+
+    /// Bytes for messages in a frame.
+    pub(super) fn room(&self) -> usize {
+        self.endpoint.room()
+    }
+
+    /// When something is due to be sent.
+    pub(super) fn poll_timeout(&self, mapper: &Mapper<'_>) -> Instant {
+        if !self.is_connected() {
+            return self.knocking.poll_timeout();
+        }
+        let due = mapper.poll_transmit_timeout(self.endpoint.can_send_reliable());
+        self.endpoint.poll_timeout().map_or(due, |resend| resend.min(due))
+    }
+
+    /// Takes the next frame of some bytes; `false` if they are used up before its end.
+    #[inline(never)]
+    pub(super) fn receive_frame(
+        &mut self,
+        mapper: &mut Mapper<'_>,
+        bytes: &mut &[u8],
+        now: Instant,
+    ) -> bool {
+        let Some(received) = self.endpoint.receive(bytes, now) else { return false };
+        match received {
+            Received::Bad => {}
+            // Parsed to a copy: what follows changes the endpoint that the message is borrowed from.
+            Received::Handshake(message) => match Knock::parse(message) {
+                Some(Knock::Welcome(welcome)) => self.welcomed(mapper, &welcome, now),
+                Some(Knock::Refusal(refusal)) => self.refused(&refusal, now),
+                Some(Knock::Reset) => self.reset(now),
+                None => mapper.statistics.malformed(),
+            },
+            Received::Session(messages) => {
+                self.heard = now;
+                mapper.take(messages, now);
+            }
+        }
+        true
+    }
+
+    /// Takes note of acknowledged frames.
+    pub(super) fn settle(&mut self, mapper: &mut Mapper<'_>, now: Instant) {
+        while let Some(token) = self.endpoint.poll_acknowledged() {
+            mapper.acknowledged(token, now);
+        }
+    }
+
+    fn welcomed(&mut self, mapper: &mut Mapper<'_>, welcome: &Welcome, now: Instant) {
+        let stale = welcome.nonce != self.knocking.nonce() || self.is_connected();
+        if stale || !(MIN_VERSION..=VERSION).contains(&welcome.version) {
+            return;
+        }
+        self.refusal = None;
+        self.heard = now;
+        let same_server =
+            self.server_epoch.replace(welcome.server_epoch) == Some(welcome.server_epoch);
+        self.endpoint.begin(welcome.session, usize::from(welcome.frame));
+        mapper.begin_session(welcome, same_server, now);
+    }
+
+    fn refused(&mut self, refusal: &Refusal, now: Instant) {
+        if refusal.nonce == self.knocking.nonce() && !self.is_connected() {
+            self.refusal = Some(refusal.reason);
+            self.knocking.refused(now);
+        }
+    }
+
+    /// The server knows no session here.
+    fn reset(&mut self, now: Instant) {
+        if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
+            self.endpoint.end();
+            self.knocking.restart(now);
+        }
+    }
+
+    /// Writes the next frame that is due into `out`. Returns its length.
+    #[inline(never)]
+    pub(super) fn poll_transmit(
+        &mut self,
+        mapper: &mut Mapper<'_>,
+        now: Instant,
+        out: &mut [u8],
+    ) -> Option<usize> {
+        if !self.is_connected() {
+            return self.knock(mapper, now, out);
+        }
+        let sent = self.endpoint.poll_transmit(now, out, false, |writer, reliable| {
+            mapper.write(writer, reliable, now)
+        })?;
+        mapper.statistics.sent(sent.len, matches!(sent.token, Some(Token::Tiles(_))));
+        Some(sent.len)
+    }
+
+    fn knock(&mut self, mapper: &mut Mapper<'_>, now: Instant, out: &mut [u8]) -> Option<usize> {
+        if !self.knocking.poll(now) {
+            return None;
+        }
+        let hello = Hello {
+            version: VERSION,
+            min_version: MIN_VERSION,
+            robot: mapper.settings.robot,
+            nonce: self.knocking.nonce(),
+            frame: DEFAULT_FRAME as u16,
+            resolution: mapper.settings.resolution,
+            fused_tiles: mapper.fused.capacity().min(usize::from(u16::MAX)) as u16,
+        };
+        let len = self.endpoint.handshake(&hello, out)?;
+        mapper.statistics.sent(len, false);
+        Some(len)
+    }
+}
+
+/// A message of the handshake.
+enum Knock {
+    Welcome(Welcome),
+    Refusal(Refusal),
+    Reset,
+}
+
+impl Knock {
+    fn parse(message: Message<'_, ToRobot>) -> Option<Self> {
+        match message.by_kind()? {
+            ToRobotMessage::Welcome(welcome) => Some(Self::Welcome(welcome.decode().ok()?)),
+            ToRobotMessage::Refusal(refusal) => Some(Self::Refusal(refusal.decode().ok()?)),
+            ToRobotMessage::Reset(_) => Some(Self::Reset),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! The memory that a robot borrows.
+
+use core::fmt;
+
+use super::{
+    bounds::Bounds,
+    config::{ConfigError, Part},
+};
+use crate::{
+    drive::{Drive, NoDrive},
+    map::{OwnTile, RowSighting},
+    sense::Beam,
+    share::FusedTile,
+};
+
+/// The containers of a [`Memory`]: arrays ([`Arrays`]), or vectors on a machine with a heap.
+pub trait Storage {
+    /// One entry for each reading of a scan.
+    type Beams: AsMut<[Beam]>;
+    /// The readings of all scans that can wait.
+    type Waiting: AsMut<[u16]>;
+    /// [`Bounds::scratch`] words.
+    type Scratch: AsMut<[RowSighting]>;
+    /// The pool of the robot's own tiles.
+    type Own: AsMut<[OwnTile]>;
+    /// The pool of fused tiles.
+    type Fused: AsMut<[FusedTile]>;
+}
+
+/// Storage of fixed size, for a `static`. The parameters are lengths; [`memory!`](crate::memory)
+/// computes them from [`Bounds`].
+#[derive(Debug)]
+pub struct Arrays<
+    const READINGS: usize,
+    const WAITING: usize,
+    const SCRATCH: usize,
+    const OWN: usize,
+    const FUSED: usize,
+>;
+
+impl<const R: usize, const W: usize, const S: usize, const O: usize, const F: usize> Storage
+    for Arrays<R, W, S, O, F>
+{
+    type Beams = [Beam; R];
+    type Waiting = [u16; W];
+    type Scratch = [RowSighting; S];
+    type Own = [OwnTile; O];
+    type Fused = [FusedTile; F];
+}
+
+/// All the memory that a [`Robot`](crate::Robot) borrows. It bounds what the robot keeps.
+///
+/// It is generic over its containers rather than sized by constants alone, because a
+/// microcontroller needs arrays in a `static`, and a PC learns the sizes from its command line.
+///
+/// [`Memory::EMPTY`] is all zero bits, so a `static` of it costs no flash:
+///
+/// ```
+/// use ubimap_agent::{Bounds, Memory, memory};
+///
+/// const BOUNDS: Bounds = Bounds::SMALL;
+/// // In the function that `#[entry]` marks, `static mut` gives a `&'static mut`.
+/// let memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+/// assert_eq!(size_of_val(&*memory), BOUNDS.memory_bytes());
+/// ```
+pub struct Memory<S: Storage, D: Drive = NoDrive> {
+    beams: S::Beams,
+    waiting: S::Waiting,
+    scratch: S::Scratch,
+    own: S::Own,
+    fused: S::Fused,
+    drive: D::Memory,
+}
+
+impl<S: Storage, D: Drive> fmt::Debug for Memory<S, D> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Memory").finish_non_exhaustive()
+    }
+}
+
+/// The type of a [`Memory`] of arrays with these [`Bounds`], a constant; the second argument is what
+/// drives the robot, if anything does.
+#[macro_export]
+macro_rules! memory {
+    ($bounds:expr) => {
+        $crate::memory!($bounds, $crate::drive::NoDrive)
+    };
+    ($bounds:expr, $drive:ty) => {
+        $crate::Memory<
+            $crate::Arrays<
+                { $bounds.readings },
+                { $bounds.readings * $bounds.waiting },
+                { $bounds.scratch() },
+                { $bounds.own_tiles },
+                { $bounds.fused_tiles },
+            >,
+            $drive,
+        >
+    };
+}
+
+impl<D: Drive, const R: usize, const W: usize, const S: usize, const O: usize, const F: usize>
+    Memory<Arrays<R, W, S, O, F>, D>
+{
+    /// Memory that no robot has used yet.
+    pub const EMPTY: Self = Self {
+        beams: [Beam::NONE; R],
+        waiting: [0; W],
+        scratch: [RowSighting::NONE; S],
+        own: [OwnTile::FREE; O],
+        fused: [FusedTile::FREE; F],
+        drive: D::EMPTY,
+    };
+}
+
+impl<S, D> Memory<S, D>
+where
+    S: Storage<
+            Beams: FromIterator<Beam>,
+            Waiting: FromIterator<u16>,
+            Scratch: FromIterator<RowSighting>,
+            Own: FromIterator<OwnTile>,
+            Fused: FromIterator<FusedTile>,
+        >,
+    D: Drive,
+{
+    /// Memory of these bounds, in containers that grow.
+    pub fn new(bounds: &Bounds) -> Self {
+        fn of<T: Clone, C: FromIterator<T>>(element: T, count: usize) -> C {
+            core::iter::repeat_n(element, count).collect()
+        }
+        Self {
+            beams: of(Beam::NONE, bounds.readings),
+            waiting: of(0, bounds.readings * bounds.waiting),
+            scratch: of(RowSighting::NONE, bounds.scratch()),
+            own: of(OwnTile::FREE, bounds.own_tiles),
+            fused: of(FusedTile::FREE, bounds.fused_tiles),
+            drive: D::EMPTY,
+        }
+    }
+}
+
+impl<S: Storage, D: Drive> Memory<S, D> {
+    /// The memory as slices, for code that runs one stage alone.
+    pub fn slices(&mut self) -> Slices<'_, D> {
+        Slices {
+            beams: self.beams.as_mut(),
+            waiting: self.waiting.as_mut(),
+            scratch: self.scratch.as_mut(),
+            own: self.own.as_mut(),
+            fused: self.fused.as_mut(),
+            drive: &mut self.drive,
+        }
+    }
+}
+
+/// A [`Memory`], borrowed part by part.
+pub struct Slices<'m, D: Drive = NoDrive> {
+    /// One entry for each reading of a scan.
+    pub beams: &'m mut [Beam],
+    /// The readings of all scans that can wait.
+    pub waiting: &'m mut [u16],
+    /// Scratch memory of the mapping.
+    pub scratch: &'m mut [RowSighting],
+    /// The pool of the robot's own tiles.
+    pub own: &'m mut [OwnTile],
+    /// The pool of fused tiles.
+    pub fused: &'m mut [FusedTile],
+    /// What the drive works in.
+    pub drive: &'m mut D::Memory,
+}
+
+impl<D: Drive> fmt::Debug for Slices<'_, D> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Slices").finish_non_exhaustive()
+    }
+}
+
+impl<D: Drive> Slices<'_, D> {
+    /// Cuts off what lies beyond the bounds.
+    ///
+    /// # Errors
+    /// [`ConfigError::Memory`] for the first part that is too small.
+    pub(super) fn cut_to(self, bounds: &Bounds) -> Result<Self, ConfigError> {
+        let Self { beams, waiting, scratch, own, fused, drive } = self;
+        Ok(Self {
+            beams: cut(beams, bounds.readings, Part::Beams)?,
+            waiting: cut(waiting, bounds.readings.saturating_mul(bounds.waiting), Part::Waiting)?,
+            scratch: cut(scratch, bounds.scratch(), Part::Scratch)?,
+            own: cut(own, bounds.own_tiles, Part::OwnTiles)?,
+            fused: cut(fused, bounds.fused_tiles, Part::FusedTiles)?,
+            drive,
+        })
+    }
+}
+
+/// The first `bound` elements.
+fn cut<T>(slice: &mut [T], bound: usize, part: Part) -> Result<&mut [T], ConfigError> {
+    // A robot without the server's map works; without one of anything else it does not.
+    let least = usize::from(part != Part::FusedTiles);
+    if bound < least {
+        return Err(ConfigError::Memory { part, needed: least, found: bound });
+    }
+    let found = slice.len();
+    slice.get_mut(..bound).ok_or(ConfigError::Memory { part, needed: bound, found })
+}

@@ -1,0 +1,239 @@
+//! The way of a scan: it waits for its pose, is mapped, and gives a distance vector.
+
+use core::ops::Range;
+
+use ubimap_protocol::{
+    message::{DistanceVector, EventCode},
+    time::Instant,
+    units::Pose,
+};
+
+use super::{link::Link, mapper::Mapper};
+use crate::{
+    locate::{Located, Variances},
+    map::{PeerMasks, ScanContext, Selected, Surround},
+    sense::{Beam, Columns, ScanError, WaitingScans},
+    share::DistanceVectors,
+    timing::CLOCKS_DISAGREE,
+};
+
+/// A scan whose pose is known.
+struct PlacedScan {
+    /// When it was taken, by the robot's clock.
+    taken: Instant,
+    /// The same by the server's clock, once the clocks agree.
+    server_moment: Option<Instant>,
+    /// `base_link` in `map`.
+    pose: Pose,
+    /// How unsure that is; `None` if more than is allowed.
+    variances: Option<Variances>,
+    /// Whether the fixes had stopped.
+    is_blind: bool,
+}
+
+impl Mapper<'_> {
+    /// Takes a scan that was taken at `taken`.
+    pub(super) fn scan(
+        &mut self,
+        scans: &mut WaitingScans<'_>,
+        link: &Link,
+        taken: Instant,
+        readings: &[u16],
+        now: Instant,
+    ) -> Result<(), ScanError> {
+        let speaks = link.is_connected() && self.outbox.vectors.is_due(taken, false, false);
+        let pose = self.latest_pose.map(|(_, pose)| pose);
+        // What odometry said before the scan was taken says where that was only if the robot stands.
+        let odometry = self.locator.standing_odometry();
+        if !speaks
+            && scans.check(taken, readings).is_ok()
+            && self.selection.stands(self.settings.gate, pose, odometry, readings)
+        {
+            // There is nothing for which its pose would have to be known.
+            self.statistics.scans = self.statistics.scans.wrapping_add(1);
+            self.statistics.gated = self.statistics.gated.wrapping_add(1);
+            return Ok(());
+        }
+        scans.push(taken, readings)?;
+        self.locator.expect(taken);
+        self.statistics.scans = self.statistics.scans.wrapping_add(1);
+        self.map_waiting(scans, link, now);
+        Ok(())
+    }
+
+    /// Tells the server that a scan was not taken.
+    pub(super) fn refuse_scan(&mut self, error: ScanError, now: Instant) {
+        let code = match error {
+            ScanError::Width { .. } => EventCode::SensorFault,
+            ScanError::Backwards => EventCode::ClockBackwards,
+            ScanError::Full => {
+                self.statistics.overflowed = self.statistics.overflowed.wrapping_add(1);
+                EventCode::ScanOverflow
+            }
+        };
+        self.outbox.events.raise(code, now);
+    }
+
+    /// Takes a reading of the odometry.
+    pub(super) fn odometry(&mut self, moment: Instant, pose: Pose) {
+        self.steadiness.odometry(moment, pose);
+        if self.locator.odometry(moment, pose).is_err() {
+            let backwards = &mut self.statistics.odometry_backwards;
+            *backwards = backwards.wrapping_add(1);
+        }
+    }
+
+    /// When a scan that waits has waited long enough.
+    pub(super) fn scan_timeout(&self, scans: &WaitingScans<'_>) -> Option<Instant> {
+        scans.oldest().map(|taken| taken + self.settings.scan_deadline)
+    }
+
+    /// Maps the scans whose poses are known, and gives up those whose time is over.
+    #[inline(never)]
+    pub(super) fn map_waiting(&mut self, scans: &mut WaitingScans<'_>, link: &Link, now: Instant) {
+        while let Some(taken) = scans.oldest() {
+            let last_chance = now >= taken + self.settings.scan_deadline;
+            let located = self.locator.at(taken, now, last_chance);
+            if located == Located::NotYet {
+                return;
+            }
+            let Some(readings) = scans.pop() else { return };
+            if let Some(scan) = self.place(taken, located, now) {
+                self.take_in(&scan, readings, link, now);
+            }
+        }
+    }
+
+    /// Takes note of where a scan was taken. `None` if it is not to be looked at.
+    fn place(&mut self, taken: Instant, located: Located, now: Instant) -> Option<PlacedScan> {
+        let (pose, variances) = match located {
+            Located::At(pose, variances) => (pose, Some(variances)),
+            Located::Unsure(pose) => (pose, None),
+            Located::NotYet | Located::Never => {
+                self.statistics.expired = self.statistics.expired.wrapping_add(1);
+                self.outbox.events.raise(EventCode::PoseLost, now);
+                self.lost = true;
+                return None;
+            }
+        };
+        if core::mem::take(&mut self.lost) {
+            self.outbox.events.raise(EventCode::PoseFound, now);
+        }
+        let server_moment = self.clock.to_server(taken);
+        self.keep_pose(server_moment.unwrap_or(taken), pose);
+        let is_shaken = self.steadiness.is_shaken(taken);
+        if variances.is_none() {
+            self.statistics.unsure = self.statistics.unsure.wrapping_add(1);
+        } else if is_shaken {
+            self.statistics.shaken = self.statistics.shaken.wrapping_add(1);
+        }
+        let is_blind = self.locator.is_blind(taken);
+        (!is_shaken).then_some(PlacedScan { taken, server_moment, pose, variances, is_blind })
+    }
+
+    /// The newest pose is kept, and the window of the server's tiles follows it.
+    fn keep_pose(&mut self, moment: Instant, pose: Pose) {
+        let is_newer = |(newest, _): (Instant, Pose)| {
+            newest < moment || newest.since(moment) > CLOCKS_DISAGREE
+        };
+        if self.latest_pose.is_none_or(is_newer) {
+            self.latest_pose = Some((moment, pose));
+        }
+        self.fused.follow(pose, self.settings.resolution);
+    }
+
+    /// Maps what a scan says that is new, and sends its distance vector if one is due.
+    fn take_in(&mut self, scan: &PlacedScan, readings: &mut [u16], link: &Link, now: Instant) {
+        let is_sure = scan.variances.is_some();
+        // What an unsure robot sees is not mapped, but may tell the server where it is.
+        let selected = if is_sure {
+            self.selection.select(self.settings.gate, scan.pose, readings)
+        } else {
+            Selected::Nothing
+        };
+        let moves = !is_sure || matches!(selected, Selected::Moved(_));
+        let vector_time = scan.server_moment.filter(|_| {
+            let vectors = &self.outbox.vectors;
+            link.is_connected() && vectors.is_due(scan.taken, moves, scan.is_blind)
+        });
+        // What is compared with the next scan is what the sensor said.
+        let odometry = self.locator.newest_odometry();
+        self.selection.mapped(scan.pose, odometry, readings, &selected);
+        self.clean(readings, vector_time.is_some());
+        if let Some(time) = vector_time {
+            let most = link.room().saturating_sub(DistanceVector::OVERHEAD);
+            let columns = || Columns::of_scan(self.beams, readings, self.settings.mounting, most);
+            tell(&mut self.outbox.vectors, scan.taken, time, scan.pose, columns);
+        }
+        match selected {
+            Selected::Moved(part) | Selected::Changed(part) => {
+                self.draw(scan, readings, part, now);
+            }
+            Selected::Nothing => {
+                self.statistics.gated = self.statistics.gated.wrapping_add(u32::from(is_sure));
+            }
+        }
+    }
+
+    /// Sets readings to 0 that do not count. Mapping looks for most of them where it must; only what
+    /// is removed is taken out for certain, unless `wholly`.
+    fn clean(&self, readings: &mut [u16], wholly: bool) {
+        if wholly || self.settings.validity.removes() {
+            self.settings.validity.clean(readings);
+        }
+        if self.settings.removed.iter().any(Option::is_some) {
+            // Amid a surface no beam would be asked.
+            let beams = readings.iter_mut().zip(&*self.beams);
+            beams.filter(|(_, beam)| **beam == Beam::NONE).for_each(|(reading, _)| *reading = 0);
+        }
+    }
+
+    /// Draws a part of a scan into the robot's tiles.
+    fn draw(&mut self, scan: &PlacedScan, readings: &[u16], part: Range<usize>, now: Instant) {
+        let &PlacedScan { taken, server_moment, pose, .. } = scan;
+        let (mask, variances) = (self.settings.peer_mask, scan.variances.unwrap_or_default());
+        let (resolution, max_range) = (self.settings.resolution, self.settings.max_range);
+        // What an unseen robot draws a cell to the side becomes a second wall.
+        let range = if scan.is_blind { variances.reach(resolution, max_range) } else { max_range };
+        let moment = server_moment.unwrap_or(taken);
+        let view = ScanContext { pose, moment, range, resolution, mask };
+        // Without the server's time the peers' moments mean nothing.
+        let peers = self.commands.peers().filter(|_| server_moment.is_some());
+        let peers = PeerMasks::new(peers, &view, variances);
+        let fused = &self.fused;
+        let around = |id| Surround { masked: peers.cells(id), ..fused.around(id, now) };
+        let beams = self.beams.get(part.clone()).unwrap_or_default();
+        let seen = readings.get(part).unwrap_or_default();
+        let count = &mut self.statistics;
+        let Some(mapped) = self.map.add(beams, seen, (pose, range), around) else {
+            count.expired = count.expired.wrapping_add(1);
+            return;
+        };
+        count.mapped = count.mapped.wrapping_add(1);
+        count.pixels += mapped.pixels;
+        count.cells_refused = count.cells_refused.wrapping_add(mapped.cells_refused);
+        if mapped.cells_refused > 0 {
+            self.outbox.events.raise(EventCode::PoolFull, now);
+        }
+        self.outbox.publisher.changed(now, server_moment.map(Instant::seconds));
+    }
+}
+
+/// Takes the distance vector of a scan, to be sent. Apart from mapping, which needs the stack.
+#[inline(never)]
+fn tell(
+    vectors: &mut DistanceVectors,
+    taken: Instant,
+    time: Instant,
+    pose: Pose,
+    columns: impl FnOnce() -> Option<Columns>,
+) {
+    let vector = columns().map(|Columns { first, step, distances }| DistanceVector {
+        time,
+        pose,
+        first,
+        step,
+        distances,
+    });
+    vectors.take(taken, vector);
+}

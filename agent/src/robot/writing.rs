@@ -1,0 +1,96 @@
+//! What the robot has to say, in the order in which it finds room in a frame.
+
+use ubimap_protocol::{
+    link::Fill,
+    message::{Event, State, ToServer, Writer},
+    time::Instant,
+};
+
+use super::{
+    mapper::Mapper,
+    outbox::{Outbox, Token},
+    parameters::push_report,
+};
+use crate::timing::STATE_INTERVAL;
+
+impl Mapper<'_> {
+    /// When something is due to be sent in a session; tiles only if they can be.
+    pub(super) fn poll_transmit_timeout(&self, can_send_reliable: bool) -> Instant {
+        let Outbox { publisher, next_state, .. } = &self.outbox;
+        let due = self.clock.poll_timeout().min(publisher.digest_timeout()).min(*next_state);
+        let tiles = publisher.poll_timeout().filter(|_| can_send_reliable);
+        tiles.map_or(due, |tiles| tiles.min(due))
+    }
+
+    /// Takes note of an acknowledged frame.
+    pub(super) fn acknowledged(&mut self, token: Token, now: Instant) {
+        let Outbox { publisher, events, .. } = &mut self.outbox;
+        match token {
+            Token::Tiles(frame) => {
+                publisher.acknowledged(&mut self.map.pool, &self.fused, frame, now);
+            }
+            Token::Event(code) => events.acknowledged(code),
+            Token::Other => {}
+        }
+    }
+
+    /// Writes the messages of a frame, if any is due. What must not be sent again, for it would be
+    /// stale then, goes apart from what must arrive.
+    pub(super) fn write(
+        &mut self,
+        writer: &mut Writer<'_, ToServer>,
+        reliable: bool,
+        now: Instant,
+    ) -> Fill<Token> {
+        let before = writer.len();
+        self.write_perishable(writer, now);
+        let alone = writer.len() == before;
+        self.outbox.publisher.push_digests(&self.map.pool, writer, alone, now);
+        if writer.len() > before || !reliable {
+            return Fill::Datagram;
+        }
+        self.write_reliable(writer, now).map_or(Fill::Nothing, Fill::Reliable)
+    }
+
+    fn write_perishable(&mut self, writer: &mut Writer<'_, ToServer>, now: Instant) {
+        if let Some(request) = self.clock.poll_request(now) {
+            // One that finds no room is made again.
+            let _ = writer.push(&request);
+        }
+        if self.outbox.next_state <= now {
+            self.outbox.next_state = now + STATE_INTERVAL;
+            // The smallest frames have no room for both poses.
+            let _ = writer.push_longest(0..=2, |poses| State {
+                time: self.latest_pose.map(|(moment, _)| moment),
+                pose: self.latest_pose.map(|(_, pose)| pose).filter(|_| poses > 0),
+                odometry: self.locator.newest_odometry().filter(|_| poses > 1),
+                cells_refused: self.statistics.cells_refused,
+            });
+        }
+        self.outbox.vectors.push(writer);
+    }
+
+    fn write_reliable(&mut self, writer: &mut Writer<'_, ToServer>, now: Instant) -> Option<Token> {
+        let Self { settings, clock, fused, map, outbox, .. } = self;
+        let Outbox { publisher, events, answer, .. } = outbox;
+        let to_server = |moment| clock.to_server(moment);
+        let push_event = |event: &Event| writer.push(event);
+        if let Some(code) = events.send(to_server, push_event) {
+            return Some(Token::Event(code));
+        }
+        if push_report(answer, settings, writer) {
+            return Some(Token::Other);
+        }
+        if let Some(interest) = fused.untold()
+            && writer.push(&interest)
+        {
+            // Told as far as the window is concerned: the link sees to the rest.
+            fused.told(interest.number);
+            return Some(Token::Other);
+        }
+        if fused.push_request(writer) {
+            return Some(Token::Other);
+        }
+        publisher.fill(&mut map.pool, fused, writer, now).map(Token::Tiles)
+    }
+}

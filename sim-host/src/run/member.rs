@@ -1,0 +1,291 @@
+//! One robot of a fleet: with its clock and its channel.
+
+use ubimap_agent::{
+    Config, ConfigError, Memory, Robot,
+    drive::{DriveCommand, Driving},
+};
+use ubimap_protocol::{
+    frame::DEFAULT_FRAME,
+    tile::{TILE_SIDE, TileId},
+    time::Instant,
+    units::{Pose, RobotId},
+};
+
+use super::heap::Heap;
+use crate::{
+    channel::fault::{FaultWire, Faults},
+    deployment::PortId,
+    report::{Comparison, Published},
+};
+
+/// A robot's clock: it starts somewhere, and runs a little fast or slow.
+#[derive(Clone, Copy, Debug)]
+struct RobotClock {
+    start: u64,
+    ppm: i64,
+}
+
+impl RobotClock {
+    /// Clocks of different robots differ by up to ten minutes, and run up to 40 ppm fast or slow.
+    fn of(robot: RobotId, seed: u64) -> Self {
+        // SplitMix64's mixing step: any two clocks differ.
+        let mixed = (seed ^ u64::from(robot.0) << 32).wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = mixed ^ mixed >> 27;
+        Self { start: mixed % 600_000_000, ppm: (mixed >> 32) as i64 % 81 - 40 }
+    }
+
+    fn local(self, server: Instant) -> Instant {
+        let drift = server.0 as i64 * self.ppm / 1_000_000;
+        Instant(self.start.wrapping_add(server.0).wrapping_add(drift as u64))
+    }
+
+    /// The first moment of the server's clock at which this one shows `local`.
+    fn server(self, local: Instant) -> Instant {
+        if local.0 == u64::MAX {
+            return local;
+        }
+        let elapsed = local.0.saturating_sub(self.start);
+        let scaled = i128::from(elapsed) * 1_000_000 / i128::from(1_000_000 + self.ppm);
+        let mut server = Instant((scaled as u64).saturating_sub(2));
+        while self.local(server) < local {
+            server.0 += 1;
+        }
+        server
+    }
+}
+
+/// What a robot takes, and what it gives for it, in their order: enough to have it do all again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Entry<'e> {
+    /// It receives bytes.
+    Received(&'e [u8]),
+    /// It reads its odometry, `base_link` in `odom`.
+    Odometry(Pose),
+    /// It takes a scan: readings in millimetres.
+    Scan(&'e [u16]),
+    /// It does what is due.
+    Timeout,
+    /// It sends a frame, or has nothing to send.
+    Transmit(Option<&'e [u8]>),
+    /// Its wheels shall do something else from now on.
+    Commanded(DriveCommand),
+}
+
+/// Hears what a robot takes and gives, and when by the robot's clock.
+pub type Journal<'j> = Box<dyn FnMut(Instant, Entry<'_>) + 'j>;
+
+/// A robot with its clock and its channel to a port of the deployment. Moments count from the
+/// beginning of the run.
+pub struct Member<'b> {
+    port: PortId,
+    clock: RobotClock,
+    robot: Robot<'b, Option<Driving>>,
+    up: FaultWire,
+    down: FaultWire,
+    /// What its wheels do.
+    commanded: DriveCommand,
+    journal: Option<Journal<'b>>,
+    path: Vec<(Instant, Pose)>,
+    published: Published,
+    /// Its map traffic when what it had published was last noted.
+    bytes_noted: u64,
+}
+
+impl<'b> Member<'b> {
+    /// A robot that has just booted.
+    pub(super) fn new(
+        config: Config<Option<Driving>>,
+        memory: &'b mut Memory<Heap, Option<Driving>>,
+        port: PortId,
+        faults: Faults,
+        seed: u64,
+    ) -> Result<Self, ConfigError> {
+        let id = config.robot;
+        let wire = |way: u64| {
+            FaultWire::new(faults, seed.wrapping_mul(0x1_0001) ^ u64::from(id.0) << 8 ^ way)
+        };
+        Ok(Self {
+            port,
+            clock: RobotClock::of(id, seed),
+            robot: Robot::new(config, memory)?,
+            up: wire(1),
+            down: wire(2),
+            commanded: DriveCommand::STAND,
+            journal: None,
+            path: Vec::new(),
+            published: Published::default(),
+            bytes_noted: 0,
+        })
+    }
+
+    /// Its number.
+    pub fn id(&self) -> RobotId {
+        self.robot.settings().robot
+    }
+
+    /// Its port of the deployment.
+    pub fn port(&self) -> PortId {
+        self.port
+    }
+
+    /// The robot itself.
+    pub fn robot(&self) -> &Robot<'b, Option<Driving>> {
+        &self.robot
+    }
+
+    /// Has what the robot takes and gives heard from now on.
+    pub(super) fn keep_journal(&mut self, journal: Journal<'b>) {
+        self.journal = Some(journal);
+    }
+
+    fn note(&mut self, local: Instant, entry: Entry<'_>) {
+        if let Some(journal) = &mut self.journal {
+            journal(local, entry);
+        }
+    }
+
+    /// When a frame arrives at either end of its channel, or the robot wants to come back.
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        let robot = Some(self.clock.server(self.robot.poll_timeout()));
+        let channel = [self.up.next_delivery(), self.down.next_delivery()];
+        channel.into_iter().chain([robot]).flatten().min()
+    }
+
+    /// The next frame that arrives at the server.
+    pub(super) fn poll_up(&mut self, now: Instant) -> Option<Vec<u8>> {
+        self.up.poll(now)
+    }
+
+    /// Sends a frame to the robot.
+    pub(super) fn send_down(&mut self, now: Instant, frame: &[u8]) {
+        self.down.send(now, frame);
+    }
+
+    /// Lets the robot do what is due: take the frames that arrive, and its timeouts.
+    pub(super) fn deliver(&mut self, now: Instant) {
+        let local = self.clock.local(now);
+        while let Some(bytes) = self.down.poll(now) {
+            self.note(local, Entry::Received(&bytes));
+            self.robot.receive(&bytes, local);
+        }
+        self.note(local, Entry::Timeout);
+        self.robot.timeout(local);
+    }
+
+    /// The robot takes a scan.
+    pub(super) fn scan(&mut self, readings: &[u16], now: Instant) {
+        let local = self.clock.local(now);
+        self.note(local, Entry::Scan(readings));
+        if let Err(error) = self.robot.scan(local, readings, local) {
+            // The robot counts them.
+            log::debug!("robot {}: a scan is not taken: {error:?}", self.id().0);
+        }
+    }
+
+    /// Takes note of where it believes that it is.
+    pub(super) fn follow(&mut self, pose: Option<(Instant, Pose)>) {
+        self.path.extend(pose);
+    }
+
+    /// The robot reads its odometry.
+    pub(super) fn odometry(&mut self, pose: Pose, now: Instant) {
+        let local = self.clock.local(now);
+        self.note(local, Entry::Odometry(pose));
+        self.robot.odometry(local, pose, local);
+    }
+
+    /// Sends the next frame that is due, and writes it into `frame`. Its length.
+    pub(super) fn poll_transmit(&mut self, now: Instant, frame: &mut [u8]) -> Option<usize> {
+        let local = self.clock.local(now);
+        let len = self.robot.poll_transmit(local, &mut frame[..DEFAULT_FRAME]);
+        self.note(local, Entry::Transmit(len.and_then(|len| frame.get(..len))));
+        match len {
+            Some(len) => {
+                self.up.send(now, &frame[..len]);
+            }
+            None => self.note_published(),
+        }
+        len
+    }
+
+    /// What its wheels shall do from now on, if that has changed.
+    pub(super) fn poll_command(&mut self, now: Instant) -> Option<DriveCommand> {
+        let command = self.robot.command();
+        if command == self.commanded {
+            return None;
+        }
+        self.commanded = command;
+        self.note(self.clock.local(now), Entry::Commanded(command));
+        Some(command)
+    }
+
+    /// Takes note of what it has published by now.
+    fn note_published(&mut self) {
+        let bytes_sent_map = self.robot.statistics().bytes_sent_map;
+        if bytes_sent_map > self.bytes_noted {
+            self.bytes_noted = bytes_sent_map;
+            let tiles = self.robot.own_tiles().tiles();
+            self.published
+                .update(tiles.filter_map(|tile| Some((tile.id()?, tile.publication().sent()))));
+        }
+    }
+
+    /// Whether it leaves a cell to the cameras at a moment of the run.
+    pub fn is_left_to_cameras(&self, now: Instant, (x, y): (i32, i32)) -> bool {
+        let Some(id) = TileId::of_cell(x, y) else { return false };
+        let around = self.robot.fused_tiles().around(id, self.clock.local(now));
+        let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
+        around.covered.is_some_and(|rows| rows[within(y)] >> within(x) & 1 != 0)
+    }
+
+    /// Frames that the channel lost, both ways.
+    pub fn frames_lost(&self) -> u64 {
+        self.up.counters().lost + self.down.counters().lost
+    }
+
+    /// What telling the server of the same would have cost in other formats.
+    pub fn comparison(&self) -> Comparison {
+        let mut comparison = self.published.cost();
+        let mapped = self.robot.statistics().mapped.into();
+        comparison.add_scans(mapped, self.robot.beams().len() as u64);
+        comparison
+    }
+
+    /// Where it believes that it has been, and when since the run began.
+    pub fn path(&self) -> &[(Instant, Pose)] {
+        &self.path
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robots_clock_comes_back_when_it_was_asked_to() {
+        for id in 0..50 {
+            let clock = RobotClock::of(RobotId(id), 7);
+            for server in [0, 1, 999, 1_000_000, 3_600_000_000] {
+                let local = clock.local(Instant(server));
+                let back = clock.server(local);
+                assert!(clock.local(back) >= local && back.0 <= server);
+                assert!(back.0 == 0 || clock.local(Instant(back.0 - 1)) < local, "not the first");
+            }
+        }
+    }
+
+    #[test]
+    fn some_clocks_run_fast_and_as_many_slow() {
+        let clocks: Vec<_> = (0..2_000).map(|id| RobotClock::of(RobotId(id), 7)).collect();
+        let hour = 3_600_000_000;
+        let gained =
+            |clock: &RobotClock| clock.local(Instant(hour)).0 as i64 - (clock.start + hour) as i64;
+        let gained: Vec<i64> = clocks.iter().map(gained).collect();
+        // 40 ppm of an hour are 144 ms.
+        assert_eq!((gained.iter().max(), gained.iter().min()), (Some(&144_000), Some(&-144_000)));
+        let [fast, slow] =
+            [1, -1].map(|sign| gained.iter().filter(|it| it.signum() == sign).count());
+        assert!(fast.abs_diff(slow) < 150 && fast + slow > 1_950, "{fast} fast, {slow} slow");
+    }
+}
