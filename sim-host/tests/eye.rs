@@ -339,7 +339,7 @@ fn frames_that_cannot_be_are_refused_and_nothing_else_changes() {
         errors,
         [FrameError::Camera(3, 0), FrameError::NoDepth(0), size, blank, future, stale]
     );
-    assert!(size.to_string().contains("320 x 24 pixels where calibration has 320 x 240"));
+    assert!(size.to_string().contains("320 x 24 pixels, the calibration says 320 x 240"));
     assert_eq!(studio.eye.look(&good, now, &[]), other.eye.look(&good, now, &[]));
 }
 

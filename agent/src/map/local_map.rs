@@ -184,7 +184,8 @@ impl<'b> LocalMap<'b> {
     ) -> Option<Mapped> {
         let Self { resolution, near, mounting, policy, .. } = *self;
         self.scans = self.scans.wrapping_add(1);
-        let grain = self.grain.within(range);
+        let shorter = self.grain.within(range);
+        let grain = shorter.as_ref().unwrap_or(&self.grain);
         let projection = Projection::new(pose, mounting, resolution);
         let mut mapped = Mapped::default();
         // Whether there were hits that were not known.
@@ -208,7 +209,7 @@ impl<'b> LocalMap<'b> {
             let readings = readings.get(start..end)?;
             let part = Part { beams: part, readings, is_continued: start > 0 };
             let projection = projection.within(window.corner());
-            let nearest = trace(&mut window, &projection, &grain, part, &mut mapped.pixels);
+            let nearest = trace(&mut window, &projection, grain, part, &mut mapped.pixels);
             // In a corner of the square, at the farthest.
             let near_cells = (nearest <= u32::from(near) * 91 / 64)
                 .then(|| Near::new(&projection, near, resolution));

@@ -81,9 +81,6 @@ struct Reach {
 impl Reach {
     /// This reach, but no farther than `range`.
     fn within(self, range: u16) -> Self {
-        if range >= self.range {
-            return self;
-        }
         let scale = f32::from(range) / f32::from(self.range);
         // Off by less than one.
         let part = |reading: u32| (reading as f32 * scale) as u32;
@@ -154,9 +151,9 @@ impl Grain {
         }
     }
 
-    /// The same for scans that are mapped up to `range` at most.
-    pub(super) fn within(&self, range: u16) -> Self {
-        Self { reach: self.reach.within(range), ..*self }
+    /// The same for scans that are mapped up to a shorter `range`; `None` if it is not shorter.
+    pub(super) fn within(&self, range: u16) -> Option<Self> {
+        (range < self.reach.range).then(|| Self { reach: self.reach.within(range), ..*self })
     }
 
     /// The range up to which scans are mapped, in millimetres.
@@ -323,12 +320,12 @@ pub(super) fn trace(
         let direction = projection.direction(beam);
         let at = projection.corner(direction, reach);
         let next = Next { direction, reach, passed: index - last.index, is_broken };
-        let (from, surface) = join(window, projection, grain, beams, &last, next);
+        let (from, continues) = join(window, (projection, sensor), grain, beams, &last, next);
         window.edge(from, at);
         let mut hit = None;
         if is_hit {
             let to = projection.point(direction, reading);
-            if let Some(surface) = surface {
+            if let Some(surface) = last.hit.filter(|_| continues) {
                 window.surface(surface, to, next.passed as i32);
             }
             window.hit(to);
@@ -411,23 +408,23 @@ struct Next {
 }
 
 /// Draws from the last end to where the edge to the next one starts: at the last end if the gap is too
-/// narrow for a cell, else at the sensor. Returns that corner, and the last hit if its surface continues.
+/// narrow for a cell, else at the sensor. Returns that corner, and whether the last surface continues.
 #[inline(always)]
 fn join(
     window: &mut ScanWindow<'_>,
-    projection: &Projection,
+    (projection, sensor): (&Projection, Corner),
     grain: &Grain,
     beams: &[Beam],
     last: &End,
     next: Next,
-) -> (Corner, Option<Point>) {
+) -> (Corner, bool) {
     let least = last.reach.min(next.reach);
     if next.is_broken && !grain.bridges(next.passed as u32, least) {
-        window.edge(last.at, projection.sensor());
-        return (projection.sensor(), None);
+        window.edge(last.at, sensor);
+        return (sensor, false);
     }
     if !(next.is_broken || next.passed == 1) || last.reach.abs_diff(next.reach) <= JUMP {
-        return (last.at, last.hit);
+        return (last.at, true);
     }
     // Only the nearer range is claimed between them.
     let mut step = next.direction;
@@ -438,5 +435,5 @@ fn join(
     }
     let step = projection.corner(step, least);
     window.edge(last.at, step);
-    (step, None)
+    (step, false)
 }

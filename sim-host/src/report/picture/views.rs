@@ -114,7 +114,7 @@ pub fn render_overlap(
     caption: &Caption,
 ) -> RgbImage {
     let canvas = Canvas::new(map, scale_of(map), |column, row| {
-        let seen = floor(map.to_map([column as f64 + 0.5, row as f64 + 0.5]));
+        let seen = floor(map.to_map([middle(column), middle(row)]));
         match (map.cell(column, row), seen) {
             (Cell::Occupied, _) => WALL,
             (Cell::Movable, _) if column.wrapping_add(row).is_multiple_of(2) => WALL,
@@ -215,9 +215,13 @@ fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone
 
 /// The cell of a grid that holds the middle of a cell of another, which may be beside that.
 fn at(grid: &OccupancyGrid, other: &OccupancyGrid, column: usize, row: usize) -> Cell {
-    let middle = |index: usize| index as isize as f64 + 0.5;
     let [x, y] = grid.from_map(other.to_map([middle(column), middle(row)]));
     if x < 0.0 || y < 0.0 { Cell::Unknown } else { grid.cell(x as usize, y as usize) }
+}
+
+/// The middle of a cell along an axis; indices west and south of the grid wrap.
+fn middle(index: usize) -> f64 {
+    index as isize as f64 + 0.5
 }
 
 #[cfg(test)]

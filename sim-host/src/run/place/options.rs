@@ -19,7 +19,7 @@ pub struct PlaceOptions {
     #[arg(value_name = "ROOM")]
     pub room: PathBuf,
 
-    /// The camera: a file (TOML) with keys of a scenario's [[cameras]] but for the pose, or the
+    /// The camera: a file (TOML) with keys of a scenario's cameras but for the pose, or the
     /// intrinsics.toml of a camera folder (then add range_m if it isn't 8 m) [default: the depth
     /// camera of a D435, 87 x 58 degrees, 8 m]
     #[arg(long, value_name = "FILE")]
