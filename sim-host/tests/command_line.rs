@@ -43,6 +43,7 @@ fn bad_use_is_told_in_one_line() {
     refused(&["simulate", "--duration", "-1"], "--duration");
     refused(&["simulate", "--record", "x", "--ideal-cameras"], "--record");
     refused(&["simulate", "--record", "/dev/null/x"], "/dev/null/x: ");
+    refused(&["simulate", "--log", "/dev/null/x"], "/dev/null/x: ");
     refused(&["watch"], "FOLDER");
     refused(&["watch", "/no-such-folder"], "/no-such-folder: No such file");
     refused(&["watch", "x", "--resolution", "0"], "--resolution");

@@ -8,7 +8,12 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     grid::{OccupancyGrid, compare},
     report::{Report, json_pretty},
-    run::{Outcome, options::ReplayOptions, replay},
+    run::{
+        Outcome,
+        options::{ReplayOptions, SimulateOptions},
+        replay, simulate,
+    },
+    world::{Scenario, World},
 };
 use ubimap_tests::{data, per_ray};
 
@@ -32,6 +37,72 @@ fn run(log: &std::path::Path, options: &str) -> Outcome {
     let words = ["replay"].into_iter().map(Into::into).chain([log.as_os_str().to_owned()]);
     let words = words.chain(options.split_whitespace().map(Into::into));
     replay::run(&CommandLine::parse_from(words).options).unwrap()
+}
+
+#[derive(Parser)]
+struct SimulateLine {
+    #[command(flatten)]
+    options: SimulateOptions,
+}
+
+/// Two robots with different sensors go round a table and a box.
+const ROOM: &str = r#"
+duration_s = 40
+slice_height_m = 0.2
+[room]
+height_m = 3.0
+outline_m = [[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [0.0, 4.0]]
+[[furniture]]
+footprint.box = { centre_m = [2.5, 2.0], size_m = [0.8, 0.6] }
+top_m = 1.0
+[[cameras]]
+position_m = [2.5, 3.8, 2.8]
+look_at_m = [2.5, 1.5, 0.0]
+[[robots]]
+id = 1
+start = { x_m = 1.0, y_m = 1.0 }
+route.waypoints_m = [[4.0, 1.0], [4.0, 2.4], [4.0, 1.0]]
+[[robots]]
+id = 2
+start = { x_m = 4.0, y_m = 3.2, heading_deg = 180.0 }
+route.waypoints_m = [[1.0, 3.2], [1.0, 2.0], [1.0, 3.2]]
+sensor = { preset = "depth_row" }
+"#;
+
+#[test]
+fn the_log_of_a_simulation_is_replayed_to_the_map_of_its_room() {
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let [room, log] = ["logged.toml", "logged.log.gz"].map(|name| folder.join(name));
+    std::fs::write(&room, ROOM).unwrap();
+    let fixed = ["simulate", "--scripted", "--ideal-cameras", "--log"].map(std::ffi::OsStr::new);
+    let words = fixed.into_iter().chain([log.as_os_str(), room.as_os_str()]);
+    simulate::run(&SimulateLine::parse_from(words).options).unwrap();
+    let outcome = run(&log, "--robots 2");
+    assert!(outcome.report.map.converged);
+    assert!(outcome.report.robots.iter().all(|robot| robot.scans >= 400));
+
+    let scenario = Scenario::read(&room).unwrap();
+    let world = World::new(&scenario, None, Millimetres(50), 1).unwrap();
+    let (truth, map) = (world.truth(), &outcome.map);
+    let first = map.origin_m().map(|it| (it / map.resolution_m()).round() as i32);
+    let cell = |x: i32, y: i32| map.cell((x - first[0]) as usize, (y - first[1]) as usize);
+    let is_about = |(x, y): (i32, i32), cells: &dyn Fn(i32, i32) -> bool| {
+        (-1..=1).any(|dy| (-1..=1).any(|dx| cells(x + dx, y + dy)))
+    };
+    let is_surface = |x, y| truth.surfaces.contains(&(x, y));
+    let columns = 0..map.width() as i32;
+    let cells = columns.flat_map(|x| (0..map.height() as i32).map(move |y| (x, y)));
+    let occupied: Vec<_> = cells
+        .map(|(x, y)| (x + first[0], y + first[1]))
+        .filter(|&(x, y)| cell(x, y) == Cell::Occupied)
+        .collect();
+    let right = occupied.iter().filter(|&&at| is_about(at, &is_surface)).count();
+    let is_drawn = |x, y| cell(x, y) == Cell::Occupied;
+    let found = truth.surfaces.iter().filter(|&&at| is_about(at, &is_drawn)).count();
+    let precision = right as f64 / occupied.len() as f64;
+    let recall = found as f64 / truth.surfaces.len() as f64;
+    println!("precision {precision:.3}, recall {recall:.3}");
+    assert!(precision > 0.95 && recall > 0.95, "{precision} {recall}");
 }
 
 /// Map traffic up: bytes for each mapped scan, and in all.

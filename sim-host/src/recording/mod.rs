@@ -12,6 +12,8 @@
 //! What a log leaves open (missing time stamps, for instance) is settled by a documented rule, and
 //! [`Log::notes`] says so.
 //!
+//! [`write_carmen`] writes the scans of robots as a CARMEN log.
+//!
 //! [`RecordedFrames`] plays the frames of RGB-D cameras, image by image, and [`Recorder`] writes them;
 //! [`frames`] describes the layout on disk.
 
@@ -31,4 +33,5 @@ pub use format::Format;
 pub use frames::{FramesError, RecordedFrames, Recorder};
 pub use scans::{
     DepthSlice, Log, LoggedScan, PixelModel, Sensor, Slicing, concatenate, read, read_all,
+    write_carmen,
 };

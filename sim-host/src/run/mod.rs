@@ -17,6 +17,7 @@ pub mod record;
 pub mod replay;
 mod robots_file;
 pub mod room_stage;
+pub mod scan_log;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;

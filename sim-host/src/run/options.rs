@@ -113,6 +113,11 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Results", value_name = "DIR", conflicts_with = "ideal_cameras")]
     pub record: Option<PathBuf>,
 
+    /// Write what the robots' sensors read to this file, a CARMEN log for ubimap replay: robot after
+    /// robot, so that --robots N plays N of them at once; gzipped if the name ends with .gz
+    #[arg(long, help_heading = "Results", value_name = "FILE")]
+    pub log: Option<PathBuf>,
+
     /// What every run has.
     #[command(flatten)]
     pub run: RunOptions,

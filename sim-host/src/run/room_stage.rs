@@ -9,8 +9,9 @@ use ubimap_protocol::{
 };
 
 use super::{
-    driving,
+    RunError, driving,
     fleet::{Event, Stage},
+    scan_log::ScanLog,
     scoring::TRACK_INTERVAL,
 };
 use crate::{
@@ -42,6 +43,7 @@ pub struct RoomStage {
     commands: VecDeque<(Instant, usize, DriveCommand)>,
     /// Where each robot really was, every [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
+    log: Option<ScanLog>,
 }
 
 impl RoomStage {
@@ -58,6 +60,7 @@ impl RoomStage {
             is_filmed: false,
             commands: VecDeque::new(),
             tracks: vec![Vec::new(); robots],
+            log: None,
         }
     }
 
@@ -69,6 +72,19 @@ impl RoomStage {
     /// Where each robot really was, every twentieth of a second from the first moment on.
     pub fn tracks(&self) -> &[Vec<Pose>] {
         &self.tracks
+    }
+
+    /// Has every scan written to a log from now on.
+    pub fn keep_log(&mut self, log: ScanLog) {
+        self.log = Some(log);
+    }
+
+    /// Writes the log, if one is kept.
+    ///
+    /// # Errors
+    /// [`RunError::Log`].
+    pub fn finish_log(&mut self) -> Result<(), RunError> {
+        self.log.take().map_or(Ok(()), ScanLog::finish)
     }
 
     /// Lets the robots that have a route drive themselves from now on.
@@ -142,6 +158,9 @@ impl Stage for RoomStage {
         self.follow_tracks(now);
         self.read_wheels(now);
         while let Some(scan) = self.world.poll_scan(now) {
+            if let Some(log) = &mut self.log {
+                log.add(&scan);
+            }
             self.waiting.push_back(Event::Scan { robot: scan.robot, readings: scan.readings_mm });
         }
         if self.is_filmed {

@@ -21,6 +21,7 @@ use super::{
     progress::Progress,
     record::{Recorded, Recording},
     room_stage::RoomStage,
+    scan_log::ScanLog,
     scoring,
     time_lapse::{self, TimeLapse},
 };
@@ -70,6 +71,9 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     if !options.scripted {
         stage.hand_over();
     }
+    if let Some(path) = &options.log {
+        stage.keep_log(ScanLog::create(path, stage.world().robots())?);
+    }
     let progress = Progress::new(end);
     let mut time_lapse = TimeLapse::new(duration);
     let mut stage = Recorded { stage, recording };
@@ -81,7 +85,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let seen = Seen::by(&fleet, stage.stage.world(), options)?;
     let converged = fleet.settle(&mut stage)?;
     drop(progress);
-    let stage = stage.finish()?;
+    let mut stage = stage.finish()?;
+    stage.finish_log()?;
 
     let map = time_lapse::grid(&fleet)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles(options));

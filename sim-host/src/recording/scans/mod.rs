@@ -1,6 +1,8 @@
-//! Logs of scans: one reader for each format, and what their scans have in common.
+//! Logs of scans: one reader for each format, a writer of CARMEN logs, and what all scans have in
+//! common.
 
 mod carmen;
+mod carmen_writer;
 mod join;
 mod mines;
 mod odometry;
@@ -10,6 +12,7 @@ mod scan_log;
 mod sensor;
 mod slicing;
 
+pub use carmen_writer::write_carmen;
 pub use join::concatenate;
 pub use read::{read, read_all};
 pub use scan_log::{Log, LoggedScan};
