@@ -65,11 +65,11 @@ look_at_m = [2.5, 1.5, 0.0]
 [[robots]]
 id = 1
 start = { x_m = 1.0, y_m = 1.0 }
-route.waypoints_m = [[4.0, 1.0], [4.0, 3.0]]
+route.waypoints_m = [[4.0, 1.0], [4.0, 2.4], [4.0, 1.0]]
 [[robots]]
 id = 2
 start = { x_m = 4.0, y_m = 3.2, heading_deg = 180.0 }
-route.waypoints_m = [[1.0, 3.2], [1.0, 1.6]]
+route.waypoints_m = [[1.0, 3.2], [1.0, 2.0], [1.0, 3.2]]
 sensor = { preset = "depth_row" }
 "#;
 
@@ -83,7 +83,7 @@ fn the_log_of_a_simulation_is_replayed_to_the_map_of_its_room() {
     simulate::run(&SimulateLine::parse_from(words).options).unwrap();
     let outcome = run(&log, "--robots 2");
     assert!(outcome.report.map.converged);
-    assert_eq!(outcome.report.robots.iter().map(|robot| robot.scans).min(), Some(400));
+    assert!(outcome.report.robots.iter().all(|robot| robot.scans >= 400));
 
     let scenario = Scenario::read(&room).unwrap();
     let world = World::new(&scenario, None, Millimetres(50), 1).unwrap();

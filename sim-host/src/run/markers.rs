@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use ubimap_protocol::{
     message::{Obstacle, ObstacleClass},
     time::{Duration, Instant},
-    units::Millimetres,
+    units::{Millimetres, RobotId},
 };
 
 use super::fleet::Fleet;
@@ -12,6 +12,7 @@ use crate::{
     camera::{Calibration, Lens},
     deployment::Deployment,
     report::{Marker, MarkerKind},
+    server::Footprint,
 };
 
 /// A person or thing that was seen this shortly before a moment is there at that moment.
@@ -30,12 +31,19 @@ pub(super) fn robots(fleet: &Fleet<'_>) -> Vec<Marker> {
         let metres = |length: Millimetres| length.metres();
         let place = [pose.x, pose.y].map(metres);
         Some(Marker {
+            radius_m: radius_m(fleet.deployment(), robot.id()),
             label: robot.id().0.to_string(),
             path: robot.path().iter().map(|(_, pose)| [pose.x, pose.y].map(metres)).collect(),
             ..Marker::new(MarkerKind::Robot, place, pose.heading.radians())
         })
     });
     robots.collect()
+}
+
+/// Half the longer side of a robot.
+pub(super) fn radius_m(deployment: &Deployment, robot: RobotId) -> f64 {
+    let Footprint { half_length, half_width } = deployment.server().footprint(robot);
+    f64::from(half_length.max(half_width)) / 1000.0
 }
 
 /// The people and things that the cameras of a deployment follow at a moment.
@@ -51,7 +59,8 @@ pub(super) fn people(deployment: &Deployment, now: Instant) -> Vec<Marker> {
     let people = people.filter(|it| it.class == ObstacleClass::Person).map(|person| {
         let place = [person.x, person.y].map(Millimetres::metres);
         let heading = f64::from(person.velocity_y).atan2(person.velocity_x.into());
-        Marker::new(MarkerKind::Person, place, heading)
+        let radius_m = f64::from(person.radius) / 1000.0;
+        Marker { radius_m, ..Marker::new(MarkerKind::Person, place, heading) }
     });
     people.collect()
 }

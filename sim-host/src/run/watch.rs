@@ -204,6 +204,7 @@ impl Seen<'_> {
             let &(_, Sighting { pose, .. }) = seen.last()?;
             let [x, y, _] = metres_and_degrees(pose);
             Some(Marker {
+                radius_m: markers::radius_m(self.deployment, robot),
                 label: robot.0.to_string(),
                 path: seen.iter().map(|(_, it)| [it.pose.x.metres(), it.pose.y.metres()]).collect(),
                 ..Marker::new(MarkerKind::Robot, [x, y], pose.heading.radians())

@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     mapping::{ConstantErrors, MapTime, Mask, RobotLayer, ServedLayer, Weight},
-    perception::robots::SightingEvent,
+    perception::{Footprint, robots::SightingEvent},
 };
 
 /// The map.
@@ -120,6 +120,11 @@ impl Server {
 
 /// Obstacles and events.
 impl Server {
+    /// The robot's footprint: 40 by 40 cm unless it was set.
+    pub fn footprint(&self, robot: RobotId) -> Footprint {
+        self.surroundings.footprint(robot)
+    }
+
     /// The people and things tracked by cameras, and the time of their positions.
     pub fn obstacles(&self) -> (Instant, Vec<Obstacle>) {
         (self.surroundings.obstacles_moment(), self.surroundings.all_obstacles())

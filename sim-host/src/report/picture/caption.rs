@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use super::{
     marker::{MarkerKind, symbol},
     palette::{CAMERA, INK, PAPER, ROBOT},
-    strokes::{LARGE, SMALL, dashed_line, edged_line, fill, size, write},
+    strokes::{LARGE, SMALL, edged_line, fill, size, write},
 };
 
 /// Between a text and what is beside it, in pixels.
@@ -130,7 +130,11 @@ fn draw_sample(image: &mut RgbImage, sample: Sample, [left, top]: [u32; 2]) {
             symbol(image, kind, centre, 0.5 * side, 0.0);
         }
         Sample::Path => edged_line(image, &[at(0.1, 0.5), at(0.9, 0.5)], 1.3, ROBOT),
-        Sample::View => dashed_line(image, &[at(0.0, 0.5), at(1.0, 0.5)], 0.8, CAMERA),
+        Sample::View => {
+            for [from, to] in [[0.0, 0.35], [0.65, 1.0]] {
+                edged_line(image, &[at(from, 0.5), at(to, 0.5)], 0.8, CAMERA);
+            }
+        }
     }
 }
 

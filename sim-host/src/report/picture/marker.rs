@@ -8,9 +8,11 @@ use super::{
     strokes::{SMALL, dashed_line, edged_disc, edged_line, fill, size, stroke, write},
 };
 
-/// Robots are drawn this large, in metres, and nothing smaller than so many pixels.
+/// The radius of robots and people unless it is set, in metres.
 const RADIUS_M: f64 = 0.2;
+/// The smallest radius of a symbol, and that of a camera, in pixels.
 const LEAST_RADIUS: f64 = 6.0;
+const CAMERA_RADIUS: f64 = 11.0;
 /// Half the width of a path, and of the edge of a view, in pixels.
 const PATH: f64 = 1.3;
 const VIEW: f64 = 0.8;
@@ -42,6 +44,8 @@ pub struct Marker {
     pub heading_rad: f64,
     /// What it is.
     pub kind: MarkerKind,
+    /// How large a robot or a person is, in metres.
+    pub radius_m: f64,
     /// What is written beside it; may be empty.
     pub label: String,
     /// Where it has been, in `map`, metres; may be empty.
@@ -51,10 +55,11 @@ pub struct Marker {
 }
 
 impl Marker {
-    /// A marker at a place of `map` in metres with a heading in radians, without label, path and view.
+    /// A marker of the usual size at a place of `map` in metres with a heading in radians, without label,
+    /// path and view.
     pub fn new(kind: MarkerKind, [x_m, y_m]: [f64; 2], heading_rad: f64) -> Self {
         let (label, path, view) = Default::default();
-        Self { x_m, y_m, heading_rad, kind, label, path, view }
+        Self { x_m, y_m, heading_rad, kind, radius_m: RADIUS_M, label, path, view }
     }
 }
 
@@ -69,15 +74,26 @@ pub(super) fn draw(canvas: &mut Canvas<'_>, markers: &[Marker]) {
         let path: Vec<_> = path.iter().map(|&point| canvas.pixel(point)).collect();
         edged_line(&mut canvas.image, &path, PATH, ROBOT);
     }
-    let radius = (RADIUS_M * canvas.pixels_per_m()).max(LEAST_RADIUS);
     for marker in markers {
         let centre = canvas.pixel([marker.x_m, marker.y_m]);
         let angle = canvas.angle(marker.heading_rad);
+        let radius = radius(canvas, marker);
         symbol(&mut canvas.image, marker.kind, centre, radius, angle);
     }
     for marker in markers.iter().filter(|marker| !marker.label.is_empty()) {
         let centre = canvas.pixel([marker.x_m, marker.y_m]);
+        let radius = radius(canvas, marker);
         label(&mut canvas.image, &marker.label, centre, radius);
+    }
+}
+
+/// The radius of a symbol in pixels.
+fn radius(canvas: &Canvas<'_>, marker: &Marker) -> f64 {
+    match marker.kind {
+        MarkerKind::Robot | MarkerKind::Person => {
+            (marker.radius_m * canvas.pixels_per_m()).max(LEAST_RADIUS)
+        }
+        MarkerKind::Camera | MarkerKind::CameraDown => CAMERA_RADIUS,
     }
 }
 
