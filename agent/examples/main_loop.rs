@@ -3,8 +3,8 @@
 //!
 //! `cargo run --package ubimap-agent --example main_loop`
 //!
-//! [`run`] is the part to copy. [`Board`] stands for the hardware: here it is a room of 5 x 4 m, in
-//! which time passes only while the robot waits.
+//! [`run`] is the part to copy. [`Board`] replaces the hardware: a room of 5 x 4 m, in which time
+//! passes only while the robot waits.
 
 use std::{array, f64::consts::TAU};
 
@@ -23,25 +23,25 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-/// A lidar of 180 beams, and 32 tiles of 1.6 x 1.6 m: the room touches 20.
+/// A lidar with 180 beams, and 32 tiles of 1.6 x 1.6 m: the room touches 20.
 const BOUNDS: Bounds = Bounds { readings: 180, own_tiles: 32, fused_tiles: 0, ..Bounds::DEFAULT };
-/// What the robot borrows.
+/// The memory that the robot borrows.
 type RobotMemory = memory!(BOUNDS, Driving);
 
 fn main() -> Result<(), ConfigError> {
-    // On a microcontroller: a `static mut` in the function that `#[entry]` marks.
+    // On a microcontroller: a `static mut` in the `#[entry]` function.
     let mut memory: Box<RobotMemory> = Box::new(Memory::EMPTY);
     let mut board = Board::default();
     let map = run(&mut board, &mut memory)?;
     println!(
-        "{map}\nexplored in {} s; {} frames that nobody heard",
+        "{map}\nexplored in {} s; {} frames sent to no server",
         board.now.seconds(),
         board.sent
     );
     Ok(())
 }
 
-/// The robot's main loop. It ends when all is explored; on a robot it never does.
+/// The robot's main loop. It returns when everything is explored; on a real robot it never does.
 fn run(board: &mut Board, memory: &mut RobotMemory) -> Result<String, ConfigError> {
     let mut robot = Robot::new(config(), memory)?;
     let mut bytes = [0; DEFAULT_FRAME];
@@ -53,7 +53,7 @@ fn run(board: &mut Board, memory: &mut RobotMemory) -> Result<String, ConfigErro
             robot.odometry(moment, pose, board.now);
         }
         if let Some((taken, readings)) = board.scan() {
-            // The robot counts a scan that it cannot take, and tells the server.
+            // The robot counts a refused scan and reports it to the server.
             let _ = robot.scan(taken, &readings, board.now);
         }
         robot.timeout(board.now);
@@ -88,26 +88,26 @@ fn drawn(robot: &Robot<'_, Driving>) -> String {
             Cell::Unknown => ' ',
         }
     };
-    // A character is two cells of 5 cm, one above the other.
+    // A character covers two cells of 5 cm, one above the other.
     let both = |x, y| if cell(x, y + 1) == '#' { '#' } else { cell(x, y) };
     let line = |y: i32| (-2..102).map(|x| both(x, y)).collect::<String>();
     (-2..82).step_by(2).rev().map(line).collect::<Vec<_>>().join("\n")
 }
 
-/// A base with a lidar in a room, and a port at which nobody is.
+/// A mobile base with a lidar in a room, and a port without a peer.
 #[derive(Default)]
 struct Board {
     now: Instant,
-    /// Where the robot really is: metres and radians.
+    /// The robot's true pose: metres and radians.
     at: [f64; 3],
     command: DriveCommand,
-    /// When the wheels are read next, and the lidar.
+    /// When the next readings of the wheels and the lidar are due.
     next: [Instant; 2],
     sent: usize,
 }
 
 impl Board {
-    /// Sleeps until `due`, or until the wheels or the lidar have something.
+    /// Sleeps until `due`, or until the wheels or the lidar have a reading.
     fn wait(&mut self, due: Instant) {
         let until = self.next.into_iter().fold(due, Instant::min).max(self.now);
         let seconds = until.since(self.now).micros() as f64 / 1e6;
@@ -119,23 +119,23 @@ impl Board {
         self.now = until;
     }
 
-    /// Bytes from the server: none here.
+    /// Reads bytes from the server: none here.
     fn read(&mut self, _: &mut [u8]) -> usize {
         0
     }
 
-    /// Bytes to the server.
+    /// Sends bytes to the server.
     fn write(&mut self, _: &[u8]) {
         self.sent += 1;
     }
 
-    /// `base_link` in `odom`, 50 times a second.
+    /// `base_link` in `odom`, 50 times per second.
     fn odometry(&mut self) -> Option<(Instant, Pose)> {
         self.is_due(0, 20)
             .then(|| (self.now, Pose::from_metres(self.at[0], self.at[1], self.at[2])))
     }
 
-    /// Ranges in millimetres, ten times a second.
+    /// Ranges in millimetres, ten times per second.
     fn scan(&mut self) -> Option<(Instant, [u16; BOUNDS.readings])> {
         self.is_due(1, 100).then(|| {
             let turn = |beam: usize| self.at[2] + TAU * beam as f64 / BOUNDS.readings as f64;
@@ -143,7 +143,7 @@ impl Board {
         })
     }
 
-    /// What the wheels shall do from now on.
+    /// Sets the speed of the wheels.
     fn turn_wheels(&mut self, command: DriveCommand) {
         self.command = command;
     }
@@ -156,9 +156,9 @@ impl Board {
         is_due
     }
 
-    /// How far the lidar sees in a direction.
+    /// The lidar's range in a direction.
     fn range(&self, heading: f64) -> u16 {
-        // The robot begins in odom's origin, which is at (1, 1) in the room.
+        // The robot starts at odom's origin, which is at (1, 1) in the room.
         let (x, y) = (self.at[0] + 1.0, self.at[1] + 1.0);
         let (sin, cos) = heading.sin_cos();
         let is_free = |&way: &u16| {

@@ -1,25 +1,25 @@
-//! What runs on a ubimap robot: from a range scan to tiles that all share, and to its wheels.
+//! The software of a ubimap robot: from a range scan to shared map tiles, and to the wheels.
 //!
-//! Modules in the order in which data walks through them; each imports only those before it:
+//! The modules in the order of the data flow; each imports only those before it:
 //!
-//! 1. `timing` names the durations by which something is silent, lost or late; `trigonometry` is what
-//!    the robot needs of it, in single precision;
+//! 1. `timing` holds the timeouts and intervals; `trigonometry` is single-precision sine and
+//!    cosine;
 //! 2. [`sense`]: a depth frame or a lidar's readings become a scan, which waits for its pose;
-//! 3. [`locate`]: the pose of the moment it was taken, from the server's fixes and odometry;
-//! 4. [`map`]: the gate, what is known already, the transform to `map`, the tiles;
-//! 5. [`share`]: tile updates to the server, the merged map back;
+//! 3. [`locate`]: the pose at the time of the scan, from the server's fixes and odometry;
+//! 4. [`map`]: the gate, the selection of new readings, the projection onto `map`, the tiles;
+//! 5. [`share`]: tile updates to the server, and the merged map back;
 //! 6. [`drive`]: from the map to the wheels;
-//! 7. `robot`: [`Robot`] ties them together under one law, made from one [`Config`], in one
-//!    [`Memory`]; [`Parameter`] lists what the server may change of it.
+//! 7. `robot`: [`Robot`] ties them together; it is built from a [`Config`] in a [`Memory`], and the
+//!    server can change each [`Parameter`] at run time.
 //!
-//! A scan is one borrowed row of readings: [`Robot::scan`] takes a lidar's, or a row of a depth
-//! frame as it lies in memory. A [`sense::Slicer`] makes the row of a frame that comes line by
-//! line, of several rows, or of a camera that is tilted.
+//! A scan is one borrowed row of readings: [`Robot::scan`] takes a lidar's readings, or a row of a
+//! depth frame, directly from memory. A [`sense::Slicer`] makes the row from a frame that arrives
+//! line by line, from several rows, or from a tilted camera.
 //!
-//! Nothing here owns a clock, a port, a thread or a heap: time is an argument, memory is the
-//! caller's. **After every input drain the outputs until none is left, then come back at
-//! `poll_timeout`**: [`Robot`] shows the whole loop. Given the same inputs it gives the same bytes
-//! on a Cortex-M and on a PC.
+//! No code here owns a clock, a port, a thread or a heap: time is an argument, and memory is the
+//! caller's. **After every input, drain the outputs until none is left, then return at
+//! `poll_timeout`**: [`Robot`] shows the complete loop. The same inputs give the same bytes on a
+//! Cortex-M and on a PC.
 #![no_std]
 
 #[cfg(test)]

@@ -1,81 +1,80 @@
-//! What counts as silent, lost or late on a robot, and how often the robot speaks.
+//! Timeouts and intervals of a robot.
 
 use ubimap_protocol::time::Duration;
 
 // The session.
 
-/// Interval of states, which keep an idle session alive. The server calls a robot silent after 15 s:
+/// Interval of state messages, which keep an idle session alive. The server's timeout of 15 s is
 /// seven lost states in a row.
 pub(crate) const STATE_INTERVAL: Duration = Duration::from_secs(2);
-/// A reset is believed once the session has been silent for this long, a few frames at 15 Hz: a reset
-/// that was forged or delayed does not end a session that lives.
+/// Minimum silence of the session before a reset is accepted, a few frames at 15 Hz: a forged or
+/// delayed reset does not end a live session.
 pub(crate) const RESET_SILENCE: Duration = Duration::from_millis(300);
-/// After an event, changes of the map are sent at once for this long: by then the scans that were
-/// taken before the event are in the map.
+/// Duration after an event in which changes of the map are sent without delay: by then the scans
+/// from before the event are mapped.
 pub(crate) const HURRY: Duration = Duration::from_millis(300);
-/// An event is not repeated sooner than this, unless the server waits for it: more would tell nothing
-/// new.
+/// Minimum interval of an event's repetitions, unless the server waits for it.
 pub(crate) const EVENT_INTERVAL: Duration = Duration::from_secs(10);
-/// A robot stops when its server has been silent for this long: nobody could take its path back. A
-/// server that lives says something four times a second, so that it takes seven lost frames.
+/// Silence of the server after which a robot stops, as its path could not be revoked. A live server
+/// sends four messages per second, so seven lost frames in a row are needed.
 pub(crate) const SERVER_SILENT: Duration = Duration::from_secs(2);
 
 // Poses and scans.
 
-/// Readings of the odometry, or fixes, further apart than this leave a gap that is not bridged. A robot
-/// that brakes with 1 m/s^2 strays from the straight way by 15 mm in this time.
+/// Maximum interval between odometry readings, or fixes, that is bridged. Braking at 1 m/s^2
+/// displaces a robot by 15 mm in this time.
 pub(crate) const BRIDGED_GAP: Duration = Duration::from_millis(350);
-/// Fixes have stopped when the last one is this old: five frames at 15 Hz. Soon after it the robot
-/// still knows well where it is, and sees where it goes on to. Shorter than [`BLIND_VECTOR_INTERVAL`],
-/// for each distance vector of a blind robot is answered by a fix.
+/// Age of the newest fix after which a robot counts as blind: five frames at 15 Hz. Shortly after,
+/// its pose is still good. Shorter than [`BLIND_VECTOR_INTERVAL`], as a fix answers each distance
+/// vector of a blind robot.
 pub(crate) const BLIND_AFTER: Duration = Duration::from_millis(350);
-/// A scan that has waited this long for its pose is given up: fixes are up to half a second late, and
-/// one that was lost comes with those after it.
+/// Maximum time that a scan waits for its pose: fixes are up to half a second late, and a lost one
+/// is repeated with the next.
 pub(crate) const SCAN_LATE: Duration = Duration::from_millis(1_500);
-/// A robot does not drive by a scan older than this: half a metre at 1 m/s.
+/// Maximum age of the scan to drive by: half a metre at 1 m/s.
 pub(crate) const SCAN_STALE: Duration = Duration::from_millis(500);
-/// A pose that is this much newer than the one of a later scan was timed before the clocks agreed.
+/// A pose newer than that of a later scan by this much was timed before clock synchronisation.
 pub(crate) const CLOCKS_DISAGREE: Duration = Duration::from_secs(10);
 
 // The map.
 
-/// Interval of digests: with two tiles each, a pool of 32 in three minutes for 3 bytes a second.
+/// Interval of digests: with two tiles each, a pool of 32 takes under three minutes, at 3 bytes/s.
 pub(crate) const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
-/// Interval at which evidence ages. A change must be seen often enough to be told within this time:
-/// hits that are minutes apart are noise.
+/// Interval of ageing evidence. Within it a change must be observed often enough to be sent: hits
+/// minutes apart are noise.
 pub(crate) const AGEING_INTERVAL: Duration = Duration::from_secs(10);
-/// A tile is calm when nothing in it has come or gone for this long: what has changed is then fixed.
+/// Time without changes after which a tile is calm.
 pub(crate) const CALM: Duration = Duration::from_secs(600);
-/// Coverage that was not confirmed for this long is stale: four confirmations at 4 Hz.
+/// Age at which coverage is stale: four confirmations at 4 Hz.
 pub(crate) const COVERAGE_STALE: Duration = Duration::from_secs(1);
-/// A robot that nobody has heard of for this long may be anywhere, and is not masked any more: its mask
-/// has grown by 1.5 m.
+/// Age of a robot's report after which it may be anywhere and is not masked: the mask has grown by
+/// 1.5 m.
 pub(crate) const PEER_LOST: Duration = Duration::from_secs(3);
-/// What cameras saw this long ago is not avoided any more: a person has walked 3 m.
+/// Age at which obstacles reported by cameras are ignored: a person has walked 3 m.
 pub(crate) const OBSTACLE_LOST: Duration = Duration::from_secs(2);
 
 // Distance vectors.
 
-/// Least interval of distance vectors of a robot that stands, which tell nothing new.
+/// Minimum interval of distance vectors at standstill, where they contain nothing new.
 pub(crate) const STANDING_VECTOR_INTERVAL: Duration = Duration::from_secs(60);
-/// Least interval of distance vectors of a blind robot: each is answered by a fix if the server can
-/// place it on the map.
+/// Minimum interval of distance vectors of a blind robot: the server answers each with a fix if it
+/// can locate it on the map.
 pub(crate) const BLIND_VECTOR_INTERVAL: Duration = Duration::from_secs(1);
 
 // Driving.
 
-/// How often the map is looked at for new obstacles.
+/// Interval of checking the map for new obstacles.
 pub(crate) const MAP_LOOK_INTERVAL: Duration = Duration::from_millis(500);
-/// How often a new way is looked for while the old one is still good.
+/// Interval of planning again while the path is still good.
 pub(crate) const REPLAN_INTERVAL: Duration = Duration::from_secs(4);
-/// How long a hindered robot waits for its way to become clear before it looks for another one: a
-/// person has passed by then.
+/// How long a hindered robot waits before it plans around the obstacle: a person has passed by
+/// then.
 pub(crate) const HINDERED_WAIT: Duration = Duration::from_secs(3);
-/// How long a new way avoids what the robot waited for.
+/// How long plans avoid the obstacle that was waited for.
 pub(crate) const AVOIDED_FOR: Duration = Duration::from_secs(10);
-/// How long a robot without a way waits before it looks for one again.
+/// Interval of planning again without a path.
 pub(crate) const NO_WAY_RETRY: Duration = Duration::from_secs(2);
-/// How long a robot stands before it tries whether its wheels work again.
+/// How long a robot stands before it tries faulty wheels again.
 pub(crate) const WHEELS_RETRY: Duration = Duration::from_secs(5);
-/// A robot that stops for each scan goes on without one after this long: no camera sees it there.
+/// Timeout of a stop for a scan: no camera sees the robot there.
 pub(crate) const UNSEEN_STOP: Duration = Duration::from_secs(3);

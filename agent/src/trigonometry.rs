@@ -1,21 +1,21 @@
-//! Sine and cosine in single precision alone. `libm`'s work in doubles within, for which a
-//! Cortex-M4 has no hardware: 7 KiB of flash, and 2,400 instructions a call.
+//! Sine and cosine in single precision. `libm`'s functions use double precision internally, for
+//! which a Cortex-M4 has no hardware: 7 KiB of flash and 2,400 instructions per call.
 
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use ubimap_protocol::units::Angle;
 
-/// Radians in a binary angle unit.
+/// Radians per binary angle unit.
 pub(crate) const RADIANS: f32 = TAU / 65_536.0;
 
-/// Sine and cosine of an angle in radians, right to 4e-7 within ten turns.
+/// Sine and cosine of an angle in radians, with an error below 4e-7 within ten turns.
 pub(crate) fn sin_cos(radians: f32) -> (f32, f32) {
-    // A quarter of a turn in two parts, for the remainder to keep its digits.
+    // A quarter turn as the sum of two constants, for a precise remainder.
     const HIGH: f32 = 1.570_312_5;
     const LOW: f32 = 4.838_268e-4;
     let quarters = libm::rintf(radians / FRAC_PI_2);
     let rest = (radians - quarters * HIGH) - quarters * LOW;
-    // Taylor's polynomials, within an eighth of a turn of zero.
+    // Taylor polynomials, within an eighth of a turn around zero.
     let square = rest * rest;
     let sine = 1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5_040.0));
     let sine = rest - rest * square * sine;
@@ -29,18 +29,18 @@ pub(crate) fn sin_cos(radians: f32) -> (f32, f32) {
     }
 }
 
-/// The nearest whole number. Apart, so that it is in the firmware once.
+/// The nearest integer. Not inlined, so that the firmware contains it once.
 #[inline(never)]
 pub(crate) fn round(value: f32) -> f32 {
     libm::roundf(value)
 }
 
-/// A binary angle in radians, from -pi (inclusive) to pi.
+/// A binary angle in radians, in [-pi, pi).
 pub(crate) fn radians(angle: Angle) -> f32 {
     f32::from(angle.0 as i16) * (PI / 32_768.0)
 }
 
-/// The nearest binary angle to an angle of less than a hundred turns in radians.
+/// The nearest binary angle to an angle in radians, below a hundred turns.
 pub(crate) fn angle(radians: f32) -> Angle {
     Angle(round(radians * (32_768.0 / PI)) as i32 as u16)
 }
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sine_and_cosine_are_right() {
+    fn sine_and_cosine_are_accurate() {
         for step in -7_000i32..7_000 {
             let radians = step as f32 * 0.009;
             let (sine, cosine) = sin_cos(radians);

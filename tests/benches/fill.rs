@@ -1,4 +1,4 @@
-//! A scan into a map on the host: the robot's polygon, and one line of cells for each beam.
+//! Mapping a scan on the host: the robot's polygon, and a line of cells per beam.
 
 use std::hint::black_box;
 

@@ -1,8 +1,8 @@
-//! How soon a server that serves many robots sends what a frame of its cameras says.
+//! Latency of a server with many robots, from a camera frame to the fixes.
 //!
-//! Two threads, in real time: the server with its cameras' observations, and all robots, real
-//! agents that scan ten times a second. Each drives in a circle in a room of its own, half of which
-//! a camera covers, and is seen ten times a second. `UBIMAP_ROBOTS` robots, 200 unless given.
+//! Two threads in real time: the server with its cameras' observations, and all robots, real agents
+//! that scan ten times per second. Each drives in a circle in its own room, half of which a camera
+//! covers, and is seen ten times per second. `UBIMAP_ROBOTS` robots, 200 by default.
 
 use std::{
     sync::mpsc::{self, Receiver, Sender},
@@ -28,23 +28,23 @@ const RESOLUTION: Millimetres = Millimetres(50);
 const CAMERAS: usize = 8;
 /// Of each camera, and of each robot's sensor.
 const INTERVAL: Duration = Duration::from_millis(100);
-/// A camera says which cells it sees in one of so many frames.
+/// Number of frames per report of a camera's coverage.
 const CELLS_EVERY: u64 = 5;
-/// Half the side of a robot's room, and from one room to the next.
+/// Half the side of a robot's room, and the distance between rooms.
 const HALF_ROOM_M: f64 = 2.0;
 const PITCH_M: f64 = 5.0;
 const ROOMS_IN_A_ROW: usize = 15;
-/// The circle that a robot drives, and its speed.
+/// The radius of a robot's circle, and its speed.
 const CIRCLE_M: f64 = 0.8;
 const SPEED_M_S: f64 = 0.4;
 const BEAMS: usize = 160;
 const FIRST_RAD: f64 = -0.76;
 const STEP_RAD: f64 = 1.52 / 159.0;
-/// Sessions begin and clocks agree.
+/// Time for opening sessions and synchronising clocks, and the end of the run.
 const SETTLES: Span = Span::from_secs(6);
 const LASTS: Span = Span::from_secs(16);
 
-/// Bytes for a port, or from it.
+/// A port and bytes for it or from it.
 type Bytes = (usize, Vec<u8>);
 
 fn main() {
@@ -74,7 +74,7 @@ fn now(began: Clock) -> Instant {
     Instant(began.elapsed().as_micros() as u64)
 }
 
-/// Where a robot is at some moment.
+/// The pose of a robot at a time.
 fn pose(robot: usize, at: Instant) -> Pose {
     let angle = at.0 as f64 / 1e6 * SPEED_M_S / CIRCLE_M + robot as f64;
     let [x, y] = middle(robot);
@@ -102,7 +102,7 @@ fn scan(robot: usize, at: Instant) -> Vec<u16> {
     (0..BEAMS).map(reading).collect()
 }
 
-/// The server's thread: for each fix how long it took from the frame to the message.
+/// The server's thread: returns the time from frame to message for each fix.
 fn serve(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>) -> Vec<Span> {
     let terms = Terms {
         resolution: RESOLUTION,
@@ -160,7 +160,7 @@ fn covered(robot: usize) -> impl Iterator<Item = ((i32, i32), Cell)> {
     (x - 20..x).flat_map(move |x| (y - 20..y + 20).map(move |y| ((x, y), Cell::Free)))
 }
 
-/// The robots' thread: how many fixes they have taken.
+/// The robots' thread: returns the number of fixes accepted.
 fn drive(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>) -> u64 {
     let sensor = SensorModel::Radial { first: FIRST_RAD as f32, step: STEP_RAD as f32 };
     let bounds = Bounds { readings: BEAMS, ..BOUNDS };
@@ -188,7 +188,7 @@ fn drive(robots: usize, began: Clock, from: &Receiver<Bytes>, to: &Sender<Bytes>
                 *next = *next + INTERVAL;
                 let there = pose(number, moment);
                 robot.odometry(moment, there, moment);
-                // A robot that is behind drops the scan, and counts it.
+                // A robot that lags drops the scan and counts it.
                 let _ = robot.scan(moment, &scan(number, moment), moment);
             }
             robot.timeout(moment);

@@ -1,5 +1,5 @@
-//! Schedules: what befalls a star of robots, all of it fixed by a seed. Whatever it is, once the
-//! links are up again and nothing new is mapped, all must hold the same map before long.
+//! Schedules: random events in a star of robots, determined by a seed. After any schedule, once the
+//! links are restored and nothing new is mapped, all maps must converge within a time limit.
 
 use std::fmt;
 
@@ -23,43 +23,42 @@ use crate::{
     star::{Member, Star},
 };
 
-/// Between two moments at which the robots move.
+/// Interval of the robots' motion.
 const STEP: Duration = Duration::from_millis(100);
-/// How long after the links are up again and the last scan all must hold the same map: a knock
-/// after a long cut (3.2 s), a session that somebody else opened with an old hello, the tiles of
-/// a window by the downlink's budget, and a mildly bad link.
+/// Time limit for convergence after the links are restored and the last scan is taken: a handshake
+/// retry after a long cut (3.2 s), a session opened by an old hello, the tiles of a window at the
+/// downlink's bandwidth, and a mildly bad link.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// How finely a newcomer's time is taken.
+/// Time resolution for a newcomer.
 const TICK: Duration = Duration::from_millis(1);
-/// How long it may take until a robot knows of the last of its tiles that it is stored. What it was
-/// told in a session that it has lost it is told again when the server hears the tile's digest: of
-/// at most 36 tiles one in ten seconds, in the smallest frames. One digest in ten is lost, so five
-/// rounds of them are given.
+/// Time limit until a robot knows that its last tile is stored. Reports lost with a session are
+/// repeated when the server receives the tile's digest: in the smallest frames one of at most 36
+/// tiles every ten seconds. As one digest in ten is lost, five rounds are allowed.
 const UNTIL_STORED: Duration = Duration::from_secs(5 * 36 * 10);
-/// How long nothing may be said once all hold the same.
+/// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);
 
-/// Something that happens at a moment.
+/// An event at some time.
 #[derive(Clone, Copy, Debug)]
 enum Happening {
-    /// A robot boots, for the first time or anew.
+    /// A robot boots, for the first time or again.
     Boot { robot: usize },
-    /// Its link is cut, both ways.
+    /// Its link is cut in both directions.
     Cut { robot: usize, length: Duration },
-    /// Its link becomes better or worse.
+    /// The faults of its link change.
     Weather { robot: usize, up: Faults, down: Faults },
-    /// It is plugged in elsewhere.
+    /// It moves to another port.
     Move { robot: usize, port: usize },
-    /// The server is killed and starts anew: from its disk if it has one, else it has lost
-    /// everything. The robots keep theirs.
+    /// The server is killed and restarted: from its disk if it has one, otherwise empty. The robots
+    /// keep their state.
     Restart,
-    /// Bytes that nobody sent.
+    /// Random bytes.
     Garbage { robot: usize, direction: Direction },
-    /// A frame from before, perhaps of an earlier session.
+    /// An earlier frame, perhaps of an earlier session.
     Replay { robot: usize, direction: Direction },
 }
 
-/// A robot and its way.
+/// A robot and its path.
 #[derive(Clone, Debug)]
 struct Plan {
     config: Config,
@@ -79,53 +78,53 @@ pub struct Schedule {
     frame: u16,
     /// Whether the server has a disk.
     stores: bool,
-    /// By time.
+    /// Ordered by time.
     happenings: Vec<(Instant, Happening)>,
-    /// When the last scan is taken and the links are up again.
+    /// When the last scan is taken and the links are restored.
     calm: Instant,
     calm_faults: Faults,
     drop_repeats: bool,
 }
 
-/// How a schedule ended.
+/// The result of a schedule.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ending {
-    /// How long it took until all held the same; or why they did not.
+    /// The time until convergence, or why it failed.
     pub level: Result<Duration, String>,
-    /// Reliable frames that robots sent again in their last lives.
+    /// Reliable frames retransmitted by the robots since their last boots.
     pub retransmissions: u32,
-    /// Tiles that robots gave up in their last lives.
+    /// Tiles evicted by the robots since their last boots.
     pub evicted: u32,
-    /// Cells that the map knows in the end.
+    /// Number of known cells in the final map.
     pub known: u32,
 }
 
-/// How a robot comes to hold nothing of the server's map.
+/// How a robot comes to hold no tiles of the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Newcomer {
-    /// It was not there before.
+    /// It is new.
     Joins,
-    /// It has lost its memory.
+    /// It has rebooted.
     Reboots,
 }
 
-/// How long a newcomer took to be level.
+/// How long a newcomer took to hold its window.
 #[derive(Clone, Copy, Debug)]
 pub struct Level {
-    /// From its boot.
+    /// Time since its boot.
     pub took: Duration,
-    /// A frame to the server and one back.
+    /// Round-trip time of a frame.
     pub round_trip: Duration,
-    /// The tiles in its window.
+    /// Number of tiles in its window.
     pub tiles: usize,
-    /// What the server sent it meanwhile, all told.
+    /// Total bytes that the server sent it meanwhile.
     pub bytes: u64,
 }
 
 impl Level {
-    /// How long it may take: two round trips (hello and welcome, interest and tiles), and the
-    /// bytes beyond a second's worth at 2 kB/s; a frame more, for the budget counts whole frames.
-    /// The server's gathering of changes (up to a second) does not count: nothing changes.
+    /// Time limit: two round trips (hello and welcome, interest and tiles), plus the bytes beyond
+    /// one second's worth at 2 kB/s and one frame, as the rate limiter counts whole frames. The
+    /// server's delay of changes (up to 1 s) is irrelevant, as nothing changes.
     pub fn bound(&self) -> Duration {
         let paced = self.bytes.saturating_sub(2_000) * 1_000_000 / 2_000;
         let frame = DEFAULT_FRAME as u64 * 1_000_000 / 2_000;
@@ -140,7 +139,7 @@ impl fmt::Display for Ending {
 }
 
 impl Schedule {
-    /// The schedule of this seed.
+    /// The schedule for a seed.
     pub fn of(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let rng = &mut rng;
@@ -181,7 +180,7 @@ impl Schedule {
             };
             schedule.happenings.push((Instant(moment), happening));
         }
-        // All robots at once, as after a power cut.
+        // All robots at once, as after a power failure.
         if rng.random_bool(0.1) {
             let moment = Instant(rng.random_range(0..calm.0));
             schedule.happenings.push((moment, Happening::Restart));
@@ -192,8 +191,8 @@ impl Schedule {
         schedule
     }
 
-    /// A schedule in which nothing happens but losses, of this share: some robots map, and are
-    /// done.
+    /// A schedule with nothing but frame losses, with the given probability: some robots map and
+    /// finish.
     pub fn lossy(seed: u64, loss: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(10_000_000));
@@ -209,8 +208,8 @@ impl Schedule {
         schedule
     }
 
-    /// A schedule on a clean link, for [`Self::level_after`]: two robots, of which the second comes
-    /// anew.
+    /// A schedule on a clean link, for [`Self::level_after`]: two robots, the second of which is
+    /// the newcomer.
     pub fn newcomer(seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(20_000_000));
@@ -226,11 +225,11 @@ impl Schedule {
         schedule
     }
 
-    /// The first robot maps; when all is quiet the second one comes anew, knows where it is and
+    /// The first robot maps; when everything has settled the second one boots, knows its pose and
     /// sees nothing.
     ///
     /// # Panics
-    /// If it never holds what it wants.
+    /// If it never holds its window.
     pub fn level_after(&self, who: Newcomer) -> Level {
         let plans = [&self.plans[0], &self.plans[1], &self.plans[1]];
         let mut lives = plans.map(|plan| Memory::new(&plan.config.bounds));
@@ -247,7 +246,7 @@ impl Schedule {
         if who == Newcomer::Reboots {
             star.boot(1, self.plans[1].config, second);
         }
-        // Some of the worlds are full of rubble, and their tiles long.
+        // Some of the worlds are full of rubble, so that their tiles are long.
         let mut rubble = ChaCha8Rng::seed_from_u64(self.seed);
         let density = if self.seed.is_multiple_of(2) { 0.0 } else { 0.9 };
         let mut step = 0;
@@ -270,7 +269,7 @@ impl Schedule {
         star.boot(1, Config { boot_nonce: 99, ..self.plans[1].config }, third);
         star.scan(1, Some(self.plans[1].walk.pose(booted)), &vec![0; self.sensor.beams]);
         while star.holds_its_window(1) != Some(true) {
-            assert!(star.now() < booted + PATIENCE, "it never holds what it wants");
+            assert!(star.now() < booted + PATIENCE, "the newcomer never holds its window");
             star.run_until(star.now() + TICK);
         }
         let fused =
@@ -288,7 +287,7 @@ impl Schedule {
         Terms { resolution: Millimetres(50), frame, server_epoch: 1, stores }
     }
 
-    /// The same without the frames that robots send again: the wire swallows them.
+    /// The same, with retransmitted frames swallowed by the wire.
     pub fn without_retransmissions(self) -> Self {
         Self { drop_repeats: true, ..self }
     }
@@ -320,10 +319,10 @@ impl Schedule {
         }
     }
 
-    /// Lets it happen.
+    /// Runs the schedule.
     ///
     /// # Panics
-    /// If anything is not as it must be at any moment.
+    /// If an invariant is violated at any time.
     pub fn run(&self) -> Ending {
         let terms = self.terms();
         let boots = self.happenings.iter().filter_map(|(_, happening)| match happening {
@@ -388,7 +387,7 @@ impl Schedule {
         }
     }
 
-    /// The robots move on; some of them look around.
+    /// Moves the robots by one step; some of them scan.
     fn step(&self, star: &mut Star<'_>, step: u64) {
         let now = star.now();
         for (robot, plan) in self.plans.iter().enumerate() {
@@ -404,7 +403,7 @@ impl Schedule {
         }
     }
 
-    /// Nothing new is mapped: waits until all hold the same, and for nothing more to be said.
+    /// Nothing new is mapped: waits for convergence, and then for silence.
     fn settle(&self, star: &mut Star<'_>, mut step: u64) -> Ending {
         let mut behind = star.behind();
         let end = self.calm + PATIENCE;
@@ -420,16 +419,16 @@ impl Schedule {
             let effort = star.effort();
             star.run_until(star.now() + QUIET);
             if star.effort().iter().zip(&effort).any(|(now, then)| now.0 != then.0) {
-                level = Err("tiles were sent after all held the same".into());
+                level = Err("tiles were sent after convergence".into());
             } else if let Some(why) = star.behind() {
-                level = Err(format!("no longer level: {why}"));
+                level = Err(format!("no longer converged: {why}"));
             }
             let end = star.now() + UNTIL_STORED;
             while level.is_ok()
                 && let Some(why) = star.unstored()
             {
                 if star.now() >= end {
-                    level = Err(format!("never told: {why}"));
+                    level = Err(format!("never reported as stored: {why}"));
                 }
                 star.run_until(star.now() + STEP);
             }
@@ -450,7 +449,7 @@ impl Schedule {
 
 fn plan(rng: &mut ChaCha8Rng, world: &Boxes, sensor: Fan, id: RobotId) -> Plan {
     let max_range = rng.random_range(900..2_500u16);
-    // A scan touches as many tiles as a square of twice its range; some pools have room for more.
+    // A scan touches at most the tiles of a square of twice its range; some pools have more.
     let side = (2 * usize::from(max_range)).div_ceil(1_600) + 1;
     let own = side * side + if rng.random() { 0 } else { rng.random_range(0..12) };
     let pose_source =

@@ -1,5 +1,5 @@
-//! Constant errors of robots in a simulated room: found, told apart and cured. `UBIMAP_SEEDS=10` runs
-//! ten seeds.
+//! Constant errors of robots in a simulated room are found, attributed and corrected.
+//! `UBIMAP_SEEDS=10` runs ten seeds.
 
 use std::{
     cell::RefCell,
@@ -34,14 +34,14 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{deployments::deployed, seeds::seeds};
 
-/// Whose sensor is askew, and whose identifier.
+/// The robot with the misaligned sensor, and the one with the misaligned identifier.
 const SENSOR: RobotId = RobotId(4);
 const IDENTIFIER: RobotId = RobotId(3);
 
-/// A room that counts for how long each robot has been in view.
+/// A room that records how long each robot has been in view.
 struct Watched {
     room: RoomStage,
-    /// The last moment, and the time in view, of each robot.
+    /// The last time in view, and the total time in view, of each robot.
     seen: Rc<RefCell<BTreeMap<RobotId, (Instant, Duration)>>>,
 }
 
@@ -67,18 +67,18 @@ impl Stage for Watched {
     }
 }
 
-/// What a run came to.
+/// The result of a run.
 struct Run {
     f1: f64,
-    /// What has been taken out of the fixes of each robot, and added to its sensor's heading, in
-    /// degrees, and after how many seconds in view.
+    /// The corrections of each robot's fixes, and of its sensor's heading, in degrees, and after
+    /// how many seconds in view.
     identifiers: BTreeMap<RobotId, (f64, f64)>,
     sensors: BTreeMap<RobotId, (f64, f64)>,
-    /// What robots did that none should.
+    /// Events of robots; none is expected.
     events: Vec<RobotEvent>,
 }
 
-/// The room, in which the sensor and the identifier are askew by so much.
+/// The room, with these errors of the sensor and of the identifier.
 fn world(seed: u64, sensor_deg: f64, identifier_deg: f64) -> World {
     let mut scenario = Scenario::built_in().unwrap();
     for robot in &mut scenario.robots {
@@ -128,7 +128,7 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
     Run { f1, identifiers, sensors, events }
 }
 
-/// How far off what was found of one kind of error is, over all runs: degrees, and seconds in view.
+/// The error of one kind of correction over all runs: degrees, and seconds in view.
 #[derive(Debug, Default)]
 struct Off {
     greatest_deg: f64,
@@ -137,7 +137,7 @@ struct Off {
 }
 
 impl Off {
-    /// Takes what a run has found: it must be of this robot alone.
+    /// Adds a run's correction, which must concern this robot only.
     fn add(&mut self, found: &BTreeMap<RobotId, (f64, f64)>, robot: RobotId, truth_deg: f64) {
         let [(&who, &(degrees, seconds))] = found.iter().collect::<Vec<_>>()[..] else {
             panic!("{found:?}")
@@ -150,9 +150,9 @@ impl Off {
     }
 }
 
-/// Ahmed's stated error, a heading that is wrong by some degrees, and its cure.
+/// The error stated by Ahmed, a heading wrong by some degrees, and its correction.
 #[test]
-fn askew_sensors_and_identifiers_are_told_apart_and_cured() {
+fn misaligned_sensors_and_identifiers_are_distinguished_and_corrected() {
     let (mut falls, mut offs, mut count) = ([0.0; 2], <[Off; 2]>::default(), 0.0);
     for seed in seeds(3) {
         let [straight, left, cured] =
@@ -163,7 +163,7 @@ fn askew_sensors_and_identifiers_are_told_apart_and_cured() {
             straight.f1, left.f1, cured.f1, cured.sensors, cured.identifiers
         );
         assert!(straight.sensors.is_empty() && straight.identifiers.is_empty(), "seed {seed}");
-        // What is explained lowers nobody's weight.
+        // Explained errors lower no robot's weight.
         assert_eq!((straight.events, cured.events), (vec![], vec![]), "seed {seed}");
         offs[0].add(&cured.sensors, SENSOR, 3.0);
         offs[1].add(&cured.identifiers, IDENTIFIER, -3.0);
@@ -189,7 +189,7 @@ fn askew_sensors_and_identifiers_are_told_apart_and_cured() {
     assert!(falls[0] > 0.05 && falls[1] <= 0.01, "{falls:?}");
 }
 
-/// A life of a server with a store, of half a minute, in which no identifier is askew.
+/// Runs a server with a store for half a minute; no identifier is misaligned.
 fn live(store: &Path, sensor_deg: f64, watch: impl FnMut(&Fleet<'_>)) {
     let world = world(1, sensor_deg, 0.0);
     let robots = world.robots().iter();
@@ -204,7 +204,7 @@ fn live(store: &Path, sensor_deg: f64, watch: impl FnMut(&Fleet<'_>)) {
     fleet.run(&mut stage, watch).unwrap();
 }
 
-/// How far the one cure in a store has come, and the epochs of the tiles that the robot has drawn.
+/// The state of the only correction in a store, and the epochs of the robot's tiles.
 fn kept(store: &Path) -> (CureRecord, Vec<Epoch>) {
     let store = Store::open(store, RESOLUTION).unwrap();
     let [record] = store.cured().unwrap()[..] else { panic!("{:?}", store.cured()) };
@@ -214,10 +214,10 @@ fn kept(store: &Path) -> (CureRecord, Vec<Epoch>) {
     (record, drawn.map(|(_, record)| record.stamp.epoch).collect())
 }
 
-/// A server that is killed when the sensor is straight, and what was drawn with it not yet void, does
-/// in its next life what is left.
+/// A server is killed after correcting the sensor but before voiding what was drawn with it; after
+/// its restart it completes the correction.
 #[test]
-fn a_cure_goes_on_in_the_next_life_of_the_server() {
+fn a_correction_is_completed_after_a_restart_of_the_server() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let [lived, killed] = ["lived.db", "killed.db"].map(|name| folder.join(name));
     for (store, end) in [&lived, &killed].into_iter().flat_map(|it| [(it, ""), (it, "-wal")]) {

@@ -1,6 +1,6 @@
-//! A robot whose wheels slip drives 10 m where no camera sees it, after two rounds where one does. It
-//! knows where it is by what it has learnt of its wheels and by what it sees. `UBIMAP_SEEDS=10` drives
-//! ten times through each ground.
+//! A robot whose wheels slip drives 10 m out of view of the cameras, after two rounds in view. It
+//! is localised by the learnt errors of its odometry and by what it sees. `UBIMAP_SEEDS=10` drives
+//! ten times through each place.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -23,7 +23,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{deployments::bare, seeds::seeds};
 
-/// An aisle of 17 m, of which the camera sees the west end.
+/// An aisle of 17 m; the camera sees its west end.
 const HALL: &str = r#"
     duration_s = 100.0
     slice_height_m = 0.2
@@ -70,7 +70,7 @@ const HALL: &str = r#"
     odometry = { slip = 0.02, drift_deg_per_m = 1.0 }
 "#;
 
-/// Round a corner: two rooms and a passage, of which the camera sees the west of the first.
+/// Around a corner: two rooms and a passage; the camera sees the west of the first.
 const ROOMS: &str = r#"
     duration_s = 100.0
     slice_height_m = 0.2
@@ -115,8 +115,8 @@ const ROOMS: &str = r#"
     odometry = { slip = 0.02, drift_deg_per_m = 1.0 }
 "#;
 
-/// Another robot, of perfect wheels, that has been along the same way shortly before and looks about
-/// at its end.
+/// Another robot with perfect wheels, which drove the same way shortly before and looks around at
+/// its end.
 const SCOUT: &str = r#"
     [[robots]]
     id = 2
@@ -130,7 +130,7 @@ const SCOUT: &str = r#"
     odometry = { slip = 0.0, turn_slip = 0.0, noise_m = 0.0, heading_noise_deg = 0.0 }
 "#;
 
-/// How far the robot and its wheels were off: metres and degrees.
+/// The errors of the robot and of its odometry, in metres and degrees.
 #[derive(Debug)]
 struct Off {
     robot: (f64, f64),
@@ -143,8 +143,8 @@ fn off(believed: Pose, truth: Pose) -> (f64, f64) {
     (dx.metres().hypot(dy.metres()), turn)
 }
 
-/// A pose of `odom` in `map`, `odom` being where it was when it was at `then` and the robot at
-/// `start`.
+/// A pose of `odom` in `map`, given that the robot was at `then` in `odom` when it was at `start`
+/// in `map`.
 fn carried(odometry: Pose, then: Pose, start: Pose) -> Pose {
     let turn = start.heading - then.heading;
     let (sin, cos) = turn.radians().sin_cos();
@@ -153,14 +153,15 @@ fn carried(odometry: Pose, then: Pose, start: Pose) -> Pose {
     Pose { heading: odometry.heading + turn, ..Pose::from_metres(x, y, 0.0) }
 }
 
-/// After so many metres in blind ground; the worst of the way besides.
+/// Drives a distance in blind ground. Returns the errors at the end, and the maximum error on the
+/// way.
 fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
     let scenario = Scenario::from_toml(scenario, "hall.toml").unwrap();
     let world = || World::new(&scenario, None, RESOLUTION, seed).unwrap();
-    // The same world again, to know the truth.
+    // The same world again, for the truth.
     let mut mirror = world();
     let covered: BTreeSet<_> = mirror.covered(0).into_iter().collect();
-    // What is known of such wheels: 2 cm and a degree on a metre.
+    // The assumed noise of such wheels: 2 cm and one degree per metre.
     let heading_per_metre = Angle::from_degrees(1.0);
     let position_per_metre = Millimetres(20);
     let odometry_noise =
@@ -205,7 +206,7 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
         }
         last = Some(truth);
     });
-    assert!(way >= metres, "it came only {way} m far");
+    assert!(way >= metres, "it drove only {way} m");
     (end.unwrap(), worst)
 }
 
@@ -217,16 +218,16 @@ fn root_mean_square(offs: &[(f64, f64)]) -> (f64, f64) {
     (mean(|off| off.0).sqrt(), mean(|off| off.1).sqrt())
 }
 
-/// What drives with several seeds came to.
+/// The result of drives with several seeds.
 struct Drives {
     count: usize,
-    /// How many ended within 10 cm and 2 degrees.
+    /// Number of drives that ended within 10 cm and 2 degrees.
     good: usize,
-    /// The root mean square of what they were off by at the end: metres and degrees.
+    /// Root mean square of the errors at the end, in metres and degrees.
     rms: (f64, f64),
 }
 
-/// Drives with several seeds. `name` says through what.
+/// Drives with several seeds. `name` is the place.
 fn drives(scenario: &str, name: &str, seeds: RangeInclusive<u64>) -> Drives {
     let (mut ends, mut by_wheels) = (Vec::new(), Vec::new());
     for seed in seeds {
@@ -244,7 +245,7 @@ fn drives(scenario: &str, name: &str, seeds: RangeInclusive<u64>) -> Drives {
     let good = ends.iter().filter(|(off, turned)| *off <= 0.1 && *turned <= 2.0).count();
     let greatest = ends.iter().fold((0.0f64, 0.0f64), |all, it| (all.0.max(it.0), all.1.max(it.1)));
     let (rms, wheels) = (root_mean_square(&ends), root_mean_square(&by_wheels));
-    // The way is one for which odometry alone is not good enough by far.
+    // Odometry alone is far from sufficient on this way.
     assert!(wheels.0 > 0.3 && wheels.1 > 5.0, "{wheels:?}");
     println!(
         "{name}: {good} of {count} within 10 cm and 2 degrees; {:.3} m and {:.2} degrees at most, \
@@ -260,14 +261,14 @@ fn ten_metres_through_ground_that_another_robot_knows() {
     assert_eq!(good, count);
 }
 
-/// The robot goes by what it has seen itself. Where it leaves the view it knows where it heads to 0.12
-/// degrees (RMS of 32 drives). On the first metre it loses half a degree, which explains about half of
-/// what it is off by in the end; the rest comes with the surfaces that come into view.
+/// The robot uses only its own map. When it leaves the view its heading error is 0.12 degrees (RMS
+/// of 32 drives). On the first metre it grows by half a degree, which explains about half of the
+/// final error; the rest comes from surfaces that come into view.
 #[test]
-fn ten_metres_through_ground_that_nobody_has_seen() {
+fn ten_metres_through_unmapped_ground() {
     for (name, scenario) in [("hall", HALL), ("rooms", ROOMS)] {
         let Drives { count, good, rms } = drives(scenario, name, seeds(6));
-        // One of six misses, and not far.
+        // One in six may miss the limits, by little.
         assert!(count - good <= count.div_ceil(6), "{name}: {good} of {count}");
         assert!(rms.0 <= 0.1 && rms.1 <= 2.0, "{name}: {rms:?}");
     }

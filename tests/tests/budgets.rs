@@ -1,4 +1,4 @@
-//! What a conversation costs on the wire.
+//! Bandwidth of robots and of the server.
 
 use std::{collections::VecDeque, path::Path};
 
@@ -21,12 +21,12 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::deployments::bare;
 
-/// Readings of a scan.
+/// Readings per scan.
 const BEAMS: usize = 30;
-/// What a robot publishes after one scan is all that the server then holds of it: the other
-/// formats are charged for exactly that.
+/// After one scan the server holds exactly what the robot published: the sizes of the other formats
+/// are computed for the same cells.
 #[test]
-fn other_formats_are_compared_by_what_is_published() {
+fn other_formats_are_compared_for_the_published_cells() {
     let model = SensorModel::Radial { first: -1.5, step: 0.02 };
     let pose_source = PoseSource::Odometry(Pose::from_metres(0.4, -0.3, 0.7));
     let bounds = Bounds { readings: 150, ..BOUNDS };
@@ -56,7 +56,7 @@ fn other_formats_are_compared_by_what_is_published() {
     assert!((20..260 * tiles).contains(&compared.zlib_tiles_bytes), "{compared:?}, {tiles} tiles");
 }
 
-/// A robot looks around once.
+/// A robot that takes one scan.
 #[derive(Default)]
 struct OneScan(u32);
 
@@ -75,7 +75,7 @@ impl Stage for OneScan {
     }
 }
 
-/// A robot that does nothing until some moment.
+/// A robot that does nothing until this time.
 struct Idle(Option<Instant>);
 
 impl Stage for Idle {
@@ -89,7 +89,7 @@ impl Stage for Idle {
     }
 }
 
-/// A robot that stands still and looks at a wall, five times a second until some moment.
+/// A robot that stands still and scans a wall five times per second until some time.
 struct Standing {
     next: Instant,
     end: Instant,
@@ -112,7 +112,7 @@ impl Stage for Standing {
     }
 }
 
-/// Bytes that a robot has sent after a stage, and the distance vectors that have come.
+/// Bytes sent by a robot during a stage, and the number of distance vectors received.
 fn sent(mut stage: impl Stage, faults: Faults) -> (u64, u32) {
     let model = SensorModel::Radial { first: -1.5, step: 0.1 };
     let pose_source = PoseSource::Odometry(Pose::default());
@@ -133,7 +133,7 @@ fn an_idle_robot_sends_twenty_bytes_a_second_at_most() {
         let idle = |end| sent(Idle(Some(end)), faults);
         let standing = |end| sent(Standing { next: Instant(0), end, odometry_read: false }, faults);
         for (name, run) in [("idle", &idle as &dyn Fn(Instant) -> _), ("standing", &standing)] {
-            // The first minute is for the clocks.
+            // The first minute is excluded: clock synchronisation.
             let [(start, _), (end, vectors)] =
                 [60, 660].map(|seconds| run(Instant(0) + Duration::from_secs(seconds)));
             let rate = (end - start) as f64 / 600.0;
@@ -142,7 +142,7 @@ fn an_idle_robot_sends_twenty_bytes_a_second_at_most() {
                 faults.loss
             );
             assert!(rate <= 20.0, "{name}: {rate} bytes/s");
-            // One that has no scan sends none; one that stands still, one in a minute.
+            // Without scans it sends none; at standstill one per minute.
             let expected = if name == "idle" { 0..=0 } else { 5..=12 };
             assert!(expected.contains(&vectors), "{name}: {vectors}");
         }
@@ -150,24 +150,24 @@ fn an_idle_robot_sends_twenty_bytes_a_second_at_most() {
 }
 
 const ROBOT: RobotId = RobotId(1);
-/// By then every robot is level.
+/// By this time every robot holds the map.
 const JOINED: Instant = Instant(5_000_000);
 const END: Instant = Instant(90_000_000);
 
-/// What was seen of one run.
+/// Measurements of one run.
 #[derive(Debug, Default)]
 struct Seen {
-    /// Bytes to the robot by the end of each event within the last second, and the most so far.
+    /// Total bytes to the robot at each event within the last second, and the maximum per second.
     second: VecDeque<(Instant, u64)>,
     busiest: u64,
     joined: u64,
     bytes: u64,
-    /// Messages that waited, at the most.
+    /// Maximum number of queued messages.
     waiting: usize,
-    /// Samples, and those in which the robot left what lies before it to the cameras.
+    /// Number of samples, and of those in which the cell ahead of the robot was covered by cameras.
     samples: u32,
     fresh: u32,
-    /// The most of each that the robot knew.
+    /// Maximum numbers of peers and people known to the robot.
     peers: usize,
     people: usize,
 }
@@ -189,7 +189,7 @@ impl Seen {
         self.busiest = self.busiest.max(self.bytes - before);
         let robot = fleet.robots()[0].robot();
         let Some((_, pose)) = robot.pose() else { return };
-        // Half a metre before it, which stands nowhere near a wall.
+        // Half a metre ahead, where no wall is near.
         let ahead = |metres: f64, unit: f64| ((metres + unit / 2.0) / RESOLUTION.metres()) as i32;
         let (sine, cosine) = pose.heading.radians().sin_cos();
         let cell = (ahead(pose.x.metres(), cosine), ahead(pose.y.metres(), sine));
@@ -215,12 +215,12 @@ fn cross(faults: Faults) -> Seen {
     let mut fleet = Fleet::new(&configs, &mut memory, faults, 1, bare(RESOLUTION)).unwrap();
     let mut seen = Seen::default();
     let level = fleet.run(&mut RoomStage::new(world, END), |fleet| seen.look(fleet)).unwrap();
-    assert!(level, "the robots do not hold one map in the end");
+    assert!(level, "the robots do not converge to one map");
 
-    // The cameras fall silent: nothing is covered any more, and the robot knows.
+    // The cameras stop: nothing is covered any more, and the robot knows it.
     fleet.run(&mut Idle(Some(fleet.now() + Duration::from_secs(10))), |_| {}).unwrap();
     let held: Vec<_> = fleet.robots()[0].robot().fused_tiles().tiles(Layer::Coverage).collect();
-    // In a corner of the hall, a good half of its window lies outside.
+    // In a corner of the hall, about half of its window is outside.
     assert!(held.len() >= 20, "{}", held.len());
     for (id, replica) in held {
         let (version, tile) = fleet.server().coverage().get(id).unwrap();
@@ -250,9 +250,9 @@ fn a_robot_that_crosses_covered_ground_is_sent_two_kilobytes_a_second_at_most() 
             seen.peers,
             seen.people,
         );
-        // Frames that were lost together are sent again together.
+        // Frames that are lost together are retransmitted together.
         assert!(mean <= 2_000.0 && (seen.busiest <= 2_000 || faults.loss > 0.0), "{seen:?}");
-        // A fix, a time reply, and nothing that piles up.
+        // A fix and a time reply; nothing accumulates.
         assert!(seen.waiting <= 4, "{seen:?}");
         assert!(seen.peers == 2 && seen.people >= 3, "{seen:?}");
     }

@@ -1,5 +1,5 @@
-//! Robots that drive themselves under the server's coordination: they map what no camera sees and
-//! run into nothing, with the link cut meanwhile. `cargo driving` prints the tables over ten seeds.
+//! Autonomous robots coordinated by the server map the blind ground without collisions, also while
+//! links are cut. `cargo driving` prints the tables over ten seeds.
 
 use std::{env, fs, path::Path};
 
@@ -30,7 +30,7 @@ use ubimap_tests::{
     seeds::seeds,
 };
 
-/// Two rooms with a door; the camera sees the first of them. A person walks in it.
+/// Two rooms with a door; the camera sees the first of them, where a person walks.
 const TWO_ROOMS: &str = r#"
     duration_s = 240.0
     slice_height_m = 0.2
@@ -73,26 +73,26 @@ struct CommandLine {
     options: SimulateOptions,
 }
 
-/// Runs a scenario, a file or a built-in one, with options of the command line.
+/// Runs a scenario, from a file or built in, with command-line options.
 fn simulated(scenario: &str, options: &[&str]) -> Outcome {
     let fixed = ["simulate", scenario, "--json"];
     let command_line = CommandLine::parse_from(fixed.iter().chain(options));
     simulate::run(&command_line.options).unwrap()
 }
 
-/// The file of a scenario.
+/// Writes a scenario to a file and returns its path.
 fn written(name: &str, scenario: &str) -> String {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::write(&path, scenario).unwrap();
     path.to_str().unwrap().into()
 }
 
-/// Whether the tables are to be printed: then what takes long is run too, and held to all bounds.
+/// Whether the tables are printed: then the long runs are included, and all bounds checked.
 fn prints_tables() -> bool {
     env::var_os("UBIMAP_SEEDS").is_some()
 }
 
-/// The options of a run of the tables: ideal cameras, unless `UBIMAP_CAMERAS` is `filmed`.
+/// Runs a scenario for the tables: with ideal cameras, unless `UBIMAP_CAMERAS` is `filmed`.
 fn run(scenario: &str, seed: u64, options: &[&str]) -> Outcome {
     let is_filmed = env::var("UBIMAP_CAMERAS").is_ok_and(|cameras| cameras == "filmed");
     let cameras: &[&str] = if is_filmed { &[] } else { &["--ideal-cameras"] };
@@ -103,7 +103,7 @@ fn run(scenario: &str, seed: u64, options: &[&str]) -> Outcome {
     outcome
 }
 
-/// After how many seconds 99 % of the blind ground were mapped; never is endless.
+/// Time until 99 % of the blind ground was mapped, in seconds; infinite if never.
 fn mapped_s(outcome: &Outcome) -> f64 {
     outcome.report.driving.unwrap().mapped_s.unwrap_or(f64::INFINITY)
 }
@@ -120,7 +120,8 @@ fn two_robots_map_a_room_that_no_camera_sees_with_the_link_cut_meanwhile() {
     assert!(report.robots.iter().all(|robot| robot.frames_lost > 50), "the link was cut");
 }
 
-/// The oracle of the other tests: what drives against something is stopped, and counted once.
+/// Checks the other tests' oracle: a robot that collides is stopped, and the collision counted
+/// once.
 #[test]
 fn who_drives_against_a_wall_or_a_robot_is_stopped_and_counted_once() {
     let scenario = Scenario::from_toml(TWO_ROOMS, "two_rooms.toml").unwrap();
@@ -150,7 +151,8 @@ fn who_drives_against_a_wall_or_a_robot_is_stopped_and_counted_once() {
     assert!(apart >= 2.0 * radius - 1e-3 && apart < 2.0 * radius + 0.05, "{apart}");
 }
 
-/// Reachable blind ground mapped, against the best of three sets of scripted routes.
+/// The share of reachable blind ground mapped, compared with the best of three sets of scripted
+/// routes.
 fn against_routes(scenario: &str, duration: &str) {
     let (mut driven, mut best) = (0.0, 0.0);
     for seed in seeds(1) {
@@ -205,7 +207,7 @@ fn two_robots_map_the_warehouse_in_less_time_than_one() {
     assert!(two <= 0.6 * one, "{two} s against {one} s");
 }
 
-/// Cells drawn occupied where robots stand that never drive, or within a cell of them.
+/// Number of occupied cells within one cell of robots that never drive.
 fn drawn_of_standing(outcome: &Outcome, scenario: &Scenario) -> usize {
     let map = &outcome.map;
     let standing = scenario.robots.iter().filter(|robot| robot.route.waypoints_m.is_empty());
@@ -253,7 +255,7 @@ fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
     assert!(!prints_tables() || f1[0] >= f1[1], "{f1:?}");
 }
 
-/// By odometry alone walls come to lie some cells off, and what is known with them.
+/// Odometry alone displaces walls by some cells, and with them the known ground.
 #[test]
 fn without_a_server_a_robot_explores_by_its_own_odometry_and_comes_home() {
     let (mut sum, mut squares) = (0.0, 0.0);
@@ -264,15 +266,15 @@ fn without_a_server_a_robot_explores_by_its_own_odometry_and_comes_home() {
         squares += away_m * away_m;
     }
     assert!(sum >= 5.0 * 0.9, "{sum} of 5");
-    // As far as its wheels slip, which it cannot know.
+    // As far as its wheels slip, which it can't detect.
     assert!(squares <= 5.0 * 0.6 * 0.6, "{squares} m^2 of 5");
 }
 
-/// What a robot that explored alone has come to.
+/// The result of a robot that explored alone.
 struct Alone {
-    /// The part of the ground that it knows.
+    /// The share of the ground that it knows.
     known: f64,
-    /// How far from home it believes that it stands, in metres, and how far away it really is.
+    /// Its distance from home in metres: as it believes, and in truth.
     believed_m: f64,
     away_m: f64,
 }
@@ -305,7 +307,7 @@ fn explored_alone(seed: u64) -> Alone {
         }
         while let Some(scan) = world.poll_scan(now) {
             if scan.robot == 0 {
-                // A scan that does not fit is left out.
+                // A scan that finds the queue full is dropped.
                 let _ = robot.scan(scan.taken, &scan.readings_mm, now);
             }
         }

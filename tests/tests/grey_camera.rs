@@ -27,7 +27,7 @@ use ubimap_tests::{
 };
 
 const VIEW: FloorView = FloorView::USUAL;
-/// The grey of the objects, unless a test says otherwise: the floor is 140.
+/// Grey level of the objects unless stated otherwise; the floor's is 140.
 const OBJECT: u8 = 70;
 const CLEAN: Spoils = Spoils { noise: 0, gradient: 0.0, tiles: 0.0, seed: 1 };
 
@@ -35,8 +35,8 @@ fn distances(image: &[u8]) -> [u8; COLUMNS] {
     floor_distances(image, FloorConfig::default()).unwrap()
 }
 
-/// By how many lines the distances are off, column by column; those next to an edge, where the
-/// median takes the next object's, are left out.
+/// The errors of the distances in lines, column by column; columns next to an edge are excluded, as
+/// the median may take the next object's distance there.
 fn errors(found: &[u8; COLUMNS], depth: impl Fn(usize) -> f64) -> Vec<f64> {
     let limit = f64::from(FloorConfig::default().lines);
     let lines: Vec<_> = (0..COLUMNS).map(|column| VIEW.lines(depth(column)).min(limit)).collect();
@@ -47,7 +47,7 @@ fn errors(found: &[u8; COLUMNS], depth: impl Fn(usize) -> f64) -> Vec<f64> {
     inside.map(|column| (f64::from(found[column]) - lines[column]).abs()).collect()
 }
 
-/// A slanted wall, a box before it, and a post.
+/// A slanted wall, a box in front of it, and a post.
 fn scene(column: usize) -> f64 {
     match column {
         60..100 => 420.0,
@@ -83,12 +83,12 @@ fn noise_tiles_and_light_from_one_side_move_no_boundary() {
     }
 }
 
-/// What the user of a robot does: an object at some distances before it, and a table of them.
+/// The user's calibration: an object placed at several distances, and a table of them.
 fn calibrated() -> ScaleCurve {
     let mut table: Vec<(u8, f32)> = Vec::new();
     for depth in (290..1_060).step_by(15) {
         let pixels = distances(&VIEW.render(OBJECT, |_| f64::from(depth), CLEAN))[COLUMNS / 2];
-        // The first distance of each number of pixels, from the near end of table 1 to its far end.
+        // The first distance for each number of pixels, from the near to the far end of table 1.
         let new = table.last().is_none_or(|&(last, _)| last < pixels);
         if new && (62..=121).contains(&pixels) {
             table.push((pixels, depth as f32));
@@ -98,7 +98,7 @@ fn calibrated() -> ScaleCurve {
 }
 
 #[test]
-fn a_curve_from_a_table_of_ones_own_is_good_to_a_pixel() {
+fn a_fitted_curve_is_accurate_to_a_pixel() {
     let curve = calibrated();
     for pixels in 65..=118u8 {
         let depth = VIEW.focal * VIEW.height / (VIEW.horizon - f64::from(pixels));
@@ -119,10 +119,10 @@ fn the_ground_is_clear_before_a_wall_and_not_before_a_near_box() {
     assert!(!clear(250.0));
 }
 
-/// Half the width of the room, along x and along y, in millimetres.
+/// Half the size of the room along x and along y, in millimetres.
 const ROOM: (f64, f64) = (700.0, 600.0);
 
-/// Where the ray of a column meets the wall: its depth, and the place.
+/// Where the ray of a column meets the wall: its depth, and the point.
 fn wall(pose: Pose, left: f64) -> (f64, (f64, f64)) {
     let (sin, cos) = pose.heading.radians().sin_cos();
     let (dx, dy) = (cos - left * sin, sin + left * cos);
@@ -132,7 +132,7 @@ fn wall(pose: Pose, left: f64) -> (f64, (f64, f64)) {
     (depth, (x + depth * dx, y + depth * dy))
 }
 
-/// How far a place is from the nearest wall.
+/// Distance of a point from the nearest wall.
 fn from_wall(x: f64, y: f64) -> f64 {
     let outside = (x.abs() - ROOM.0, y.abs() - ROOM.1);
     match outside.0.max(outside.1) <= 0.0 {
@@ -141,7 +141,7 @@ fn from_wall(x: f64, y: f64) -> f64 {
     }
 }
 
-/// The robot looks in twelve directions from four places each.
+/// Twelve directions at each of four places.
 fn poses() -> impl Iterator<Item = Pose> {
     let at = |index: i32| {
         let heading = f64::from(index / 4).mul_add(30.0, 7.0).to_radians();
@@ -173,11 +173,11 @@ fn boundaries_lie_on_the_walls_whichever_way_the_robot_looks() {
                 let point = boundary_point(robot, towards, distance as f32).unwrap();
                 (f64::from(point.x) - x).hypot(f64::from(point.y) - y)
             };
-            // A pixel and a half, which at this depth is so much.
+            // The error of one and a half pixels at this depth.
             let bound = 1.5 * depth * depth / (VIEW.focal * VIEW.height) * left.hypot(1.0);
             found += 1;
             off += u32::from(error(distance) > bound);
-            // As the paper has it.
+            // With the paper's geometry.
             off_as_ranges += u32::from(error(reading.into()) > bound);
         }
     }
@@ -187,8 +187,8 @@ fn boundaries_lie_on_the_walls_whichever_way_the_robot_looks() {
     assert!(off_as_ranges * 2 > found, "{off_as_ranges} of {found}");
 }
 
-/// What is seen before the robot and then, from a little further on, seen through as often: whether
-/// it is in the map still.
+/// An object is seen in front of the robot, and from a little further on seen through equally
+/// often: returns whether it is still in the map.
 fn stays(depth: f64, near: Option<NonZero<u16>>) -> bool {
     let model = SensorModel::Pinhole { focal: VIEW.focal as f32, centre: 159.5 };
     let pose_source = PoseSource::Odometry(Pose::default());
@@ -212,20 +212,20 @@ fn stays(depth: f64, near: Option<NonZero<u16>>) -> bool {
 }
 
 #[test]
-fn what_a_pixel_moves_far_is_given_up_sooner_than_what_it_does_not() {
-    // Here a pixel is as much as the square of the distance: half the weight is at 1.4 times the
-    // nearest distance, which is 24,000 / (144 - 62) mm: at 414 mm. The slope of a fit is less
-    // certain at its end.
+fn distant_hits_are_given_up_sooner_than_near_ones() {
+    // Here a pixel's size grows with the square of the distance: half the weight is at 1.4 times
+    // the minimum distance, 24,000 / (144 - 62) mm, which gives 414 mm. The slope of a fit is less
+    // certain at its ends.
     let near = calibrated().near();
     assert!((near - 414.0).abs() < 50.0, "{near}");
     let near = NonZero::new(near as u16);
     assert!(stays(320.0, near), "near");
     assert!(!stays(620.0, near), "far");
-    // The range alone does not tell: at 4 m a quarter of it is more than this camera sees.
+    // The range alone is no criterion: at 4 m a quarter of it exceeds this camera's view.
     assert!(stays(320.0, None) && stays(620.0, None));
 }
 
-/// The robot's odometry and scans, one after the other.
+/// The robot's odometry and scans in order.
 struct Script {
     events: Vec<(Instant, Event)>,
 }
@@ -289,7 +289,8 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
     // Walls of 28 and 24 cells.
     assert!(walls.iter().all(|&cells| cells >= 20), "{walls:?}");
 
-    // The same scans went to the server as distance vectors: the first two dozen one in a second.
+    // The same scans were sent to the server as distance vectors: the first two dozen once per
+    // second.
     let vector = fleet.server().distance_vector(RobotId(1)).unwrap();
     let count = fleet.server().distance_vectors(RobotId(1));
     assert!((24..=32).contains(&count), "{count}");

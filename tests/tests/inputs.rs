@@ -1,8 +1,8 @@
-//! Whatever is put into a robot, in whatever order: a typed error or a counted event, what it holds
-//! unchanged, and never a panic.
+//! Any input to a robot in any order gives a typed error or a counted event, leaves its state
+//! valid, and never panics.
 //!
-//! There is no NaN to be put in: poses travel and are given in whole millimetres and binary angles,
-//! and what makes them of floating point numbers gives zero for NaN and saturates.
+//! NaN can't be an input: poses are in whole millimetres and binary angles, and the conversion from
+//! floating point maps NaN to zero and saturates.
 
 use proptest::{collection::vec, prelude::*};
 use ubimap_agent::{
@@ -28,7 +28,7 @@ const BEAMS: usize = 12;
 /// Fewer tiles than a scan touches.
 const TILES: usize = 3;
 
-/// What is put in.
+/// An input.
 #[derive(Clone, Debug)]
 enum Input {
     Scan {
@@ -46,9 +46,9 @@ enum Input {
     Jolt {
         moment: Instant,
     },
-    /// Bytes from nobody.
+    /// Random bytes.
     Noise(Vec<u8>),
-    /// A message of the session, with any bytes for its body.
+    /// A message of the session with a random body.
     Body {
         kind: u8,
         body: Vec<u8>,
@@ -59,7 +59,7 @@ enum Input {
         room: usize,
     },
     Timeout,
-    /// Another life of the server, or the same.
+    /// A welcome of the same or of a restarted server.
     Welcome {
         epoch: u32,
         stores: bool,
@@ -67,7 +67,7 @@ enum Input {
     Refusal,
 }
 
-/// What can be read and need not make sense.
+/// Well-formed messages, not necessarily consistent.
 #[derive(Clone, Debug)]
 enum Message {
     Time(TimeReply),
@@ -83,7 +83,7 @@ enum Message {
     Freshness(Freshness),
 }
 
-/// A moment, most often of the first minute.
+/// A time, usually in the first minute.
 fn moment() -> impl Strategy<Value = Instant> {
     prop_oneof![
         8 => (0..60_000u64).prop_map(|millis| Instant(millis * 1_000)),
@@ -219,7 +219,7 @@ impl Server {
         }
     }
 
-    /// What the robot says, as far as it can be read.
+    /// Receives the robot's readable messages.
     fn hear(&mut self, mut bytes: &[u8], now: Instant) {
         while let Some(received) = self.link.receive(&mut bytes, now) {
             if let Received::Handshake(message) = received {
@@ -228,7 +228,7 @@ impl Server {
         }
     }
 
-    /// The bytes of a handshake's frame.
+    /// The bytes of a handshake frame.
     fn handshake(&mut self, body: &impl Body<ToRobot>) -> Vec<u8> {
         let mut out = vec![0; MAX_FRAME];
         let len = self.link.handshake(body, &mut out).expect("it fits");
@@ -236,7 +236,7 @@ impl Server {
         out
     }
 
-    /// The frame of a welcome to the hello that was heard last.
+    /// The frame of a welcome, in reply to the last hello.
     fn welcome(&mut self, epoch: u32, stores: bool) -> Option<Vec<u8>> {
         self.sessions += 1;
         (self.terms.server_epoch, self.terms.stores) = (epoch, stores);
@@ -297,7 +297,7 @@ impl Message {
     }
 }
 
-/// All that the robot knows: everything but what is waiting, under way or counted.
+/// The robot's complete knowledge: everything except what is queued, in flight or counted.
 fn state(robot: &Robot<'_>) -> String {
     let own: Vec<_> = robot.own_tiles().tiles().collect();
     let [fused, coverage] = [Layer::Fused, Layer::Coverage]
@@ -311,9 +311,9 @@ fn config() -> Config {
     Config::new(RobotId(3), sensor, bounds)
 }
 
-/// Puts one thing in.
+/// Applies one input.
 fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
-    // What is due by now is not this input's doing.
+    // Work that is due already is not caused by this input.
     robot.timeout(now);
     let (before, counted) = (state(robot), robot.statistics());
     match input {
@@ -339,7 +339,7 @@ fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
         Input::Jolt { moment } => robot.jolt(moment),
         Input::Noise(bytes) => {
             robot.receive(&bytes, now);
-            assert_eq!(state(robot), before, "noise was believed");
+            assert_eq!(state(robot), before, "noise changed the state");
         }
         Input::Body { kind, body } => {
             if let Some(frame) = server.frame(kind, &body, now) {
@@ -349,9 +349,13 @@ fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
                     |it: &ubimap_agent::Statistics| it.unknown_messages + it.malformed_messages;
                 if unread(&after) != unread(&counted) {
                     assert_eq!(unread(&after), unread(&counted) + 1);
-                    // Of a tile update that breaks off, what came before it stands.
+                    // Of an incomplete tile update the tiles before the error are kept.
                     if kind != u8::from(ToRobotKind::TileUpdate) {
-                        assert_eq!(state(robot), before, "kind {kind} was not read, and believed");
+                        assert_eq!(
+                            state(robot),
+                            before,
+                            "an unreadable message of kind {kind} changed the state"
+                        );
                     }
                 }
             }
@@ -366,7 +370,10 @@ fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
                     Message::Fix(_) => after.fixes == counted.fixes,
                     _ => false,
                 };
-                assert!(!passed_over || state(robot) == before, "it was passed over, and believed");
+                assert!(
+                    !passed_over || state(robot) == before,
+                    "an ignored message changed the state"
+                );
             }
         }
         Input::Reset => {
@@ -399,7 +406,7 @@ fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
     let _ = robot.poll_timeout();
 }
 
-/// A robot with a session, and the frame sizes of both ends.
+/// Opens a session, with the frame sizes of both ends.
 fn connect(robot: &mut Robot<'_>, server: &mut Server) {
     put(robot, server, Input::Transmit { room: DEFAULT_FRAME }, Instant(0));
     put(robot, server, Input::Welcome { epoch: 1, stores: false }, Instant(0));
@@ -421,16 +428,16 @@ proptest! {
         connect(&mut robot, &mut server);
         let mut now = Instant(0);
         for (input, moment) in inputs {
-            // Time goes on, or leaps to and fro.
+            // Time advances, or jumps back and forth.
             now = if in_order { now + Duration(moment.0 % 700_000) } else { moment };
             put(&mut robot, &mut server, input, now);
         }
     }
 }
 
-/// Each of the bad inputs that the robot must tell of, one by one: what it comes to.
+/// Each bad input that must be reported, one by one, with its result.
 #[test]
-fn each_bad_input_is_told() {
+fn each_bad_input_is_reported() {
     let config = config();
     let mut memory = Memory::<Heap>::new(&config.bounds);
     let mut robot = Robot::new(config, &mut memory).unwrap();
@@ -446,14 +453,14 @@ fn each_bad_input_is_told() {
     };
     let scan = |millis| Input::Scan { taken: at(millis), readings: vec![3_000; BEAMS] };
 
-    // A fix of an unknown time: the clocks do not agree yet.
+    // A fix with an unknown time: the clocks are not synchronised yet.
     put(&mut robot, &mut server, fix(10, 0.0), at(10));
     assert_eq!((robot.statistics().fixes_untimely, robot.pose()), (1, None));
     put(&mut robot, &mut server, Input::Transmit { room: 250 }, at(20));
     let reply = TimeReply { nonce: 0, received: at(20), held_micros: 0 };
     put(&mut robot, &mut server, Input::Message(Message::Time(reply)), at(20));
     assert!(robot.server_time(at(20)).is_some());
-    // One of a time to come.
+    // One from the future.
     put(&mut robot, &mut server, fix(9_000, 0.0), at(30));
     assert_eq!((robot.statistics().fixes_untimely, robot.pose()), (2, None));
     put(&mut robot, &mut server, fix(100, 0.0), at(100));
@@ -465,7 +472,8 @@ fn each_bad_input_is_told() {
     }
     assert_eq!(robot.statistics().odometry_backwards, 1);
 
-    // Scans: backwards, and more than can wait. 4 m around it are more tiles than there is room for.
+    // Scans: going backwards, and more than can wait. 4 m around it are more tiles than the pool
+    // has.
     put(&mut robot, &mut server, scan(150), at(150));
     assert_eq!(robot.scan(at(140), &[3_000; BEAMS], at(150)), Err(ScanError::Backwards));
     let full =
@@ -478,18 +486,18 @@ fn each_bad_input_is_told() {
     assert!(counted.mapped > 0 && counted.cells_refused > 0, "{counted:?}");
     assert_eq!(robot.own_tiles().tiles().count(), TILES);
 
-    // An update of a tile upon a version that it does not hold: it asks for the whole.
+    // An update of a tile relative to a version that it does not hold: it requests the whole tile.
     let (id, base) = (TileId { x: 0, y: 0 }, Some(Version(8)));
     let stamp = Stamp { epoch: Epoch(1), version: Version(9) };
     let update = Message::Tile { layer: Layer::Fused, id, stamp, base, cells: 7 };
     put(&mut robot, &mut server, Input::Message(update), at(210));
     assert!(robot.fused_tiles().tile(id).is_none_or(|tile| tile.cell(0, 3) == Cell::Unknown));
-    // A fix that is absurd.
+    // An outlier.
     put(&mut robot, &mut server, fix(220, 900.0), at(220));
     assert_eq!(robot.statistics().fixes_rejected, 1);
-    // Poses from numbers that are none.
+    // Poses from NaN.
     assert_eq!(Pose::from_metres(f64::NAN, f64::NAN, f64::NAN), Pose::default());
-    // What was raised is known by its code.
+    // Raised events are identified by their codes.
     let codes = format!("{robot:?}");
     for code in [
         EventCode::SensorFault,

@@ -1,5 +1,5 @@
-//! The same inputs give the same bytes on a Cortex-M and on a PC: a robot that explored a simulated
-//! room does all of it again from its journal, here and in the emulator.
+//! The same inputs give the same bytes on a Cortex-M and on a PC: the journal of a robot that
+//! explored a simulated room is replayed here and in the emulator.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -29,7 +29,7 @@ use ubimap_tests::{
 #[path = "../../agent/src/bin/bench/player.rs"]
 mod player;
 
-/// Two rooms with a door, a camera above the first, and somebody who walks there.
+/// Two rooms with a door, a camera above the first, and a person who walks there.
 const ROOMS: &str = r#"
     duration_s = 90.0
     slice_height_m = 0.2
@@ -62,17 +62,17 @@ const ROOMS: &str = r#"
     pause_s = 4.0
 "#;
 
-/// Entries of a kind in which a bit is changed.
+/// Number of entries of a kind in which a bit is flipped.
 const TRIED: usize = 8;
 
-/// A journal, and what the robot gave.
+/// A journal, and the robot's outputs.
 #[derive(Default)]
 struct Session {
     journal: Vec<u8>,
     given: String,
-    /// Entries of each kind.
+    /// Number of entries of each kind.
     counts: [usize; 7],
-    /// Where in the journal the bodies of entries begin, and their kinds.
+    /// The kinds of the entries, and the offsets of their bodies in the journal.
     bodies: Vec<(u8, usize)>,
 }
 
@@ -115,7 +115,7 @@ impl Session {
     }
 }
 
-/// A robot that explores the rooms, with a channel that loses and spoils frames.
+/// A robot that explores the rooms, over a channel that loses and damages frames.
 fn session() -> Session {
     let scenario = Scenario::from_toml(ROOMS, "the rooms").unwrap();
     let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
@@ -143,7 +143,7 @@ fn session() -> Session {
     session
 }
 
-/// What the host's robot gives.
+/// The outputs of the robot on the host.
 fn played(journal: &[u8]) -> String {
     let config = player::config();
     let mut memory = Memory::<Heap, Driving>::new(&config.bounds);
@@ -169,7 +169,7 @@ fn a_journal_gives_the_same_in_the_emulator_and_here() {
     let [_, received, odometry, scans, ..] = session.counts;
     assert!(scans >= 1_000 && odometry > 1_000 && received > 500, "{:?}", session.counts);
     let given = played(&session.journal);
-    // The robot that kept the journal gave the same; it was not asked for its tiles.
+    // The robot that recorded the journal gave the same; its tiles were not recorded.
     assert_same(&session.given, &given[..session.given.len()]);
     let lines = |kind: &str| given.lines().filter(|line| line.starts_with(kind)).count();
     let counts = ["sent", "wheels", "own", "fused"].map(lines);
@@ -186,8 +186,8 @@ fn a_journal_gives_the_same_in_the_emulator_and_here() {
     }
 }
 
-/// Of some entries of a kind, spread over the session, how many give something else when a bit of
-/// theirs is another.
+/// Number of entries of a kind, sampled over the session, for which a flipped bit changes the
+/// outputs.
 fn noticed(session: &Session, given: &str, (kind, offset, bit): (u8, usize, u8)) -> usize {
     let bodies: Vec<usize> =
         session.bodies.iter().filter(|(it, _)| *it == kind).map(|(_, body)| *body).collect();
@@ -200,11 +200,11 @@ fn noticed(session: &Session, given: &str, (kind, offset, bit): (u8, usize, u8))
 }
 
 #[test]
-fn a_bit_that_differs_is_noticed() {
+fn flipped_bits_are_detected() {
     let session = session();
     let given = played(&session.journal);
-    // In a frame, in a place, and in a range (512 mm). Some frames are spoilt already, readings of the
-    // odometry are thinned, and what a robot that stands sees is not mapped: these tell nothing.
+    // In a frame, a position, and a range (512 mm). Some have no effect: damaged frames, odometry
+    // readings that are thinned out, and scans at standstill, which are not mapped.
     for (which, least) in [
         ((player::RECEIVED, 6, 0x10), TRIED / 2),
         ((player::ODOMETRY, 0, 0x40), TRIED / 2),

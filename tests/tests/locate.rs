@@ -1,4 +1,4 @@
-//! What becomes of a robot's map when the cameras lose it, mistake it, or somebody carries it off.
+//! A robot's map when the cameras lose it, mistake it, or it is carried.
 
 use std::collections::VecDeque;
 
@@ -19,15 +19,15 @@ use ubimap_tests::{deployments::deployed, script::Script};
 const READINGS: usize = 30;
 const ROBOT: RobotId = RobotId(1);
 
-/// A robot that drives up and down 2 m of a line.
+/// A robot that drives back and forth along 2 m of a line.
 struct Drive<'b> {
     fleet: Fleet<'b>,
     driven: u64,
 }
 
 impl Drive<'_> {
-    /// Drives on for some seconds, and returns what the robot counted meanwhile. `seen` gives where the
-    /// cameras see it, from the metres that it has driven and the number of the frame.
+    /// Drives for some seconds, and returns what the robot counted meanwhile. `seen` returns where
+    /// the cameras see it, given the distance driven in metres and the number of the frame.
     fn on(&mut self, seconds: u64, seen: impl Fn(f64, u64) -> Option<f64>) -> Statistics {
         let before = self.fleet.robots()[0].robot().statistics();
         let start = self.fleet.now() + Duration::from_millis(10);
@@ -35,7 +35,7 @@ impl Drive<'_> {
         for millis in (0..seconds * 1_000).step_by(10) {
             let now = start + Duration::from_millis(millis);
             self.driven += 10;
-            // Half a metre a second, and back again.
+            // Half a metre per second, back and forth.
             let phase = (self.driven % 8_000) as f64 / 4_000.0;
             let along = 2.0 * if phase < 1.0 { phase } else { 2.0 - phase };
             if millis % 70 == 0
@@ -50,7 +50,7 @@ impl Drive<'_> {
                 let pose = Pose::from_metres(along, 0.0, 0.0);
                 events.push_back((now, Event::Odometry { robot: 0, pose }));
             }
-            // The first one when the wheels have turned again after the pause.
+            // The first scan is after the wheels' first reading following a pause.
             if millis % 200 == 100 {
                 events.push_back((now, Event::Scan { robot: 0, readings: vec![2_000; READINGS] }));
             }
@@ -71,13 +71,13 @@ impl Drive<'_> {
 }
 
 #[test]
-fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
+fn it_stops_mapping_before_it_is_lost_and_resumes_when_it_is_found() {
     let model = SensorModel::Radial { first: -1.5, step: 0.1 };
     let bounds = Bounds { readings: READINGS, ..BOUNDS };
     let config = Config::new(ROBOT, model, bounds).with_drive(None);
     let mut memory = [Memory::new(&bounds)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
-    // Nobody tells it by what it sees.
+    // Without fixes from distance vectors.
     let deployment = deployment::Config {
         corrects_errors: false,
         ..deployment::Config::new(config.bounds.resolution)
@@ -85,20 +85,20 @@ fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
     let fleet = Fleet::new(&[config], &mut memory, faults, 1, deployed(deployment)).unwrap();
     let mut drive = Drive { fleet, driven: 0 };
 
-    // The clocks agree, the cameras see it.
+    // Time for clock synchronisation, in view of the cameras.
     drive.on(5, |along, _| Some(along));
     let seen = drive.on(10, |along, _| Some(along));
     assert!(seen.mapped >= 45 && seen.unsure == 0, "{seen:?}");
     assert_eq!((seen.fixes_rejected, seen.moves), (0, 0));
 
-    // One frame of ten is mistaken: it is left out, and all is mapped as before.
+    // One frame in ten is wrong: it is rejected, and everything is mapped as before.
     let mistaken =
         drive.on(10, |along, frame| Some(along + if frame % 10 == 9 { 4.0 } else { 0.0 }));
     assert_eq!((mistaken.fixes_rejected, mistaken.moves), (14, 0));
     assert!(mistaken.mapped >= 45 && mistaken.unsure == 0, "{mistaken:?}");
 
-    // Out of sight after a second it maps on until its heading is unsure by 3 degrees, after some
-    // 30 m; a second in sight, and it does again.
+    // Out of view after one second it keeps mapping until its heading deviation is 3 degrees, after
+    // about 30 m; after one second in view it maps again.
     let lost = drive.on(80, |along, frame| (frame < 15).then_some(along));
     assert!(lost.mapped >= 230 && lost.unsure >= 50, "{lost:?}");
     assert_eq!(lost.expired, 0);
@@ -106,7 +106,7 @@ fn it_stops_mapping_before_it_is_lost_and_goes_on_when_it_is_found() {
     let found = drive.on(5, |along, _| Some(along));
     assert!(found.mapped >= 20 && found.unsure == 0, "{found:?}");
 
-    // Carried off, it is believed to be there after five fixes.
+    // Carried off, its new position is accepted after five fixes.
     let carried = drive.on(10, |along, frame| Some(along + if frame < 50 { 0.0 } else { 5.0 }));
     assert_eq!((carried.fixes_rejected, carried.moves), (4, 1));
     let pose = drive.fleet.robots()[0].robot().pose().unwrap().1;

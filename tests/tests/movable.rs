@@ -1,4 +1,5 @@
-//! What comes and goes becomes movable on the map that all share; who walks by once does not.
+//! Occupants that come and go become movable on the shared map; a person who walks by once does
+//! not.
 
 use std::collections::VecDeque;
 
@@ -17,11 +18,11 @@ use ubimap_sim_host::{
 use ubimap_tests::{deployments::bare, script::Script};
 
 const BEAMS: usize = 61;
-/// A cell on the way that is looked along, 1.5 m off.
+/// A cell in the line of sight, 1.5 m away.
 const CELL: (i32, i32) = (30, 0);
 
-/// What the map says of the cell at the end of each of these times in seconds, during which
-/// something stands 1.5 m before the robot, or nothing does before the wall at 3 m.
+/// The state of the cell on the map at the end of each of these intervals in seconds, during which
+/// an object stands 1.5 m in front of the robot, or nothing stands before the wall at 3 m.
 fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
     let step = 0.02;
     let first = -step * (BEAMS / 2) as f32;
@@ -39,7 +40,7 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
         for _ in 0..seconds * 100 {
             millis += 10;
             let now = Instant(millis * 1_000);
-            // A hand's breadth to and fro.
+            // Moves a few centimetres back and forth.
             let off = if drives { 0.05 * (millis as f64 / 300.0).sin() } else { 0.0 };
             let pose = Pose::from_metres(off, 0.01, 0.0);
             if millis % 70 == 0 {
@@ -50,7 +51,7 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
             if millis % 50 == 0 {
                 events.push_back((now, Event::Odometry { robot: 0, pose }));
             }
-            // The clocks agree by then.
+            // The clocks are synchronised by then.
             if millis % 100 == 50 && millis > 3_000 {
                 let readings = (0..BEAMS).map(|beam| {
                     let bearing = f64::from(first + beam as f32 * step);
@@ -71,12 +72,12 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
 }
 
 #[test]
-fn a_door_becomes_movable_and_who_walks_by_once_does_not() {
+fn a_door_becomes_movable_and_a_passer_by_does_not() {
     use Cell::{Free, Movable, Occupied};
     let times = [(10, true), (6, false), (6, true), (6, false), (6, true), (6, false), (6, true)];
     let door = codes(true, &times);
     assert_eq!(door, [Occupied, Free, Movable, Free, Movable, Free, Movable]);
-    // Who stands still looks once at a door that is shut: it is not certain yet that it was.
+    // A robot at standstill maps a closed door once: that is not enough to be certain.
     let door = codes(false, &times);
     assert_eq!(door, [Occupied, Free, Occupied, Free, Movable, Free, Movable]);
     for drives in [true, false] {

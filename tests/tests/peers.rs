@@ -1,6 +1,6 @@
-//! What becomes of another robot on the map: without a mask, with a square around it (Ahmed 2.2), and
-//! with its footprint. A square for a robot as long as it is wide leaves Ahmed's errors (his figures 5
-//! and 6): ends of robots that were taken for walls.
+//! Another robot on the map: without a mask, with a square around it (Ahmed 2.2), and with its
+//! footprint. A square computed as if the robot were as long as it is wide reproduces Ahmed's
+//! errors (his figures 5 and 6): ends of robots mapped as walls.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -26,14 +26,14 @@ use ubimap_tests::{deployments::deployed, script::Script};
 
 /// Beams of a half circle.
 const BEAMS: usize = 181;
-/// A room of 6 by 4 m around the origin: half its sides.
+/// Half the sides of a room of 6 by 4 m around the origin.
 const ROOM: [f64; 2] = [3.0, 2.0];
 /// Half the length and width of the other robot.
 const BODY: [f64; 2] = [0.6, 0.15];
-/// How long the robots are about.
+/// Duration of a run.
 const SECONDS: u64 = 12;
 
-/// Where the other robot is after some seconds.
+/// The other robot's pose after some seconds.
 type Way = fn(f64) -> [f64; 3];
 
 const SCENES: [(&str, Way); 4] = [
@@ -46,19 +46,19 @@ const SCENES: [(&str, Way); 4] = [
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Told {
     Nothing,
-    /// Of a robot as long as it is wide.
+    /// The mask of a robot as long as it is wide.
     Short(PeerMask),
     Of(PeerMask),
 }
 
-/// Cells that were said to be occupied at any time.
+/// Cells reported as occupied at any time.
 struct Drawn {
     /// Where there is no wall.
     wrong: BTreeSet<(i32, i32)>,
     walls: BTreeSet<(i32, i32)>,
 }
 
-/// How far it is to the walls or to the other robot, along a unit vector.
+/// Distance to the walls or to the other robot, along a unit vector.
 fn range(from: [f64; 2], way: [f64; 2], body: [f64; 3]) -> f64 {
     let walls = (0..2).map(|axis| (ROOM[axis] * way[axis].signum() - from[axis]) / way[axis]);
     let wall = walls.fold(f64::INFINITY, f64::min);
@@ -74,7 +74,7 @@ fn range(from: [f64; 2], way: [f64; 2], body: [f64; 3]) -> f64 {
     if enter < leave { enter } else { wall }
 }
 
-/// A robot maps the room in which another one is about; cameras see both, but nothing of the room.
+/// A robot maps the room while another one is in it; cameras see both, but none of the room.
 fn run(way: Way, told: Told) -> Drawn {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     let step = std::f64::consts::PI / (BEAMS - 1) as f64;
@@ -89,7 +89,7 @@ fn run(way: Way, told: Told) -> Drawn {
     for millis in (0..SECONDS * 1_000).step_by(10) {
         let now = Instant(millis * 1_000);
         let seconds = millis as f64 / 1_000.0;
-        // To and fro, looking at the other one.
+        // Back and forth, facing the other robot.
         let at = [-1.2 + 0.3 * seconds.sin(), -0.6];
         let body = way(seconds);
         if millis % 70 == 0 {
@@ -103,7 +103,7 @@ fn run(way: Way, told: Told) -> Drawn {
             let observation = Observation { captured: now, robots, ..Observation::default() };
             events.push_back((now, Event::Observation(observation)));
         }
-        // The clocks agree by then.
+        // The clocks are synchronised by then.
         if millis % 100 == 50 && seconds > 3.0 {
             let readings = (0..BEAMS).map(|beam| {
                 let bearing = 0.6 + first + beam as f64 * step;
@@ -138,7 +138,7 @@ fn run(way: Way, told: Told) -> Drawn {
                 let cell = (x0 + x as i32, y0 + y as i32);
                 let middle = [cell.0, cell.1].map(|cell| (f64::from(cell) + 0.5) * side);
                 let off = (0..2).map(|axis| ROOM[axis] - middle[axis].abs());
-                // The noise of poses and readings, and half a cell.
+                // Tolerance: the noise of poses and readings, and half a cell.
                 let is_wall = off.fold(f64::INFINITY, f64::min).abs() < 0.13;
                 if is_wall { &mut drawn.walls } else { &mut drawn.wrong }.insert(cell);
             }
@@ -151,7 +151,7 @@ fn run(way: Way, told: Told) -> Drawn {
 }
 
 #[test]
-fn a_footprint_keeps_others_off_the_map_and_the_walls_beside_them_on_it() {
+fn a_footprint_keeps_robots_off_the_map_and_walls_on_it() {
     println!(
         "cells of another robot of 1.2 by 0.3 m that were mapped; cells of walls that were not"
     );

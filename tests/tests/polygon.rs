@@ -1,16 +1,16 @@
-//! The polygon that a robot fills for a scan, cell by cell against a line of cells for each beam, in
-//! random rooms.
+//! Compares the polygon that a robot fills for a scan, cell by cell, with a line of cells per beam,
+//! in random rooms.
 //!
-//! The beams are closer than cells, so that the lines say something of every cell in view. What the
-//! polygon says may differ from them in these cells alone:
+//! The beams are closer together than cells, so that the lines determine every cell in view. The
+//! polygon may differ from them only in these cells:
 //!
-//! - beside a cell that the lines say otherwise of: the polygon goes by the middles of cells and
-//!   keeps half a cell before a hit. Two cells beside it where what is known is omitted: surfaces are
-//!   then drawn as lines between some of their readings;
-//! - whose middles lie beside a beam that says nothing, or between two beams of which one looks past
-//!   an edge: nothing is claimed there that only one of the two beams crossed;
-//! - where a surface is in view for less than a cell's width: it may be passed over, for three beams to
-//!   two cells are looked at.
+//! - next to a cell in which the lines have another state: the polygon uses the centres of cells
+//!   and keeps half a cell before a hit. Two cells away where redundant readings are omitted:
+//!   surfaces are then drawn as lines between some of their readings;
+//! - whose centres lie next to an invalid beam, or between two beams of which one passes an edge:
+//!   nothing is claimed there that only one of the two beams crossed;
+//! - where a surface is in view for less than a cell's width: it may be missed, as only three beams
+//!   per two cells are checked.
 
 use std::collections::HashSet;
 
@@ -35,16 +35,16 @@ use ubimap_tests::{
 
 type Cells = HashSet<(i32, i32)>;
 
-/// A beam each 17 mm at 4 m.
+/// One beam per 17 mm at 4 m.
 const FAN: Fan = Fan { beams: 481, angle: 2.0 };
 const MAX_RANGE: u16 = 4_000;
 
-/// What the robot's map says after one scan: free, and occupied.
+/// The free and the occupied cells of the robot's map after one scan.
 fn filled(pose: Pose, readings: &[u16], policy: Policy) -> (Cells, Cells) {
     filled_within(MAX_RANGE, MAX_RANGE, pose, readings, policy)
 }
 
-/// The same of a map of this range, of which no more than so much is asked for.
+/// The same for a map with a maximum range, of which `range` is requested.
 fn filled_within(
     max_range: u16,
     range: u16,
@@ -87,7 +87,7 @@ fn beside(cells: &Cells, cell: (i32, i32), reach: i32) -> bool {
     around(cell, reach).any(|it| cells.contains(&it))
 }
 
-/// Whether a cell's middle lies beside a beam that says nothing, or where the range jumps.
+/// Whether a cell's centre lies next to an invalid beam, or where the range jumps.
 fn is_in_a_gap((x, y): (i32, i32), from: [f64; 2], pose: Pose, readings: &[u16]) -> bool {
     let middle = [x, y].map(|cell| (f64::from(cell) + 0.5) * 0.05);
     let (dx, dy) = (middle[0] - from[0], middle[1] - from[1]);
@@ -96,8 +96,8 @@ fn is_in_a_gap((x, y): (i32, i32), from: [f64; 2], pose: Pose, readings: &[u16])
     let bearing = (bearing + turn / 2.0).rem_euclid(turn) - turn / 2.0;
     let step = FAN.angle / (FAN.beams - 1) as f64;
     let place = (bearing + FAN.angle / 2.0) / step;
-    // The polygon's sides are where they belong to within 3 mm. A jump is one of 150 mm, before a hit
-    // less the half cell that is kept.
+    // The polygon's sides are accurate to 3 mm. A jump is one of 150 mm, minus the half cell kept
+    // before a hit.
     let slack = 0.003 / (dx.hypot(dy) * step).max(0.001);
     let (first, last) = ((place - slack).floor(), (place + slack).ceil());
     let of = |beam: f64| readings.get(beam as usize).map(|&it| it.min(MAX_RANGE)).unwrap_or(0);
@@ -105,8 +105,8 @@ fn is_in_a_gap((x, y): (i32, i32), from: [f64; 2], pose: Pose, readings: &[u16])
     first < 0.0 || beams.contains(&0) || beams.windows(2).any(|two| two[0].abs_diff(two[1]) > 120)
 }
 
-/// The readings of surfaces that are in view for a cell's width, without the others: from beam to beam
-/// they step by less than three quarters of a cell.
+/// Keeps only the readings of surfaces in view for at least a cell's width: adjacent readings
+/// differ by less than three quarters of a cell.
 fn broad(readings: &[u16]) -> Vec<u16> {
     let mut broad = vec![0; readings.len()];
     let step = FAN.angle / (FAN.beams - 1) as f64;
@@ -125,7 +125,7 @@ fn broad(readings: &[u16]) -> Vec<u16> {
     broad
 }
 
-/// What a line for each beam says.
+/// The cells by a line per beam.
 fn lines(readings: &[u16], from: [f64; 2], pose: Pose) -> Seen {
     let beams = readings.iter().enumerate().map(|(beam, &reading)| {
         let place = beam as f64 / (FAN.beams - 1) as f64 - 0.5;
@@ -134,7 +134,7 @@ fn lines(readings: &[u16], from: [f64; 2], pose: Pose) -> Seen {
     per_ray::scan(from, beams, 0.05, f64::from(MAX_RANGE) / 1_000.0)
 }
 
-/// Whether the polygon must say of a cell that was crossed that it is free.
+/// Whether the polygon must have a crossed cell as free.
 fn is_comparable(
     cell: (i32, i32),
     reach: i32,
@@ -152,7 +152,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
     #[test]
-    fn the_polygon_says_what_a_line_for_each_beam_says(
+    fn the_polygon_matches_a_line_per_beam(
         seed: u64, heading: u16, second in 0..20u64, full: bool,
     ) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -167,17 +167,17 @@ proptest! {
         let lines = lines(&readings, from, pose);
 
         for &cell in &free {
-            prop_assert!(beside(&lines.crossed, cell, reach), "{cell:?} is free, and no beam came by");
+            prop_assert!(beside(&lines.crossed, cell, reach), "{cell:?} is free, but no beam crossed near it");
         }
         for &cell in &hit {
-            prop_assert!(beside(&lines.hit, cell, reach), "{cell:?} is occupied, and no beam ended there");
+            prop_assert!(beside(&lines.hit, cell, reach), "{cell:?} is occupied, but no beam ended near it");
         }
         for &cell in &surfaces {
-            prop_assert!(beside(&hit, cell, reach), "a beam ended in {cell:?}, and nothing is there");
+            prop_assert!(beside(&hit, cell, reach), "a beam ended in {cell:?}, but nothing near it is occupied");
         }
         for &cell in &lines.crossed {
             if is_comparable(cell, reach, &lines, from, pose, &readings) {
-                prop_assert!(free.contains(&cell), "{cell:?} was crossed, and is not free");
+                prop_assert!(free.contains(&cell), "{cell:?} was crossed, but is not free");
             }
         }
     }
@@ -187,7 +187,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
     #[test]
-    fn a_scan_of_an_unsure_robot_is_mapped_as_if_its_map_reached_less_far(
+    fn an_uncertain_robot_maps_a_scan_with_a_shorter_range(
         seed: u64, heading: u16, range in 60..MAX_RANGE,
     ) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -197,7 +197,7 @@ proptest! {
         let readings = room.scan(FAN, pose, Instant(0));
         let of = |max_range, policy| filled_within(max_range, range, pose, &readings, policy);
         prop_assert!(of(MAX_RANGE, Policy::Threshold) == of(range, Policy::Threshold));
-        // Where it need not look at all beams it may choose others.
+        // Where beams may be skipped, another choice of beams is allowed.
         let (cut, less) = (of(MAX_RANGE, Policy::Full), of(range, Policy::Full));
         prop_assert!(cut.0.iter().all(|&cell| beside(&less.0, cell, 1)));
         prop_assert!(less.0.iter().all(|&cell| beside(&cut.0, cell, 1)));
@@ -206,9 +206,9 @@ proptest! {
     }
 }
 
-/// The exceptions are not all there is: over many rooms most of what was crossed is compared.
+/// The exceptions do not dominate: over many rooms most of the crossed cells are compared.
 #[test]
-fn most_of_what_was_crossed_is_compared() {
+fn most_of_the_crossed_cells_are_compared() {
     let (mut compared, mut crossed) = (0, 0);
     for seed in 0..40 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

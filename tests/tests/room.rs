@@ -1,6 +1,6 @@
-//! The camera server in the built-in scenarios: what issue and README promise of it, measured on
-//! frames of simulated RGB-D cameras. `UBIMAP_SEEDS=10` runs ten seeds of a minute each; without it one
-//! seed runs, for as long as robots need to come into view and learn the room.
+//! The camera server in the built-in scenarios: the figures promised by the README, measured on
+//! frames of simulated RGB-D cameras. `UBIMAP_SEEDS=10` runs ten seeds of a minute each; by default
+//! one seed runs, until robots have come into view and learnt the room.
 
 use std::{
     cell::RefCell,
@@ -30,29 +30,30 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{deployments::deployed, seeds::seeds};
 
-/// What stood in a cell must be gone so long after the person has left it.
+/// Time after which a cell must be free once a person has left it.
 const GONE_AFTER: Duration = Duration::from_secs(5);
-/// A person who is no farther from a cell's middle stands in it, or beside it.
+/// Distance from a cell's centre within which a person occupies it or an adjacent one.
 const NEAR_M: f64 = 0.45;
-/// Somebody who is there now is seen as far about: three sigmas of a depth of 5 m more.
+/// Additional distance within which noise about a present person is expected: three sigmas of the
+/// depth at 5 m.
 const NOISE_M: f64 = 0.3;
 
-/// How long a scenario runs: each robot has been round once.
+/// Duration of a scenario in which each robot completes a round.
 const ROUND: Duration = Duration::from_secs(60);
-/// Long enough to lose a camera in.
+/// Duration sufficient for the loss of a camera.
 const SHORT: Duration = Duration::from_secs(15);
 
-/// Where people and robots are at a moment, in metres.
+/// Positions of people and robots at a time, in metres.
 struct Bodies {
     moment: Instant,
     people: Vec<[f64; 2]>,
     robots: Vec<[f64; 2]>,
 }
 
-/// Their ways, as a stage goes on.
+/// Their paths, recorded while a stage runs.
 type Ways = Rc<RefCell<Vec<Bodies>>>;
 
-/// A room of which somebody writes down where everybody is.
+/// A room that records all positions.
 struct Watched {
     room: RoomStage,
     ways: Ways,
@@ -79,19 +80,19 @@ impl Stage for Watched {
     }
 }
 
-/// Cells in which people have been, and which stay occupied when they have left.
+/// Cells in which people have stood, and which stay occupied after they left.
 #[derive(Default)]
 struct Ghosts {
-    /// When each was last stood in.
+    /// When a person last stood in each.
     stood: BTreeMap<(i32, i32), Instant>,
     noted: usize,
     next: Instant,
-    /// The most at one time: left behind, and of the noise about somebody who is near now. How often
-    /// it was looked.
+    /// Maximum number at a time: left behind, and from noise about a person nearby. Number of
+    /// checks.
     most: usize,
     most_about: usize,
     looks: u32,
-    /// The same by the rule of ROS, which clears nothing.
+    /// The same by the clearing rule of ROS, which frees no such cells.
     most_by_ros: usize,
 }
 
@@ -126,7 +127,7 @@ impl Ghosts {
         }
         self.next = now + Duration::from_millis(500);
         let server = fleet.server();
-        // Among those that a camera sees now, and where nothing else stands.
+        // Among those in view of a camera, where nothing else stands.
         let left = self.stood.iter().filter(|(at, left)| {
             now.since(**left) >= GONE_AFTER
                 && !solid.contains(*at)
@@ -167,15 +168,15 @@ fn cell(layer: &ServedLayer, (x, y): (i32, i32)) -> Option<Cell> {
     Some(layer.get(TileId::of_cell(x, y)?)?.1.cell(column, row))
 }
 
-/// The ground that a camera alone has seen shortly before it is lost.
+/// The ground that only the lost camera had seen shortly before.
 #[derive(Default)]
 struct LostGround {
-    /// When the camera that is lost, the first one, and when any other last saw a cell.
+    /// When the lost camera, the first one, and when any other last saw a cell.
     seen: BTreeMap<(i32, i32), [Option<Instant>; 2]>,
 }
 
 impl LostGround {
-    /// An image is looked at five times a second.
+    /// Images are processed five times per second.
     const RECENT: Duration = Duration::from_millis(500);
 
     fn observe(&mut self, observation: &Observation) {
@@ -186,8 +187,8 @@ impl LostGround {
         }
     }
 
-    /// How many cells only the first camera saw when it failed, and how many of them are said to be
-    /// in view now.
+    /// Number of cells that only the first camera saw when it failed, and how many of them are
+    /// reported as in view now.
     fn still_covered(&self, failed: Instant, fleet: &Fleet<'_>) -> (usize, usize) {
         let now = fleet.now();
         let lost = self.seen.iter().filter(|(_, [first, others])| {
@@ -201,14 +202,14 @@ impl LostGround {
     }
 }
 
-/// The surfaces of what is moved at one moment of a scenario: where it was, and where it is then.
+/// The surfaces of an object moved during a scenario: before and after.
 struct Moved {
     moment: Instant,
     gone: Vec<(i32, i32)>,
     come: Vec<(i32, i32)>,
 }
 
-/// Cells that cameras see after such a moment, and how many of them the fused map has right.
+/// Cells in view after the move, and how many of them are correct in the fused map.
 #[derive(Clone, Copy, Debug)]
 struct TakenOver {
     gone: usize,
@@ -218,10 +219,10 @@ struct TakenOver {
 }
 
 impl Moved {
-    /// It is looked at so many seconds later.
+    /// Seconds after which it is checked.
     const LATER: [u64; 2] = [2, 4];
 
-    /// The first time at which a scenario moves something.
+    /// The first time at which a scenario moves an object.
     fn of(scenario: &Scenario, seed: u64) -> Option<Self> {
         let moves = scenario.furniture.iter().flat_map(|it| &it.moved);
         let at_s = moves.map(|it| it.at_s).min_by(f64::total_cmp)?;
@@ -258,30 +259,30 @@ impl Moved {
     }
 }
 
-/// The cells that are no farther than this from one, itself among them.
+/// The cells within this distance of one, including itself.
 fn around(&(x, y): &(i32, i32), cells: i32) -> impl Iterator<Item = (i32, i32)> {
     let beside = -cells..=cells;
     beside.clone().flat_map(move |dy| beside.clone().map(move |dx| (x + dx, y + dy)))
 }
 
-/// What a run of a scenario came to.
+/// The result of a run.
 struct Run {
     truth: TruthScores,
-    /// What the cameras said of driving robots; what the robots themselves believed.
+    /// Errors of the cameras' poses of driving robots, and of the robots' own poses.
     sighted: PoseErrors,
     believed: PoseErrors,
     ghosts: Ghosts,
-    /// Where the first camera failed: the cells that it alone saw, and those of them that were said
-    /// to be in view a second later.
+    /// With a failing first camera: the number of cells that only it saw, and of those reported as
+    /// in view a second later.
     lost: Option<(usize, usize)>,
-    /// Where something was moved: after each time of [`Moved::LATER`].
+    /// With a moved object: after each time of [`Moved::LATER`].
     taken_over: Vec<TakenOver>,
     converged: bool,
-    /// Simulated seconds for each real one.
+    /// Simulated seconds per real second.
     speed: f64,
 }
 
-/// Runs a built-in scenario, changed a little.
+/// Runs a built-in scenario with a change.
 fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)) -> Run {
     let mut scenario = Scenario::read_with(name.as_ref(), None).unwrap();
     change(&mut scenario);
@@ -293,7 +294,7 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     let faults = Faults { latency: Duration::from_millis(20), ..Faults::default() };
     let deployment = Config { keeps_sightings: true, ..deployment_config(&scenario, &world, true) };
     let mut fleet = Fleet::new(&configs, &mut memory, faults, seed, deployed(deployment)).unwrap();
-    // A cell beside a surface may be taken for it.
+    // A cell next to a surface may count as occupied.
     let surfaces = world.truth().surfaces.iter();
     let solid: BTreeSet<(i32, i32)> = surfaces.flat_map(|it| around(it, 2)).collect();
     let moved = Moved::of(&scenario, seed);
@@ -339,8 +340,8 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     }
 }
 
-/// The built-in scenarios. The bounds are the issue's where they are met; where they are not, the
-/// figures are printed, and the README says them.
+/// The built-in scenarios. The bounds are the targets where they are met; otherwise the figures are
+/// printed, and the README states them.
 #[test]
 fn cameras_and_robots_draw_the_room() {
     for name in ["room", "changing"] {
@@ -375,8 +376,8 @@ fn cameras_and_robots_draw_the_room() {
             assert!(truth.passed_known >= 0.99, "{truth:?}");
             assert!(truth.f1_occupied >= 0.97, "{truth:?}");
             assert_eq!(ghosts.most, 0, "{name}, seed {seed}");
-            // All within two seconds is wanted; of what left little before the floor some is seen in
-            // the third.
+            // The target is two seconds for everything; objects with little free floor behind them
+            // are partly seen in the third.
             assert_eq!(run.taken_over.len(), if name == "changing" { 2 } else { 0 });
             if let [soon, later] = run.taken_over[..] {
                 assert!(later.gone > 20 && later.come > 20, "{later:?}");
@@ -389,7 +390,7 @@ fn cameras_and_robots_draw_the_room() {
     }
 }
 
-/// A camera that is lost: its ground is blind within a second, and the map stays as good.
+/// When a camera is lost its ground is blind within a second, and the map stays as good.
 #[test]
 fn a_camera_is_lost() {
     for seed in seeds(1) {

@@ -1,5 +1,5 @@
-//! Recorded depth frames through plane slicing, against the full 3-D points of the same frames;
-//! small sensors, shaking and left-out pixels through whole robots.
+//! Recorded depth frames through plane slicing, compared with the full 3-D points of the same
+//! frames; small sensors, shaking and removed pixels through complete robots.
 
 use std::{fs, path::Path};
 
@@ -18,15 +18,15 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::data;
 
-/// A folder of frames and its intrinsics, as the README of the data has them: fx, fy, cx, cy, and
-/// how many units of depth make a metre.
+/// Folders of frames and their intrinsics, from the data's README: fx, fy, cx, cy, and depth units
+/// per metre.
 const FOLDERS: [(&str, [f64; 5]); 3] = [
     ("rgbd_redwood", [525.0, 525.0, 319.5, 239.5, 1000.0]),
     ("rgbd_frames/icl_nuim", [481.2, -480.0, 319.5, 239.5, 5000.0]),
     ("rgbd_frames/handheld", [518.0, 519.0, 325.5, 253.5, 1000.0]),
 ];
 
-/// Farther points are not mapped, in metres.
+/// Maximum mapped range, in metres.
 const RANGE_M: f64 = 4.0;
 
 type Vector = [f64; 3];
@@ -43,7 +43,7 @@ fn unit(a: Vector) -> Vector {
     mix(a, 1.0 / dot(a, a).sqrt(), a, 0.0)
 }
 
-/// A camera in the world: where it is, and its axes as its images have them (right, y, ahead).
+/// A camera's pose in the world: its position, and the axes of its images (right, y, forward).
 struct Station {
     position: Vector,
     axes: [Vector; 3],
@@ -80,7 +80,7 @@ fn stations(folder: &Path) -> Vec<Station> {
         .collect()
 }
 
-/// The depths of a folder's frames in metres, in the order of their numbers.
+/// The depths of a folder's frames in metres, ordered by number.
 fn frames(folder: &Path, per_metre: f64) -> Vec<Vec<f64>> {
     let mut files: Vec<_> =
         fs::read_dir(folder.join("depth")).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -93,8 +93,8 @@ fn frames(folder: &Path, per_metre: f64) -> Vec<Vec<f64>> {
     files.iter().map(depths).collect()
 }
 
-/// Where the readings of a scan lie before the camera by the robot's table of beams, with their
-/// columns: forward and left, in metres.
+/// The points of a scan's readings by the robot's table of beams, with their columns: forward and
+/// left of the camera, in metres.
 fn mapped(log: &Log, scan: usize) -> Vec<(usize, [f64; 2])> {
     let mut beams = vec![Beam::default(); log.sensor.readings()];
     fill_beams(&mut beams, log.sensor.model(), Pose::default());
@@ -109,7 +109,7 @@ fn mapped(log: &Log, scan: usize) -> Vec<(usize, [f64; 2])> {
     valid.map(point).filter(|(_, [x, y])| x.hypot(*y) <= RANGE_M).collect()
 }
 
-/// Distances in millimetres: root mean square, 95th percentile, largest.
+/// Errors in millimetres: root mean square, 95th percentile, maximum.
 struct Errors {
     rms: f64,
     most_of: f64,
@@ -135,8 +135,8 @@ impl std::fmt::Display for Errors {
     }
 }
 
-/// The noise of the depths along a row in millimetres, from the frames themselves: white noise of
-/// deviation s has second differences of deviation s * sqrt(6). Steps of over 10 cm are edges.
+/// The noise of the depths along a row in millimetres, estimated from the frames: white noise with
+/// deviation s has second differences with deviation s * sqrt(6). Steps above 10 cm are edges.
 fn noise_mm(frames: &[Vec<f64>], row: usize) -> f64 {
     let mut squares = Vec::new();
     for frame in frames {
@@ -179,7 +179,7 @@ fn the_row_of_a_recorded_frame_lies_on_its_3_d_points() {
         println!("{name}, a row: depth noise {noise:.1} mm");
         println!("  pinhole {pinhole}");
         println!("  linear  {linear}");
-        // A reading is a whole millimetre, whatever the noise.
+        // Readings are rounded to millimetres, whatever the noise.
         assert!(pinhole.rms <= noise.max(0.3) && pinhole.largest < 1.0, "{name}");
         assert!(linear.rms > 10.0 * pinhole.rms, "{name}");
     }
@@ -199,7 +199,7 @@ fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
             / stations.len() as f64;
         let level = |axis: Vector| mix(axis, 1.0, up, -dot(up, axis));
 
-        // The points of each frame as high as the cameras on average, before its camera.
+        // The points of each frame at the mean height of the cameras, relative to its camera.
         let truths: Vec<Vec<[f64; 2]>> = frames
             .iter()
             .zip(&stations)
@@ -244,7 +244,7 @@ fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
         println!("  linear  {linear}");
         println!("  the row on the axis instead {row}");
         assert!(count > 1_000, "{name}: {count}");
-        // The points are a pixel apart, so that the nearest one lies up to half a pixel aside.
+        // The points are a pixel apart, so the nearest one is up to half a pixel away.
         let pixel = 1e3 * RANGE_M / fx;
         assert!(pinhole.rms <= noise.hypot(pixel / 12f64.sqrt()), "{name}");
         assert!(pinhole.largest <= pixel, "{name}");
@@ -252,12 +252,12 @@ fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
     }
 }
 
-/// What a robot keeps here.
+/// The sizes of the robots' memory.
 const fn bounds(readings: usize) -> Bounds {
     Bounds { readings, own_tiles: 24, fused_tiles: 4, ..BOUNDS }
 }
 
-/// The usual robot, which starts at the origin and knows its odometry alone.
+/// The default robot, which starts at the origin and has odometry only.
 fn config(slice: Slice, camera: Camera, readings: usize) -> Config {
     let pose_source = PoseSource::Odometry(Pose::default());
     Config { pose_source, ..Config::new(RobotId(1), slice.sensor(camera), bounds(readings)) }
@@ -276,9 +276,9 @@ fn stand(robot: &mut Robot<'_>, start: u64, end: u64) {
 
 #[test]
 fn time_of_flight_sensors_map_with_the_same_code() {
-    // 8 x 8 zones over 45 degrees, and 100 x 100 pixels over 78 that look 17 degrees down. A wall
-    // at 1.5 m: of the small one both middle rows see it, of the large one the row that meets it
-    // 100 mm below the camera, which is 260 mm above the floor.
+    // 8 x 8 zones over 45 degrees, and 100 x 100 pixels over 78 degrees tilted 17 degrees down. A
+    // wall at 1.5 m: both middle rows of the small sensor see it, and the row of the large one that
+    // meets it 100 mm below the camera, which is 260 mm above the floor.
     let small = Camera::new((9.66, 9.66), (3.5, 3.5));
     let large = Camera { pitch: 0.3, ..Camera::new((61.7, 61.7), (49.5, 49.5)) };
     let band = Slice::Band { first: 3, rows: 2, pick: Pick::Nearest };
@@ -307,14 +307,14 @@ fn time_of_flight_sensors_map_with_the_same_code() {
         let statistics = robot.statistics();
         assert_eq!((statistics.mapped, statistics.pixels.seen), (1, width as u32));
         assert!(statistics.pixels.invalid + least <= width as u32, "{statistics:?}");
-        // So far ahead, and not along the ray, is what the table takes them for.
+        // The table takes the readings as depths, not as ranges along the rays.
         let beams = robot.beams().iter().filter(|beam| **beam != Beam::NONE);
         assert!(beams.map(|beam| beam.forward).all(|forward| forward == 1 << DIRECTION_BITS));
     }
 }
 
 #[test]
-fn what_is_removed_or_flies_is_not_mapped() {
+fn removed_and_flying_pixels_are_not_mapped() {
     let camera = Camera::new((343.1, 343.1), (319.5, 239.5));
     let sensor = Slice::Row(240).sensor(camera);
     let pose_source = PoseSource::Odometry(Pose::default());
@@ -328,7 +328,7 @@ fn what_is_removed_or_flies_is_not_mapped() {
         let mut robot = Robot::new(config, &mut memory).unwrap();
         stand(&mut robot, 0, 100);
         robot.scan(at(50), &row, at(100)).unwrap();
-        // What does not count is no change in view either.
+        // Invalid readings are no change of the view either.
         robot.scan(at(60), &row, at(100)).unwrap();
         assert_eq!((robot.statistics().mapped, robot.statistics().gated), (1, 1));
         robot.statistics().pixels.invalid
@@ -361,7 +361,7 @@ fn a_scan_of_a_robot_that_shakes_is_counted_and_not_mapped() {
     };
     stand(&mut robot, 0, 1_000);
     assert_eq!(scan(&mut robot, 950), (1, 0));
-    // It spins by 180 degrees in a second, then stands again.
+    // It spins by 180 degrees in one second, then stands still.
     for moment in (1_000..2_000).step_by(20) {
         let heading = Angle::from_degrees((moment - 1_000) as f64 * 0.18);
         robot.odometry(at(moment), Pose { heading, ..Pose::default() }, at(moment));

@@ -14,32 +14,32 @@ use embedded_hal::{delay::DelayNs, digital::OutputPin};
 use ubimap_agent::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
 use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant, units::RobotId};
 
-/// Which robot this is: unique in one deployment.
+/// The robot's id, unique in a deployment.
 const ROBOT: RobotId = RobotId(1);
 
-/// The speed of the port to the server.
+/// The baud rate of the port to the server.
 const BAUD: u32 = 115_200;
 
-/// What the robot keeps; the side of its map's cells must be the server's. The row is that of a
+/// The sizes of the robot's memory; the cell side must equal the server's. The row is that of a
 /// depth sensor that looks forward.
 const BOUNDS: Bounds = Bounds::REFERENCE;
 
-/// The focal length in pixels: 100 of them see 78 degrees.
+/// The focal length in pixels: a view of 78 degrees across 100 pixels.
 const FOCAL: f32 = 61.7;
 
-/// How long the status LED is on, and off, while there is no session: 2^18 us, a quarter of a
-/// second.
+/// Time for which the status LED is on, and off, without a session, as a power of two in
+/// microseconds: 2^18 us, 0.26 s.
 const BLINK: u32 = 18;
 
 #[entry]
 fn main() -> ! {
-    // Here, and not on the stack, so that the image tells how much memory there must be.
+    // Static, not on the stack, so that the image's size includes it.
     static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
 
     let Some(board) = Board::take(BAUD) else { SCB::sys_reset() };
     match &mut Robot::new(config(board.nonce), MEMORY) {
         Ok(robot) => run(board, robot),
-        // The constants above are at odds.
+        // The constants above are inconsistent.
         Err(_) => SCB::sys_reset(),
     }
 }
@@ -50,8 +50,8 @@ fn config(nonce: u64) -> Config {
     Config { boot_nonce: (nonce ^ nonce >> 32) as u32, ..Config::new(ROBOT, sensor, BOUNDS) }
 }
 
-/// Joins the port and the robot for ever: after every input, drain the outputs until none is left,
-/// then come back at the next deadline or with the next byte.
+/// Connects the port and the robot forever: after every input, drains the outputs, then sleeps
+/// until the next deadline or byte.
 fn run(mut board: Board, robot: &mut Robot<'_>) -> ! {
     flash(&mut board.led, &mut board.clock);
     let mut bytes = [0; DEFAULT_FRAME];
@@ -60,7 +60,7 @@ fn run(mut board: Board, robot: &mut Robot<'_>) -> ! {
         let now = board.clock.now();
         robot.receive(bytes.get(..count).unwrap_or_default(), now);
         robot.timeout(now);
-        // The port's interrupt makes room meanwhile.
+        // The port's interrupt frees space meanwhile.
         while board.port.room() >= DEFAULT_FRAME
             && let Some(count) = robot.poll_transmit(board.clock.now(), &mut bytes)
         {
@@ -74,24 +74,24 @@ fn run(mut board: Board, robot: &mut Robot<'_>) -> ! {
     }
 }
 
-/// Whether an LED that blinks is lit now.
+/// Whether a blinking LED is on at `now`.
 fn blinks(now: Instant) -> bool {
     now.micros() >> BLINK & 1 == 0
 }
 
-/// A flash of the status LED.
+/// Flashes the status LED once.
 fn flash(led: &mut impl OutputPin, delay: &mut impl DelayNs) {
     show(led, true);
     delay.delay_ms(20);
     show(led, false);
 }
 
-/// Switches the status LED; a robot whose LED fails works on.
+/// Sets the status LED; a failure of the LED is ignored.
 fn show(led: &mut impl OutputPin, lit: bool) {
     let _ = led.set_state(lit.into());
 }
 
-/// A robot that is in doubt starts again; it says hello as after any other boot.
+/// Resets on panic; the link recovers as after any boot.
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     SCB::sys_reset()

@@ -5,8 +5,8 @@
 //! | PA9, PA10 | USART1, to and from the server |
 //! | PC13 | status LED |
 //!
-//! The same image runs on the chip and in QEMU's `netduinoplus2`, which models no clock control
-//! (RCC): its core runs at 168 MHz from the start, and no ready bit ever comes.
+//! The same image runs on the chip and in QEMU's `netduinoplus2`, which does not model the clock
+//! control (RCC): its core always runs at 168 MHz, and no ready bit is ever set.
 
 use core::{
     cell::Cell,
@@ -30,19 +30,19 @@ use stm32f4xx_hal::{
 };
 use ubimap_protocol::time::Instant;
 
-/// The core clock, on the chip (by its PLL) and in the emulator alike.
+/// The core clock: by the PLL on the chip, fixed in the emulator.
 const CORE_HZ: u32 = 168_000_000;
 
-/// The clock of USART1: APB2 at half the core's.
+/// The clock of USART1: APB2, half the core's.
 const USART_HZ: u32 = CORE_HZ / 2;
 
-/// The clock of TIM2: APB1 at a quarter of the core's, doubled for its timers.
+/// The clock of TIM2: APB1, a quarter of the core's, doubled for its timers.
 const TIMER_HZ: u32 = CORE_HZ / 2;
 
 /// The status LED.
 pub(crate) type Led = PC13<Output>;
 
-/// What the firmware uses of the board.
+/// The board's devices used by the firmware.
 pub(crate) struct Board {
     /// The time since boot.
     pub(crate) clock: Clock,
@@ -50,12 +50,12 @@ pub(crate) struct Board {
     pub(crate) port: Port,
     /// The status LED.
     pub(crate) led: Led,
-    /// A number that tells this boot from others.
+    /// A number that differs from boot to boot.
     pub(crate) nonce: u64,
 }
 
 impl Board {
-    /// Sets up the board; `None` if that has been done before.
+    /// Sets up the board; `None` if it was set up before.
     pub(crate) fn take(baud: u32) -> Option<Self> {
         let core = Peripherals::take()?;
         let chip = pac::Peripherals::take()?;
@@ -76,26 +76,28 @@ impl Board {
     }
 }
 
-/// Brings the core to 168 MHz by the PLL from the internal oscillator, which every board has, APB1
-/// to 42 MHz, APB2 to 84 MHz and the noise generator to 48 MHz.
+/// Sets the core to 168 MHz by the PLL from the internal oscillator, which every board has, APB1 to
+/// 42 MHz, APB2 to 84 MHz and the noise generator to 48 MHz.
 ///
-/// The oscillator keeps within 1 % at room temperature and 4.5 % up to 105 degrees; a robot that
-/// has a crystal and gets that warm should use it.
+/// The oscillator is accurate to 1 % at room temperature and to 4.5 % up to 105 degrees; use a
+/// crystal for higher accuracy over temperature.
 ///
-/// False in the emulator, where there is nothing to do.
+/// Returns `false` in the emulator, where there is nothing to do.
 ///
-/// Register by register, because the HAL's search for divisors brings its panics into the image.
+/// Written with registers, because the HAL's search for divisors adds panics to the image.
 fn start_pll(rcc: &RCC, flash: &FLASH) -> bool {
-    // After a reset the chip runs on this oscillator, which says that it is ready.
+    // After a reset the chip runs on this oscillator, and its ready bit is set.
     if rcc.cr().read().hsirdy().bit_is_clear() {
         return false;
     }
     flash.acr().write(|w| w.latency().ws5().prften().enabled().icen().enabled().dcen().enabled());
     rcc.pllcfgr().write(|w| {
         w.pllsrc().hsi().pllp().div2();
-        // 16 MHz / 16 * 336 = 336 MHz, half of which is the core's and a seventh the generator's.
+        // 16 MHz / 16 * 336 = 336 MHz: divided by two for the core, by seven for the noise
+        // generator.
         #[allow(unsafe_code, reason = "the register has values that overclock the chip")]
-        // SAFETY: these do not: the VCO takes 1 to 2 MHz and gives 100 to 432 MHz.
+        // SAFETY: these values are in range: the VCO's input is 1 to 2 MHz, its output 100 to 432
+        // MHz.
         unsafe {
             w.pllm().bits(16).plln().bits(336).pllq().bits(7)
         }
@@ -108,22 +110,22 @@ fn start_pll(rcc: &RCC, flash: &FLASH) -> bool {
     true
 }
 
-/// The time since boot: whole periods of SysTick, counted by its interrupt, and its count within
-/// the present one.
+/// The time since boot: complete periods of SysTick, counted by its interrupt, plus its count in
+/// the current period.
 #[derive(Clone, Copy)]
 pub(crate) struct Clock(());
 
-/// SysTick's period in microseconds. It counts to 99,864 at most; the longer it is, the longer an
-/// emulator may be held up by its host before two periods are taken for one.
+/// SysTick's period in microseconds, at most 99,864. A longer period lets an emulator be delayed
+/// longer by its host before a period is missed.
 const PERIOD_MICROS: u32 = 90_000;
 
-/// SysTick's count in a microsecond.
+/// SysTick counts per microsecond.
 const PER_MICRO: u32 = CORE_HZ / 1_000_000;
 
-/// SysTick's count in a period.
+/// SysTick counts per period.
 const PERIOD: u32 = PERIOD_MICROS * PER_MICRO;
 
-/// Whole periods of SysTick.
+/// Complete periods of SysTick.
 static PERIODS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
 impl Clock {
@@ -133,20 +135,20 @@ impl Clock {
         systick.clear_current();
         systick.enable_counter();
         systick.enable_interrupt();
-        // From zero it steps to the top: the start of the first period.
+        // From zero it reloads: the first period starts.
         while SYST::get_current() == 0 {}
         Self(())
     }
 
-    /// The time since boot. It never runs backwards.
+    /// The time since boot. It is monotonic.
     pub(crate) fn now(self) -> Instant {
         interrupts::free(|cs| {
             let whole = PERIODS.borrow(cs).get();
-            // It counts down. The step to zero ends a period and makes the interrupt pending; an
-            // emulator that is late stays at zero until it does.
+            // SysTick counts down. The step to zero ends a period and sets the interrupt pending; a
+            // delayed emulator stays at zero until it does.
             let left = SYST::get_current();
             let (whole, part) = if SCB::is_pendst_pending() {
-                // Ended but not counted yet; what is left was perhaps read before the end.
+                // The period has ended but is not counted yet; `left` may be from before its end.
                 (whole + 1, (PERIOD - SYST::get_current()) % PERIOD)
             } else {
                 (whole, PERIOD - left)
@@ -167,18 +169,18 @@ fn SysTick() {
 
 impl DelayNs for Clock {
     fn delay_ns(&mut self, ns: u32) {
-        // One more than asked: the present microsecond has partly gone.
+        // Plus one, because the current microsecond has partly passed.
         let end = self.now().micros() + u64::from(ns.div_ceil(1_000)) + 1;
         while self.now().micros() < end {}
     }
 }
 
-/// TIM2 wakes the core every millisecond, so that it may sleep and still keep its deadlines.
+/// TIM2 wakes the core every millisecond, so that it can sleep and still meet its deadlines.
 fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
     TIM2::enable(rcc);
     timer.psc().write(|w| w.psc().set((timer_hz / 1_000_000 - 1) as u16));
     timer.arr().write(|w| w.arr().set(1_000 - 1));
-    // Takes the prescaler over; the flag that it raises is the first alarm.
+    // Loads the prescaler; the flag that this sets is the first alarm.
     timer.egr().write(|w| w.ug().set_bit());
     timer.dier().write(|w| w.uie().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
@@ -186,11 +188,10 @@ fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
     unmask(Interrupt::TIM2);
 }
 
-/// What TIM2 counts in the emulator; it wakes the core and tells no time, so this need not be
-/// exact in every version.
+/// TIM2's clock in the emulator. It only wakes the core, so this need not match every version.
 const EMULATED_TIMER_HZ: u32 = 1_000_000_000;
 
-/// On its way from the start to the interrupt.
+/// Passes TIM2 from the setup to the interrupt.
 static ALARM: Mutex<Cell<Option<TIM2>>> = Mutex::new(Cell::new(None));
 
 #[interrupt]
@@ -207,16 +208,16 @@ fn TIM2() {
 /// The serial port to the server. Its interrupt moves bytes between the USART and two queues.
 pub(crate) struct Port(());
 
-/// Bytes received that wait for the main loop: 44 ms at 115,200 baud.
+/// Received bytes waiting for the main loop: 44 ms at 115,200 baud.
 static RECEIVED: Ring<512> = Ring::new();
 
-/// Bytes that wait for the port: two frames of the link.
+/// Bytes waiting to be sent: two frames of the link.
 static QUEUED: Ring<512> = Ring::new();
 
 impl Port {
     fn start(usart: USART1, baud: u32, rcc: &mut Rcc) -> Option<Self> {
         USART1::enable(rcc);
-        // Oversampling by 16: the divisor's four fractional bits make it a plain quotient.
+        // With oversampling by 16 the register holds the plain quotient, with four fractional bits.
         let divisor = (USART_HZ + baud / 2).checked_div(baud)?;
         usart.brr().write(|w| {
             w.div_mantissa().set((divisor >> 4) as u16).div_fraction().set((divisor & 0xF) as u8)
@@ -227,7 +228,7 @@ impl Port {
         Some(Self(()))
     }
 
-    /// Takes received bytes out: how many.
+    /// Reads received bytes. Returns their number.
     pub(crate) fn read(&mut self, buffer: &mut [u8]) -> usize {
         let mut count = 0;
         for place in buffer {
@@ -241,12 +242,13 @@ impl Port {
         count
     }
 
-    /// How many bytes [`Port::write`] would take now.
+    /// Number of bytes that [`Port::write`] accepts now.
     pub(crate) fn room(&self) -> usize {
         QUEUED.room()
     }
 
-    /// Queues bytes to be sent: how many, fewer than given if the queue is full.
+    /// Queues bytes to be sent. Returns their number, which is smaller than given if the queue is
+    /// full.
     pub(crate) fn write(&mut self, bytes: &[u8]) -> usize {
         let mut count = 0;
         for &byte in bytes {
@@ -259,10 +261,10 @@ impl Port {
         count
     }
 
-    /// Sleeps until bytes arrive or the alarm rings, at most a millisecond.
+    /// Sleeps until bytes arrive or the alarm fires, at most one millisecond.
     pub(crate) fn wait(&self) {
-        // With interrupts masked none can slip in between the look and the sleep; a pending one
-        // wakes the core all the same.
+        // Interrupts are masked so that none arrives between the check and the sleep; a pending one
+        // wakes the core anyway.
         interrupts::free(|_| {
             if RECEIVED.is_empty() {
                 asm::wfi();
@@ -271,7 +273,7 @@ impl Port {
     }
 }
 
-/// On its way from the start to the interrupt, which alone uses it from then on.
+/// Passes the USART from the setup to the interrupt, which then owns it.
 static USART: Mutex<Cell<Option<USART1>>> = Mutex::new(Cell::new(None));
 
 #[interrupt]
@@ -285,7 +287,7 @@ fn USART1() {
     }
 }
 
-/// Lets the interrupt look at the queues, which the main loop has changed.
+/// Runs the interrupt, after the main loop has changed the queues.
 fn serve_soon() {
     NVIC::pend(Interrupt::USART1);
 }
@@ -294,7 +296,7 @@ fn serve(usart: &mut USART1) {
     while RECEIVED.room() > 0 {
         let status = usart.sr().read();
         // An overrun has lost the byte after this one; the same two reads clear it. The link's
-        // checksum notices what is lost or damaged.
+        // checksum detects the loss.
         if status.rxne().bit_is_clear() && status.ore().bit_is_clear() {
             break;
         }
@@ -307,31 +309,31 @@ fn serve(usart: &mut USART1) {
         let Some(byte) = QUEUED.take() else { break };
         usart.dr().write(|w| w.dr().set(byte.into()));
     }
-    // With no room the byte stays in the USART, and a peer that can wait (the emulator's) does;
-    // reading makes room and calls us again.
+    // If the queue is full the byte stays in the USART, and a sender that can wait (the emulator's)
+    // does; `read` makes room and runs this again.
     usart.cr1().modify(|_, w| w.rxneie().bit(RECEIVED.room() > 0).txeie().bit(!QUEUED.is_empty()));
 }
 
 #[allow(unsafe_code, reason = "unmasking is unsafe for those whose critical sections mask it")]
 fn unmask(interrupt: Interrupt) {
-    // SAFETY: critical sections here mask all interrupts, none relies on this one's mask.
+    // SAFETY: critical sections here mask all interrupts; none relies on this one's mask.
     unsafe { NVIC::unmask(interrupt) }
 }
 
-/// A number that tells this boot from others: of the chip's noise where that is at hand, of its
-/// identity and the clock's phase. In the emulator only the last is left, which depends on how
-/// fast the host happened to be: it tells reboots apart and is no secret.
+/// A number that differs from boot to boot, from the chip's noise generator if available, its
+/// unique id, and the phase of the clock. In the emulator only the last is available, which depends
+/// on the host's speed: it distinguishes boots, but is not secret.
 fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
     RNG::enable(rcc);
     noise.cr().modify(|_, w| w.rngen().set_bit());
     let mut nonce = 0;
-    // A word takes 40 cycles of 48 MHz; never wait for a generator that gives none.
+    // A word takes 40 cycles of 48 MHz; a defective generator must not block the boot.
     for _ in 0..10_000 {
         if noise.sr().read().drdy().bit_is_set() {
             nonce = mix(nonce, noise.dr().read().bits());
         }
     }
-    // Where nothing is mapped the emulator faults.
+    // In the emulator reading the id would fault.
     if nonce != 0 {
         let uid = Uid::get();
         nonce = mix(nonce, u32::from(uid.x()) << 16 | u32::from(uid.y()));
@@ -340,24 +342,24 @@ fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
     mix(nonce, SYST::get_current())
 }
 
-/// Stirs a word into a number: a multiplication that spreads low bits up, a shift that brings
-/// them down again.
+/// Mixes a word into a number: the multiplication spreads low bits upwards, the shift brings them
+/// down again.
 fn mix(number: u64, word: u32) -> u64 {
     let spread = (number ^ u64::from(word)).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     spread ^ spread >> 32
 }
 
-/// A queue of bytes between the main loop and an interrupt: one side puts, the other takes.
+/// A byte queue between the main loop and an interrupt: one side puts, the other takes.
 struct Ring<const N: usize> {
     bytes: [AtomicU8; N],
-    /// How many bytes were ever put in and taken out; they wrap by themselves.
+    /// Total numbers of bytes put and taken; they wrap.
     put: AtomicUsize,
     taken: AtomicUsize,
 }
 
 impl<const N: usize> Ring<N> {
     const fn new() -> Self {
-        // The counts wrap at a multiple of the size.
+        // The counters wrap at a multiple of the size.
         assert!(N.is_power_of_two());
         Self {
             bytes: [const { AtomicU8::new(0) }; N],
@@ -375,7 +377,7 @@ impl<const N: usize> Ring<N> {
         N - put.wrapping_sub(taken).min(N)
     }
 
-    /// Puts a byte in; false if there is no room.
+    /// Puts a byte; `false` if the queue is full.
     fn put(&self, byte: u8) -> bool {
         let put = self.put.load(Ordering::Relaxed);
         if self.room() == 0 {
@@ -386,7 +388,7 @@ impl<const N: usize> Ring<N> {
         true
     }
 
-    /// Takes the oldest byte out.
+    /// Takes the oldest byte.
     fn take(&self) -> Option<u8> {
         let taken = self.taken.load(Ordering::Relaxed);
         if self.is_empty() {

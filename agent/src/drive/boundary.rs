@@ -1,5 +1,5 @@
-//! Following a boundary by the distance vector alone, without a map (Ahmed 3: "all the robots were
-//! programmed to follow the boundaries"), on and off by the ground clearance signal (2.1).
+//! Boundary following by the distance vector alone, without a map (Ahmed 3: "all the robots were
+//! programmed to follow the boundaries"), switched by the ground clearance signal (2.1).
 
 use core::f32::consts::TAU;
 
@@ -9,26 +9,26 @@ use crate::sense::{COLUMNS, GroundClearance};
 /// Drives with a boundary on one side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoundaryFollower {
-    /// What free floor ahead is enough.
+    /// Decides whether the floor ahead is free.
     pub clearance: GroundClearance,
     /// Whether the boundary is on the left.
     pub is_left: bool,
-    /// Free floor that is kept in the outermost columns of that side, in pixels. The paper does
-    /// not say.
+    /// Free floor to keep in the outermost columns on that side, in pixels. The paper gives no
+    /// value.
     pub aside: u8,
-    /// Columns at that side that are looked at.
+    /// Number of outermost columns evaluated on that side.
     pub columns: usize,
-    /// The speed, in millimetres a second.
+    /// Speed, in mm/s.
     pub speed: i16,
-    /// The fastest turn, in milliradians a second.
+    /// Maximum turn rate, in mrad/s.
     pub turn: i16,
-    /// How far it has turned towards a boundary that it does not see, in radians; once round
-    /// without finding it there is none.
+    /// Angle turned so far towards a boundary out of sight, in radians; after a full turn there is
+    /// none.
     lost: f32,
 }
 
 impl Default for BoundaryFollower {
-    /// A boundary on the right, an eighth of the image.
+    /// A boundary on the right, one eighth of the image wide.
     fn default() -> Self {
         let clearance = GroundClearance::default();
         let columns = COLUMNS / 8;
@@ -37,10 +37,10 @@ impl Default for BoundaryFollower {
 }
 
 impl BoundaryFollower {
-    /// The next command, by the [`distances`](crate::sense::Floor::distances) of an image, the
-    /// leftmost column first, so many seconds after the last one. Without ground clearance it turns
-    /// away from the boundary on the spot; with it, it drives, towards the boundary if that is
-    /// further than it should be, straight on if there is none.
+    /// The next command, from the [`distances`](crate::sense::Floor::distances) of an image,
+    /// leftmost column first; `elapsed` is the time since the last one, in seconds. Without ground
+    /// clearance the robot turns away from the boundary on the spot. With it, it drives: towards a
+    /// boundary that is too far away, straight on if there is none.
     pub fn step(&mut self, distances: &[u8; COLUMNS], elapsed: f32) -> DriveCommand {
         let away = if self.is_left { self.turn.saturating_neg() } else { self.turn };
         if !self.clearance.is_clear(distances) {
@@ -51,7 +51,7 @@ impl BoundaryFollower {
         let right = distances.iter().rev().take(self.columns).min();
         let nearest = if self.is_left { left } else { right };
         let nearest = nearest.copied().unwrap_or(u8::MAX);
-        // The full turn at a quarter of the wanted distance off.
+        // Turns at the full rate when off by a quarter of the wanted distance.
         let off = i32::from(self.aside) - i32::from(nearest);
         let full = i32::from(self.aside / 4).max(1);
         if off > -full {
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_turns_away_from_what_is_ahead_and_keeps_what_is_aside() {
+    fn it_turns_away_from_obstacles_and_keeps_its_distance_to_the_boundary() {
         for is_left in [false, true] {
             let mut follower = BoundaryFollower { is_left, ..BoundaryFollower::default() };
             let sign = if is_left { -1 } else { 1 };
@@ -92,7 +92,7 @@ mod tests {
             assert!(with(60, 100, &mut distances).turn * sign > 0, "too near: away");
             assert!(with(80, 100, &mut distances).turn * sign < 0, "too far: towards");
             assert_eq!(with(124, 100, &mut distances).turn, -600 * sign);
-            // Once round, at 0.6 radians a second.
+            // A full turn, at 0.6 rad/s.
             let steps = (0..300).take_while(|_| with(124, 100, &mut distances) != straight).count();
             assert!((205..=212).contains(&steps), "{steps}");
             assert_eq!(with(0, 100, &mut distances).turn, 600 * sign);

@@ -1,4 +1,4 @@
-//! What drives a robot, chosen at compile time.
+//! The choice of a robot's drive, at compile time.
 
 use core::fmt::Debug;
 
@@ -14,58 +14,57 @@ use crate::{
     share::{Commands, FusedMap},
 };
 
-/// What drives a robot: its configuration as a type. [`Driving`](super::Driving) plans, follows and
-/// stops by the map; [`NoDrive`] takes no flash, RAM or stack; an `Option` decides at run time.
+/// A robot's drive: its configuration as a type. [`Driving`](super::Driving) plans, follows paths
+/// and stops, all by the map; [`NoDrive`] takes no flash, RAM or stack; an `Option` decides at run
+/// time.
 pub trait Drive {
-    /// What it works in, part of the robot's [`Memory`](crate::Memory).
+    /// Its working memory, part of the robot's [`Memory`](crate::Memory).
     type Memory;
-    /// Memory that nobody has worked in yet: all zero bits.
+    /// Unused memory: all zero bits.
     const EMPTY: Self::Memory;
-    /// What it knows while it drives.
+    /// Its state while it drives.
     type State<'b>: Drives;
 
-    /// Begins to drive a robot whose map has cells of this side.
+    /// Starts the drive of a robot whose map has cells of side `resolution`.
     fn begin(self, resolution: Millimetres, memory: &mut Self::Memory) -> Self::State<'_>;
 }
 
-/// A drive at work. The robot calls it.
+/// A running drive, called by the robot.
 pub trait Drives: Debug {
-    /// Whether a scan that was taken at `taken` is to be mapped. `fix` is the moment of the newest
-    /// fix.
+    /// Whether to map a scan taken at `taken`. `fix` is the time of the newest fix.
     fn wants_scan(&mut self, taken: Instant, fix: Option<Instant>) -> bool;
 
-    /// Looks at a scan, whether it is mapped or not.
+    /// Processes a scan, mapped or not.
     fn see(&mut self, scan: &Seen<'_>);
 
     /// When the next step is due; `None` if there will be none.
     fn poll_timeout(&self) -> Option<Instant>;
 
-    /// Makes a step. Returns what the server should know of it.
+    /// Makes a step. Returns the event to report to the server, if any.
     fn step(&mut self, surroundings: &Surroundings<'_, '_>) -> Option<EventCode>;
 
-    /// What the wheels shall do until the next step.
+    /// The wheels' command until the next step.
     fn command(&self) -> DriveCommand;
 }
 
-/// What a robot knows when its drive makes a step. Times are of the robot's clock unless they say
-/// otherwise.
+/// The inputs of a drive's step. Times are by the robot's clock unless stated otherwise.
 #[derive(Clone, Copy, Debug)]
 pub struct Surroundings<'r, 'b> {
-    /// The moment of the step.
+    /// The time of the step.
     pub now: Instant,
-    /// The same by the server's clock, once the clocks agree.
+    /// The same by the server's clock, once the clocks are synchronised.
     pub server_now: Option<Instant>,
     /// `base_link` in `map`, and the standard deviation of the position in millimetres.
     pub pose: Option<(Pose, f32)>,
     /// The newest odometry: `base_link` in `odom`.
     pub odometry: Option<Pose>,
-    /// When the server was last heard; `None` until the first session.
+    /// When the last message from the server arrived; `None` until the first session.
     pub heard: Option<Instant>,
     /// Whether there is a session.
     pub is_connected: bool,
-    /// How far the robot must have moved to map again.
+    /// How far the robot must move before it maps again.
     pub gate: Gate,
-    /// What the server wants, and what it tells of others.
+    /// The server's commands, and its reports on other robots and obstacles.
     pub commands: &'r Commands,
     /// The robot's own tiles.
     pub own: &'r Pool<'b>,
@@ -73,7 +72,7 @@ pub struct Surroundings<'r, 'b> {
     pub fused: &'r FusedMap<'b>,
 }
 
-/// Nothing drives the robot.
+/// No drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NoDrive;
 

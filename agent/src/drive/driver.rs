@@ -1,4 +1,4 @@
-//! What the robot shall do, and what it knows, to what its wheels do.
+//! From the robot's task and inputs to the command of its wheels.
 
 use ubimap_protocol::{
     message::Waypoint,
@@ -22,35 +22,35 @@ use crate::{
     trigonometry::radians,
 };
 
-/// What to do.
+/// A driver's task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Task {
-    /// To stand.
+    /// Stand.
     #[default]
     Stand,
-    /// To go to a point of `map`.
+    /// Go to a point of `map`.
     Go(Waypoint),
-    /// To map all blind ground that can be reached, then to come back to a point of `map`.
+    /// Map all blind ground that can be reached, then return to this point of `map`, if given.
     Explore(Option<Waypoint>),
 }
 
-/// What is known at a step.
+/// The inputs of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Inputs<'i> {
-    /// The moment, where the robot is, and what is amiss.
+    /// Time, pose, and the inputs of the safety checks.
     pub health: Health,
     /// The newest scan.
     pub near: &'i NearPoints,
-    /// What the cameras see that is not on the map: people, other robots, things.
+    /// Objects that the cameras see and the map lacks: people, other robots, things.
     pub movers: &'i [Mover],
 }
 
-/// How far it must have driven for that wait to be over, in millimetres.
+/// Distance to drive before a hindrance counts as over, in millimetres.
 const STRETCH: u32 = 200;
-/// Steps are no longer than this for what is reckoned with, in seconds.
-const LONGEST_STEP: f32 = 0.2;
+/// Upper limit for the elapsed time of a step in computations, in seconds.
+const MAX_STEP: f32 = 0.2;
 
-/// What keeps it from driving on, since when and where.
+/// Why the robot can't drive on, since when, and where.
 #[derive(Clone, Copy, Debug)]
 struct Hindered {
     since: Instant,
@@ -60,27 +60,27 @@ struct Hindered {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
-    /// Nothing to do, or it is done.
+    /// No task, or the task is done.
     Resting(Reason),
-    /// A way is being looked for.
+    /// Looking for a path.
     Searching,
-    /// It drives.
+    /// Driving along the path.
     Driving,
-    /// It turns to look at a frontier.
+    /// Turning to look at a frontier.
     Looking(Look),
-    /// It turns to look around at a goal.
+    /// Turning to look around at a goal.
     LookingAround(Gaze, LookAround),
-    /// There is no way; it is tried again.
+    /// No path; retried later.
     Stuck { why: PlanError, since: Instant },
 }
 
 /// A look at a frontier.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Look {
-    /// The frontier's point and its window's level.
+    /// The frontier's point and the level of its window.
     at: Waypoint,
     level: u32,
-    /// How far it has turned, and where it looked last.
+    /// Angle turned so far, and the last pose.
     turned: f32,
     last: Pose,
 }
@@ -89,25 +89,25 @@ struct Look {
 #[derive(Debug)]
 pub struct Driver<'b> {
     config: Driving,
-    /// The side of the map's cells.
+    /// The side of a map cell.
     resolution: Millimetres,
     search: Search<'b>,
     follower: Follower,
     safety: Safety,
     task: Task,
     phase: Phase,
-    /// What the path leads to.
+    /// Where the path leads.
     end: End,
-    /// Whether the path can still be driven while a new one is looked for.
+    /// Whether the old path can still be driven while a new one is searched for.
     has_path: bool,
     /// Whether the search has begun.
     is_begun: bool,
-    /// Whether all has been explored, and it is on its way home.
+    /// Whether exploring is complete and the robot is driving home.
     goes_home: bool,
     last: Option<Instant>,
     looked: Instant,
     planned: Instant,
-    /// What hinders it, and when that was found to be an obstacle.
+    /// The current hindrance, and when it was last declared an obstacle.
     hindered: Option<Hindered>,
     avoided: Option<Instant>,
     command: DriveCommand,
@@ -116,7 +116,7 @@ pub struct Driver<'b> {
 }
 
 impl<'b> Driver<'b> {
-    /// A robot that stands, on a map with cells of this side.
+    /// A standing robot on a map with cells of side `resolution`.
     pub fn new(config: Driving, resolution: Millimetres, workspace: &'b mut Workspace) -> Self {
         Self {
             config,
@@ -141,7 +141,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// Gives it another task. The same once more is begun anew.
+    /// Sets another task. Setting the same task again restarts it.
     pub fn set_task(&mut self, task: Task) {
         self.task = task;
         self.goes_home = false;
@@ -150,8 +150,8 @@ impl<'b> Driver<'b> {
         self.set_out();
     }
 
-    /// Gives it the next point of a way. Until it knows how to get there it goes on along its path,
-    /// if it has one.
+    /// Sets the next point of a path. Until the search has found a way, the robot keeps driving
+    /// along its old path, if it has one.
     pub fn go_to_next(&mut self, goal: Waypoint) {
         let has_path = self.has_path;
         self.task = Task::Go(goal);
@@ -161,17 +161,17 @@ impl<'b> Driver<'b> {
         self.has_path = has_path;
     }
 
-    /// What it is to do.
+    /// The current task.
     pub fn task(&self) -> Task {
         self.task
     }
 
-    /// What it does now.
+    /// What it does now, and why.
     pub fn reason(&self) -> Reason {
         self.reason
     }
 
-    /// The reason, once each time it has changed.
+    /// The reason, once after each change.
     pub fn poll_event(&mut self) -> Option<Reason> {
         (self.told != self.reason).then(|| {
             self.told = self.reason;
@@ -179,13 +179,13 @@ impl<'b> Driver<'b> {
         })
     }
 
-    /// The ground as it was last looked at.
+    /// The planning window as last filled.
     pub fn window(&self) -> &PlanningWindow {
         self.search.window()
     }
 
-    /// What the wheels shall do until the next step. `ground` gives, for a column of tiles and a row
-    /// of cells of the map, 32 cells. Steps should come at 10 Hz or more.
+    /// The wheels' command until the next step. `ground` returns 32 map cells for a column of tiles
+    /// and a row of cells. Call at 10 Hz or more.
     pub fn step(
         &mut self,
         inputs: &Inputs<'_>,
@@ -193,7 +193,7 @@ impl<'b> Driver<'b> {
     ) -> DriveCommand {
         let now = inputs.health.now;
         let since = self.last.map_or(0, |last| now.since(last).micros());
-        let elapsed = (since as f32 * 1.0e-6).min(LONGEST_STEP);
+        let elapsed = (since as f32 * 1.0e-6).min(MAX_STEP);
         self.last = Some(now);
         let amiss = self.safety.check(&inputs.health, self.command);
         let (command, reason) = match (amiss, inputs.health.pose) {
@@ -203,13 +203,14 @@ impl<'b> Driver<'b> {
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
-        // Only a stretch driven shows that wheels work again: until then the fault stays.
+        // The fault is cleared only after some distance driven: that alone shows that the wheels
+        // work.
         let doubt = self.safety.doubt().filter(|_| reason == Reason::Driving);
         (self.command, self.reason) = (command, doubt.unwrap_or(reason));
         command
     }
 
-    /// Looks for a way to what the task wants.
+    /// Starts the search for a path.
     fn set_out(&mut self) {
         self.has_path = false;
         self.is_begun = false;
@@ -248,7 +249,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// What is told while it stands to think.
+    /// The reason reported while standing to plan.
     fn waiting(&self) -> Reason {
         match self.reason {
             Reason::NoWay(_) | Reason::Blocked | Reason::Person => self.reason,
@@ -256,7 +257,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// The goal, if it has one: the task's, or home.
+    /// The task's goal or home, if there is one.
     fn goal(&self) -> Option<Waypoint> {
         match self.task {
             Task::Go(goal) => Some(goal),
@@ -265,7 +266,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// Begins a search, or goes on with one.
+    /// Begins or continues a search.
     fn search(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if !self.is_begun {
             self.is_begun = true;
@@ -286,7 +287,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// There is no way, or nothing left to explore.
+    /// Handles a failed search: no path, or nothing left to explore.
     fn fail(&mut self, why: PlanError, now: Instant) {
         self.has_path = false;
         match self.task {
@@ -297,7 +298,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// All has been explored.
+    /// Exploring is complete: drives home, if there is a home.
     fn come_home(&mut self, home: Option<Waypoint>) {
         self.phase = Phase::Resting(Reason::Explored);
         if home.is_some() {
@@ -306,9 +307,9 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// The inputs of the planning window; without `near` what moves is no obstacle.
+    /// The inputs of the planning window; without `near`, moving objects are no obstacle.
     fn view<'v>(&self, step: &StepContext<'v>, none: &'v NearPoints) -> WindowInputs<'v> {
-        // What walks by is no obstacle; what has been waited for is.
+        // People who walk by are ignored; those waited for without success count as obstacles.
         let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED_FOR);
         let motion = &self.config.motion;
         WindowInputs {
@@ -323,7 +324,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// Looks at the map again, and whether the path still leads to something.
+    /// Refills the window and checks whether the path is clear and its frontier still useful.
     fn look(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if step.now.since(self.looked) < MAP_LOOK_INTERVAL {
             return;
@@ -338,7 +339,7 @@ impl<'b> Driver<'b> {
         let clear = self.follower.is_clear(self.search.window(), step.pose);
         if !(leads && clear) {
             self.set_out();
-            // While it thinks it drives on, if it can.
+            // Keeps driving while it plans, if the path is clear.
             self.has_path = clear;
         }
     }
@@ -367,8 +368,8 @@ impl<'b> Driver<'b> {
         (command, self.wait(reason, step))
     }
 
-    /// Waits for what hinders it, and then goes round it. Only a stretch driven shows that the way
-    /// is clear again: until then the reason stays.
+    /// Waits for a hindrance to go away, then plans around it. The reason is kept until the robot
+    /// has driven [`STRETCH`]: that alone shows that the way is clear.
     fn wait(&mut self, reason: Reason, step: &StepContext<'_>) -> Reason {
         let hindered = match (self.hindered, reason) {
             (None, Reason::Driving) => return reason,
@@ -390,10 +391,10 @@ impl<'b> Driver<'b> {
         hindered.reason
     }
 
-    /// At the end of the path.
+    /// Handles the end of the path.
     fn arrive(&mut self, step: &StepContext<'_>) -> Reason {
         if self.phase != Phase::Driving {
-            // Another path is being looked for.
+            // A new path is being searched for.
             self.has_path = false;
             return Reason::Driving;
         }
@@ -407,7 +408,7 @@ impl<'b> Driver<'b> {
                     && let Some(gaze) = self.config.looks_at_goal =>
             {
                 self.phase = Phase::LookingAround(gaze, LookAround::new(step.pose.heading));
-                // At once.
+                // Look immediately.
                 self.looked = Instant(0);
                 Reason::Driving
             }
@@ -444,8 +445,8 @@ impl<'b> Driver<'b> {
         (self.follower.spin(left, step.elapsed), Reason::Driving)
     }
 
-    /// Turns once round at a frontier, as long as there is blind ground near. What can't be seen
-    /// from there is passed over from then on.
+    /// Turns a full circle at a frontier, or less if no blind ground is left near it. Ground that
+    /// can't be seen from there is given up.
     fn look_at(
         &mut self,
         look: Look,
@@ -463,7 +464,7 @@ impl<'b> Driver<'b> {
             self.search.fill(look.level, &view, ground);
             let is_blind = self.search.is_frontier(look.at);
             if is_blind && done && !self.search.give_up(look.at, look.level, &view) {
-                // So much is out of sight that it is no use to go on.
+                // The list of given-up places is full: stop exploring.
                 self.fail(PlanError::NoFrontier, step.now);
             } else if done || !is_blind {
                 self.set_out();
@@ -473,7 +474,7 @@ impl<'b> Driver<'b> {
     }
 }
 
-/// The inputs of one step, and what follows from them.
+/// The inputs of a step and values derived from them.
 struct StepContext<'s> {
     inputs: &'s Inputs<'s>,
     pose: Pose,

@@ -1,30 +1,29 @@
-//! How a robot drives that plans, follows and stops by the map: its configuration.
+//! The configuration of a robot that plans, follows paths and stops by the map.
 
 use ubimap_protocol::{message::Waypoint, time::Duration};
 
 use super::{follow::Motion, look::Gaze, safety::SafetyLimits};
 
-/// The configuration of a robot that drives along the paths that the server sends.
+/// The configuration of a robot that drives along the server's paths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Driving {
-    /// What the robot can do.
+    /// The robot's size and dynamics.
     pub motion: Motion,
-    /// When it must stand.
+    /// When it must stop.
     pub safety: SafetyLimits,
-    /// From one step to the next. 100 ms or less: braking distances are computed for that.
+    /// Time between steps, at most 100 ms: braking distances assume that.
     pub interval: Duration,
-    /// Whether the robot stops to map, and maps only where it has been localised while it stood
-    /// (Ahmed 3). It stops where the gate of its mapping opens.
+    /// Whether the robot stops to map, and maps only where it was localised while standing (Ahmed
+    /// 3). It stops whenever the mapping gate opens.
     pub stop_and_wait: bool,
-    /// Whether the robot explores by itself until the first session, and then comes home to this
-    /// point of `map`. Its poses must come from odometry
-    /// ([`PoseSource::Odometry`](crate::locate::PoseSource)).
+    /// Explore autonomously until the first session, then return to this point of `map`. Requires
+    /// poses from odometry ([`PoseSource::Odometry`](crate::locate::PoseSource)).
     pub alone: Option<Waypoint>,
-    /// Whether ground that the cameras see is worth exploring, too.
+    /// Whether to explore ground covered by cameras, too.
     pub explore_covered: bool,
-    /// What it looks around for at a goal, before it has arrived.
+    /// What to look for at a goal before reporting arrival; `None`: nothing.
     pub looks_at_goal: Option<Gaze>,
-    /// Corners that a search may expand in a step, about 5,000 instructions each.
+    /// Maximum number of corners that a search expands in a step, about 5,000 instructions each.
     pub corners_per_step: usize,
 }
 

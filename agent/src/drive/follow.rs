@@ -1,5 +1,5 @@
 //! From a path to the wheels: pure pursuit (Coulter 1992), at a speed from which the robot can
-//! always stop before what its own sensor sees.
+//! always stop before an obstacle in its own sensor's view.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -15,54 +15,49 @@ use super::{
 };
 use crate::trigonometry::{radians, sin_cos};
 
-/// What the wheels shall do.
+/// A velocity command for the wheels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DriveCommand {
-    /// Forward, in millimetres a second.
+    /// Forward, in mm/s.
     pub speed: i16,
-    /// Counter-clockwise, in milliradians a second.
+    /// Counter-clockwise, in mrad/s.
     pub turn: i16,
 }
 
 impl DriveCommand {
-    /// To stand.
+    /// Zero speed, zero turn rate.
     pub const STAND: Self = Self { speed: 0, turn: 0 };
-
-    /// Whether the robot shall stand.
-    pub fn is_stand(&self) -> bool {
-        *self == Self::STAND
-    }
 }
 
-/// What the robot can do, in millimetres, radians and seconds.
+/// The robot's size and dynamics, in millimetres, radians and seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// A circle about `base_link` that holds the robot.
+    /// Radius of a circle around `base_link` that contains the robot.
     pub radius: u16,
-    /// What it keeps from everything beside that.
+    /// Additional distance to all obstacles.
     pub margin: u16,
-    /// The fastest it drives.
+    /// Maximum speed.
     pub top_speed: f32,
-    /// The fastest it turns.
+    /// Maximum turn rate.
     pub top_turn: f32,
-    /// How it gains speed.
+    /// Acceleration.
     pub acceleration: f32,
-    /// How it can lose speed for sure.
+    /// Guaranteed deceleration.
     pub braking: f32,
-    /// The most acceleration to the side.
+    /// Maximum lateral acceleration.
     pub side_acceleration: f32,
-    /// From a scan to when the wheels obey.
+    /// Delay from a scan until the wheels react.
     pub reaction: f32,
-    /// The speed of a person who walks.
+    /// Assumed walking speed of a person.
     pub walking: f32,
-    /// What it keeps from a person.
+    /// Distance to people.
     pub person_margin: f32,
-    /// The standard deviation of the position at which it stands.
+    /// Standard deviation of the position at which the robot stops.
     pub most_unsure: f32,
 }
 
 impl Default for Motion {
-    /// A robot of 30 cm that drives half a metre a second.
+    /// A robot 30 cm wide with a top speed of 0.5 m/s.
     fn default() -> Self {
         Self {
             radius: 150,
@@ -81,40 +76,40 @@ impl Default for Motion {
 }
 
 impl Motion {
-    /// The fastest speed from which the robot stands within a way.
+    /// The maximum speed from which the robot can stop within `way`.
     fn stops_within(&self, way: f32) -> f32 {
         let pause = self.braking * self.reaction;
         (root(pause * pause + 2.0 * self.braking * way.max(0.0)) - pause).max(0.0)
     }
 }
 
-/// What keeps the robot from driving on along its path.
+/// Why the robot can't drive on along its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hindrance {
-    /// It is at the end.
+    /// The path ends here.
     Arrived,
-    /// It has been pushed off its path.
+    /// The robot is too far off its path.
     OffPath,
-    /// Something stands in the way.
+    /// An obstacle is in the way.
     Blocked,
-    /// Somebody is about to cross it, or something that is not on the map is near.
+    /// A person is about to cross the path, or an object missing from the map is near.
     Person,
 }
 
-/// What a step looks at.
+/// The inputs of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Sight<'s> {
     /// `base_link` in `map`.
     pub pose: Pose,
-    /// The standard deviation of its position, in millimetres.
+    /// Standard deviation of the position, in millimetres.
     pub unsure: f32,
     /// The newest scan.
     pub near: &'s NearPoints,
-    /// What the cameras see.
+    /// Objects seen by the cameras.
     pub movers: &'s [Mover],
     /// The map.
     pub window: &'s PlanningWindow,
-    /// Since the last step, in seconds.
+    /// Time since the last step, in seconds.
     pub elapsed: f32,
 }
 
@@ -124,47 +119,47 @@ type Vector = (f32, f32);
 #[derive(Clone, Debug)]
 pub struct Follower {
     motion: Motion,
-    /// The points that are left; the first is behind.
+    /// The remaining points; the first is behind the robot.
     route: Vec<Waypoint, MAX_POINTS>,
-    /// The way from each of them to the end.
+    /// Distance from each of them to the end, along the path.
     rest: [f32; MAX_POINTS],
-    /// The point behind the robot.
+    /// The index of the point behind the robot.
     at: usize,
     speed: f32,
     turn: f32,
-    /// It turns on the spot until it looks along the path.
+    /// Whether it turns on the spot towards the path.
     turns: bool,
 }
 
-/// How far from the end it has arrived, and how far from its path it is off.
+/// Tolerances: distance to the end that counts as arrived, and from the path that counts as off.
 const ARRIVED: f32 = 40.0;
 const OFF: f32 = 300.0;
-/// Positions along what it is about to drive that are looked at.
+/// Number of positions checked along the predicted motion.
 const SAMPLES: usize = 8;
-/// How far ahead people are predicted, in seconds.
+/// Prediction horizon for people, in seconds.
 const FORESIGHT: f32 = 2.0;
-/// It turns at its fastest after half a second.
+/// Turn gain: reaches the maximum turn rate after 0.5 s.
 const TURN_GAIN: f32 = 2.0;
-/// What is slower than this is no drive, in millimetres a second.
+/// Below this speed the robot counts as standing, in mm/s.
 const STANDS: f32 = 20.0;
-/// What it creeps by things it must pass, in millimetres a second, and in which time it would cover
-/// the room that it has beside it.
+/// Minimum speed beside obstacles in mm/s, and the time in seconds in which the robot would cover
+/// its lateral clearance: speed is limited to their quotient.
 const CREEP: f32 = 100.0;
 const ROOM_TIME: f32 = 0.6;
 
 impl Follower {
-    /// For a robot that stands.
+    /// For a standing robot.
     pub fn new(motion: Motion) -> Self {
         let (route, rest) = (Vec::new(), [0.0; MAX_POINTS]);
         Self { motion, route, rest, at: 0, speed: 0.0, turn: 0.0, turns: false }
     }
 
-    /// What the robot can do.
+    /// The robot's size and dynamics.
     pub fn motion(&self) -> &Motion {
         &self.motion
     }
 
-    /// Takes another path.
+    /// Sets another path.
     pub fn take(&mut self, route: &Vec<Waypoint, MAX_POINTS>) {
         self.rest = [0.0; MAX_POINTS];
         let mut rest = 0.0;
@@ -178,27 +173,22 @@ impl Follower {
         self.at = 0;
     }
 
-    /// Forgets the path and stands at once.
+    /// Drops the path and stops immediately.
     pub fn stand(&mut self) -> DriveCommand {
         (self.speed, self.turn, self.turns) = (0.0, 0.0, false);
         DriveCommand::STAND
     }
 
-    /// The path's end.
+    /// The end of the path.
     pub fn end(&self) -> Option<Waypoint> {
         self.route.last().copied()
     }
 
-    /// The way that is left from the last point it passed, in millimetres.
-    pub fn way_left(&self) -> f32 {
-        self.rest.get(self.at).copied().unwrap_or(0.0)
-    }
-
-    /// Whether what is left of the path is clear in a window.
+    /// Whether the rest of the path is clear in a window.
     pub fn is_clear(&self, window: &PlanningWindow, pose: Pose) -> bool {
         let mut from = Waypoint { x: pose.x, y: pose.y };
         let ahead = self.route.get(self.at + 1..).unwrap_or_default();
-        // From where it may stand too near to something it may leave.
+        // A robot that stands too close to an obstacle may drive away.
         let stands_free = window.place(from).is_some_and(|place| window.free.has(place));
         let mut ahead = ahead.iter();
         if !stands_free && let Some(&next) = ahead.next() {
@@ -207,7 +197,7 @@ impl Follower {
         ahead.all(|&next| window.is_clear(core::mem::replace(&mut from, next), next))
     }
 
-    /// The next command, and what hinders. At most 15,000 instructions.
+    /// The next command, and the hindrance if any. At most 15,000 instructions.
     pub fn step(&mut self, sight: &Sight<'_>) -> (DriveCommand, Option<Hindrance>) {
         let Some((target, left)) = self.target(sight) else {
             return (self.stand(), Some(Hindrance::OffPath));
@@ -217,7 +207,7 @@ impl Follower {
         }
         let (sin, cos) = sin_cos(radians(sight.pose.heading));
         let (forward, side) = (target.0 * cos + target.1 * sin, target.1 * cos - target.0 * sin);
-        // More than 37 degrees off it turns on the spot, until it is within 15.
+        // Turns on the spot beyond 37 degrees off, until within 15.
         let enough = if self.turns { 0.27 } else { 0.75 };
         self.turns = side.abs() > enough * forward;
         if self.turns {
@@ -229,7 +219,7 @@ impl Follower {
         let wanted = self.wanted(sight, curvature, left);
         let (speed, hindrance) = self.allowed(sight, curvature, wanted);
         let gained = self.speed + self.motion.acceleration * sight.elapsed;
-        // Slower at once: what it can lose has been reckoned with.
+        // Slowing down is immediate: its distance is already accounted for.
         self.speed = speed.min(gained);
         self.turn = (self.speed * curvature).clamp(-self.motion.top_turn, self.motion.top_turn);
         (self.command(), hindrance)
@@ -243,7 +233,7 @@ impl Follower {
 
     /// Turns towards a point in `base_link`.
     fn turn_by(&mut self, side: f32, forward: f32, elapsed: f32) -> DriveCommand {
-        // As fast as it can still lose by then; up to 45 degrees the tangent is the angle, about.
+        // Limited so that it can still stop in time; up to 45 degrees tan(a) is about a.
         let off = if forward > 0.0 { (side / forward).abs().min(1.0) } else { 1.0 };
         let gain = TURN_GAIN * self.motion.top_turn;
         let wanted = root(2.0 * gain * off).min(self.motion.top_turn).max(0.3).copysign(side);
@@ -257,8 +247,8 @@ impl Follower {
         DriveCommand { speed: libm::floorf(self.speed) as i16, turn }
     }
 
-    /// The point to drive at, from the robot in `map`'s axes, and the way left. `None` off the
-    /// path.
+    /// The point to drive towards, relative to the robot in `map`'s axes, and the remaining
+    /// distance. `None` when off the path.
     fn target(&mut self, sight: &Sight<'_>) -> Option<(Vector, f32)> {
         let robot = Waypoint { x: sight.pose.x, y: sight.pose.y };
         loop {
@@ -290,14 +280,14 @@ impl Follower {
                 }
                 ahead *= 0.5;
             }
-            // Around the corner itself, then; or back to the path.
+            // Then drive to the corner itself, or back to the path.
             let target =
                 if length(corner) < ahead { corner } else { self.ahead(robot, foot, ahead) };
             return Some((target, rest + to_corner));
         }
     }
 
-    /// The point so far ahead on the path of a point of it; both from the robot.
+    /// The point at distance `way` along the path from `foot`, relative to the robot.
     fn ahead(&self, robot: Waypoint, foot: Vector, mut way: f32) -> Vector {
         let mut from = foot;
         for &point in self.route.get(self.at + 1..).unwrap_or_default() {
@@ -314,13 +304,13 @@ impl Follower {
         from
     }
 
-    /// The speed that the path, the room and the pose allow.
+    /// The maximum speed given path, lateral clearance and pose uncertainty.
     fn wanted(&self, sight: &Sight<'_>, curvature: f32, left: f32) -> f32 {
         let motion = &self.motion;
         let bend = curvature.abs().max(1.0e-6);
         let in_curve = (motion.top_turn / bend).min(root(motion.side_acceleration / bend));
         let to_end = root(2.0 * motion.acceleration * left);
-        // At full speed as long as half of that is left.
+        // Full speed up to half the maximum standard deviation, then linearly down to zero.
         let sure = (2.0 - 2.0 * sight.unsure / motion.most_unsure.max(1.0)).min(1.0);
         let room = sight.near.nearest().unwrap_or(f32::MAX) - f32::from(motion.radius);
         let beside = (room / ROOM_TIME).max(CREEP);
@@ -328,7 +318,7 @@ impl Follower {
         motion.top_speed.min(in_curve).min(to_end).min(beside).min(sure)
     }
 
-    /// The speed that what is ahead allows.
+    /// The maximum speed given the obstacles ahead, and the hindrance if any.
     fn allowed(&self, sight: &Sight<'_>, curvature: f32, wanted: f32) -> (f32, Option<Hindrance>) {
         let motion = &self.motion;
         let free = self.free_way(sight.near, curvature, wanted);
@@ -338,7 +328,7 @@ impl Follower {
         let before_person = if crossing { 0.0 } else { before_stranger };
         let speed = wanted.min(before_wall).min(before_person);
         if before_person < CREEP {
-            // Nobody is crept up to.
+            // Stops for people instead of creeping towards them.
             (0.0, Some(Hindrance::Person))
         } else if before_wall < STANDS {
             (0.0, Some(Hindrance::Blocked))
@@ -347,8 +337,8 @@ impl Follower {
         }
     }
 
-    /// How far the robot can drive along a circle before it is too near to what it sees; as far as
-    /// it would need to stop, at the most.
+    /// Distance that the robot can drive along a circle before it is too close to an obstacle in
+    /// its own view; at most its stopping distance.
     fn free_way(&self, near: &NearPoints, curvature: f32, speed: f32) -> f32 {
         let motion = &self.motion;
         let keep = f32::from(motion.radius) + f32::from(motion.margin);
@@ -367,7 +357,7 @@ impl Follower {
             let hit = samples.enumerate().find(|(_, at)| {
                 let (x, y) = (x - at.0, y - at.1);
                 let then = x * x + y * y;
-                // It may leave what it is too near to.
+                // A robot that is too close to a point may move away from it.
                 then < keep * keep && then < now
             });
             if let Some((index, _)) = hit {
@@ -377,11 +367,12 @@ impl Follower {
         step * free as f32
     }
 
-    /// The speed at which a person who is not on the map, and comes at the robot, still has room.
+    /// The maximum speed that leaves room for a person missing from the map who walks towards the
+    /// robot.
     fn before_strangers(&self, sight: &Sight<'_>) -> f32 {
         let motion = &self.motion;
         let keep = f32::from(motion.radius) + f32::from(motion.margin);
-        // Those who walk, and the robot meanwhile.
+        // Closing speed: the person's, and the robot's own meanwhile.
         let closing = (motion.walking + 0.5 * motion.top_speed).max(1.0);
         let matters = (motion.reaction + motion.top_speed / motion.braking.max(1.0)) * closing;
         let mut nearest = (matters + keep) * (matters + keep);
@@ -400,7 +391,7 @@ impl Follower {
         (time * motion.braking).max(0.0)
     }
 
-    /// Whether somebody whom the cameras see is about to be where the robot will be.
+    /// Whether a person seen by the cameras is about to cross the robot's motion.
     fn is_crossed(&self, sight: &Sight<'_>, curvature: f32, speed: f32) -> bool {
         let (sin, cos) = sin_cos(radians(sight.pose.heading));
         let robot = Waypoint { x: sight.pose.x, y: sight.pose.y };
@@ -421,14 +412,14 @@ impl Follower {
                 let (x, y) = (x + vx * time, y + vy * time);
                 let apart = (x - at.0, y - at.1);
                 let then = apart.0 * apart.0 + apart.1 * apart.1;
-                // If it stood they would be further apart: else driving on is no worse.
+                // If standing would not increase the distance, driving on is no worse.
                 then < keep * keep && then <= x * x + y * y
             })
         })
     }
 }
 
-/// From one point to another.
+/// The vector from one point to another.
 fn between(from: Waypoint, to: Waypoint) -> Vector {
     (to.x.0.saturating_sub(from.x.0) as f32, to.y.0.saturating_sub(from.y.0) as f32)
 }
@@ -437,8 +428,8 @@ fn length((x, y): Vector) -> f32 {
     root(x * x + y * y)
 }
 
-/// So far along a circle that begins straight ahead: forward and left. Within a thousandth for
-/// less than a radian of it.
+/// The point at distance `way` along a circle that begins straight ahead: forward and left. Error
+/// below 0.1 % for arcs of less than one radian.
 fn on_circle(curvature: f32, way: f32) -> Vector {
     let turned = (curvature * way).clamp(-2.0, 2.0);
     let square = turned * turned;

@@ -1,4 +1,4 @@
-//! Looking around: which way blind ground is in sight, and how far to turn to have seen it.
+//! Looking around: directions in which blind ground is in sight, and how far to turn to see it all.
 
 use core::f32::consts::TAU;
 
@@ -10,34 +10,34 @@ use ubimap_protocol::{
 use super::planning_window::GroundRow;
 use crate::trigonometry::{angle, radians, sin_cos};
 
-/// Rays that are looked along.
+/// Number of rays.
 const RAYS: u32 = 32;
-/// So many blind cells one behind the other are ground; fewer are noise.
-const LEAST: u32 = 3;
-/// What is nearer than a part of the half view to its edge may have been missed.
+/// Consecutive blind cells that count as blind ground; fewer are noise.
+const MIN_CELLS: u32 = 3;
+/// Usable part of the half view: closer to the edge of the view, ground may be missed.
 const SURE: f32 = 0.9;
 
-/// What there is to be seen.
+/// What to look for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gaze {
-    /// How far the sensor sees to either side, in radians.
+    /// Half of the sensor's field of view, in radians.
     pub half_view: f32,
-    /// How far away blind ground is looked at, in millimetres.
+    /// Maximum distance of blind ground, in millimetres.
     pub reach: u16,
-    /// The robot's radius, in millimetres: nothing is to be seen there.
+    /// The robot's radius, in millimetres: the ground below it is ignored.
     pub radius: u16,
 }
 
 impl Default for Gaze {
-    /// A sensor of 86 degrees, and a robot of 30 cm.
+    /// A sensor with a view of 86 degrees, on a robot 30 cm wide.
     fn default() -> Self {
         Self { half_view: 0.75, reach: 2_500, radius: 150 }
     }
 }
 
 impl Gaze {
-    /// The rays from a pose, counted counter-clockwise from `map`'s x, on which blind ground begins
-    /// behind free ground: a bit each. Up to a thousand looks at the map.
+    /// The rays from a pose, counter-clockwise from `map`'s x-axis, that meet blind ground behind
+    /// free ground; one bit each. Up to a thousand map lookups.
     fn blind_rays(
         &self,
         pose: Pose,
@@ -65,7 +65,7 @@ impl Gaze {
                 }
                 let is_blind = !has(low) && (explore_covered || !has(covered));
                 blind = if is_blind { blind + 1 } else { 0 };
-                if blind == LEAST {
+                if blind == MIN_CELLS {
                     rays |= 1 << ray;
                     break;
                 }
@@ -75,28 +75,28 @@ impl Gaze {
     }
 }
 
-/// A look around on the spot.
+/// State of looking around on the spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LookAround {
-    /// Where it looked first and looked last; and how far it has turned since the first, at least
-    /// and at most, to the left, in radians.
+    /// First and latest heading; angle turned since the first, with its minimum and maximum, in
+    /// radians to the left.
     first: Angle,
     last: Angle,
     turned: f32,
     least: f32,
     most: f32,
-    /// The rays of blind ground; none before the first look.
+    /// The rays that meet blind ground; none before the first look.
     rays: u32,
 }
 
 impl LookAround {
-    /// From here.
+    /// Starts at this heading.
     pub(super) fn new(heading: Angle) -> Self {
         let (turned, least, most) = (0.0, 0.0, 0.0);
         Self { first: heading, last: heading, turned, least, most, rays: 0 }
     }
 
-    /// Looks at the map.
+    /// Updates the rays from the map.
     pub(super) fn look(
         &mut self,
         gaze: &Gaze,
@@ -108,8 +108,8 @@ impl LookAround {
         self.rays = gaze.blind_rays(pose, resolution, explore_covered, ground);
     }
 
-    /// Which way to turn on, to the left or not, to have seen all with the least turning, be it to
-    /// one side or to one and then to the other; `None` when nothing is left to be seen.
+    /// Turn direction (`true`: left) that sees all remaining rays with the least turning, to one
+    /// side or to one after the other; `None` when none are left.
     pub(super) fn turn(&mut self, heading: Angle, half_view: f32) -> Option<bool> {
         self.turned += radians(heading - self.last);
         self.last = heading;
@@ -117,10 +117,11 @@ impl LookAround {
         let sure = half_view * SURE;
         let (right, left) = (self.least - sure, self.most + sure);
         let gap = TAU - (left - right);
-        // From here to what it has seen last on either side.
+        // From here to the limits of what it has seen on either side.
         let (to_left, to_right) = (self.most - self.turned, self.turned - self.least);
         let (mut best, mut is_left) = (f32::MAX, None);
-        // Of what has not been seen, that up to a ray is seen to the left, and the rest to the right.
+        // Of the unseen rays, those up to one ray are seen by turning left, the others by turning
+        // right.
         let mut turn = |on_the_left: Option<f32>, on_the_right: Option<f32>| {
             let left = on_the_left.map_or(0.0, |beyond| to_left + beyond);
             let right = on_the_right.map_or(0.0, |beyond| to_right + gap - beyond);
@@ -154,8 +155,8 @@ mod tests {
         sweep(known, occupied).0
     }
 
-    /// Turns by the looks until nothing is left: how far to the left it ends, and how far it has
-    /// turned in all, in degrees.
+    /// Turns as `turn` says until nothing is left: the final angle to the left, and the total angle
+    /// turned, in degrees.
     fn sweep(
         mut known: impl FnMut(f64, f64) -> bool,
         occupied: impl Fn(f64, f64) -> bool,
@@ -190,11 +191,11 @@ mod tests {
     }
 
     #[test]
-    fn it_turns_as_far_as_there_is_something_to_see_and_no_farther() {
+    fn it_turns_no_further_than_there_is_blind_ground() {
         let nowhere = |_, _| false;
         assert_eq!(turned(|_, _| true, nowhere), 0.0, "all is known");
         assert_eq!(turned(|x, y| x.hypot(y) < 2.6, nowhere), 0.0, "or far away");
-        // Ahead it looks already.
+        // It already looks ahead.
         assert_eq!(turned(|x, y| x < 1.0 || y.abs() > 0.5, nowhere), 0.0);
         let left = turned(|_, y| y < 1.0, nowhere);
         assert!((85.0..=130.0).contains(&left), "{left}");
@@ -202,7 +203,7 @@ mod tests {
         assert!((-130.0..=-85.0).contains(&right), "{right}");
         let round = turned(|x, y| x.hypot(y) < 1.0, nowhere);
         assert!((270.0..300.0).contains(&round.abs()), "{round}");
-        // A little on either side: first to the nearer, then to the other.
+        // A small area on either side: it turns to the nearer one first.
         let towards = |x: f64, y: f64, degrees: f64| {
             (libm::atan2(y, x).to_degrees() - degrees).abs() < 12.0 && x.hypot(y) > 1.0
         };
@@ -212,7 +213,7 @@ mod tests {
             assert!((60.0..90.0).contains(&(side * end)), "{end}");
             assert!((110.0..160.0).contains(&all), "{all}");
         }
-        // Behind a wall it is out of sight, and a speck is nothing.
+        // Ground behind a wall is out of sight, and a speck is noise.
         assert_eq!(turned(|_, y| y < 1.0, |_, y| y > 0.9 && y < 1.0), 0.0);
         assert_eq!(turned(|x, y| !(y > 1.0 && y < 1.1 && x.abs() < 0.05), nowhere), 0.0);
     }

@@ -1,11 +1,11 @@
 //! From the map to the wheels.
 //!
-//! A [`PlanningWindow`] of the map about the robot says where it may be; a [`Planner`] finds the way there
-//! to a goal or to the frontier that is worth most; a [`Follower`] drives it as fast as what its
-//! own sensor sees allows; [`Safety`] lets it stand when something is amiss; a [`Driver`] ties them
-//! together. A [`Navigator`] drives along the server's paths, at its own rate: it is what
-//! [`Driving`] configures, one choice of [`Drive`]. [`Stops`] are Ahmed's way, who maps only where
-//! a robot stands. A [`BoundaryFollower`] needs no map.
+//! A [`PlanningWindow`] holds the map around the robot and where the robot may be; a [`Planner`]
+//! finds the shortest path in it to a goal or to the best frontier; a [`Follower`] drives the path
+//! at a speed that its own sensor's view allows; [`Safety`] stops the robot on a fault; a
+//! [`Driver`] ties them together. A [`Navigator`] drives along the server's paths at its own rate;
+//! [`Driving`] configures it and is one choice of [`Drive`]. [`Stops`] is Ahmed's method, mapping
+//! only while the robot stands. A [`BoundaryFollower`] needs no map.
 
 mod boundary;
 mod choice;

@@ -1,5 +1,5 @@
-//! A robot that drives itself: along the paths that the server sends, around what it tells of others
-//! and what the sensor sees, at its own rate.
+//! A robot that drives autonomously along the server's paths, around the obstacles that the server
+//! reports and its own sensor sees, at its own rate.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -23,7 +23,7 @@ use super::{
 };
 use crate::timing::OBSTACLE_LOST;
 
-/// A point on the way counts as passed within this distance, in millimetres.
+/// Distance at which an intermediate point counts as passed, in millimetres.
 const PASSED: i32 = 150;
 
 type Movers = Vec<Mover, { MAX_PEERS + MAX_OBSTACLES }>;
@@ -38,36 +38,36 @@ impl Drive for Driving {
     }
 }
 
-/// Drives along the paths that the server sends, one point after another, and explores without a
-/// server if it may. Size: 2.5 kB, and 7.6 kB of [`Workspace`].
+/// Drives along the server's paths, point by point, and explores without a server if configured.
+/// Size: 2.5 kB, and 7.6 kB of [`Workspace`].
 #[derive(Debug)]
 pub struct Navigator<'b> {
     driver: Driver<'b>,
     near: NearPoints,
     /// The robot's radius, in millimetres.
     radius: i32,
-    /// From one step to the next.
+    /// Time between steps.
     interval: Duration,
     /// When the next step is due.
     next_step: Instant,
     command: DriveCommand,
-    /// The number of the path.
+    /// The sequence number of the path.
     path: Option<u32>,
-    /// The path's point that it drives to.
+    /// The index of the point that the robot drives to.
     point: usize,
     /// For a robot that stops to map.
     stops: Option<Stops>,
-    /// What it does until the first session.
+    /// Its task until the first session.
     alone: Option<Task>,
 }
 
 impl<'b> Navigator<'b> {
-    /// A robot that stands until the server sends a path.
+    /// Stands until the server sends a path.
     fn new(config: Driving, resolution: Millimetres, workspace: &'b mut Workspace) -> Self {
         Self {
             near: NearPoints::default(),
             radius: config.motion.radius.into(),
-            // Without an interval there would always be a step due.
+            // With an interval of 0 a step would always be due.
             interval: config.interval.max(Duration::from_millis(1)),
             next_step: Instant(0),
             command: DriveCommand::STAND,
@@ -79,15 +79,15 @@ impl<'b> Navigator<'b> {
         }
     }
 
-    /// The driver, which has the task, its state and the window of the map.
+    /// The driver: task, state and planning window.
     pub fn driver(&self) -> &Driver<'b> {
         &self.driver
     }
 
-    /// Takes the path in force, and goes on to the next of its points. Whether that is the last.
+    /// Adopts the current path and drives to its next point. Returns whether that is the last.
     fn follow(&mut self, surroundings: &Surroundings<'_, '_>) -> bool {
         let Some(path) = surroundings.commands.path() else {
-            // Another server knows nothing of the path.
+            // A path belongs to one server: another one does not know it.
             let task = self.alone.filter(|_| surroundings.heard.is_none()).unwrap_or(Task::Stand);
             if self.path.take().is_some() || self.driver.task() != task {
                 self.driver.set_task(task);
@@ -116,7 +116,7 @@ impl<'b> Navigator<'b> {
         self.point + 1 >= path.waypoints.len()
     }
 
-    /// Drives to a point. A new path that goes on to the same point changes nothing.
+    /// Drives to a point. A new path to the same point changes nothing.
     fn head_for(&mut self, point: Waypoint) {
         let heads_there = self.driver.task() == Task::Go(point);
         if !heads_there || self.driver.reason() == Reason::Arrived {
@@ -154,7 +154,7 @@ impl Drives for Navigator<'_> {
 
     fn step(&mut self, surroundings: &Surroundings<'_, '_>) -> Option<EventCode> {
         let now = surroundings.now;
-        // A step that comes late moves the later ones only if one has been left out.
+        // A late step shifts the later ones only if one was skipped.
         let next = self.next_step + self.interval;
         self.next_step = if next > now { next } else { now + self.interval };
         let is_last = self.follow(surroundings);
@@ -164,7 +164,7 @@ impl Drives for Navigator<'_> {
         let inputs = Inputs { health, near: &self.near, movers: &movers };
         self.command = self.driver.step(&inputs, |column, row| ground(surroundings, column, row));
         let code = self.driver.poll_event().and_then(Reason::event_code);
-        // Only the path's last point is its end.
+        // Only the last point counts as the end of the path.
         code.filter(|&code| is_last || code != EventCode::PathDone)
     }
 
@@ -173,14 +173,14 @@ impl Drives for Navigator<'_> {
     }
 }
 
-/// The other robots, and what moves about and is none of them. This robot is at `pose` and has this
-/// radius.
+/// The other robots, and the moving obstacles that are not robots. `pose` and `own_radius` are this
+/// robot's.
 fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> Movers {
     let &Surroundings { server_now, commands, .. } = surroundings;
     let mut movers = Movers::new();
     let peers = commands.peers().map_or(&[][..], |peers| &peers.peers);
     for peer in peers {
-        // It has room for all peers and obstacles.
+        // The capacity covers all peers and obstacles.
         let _ = movers.push(Mover {
             x: peer.pose.x,
             y: peer.pose.y,
@@ -200,7 +200,7 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
         squared_distance(of, obstacle.x, obstacle.y) < i64::from(radius).pow(2)
     };
     for obstacle in &obstacles.obstacles {
-        // Cameras may take a robot for something that moves.
+        // Cameras may report a robot as an obstacle.
         let is_robot = within(obstacle, pose, own_radius)
             || peers.iter().any(|peer| within(obstacle, peer.pose, radius(peer).into()));
         if obstacle.class == ObstacleClass::Fixed || is_robot {
@@ -221,19 +221,19 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
     movers
 }
 
-/// The radius of the circle around a robot's footprint, in millimetres.
+/// Radius of the circle around a robot's footprint, in millimetres.
 fn radius(peer: &Peer) -> u16 {
     let (length, width) = (f32::from(peer.half_length), f32::from(peer.half_width));
     libm::sqrtf(length * length + width * width) as u16
 }
 
-/// The square of the distance from a pose to a point, in mm^2.
+/// The squared distance from a pose to a point, in mm^2.
 fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
     let way = |to: Millimetres, from: Millimetres| i64::from(to.0.saturating_sub(from.0));
     way(x, from.x).pow(2) + way(y, from.y).pow(2)
 }
 
-/// What is known of 32 cells: what the server says, and where it says nothing what the robot has seen.
+/// The state of 32 cells: the server's, or where that is unknown the robot's own.
 fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundRow {
     let side = TILE_SIDE as i32;
     let Some(id) = TileId::of_cell(column.saturating_mul(side), row) else {

@@ -1,5 +1,4 @@
-//! A scan thinned to a few points about the robot, the nearest of each stretch: what the steps of a
-//! drive look at.
+//! A scan reduced to the nearest point of each group of beams, for the drive's steps.
 
 use heapless::Vec;
 use ubimap_protocol::{time::Instant, units::Pose};
@@ -7,21 +6,21 @@ use ubimap_protocol::{time::Instant, units::Pose};
 use super::root::root;
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
-/// The most points.
+/// Maximum number of points.
 pub const MAX_POINTS: usize = 64;
 
-/// A scan as it was taken.
+/// A raw scan.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen<'s> {
-    /// When.
+    /// When it was taken.
     pub taken: Instant,
     /// Readings in millimetres, 0 where nothing came back.
     pub readings: &'s [u16],
-    /// What they stand for; [`Beam::NONE`] where readings are removed.
+    /// The beam of each reading; [`Beam::NONE`] for removed ones.
     pub beams: &'s [Beam],
-    /// Which readings count.
+    /// Which readings are valid.
     pub validity: Validity,
-    /// The sensor in `base_link`; its heading is in the beams.
+    /// The sensor in `base_link`; the beams include its heading.
     pub mounting: Pose,
 }
 
@@ -33,15 +32,15 @@ pub struct NearPoints {
 }
 
 impl NearPoints {
-    /// The nearest reading that counts, of each [`MAX_POINTS`]th of the beams. About 20 instructions
-    /// a beam.
+    /// The nearest valid reading of each group of beams; there are [`MAX_POINTS`] groups. About 20
+    /// instructions per beam.
     pub fn of_scan(scan: &Seen<'_>) -> Self {
         let mut near = Self { points: Vec::new(), taken: Some(scan.taken) };
         let each = scan.beams.len().div_ceil(MAX_POINTS).max(1);
         let stretches = scan.beams.chunks(each).zip(scan.readings.chunks(each));
         for (number, (beams, readings)) in stretches.enumerate() {
             if let Some(point) = scan.nearest(number * each, beams, readings) {
-                // There are no more stretches than there is room for points.
+                // There are no more groups than points.
                 let _ = near.points.push(point);
             }
         }
@@ -58,7 +57,7 @@ impl NearPoints {
         &self.points
     }
 
-    /// How near the nearest point is.
+    /// Distance to the nearest point.
     pub fn nearest(&self) -> Option<f32> {
         let squares = self.points.iter().map(|(x, y)| x * x + y * y);
         squares.reduce(f32::min).map(root)
@@ -66,7 +65,7 @@ impl NearPoints {
 }
 
 impl Seen<'_> {
-    /// The point of the nearest reading that counts among some, of which the first is at `first`.
+    /// The point of the nearest valid reading in a group of beams whose first index is `first`.
     fn nearest(&self, first: usize, beams: &[Beam], readings: &[u16]) -> Option<(f32, f32)> {
         let one = 1.0 / (1 << DIRECTION_BITS) as f32;
         let mut nearest = None;
@@ -106,10 +105,10 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_of_each_stretch_is_kept() {
+    fn the_nearest_reading_of_each_group_is_kept() {
         let beams = beams();
         let mut readings = [2_000; COUNT];
-        // A quarter of a turn to the left, and an invalid one beside it.
+        // 90 degrees to the left, and an invalid reading beside it.
         readings[64] = 700;
         readings[65] = 0;
         readings[128] = 4_001;
@@ -122,16 +121,16 @@ mod tests {
         assert!((near.nearest().unwrap() - 707.1).abs() < 1.0);
     }
 
-    /// What the map leaves out must not stop the robot either.
+    /// Readings excluded from the map must not stop the robot either.
     #[test]
-    fn readings_that_do_not_count_and_removed_beams_are_no_obstacles() {
+    fn invalid_readings_and_removed_beams_are_no_obstacles() {
         let nearest = |readings: &[u16], beams: &[Beam], validity| {
             let near = NearPoints::of_scan(&seen(beams, readings, validity)).nearest();
             libm::roundf(near.unwrap()) as u32
         };
         let usual = Validity::default();
         let mut readings = [2_000; COUNT];
-        // Less than the sensor can measure.
+        // Below the sensor's minimum range.
         readings[10] = 90;
         assert_eq!(nearest(&readings, &beams(), usual), 90);
         assert_eq!(nearest(&readings, &beams(), Validity { nearest: 100, ..usual }), 2_000);
@@ -140,7 +139,7 @@ mod tests {
         let mut without = beams();
         remove_beams(&mut without, Removal::Pixels { first: 9, last: 11 });
         assert_eq!(nearest(&readings, &without, usual), 2_000);
-        // A flying pixel at the edge of a box, on the border of two stretches: of the box the edge.
+        // A flying pixel at the edge of a box, between two groups: the edge of the box remains.
         let mut readings = [2_000; COUNT];
         readings[13..16].fill(1_000);
         readings[16] = 1_500;

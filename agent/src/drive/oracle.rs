@@ -1,5 +1,5 @@
-//! The planner against the exact shortest way: Dijkstra over all pairs of cells that see each
-//! other, in doubles.
+//! Compares the planner with the exact shortest path: Dijkstra over all pairs of mutually visible
+//! cells, in double precision.
 
 use std::{vec, vec::Vec};
 
@@ -13,10 +13,11 @@ use super::*;
 
 const CELL: i32 = 50;
 
-/// Rooms: rectangles that are walls, doors cut into them.
+/// Rooms: rectangular walls with doors.
 #[derive(Clone, Debug)]
 struct Rooms {
-    /// Column or row, from, to, and the door's from and width; vertical or not.
+    /// Column or row, first cell, last cell, the door's first cell and width; whether it is
+    /// vertical.
     walls: Vec<(i32, i32, i32, i32, i32, bool)>,
     /// Boxes: column, row, width, height.
     boxes: Vec<(i32, i32, i32, i32)>,
@@ -44,7 +45,7 @@ impl Rooms {
         GroundRow { cells, covered: 0 }
     }
 
-    /// A window from cell (0, 0) on.
+    /// A window whose corner is cell (0, 0).
     fn window(&self, radius: u16) -> PlanningWindow {
         let middle = Millimetres(32 * CELL);
         let pose = Pose { x: middle, y: middle, ..Pose::default() };
@@ -80,13 +81,14 @@ fn between(a: Place, b: Place) -> f64 {
     f64::from(a.x.abs_diff(b.x)).hypot(f64::from(a.y.abs_diff(b.y)))
 }
 
-/// Whether a line between two cells' middles touches free cells only, by clipping the line to the cell, a formulation of its own.
+/// Whether the line between two cell centres touches only free cells: an independent formulation
+/// that clips the line to each cell.
 fn sees(window: &PlanningWindow, a: Place, b: Place) -> bool {
     let ((ax, ay), (bx, by)) = (a.column_and_row(), b.column_and_row());
     let range = |p: i32, q: i32| p.min(q)..=p.max(q);
     range(ay, by).all(|y| {
         range(ax, bx).all(|x| {
-            // Where the line is between the sides of the cell: over (2 dx) and (2 dy).
+            // Where the line is between two sides of the cell, multiplied by (2 dx) and (2 dy).
             let span = |from: i32, to: i32, at: i32| {
                 let way = f64::from(to - from);
                 if way == 0.0 {
@@ -103,7 +105,7 @@ fn sees(window: &PlanningWindow, a: Place, b: Place) -> bool {
     })
 }
 
-/// The exact shortest way, in cells, of those that are no longer than `most`.
+/// The exact shortest path in cells, among those of length at most `most`.
 fn shortest(window: &PlanningWindow, start: Place, goal: Place, most: f64) -> f64 {
     let free = (0..SIDE * SIDE).map(place).filter(|&it| window.free.has(it));
     let nodes = free.filter(|&it| between(start, it) + between(it, goal) <= most + 1e-9);
@@ -128,7 +130,7 @@ fn shortest(window: &PlanningWindow, start: Place, goal: Place, most: f64) -> f6
     }
 }
 
-/// Whether steps to the four neighbours lead from one cell to another.
+/// Whether steps between 4-neighbours connect two cells.
 fn is_reachable(window: &PlanningWindow, start: Place, goal: Place) -> bool {
     let mut found = Plane::EMPTY;
     let mut todo = vec![start];
@@ -166,7 +168,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn a_path_is_as_short_as_can_be_and_clear(
+    fn a_path_is_clear_and_within_3_percent_of_the_shortest(
         rooms in rooms(), radius in prop::sample::select(vec![0u16, 100, 180]),
         start in 0..4096usize, goal in 0..4096usize,
     ) {
@@ -192,7 +194,7 @@ proptest! {
     }
 
     #[test]
-    fn a_line_of_sight_is_what_the_geometry_says(
+    fn lines_of_sight_match_the_geometry(
         rooms in rooms(), start in 0..4096usize, goal in 0..4096usize,
     ) {
         let window = rooms.window(0);
@@ -223,7 +225,7 @@ proptest! {
         if is_free {
             prop_assert!(nearest >= f64::from(radius) - 1.0, "{nearest}");
         } else {
-            // It is not blocked for more than the diagonal of a cell beyond.
+            // The excess is at most the diagonal of a cell.
             prop_assert!(nearest <= f64::from(radius) + 1.42 * f64::from(CELL), "{nearest}");
         }
     }

@@ -1,10 +1,12 @@
-//! The shortest way across a window, from corner to corner of what stands in it, in 6.2 KiB.
+//! The shortest path across a window, from corner to corner of its obstacles, in 6.2 KiB.
 //!
-//! A shortest way bends only at the corners of obstacles, around them. So the search is A* over
-//! these corners and the two ends, with straight lines for steps: their lengths are exact in any
-//! direction, and the way needs no smoothing. Corners are found 64 cells at a time. That one corner
-//! sees another is first taken for granted, and looked at when the other is the most promising of
-//! all (as in Lazy Theta*: Nash, Koenig, Tovey 2010): most lines are never drawn.
+//! A shortest path bends only around corners of obstacles. So the search is A* over these corners
+//! and the two ends, joined by straight lines: lengths are exact in any direction, and the path
+//! needs no smoothing. Corners are found 64 cells at a time. Visibility between two corners is
+//! assumed at first and checked only when the second becomes the most promising one (Lazy Theta*:
+//! Nash, Koenig, Tovey 2010), so most lines are never traced.
+
+use core::fmt;
 
 use heapless::Vec;
 
@@ -15,68 +17,84 @@ use super::{
     root::root,
 };
 
-/// The most corners of a window.
-const MOST_NODES: usize = 384;
-/// The most clusters of frontier cells that are weighed.
-const MOST_FRONTIERS: usize = 16;
+/// Maximum number of corners in a window.
+const MAX_NODES: usize = 384;
+/// Maximum number of frontier clusters considered.
+const MAX_FRONTIERS: usize = 16;
 
-/// What it costs more to cross a cell where something movable may stand, in cells.
+/// Extra cost of a cell that a movable object may occupy, in cells.
 const DEAR: f32 = 2.0;
-/// What a frontier cell is worth in cells of way, and how many count at the most: 30 cells of way.
-const WORTH: f32 = 30.0 / MOST_WORTH as f32;
-const MOST_WORTH: u32 = 256;
+/// Value of a frontier cell in cells of path, and the maximum number counted: a frontier is worth
+/// at most 30 cells of path.
+const WORTH: f32 = 30.0 / MAX_WORTH as f32;
+const MAX_WORTH: u32 = 256;
 
-/// Where to.
+/// Where to plan to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// The frontier that is worth most: cells from where blind ground is near against the way.
+    /// The best frontier: number of its cells weighed against the distance.
     Frontier,
     /// A cell.
     Place(Place),
-    /// Columns and rows from the corner, outside the window, at most 1,000: out through the rim.
+    /// Column and row relative to the corner, outside the window, at most 1,000: out through the
+    /// rim.
     Beyond(i16, i16),
 }
 
-/// Why there is no way.
+/// Why there is no path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlanError {
-    /// The robot does not stand near any free ground.
+    /// There is no free ground near the robot.
     StartBlocked,
-    /// The goal is within a wall, too near to one, or on unknown ground.
+    /// The goal is inside an obstacle, too close to one, or on unknown ground.
     GoalBlocked,
-    /// Nothing leads there: a closed door.
+    /// No path leads there, for example because a door is closed.
     Unreachable,
-    /// No frontier can be reached: all is mapped.
+    /// No frontier can be reached: mapping is complete.
     NoFrontier,
     /// The window has more corners than there is memory for.
     Crowded,
 }
 
-/// How far a search is.
+impl fmt::Display for PlanError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::StartBlocked => f.write_str("there is no free ground near the robot"),
+            Self::GoalBlocked => f.write_str("the goal is blocked or on unknown ground"),
+            Self::Unreachable => f.write_str("no path leads to the goal"),
+            Self::NoFrontier => f.write_str("no unmapped ground can be reached"),
+            Self::Crowded => f.write_str("the surroundings have too many corners for the planner"),
+        }
+    }
+}
+
+impl core::error::Error for PlanError {}
+
+/// State of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
     /// More steps are needed.
     Searching,
-    /// This is the end of the way.
+    /// Found; the end of the path.
     Found(Place),
-    /// There is no way.
+    /// There is no path.
     Failed(PlanError),
 }
 
-/// Lines through a corner that have its obstacle on one side: those that fall from west to east,
-/// past what is in the north-east or south-west, and those that rise.
+/// The lines through a corner that leave its obstacle on one side: falling from west to east past
+/// an obstacle in the north-east or south-west, or rising.
 const FALLING: u8 = 1;
 const RISING: u8 = 2;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
-    /// Nobody is known from whom it may be reached.
+    /// No parent is known.
     New,
-    /// Somebody is who may see it.
+    /// A parent is assumed to see it.
     Promised,
-    /// Who of those that are done sees it is known.
+    /// Its best expanded parent in sight is known.
     Seen,
-    /// No shorter way leads there.
+    /// Expanded: its shortest path is known.
     Done,
 }
 
@@ -84,26 +102,26 @@ enum State {
 struct Node {
     x: i16,
     y: i16,
-    /// From which node it is reached.
+    /// The node from which it is reached.
     parent: u16,
-    /// The lines that its obstacle does not meet at once.
+    /// The directions of lines that pass its own obstacle.
     lines: u8,
     state: State,
-    /// From the start, and with what is left at least to the goal, in cells.
+    /// Path length from the start, and that plus a lower bound to the goal, in cells.
     way: f32,
     promise: f32,
 }
 
-/// A search that goes on from call to call.
+/// A search that can be continued from call to call.
 #[derive(Clone, Debug)]
 pub struct Planner {
     /// The start, the goals, the corners.
-    nodes: Vec<Node, MOST_NODES>,
-    /// How many goals there are, and what each one costs more than the way.
+    nodes: Vec<Node, MAX_NODES>,
+    /// Number of goals, and the extra cost of each.
     goals: usize,
-    prices: [f32; MOST_FRONTIERS],
+    prices: [f32; MAX_FRONTIERS],
     target: Target,
-    /// The goal that was reached, and where the way leaves the window if it is outside.
+    /// The goal reached, and where the path leaves the window if the goal is outside.
     found: u16,
     exit: Place,
 }
@@ -111,19 +129,19 @@ pub struct Planner {
 const _: () = assert!(size_of::<Planner>() + size_of::<PlanningWindow>() <= 8 * 1024);
 
 impl Planner {
-    /// A planner that has not begun: all zero bits.
+    /// An idle planner: all zero bits.
     pub const EMPTY: Self = Self {
         nodes: Vec::new(),
         goals: 0,
-        prices: [0.0; MOST_FRONTIERS],
+        prices: [0.0; MAX_FRONTIERS],
         target: Target::Frontier,
         found: 0,
         exit: Place { x: 0, y: 0 },
     };
 
-    /// Begins a search in a window that must stay as it is until the search ends. It floods the
-    /// free cells first, so a closed door is found here. A start among blocked cells is moved to
-    /// the nearest free one. Some 50,000 instructions, 1.5 KiB of stack.
+    /// Begins a search. The window must not change until the search ends. Floods the free cells
+    /// first, so it already detects a closed door. A start on a blocked cell is moved to the
+    /// nearest free one. About 50,000 instructions, 1.5 KiB of stack.
     ///
     /// # Errors
     /// [`PlanError`].
@@ -171,8 +189,8 @@ impl Planner {
         self.nodes.push(node).map_err(|_| PlanError::Crowded)
     }
 
-    /// Each cluster of the frontier that can be reached as a goal: the cell that is nearest to the
-    /// start. Large ones cost less.
+    /// Adds as a goal the cell of each reachable frontier cluster that is nearest to the start.
+    /// Larger clusters cost less.
     fn add_frontiers(
         &mut self,
         frontier: &Plane,
@@ -196,7 +214,7 @@ impl Planner {
                 u32::from(x) * u32::from(x) + u32::from(y) * u32::from(y)
             };
             let nearest = cluster.cells().min_by_key(square).unwrap_or(first);
-            *price = (MOST_WORTH - cluster.len().min(MOST_WORTH)) as f32 * WORTH;
+            *price = (MAX_WORTH - cluster.len().min(MAX_WORTH)) as f32 * WORTH;
             let (x, y, lines) = (nearest.x.into(), nearest.y.into(), FALLING | RISING);
             let (way, promise) = (f32::MAX, f32::MAX);
             let node = Node { x, y, parent: 0, lines, state: State::New, way, promise };
@@ -205,7 +223,7 @@ impl Planner {
         if self.nodes.len() > 1 { Ok(()) } else { Err(PlanError::NoFrontier) }
     }
 
-    /// The corners of what is not free, as far as they can be reached.
+    /// Adds the corners of all reachable obstacles.
     fn add_corners(&mut self, free: &Plane, reached: &Plane) -> Result<(), PlanError> {
         for y in 1..SIDE - 1 {
             let cells = reached.row(y);
@@ -214,7 +232,7 @@ impl Planner {
             }
             let (south, here, north) = (free.row(y - 1), free.row(y), free.row(y + 1));
             let (east, west) = (here >> 1, here << 1);
-            // A side and the next are free, and what is between them is not.
+            // Two adjacent sides are free and the diagonal cell between them is not.
             let falling = north & east & !(north >> 1) | south & west & !(south << 1);
             let rising = north & west & !(north << 1) | south & east & !(south >> 1);
             let mut corners = cells & (falling | rising);
@@ -229,13 +247,13 @@ impl Planner {
         Ok(())
     }
 
-    /// How many corners there are, and how many have been expanded.
+    /// Number of corners, and of those expanded.
     pub fn corners(&self) -> (usize, usize) {
         let done = self.nodes.iter().filter(|node| node.state == State::Done);
         (self.nodes.len(), done.count())
     }
 
-    /// Expands so many corners at the most, each for some 200 instructions for each corner.
+    /// Expands at most `most` corners. Each takes about 200 instructions per corner of the window.
     pub fn step(&mut self, window: &PlanningWindow, most: usize) -> Progress {
         for _ in 0..most {
             let Some(index) = self.next(window) else {
@@ -245,7 +263,7 @@ impl Planner {
                 });
             };
             let Some(node) = self.nodes.get_mut(index) else { break };
-            // None is more promising than who is not asked any more.
+            // Expanded nodes must never be the most promising.
             (node.state, node.promise) = (State::Done, f32::MAX);
             if (1..=self.goals).contains(&index) {
                 self.found = index as u16;
@@ -258,7 +276,7 @@ impl Planner {
         Progress::Searching
     }
 
-    /// The most promising node that is seen.
+    /// The most promising node that is visible from its parent.
     fn next(&mut self, window: &PlanningWindow) -> Option<usize> {
         loop {
             let (mut best, mut least) = (None, f32::MAX);
@@ -279,13 +297,13 @@ impl Planner {
         }
     }
 
-    /// A node with the best parent, of those that are done, that sees it.
+    /// The node with its best visible parent among the expanded nodes.
     #[inline(never)]
     fn settled(&mut self, index: usize, mut node: Node, window: &PlanningWindow) -> Node {
         let rest = node.promise - node.way;
         let is_goal = index <= self.goals;
         let (mut best, mut from) = (f32::MAX, 0);
-        // Who promised most is looked at first. If it sees the node at that price nobody is better.
+        // The assumed parent first: if it is visible at the assumed cost, none is better.
         let promised = node.parent;
         if let Some(parent) = self.nodes.get(usize::from(promised))
             && let Some((dear, exit)) = sight(parent, &node, is_goal, window)
@@ -315,7 +333,7 @@ impl Planner {
         node
     }
 
-    /// Promises the others a way by a node that is done.
+    /// Offers all other nodes a path through an expanded node.
     #[inline(never)]
     fn expand(&mut self, index: usize, from: Node, window: &PlanningWindow) {
         let Self { nodes, goals, prices, target, exit, .. } = self;
@@ -328,7 +346,7 @@ impl Planner {
             if way >= node.way {
                 continue;
             }
-            // Whom the others do not see, or by a longer way, is looked at now.
+            // A node whose current path is checked may only get a path that is checked, too.
             if node.state == State::Seen {
                 let Some((dear, left)) = sight(&from, node, other <= *goals, window) else {
                     continue;
@@ -352,19 +370,19 @@ impl Planner {
         }
     }
 
-    /// The way that has been found.
+    /// The path found.
     pub fn path(&self) -> Path {
         let parents = |index: &u16| {
             let node = self.nodes.get(usize::from(*index)).filter(|_| *index != 0)?;
             Some(node.parent)
         };
-        let back = || core::iter::successors(Some(self.found), parents).take(MOST_NODES);
+        let back = || core::iter::successors(Some(self.found), parents).take(MAX_NODES);
         let beyond = back().count().saturating_sub(MAX_POINTS);
         let mut places = Vec::new();
         for index in back().skip(beyond) {
             let node = self.nodes.get(usize::from(index));
             let place = node.and_then(|node| Place::new(node.x.into(), node.y.into()));
-            // No more than there is room for.
+            // Its length is bounded by the capacity.
             let _ = places.push(place.unwrap_or(self.exit));
         }
         places.reverse();
@@ -372,8 +390,8 @@ impl Planner {
     }
 }
 
-/// Whether a node sees another: what it costs more for what is dear in between, and where the line
-/// leaves the window towards a goal outside.
+/// Whether a node sees another: returns the extra cost of the cells in between, and the cell where
+/// the line leaves the window towards a goal outside.
 fn sight(
     from: &Node,
     to: &Node,
@@ -388,8 +406,8 @@ fn sight(
     }
 }
 
-/// Whether a shortest way may go straight from one corner to another: the line passes by the
-/// obstacle of each. Past that of one it may go by as little as it could miss it.
+/// Whether a shortest path may go straight from one corner to another: the line must pass the
+/// obstacle of each. A line that only touches an obstacle passes it.
 #[inline(always)]
 fn may_see(a: &Node, b: &Node) -> bool {
     let (x, y) = (i32::from(b.x - a.x), i32::from(b.y - a.y));
@@ -401,7 +419,7 @@ fn may_see(a: &Node, b: &Node) -> bool {
     (a.lines | b.lines) & lines != 0 && (3 * x < y || 3 * y < x)
 }
 
-/// From one node to another, in cells.
+/// Distance between two nodes, in cells.
 #[inline(always)]
 fn between(a: &Node, b: &Node) -> f32 {
     let (x, y) = (i32::from(a.x - b.x), i32::from(a.y - b.y));

@@ -1,19 +1,19 @@
-//! 64 x 64 cells, one bit each, a word for each row: what is done to one cell is done to a row.
+//! Bit planes of 64 x 64 cells, one word per row, so that each operation processes a whole row.
 
-/// Cells along a side of a window.
+/// Side of a window, in cells.
 pub const SIDE: usize = 64;
 
-/// A cell of a window, from its south-western corner.
+/// A cell of a window, relative to its south-western corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Place {
-    /// To the east, below [`SIDE`].
+    /// Column, towards the east, below [`SIDE`].
     pub x: u8,
-    /// To the north, below [`SIDE`].
+    /// Row, towards the north, below [`SIDE`].
     pub y: u8,
 }
 
 impl Place {
-    /// The cell so many columns and rows from the corner, if that is within the window.
+    /// The cell in column `x` and row `y`, or `None` outside the window.
     pub fn new(x: i32, y: i32) -> Option<Self> {
         let along = |it: i32| u8::try_from(it).ok().filter(|&it| usize::from(it) < SIDE);
         Some(Self { x: along(x)?, y: along(y)? })
@@ -25,14 +25,14 @@ impl Place {
     }
 }
 
-/// One bit for each cell of a window (512 bytes): bit `x` of row `y`.
+/// A set of cells of a window (512 bytes): bit `x` of row `y`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plane([u64; SIDE]);
 
 impl Plane {
-    /// No cell.
+    /// The empty set.
     pub const EMPTY: Self = Self([0; SIDE]);
-    /// All but the outermost cells.
+    /// All but the outermost cells of a row.
     pub(super) const INNER: u64 = u64::MAX >> 2 << 1;
 
     /// Row `y`, modulo 64.
@@ -47,7 +47,7 @@ impl Plane {
         &mut self.0[y % SIDE]
     }
 
-    /// Whether a cell is in it.
+    /// Whether it contains a cell.
     #[inline(always)]
     pub fn has(&self, place: Place) -> bool {
         half(self.row(place.y.into()), place.x) >> (place.x % 32) & 1 != 0
@@ -58,17 +58,17 @@ impl Plane {
         *self.row_mut(place.y.into()) |= bit(place.x);
     }
 
-    /// Whether no cell is in it.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(|&row| row == 0)
     }
 
-    /// How many cells are in it.
+    /// Number of cells.
     pub fn len(&self) -> u32 {
         self.0.iter().map(|row| row.count_ones()).sum()
     }
 
-    /// The cells that are in it, from the south-west.
+    /// Its cells, row by row from the south-west.
     pub fn cells(&self) -> impl Iterator<Item = Place> {
         let rows = self.0.iter().zip(0u8..);
         rows.flat_map(|(&row, y)| {
@@ -78,7 +78,7 @@ impl Plane {
         })
     }
 
-    /// The cells of `within` that hang together with these by their sides.
+    /// Extends it to all cells of `within` connected to it by their sides.
     pub(super) fn flood(&mut self, within: &Plane) {
         for (row, &mask) in self.0.iter_mut().zip(&within.0) {
             *row = filled(*row & mask, mask);
@@ -99,7 +99,7 @@ impl Plane {
         }
     }
 
-    /// One step outwards within `within`: over sides, or over corners too.
+    /// Grows it by one step within `within`: over sides, or over corners too.
     pub(super) fn grow(&mut self, within: &Plane, corners: bool) {
         let mut below = 0;
         for y in 0..SIDE {
@@ -124,7 +124,8 @@ fn bit(x: u8) -> u64 {
     if x & 32 == 0 { bit } else { bit << 32 }
 }
 
-/// Adds to a row what its neighbour row and itself reach within `mask`. Whether that was anything.
+/// Adds the cells of `mask` reachable from a row and its neighbour row. Returns whether any were
+/// new.
 #[inline(always)]
 fn spread(row: &mut u64, neighbour: u64, mask: u64) -> bool {
     let seeds = (*row | neighbour) & mask;
@@ -135,10 +136,10 @@ fn spread(row: &mut u64, neighbour: u64, mask: u64) -> bool {
     true
 }
 
-/// The stretches of a mask that have a seed.
+/// The runs of set bits of a mask that contain a seed.
 #[inline(always)]
 fn filled(seeds: u64, mask: u64) -> u64 {
-    // A carry runs up each stretch from its first seed.
+    // A carry propagates through each run from its first seed.
     let up = |seeds: u64, mask: u64| mask & (mask ^ mask.wrapping_add(seeds)) | seeds;
     up(seeds, mask) | up(seeds.reverse_bits(), mask.reverse_bits()).reverse_bits()
 }
@@ -150,7 +151,7 @@ mod tests {
     use std::vec::Vec;
 
     fn plane() -> impl Strategy<Value = Plane> {
-        // Two of three cells are in.
+        // Three of eight cells are set.
         prop::collection::vec((any::<u64>(), any::<u64>(), any::<u64>()), SIDE)
             .prop_map(|rows| Plane(core::array::from_fn(|y| rows[y].0 | rows[y].1 & rows[y].2)))
     }
@@ -158,13 +159,13 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn a_flood_fills_what_hangs_together(within in plane(), x in 0i32..64, y in 0i32..64) {
+        fn a_flood_fills_the_connected_cells(within in plane(), x in 0i32..64, y in 0i32..64) {
             let start = Place::new(x, y).unwrap();
             prop_assume!(within.has(start));
             let mut flooded = Plane::EMPTY;
             flooded.insert(start);
             flooded.flood(&within);
-            // Cell by cell.
+            // Reference: cell by cell.
             let mut found = Plane::EMPTY;
             let mut todo = Vec::from([start]);
             found.insert(start);
@@ -182,7 +183,7 @@ mod tests {
         }
 
         #[test]
-        fn the_cells_of_a_plane_are_those_that_it_has(plane in plane()) {
+        fn cells_lists_the_cells_that_has_reports(plane in plane()) {
             let cells = plane.cells().collect::<Vec<_>>();
             prop_assert_eq!(cells.len() as u32, plane.len());
             prop_assert!(cells.iter().all(|&place| plane.has(place)));

@@ -1,5 +1,5 @@
-//! The ground around the robot as planes of cells: where its centre may be, what is costly to cross,
-//! and where unmapped blind ground begins.
+//! The ground around the robot as bit planes: where its centre may be, which cells are costly, and
+//! where unmapped blind ground begins.
 
 use ubimap_protocol::{
     message::Waypoint,
@@ -14,40 +14,40 @@ use super::{
 };
 use crate::trigonometry::{radians, sin_cos};
 
-/// The coarsest window: cells of four by four of the map's, 256 along a side.
+/// The coarsest level: each cell covers 4 x 4 map cells, the window 256 x 256.
 pub const MAX_LEVEL: u32 = 2;
 
-/// 32 cells of a row of the map: a row of a tile.
+/// 32 cells of a map row: a row of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GroundRow {
-    /// What is known of them.
+    /// Their states.
     pub cells: Row,
-    /// Those that the cameras see.
+    /// The cells covered by cameras.
     pub covered: u32,
 }
 
-/// Something round that is not on the map, or moves.
+/// A round object that is not on the map, or moves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mover {
-    /// Its middle, in `map`.
+    /// Its centre, in `map`.
     pub x: Millimetres,
-    /// Its middle, in `map`.
+    /// Its centre, in `map`.
     pub y: Millimetres,
-    /// Along `map`'s x, in millimetres a second.
+    /// Along `map`'s x, in mm/s.
     pub velocity_x: i16,
-    /// Along `map`'s y, in millimetres a second.
+    /// Along `map`'s y, in mm/s.
     pub velocity_y: i16,
-    /// In millimetres.
+    /// Radius, in millimetres.
     pub radius: u16,
-    /// Whether it is a person, who is waited for.
+    /// Whether it is a person: the robot waits for people.
     pub is_person: bool,
 }
 
 impl Mover {
-    /// Slower than this it stands, in millimetres a second.
+    /// Below this speed it counts as standing, in mm/s.
     const STANDS: u16 = 100;
 
-    /// Whether it stands.
+    /// Whether it stands still.
     pub fn stands(&self) -> bool {
         self.velocity_x.unsigned_abs() < Self::STANDS
             && self.velocity_y.unsigned_abs() < Self::STANDS
@@ -57,59 +57,61 @@ impl Mover {
 /// What a straight line crosses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Line {
-    /// Free cells, so many of which are dear.
+    /// Only free cells.
     Clear {
-        /// How many.
+        /// Number of costly cells among them.
         dear: u32,
     },
-    /// Something else.
+    /// A cell that is not free.
     Blocked,
-    /// Free cells as far as the rim of the window, which this is the last one before.
+    /// Only free cells up to the rim of the window; this is the last one.
     Leaves(Place),
 }
 
-/// Blind ground that could not be seen from where it should have been: it is passed over.
+/// Blind ground that could not be seen from where it was expected to be visible: ignored when
+/// exploring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GivenUp {
-    /// From where, in `map`.
+    /// The place from which it could not be seen, in `map`.
     pub at: Waypoint,
-    /// How far about it, in millimetres.
+    /// Radius around it, in millimetres.
     pub reach: u16,
 }
 
 /// The inputs of [`PlanningWindow::fill`].
 #[derive(Clone, Copy, Debug)]
 pub struct WindowInputs<'v> {
-    /// `base_link` in `map`: the window lies about it.
+    /// `base_link` in `map`: the centre of the window.
     pub pose: Pose,
-    /// The side of the map's cells.
+    /// The side of a map cell.
     pub resolution: Millimetres,
-    /// The window's cells are 2 to the power of this times as wide, [`MAX_LEVEL`] at the most.
+    /// The window's cells are 2^`level` times as wide as the map's; at most [`MAX_LEVEL`].
     pub level: u32,
-    /// The circle that the robot needs, in millimetres.
+    /// Radius of the circle that must be free for the robot, in millimetres.
     pub radius: u16,
-    /// What its own sensor sees: occupied, map or no map.
+    /// Points seen by its own sensor: occupied, whatever the map says.
     pub near: &'v NearPoints,
-    /// What the cameras see. What stands is occupied; what moves is not.
+    /// Objects seen by the cameras: occupied if they stand, free if they move.
     pub movers: &'v [Mover],
-    /// Where blind ground has turned out to be out of sight.
+    /// Blind ground that has been given up.
     pub given_up: &'v [GivenUp],
-    /// Whether ground that the cameras see is worth exploring, too.
+    /// Whether to explore ground covered by cameras, too.
     pub explore_covered: bool,
 }
 
-/// 64 x 64 cells about the robot (1.5 KiB). The outermost are never entered.
+/// 64 x 64 cells around the robot (1.5 KiB). The outermost are never free.
 #[derive(Clone, Debug)]
 pub struct PlanningWindow {
-    /// Where the robot's middle may be: known, and at level 0 every point of such a cell is further
-    /// from everything occupied than its radius. In coarser windows, whose walls are as thick as
-    /// their cells, this holds for the middle: they are for finding a way, not for driving it.
+    /// Where the robot's centre may be: known cells. At level 0 every point of such a cell is
+    /// farther than the radius from everything occupied. In coarser windows, whose walls are as
+    /// thick as their cells, this holds for the cell's centre only: they are for planning, not for
+    /// driving.
     pub free: Plane,
-    /// Of those, where something movable stood when it was last seen.
+    /// The subset where a movable object stood when it was last seen.
     pub dear: Plane,
-    /// Whether there is any.
+    /// Whether `dear` contains any cell.
     pub(super) has_dear: bool,
-    /// Of those, from where unmapped blind ground is near.
+    /// The subset near unmapped blind ground.
     pub frontier: Plane,
     /// The south-western corner in `map`, in millimetres.
     corner: (i32, i32),
@@ -118,7 +120,7 @@ pub struct PlanningWindow {
 }
 
 impl PlanningWindow {
-    /// A window that has not looked at any map: all zero bits.
+    /// A window that has not been filled: all zero bits.
     pub const EMPTY: Self = Self {
         free: Plane::EMPTY,
         dear: Plane::EMPTY,
@@ -128,8 +130,8 @@ impl PlanningWindow {
         cell: 0,
     };
 
-    /// Looks at the map. `ground` gives, for a column of tiles and a row of cells of the map, 32
-    /// cells. Takes 1 KiB of stack.
+    /// Reads the map. `ground` returns 32 map cells for a column of tiles and a row of cells. Takes
+    /// 1 KiB of stack.
     pub fn fill(&mut self, view: &WindowInputs<'_>, ground: impl Fn(i32, i32) -> GroundRow) {
         let level = view.level.min(MAX_LEVEL);
         let resolution = view.resolution.0.max(1);
@@ -192,7 +194,7 @@ impl PlanningWindow {
         }
     }
 
-    /// Where the robot stands nothing else does.
+    /// Clears the cells under the robot.
     fn clear_under(&mut self, view: &WindowInputs<'_>, occupied: &mut Plane) {
         let Pose { x, y, .. } = view.pose;
         disc(self.relative(x, y), view.radius.into(), self.cell, |y, cells| {
@@ -203,8 +205,8 @@ impl PlanningWindow {
         });
     }
 
-    /// From the blind cells to those from where they are near, which takes in how far the robot
-    /// must stay away from a wall. It goes round walls, not through them.
+    /// Replaces the blind cells by the free ones near them, allowing for the distance that the
+    /// robot keeps from walls. Spreads around walls, not through them.
     fn bound_frontier(&mut self, view: &WindowInputs<'_>, occupied: &Plane) {
         let mut open = self.free;
         for y in 0..SIDE {
@@ -221,10 +223,10 @@ impl PlanningWindow {
         }
     }
 
-    /// Keeps the robot's middle so far from everything occupied that it has room.
+    /// Removes from `free` the cells too close to anything occupied.
     fn inflate(&mut self, radius: u16, level: u32, occupied: &Plane) {
         let mut near = Plane::EMPTY;
-        // A finer window will know better than a coarse one, whose walls are thick already.
+        // Coarse windows need no margin: a finer one decides, and their walls are thick already.
         let diagonal = if level == 0 { (i64::from(self.cell) * 1_448) >> 10 } else { 0 };
         let reach = 2 * i64::from(radius) + diagonal;
         inflate(occupied, reach, self.cell, &mut near);
@@ -245,24 +247,24 @@ impl PlanningWindow {
         self.has_dear = !self.dear.is_empty();
     }
 
-    /// From the south-western corner, in millimetres.
+    /// Relative to the south-western corner, in millimetres.
     fn relative(&self, x: Millimetres, y: Millimetres) -> (f32, f32) {
         (x.0.saturating_sub(self.corner.0) as f32, y.0.saturating_sub(self.corner.1) as f32)
     }
 
-    /// The cell of a point in `map`, counted from the corner; the point may be outside.
+    /// Column and row of a point in `map`, relative to the corner; the point may be outside.
     pub fn column_and_row(&self, point: Waypoint) -> (i32, i32) {
         let along = |it: i32, corner: i32| it.saturating_sub(corner).div_euclid(self.cell.max(1));
         (along(point.x.0, self.corner.0), along(point.y.0, self.corner.1))
     }
 
-    /// The cell of a point in `map`, if it is within the window.
+    /// The cell of a point in `map`, or `None` outside the window.
     pub fn place(&self, point: Waypoint) -> Option<Place> {
         let (x, y) = self.column_and_row(point);
         Place::new(x, y)
     }
 
-    /// From forward and left of a robot to the cell there.
+    /// Maps a point in `base_link` (forward, left) to its cell.
     pub(super) fn of_robot(&self, pose: Pose) -> impl Fn(f32, f32) -> Option<Place> + use<> {
         let cells = 1.0 / self.cell.max(1) as f32;
         let (sin, cos) = sin_cos(radians(pose.heading));
@@ -272,12 +274,12 @@ impl PlanningWindow {
         move |forward, left| {
             let x = from_x + forward * cos - left * sin;
             let y = from_y + forward * sin + left * cos;
-            // What is just outside lands on the rim, which is never free.
+            // Points just outside land on the rim, which is never free.
             Place::new(x as i32, y as i32)
         }
     }
 
-    /// The middle of a cell in `map`.
+    /// The centre of a cell, in `map`.
     pub fn middle(&self, place: Place) -> Waypoint {
         let along = |corner: i32, at: u8| {
             Millimetres(corner.saturating_add(i32::from(at) * self.cell + self.cell / 2))
@@ -285,14 +287,14 @@ impl PlanningWindow {
         Waypoint { x: along(self.corner.0, place.x), y: along(self.corner.1, place.y) }
     }
 
-    /// The side of a cell in millimetres.
+    /// The side of a cell, in millimetres.
     pub fn cell(&self) -> i32 {
         self.cell
     }
 
-    /// The free cell that is nearest to one within a few cells, itself if it is free.
+    /// The nearest free cell within a few cells of `to`, `to` itself if it is free.
     pub(super) fn nearest_free(&self, to: Place) -> Option<Place> {
-        /// Further away than the pose and the map err.
+        /// More than the errors of the pose and the map.
         const REACH: i32 = 6;
         let (x, y) = to.column_and_row();
         let about = (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dx, dy)));
@@ -303,17 +305,18 @@ impl PlanningWindow {
         free.min_by_key(|&(square, _)| square).map(|(_, place)| place)
     }
 
-    /// Whether the straight line between two cells' middles touches free cells only. About 20 instructions a cell.
+    /// Whether the straight line between two cell centres touches only free cells. About 20
+    /// instructions per cell.
     pub fn sees(&self, from: Place, to: Place) -> bool {
         matches!(self.line(from, to.column_and_row()), Line::Clear { .. })
     }
 
-    /// What the straight line from a cell, itself not counted, to another crosses; the other may
-    /// be outside.
+    /// What the straight line from one cell to another crosses, without the first cell; the other
+    /// may be outside.
     #[inline(never)]
     pub(super) fn line(&self, from: Place, to: (i32, i32)) -> Line {
         let (across, up) = (to.0 - i32::from(from.x), to.1 - i32::from(from.y));
-        // Most lines that are blocked are so at one of three points.
+        // Most blocked lines are blocked at one of these three points.
         if Place::new(to.0, to.1).is_some() {
             for quarters in [2, 1, 3] {
                 let along = |from: u8, way| (i32::from(from) + ((quarters * way + 2) >> 2)) as u8;
@@ -328,8 +331,8 @@ impl PlanningWindow {
         let mut cell = 1u64 << (from.x % 64);
         let mut y = i32::from(from.y);
         let mut row = self.free.row(from.y.into());
-        // Twice the ways to the next sides, each times the other's length: how much further the
-        // next column is.
+        // Twice the distances to the next sides, each multiplied by the other axis's length: the
+        // difference tells which side comes first.
         let mut ahead = up - across;
         let mut left = across + up;
         let mut dear = 0;
@@ -346,12 +349,12 @@ impl PlanningWindow {
                 ahead -= 2 * across;
                 left -= 1;
             }
-            // Through a corner between four: the two beside it, too.
+            // Through a corner: the two cells beside it must be free, too.
             let beside = side == 0 && {
                 let last = if east { cell >> 1 } else { cell << 1 };
                 row & last == 0 || self.free.row((y - step_y) as usize) & cell == 0
             };
-            // The rim is never free: a line that leaves ends there.
+            // The rim is never free: a line that leaves the window ends there.
             if row & cell == 0 || beside {
                 let x = cell.trailing_zeros() as i32;
                 let rim = |it: i32| it == 0 || it == SIDE as i32 - 1;
@@ -370,8 +373,8 @@ impl PlanningWindow {
         Line::Clear { dear }
     }
 
-    /// Whether a straight line between two points of `map` crosses free cells only. What is
-    /// outside the window is not known to be otherwise.
+    /// Whether the straight line between two points of `map` crosses only free cells. Cells outside
+    /// the window count as free.
     pub fn is_clear(&self, from: Waypoint, to: Waypoint) -> bool {
         match (self.place(from), self.place(to)) {
             (Some(from), Some(to)) => self.sees(from, to),
@@ -381,19 +384,20 @@ impl PlanningWindow {
     }
 }
 
-/// How far about a cell of the frontier the ground is given up if it can't be seen from there, in
+/// Radius of the ground to give up around a frontier cell from which it can't be seen, in
 /// millimetres.
 pub(super) fn frontier_reach(radius: u16, cell: i32) -> u16 {
     let cells = frontier_steps(radius, cell) + 2;
     u16::try_from(cells.saturating_mul(cell)).unwrap_or(u16::MAX)
 }
 
-/// From how many cells away a frontier is near: the robot can be there, whatever wall is beside it.
+/// Distance in cells within which a frontier is near: the robot can get there, whatever wall is
+/// beside it.
 fn frontier_steps(radius: u16, cell: i32) -> i32 {
     (i32::from(radius) / cell.max(1) + 2).min(SIDE as i32)
 }
 
-/// 32 bits with each 2 or 4 neighbours made one.
+/// 32 bits with each group of 2 or 4 neighbours merged into one.
 fn squeezed(mut cells: u32, level: u32) -> u32 {
     for _ in 0..level {
         cells = (cells | cells >> 1) & 0x5555_5555;
@@ -405,14 +409,14 @@ fn squeezed(mut cells: u32, level: u32) -> u32 {
     cells
 }
 
-/// Cells that begin so many columns from the west, those that are within the window.
+/// `cells` shifted to begin at column `east`; those outside the window are dropped.
 fn shifted(cells: u32, east: i32) -> u64 {
     let cells = u64::from(cells);
     let by = east.unsigned_abs();
     if east < 0 { cells.checked_shr(by) } else { cells.checked_shl(by) }.unwrap_or(0)
 }
 
-/// Gives the rows of a disc: the cells whose middles are in it.
+/// Calls `take` for each row of a disc with the cells whose centres are inside.
 fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, u64)) {
     let radius = radius as f32 / cell as f32;
     let (x, y) = (x / cell as f32 - 0.5, y / cell as f32 - 0.5);
@@ -431,17 +435,17 @@ fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, 
     }
 }
 
-/// The most cells that an obstacle can grow.
-const MOST: usize = 24;
+/// Maximum inflation of an obstacle, in cells.
+const MAX_INFLATION: usize = 24;
 
-/// Adds to `near` the cells whose middle is nearer to an occupied cell than half of `reach`.
+/// Adds to `near` the cells whose centre is closer to an occupied cell than half of `reach`.
 fn inflate(occupied: &Plane, reach: i64, cell: i32, near: &mut Plane) {
-    // All lengths doubled.
+    // All lengths are doubled.
     let gap = |cells: usize| (2 * cells as i64 - 1).max(0) * i64::from(cell);
-    // How far a cell reaches along the rows at so many rows from its own.
-    let widths: [u8; MOST + 1] = core::array::from_fn(|aside| {
+    // For each distance in rows: how far an occupied cell reaches along the row.
+    let widths: [u8; MAX_INFLATION + 1] = core::array::from_fn(|aside| {
         let within = |along: &usize| gap(*along).pow(2) + gap(aside).pow(2) < reach.pow(2);
-        if within(&0) { 1 + (1..=MOST).take_while(within).count() as u8 } else { 0 }
+        if within(&0) { 1 + (1..=MAX_INFLATION).take_while(within).count() as u8 } else { 0 }
     });
     for y in 0..SIDE {
         let mut cells = occupied.row(y);

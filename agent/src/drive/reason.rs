@@ -1,45 +1,45 @@
-//! Why the robot drives, or stands.
+//! Why the robot drives or stands.
 
 use ubimap_protocol::message::EventCode;
 
 use super::plan::PlanError;
 
-/// Why it does what it does. The driver tells each change once.
+/// Why the robot does what it does. The driver reports each change once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reason {
-    /// It has nothing to do.
+    /// No task.
     #[default]
     NoTask,
-    /// It is on its way.
+    /// Driving.
     Driving,
-    /// It is where it was to go.
+    /// At the goal.
     Arrived,
-    /// All ground that it can reach is mapped.
+    /// All reachable ground is mapped.
     Explored,
-    /// There is no way.
+    /// There is no path.
     NoWay(PlanError),
-    /// Something stands in the way.
+    /// An obstacle is in the way.
     Blocked,
-    /// A person is waited for.
+    /// Waiting for a person.
     Person,
-    /// The server wants it to stand.
+    /// The server has commanded a stop.
     Stopped,
-    /// Nothing has been heard for too long.
+    /// The server has been silent for too long.
     LinkLost,
-    /// It does not know where it is.
+    /// The pose is unknown or too uncertain.
     PoseLost,
-    /// It sees nothing.
+    /// There is no recent scan.
     SensorLost,
-    /// It is outside the map.
+    /// Outside the map or its fence.
     OutsideMap,
-    /// The wheels do not do what they should.
+    /// The wheels do not turn as commanded.
     WheelsStuck,
-    /// The wheels turn, and the robot does not go where they say.
+    /// The wheels turn, but the robot does not move accordingly.
     WheelsSlip,
 }
 
 impl Reason {
-    /// The event that tells the server, if it needs one.
+    /// The event that reports it to the server, if there is one.
     pub fn event_code(self) -> Option<EventCode> {
         Some(match self {
             Self::NoTask | Self::Driving | Self::Stopped | Self::LinkLost => return None,

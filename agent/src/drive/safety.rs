@@ -1,4 +1,4 @@
-//! When the robot must stand, whatever its path says.
+//! When the robot must stop, whatever its path.
 
 use ubimap_protocol::{
     message::Waypoint,
@@ -9,23 +9,23 @@ use ubimap_protocol::{
 use super::{follow::DriveCommand, reason::Reason, root::root};
 use crate::timing::{SCAN_STALE, SERVER_SILENT, WHEELS_RETRY};
 
-/// What is taken for amiss.
+/// The limits of the safety checks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SafetyLimits {
-    /// The longest silence of the server; `None` for a robot that may be alone.
+    /// Maximum silence of the server; `None` for a robot that may drive without one.
     pub silence: Option<Duration>,
-    /// The oldest scan to drive by.
+    /// Maximum age of the scan to drive by.
     pub scan_age: Duration,
-    /// The standard deviation of the position from which on the pose is lost, in millimetres.
+    /// Standard deviation of the position at which the pose counts as lost, in millimetres.
     pub most_unsure: f32,
-    /// The ground that it may not leave: its south-western and its north-eastern corner.
+    /// The area that it may not leave: south-western and north-eastern corner.
     pub fence: Option<[Waypoint; 2]>,
-    /// How long it stands before it tries whether the wheels work again.
+    /// How long it stands before it tries the wheels again.
     pub retry: Duration,
 }
 
 impl Default for SafetyLimits {
-    /// Two seconds of silence, a scan of 0.5 s, 15 cm.
+    /// 2 s of silence, a scan age of 0.5 s, a standard deviation of 15 cm.
     fn default() -> Self {
         Self {
             silence: Some(SERVER_SILENT),
@@ -37,14 +37,14 @@ impl Default for SafetyLimits {
     }
 }
 
-/// What is known at a moment.
+/// The inputs of a check.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Health {
-    /// The moment.
+    /// The time of the check.
     pub now: Instant,
-    /// When the server was last heard.
+    /// When the last message from the server arrived.
     pub heard: Option<Instant>,
-    /// Whether it wants the robot to stand.
+    /// Whether the server has commanded a stop.
     pub must_stop: bool,
     /// `base_link` in `map`, and the standard deviation of the position in millimetres.
     pub pose: Option<(Pose, f32)>,
@@ -54,18 +54,18 @@ pub struct Health {
     pub scan: Option<Instant>,
 }
 
-/// Over what time the wheels are compared with their commands and with the pose.
+/// Interval over which the wheels are compared with their commands and with the pose.
 const SPAN: Duration = Duration::from_secs(1);
-/// Tries after which wheels that do not work are let be.
+/// Retries before faulty wheels are given up.
 const TRIES: u8 = 3;
 
-/// Watches.
+/// Checks that the robot may drive.
 #[derive(Clone, Debug)]
 pub struct Safety {
     limits: SafetyLimits,
     watch: Option<Watch>,
-    /// What is wrong with the wheels, since when, and how often it was in a row; and whether it is
-    /// tried if they work again.
+    /// The fault of the wheels and since when; the number of retries in a row; whether a retry is
+    /// in progress.
     fault: Option<(Reason, Instant)>,
     tries: u8,
     is_trying: bool,
@@ -76,14 +76,14 @@ pub struct Safety {
 struct Watch {
     since: Instant,
     last: Instant,
-    /// `base_link` in `map` and in `odom` then.
+    /// `base_link` in `map` and in `odom` at `since`.
     pose: Pose,
     odometry: Pose,
-    /// How unsure `pose` was, in millimetres.
+    /// Standard deviation of `pose`, in millimetres.
     unsure: f32,
-    /// And `odometry` at the last look.
+    /// `odometry` at the last check.
     seen: Pose,
-    /// Millimetres and radians.
+    /// Sums of distance and angle, in millimetres and radians.
     commanded: (f32, f32),
     measured: (f32, f32),
 }
@@ -94,17 +94,17 @@ impl Safety {
         Self { limits, watch: None, fault: None, tries: 0, is_trying: false }
     }
 
-    /// Wheels that were let be are tried again.
+    /// Allows wheels that were given up to be tried again.
     pub fn forgive(&mut self) {
         (self.fault, self.tries, self.is_trying) = (None, 0, false);
     }
 
-    /// What was wrong with the wheels, while it is tried if they work again.
+    /// The fault of the wheels while a retry is in progress.
     pub fn doubt(&self) -> Option<Reason> {
         self.fault.filter(|_| self.is_trying).map(|(reason, _)| reason)
     }
 
-    /// Why the robot must stand, if it must. `command` is what it has done since the last look.
+    /// Why the robot must stop, if it must. `command` is the command executed since the last check.
     pub fn check(&mut self, health: &Health, command: DriveCommand) -> Option<Reason> {
         let limits = &self.limits;
         let now = health.now;
@@ -146,7 +146,7 @@ impl Safety {
         })
     }
 
-    /// Whether the wheels do what they were told, and the robot what the wheels say.
+    /// Whether the wheels turn as commanded, and the robot moves as the wheels turn.
     fn watch(
         &mut self,
         now: Instant,
@@ -177,13 +177,13 @@ impl Safety {
         }
         self.watch = None;
         let (commanded, measured) = (watch.commanded, watch.measured);
-        // A third of what was told, of what is enough to tell.
+        // Less than a third of the command, if enough was commanded to judge.
         let stuck = |commanded: f32, measured: f32, enough: f32| {
             commanded > enough && measured < commanded / 3.0
         };
         let by_map = way(watch.pose, pose);
         let by_wheels = way(watch.odometry, odometry);
-        // More than the pose may be corrected by meanwhile.
+        // More than the pose may have been corrected meanwhile.
         let corrected = 100.0 + 2.0 * watch.unsure;
         let slips = (by_map - by_wheels).abs() > corrected + 0.3 * by_map.min(by_wheels);
         if stuck(commanded.0, measured.0, 100.0) || stuck(commanded.1, measured.1, 0.4) {
@@ -199,7 +199,7 @@ impl Safety {
     }
 }
 
-/// From one pose to another, in millimetres.
+/// Distance between two poses, in millimetres.
 fn way(from: Pose, to: Pose) -> f32 {
     let (x, y) = ((to.x - from.x).0 as f32, (to.y - from.y).0 as f32);
     root(x * x + y * y)
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn each_thing_amiss_has_its_reason_and_its_limit() {
+    fn each_fault_has_its_reason_and_its_limit() {
         let corner = |metres| {
             let at = Millimetres::from_metres(metres);
             Waypoint { x: at, y: at }
@@ -265,8 +265,8 @@ mod tests {
         assert_eq!(Safety::new(alone).check(&silent, DriveCommand::STAND), None);
     }
 
-    /// The reasons of some seconds at 20 Hz, a line for each change: `by_map` and `by_wheels` give
-    /// millimetres and binary angle units for each millimetre and milliradian commanded.
+    /// The reasons over some seconds at 20 Hz, one entry per change. `by_map` and `by_wheels` are
+    /// the measured motion per commanded motion.
     fn driven(command: DriveCommand, by_map: f32, by_wheels: f32) -> std::vec::Vec<Option<Reason>> {
         let mut safety = Safety::new(SafetyLimits::default());
         let (mut way, mut turned) = (0.0, 0.0);
@@ -297,7 +297,7 @@ mod tests {
         let round = DriveCommand { speed: 0, turn: 1_000 };
         for command in [ahead, round, DriveCommand::STAND] {
             assert_eq!(driven(command, 1.0, 1.0), [None]);
-            assert_eq!(driven(command, 0.9, 1.1), [None], "an error of odometry is none of wheels");
+            assert_eq!(driven(command, 0.9, 1.1), [None], "an odometry error is no wheel fault");
         }
         for (command, by_map, by_wheels, fault) in [
             (ahead, 0.0, 0.0, Reason::WheelsStuck),

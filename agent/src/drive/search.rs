@@ -1,8 +1,9 @@
-//! From a goal, or none, to a route: over windows of the map from the finest to the coarsest.
+//! From a goal, or none, to a route: through windows of the map, from the finest to the coarsest.
 //!
-//! A goal is looked for in the finest window that holds it, then in coarser ones. What a coarse
-//! window finds is looked at once more in the finest, as far as that reaches: only such a route is
-//! driven. A goal that no window has a way to is approached through the rims of the finer ones.
+//! A goal is searched for in the finest window that contains it, then in coarser ones. The result
+//! of a coarse window is planned again in the finest one, within its area: only such a route is
+//! driven. A goal that can't be reached within any window is approached through the rims of the
+//! finer ones.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -19,32 +20,32 @@ use super::{
     },
 };
 
-/// The points of a way.
+/// The points of a route.
 pub(super) type Route = Vec<Waypoint, MAX_POINTS>;
 
-/// A goal without the room that the robot needs is approached within so many cells: less than from
-/// a wall to where the robot has room.
+/// A goal that is too close to an obstacle is approached to within this number of cells: less than
+/// the distance from a wall to the first free cell.
 const BESIDE: u8 = 3;
 
-/// The most places from which blind ground is given up.
-const MOST_GIVEN_UP: usize = 48;
+/// Maximum number of places where blind ground is given up.
+const MAX_GIVEN_UP: usize = 48;
 
 /// Where a route leads.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum End {
     /// To the goal.
     Goal,
-    /// To a frontier, at this point of a window of this level.
+    /// To a frontier: its point, and the level of its window.
     Frontier(Waypoint, u32),
-    /// On the way: from there on another one must be looked for.
+    /// To an intermediate point: from there another route is needed.
     OnTheWay,
 }
 
-/// How a search stands.
+/// State of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Outcome {
     Searching,
-    /// [`Search::route`] has the way.
+    /// [`Search::route`] has the route.
     Found(End),
     Failed(PlanError),
 }
@@ -52,15 +53,15 @@ pub(super) enum Outcome {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Attempt {
     level: u32,
-    /// The finest level whose window holds the goal.
+    /// The finest level whose window contains the goal.
     finest: u32,
-    /// Through the rim of a window that does not hold the goal.
+    /// Whether to leave through the rim of a window that does not contain the goal.
     beyond: bool,
-    /// What a coarse window has found: a point on the way there in the finest, and the end.
+    /// The result of a coarse window: an intermediate point in the finest one, and the end.
     via: Option<(Waypoint, End)>,
 }
 
-/// What a search works in: a window of the map and the plan across it, 7.6 KiB.
+/// Working memory of a search: a window of the map and the planner, 7.6 KiB.
 #[derive(Debug)]
 pub struct Workspace {
     window: PlanningWindow,
@@ -68,19 +69,19 @@ pub struct Workspace {
 }
 
 impl Workspace {
-    /// A workspace that nobody has used: all zero bits.
+    /// Unused memory: all zero bits.
     pub const EMPTY: Self = Self { window: PlanningWindow::EMPTY, planner: Planner::EMPTY };
 }
 
-/// Looks for routes.
+/// Searches for routes.
 #[derive(Debug)]
 pub(super) struct Search<'b> {
     workspace: &'b mut Workspace,
-    given_up: Vec<GivenUp, MOST_GIVEN_UP>,
-    /// `None` for the frontier that is worth most.
+    given_up: Vec<GivenUp, MAX_GIVEN_UP>,
+    /// `None`: the best frontier.
     goal: Option<Waypoint>,
     attempt: Attempt,
-    /// Whether the planner is at work on the attempt.
+    /// Whether the planner has begun the attempt.
     is_begun: bool,
     target: Target,
     route: Route,
@@ -99,17 +100,17 @@ impl<'b> Search<'b> {
         }
     }
 
-    /// The ground as it was last looked at.
+    /// The planning window as last filled.
     pub(super) fn window(&self) -> &PlanningWindow {
         &self.workspace.window
     }
 
-    /// The way that was found last.
+    /// The last route found.
     pub(super) fn route(&self) -> &Route {
         &self.route
     }
 
-    /// Begins anew, from `pose`. Without a goal it explores.
+    /// Restarts the search at `pose`. Without a goal it explores.
     pub(super) fn begin(&mut self, goal: Option<Waypoint>, pose: Pose, resolution: Millimetres) {
         let side = resolution.0.max(1).saturating_mul(SIDE as i32 / 2 - 3).unsigned_abs();
         let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
@@ -121,7 +122,7 @@ impl<'b> Search<'b> {
         self.is_begun = false;
     }
 
-    /// Goes on, expanding so many corners at the most. A step fills a window or works in it.
+    /// Continues, expanding at most `corners` corners. A step either fills a window or plans in it.
     pub(super) fn step(
         &mut self,
         view: &WindowInputs<'_>,
@@ -150,7 +151,7 @@ impl<'b> Search<'b> {
         }
     }
 
-    /// Looks at the map in a window of a level.
+    /// Fills a window of a level from the map.
     pub(super) fn fill(
         &mut self,
         level: u32,
@@ -161,7 +162,7 @@ impl<'b> Search<'b> {
         self.workspace.window.fill(&view, ground);
     }
 
-    /// Whether blind ground is near a point, by the window as it is.
+    /// Whether blind ground is near a point, in the window as last filled.
     pub(super) fn is_frontier(&self, point: Waypoint) -> bool {
         self.workspace
             .window
@@ -169,15 +170,15 @@ impl<'b> Search<'b> {
             .is_some_and(|place| self.workspace.window.frontier.has(place))
     }
 
-    /// Passes over what can't be seen from a point, as far as a window of this level would find it
-    /// there again. `false` if too much has been given up.
+    /// Gives up the blind ground that a window of this level finds near a point. Returns `false` if
+    /// the list is full.
     pub(super) fn give_up(&mut self, at: Waypoint, level: u32, view: &WindowInputs<'_>) -> bool {
         let cell = view.resolution.0.saturating_mul(1 << level.min(MAX_LEVEL));
         let reach = frontier_reach(view.radius, cell);
         self.given_up.push(GivenUp { at, reach }).is_ok()
     }
 
-    /// What has been given up counts again.
+    /// Clears the given-up ground.
     pub(super) fn forget(&mut self) {
         self.given_up.clear();
     }
@@ -191,12 +192,13 @@ impl<'b> Search<'b> {
         let (x, y) = self.workspace.window.column_and_row(goal);
         let inner = |it: i32| (1..SIDE as i32 - 1).contains(&it);
         let Some(place) = Place::new(x, y).filter(|_| inner(x) && inner(y)) else {
-            // Far enough to tell the direction.
+            // Far enough to give the direction.
             let far = |it: i32| it.clamp(-1_000, 1_000) as i16;
             return Target::Beyond(far(x), far(y));
         };
-        // Another window has it for free, or will; of the goal itself a cell beside it must be. What
-        // is farther is within something, or beyond it.
+        // In an intermediate or coarse window any free cell nearby will do, as another window
+        // decides. For the goal itself it must be within `BESIDE`: otherwise the goal is inside an
+        // obstacle, or beyond it.
         let is_rough = self.attempt.via.is_some() || self.attempt.level > 0;
         let is_beside = |near: &Place| {
             let (across, up) = (near.x.abs_diff(place.x), near.y.abs_diff(place.y));
@@ -211,7 +213,7 @@ impl<'b> Search<'b> {
         let path = self.workspace.planner.path();
         let mut route = Route::new();
         for &place in &path.places {
-            // As long as a path.
+            // The capacity is that of a path.
             let _ = route.push(self.workspace.window.middle(place));
         }
         let whole = path.is_whole;
@@ -231,14 +233,14 @@ impl<'b> Search<'b> {
         }
         let reach = self.workspace.window.cell() >> self.attempt.level;
         let (via, is_end) = within(&route, pose, reach.saturating_mul(SIDE as i32 / 2 - 4));
-        // A goal that the finest window holds would have been found there.
+        // If the end were a goal within the finest window, that window would have found it.
         let end = if is_end && end != End::Goal { end } else { End::OnTheWay };
         self.attempt.via = Some((via, end));
         self.is_begun = false;
         Outcome::Searching
     }
 
-    /// A goal is driven to, not the middle of its cell.
+    /// Stores the route, with the goal itself in place of its cell's centre.
     fn keep(&mut self, mut route: Route, end: End) -> Outcome {
         if let (End::Goal, Some(goal), Some(last)) = (end, self.goal, route.last_mut()) {
             *last = goal;
@@ -247,16 +249,16 @@ impl<'b> Search<'b> {
         Outcome::Found(end)
     }
 
-    /// Another window, or the end.
+    /// Tries another window, or fails.
     fn try_otherwise(&mut self, error: PlanError, view: &WindowInputs<'_>) -> Outcome {
         let Attempt { level, finest, beyond, via } = self.attempt;
         if let Some((_, End::Frontier(at, level))) = via
             && self.give_up(at, level, view)
         {
-            // It is not as near as the coarse window says.
+            // The frontier is not where the coarse window saw it.
             return self.attempt_at(level, false);
         }
-        // What is blocked in the finest window is blocked.
+        // A goal blocked in the finest window is blocked.
         let is_known = error == PlanError::GoalBlocked && level == 0 && via.is_none();
         if is_known || error == PlanError::StartBlocked && level == 0 {
             return Outcome::Failed(error);
@@ -277,8 +279,8 @@ impl<'b> Search<'b> {
     }
 }
 
-/// The last point of a route that is no further than `reach` from a pose along x and along y, and
-/// whether that is its end.
+/// The last point of a route within `reach` of a pose along x and along y, and whether it is the
+/// route's end.
 fn within(route: &Route, pose: Pose, reach: i32) -> (Waypoint, bool) {
     let is_near = |point: &Waypoint| {
         let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
@@ -290,7 +292,7 @@ fn within(route: &Route, pose: Pose, reach: i32) -> (Waypoint, bool) {
             last = *point;
             continue;
         }
-        // Halves of the leg: within 1/256 of it.
+        // Bisects the leg, to 1/256 of its length.
         let (mut inside, mut outside) = (last, *point);
         for _ in 0..8 {
             let half = |a: Millimetres, b: Millimetres| {

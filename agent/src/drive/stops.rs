@@ -1,5 +1,5 @@
-//! Stopping for each scan, to be localised where the robot stands (Ahmed 3: "after every move, the
-//! robots needed to wait so that the tracking system locks their current position").
+//! Stops for each scan, so that the robot is localised where it stands (Ahmed 3: "after every move,
+//! the robots needed to wait so that the tracking system locks their current position").
 
 use ubimap_protocol::{time::Instant, units::Pose};
 
@@ -9,20 +9,20 @@ use crate::{map::Gate, timing::UNSEEN_STOP};
 #[derive(Clone, Copy, Debug)]
 pub struct Stops {
     phase: Phase,
-    /// Whether it has not moved since it was localised.
+    /// Whether it was localised since it last moved.
     is_located: bool,
 }
 
 /// Poses are of `base_link` in `odom`.
 #[derive(Clone, Copy, Debug)]
 enum Phase {
-    /// It has not begun.
+    /// Not started.
     New,
-    /// It drives, and came from here.
+    /// Driving, from this pose.
     Driving(Option<Pose>),
-    /// It was told to stand, and was here at the last step.
+    /// Commanded to stand; its pose at the last step.
     Stopping(Pose),
-    /// It stands, since then.
+    /// Standing since this time.
     Standing(Instant),
 }
 
@@ -34,8 +34,8 @@ impl Default for Stops {
 }
 
 impl Stops {
-    /// Whether the wheels must stand. To be asked at every step, with the newest odometry. From one
-    /// stop to the next the robot moves as far as opens the gate.
+    /// Whether the wheels must stand. Call at every step with the newest odometry. From one stop to
+    /// the next the robot moves until the gate opens.
     pub fn must_stand(&mut self, gate: Gate, odometry: Option<Pose>, now: Instant) -> bool {
         let Some(odometry) = odometry else { return true };
         if let Phase::Driving(Some(from)) = self.phase {
@@ -55,8 +55,8 @@ impl Stops {
         !matches!(self.phase, Phase::Driving(_))
     }
 
-    /// Whether a scan that was taken at `taken` is to be mapped: the robot stands, and its newest
-    /// fix is of a moment since then. It may drive on after it.
+    /// Whether to map a scan taken at `taken`: if the robot stands, and its newest fix is from
+    /// after it stopped. It may drive on afterwards.
     pub fn takes(&mut self, taken: Instant, fix: Option<Instant>) -> bool {
         if let Phase::Standing(since) = self.phase {
             self.is_located = taken >= since && fix.is_some_and(|fix| fix >= since);
@@ -83,7 +83,7 @@ mod tests {
             stops.must_stand(Gate::default(), Some(Pose::from_metres(x, 0.0, 0.0)), now)
         };
         let unknown = stops.must_stand(Gate::default(), None, at(0));
-        assert!(unknown, "nobody knows whether it has moved");
+        assert!(unknown, "without odometry it may have moved");
         assert!(must_stand(&mut stops, 0.0, at(20)), "the first scan is taken where it stands");
         assert!(stops.takes(at(30), Some(at(25))));
         assert!(!must_stand(&mut stops, 0.0, at(50)));
@@ -93,14 +93,14 @@ mod tests {
         assert!(must_stand(&mut stops, 0.05, at(200)), "it brakes");
         assert!(!stops.takes(at(210), Some(at(210))));
         assert!(must_stand(&mut stops, 0.05, at(250)));
-        assert!(!stops.takes(at(260), Some(at(249))), "that fix is of when it drove");
-        assert!(!stops.takes(at(249), Some(at(260))), "and that scan");
+        assert!(!stops.takes(at(260), Some(at(249))), "the fix is from while it drove");
+        assert!(!stops.takes(at(249), Some(at(260))), "the scan is from while it drove");
         assert!(stops.takes(at(300), Some(at(260))));
-        assert!(!must_stand(&mut stops, 0.05, at(350)), "on from here");
-        assert!(stops.takes(at(360), Some(at(360))), "as long as it stands");
+        assert!(!must_stand(&mut stops, 0.05, at(350)), "the gate starts from here");
+        assert!(stops.takes(at(360), Some(at(360))), "while it stands");
         assert!(!must_stand(&mut stops, 0.08, at(400)));
         assert!(!stops.takes(at(410), Some(at(410))), "it drives");
-        // Nobody sees it.
+        // No fix arrives.
         assert!(must_stand(&mut stops, 0.09, at(450)) && must_stand(&mut stops, 0.09, at(500)));
         assert!(must_stand(&mut stops, 0.09, at(3_499)));
         assert!(!must_stand(&mut stops, 0.09, at(3_500)));

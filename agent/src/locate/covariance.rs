@@ -2,12 +2,12 @@
 
 use nalgebra::{Vector2, Vector3};
 
-/// More than rounding takes from a variance in one step, as a part of what it is computed from. It
-/// is given back each time, so that the matrix stays positive.
+/// Upper bound of the rounding error of a variance in one step, relative to its operands. It is
+/// added back in each step, so that the matrix stays positive.
 const ROUNDING: f32 = 1.0e-6;
 
-/// A symmetric matrix over x, y (mm) and heading (rad), all in `map`, as its six numbers: a tenth
-/// of the instructions of general matrices.
+/// A symmetric matrix over x, y (mm) and heading (rad), all in `map`, stored as six numbers: takes
+/// a tenth of the instructions of a general matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Covariance {
     pub(super) xx: f32,
@@ -19,13 +19,13 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// Independent of one another, with these variances.
+    /// A diagonal matrix with these variances.
     pub(super) fn diagonal(variances: Vector3<f32>) -> Self {
         Self { xx: variances.x, xy: 0.0, yy: variances.y, xh: 0.0, yh: 0.0, hh: variances.z }
     }
 
-    /// Of the pose a known step further on: F P F', F being 1 but for what a turn about the start
-    /// does to the end.
+    /// Propagates it by a known step: F P F', where F is the identity except for the effect of the
+    /// heading on the position.
     pub(super) fn carry(&mut self, step: Vector2<f32>) {
         let (dx, dy) = (step.x, step.y);
         let (turned_x, turned_y) = (dy * dy * self.hh, dx * dx * self.hh);
@@ -37,7 +37,7 @@ impl Covariance {
         self.hh += ROUNDING * self.hh;
     }
 
-    /// Adds independent noise of these variances, the same for x and y.
+    /// Adds independent noise with these variances, `position` for each of x and y.
     pub(super) fn grow(&mut self, position: f32, heading: f32) {
         self.xx += position;
         self.yy += position;
@@ -52,8 +52,8 @@ impl Covariance {
         }
     }
 
-    /// What is left when one of the three is measured, of which this is the column; `scale` is
-    /// one by the variance of the innovation: P - c c' scale.
+    /// Updates it for a measurement of one of the three states: P - c c' `scale`, with `column` c
+    /// of that state and `scale` the inverse of the innovation's variance.
     pub(super) fn reduce(&mut self, column: Vector3<f32>, scale: f32) {
         let scaled = column * scale;
         self.xx += ROUNDING * self.xx - scaled.x * column.x;
@@ -65,7 +65,7 @@ impl Covariance {
     }
 }
 
-/// One of the three.
+/// One of the three states.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Axis {
     X,
@@ -74,7 +74,7 @@ pub(super) enum Axis {
 }
 
 impl Axis {
-    /// Its entry of three.
+    /// Its component of a vector.
     pub(super) fn of(self, vector: Vector3<f32>) -> f32 {
         match self {
             Self::X => vector.x,

@@ -1,4 +1,5 @@
-//! The two steps of a Kalman filter of three states (x, y, heading): a motion, and a fix.
+//! The steps of a Kalman filter with three states (x, y, heading): prediction by a motion,
+//! correction by a fix.
 
 use libm::sqrtf;
 use nalgebra::{UnitComplex, Vector2, Vector3};
@@ -13,30 +14,30 @@ use super::{
 };
 use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 
-/// A fix further off than this is rejected: the square of its Mahalanobis distance, which is
-/// chi-squared with three degrees of freedom. One good fix of a thousand is beyond.
+/// Gate for fixes: squared Mahalanobis distance, which is chi-squared with three degrees of
+/// freedom. Rejects one good fix in a thousand.
 const GATE: f32 = 16.27;
 
-/// How fast variances grow while nothing is known of the motion: mm^2 and rad^2 for each second.
-/// From one frame at 15 Hz to the next it is 0.63 m and 38 degrees: so much that a robot of 1 m/s
+/// Growth of the variances during unknown motion, in mm^2/s and rad^2/s. From frame to frame at 15
+/// Hz the deviations grow by 0.63 m and 38 degrees, enough that the estimate of a robot at 1 m/s
 /// lags behind fixes of 5 cm by less than a millimetre.
 const UNKNOWN_POSITION: f32 = 6.0e6;
 const UNKNOWN_HEADING: f32 = 6.6;
 
-/// How a robot of this size changes its motion between two readings of the odometry: standard
-/// deviations in mm/s^2 and rad/s^2. In 50 ms they make 1.3 mm and 0.4 degrees.
+/// Unknown accelerations of the robot between two odometry readings: standard deviations in mm/s^2
+/// and rad/s^2. In 50 ms they amount to 1.3 mm and 0.4 degrees.
 const ACCELERATION: f32 = 1_000.0;
 const TURN_ACCELERATION: f32 = 6.0;
-/// How it moves before two readings have told: standard deviations in mm/s and rad/s.
+/// Unknown speeds before there are two readings: standard deviations in mm/s and rad/s.
 const SPEED: f32 = 500.0;
 const TURN_SPEED: f32 = 1.5;
 
-/// Variances of the position and the heading beyond which an estimate says nothing (10 m and a
+/// Variances of the position and the heading beyond which an estimate is lost (10 m and one
 /// radian): the filter is linear for small errors only.
 const LOST_POSITION: f32 = 1.0e8;
 const LOST_HEADING: f32 = 1.0;
 
-/// A pose that somebody says the robot had, and how sure that is.
+/// A measured pose of the robot and its certainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fix {
     pub(super) pose: Pose,
@@ -44,7 +45,7 @@ pub(super) struct Fix {
 }
 
 impl Fix {
-    /// The variances; those of its rounding on the wire at least.
+    /// The variances; at least those of the rounding on the wire.
     fn variances(&self) -> Vector3<f32> {
         let Certainty { x, y, heading } = self.certainty;
         let deviations = Vector3::new(
@@ -56,18 +57,18 @@ impl Fix {
     }
 }
 
-/// How unsure a pose is.
+/// Uncertainty of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Variances {
-    /// Of the distance from the true position: mm^2.
+    /// Variance of the distance from the true position, in mm^2.
     pub position: f32,
-    /// Of the heading: rad^2.
+    /// Variance of the heading, in rad^2.
     pub heading: f32,
 }
 
 impl Variances {
-    /// How far away, up to `most` mm, the heading leaves what is seen within `side` of where it is:
-    /// one standard deviation.
+    /// The distance, at most `most` mm, up to which the heading's standard deviation displaces
+    /// points by at most `side`.
     pub(crate) fn reach(self, side: Millimetres, most: u16) -> u16 {
         let (side, far) = (side.0 as f32, f32::from(most));
         if self.heading * far * far <= side * side {
@@ -77,7 +78,7 @@ impl Variances {
         (side / libm::sqrtf(self.heading)) as u16
     }
 
-    /// After some seconds of which nothing is known.
+    /// After `seconds` of unknown motion.
     pub(super) fn after(self, seconds: f32) -> Self {
         Self {
             position: self.position + 2.0 * UNKNOWN_POSITION * seconds,
@@ -85,32 +86,32 @@ impl Variances {
         }
     }
 
-    /// In proportion, from 0 to 1.
+    /// Interpolated, `part` from 0 to 1.
     pub(super) fn between(self, to: Self, part: f32) -> Self {
         let mix = |from: f32, to: f32| from * (1.0 - part) + to * part;
         Self { position: mix(self.position, to.position), heading: mix(self.heading, to.heading) }
     }
 }
 
-/// Where the robot is taken to be, and how sure that is.
+/// An estimated pose and its covariance.
 ///
-/// In single precision, the same bits on a Cortex-M4F and on a PC: nothing but the four
-/// operations, and square root and arc tangent of `libm`.
+/// In single precision, with identical bits on a Cortex-M4F and on a PC: it uses only the four
+/// operations, and `libm`'s square root and arc tangent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Estimate {
-    /// Whole millimetres, so that precision does not fall with the distance from the origin,
+    /// Whole millimetres, so that the precision does not depend on the distance from the origin,
     whole: (Millimetres, Millimetres),
-    /// and what is left of them: half of one at most.
+    /// and the remainder, at most half a millimetre.
     rest: Vector2<f32>,
-    /// From `odom` to `map`: odometry, however long, leaves it as it is.
+    /// From `odom` to `map`: odometry does not change it.
     rotation: UnitComplex<f32>,
     covariance: Covariance,
-    /// Whether the motion since the last fix is not known all the way.
+    /// Whether part of the motion since the last fix is unknown.
     guessed: bool,
 }
 
 impl Estimate {
-    /// At a pose known for certain, with `odom` turned by `odometry`.
+    /// At a pose known exactly, with the odometry's heading `odometry`.
     pub(super) fn certain(pose: Pose, odometry: Angle) -> Self {
         Self {
             whole: (pose.x, pose.y),
@@ -121,36 +122,36 @@ impl Estimate {
         }
     }
 
-    /// From a fix alone, the odometry's heading being `odometry`.
+    /// From a fix alone, with the odometry's heading `odometry`.
     pub(super) fn of(fix: &Fix, odometry: Angle) -> Self {
         let covariance = Covariance::diagonal(fix.variances());
         Self { covariance, ..Self::certain(fix.pose, odometry) }
     }
 
-    /// `base_link` in `map`, the odometry's heading being `odometry`.
+    /// `base_link` in `map`, with the odometry's heading `odometry`.
     pub(super) fn pose(&self, odometry: Angle) -> Pose {
         let turned = round(self.rotation.angle() / RADIANS) as i32 as u16;
         Pose { x: self.whole.0, y: self.whole.1, heading: odometry + Angle(turned) }
     }
 
-    /// How unsure it is.
+    /// Its uncertainty.
     pub(super) fn variances(&self) -> Variances {
         let position = self.covariance.xx + self.covariance.yy;
         Variances { position, heading: self.covariance.hh }
     }
 
-    /// Whether the motion since the last fix is not known all the way.
+    /// Whether part of the motion since the last fix is unknown.
     pub(super) fn is_guessed(&self) -> bool {
         self.guessed
     }
 
-    /// Whether it is worth nothing any more. Its variances grow no further.
+    /// Whether the variances exceed the limit. They grow no further then.
     pub(super) fn is_lost(&self) -> bool {
         let Variances { position, heading } = self.variances();
         position > LOST_POSITION || heading > LOST_HEADING
     }
 
-    /// Prediction: the odometry went on from a pose in `odom` to another. About 350 instructions.
+    /// Prediction by odometry, from one pose in `odom` to another. About 350 instructions.
     pub(super) fn drive(&mut self, from: Pose, to: Pose, seconds: f32, noise: &MotionNoise) {
         let way = Vector2::new((to.x - from.x).0 as f32, (to.y - from.y).0 as f32);
         let step = self.rotation * way;
@@ -169,7 +170,7 @@ impl Estimate {
         );
     }
 
-    /// Prediction where nothing is known of the motion.
+    /// Prediction by unknown motion.
     pub(super) fn wander(&mut self, seconds: f32) {
         self.guessed = true;
         if !self.is_lost() {
@@ -177,7 +178,8 @@ impl Estimate {
         }
     }
 
-    /// The motion was extrapolated for some seconds: with a speed that was measured, or with none.
+    /// Adds the uncertainty of an extrapolation by some seconds, with a measured speed or without
+    /// one.
     pub(super) fn stray(&mut self, seconds: f32, has_speed: bool) {
         let gained = 0.5 * seconds * seconds;
         let (way, turn) = if has_speed {
@@ -188,17 +190,18 @@ impl Estimate {
         self.covariance.grow(way * way, turn * turn);
     }
 
-    /// From here on the odometry's heading counts from elsewhere: it was `from`, and is `to` now.
+    /// The odometry's heading jumps from `from` to `to` without a motion of the robot.
     pub(super) fn rebase(&mut self, from: Angle, to: Angle) {
         if from != to {
             self.rotation *= rotation(radians(from - to));
         }
     }
 
-    /// Correction: takes a fix in. `false` if it is too far off, and nothing has changed.
+    /// Correction by a fix. Returns `false` if it is beyond the gate; the estimate is unchanged
+    /// then.
     ///
-    /// The covariance of a fix is diagonal: its three numbers are taken in one after another,
-    /// which is the same as all at once and needs no inverse.
+    /// As the covariance of a fix is diagonal, its three numbers can be processed one after
+    /// another, which gives the same result and needs no inverse.
     pub(super) fn take(&mut self, fix: &Fix, odometry: Angle) -> bool {
         let Pose { x, y, heading } = fix.pose;
         let innovation = Vector3::new(
@@ -228,8 +231,8 @@ impl Estimate {
         near
     }
 
-    /// Turns by an angle. A small one, as nearly all are, without sine and cosine: by the tangent
-    /// of its half, to within 10^-5.
+    /// Turns by an angle. Small angles, the usual case, avoid sine and cosine: by the tangent of
+    /// the half angle, with an error below 10^-5.
     fn turn(&mut self, angle: f32) {
         self.rotation *= if angle.abs() < 0.25 {
             let tangent = 0.5 * angle * (1.0 + angle * angle / 12.0);
@@ -256,7 +259,7 @@ fn rotation(radians: f32) -> UnitComplex<f32> {
     UnitComplex::from_cos_sin_unchecked(cos, sin)
 }
 
-/// An angle of less than three half turns, the short way round.
+/// Normalises an angle of less than three half turns to [-pi, pi].
 fn wrap(radians: f32) -> f32 {
     use core::f32::consts::{PI, TAU};
     match radians {
@@ -361,8 +364,8 @@ mod tests {
     }
 
     #[test]
-    fn the_gate_is_at_the_thousandth_of_chi_squared() {
-        // Four of a fix's deviations off, as seen by an estimate that is as unsure: 16 / 2.
+    fn the_gate_is_at_the_last_thousandth_of_chi_squared() {
+        // Four deviations of a fix away, for an estimate with the same uncertainty: 16 / 2.
         let estimate = Estimate::of(&fix(0, 0, 0, 20), Angle(0));
         let passes = |x, y| { estimate }.take(&fix(x, y, 0, 20), Angle(0));
         // The square root of 16.27 * 800 is 114.09 mm.
@@ -371,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn far_from_the_origin_it_is_as_precise() {
+    fn the_precision_does_not_depend_on_the_distance_from_the_origin() {
         let noise = MotionNoise::of(&OdometryNoise::default());
         let far = 2_000_000_000;
         let run = |origin: i32| {
@@ -393,8 +396,8 @@ mod tests {
     }
 
     #[test]
-    fn the_lever_of_an_unsure_heading_moves_the_position() {
-        // A heading unsure by a degree, 10 m on: 175 mm across the way, and none along it.
+    fn an_uncertain_heading_makes_the_position_uncertain_across_the_way() {
+        // A heading deviation of one degree, after 10 m: 175 mm across the way, none along it.
         let noise = MotionNoise::default();
         let mut estimate = Estimate::of(&fix(0, 0, 16_384, 0), Angle(0));
         estimate.covariance.hh = (182.04 * RADIANS).powi(2);
@@ -405,12 +408,12 @@ mod tests {
     }
 
     #[test]
-    fn what_is_seen_a_cell_to_the_side_is_out_of_reach() {
+    fn reach_limits_the_lateral_error_to_one_cell() {
         let reach = |degrees: f32| {
             let heading = degrees.to_radians().powi(2);
             Variances { position: 0.0, heading }.reach(Millimetres(50), 4_000)
         };
-        // 50 mm are 1 degree of 2.865 m, and 0.716 degrees of 4 m.
+        // 50 mm are 1 degree at 2.865 m, and 0.716 degrees at 4 m.
         assert_eq!([0.0, 0.7, 0.72].map(reach), [4_000, 4_000, 3_978]);
         assert_eq!([1.0, 3.0, 60.0].map(reach), [2_864, 954, 47]);
     }

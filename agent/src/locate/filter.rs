@@ -1,9 +1,10 @@
-//! The filter: what odometry and fixes say together, fixes coming late.
+//! The filter: fuses odometry with fixes, which arrive late.
 //!
-//! What it believes at a moment is worked out from the measurements in the order of their own
-//! time stamps, not of their arrival: from a belief that is older than all that are remembered,
-//! through each of them. So a late fix is taken in where it belongs, and the odometry since is
-//! replayed.
+//! The estimate for a time is computed from the measurements in the order of their time stamps, not
+//! of their arrival: it starts from a state older than all remembered measurements and replays
+//! them. So a late fix is inserted at its time, and the odometry since is replayed.
+
+use core::fmt;
 
 use ubimap_protocol::{
     message::Certainty,
@@ -18,76 +19,100 @@ use super::{
 };
 use crate::timing::BRIDGED_GAP;
 
-/// Readings of the odometry that are remembered, and how far apart they are at least: as long as
-/// a scan waits in any case. Who brakes like that strays by a millimetre in between.
+/// Number of odometry readings remembered, and their minimum distance in time: together at least
+/// the time that a scan waits. Hard braking in between displaces the robot by a millimetre.
 const READINGS: usize = 15;
 const READING_INTERVAL: Duration = Duration::from_millis(100);
-/// Readings of the moments of scans, this far apart at least, are not replaced by later ones: at 15 Hz
-/// those of a second are remembered.
+/// Minimum distance in time of readings at the times of scans, which later ones do not replace: at
+/// 15 Hz those of one second are remembered.
 const SCAN_INTERVAL: Duration = Duration::from_millis(60);
-/// The speed is measured over this span at least: in a shorter one the millimetres that readings are
-/// rounded to make more than 20 mm/s.
+/// Minimum span over which the speed is measured: over a shorter one the rounding of readings to
+/// millimetres exceeds 20 mm/s.
 const SPEED_SPAN: Duration = Duration::from_millis(50);
-/// Half a degree, in binary units.
+/// Maximum turn between two readings for a steady robot: half a degree, in binary angle units.
 const STEADY: u16 = 91;
-/// Fixes that are remembered: half a second at 15 Hz.
+/// Number of fixes remembered: half a second at 15 Hz.
 const FIXES: usize = 8;
-/// Rejected fixes in a row that agree with one another before they are believed: a third of a
-/// second at 15 Hz.
+/// Number of consecutive rejected fixes that agree until they are accepted: a third of a second at
+/// 15 Hz.
 const RIVALS: u8 = 5;
 
 /// What became of a fix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FixOutcome {
-    /// It is the first, or nothing was known any more: the pose begins with it.
+    /// It is the first, or the pose was lost: the estimate starts with it.
     Began,
-    /// It is taken in.
+    /// It was accepted.
     Taken,
-    /// It is too far off, and is left out.
+    /// It was rejected as an outlier.
     Rejected,
-    /// The last few were rejected, but agree: the robot is where they say. It was carried off.
+    /// It was accepted after several consistent ones had been rejected: the robot was carried.
     Moved,
 }
 
-/// Why a fix is not looked at.
+/// Why a fix was not processed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FixError {
-    /// There was one of this moment.
+    /// A fix of this time was received before.
     Repeated,
-    /// It is older than what is remembered.
+    /// It is older than the history.
     TooOld,
-    /// It is of a moment to come.
+    /// Its time is in the future.
     Future,
-    /// The clocks do not agree yet: nobody can tell when it was.
+    /// The clocks are not synchronised yet, so its time is unknown.
     Untimed,
-    /// The robot goes by odometry alone.
+    /// The robot uses odometry only.
     Unused,
 }
 
-/// A reading of the odometry is older than the one before, or than what is remembered.
+impl fmt::Display for FixError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Repeated => f.write_str("a fix of this time was received before"),
+            Self::TooOld => f.write_str("the fix is older than the history"),
+            Self::Future => f.write_str("the fix is from the future"),
+            Self::Untimed => {
+                f.write_str("the clocks are not synchronised, so the time of the fix is unknown")
+            }
+            Self::Unused => f.write_str("the robot uses odometry only"),
+        }
+    }
+}
+
+impl core::error::Error for FixError {}
+
+/// An odometry reading is older than its predecessor, or than the history.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Backwards;
 
-/// Where the robot is taken to be at a moment.
+impl fmt::Display for Backwards {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the odometry reading is older than the previous one or the history")
+    }
+}
+
+impl core::error::Error for Backwards {}
+
+/// The estimate for a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Told {
     /// `base_link` in `map`.
     pub(super) pose: Pose,
     pub(super) variances: Variances,
-    /// Whether the motion since the last fix is not known all the way.
+    /// Whether part of the motion since the last fix is unknown.
     pub(super) guessed: bool,
 }
 
-/// What is believed at a moment.
+/// The state of the filter at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Belief {
     moment: Instant,
-    /// The newest pose in `odom` that is known.
+    /// The newest known pose in `odom`.
     odometry: Pose,
-    /// Whether it is of this moment.
+    /// Whether that pose is of this time.
     attached: bool,
     estimate: Option<Estimate>,
-    /// Where the fixes that were rejected last say that it is, and how many of them agree.
+    /// The estimate by the last rejected fixes, and the number of them that agree.
     rival: Option<(Estimate, u8)>,
 }
 
@@ -101,7 +126,7 @@ impl Belief {
         })
     }
 
-    /// Goes on to a moment, at which the odometry's pose is known or not.
+    /// Advances to a time, at which the odometry's pose may be known.
     fn go(&mut self, moment: Instant, odometry: Option<Pose>, noise: &MotionNoise) {
         let seconds = seconds(moment.since(self.moment));
         let rival = self.rival.as_mut().map(|(rival, _)| rival);
@@ -145,24 +170,23 @@ impl Belief {
     }
 }
 
-/// The last measurements, and what is believed before them. About 800 bytes.
+/// The last measurements, and the state before them. About 800 bytes.
 #[derive(Debug)]
 pub(super) struct Filter {
     noise: MotionNoise,
-    /// Of a moment before all that follows.
+    /// The state at a time before all measurements.
     base: Belief,
-    /// Of a later one, that most questions are about: not all need be replayed for them.
+    /// A later state, cached because most queries are near it and need not replay everything.
     recent: Belief,
     odometry: History<Pose, READINGS>,
-    /// When the newest scan was taken whose pose will be asked for.
+    /// When the newest scan was taken whose pose will be requested.
     scan: Instant,
-    /// By the robot's clock; with each the lower word of its moment by the server's, to tell it
-    /// again.
+    /// By the robot's clock; each with the lower word of its server time, to detect repetitions.
     fixes: History<(u32, Fix), FIXES>,
 }
 
 impl Filter {
-    /// A filter that begins with `start`, where `odom` has its origin, or knows nothing yet.
+    /// Starts at `start`, the origin of `odom` in `map`, or with no estimate.
     pub(super) fn new(noise: MotionNoise, start: Option<Pose>) -> Self {
         let odometry = Pose::default();
         let base = Belief {
@@ -182,8 +206,8 @@ impl Filter {
         }
     }
 
-    /// Takes a fix of the moment `server` of the server's clock, which is `local` of the robot's.
-    /// With the outcome comes the pose that is believed then.
+    /// Processes a fix of the server's time `server`, which is `local` by the robot's clock.
+    /// Returns its outcome and the estimate for its time.
     pub(super) fn fix(
         &mut self,
         server: Instant,
@@ -217,11 +241,11 @@ impl Filter {
         if newest.is_none() {
             self.recent = belief;
         }
-        // There is one, unless the insertion failed.
+        // There is an outcome unless the insertion failed.
         outcome.zip(belief.told().map(|told| told.pose)).ok_or(FixError::TooOld)
     }
 
-    /// Whether a reading of the odometry at a moment says something new.
+    /// Whether an odometry reading of a time is new.
     pub(super) fn is_new(&self, moment: Instant) -> Result<bool, Backwards> {
         let last = self.odometry.newest().map(|(last, _)| last);
         if moment < last.unwrap_or(self.base.moment) {
@@ -230,13 +254,13 @@ impl Filter {
         Ok(last != Some(moment))
     }
 
-    /// The pose of this moment will be asked for.
+    /// The pose of this time will be requested.
     pub(super) fn expect(&mut self, scan: Instant) {
         self.scan = scan;
     }
 
-    /// Takes a reading of the odometry that says something new. Between the reading before it and
-    /// this one it makes one of the moment of a scan: those that are remembered lie further apart.
+    /// Processes a new odometry reading. If a scan was taken between the previous one and this one,
+    /// a reading for the scan's time is interpolated: remembered readings are farther apart.
     pub(super) fn odometry(&mut self, moment: Instant, pose: Pose) {
         if let Some((last, before)) = self.odometry.newest()
             && last < self.scan
@@ -259,7 +283,7 @@ impl Filter {
         };
         let least = if last == Some(self.scan) { SCAN_INTERVAL } else { READING_INTERVAL };
         let replaces = before.filter(|before| last.is_some_and(|last| last.since(*before) < least));
-        // What was believed after the reading before this one did not know of this one.
+        // The cached state after the previous reading does not include this one.
         if replaces.or(last).is_none_or(|known| known < self.recent.moment) {
             self.recent = self.base;
         }
@@ -277,7 +301,7 @@ impl Filter {
         self.odometry.newest()
     }
 
-    /// The two newest readings that are remembered, the newest first.
+    /// The two newest remembered readings, newest first.
     pub(super) fn newest_two(&self) -> Option<(Pose, Pose)> {
         let mut readings = self.odometry.iter().rev().map(|(_, pose)| *pose);
         readings.next().zip(readings.next())
@@ -287,8 +311,8 @@ impl Filter {
         &self.noise
     }
 
-    /// Where odometry says that the robot was at a moment between two readings in which it hardly
-    /// turned: then it is known to a quarter of a degree.
+    /// The odometry at a time between two readings during which the robot hardly turned, so that
+    /// the heading is known to a quarter of a degree.
     pub(super) fn steady_odometry(&self, moment: Instant) -> Option<Pose> {
         let before = self.odometry.iter().take_while(|(at, _)| *at <= moment).last();
         let after = self.odometry.iter().find(|(at, _)| *at > moment);
@@ -305,15 +329,15 @@ impl Filter {
         self.fixes.newest().map(|(moment, _)| moment)
     }
 
-    /// The moments of the newest fix at a moment or before it, and of the oldest after it.
+    /// The times of the newest fix up to a time, and of the oldest after it.
     pub(super) fn fixes_around(&self, moment: Instant) -> (Option<Instant>, Option<Instant>) {
         let moments = || self.fixes.iter().map(|(fix, _)| fix);
         let before = moments().take_while(|fix| *fix <= moment).last();
         (before, moments().find(|fix| *fix > moment))
     }
 
-    /// Where the robot is taken to have been at a moment; `None` if nothing told yet, or no
-    /// longer.
+    /// The estimate for a time; `None` before the first measurement, or if the time is older than
+    /// the history.
     pub(super) fn at(&self, moment: Instant) -> Option<Told> {
         if moment < self.base.moment {
             return None;
@@ -321,8 +345,8 @@ impl Filter {
         self.replay(moment).0.told()
     }
 
-    /// Where the robot is taken to be soon after the newest reading of the odometry: it goes on as it
-    /// did before. `None` later, or if the motion is not known up to there.
+    /// The estimate for a time shortly after the newest odometry, extrapolated with constant
+    /// motion. `None` for later times, or if the motion up to there is unknown.
     pub(super) fn soon_after_odometry(&self, moment: Instant) -> Option<Told> {
         let (newest, odometry) = self.odometry.newest()?;
         let ahead = moment.since(newest);
@@ -347,8 +371,7 @@ impl Filter {
         })
     }
 
-    /// What is believed after all measurements up to a moment, and what became of the last fix
-    /// among those that were replayed.
+    /// The state after all measurements up to a time, and the outcome of the last fix replayed.
     fn replay(&self, until: Instant) -> (Belief, Option<FixOutcome>) {
         let start = if until < self.recent.moment { &self.base } else { &self.recent };
         let (mut belief, mut outcome) = (*start, None);
@@ -380,8 +403,8 @@ impl Filter {
         (belief, outcome)
     }
 
-    /// Makes sure that all that is remembered lies within [`HISTORY_SPAN`] when something of this
-    /// moment is added.
+    /// Drops old entries, so that the history stays within [`HISTORY_SPAN`] when one of this time
+    /// is added.
     fn forget_what_is_old(&mut self, moment: Instant) {
         let oldest = [self.odometry.oldest().map(|it| it.0), self.fixes.oldest().map(|it| it.0)];
         if oldest.into_iter().flatten().any(|oldest| moment.since(oldest) >= HISTORY_SPAN) {
@@ -389,7 +412,7 @@ impl Filter {
         }
     }
 
-    /// Lets what is older be part of the belief that all begins with.
+    /// Merges older measurements into the base state.
     fn forget_until(&mut self, moment: Instant) {
         self.base = self.replay(moment).0;
         if self.recent.moment < moment {
@@ -400,7 +423,7 @@ impl Filter {
     }
 }
 
-/// Over an hour is an hour.
+/// In seconds, at most about an hour.
 pub(super) fn seconds(span: Duration) -> f32 {
     u32::try_from(span.micros()).unwrap_or(u32::MAX) as f32 * 1.0e-6
 }

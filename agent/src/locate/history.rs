@@ -1,18 +1,18 @@
-//! What was said of the last moments, in the order of time.
+//! The recent measurements, in order of time.
 
 use heapless::Deque;
 use ubimap_protocol::time::{Duration, Instant};
 
-/// The last `N` entries of one kind, each with its moment, oldest first. They may lie
-/// [`HISTORY_SPAN`] apart.
+/// The last `N` entries of one kind with their times, oldest first. They may span at most
+/// [`HISTORY_SPAN`].
 #[derive(Debug)]
 pub(super) struct History<T, const N: usize> {
-    /// Of the moments the lower words.
+    /// With the lower words of their times.
     entries: Deque<(u32, T), N>,
     newest: Instant,
 }
 
-/// Half an hour: what is as old must be forgotten before something new comes.
+/// Half an hour: older entries must be dropped before a new one is added.
 pub(super) const HISTORY_SPAN: Duration = Duration::from_secs(30 * 60);
 
 impl<T: Copy, const N: usize> History<T, N> {
@@ -20,15 +20,15 @@ impl<T: Copy, const N: usize> History<T, N> {
         Self { entries: Deque::new(), newest: Instant(0) }
     }
 
-    /// Adds an entry where it belongs in time: behind those of the same moment. `false` if there
-    /// is no room.
+    /// Inserts an entry in order of time, after those of the same time. Returns `false` if it is
+    /// full.
     pub(super) fn insert(&mut self, moment: Instant, entry: T) -> bool {
         let newest = if self.entries.is_empty() { moment } else { self.newest.max(moment) };
         if self.entries.push_back((moment.0 as u32, entry)).is_err() {
             return false;
         }
         self.newest = newest;
-        // Sink it to its place: nearly always it is there already.
+        // Insertion sort from the end: usually the entry is in place already.
         let age = |entry: &(u32, T)| (newest.0 as u32).wrapping_sub(entry.0);
         let mut entries = self.entries.iter_mut().rev();
         let mut new = entries.next();
@@ -40,7 +40,7 @@ impl<T: Copy, const N: usize> History<T, N> {
         true
     }
 
-    /// Puts another one in the newest one's place; it must not be older than the one before.
+    /// Replaces the newest entry; the new one must not be older than its predecessor.
     pub(super) fn replace_newest(&mut self, moment: Instant, entry: T) {
         if let Some(newest) = self.entries.back_mut() {
             *newest = (moment.0 as u32, entry);
@@ -48,7 +48,7 @@ impl<T: Copy, const N: usize> History<T, N> {
         }
     }
 
-    /// Forgets those up to a moment.
+    /// Drops the entries up to a time.
     pub(super) fn forget_until(&mut self, moment: Instant) {
         while self.oldest().is_some_and(|(oldest, _)| oldest <= moment) {
             self.entries.pop_front();
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_entries_find_their_place_and_the_oldest_are_forgotten() {
+    fn late_entries_are_inserted_in_order_and_the_oldest_dropped() {
         let mut history = History::<char, 4>::new();
         for (moment, entry) in [(50, 'c'), (10, 'a'), (30, 'b'), (50, 'd')] {
             assert!(history.insert(Instant(moment), entry));
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_are_told_apart_wherever_their_lower_words_wrap() {
+    fn times_are_distinct_wherever_their_lower_words_wrap() {
         for wrap in [1u64 << 32, 5 << 32] {
             let mut history = History::<char, 4>::new();
             let at = |millis: i64| Instant(wrap.wrapping_add_signed(millis * 1_000));

@@ -1,5 +1,5 @@
-//! The pose of the moment a scan was taken: when it is known as well as it will be, and whether
-//! that is well enough to map.
+//! The pose at the time of a scan: whether it is final, and whether it is certain enough for
+//! mapping.
 
 use ubimap_protocol::{
     message::Certainty,
@@ -18,21 +18,21 @@ use crate::{
     trigonometry::RADIANS,
 };
 
-/// A robot stands that moves less from one reading of the odometry to the next: in millimetres along
-/// x and along y, and in binary angle units (a degree).
+/// Maximum motion between two odometry readings of a robot at standstill: in millimetres along x
+/// and along y, and in binary angle units (one degree).
 const STANDS_WITHIN: (u32, u16) = (5, 182);
 
-/// Where the poses come from.
+/// The source of the poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseSource {
-    /// The server's fixes; odometry, if there is any, bridges what they miss.
+    /// The server's fixes; odometry, if there is any, bridges the gaps.
     Fixes,
-    /// Odometry alone, from this pose of `odom` in `map`. It is taken at its word: nothing is
-    /// there that its map could be at odds with.
+    /// Odometry alone, from this pose of `odom` in `map`. Its errors are ignored: the map can't
+    /// conflict with any other.
     Odometry(Pose),
 }
 
-/// How unsure a pose may be for a scan to be mapped from it: standard deviations.
+/// Maximum uncertainty of a pose for its scan to be mapped: standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UncertaintyLimit {
     /// Of the distance from the true position.
@@ -42,27 +42,27 @@ pub struct UncertaintyLimit {
 }
 
 impl Default for UncertaintyLimit {
-    /// 15 cm and 3 degrees: a wall that is drawn three cells off becomes a second wall, and
-    /// 3 degrees put what is 3 m away as far off.
+    /// 15 cm and 3 degrees: a wall drawn three cells off becomes a second wall, and 3 degrees
+    /// displace points at 3 m by the same distance.
     fn default() -> Self {
         Self { position: Millimetres(150), heading: Angle(546) }
     }
 }
 
-/// How the pose of a moment stands.
+/// The pose of a time, if known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Located {
-    /// `base_link` in `map`, and how unsure it is.
+    /// `base_link` in `map`, and its uncertainty.
     At(Pose, Variances),
-    /// `base_link` in `map`, less sure than is allowed.
+    /// `base_link` in `map`, with an uncertainty above the limit.
     Unsure(Pose),
-    /// What would tell may still come.
+    /// Measurements that determine it may still arrive.
     NotYet,
-    /// Nothing that may still come would tell.
+    /// No measurement that may still arrive can determine it.
     Never,
 }
 
-/// The filter, and what is asked of it.
+/// The filter and its queries.
 #[derive(Debug)]
 pub struct Locator {
     filter: Filter,
@@ -72,7 +72,7 @@ pub struct Locator {
 }
 
 impl Locator {
-    /// A locator that knows nothing yet. The noise is of no account if odometry is the source.
+    /// A locator without an estimate. The noise is ignored if odometry is the only source.
     pub fn new(source: PoseSource, noise: &OdometryNoise, limit: UncertaintyLimit) -> Self {
         let filter = match source {
             PoseSource::Fixes => Filter::new(MotionNoise::of(noise), None),
@@ -82,12 +82,12 @@ impl Locator {
         Self { filter, errors, takes_fixes: source == PoseSource::Fixes, limit }
     }
 
-    /// Takes a fix that arrived at `now`: `base_link` in `map` at the moment `server` of the
-    /// server's clock, which is `local` of the robot's (if that is known). With the outcome comes
-    /// the pose that is believed for that moment.
+    /// Processes a fix that arrived at `now`: `base_link` in `map` at the server's time `server`,
+    /// which is `local` by the robot's clock (if known). Returns its outcome and the estimate for
+    /// that time.
     ///
     /// # Errors
-    /// Every [`FixError`]; nothing has changed then.
+    /// [`FixError`]; the estimate is unchanged.
     pub fn fix(
         &mut self,
         server: Instant,
@@ -100,18 +100,18 @@ impl Locator {
             return Err(FixError::Unused);
         }
         let local = local.ok_or(FixError::Untimed)?;
-        // Clocks agree but so far.
+        // Allows for the error of clock synchronisation.
         if local > now + BRIDGED_GAP {
             return Err(FixError::Future);
         }
         self.filter.fix(server, local, pose, certainty)
     }
 
-    /// Takes a reading of the odometry: `base_link` in `odom` at a moment of the robot's clock.
-    /// Two of one moment are one, the first.
+    /// Processes an odometry reading: `base_link` in `odom` at a time of the robot's clock. Of two
+    /// readings of the same time the second is ignored.
     ///
     /// # Errors
-    /// [`Backwards`]; nothing has changed then.
+    /// [`Backwards`]; the estimate is unchanged.
     pub fn odometry(&mut self, moment: Instant, pose: Pose) -> Result<(), Backwards> {
         if self.filter.is_new(moment)? {
             let corrected = self.errors.corrected(pose);
@@ -120,26 +120,26 @@ impl Locator {
         Ok(())
     }
 
-    /// The pose of a scan will be asked for. Odometry that comes before and after it tells that pose best
-    /// if this is known when it comes.
+    /// Announces that the pose of a scan will be requested. It is most accurate if this is called
+    /// before the odometry around that time arrives.
     pub(crate) fn expect(&mut self, taken: Instant) {
         self.filter.expect(taken);
     }
 
-    /// Learns from a camera's fix that was taken in what odometry gets wrong each time.
+    /// Learns the systematic errors of odometry from an accepted camera fix.
     pub(crate) fn learn(&mut self, local: Instant, pose: Pose, certainty: Certainty) {
         if let Some(odometry) = self.filter.steady_odometry(local) {
             self.errors.learn(local, pose, certainty, odometry, self.filter.noise());
         }
     }
 
-    /// The newest reading of the odometry without the errors that are known: `base_link` in `odom`.
+    /// The newest odometry, corrected for known errors: `base_link` in `odom`.
     pub fn newest_odometry(&self) -> Option<Pose> {
         self.filter.newest_odometry().map(|(_, pose)| pose)
     }
 
-    /// The newest reading of the odometry, if the robot has hardly moved since the one before: then
-    /// it is where the robot is now, too. `base_link` in `odom`.
+    /// The newest odometry, if the robot has hardly moved since the previous one, so that it is
+    /// still there: `base_link` in `odom`.
     pub(crate) fn standing_odometry(&self) -> Option<Pose> {
         let (newest, before) = self.filter.newest_two()?;
         let moved = |to: Millimetres, from: Millimetres| to.0.abs_diff(from.0) > STANDS_WITHIN.0;
@@ -148,19 +148,19 @@ impl Locator {
         (!moves).then_some(newest)
     }
 
-    /// The moment of the newest fix.
+    /// The time of the newest fix.
     pub fn newest_fix(&self) -> Option<Instant> {
         self.filter.newest_fix()
     }
 
-    /// Whether the fixes have stopped: there was none in the third of a second before `moment`.
+    /// Whether there was no fix in the third of a second before `moment`.
     pub fn is_blind(&self, moment: Instant) -> bool {
         let newest = self.filter.newest_fix();
         self.takes_fixes && newest.is_none_or(|newest| moment.since(newest) >= BLIND_AFTER)
     }
 
-    /// The pose at `moment`, asked for at `now` (robot's clock). With `last_chance` it is not
-    /// waited for anything better.
+    /// The pose at `moment`, requested at `now` (robot's clock). With `last_chance` it does not
+    /// wait for further measurements.
     pub fn at(&self, moment: Instant, now: Instant, last_chance: bool) -> Located {
         if !last_chance && self.may_know_better(moment, now) {
             return Located::NotYet;
@@ -175,7 +175,7 @@ impl Locator {
         }
     }
 
-    /// Whether a measurement may come, late or after the moment, that tells more of it.
+    /// Whether a measurement that improves the pose of a time may still arrive.
     fn may_know_better(&self, moment: Instant, now: Instant) -> bool {
         let fresh = |newest: Instant| now.since(newest) <= BRIDGED_GAP;
         let odometry = self.filter.newest_odometry().map(|(newest, _)| newest);
@@ -184,19 +184,19 @@ impl Locator {
         }
         let driven = odometry.is_some_and(fresh);
         let fix = self.filter.newest_fix();
-        // Without odometry nothing but a fix can tell; with it, one that is likely to come.
+        // Without odometry only a fix can help; with it, a fix if one is likely to come.
         let seen = fix.is_some_and(fresh) || !driven;
         fix.is_none_or(|newest| newest < moment) && seen
             || driven && odometry.is_some_and(|newest| newest < moment)
     }
 
-    /// The pose at a moment, and how unsure it is.
+    /// The pose at a time, and its uncertainty.
     pub(crate) fn best(&self, moment: Instant) -> Option<(Pose, Variances)> {
         let before = self.filter.at(moment);
         if let Some(told) = before.filter(|told| !told.guessed) {
             return Some((told.pose, told.variances));
         }
-        // The motion is not known: it goes by the fixes on both sides, if they are near.
+        // The motion is unknown: interpolates between the fixes on both sides, if they are near.
         let (last, next) = self.filter.fixes_around(moment);
         let after = next.and_then(|next| Some((next, self.filter.at(next)?)));
         if let Some((last, (next, to))) = last.zip(after)
@@ -216,8 +216,8 @@ impl Locator {
         }
     }
 
-    /// The pose at a moment that may lie after the newest reading of the odometry, and how unsure it
-    /// is. Up to a third of a second after that reading the robot is taken to go on as it did.
+    /// The pose at a time that may be after the newest odometry, and its uncertainty. Extrapolates
+    /// up to a third of a second with constant motion.
     pub(crate) fn predicted(&self, moment: Instant) -> Option<(Pose, Variances)> {
         let soon = self.filter.soon_after_odometry(moment);
         soon.map(|told| (told.pose, told.variances)).or_else(|| self.best(moment))
@@ -272,11 +272,11 @@ mod tests {
         assert_eq!(at(&locator, 1_050, true), Located::Unsure(pose(0, 0, 0.0)));
         fix_at(&mut locator, 1_100, pose(100, 0, 10.0));
         near(at(&locator, 1_050, false), pose(50, 0, 5.0));
-        // A gap that is too wide is not believed.
+        // Gaps that are too wide are not bridged.
         fix_at(&mut locator, 2_100, pose(1100, 0, 10.0));
         assert!(matches!(at(&locator, 1_600, true), Located::Unsure(_)));
         assert_eq!(at(&locator, 2_200, false), Located::NotYet);
-        // One that was taken just before the first fix is where that says.
+        // A scan from just before the first fix gets the pose of that fix.
         near(at(&locator, 1_000, true), pose(0, 0, 0.0));
         near(locator.at(Instant(999_990), moment(1_000), true), pose(0, 0, 0.0));
     }
@@ -284,7 +284,7 @@ mod tests {
     #[test]
     fn odometry_carries_a_fix_on_until_it_is_too_unsure() {
         let mut locator = locator(PoseSource::Fixes);
-        // At 0.5 m/s, read at 20 Hz; in `map` it goes north from (1, 2) m.
+        // At 0.5 m/s, read at 20 Hz; in `map` it drives north from (1, 2) m.
         let drive = |locator: &mut Locator, from: u64, to: u64| {
             for millis in (from..to).step_by(50) {
                 let x = (millis / 2) as i32;
@@ -294,31 +294,31 @@ mod tests {
         drive(&mut locator, 0, 1_050);
         fix_at(&mut locator, 1_000, pose(1000, 2000, 90.0));
         let at = |locator: &Locator, scan, now| locator.at(moment(scan), moment(now), false);
-        // A fix may come yet, and so may odometry.
+        // A fix may still arrive, and so may odometry.
         assert_eq!(at(&locator, 1_020, 1_030), Located::NotYet);
         drive(&mut locator, 1_050, 2_050);
         near(at(&locator, 1_910, 2_020), pose(1000, 2455, 90.0));
         assert_eq!(at(&locator, 2_040, 2_041), Located::NotYet);
         drive(&mut locator, 2_050, 9_050);
         near(at(&locator, 9_000, 9_000), pose(1000, 6000, 90.0));
-        // After 9.5 m a heading that was unsure by a degree makes 17 cm, and there is more.
+        // After 9.5 m a heading deviation of one degree makes 17 cm, plus the odometry's own noise.
         drive(&mut locator, 9_050, 20_050);
         let Located::Unsure(lost) = at(&locator, 20_000, 20_000) else { panic!() };
         assert_eq!(lost, pose(1000, 11_500, 90.0));
-        // The next fix mends it.
+        // The next fix corrects it.
         fix_at(&mut locator, 20_000, pose(1000, 11_400, 90.0));
         assert!(matches!(at(&locator, 20_000, 20_000), Located::At(..)));
     }
 
-    /// Readings that are remembered lie 100 ms apart; at the moment of a scan the ones that came just
-    /// before and after it count.
+    /// Remembered readings are 100 ms apart; for a scan the readings right before and after it are
+    /// used.
     #[test]
     fn the_odometry_of_a_scans_moment_is_remembered() {
         let (mut locator, mut other) = (
             locator(PoseSource::Odometry(pose(0, 0, 0.0))),
             locator(PoseSource::Odometry(pose(0, 0, 0.0))),
         );
-        // It turns ever faster, by 2,000 degrees/s^2.
+        // The robot turns with an acceleration of 2,000 degrees/s^2.
         let at = |millis: u64| pose(0, 0, 0.001 * (millis * millis) as f64);
         for millis in (10..600).step_by(50) {
             let is_scan = millis % 100 == 60;
@@ -334,18 +334,18 @@ mod tests {
                 Located::At(found, _) => found.heading.distance(at(millis).heading),
                 missing => panic!("{missing:?}"),
             };
-        // Binary units: 182 are a degree.
+        // In binary angle units: 182 are one degree.
         for scan in [200, 300, 400] {
             assert!(off(&locator, scan) <= 90, "{}", off(&locator, scan));
             assert!(off(&other, scan) > off(&locator, scan), "{}", off(&other, scan));
         }
     }
 
-    /// A step of the drive comes when it is due, and not with a reading of the odometry.
+    /// The drive's steps are not synchronised with the odometry.
     #[test]
-    fn soon_after_the_odometry_the_pose_is_known_and_then_it_is_lost() {
+    fn the_pose_is_extrapolated_shortly_after_the_odometry_and_then_lost() {
         for turn in [0.0, 60.0] {
-            // At 0.5 m/s, read at 66 Hz, with fixes at 10 Hz until a tenth of a second ago.
+            // At 0.5 m/s, read at 66 Hz, with fixes at 10 Hz until 0.1 s ago.
             let mut locator = locator(PoseSource::Fixes);
             let at = |millis: f64| {
                 let degrees = turn * millis / 1_000.0;
@@ -383,7 +383,7 @@ mod tests {
             let (_, lost) = locator.predicted(moment(newest + 351)).unwrap();
             assert!(libm::sqrtf(lost.position) > 150.0, "{lost:?}");
         }
-        // With one reading the speed is not known, and a robot does not go far in 50 ms.
+        // With one reading the speed is unknown, but a robot does not get far in 50 ms.
         let mut locator = locator(PoseSource::Odometry(pose(0, 0, 0.0)));
         assert_eq!(locator.predicted(moment(1)).map(|(pose, _)| pose), Some(pose(0, 0, 0.0)));
         locator.odometry(moment(10), pose(100, 0, 0.0)).unwrap();
@@ -407,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_is_carried_off_is_believed_after_five_fixes() {
+    fn fixes_of_a_carried_robot_are_accepted_after_five_rejections() {
         let mut locator = locator(PoseSource::Fixes);
         for millis in (0..4_000).step_by(50) {
             locator.odometry(moment(millis), pose(0, 0, 0.0)).unwrap();
@@ -415,7 +415,7 @@ mod tests {
         let (here, there) = (pose(0, 0, 0.0), pose(3_000, 0, 0.0));
         assert_eq!(fix_at(&mut locator, 3_000, here), FixOutcome::Began);
         assert_eq!(fix_at(&mut locator, 3_066, here), FixOutcome::Taken);
-        // A fix elsewhere now and then, or one that agrees with no other, is left out.
+        // Single outliers are rejected, also when they do not agree with one another.
         for (millis, x) in [(3_133, 3_000), (3_200, -3_000), (3_266, 3_000), (3_333, 5_000)] {
             assert_eq!(fix_at(&mut locator, millis, pose(x, 0, 0.0)), FixOutcome::Rejected);
         }
@@ -429,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_placed_in_time_is_refused() {
+    fn fixes_and_odometry_with_invalid_times_are_refused() {
         let mut locator = locator(PoseSource::Fixes);
         let origin = pose(0, 0, 0.0);
         for fix in 10..20 {
@@ -444,11 +444,11 @@ mod tests {
         assert_eq!(fix(8_900, Some(1_900), 2_000), Err(FixError::Repeated));
         assert_eq!(fix(1, None, 2_000), Err(FixError::Untimed));
         assert_eq!(fix(2, Some(1_100), 2_000), Err(FixError::TooOld));
-        // Another one that came to be of the same moment is one more.
+        // Another server time that maps to the same local time is another fix.
         assert_eq!(fix(8_801, Some(1_800), 2_000), Ok(FixOutcome::Taken));
         assert_eq!(fix(8_802, Some(1_800), 2_000), Ok(FixOutcome::Taken));
         assert_eq!(fix(3, Some(2_351), 2_000), Err(FixError::Future));
-        // After 450 ms without odometry nothing is known any more.
+        // After 450 ms without odometry the pose is lost.
         assert_eq!(fix(3, Some(2_350), 2_000), Ok(FixOutcome::Began));
         locator.odometry(moment(3_000), origin).unwrap();
         assert!(locator.odometry(moment(2_999), origin).is_err());

@@ -1,4 +1,4 @@
-//! Where the robot is, and where it was when a scan was taken.
+//! Localisation: where the robot is, and where it was when a scan was taken.
 
 mod covariance;
 mod estimate;

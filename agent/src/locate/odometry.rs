@@ -1,23 +1,23 @@
-//! Odometry: how far it is to be trusted, and what it said between two readings.
+//! Odometry: its noise, and interpolation between two readings.
 
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use crate::trigonometry::{RADIANS, round};
 
-/// How odometry departs from the truth: standard deviations, whose squares grow with the way.
+/// The noise of odometry: standard deviations, whose squares grow with the distance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OdometryNoise {
-    /// Of x and of y after a metre.
+    /// Of x and of y after one metre.
     pub position_per_metre: Millimetres,
-    /// Of the heading after a metre.
+    /// Of the heading after one metre.
     pub heading_per_metre: Angle,
-    /// Of the heading after turning by a radian.
+    /// Of the heading after turning by one radian.
     pub heading_per_radian: Angle,
 }
 
 impl Default for OdometryNoise {
-    /// Two driven wheels with encoders: 1.5 cm and 0.5 degrees after a metre, 1 degree after a
-    /// radian. Each is half chance, half a slip of 1 %.
+    /// Two driven wheels with encoders: 1.5 cm and 0.5 degrees after one metre, 1 degree after one
+    /// radian. Half of each is random, half a slip of 1 %.
     fn default() -> Self {
         Self {
             position_per_metre: Millimetres(15),
@@ -27,24 +27,24 @@ impl Default for OdometryNoise {
     }
 }
 
-/// How fast variances grow.
+/// Growth of the variances.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct MotionNoise {
-    /// Of x and of y along the way: mm^2 for each mm.
+    /// Of x and of y with distance: mm^2/mm.
     pub(super) position_by_way: f32,
-    /// Of the heading along the way: rad^2 for each mm.
+    /// Of the heading with distance: rad^2/mm.
     pub(super) heading_by_way: f32,
-    /// Of the heading in turns: rad^2 for each rad.
+    /// Of the heading with turning: rad^2/rad.
     pub(super) heading_by_turn: f32,
-    /// Of x and of y in any case: mm^2 for each second.
+    /// Of x and of y with time: mm^2/s.
     pub(super) position_by_time: f32,
-    /// Of the heading in any case: rad^2 for each second.
+    /// Of the heading with time: rad^2/s.
     pub(super) heading_by_time: f32,
 }
 
 impl MotionNoise {
-    /// Of odometry, and of what no wheel notices: a push, a carpet. 3 mm and 0.1 degrees after a
-    /// second, so that a robot that is pushed a little is believed to be there in 2 s at 15 Hz.
+    /// The noise of odometry, plus motion that the wheels do not notice, such as a push: 3 mm and
+    /// 0.1 degrees after one second, so that a small push is accepted within 2 s at 15 Hz.
     pub(super) fn of(noise: &OdometryNoise) -> Self {
         let square = |value: f32| value * value;
         let radians = |angle: Angle| f32::from(angle.0) * RADIANS;
@@ -58,7 +58,7 @@ impl MotionNoise {
     }
 }
 
-/// The pose at a part (0 to 1) of the way, in proportion, turning the short way.
+/// Interpolates between two poses, `part` from 0 to 1, turning the short way.
 pub(super) fn between(from: Pose, to: Pose, part: f32) -> Pose {
     let mix = |from: Millimetres, to: Millimetres| {
         from + Millimetres(round((to - from).0 as f32 * part) as i32)
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_pose_in_between_is_in_proportion_and_turns_the_short_way() {
+    fn poses_are_interpolated_the_short_way_round() {
         let pose = |x, heading| Pose { x: Millimetres(x), y: Millimetres(-x), heading };
         let (from, to) = (pose(0, Angle(65_000)), pose(1000, Angle(536)));
         assert_eq!(between(from, to, 0.0), from);

@@ -1,9 +1,9 @@
-//! The systematic errors of odometry (Borenstein and Feng 1996 name them: wheels of other sizes and
-//! another distance than is thought): learnt where cameras see the robot, taken out everywhere.
+//! The systematic errors of odometry (Borenstein and Feng 1996: unequal wheel diameters, wrong
+//! wheelbase): learnt where cameras see the robot, and corrected everywhere.
 //!
-//! Three numbers stand for them: how much longer a way is than odometry says, how much wider a turn
-//! is, and by how much the heading turns on a metre of straight way. They are what makes a robot
-//! stray in blind ground: chance grows with the root of the way, these grow with the way.
+//! Three parameters describe them: the scale error of distances, the scale error of turns, and the
+//! drift of the heading per distance driven straight. They dominate the error in blind ground:
+//! random errors grow with the root of the distance, these with the distance itself.
 
 use libm::sqrtf;
 use ubimap_protocol::{
@@ -15,24 +15,24 @@ use ubimap_protocol::{
 use super::odometry::{MotionNoise, OdometryNoise};
 use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 
-/// Between two fixes that are compared: at least this way in millimetres, straight but for so much
-/// in radians, or such a turn; no longer than this.
-const WAY: f32 = 1_000.0;
-const STRAIGHT: f32 = 0.17;
-const TURN: f32 = 0.5;
-const WIDEST_TURN: f32 = 2.6;
-const LONGEST_MICROS: u32 = 20_000_000;
-/// Fixes that are less sure than this teach nothing.
+/// Requirements for the motion between two compared fixes: minimum distance in millimetres, with a
+/// maximum turn in radians; or a turn in this range; and a maximum time.
+const MIN_WAY: f32 = 1_000.0;
+const MAX_BEND: f32 = 0.17;
+const MIN_TURN: f32 = 0.5;
+const MAX_TURN: f32 = 2.6;
+const MAX_MICROS: u32 = 20_000_000;
+/// Maximum standard deviations of a fix to learn from, in millimetres and binary angle units.
 const SURE: Certainty = Certainty { x: 20, y: 20, heading: 182 };
-/// Nothing is learnt beyond a fifth, or 6 degrees on a metre: then something is broken.
-const MOST: f32 = 0.2;
-const MOST_DRIFT: f32 = 1.0e-4;
-/// A reading further from the one before is no motion, in millimetres.
+/// Maximum scale error (20 %) and drift (6 degrees per metre): beyond, the robot is defective.
+const MAX_SCALE: f32 = 0.2;
+const MAX_DRIFT: f32 = 1.0e-4;
+/// Maximum distance between two readings, in millimetres: a greater one is a jump, not a motion.
 const JUMP: f32 = 1_000.0;
-/// Wheels wear: of what has been learnt so much is doubted again with each lesson.
+/// Share of the variance restored with each lesson, to allow for wear.
 const DOUBT: f32 = 1.0e-3;
 
-/// A number that is learnt, and its variance.
+/// A learnt parameter and its variance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Learnt {
     value: f32,
@@ -40,13 +40,13 @@ struct Learnt {
 }
 
 impl Learnt {
-    /// Half of the noise that is allowed for is systematic, the other half chance.
+    /// Half of the configured noise is systematic, the other half random.
     fn of(deviation: f32) -> Self {
         Self { value: 0.0, variance: 0.5 * deviation * deviation }
     }
 
-    /// A measurement says that it is off by so much, with this variance. What is far beyond both is
-    /// a wheel that spun.
+    /// Updates it by a measured error `off` with this variance. Outliers, such as a spinning wheel,
+    /// are ignored.
     fn learn(&mut self, off: f32, variance: f32, most: f32) {
         let sum = self.variance + variance;
         if off * off > 9.0 * sum {
@@ -58,10 +58,10 @@ impl Learnt {
     }
 }
 
-/// A fix, and where odometry said that the robot was.
+/// A fix, and the odometry at its time.
 #[derive(Clone, Copy, Debug)]
 struct Anchor {
-    /// The lower word of the moment, in microseconds.
+    /// The lower word of its time, in microseconds.
     moment: u32,
     fix: Pose,
     odometry: Pose,
@@ -70,25 +70,25 @@ struct Anchor {
     heading: u16,
 }
 
-/// What odometry gets wrong each time in the same way.
+/// The systematic errors of odometry.
 #[derive(Debug)]
 pub(super) struct SystematicErrors {
-    /// The share by which a way is longer.
+    /// Scale error of distances.
     way: Learnt,
-    /// The share by which a turn is wider.
+    /// Scale error of turns.
     turn: Learnt,
-    /// The turn on straight way: radians for each mm.
+    /// Drift of the heading: radians per mm driven straight.
     drift: Learnt,
-    /// The last reading as it came, and what it was taken for, with what is left of a millimetre.
+    /// The last reading and its corrected pose, with the fraction of a millimetre that is left.
     last: Option<(Pose, Pose)>,
     rest: (f32, f32),
-    /// What the heading has been put right by, in radians.
+    /// The correction applied to the heading, in radians.
     turned: f32,
     anchor: Option<Anchor>,
 }
 
 impl SystematicErrors {
-    /// Nothing is known but how large such errors may be.
+    /// Without errors, with the variances that the noise implies.
     pub(super) fn new(noise: &OdometryNoise) -> Self {
         let angle = |angle: Angle| f32::from(angle.0) * RADIANS;
         Self {
@@ -102,7 +102,7 @@ impl SystematicErrors {
         }
     }
 
-    /// A reading without the errors that are known: `base_link` in an `odom` of its own.
+    /// A reading corrected for the known errors: `base_link` in a corrected `odom`.
     pub(super) fn corrected(&mut self, reading: Pose) -> Pose {
         let Some((last, mut pose)) = self.last else {
             self.last = Some((reading, reading));
@@ -128,7 +128,7 @@ impl SystematicErrors {
         pose
     }
 
-    /// Compares a fix that was taken in with what corrected odometry says of the same moment.
+    /// Compares an accepted fix with the corrected odometry of the same time.
     pub(super) fn learn(
         &mut self,
         moment: Instant,
@@ -143,10 +143,10 @@ impl SystematicErrors {
             return;
         }
         let new = Anchor { moment: moment.0 as u32, fix, odometry, position, heading };
-        // An older fix lies more than half of the word ahead.
+        // For an older fix the difference wraps to more than half of the range.
         let age = |last: &Anchor| new.moment.wrapping_sub(last.moment);
         let Some(last) =
-            self.anchor.filter(|last| age(last) <= LONGEST_MICROS || age(last) > u32::MAX / 2)
+            self.anchor.filter(|last| age(last) <= MAX_MICROS || age(last) > u32::MAX / 2)
         else {
             self.anchor = Some(new);
             return;
@@ -157,26 +157,26 @@ impl SystematicErrors {
         let turn = radians(odometry.heading - last.odometry.heading);
         let way = distance(last.odometry, odometry);
         let turned = turn.abs();
-        if way < WAY && turned < TURN {
+        if way < MIN_WAY && turned < MIN_TURN {
             return;
         }
         self.anchor = Some(new);
         let square = |value: f32| value * value;
         let both = |one: u16, other: u16| square(f32::from(one)) + square(f32::from(other));
         let heading = both(heading, last.heading) * RADIANS * RADIANS;
-        // Half of the noise is chance.
+        // Half of the noise is random.
         let chance = 0.5 * (noise.heading_by_way * way + noise.heading_by_turn * turned);
         let seen = radians(fix.heading - last.fix.heading);
         let off = radians(crate::trigonometry::angle(seen - turn));
-        if (TURN..WIDEST_TURN).contains(&turned) {
+        if (MIN_TURN..MAX_TURN).contains(&turned) {
             let drift = self.drift.variance * way * way;
             let variance = (heading + chance + drift) / square(turn);
-            self.turn.learn(off / turn, variance, MOST);
-        } else if turned < STRAIGHT {
-            self.drift.learn(off / way, (heading + chance) / square(way), MOST_DRIFT);
+            self.turn.learn(off / turn, variance, MAX_SCALE);
+        } else if turned < MAX_BEND {
+            self.drift.learn(off / way, (heading + chance) / square(way), MAX_DRIFT);
             let position = both(position, last.position) + 0.5 * noise.position_by_way * way;
             let longer = distance(last.fix, fix) - way;
-            self.way.learn(longer / way, position / square(way), MOST);
+            self.way.learn(longer / way, position / square(way), MAX_SCALE);
         }
     }
 }
@@ -186,7 +186,7 @@ fn distance(from: Pose, to: Pose) -> f32 {
     sqrtf(dx * dx + dy * dy)
 }
 
-/// What is left of an angle by whole binary units.
+/// The fraction of a binary unit in an angle.
 fn fraction(angle: f32) -> f32 {
     let units = angle / RADIANS;
     (units - round(units)) * RADIANS
@@ -200,8 +200,8 @@ mod tests {
         MotionNoise::of(&OdometryNoise::default())
     }
 
-    /// A robot that drives and turns, and its wheels that are wrong in three ways: what it learns
-    /// from exact fixes, and how far its corrected odometry strays on the way after them.
+    /// A robot with three errors of its wheels drives and turns. Returns what it learns from exact
+    /// fixes, and how far its corrected odometry strays afterwards.
     fn drive(slip: f64, turn_slip: f64, drift: f64) -> (SystematicErrors, f64, f64) {
         let mut errors = SystematicErrors::new(&OdometryNoise::default());
         let (mut truth, mut wheels) = ([0.0f64; 3], [0.0f64; 3]);
@@ -209,7 +209,7 @@ mod tests {
         let mut origin = None;
         let mut last = Pose::default();
         for step in 0..40 * 60 {
-            // Three seconds straight on, one and a half to the left or right, then standing a bit.
+            // Three seconds straight, one and a half to the left or right, then a short stop.
             let (leg, part) = (step / 100, step % 100);
             let (way, turn) = match part {
                 0..60 => (0.02, 0.0),
@@ -226,7 +226,7 @@ mod tests {
             let wrong = turn / (1.0 + turn_slip) - drift * way;
             go(&mut wheels, way / (1.0 + slip), wrong);
             let odometry = errors.corrected(pose(wheels));
-            // A fix in a turn says too little of where the wheels were.
+            // Fixes during a turn are too imprecise about the odometry's heading.
             if leg < 12 && turn == 0.0 {
                 let certainty = Certainty { x: 3, y: 3, heading: 30 };
                 errors.learn(Instant(step * 50_000), pose(truth), certainty, odometry, &noise());
@@ -234,7 +234,7 @@ mod tests {
             }
             last = odometry;
         }
-        // From where the fixes ended.
+        // Relative to the last fix.
         let (seen, then) = origin.unwrap();
         let turn = (seen.heading - then.heading).radians();
         let (dx, dy) = ((last.x - then.x).metres(), (last.y - then.y).metres());
@@ -247,25 +247,25 @@ mod tests {
     }
 
     #[test]
-    fn wheels_that_are_wrong_are_put_right_where_nobody_sees_them() {
-        // The robot: 2 % of slip, a degree on a metre.
+    fn learnt_errors_are_corrected_in_blind_ground() {
+        // 2 % of slip, one degree per metre.
         let degree = 1.0f64.to_radians();
         for (slip, turn_slip, drift) in
             [(0.02, 0.0, degree), (-0.01, 0.01, 0.0), (0.01, -0.02, -0.5 * degree)]
         {
-            // 14 m and twelve turns follow, on which the wheels alone would be 15 degrees off.
+            // Then 14 m and twelve turns, on which uncorrected odometry would be 15 degrees off.
             let (errors, off, heading) = drive(slip, turn_slip, drift);
             assert!(off <= 0.1 && heading <= 3.0, "{off} m, {heading} degrees: {errors:?}");
             assert!((f64::from(errors.way.value) - slip).abs() < 0.003, "{errors:?}");
             assert!((f64::from(errors.turn.value) - turn_slip).abs() < 0.003, "{errors:?}");
-            // The learner must allow for chance, of which there is none here.
+            // The filter allows for random errors, although there are none here.
             let drift_per_mm = f64::from(errors.drift.value) * 1_000.0;
             assert!((drift_per_mm - drift).abs() < 0.2 * degree, "{errors:?}");
         }
     }
 
     #[test]
-    fn nothing_learnt_leaves_every_reading_as_it_is() {
+    fn readings_are_unchanged_before_anything_is_learnt() {
         let mut errors = SystematicErrors::new(&OdometryNoise::default());
         for (x, y, degrees) in [(0, 0, 0.0), (17, -4, 8.0), (900, 40, 170.0), (90_000, -7, -170.0)]
         {
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wheel_that_spins_teaches_nothing() {
+    fn a_spinning_wheel_is_ignored() {
         let (errors, ..) = drive(0.01, 0.0, 0.0);
         let before = (errors.way, errors.drift);
         let mut errors = errors;

@@ -1,4 +1,4 @@
-//! The filter against a plain batch filter, and against any input at all.
+//! Compares the filter with a batch filter, and tests arbitrary input.
 
 use core::f64::consts::{PI, TAU};
 use std::{format, vec::Vec};
@@ -20,27 +20,28 @@ const GATE: f64 = 16.27;
 const BRIDGED_GAP: u64 = 350_000;
 const UNKNOWN: [f64; 3] = [6.0e6, 6.0e6, 6.6];
 
-/// A squared distance so near the gate, as a part of it, may fall on either side: odometry is
-/// rounded to a millimetre, the gate is at four deviations of 30 mm or so.
+/// Relative distance from the gate within which rounding may decide: odometry is rounded to a
+/// millimetre, and the gate is at four deviations of about 30 mm.
 const ROUNDING: f64 = 0.03;
 
-/// A measurement with its moment.
+/// A measurement with its time.
 type Timed<T> = (u64, T);
 
-/// The textbook's filter in double precision: the state is (x, y, heading), the motion is in the
-/// frame of the robot, a fix is taken in by one matrix inverse, and everything is worked out from
-/// the first measurement on.
+/// The textbook filter in double precision: the state is (x, y, heading), the motion is in the
+/// robot's frame, a fix is processed with one matrix inverse, and everything is computed from the
+/// first measurement on.
 #[derive(Clone, Copy)]
 struct Textbook {
     mean: Vector3<f64>,
     covariance: Matrix3<f64>,
 }
 
-/// What is left of a run.
+/// The results of a run.
 struct Run {
     end: Option<Textbook>,
     outcomes: Vec<FixOutcome>,
-    /// When first a distance came too near to the gate, or a variance to being lost, to say.
+    /// The first time at which a distance came too near the gate, or a variance too near being
+    /// lost.
     doubt: Option<u64>,
 }
 
@@ -79,7 +80,7 @@ impl Textbook {
         p.m11 + p.m22 > 1.0e8 || p.m33 > 1.0
     }
 
-    /// Takes a fix in, unless it is beyond the gate. The squared distance.
+    /// Processes a fix, unless it is beyond the gate. Returns the squared distance.
     fn take(&mut self, fix: &Fix) -> f64 {
         let noise = Matrix3::from_diagonal(&variances(fix));
         let mut innovation = state(fix.pose) - self.mean;
@@ -99,7 +100,7 @@ impl Textbook {
     fn run(readings: &[Timed<Pose>], fixes: &[Timed<Fix>], until: u64) -> Run {
         let mut run = Run { end: None, outcomes: Vec::new(), doubt: None };
         let mut rival: Option<(Self, u32)> = None;
-        // Where the odometry was at the last step, if that is known.
+        // The odometry at the last step, if known.
         let mut last: (u64, Option<Vector3<f64>>) = (0, None);
         let mut moments: Vec<u64> = readings.iter().map(|(moment, _)| *moment).collect();
         moments.extend(fixes.iter().map(|(moment, _)| *moment));
@@ -160,7 +161,7 @@ impl Run {
     }
 }
 
-/// Between two readings, if they are near enough in time.
+/// Interpolates between two readings, if they are close in time.
 fn odometry_at(readings: &[Timed<Pose>], moment: u64) -> Option<Vector3<f64>> {
     let after = readings.iter().find(|(time, _)| *time >= moment)?;
     if after.0 == moment {
@@ -187,25 +188,25 @@ fn wrap(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }
 
-/// A drive, as the wheels and the cameras tell of it.
+/// The measurements of a drive.
 #[derive(Clone, Debug)]
 struct Drive {
     readings: Vec<Timed<Pose>>,
     fixes: Vec<Timed<Fix>>,
-    /// How late each fix arrives.
+    /// Delay of each fix.
     lateness: Vec<u64>,
 }
 
 fn drive() -> impl Strategy<Value = Drive> {
     let steps = proptest::collection::vec(
         (
-            // Between readings: mostly wheels, sometimes a gap.
+            // Time between readings: mostly short, sometimes a gap.
             prop_oneof![9 => 100_000..150_000u64, 1 => 150_000..800_000u64],
-            // Forward and turn in a second, in mm and binary units.
+            // Speed in mm/s and turn rate in binary angle units per second.
             (-300..1_500i32, -8_000..8_000i32),
-            // Between fixes, their errors and their lateness.
+            // Time between fixes, their errors and their delay.
             (60_000..180_000u64, -30..30i32, -30..30i32, -200..200i32, 0..300_000u64),
-            // Absurd, or from here on somewhere else.
+            // An outlier, or the robot is carried off.
             0..60u32,
         ),
         20..120,
@@ -255,7 +256,7 @@ fn drive() -> impl Strategy<Value = Drive> {
 }
 
 impl Drive {
-    /// Up to where rounding might decide.
+    /// Cut before the point where rounding might decide.
     fn beyond_doubt(mut self) -> Self {
         while let Some(doubt) = Textbook::run(&self.readings, &self.fixes, u64::MAX).doubt {
             self.readings.retain(|(moment, _)| *moment < doubt);
@@ -270,11 +271,11 @@ fn filter() -> Filter {
 }
 
 proptest! {
-    /// Each measurement arrives when it does; in the end it is as if all had come in order.
+    /// Measurements arrive late, yet the result is that of all in order.
     #[test]
     fn late_fixes_end_where_a_batch_of_all_ends(drive in drive()) {
         let Drive { readings, fixes, lateness } = &drive;
-        // Readings arrive at once, fixes late.
+        // Readings arrive immediately, fixes late.
         let mut arrivals: Vec<(u64, Result<usize, usize>)> =
             readings.iter().enumerate().map(|(index, (moment, _))| (*moment, Ok(index))).collect();
         for (index, ((moment, _), late)) in fixes.iter().zip(lateness).enumerate() {
@@ -314,7 +315,7 @@ proptest! {
         }
     }
 
-    /// In order of time, what becomes of each fix is what becomes of it in the batch.
+    /// In order of time, each fix has the same outcome as in the batch.
     #[test]
     fn the_gate_and_the_rivals_are_those_of_the_batch(drive in drive()) {
         let batch = Textbook::run(&drive.readings, &drive.fixes, u64::MAX);
@@ -322,7 +323,7 @@ proptest! {
         let (mut readings, mut newest) = (drive.readings.iter(), 0);
         let mut outcomes = Vec::new();
         for (moment, fix) in &drive.fixes {
-            // The reading after it has arrived as well.
+            // The reading after it has arrived, too.
             while newest < *moment && let Some((reading, pose)) = readings.next() {
                 filter.odometry(Instant(*reading), *pose);
                 newest = *reading;
@@ -333,7 +334,7 @@ proptest! {
         prop_assert_eq!(outcomes, batch.outcomes);
     }
 
-    /// Any input in any order: an error changes nothing, and what is told makes sense.
+    /// Arbitrary input in any order: errors change nothing, and results are valid.
     #[test]
     fn no_input_upsets_it(
         offline in proptest::option::of(any_pose()),

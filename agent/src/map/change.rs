@@ -1,27 +1,27 @@
-//! What has changed in view of a robot that stands still.
+//! Detects changes in the view of a robot at standstill.
 
 use core::ops::Range;
 
-/// Readings that are remembered of a scan, at equal distances.
+/// Number of equally spaced readings remembered per scan.
 const SAMPLES: usize = 80;
 
-/// A reading that differs by more than this, and by a sixteenth of itself, has changed:
-/// millimetres. A stereo camera's noise is below both (2 % of the range).
-const LEAST_CHANGE: u16 = 60;
+/// Minimum change of a reading, in millimetres; it must also exceed 1/16 of the reading. A stereo
+/// camera's noise is below both (2 % of the range).
+const MIN_CHANGE: u16 = 60;
 
-/// The scan that was mapped last, in samples.
+/// The last mapped scan, in samples.
 #[derive(Clone, Debug)]
 pub(super) struct LastScan {
     samples: [u16; SAMPLES],
-    /// Readings from one sample to the next; 0 if nothing is remembered.
+    /// Number of readings per sample; 0 if no scan is remembered.
     step: usize,
 }
 
 impl LastScan {
-    /// Nothing has been mapped.
+    /// No scan.
     pub(super) const NONE: Self = Self { samples: [0; SAMPLES], step: 0 };
 
-    /// Remembers a scan, or a part of one: readings `part` of it.
+    /// Remembers a scan, or its readings `part`.
     pub(super) fn remember(&mut self, readings: &[u16], part: Range<usize>) {
         self.step = readings.len().div_ceil(SAMPLES).max(1);
         let samples = self.samples.iter_mut().zip(readings.iter().step_by(self.step));
@@ -31,9 +31,8 @@ impl LastScan {
         }
     }
 
-    /// The readings that may have changed: the smallest range with every change in it. Two samples
-    /// beside each other must have changed, or one if every reading is a sample. `None` if none
-    /// has.
+    /// The smallest range of readings with all changes. Two adjacent samples must have changed, or
+    /// one if every reading is a sample. `None` without a change.
     pub(super) fn changed(&self, readings: &[u16]) -> Option<Range<usize>> {
         if self.step == 0 {
             return Some(0..readings.len());
@@ -45,7 +44,7 @@ impl LastScan {
         for (index, &sample) in self.samples.iter().enumerate() {
             let Some(&reading) = readings.get(at) else { break };
             at += self.step;
-            let differs = sample.abs_diff(reading) > LEAST_CHANGE.max(sample >> 4);
+            let differs = sample.abs_diff(reading) > MIN_CHANGE.max(sample >> 4);
             if !differs {
                 before = alone_counts;
                 continue;
@@ -82,12 +81,12 @@ mod tests {
         assert!(part.start <= 300 && part.end >= 330 && part.len() < 70, "{part:?}");
         last.remember(&person, part);
         assert_eq!(last.changed(&person), None);
-        assert!(last.changed(&wall).is_some(), "the person has left");
+        assert!(last.changed(&wall).is_some(), "the person's departure is a change");
     }
 
     proptest! {
         #[test]
-        fn whatever_lasts_over_two_samples_is_noticed(
+        fn changes_over_two_samples_are_noticed(
             count in 1usize..700, at in 0usize..700, width in 16usize..100, depth in 100u16..1_500,
         ) {
             let before = std::vec![2_000u16; count];

@@ -1,14 +1,14 @@
-//! What speaks for and against each cell: a saturating counter of three bits, in planes, so that
-//! a row of 32 cells is updated by a handful of logic instructions.
+//! The evidence for each cell: a saturating counter of three bits, stored in bit planes, so that a
+//! few logic instructions update a row of 32 cells.
 //!
-//! 0 is unknown, 1 to 3 free, 4 to 7 occupied. A hit counts up by one, a near hit by two, a cell
-//! that beams crossed counts down by one. An unknown cell starts at 3 if it was crossed, and at 5
-//! (6 if near) if it was hit: a hit says more than a beam that passed by.
+//! 0 is unknown, 1 to 3 free, 4 to 7 occupied. A hit adds one, a near hit two; a crossing by a beam
+//! subtracts one. An unknown cell starts at 3 when crossed, and at 5 (6 if near) when hit: a hit is
+//! stronger evidence than a crossing.
 //!
-//! What the server's map says already is not counted again: where it agrees with what is seen,
-//! the cell stays unknown here; where it does not, the cell starts from what the map says, 5 or
-//! 1, and must be seen otherwise a few times before this robot contradicts. Where it is seen so too
-//! seldom for that, the cell soon starts from there again. What is movable leaves: from there the cell
+//! Information already in the server's map is not counted again: where an observation agrees with
+//! it, the cell stays unknown here; otherwise the cell starts from the map's state, 5 or 1, and
+//! takes several observations to contradict it. If there are too few, the cell is soon reset to
+//! that state. A cell movable in the map starts at 4, so that one crossing makes it free.
 //! starts at 4, and seen free once it is free.
 
 use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
@@ -16,46 +16,46 @@ use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 /// The evidence of one tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Evidence {
-    /// For each row its words of the three planes, the lowest bit first.
+    /// Three words per row, one per plane, lowest bit first.
     rows: [[u32; 3]; TILE_SIDE],
 }
 
-/// What a scan says of one row of a tile; a cell is in at most one of `free` and `hit`.
+/// A scan's observations in one row of a tile; a cell is in at most one of `free` and `hit`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RowSighting {
-    /// Cells that beams crossed.
+    /// Cells crossed by beams.
     pub free: u32,
-    /// Cells that beams ended in.
+    /// Cells in which beams ended.
     pub hit: u32,
 }
 
 impl RowSighting {
-    /// Nothing.
+    /// No observation.
     pub const NONE: Self = Self { free: 0, hit: 0 };
 
-    /// The cells of which it says something.
+    /// The observed cells.
     pub fn known(self) -> u32 {
         self.free | self.hit
     }
 }
 
-/// What is known of two rows of a tile: the columns in which one of the two cells is so.
+/// State of two rows of a tile: for each column, whether one of its two cells is in the state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Certain {
-    /// Occupied for certain: 7.
+    /// Certainly occupied: 7.
     pub(super) occupied: u32,
-    /// Free for certain: 1.
+    /// Certainly free: 1.
     pub(super) free: u32,
-    /// Known, and neither.
+    /// Known, but in neither state.
     pub(super) neither: u32,
 }
 
 impl Evidence {
-    /// Nothing is known of any cell.
+    /// All cells unknown.
     pub const NONE: Self = Self { rows: [[0; 3]; TILE_SIDE] };
 
-    /// Adds what a scan says of some rows from `first` on. Returns whether a hit said something
-    /// new: was in a cell that was not for as certain as can be known to be occupied.
+    /// Adds a scan's observations of rows from `first` on. Returns whether a hit was new: in a cell
+    /// that was not at its maximum yet.
     pub fn add(&mut self, first: usize, sightings: impl Iterator<Item = RowSighting>) -> bool {
         let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
         let mut news = 0;
@@ -67,8 +67,8 @@ impl Evidence {
         news != 0
     }
 
-    /// The same beside the server's map of the tile, which may know of a hit as well. Apart, for
-    /// either loop needs all registers.
+    /// The same for a tile that is also in the server's map, which may contain the hit as well. A
+    /// separate function, as each loop needs all registers.
     #[inline(never)]
     pub fn add_beside(
         &mut self,
@@ -85,8 +85,8 @@ impl Evidence {
         news != 0
     }
 
-    /// Adds hits in some rows from `first` on that are near, and count twice: once here, and once
-    /// with the rest of the scan, which is to follow.
+    /// Adds near hits in rows from `first` on. They count twice: here, and with the rest of the
+    /// scan, which must follow.
     pub fn add_near(
         &mut self,
         first: usize,
@@ -103,9 +103,9 @@ impl Evidence {
         }
     }
 
-    /// Free cells that the server's map says to be free, and that this robot has not `told`, start
-    /// again from what the map says. What spoke against it was not enough: hits that are minutes
-    /// apart are noise at the edge of a surface, and no change.
+    /// Resets the cells that are free in the server's map, and that this robot has not sent
+    /// (`told`), to the map's state. The contrary evidence was insufficient: hits minutes apart are
+    /// noise at the edge of a surface, not a change.
     pub(crate) fn settle(&mut self, known: &Tile, told: &Tile) {
         let known = known.low.iter().zip(&known.high);
         let told = told.low.iter().zip(&told.high);
@@ -116,7 +116,7 @@ impl Evidence {
         }
     }
 
-    /// What is certain, for every two rows from the south.
+    /// The certain cells, for each pair of rows from the south.
     pub(super) fn certain(&self) -> impl Iterator<Item = Certain> {
         let certain = |[low, middle, high]: [u32; 3]| {
             let (occupied, free) = (low & middle & high, low & !middle & !high);
@@ -132,13 +132,13 @@ impl Evidence {
         })
     }
 
-    /// What is known of a row of cells.
+    /// The state of a row of cells.
     pub fn row(&self, y: usize) -> Row {
         let [low, middle, high] = self.rows.get(y).copied().unwrap_or_default();
         Row { low: (low | middle) & !high, high }
     }
 
-    /// What is known: unknown, free or occupied.
+    /// The state of each cell: unknown, free or occupied.
     pub fn cells(&self) -> Tile {
         let mut tile = Tile::UNKNOWN;
         let planes = tile.low.iter_mut().zip(&mut tile.high);
@@ -150,19 +150,18 @@ impl Evidence {
     }
 }
 
-/// Counts what a scan says of a row: a hit up, from unknown to 5, and no further than 7; a
-/// crossing down, from unknown to 3, and no further than 1. Returns the hits that were not
-/// for certain yet.
+/// Counts the observations of a row: a hit up, from unknown to 5, at most to 7; a crossing down,
+/// from unknown to 3, at least to 1. Returns the hits in cells that were not at the maximum.
 #[inline(always)]
 fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     let [low, middle, high] = *row;
     let RowSighting { free, hit } = sighting;
     if hit != 0 && (low | middle | high) & (free | hit) == 0 {
-        // The same in fewer steps, as on new ground.
+        // A shortcut for new ground.
         *row = [low | hit | free, middle | free, high | hit];
         return hit;
     }
-    // Below zero there is 7, which without its highest bit is 3.
+    // An underflow gives 7, which becomes 3 without its highest bit.
     let down = free & !(low & !(middle | high));
     let borrow = down & !low;
     let [low, middle, high] = [low ^ down, middle ^ borrow, high & !(borrow & !middle)];
@@ -170,16 +169,17 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     if hit == 0 {
         return 0;
     }
-    // Where a beam ended, none of this has changed anything.
+    // The crossings have not changed the cells that were hit.
     let both = low & middle;
     let up = hit & !(both & high);
-    // An unknown cell comes to 1, and goes to 5.
+    // An unknown cell counts to 1, then is set to 5.
     let begun = hit & !(low | middle | high);
     *row = [low ^ up, middle ^ (up & low), high ^ (up & both | begun)];
     up
 }
 
-/// Leaves to the server's map what it says already of a row, and takes over what it says otherwise.
+/// Drops the observations that agree with the server's map, and starts the contradicted cells from
+/// the map's state.
 fn leave_known(row: &mut [u32; 3], sighting: &mut RowSighting, known: Row) {
     let [low, middle, high] = row;
     let unknown = !(*low | *middle | *high);
@@ -196,7 +196,7 @@ mod tests {
     use proptest::prelude::*;
     use ubimap_protocol::tile::Cell;
 
-    /// The same for one cell, plainly.
+    /// Reference for one cell.
     fn plainly(value: u8, bit: usize, sighting: RowSighting, near: u32, known: Row) -> u8 {
         let is = |mask: u32| mask >> bit & 1 != 0;
         let up = |value: u8| if value == 0 { 5 } else { (value + 1).min(7) };
@@ -255,7 +255,7 @@ mod tests {
         }
     }
     #[test]
-    fn what_the_map_says_to_be_free_and_was_not_told_starts_from_there_again() {
+    fn unsent_cells_that_are_free_in_the_map_are_reset() {
         let cells = [Cell::Unknown, Cell::Free, Cell::Occupied, Cell::Movable];
         for (known_as, told_as) in cells.iter().flat_map(|known| cells.map(|told| (*known, told))) {
             // The cell at x has the value x.
@@ -269,7 +269,7 @@ mod tests {
             let before = evidence.clone();
             evidence.settle(&known, &told);
             if (known_as, told_as) == (Cell::Free, Cell::Unknown) {
-                // Those of 2 and 3 have 1 now.
+                // Those with 2 and 3 are 1 now.
                 assert_eq!(evidence.rows[5], [0xAE, 0xC0, 0xF0]);
             } else {
                 assert_eq!(evidence, before, "{known_as:?} {told_as:?}");

@@ -1,13 +1,13 @@
-//! The gate (Aluckal II.C-D, "thresholding"): has the pose moved enough to map?
+//! The gate (Aluckal II.C-D, "thresholding"): whether the robot has moved enough to map again.
 
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
-/// How far the robot must have moved since the scan that it mapped last.
+/// Minimum motion of the robot since its last mapped scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gate {
-    /// In any direction.
+    /// Distance in any direction.
     pub distance: Millimetres,
-    /// Either way round.
+    /// Turn in either direction.
     pub turn: Angle,
 }
 
@@ -19,7 +19,7 @@ impl Default for Gate {
 }
 
 impl Gate {
-    /// Whether `now` is far enough from the pose that was mapped last.
+    /// Whether `now` is far enough from the pose of the last mapped scan.
     pub fn opens(&self, mapped: Option<Pose>, now: Pose) -> bool {
         let Some(mapped) = mapped else { return true };
         let square = |value: i32| i64::from(value) * i64::from(value);

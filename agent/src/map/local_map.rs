@@ -1,4 +1,4 @@
-//! The robot layer: what this robot has seen, in a fixed pool of tiles.
+//! The robot's own layer of the map: its observations, in a fixed pool of tiles.
 
 use core::ops::Range;
 
@@ -21,33 +21,33 @@ use crate::{
     timing::AGEING_INTERVAL,
 };
 
-/// The longest range that can be mapped, in cells.
+/// Maximum mapped range, in cells.
 pub const MAX_RADIUS: usize = 1000;
 
-/// Words of scratch memory that scans of this range need: 340 (2.7 kB) for 4 m of 5 cm.
+/// Number of scratch words for scans of this range: 340 (2.7 kB) for 4 m with cells of 5 cm.
 pub const fn scratch_words(max_range: u16, resolution: Millimetres) -> usize {
     let side = if resolution.0 > 0 { resolution.0 as usize } else { 1 };
     words_of((max_range as usize).div_ceil(side))
 }
 
-/// What is constant from scan to scan.
+/// Parameters that are constant from scan to scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MappingConfig {
     /// The side of a cell.
     pub resolution: Millimetres,
-    /// Beyond it nothing is mapped: millimetres, radial.
+    /// Maximum radial range that is mapped, in millimetres.
     pub max_range: u16,
-    /// Hits this near along x and along y of the map count twice, in millimetres.
+    /// Hits within this distance along `map`'s x and y count twice, in millimetres.
     pub near: u16,
     /// The sensor in `base_link`.
     pub mounting: Pose,
-    /// Which readings count.
+    /// Which readings are valid.
     pub validity: Validity,
-    /// How much of them is mapped.
+    /// Which part of a scan is mapped.
     pub policy: Policy,
 }
 
-/// The cells in which a hit is near: a square about the sensor.
+/// The cells in which hits are near: a square around the sensor.
 struct Near {
     low: (i32, i32),
     high: (i32, i32),
@@ -63,7 +63,7 @@ impl Near {
         }
     }
 
-    /// Those of a tile.
+    /// Its part in a tile.
     fn within(&self, id: TileId) -> NearCells {
         let (x, y) = id.first_cell();
         let side = TILE_SIDE as i32;
@@ -73,36 +73,37 @@ impl Near {
     }
 }
 
-/// The cells of a tile in which a hit is near.
+/// The cells of a tile in which hits are near.
 struct NearCells {
-    /// Some rows.
+    /// Their rows.
     rows: Range<usize>,
-    /// In them, these columns.
+    /// Their columns in each of these rows.
     columns: u32,
 }
 
-/// What mapping a scan came to.
+/// The result of mapping a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mapped {
-    /// How its readings fared.
+    /// Counts of its readings.
     pub pixels: PixelCounts,
-    /// Cells that it said something of and that found no room in the pool.
+    /// Cells dropped because the tile pool was full.
     pub cells_refused: u32,
 }
 
-/// What the server says of a tile.
+/// The surroundings of a scan in one tile.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surround<'m> {
-    /// The merged map, if it is held.
+    /// The server's map, if held.
     pub merged: Option<&'m Tile>,
-    /// The cells that are left to the cameras, a word for each row; `None` if there are none.
+    /// The cells covered by cameras, which the robot does not map, a word per row; `None` if there
+    /// are none.
     pub covered: Option<&'m [u32; TILE_SIDE]>,
-    /// The cells that other robots take up, likewise.
+    /// The cells occupied by other robots, in the same form.
     pub masked: Option<[u32; TILE_SIDE]>,
 }
 
 impl<'m> Surround<'m> {
-    /// The cells of which nothing is to be said.
+    /// The cells to leave out.
     #[inline(always)]
     fn left_out(&mut self) -> Option<&[u32; TILE_SIDE]> {
         let Some(masked) = &mut self.masked else { return self.covered };
@@ -120,17 +121,17 @@ pub struct LocalMap<'b> {
     mounting: Pose,
     policy: Policy,
     grain: Grain,
-    /// Holds no sighting between two scans.
+    /// Holds no observation between two scans.
     scratch: &'b mut [RowSighting],
     /// The tiles.
     pub pool: Pool<'b>,
     scans: u32,
-    /// When the evidence is to age next.
+    /// When the evidence ages next.
     next_ageing: Instant,
 }
 
 impl<'b> LocalMap<'b> {
-    /// A map without a cell, for the scans of a sensor. `scratch` must have [`scratch_words`].
+    /// An empty map for one sensor. `scratch` must have [`scratch_words`].
     pub fn new(
         config: MappingConfig,
         beams: &[Beam],
@@ -144,7 +145,7 @@ impl<'b> LocalMap<'b> {
         Self { resolution, near, mounting, policy, grain, scratch, pool, scans: 0, next_ageing }
     }
 
-    /// From now on the sensor is mounted otherwise, or other readings count; this is its new table.
+    /// Changes the sensor's mounting or validity; `beams` is the new table.
     pub(crate) fn configure(&mut self, config: MappingConfig, beams: &[Beam]) {
         let MappingConfig { resolution, near, mounting, policy, .. } = config;
         (self.resolution, self.near) = (resolution, near);
@@ -152,13 +153,13 @@ impl<'b> LocalMap<'b> {
         self.grain = grain(&config, beams);
     }
 
-    /// When to call [`LocalMap::timeout`] at the latest.
+    /// The latest time for the next call of [`LocalMap::timeout`].
     pub fn poll_timeout(&self) -> Instant {
         self.next_ageing
     }
 
-    /// Lets the evidence age if it is due: what speaks against the `merged` map, but has not become
-    /// enough to be told, is forgotten.
+    /// Ages the evidence if that is due: evidence against the `merged` map that was too weak to be
+    /// sent is reset.
     pub fn timeout<'m>(&mut self, now: Instant, merged: impl Fn(TileId) -> Option<&'m Tile>) {
         if now < self.next_ageing {
             return;
@@ -171,9 +172,9 @@ impl<'b> LocalMap<'b> {
         }
     }
 
-    /// Adds what a scan that was taken at a pose (`base_link` in `map`) saw, as far as `range`
-    /// millimetres. `around` gives what the server says of a tile. `None` if the map does not reach
-    /// that far.
+    /// Adds a scan taken at a pose (`base_link` in `map`), up to `range` millimetres. `around`
+    /// returns the surroundings in a tile. `None` if part of the scan is outside the map's
+    /// coordinates.
     #[inline(never)]
     pub fn add<'m>(
         &mut self,
@@ -188,10 +189,10 @@ impl<'b> LocalMap<'b> {
         let grain = shorter.as_ref().unwrap_or(&self.grain);
         let projection = Projection::new(pose, mounting, resolution);
         let mut mapped = Mapped::default();
-        // Whether there were hits that were not known.
+        // Whether there were new hits.
         let mut news = false;
         let count = beams.len().min(readings.len());
-        // The whole scan, or as much of it at a time as the scratch memory has room for.
+        // The whole scan, or in parts that fit the scratch memory.
         let (mut start, mut end) = (0, count);
         while start < count {
             let part = beams.get(start..end)?;
@@ -210,7 +211,7 @@ impl<'b> LocalMap<'b> {
             let part = Part { beams: part, readings, is_continued: start > 0 };
             let projection = projection.within(window.corner());
             let nearest = trace(&mut window, &projection, grain, part, &mut mapped.pixels);
-            // In a corner of the square, at the farthest.
+            // The corners of the square are at most this far away.
             let near_cells = (nearest <= u32::from(near) * 91 / 64)
                 .then(|| Near::new(&projection, near, resolution));
             let Self { pool, scans, .. } = self;
@@ -224,7 +225,7 @@ impl<'b> LocalMap<'b> {
             if end == count {
                 break;
             }
-            // What lies between the last beam and the next one belongs to the next part.
+            // The space between the last beam and the next one belongs to the next part.
             (start, end) = (end - 1, count);
         }
         if policy == Policy::Full && !news {
@@ -234,11 +235,10 @@ impl<'b> LocalMap<'b> {
     }
 }
 
-/// The cells that a piece spoke of and that found no room in the pool.
+/// The cells of a piece dropped because the pool was full.
 struct Refused(u32);
 
-/// Adds a piece of scan `scan` to the evidence of its tile. Returns whether there were hits that were not
-/// known.
+/// Adds a piece of scan `scan` to its tile's evidence. Returns whether there were new hits.
 #[inline(always)]
 fn weigh(
     pool: &mut Pool<'_>,
@@ -269,7 +269,7 @@ fn weigh(
     Ok(count(tile, piece, merged))
 }
 
-/// Counts the near hits of a piece once more.
+/// Counts the near hits of a piece a second time.
 #[inline(always)]
 fn weigh_near(tile: &mut OwnTile, piece: &Piece<'_>, near: &NearCells, merged: Option<&Tile>) {
     let first = piece.first_row;
@@ -320,8 +320,8 @@ mod tests {
         counts: PixelCounts,
     }
 
-    /// What a first scan makes of an empty map, drawn in one piece or in as many as the least
-    /// scratch memory wants.
+    /// The result of a first scan on an empty map, drawn in one part or in as many as the minimum
+    /// scratch memory requires.
     fn see_with(words: usize, beams: &[Beam], readings: &[u16], pose: Pose) -> Seen {
         let mut scratch = vec![RowSighting::default(); words];
         let mut places = vec![OwnTile::FREE; 40];
@@ -357,7 +357,7 @@ mod tests {
         table
     }
 
-    /// The cell that a point at some range along beam `index` of [`half_circle`] lies in.
+    /// The cell of a point at some range along beam `index` of [`half_circle`].
     fn cell_at(pose: Pose, beams: usize, index: f64, range: f64) -> (i32, i32) {
         let bearing = -core::f64::consts::FRAC_PI_2
             + index * core::f64::consts::PI / (beams - 1) as f64
@@ -370,17 +370,17 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(40))]
 
-        /// Cell by cell against the beams themselves: what is free was crossed, or lies between
-        /// two neighbouring beams that both went further; what the middles of two such beams
-        /// crossed is free.
+        /// Compares each cell with the beams: free cells were crossed, or lie between two adjacent
+        /// beams that both reached farther; and cells crossed by the centre lines between two such
+        /// beams are free.
         #[test]
-        fn the_polygon_is_what_the_beams_crossed(
+        fn the_polygon_covers_the_cells_that_beams_crossed(
             ranges in proptest::collection::vec(prop_oneof![3 => 300u16..4_000, 1 => Just(0u16)], 4..24),
             x in -9_000i32..9_000, y in -9_000i32..9_000, heading: u16,
         ) {
             let pose = Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) };
             let beams = half_circle(181);
-            // Walls of eight beams each.
+            // Walls eight beams wide.
             let readings: Vec<u16> = (0..181).map(|beam| ranges[beam / 8 % ranges.len()]).collect();
             let seen = see(&beams, &readings, pose);
             prop_assert_eq!(seen.counts.invalid as usize, readings.iter().filter(|&&r| r == 0).count());
@@ -396,7 +396,7 @@ mod tests {
                 if reach == 0 {
                     continue;
                 }
-                // Nearer, eight beams are narrower than a cell.
+                // At shorter range eight beams are narrower than a cell.
                 let mut range = 700.0;
                 while range < f64::from(reach) - 130.0 {
                     let cell = cell_at(pose, 181, index as f64 + 0.5, range);
@@ -416,7 +416,7 @@ mod tests {
                 let index = if index > 270.0 { index - 360.0 } else { index };
                 let (low, high) = ((index - 1.0).floor().max(0.0), (index + 1.0).ceil().min(180.0));
                 let furthest = (low as i64..=high as i64).map(|i| readings[i.clamp(0, 180) as usize]).max();
-                // Near the sensor one cell is many beams wide.
+                // Near the sensor a cell covers many beams.
                 prop_assert!(range < 150.0 || f64::from(furthest.unwrap_or(0)) + 40.0 >= range,
                     "free at {range} mm, beam {index}, but nothing seen beyond {furthest:?}");
             }
@@ -424,54 +424,54 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_without_a_return_says_nothing() {
+    fn a_scan_without_returns_changes_nothing() {
         let beams = half_circle(181);
         let seen = see(&beams, &[0; 181], Pose::default());
         assert!(seen.free.is_empty() && seen.hit.is_empty());
     }
 
     #[test]
-    fn beyond_the_range_the_way_is_free_up_to_it() {
+    fn returns_beyond_the_range_free_the_space_up_to_it() {
         let beams = half_circle(181);
         let seen = see(&beams, &[30_000; 181], Pose::default());
         assert!(seen.hit.is_empty());
-        // Half a disc of 4 m.
+        // Half a disc with a radius of 4 m.
         let expected = core::f64::consts::PI * 80.0 * 80.0 / 2.0;
         assert!((seen.free.len() as f64 - expected).abs() < 160.0, "{}", seen.free.len());
     }
 
     #[test]
-    fn a_wall_that_leaves_the_range_is_drawn_up_to_there() {
+    fn a_wall_that_leaves_the_range_is_drawn_up_to_its_limit() {
         let mut beams = [Beam::default(); 640];
         let camera = SensorModel::Pinhole { focal: 343.1, centre: 319.5 };
         fill_beams(&mut beams, camera, Pose::default());
         let seen = see(&beams, &[3_820; 640], Pose::default());
         assert!(seen.hit.iter().all(|&(x, _)| x == 76));
-        // It is 4 m away 1,186 mm aside.
+        // At 1,186 mm to the side it is 4 m away.
         let ends = seen.hit.first().zip(seen.hit.last());
         assert_eq!(ends, Some((&(76, -24), &(76, 23))));
         assert!(seen.hit.len() > 44, "{:?}", seen.hit);
     }
 
     #[test]
-    fn a_wall_that_is_in_range_for_a_little_is_drawn() {
-        // Whichever beams are looked at.
+    fn a_wall_briefly_in_range_is_drawn() {
+        // Whichever beams are sampled.
         for shift in 0..70u8 {
             let mut beams = [Beam::default(); 640];
             let camera = SensorModel::Pinhole { focal: 343.1, centre: 319.5 + f32::from(shift) };
             fill_beams(&mut beams, camera, Pose::default());
             let hit = see(&beams, &[3_990; 640], Pose::default()).hit;
-            // It is 4 m away 283 mm aside.
+            // At 283 mm to the side it is 4 m away.
             assert!(hit.iter().all(|&(x, y)| x == 79 && (-6..6).contains(&y)), "{shift}: {hit:?}");
             assert!(hit.len() >= 10, "{shift}: {hit:?}");
         }
     }
 
     #[test]
-    fn a_wall_that_leaves_the_range_is_no_wall_to_the_sensor() {
+    fn missing_returns_on_a_wall_beyond_the_range_draw_no_hits() {
         let beams = half_circle(721);
         for shift in 0..40 {
-            // Every other beam finds nothing.
+            // Every second beam has no return.
             let reading = |beam: u16| if beam % 2 == 1 { 0 } else { 3_200 + 2 * (beam + shift) };
             let readings: Vec<u16> = (0..721).map(reading).collect();
             let seen = see(&beams, &readings, Pose::default());
@@ -481,12 +481,12 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_narrower_than_a_cell_is_none() {
+    fn gaps_narrower_than_a_cell_are_bridged() {
         let mut beams = [Beam::default(); 640];
         let camera = SensorModel::Pinhole { focal: 343.1, centre: 319.5 };
         fill_beams(&mut beams, camera, Pose::default());
         let whole = see(&beams, &[2_000; 640], Pose::default());
-        // Between two columns there are 5.8 mm.
+        // Adjacent columns are 5.8 mm apart.
         let with_gap = |from: usize, columns: usize| {
             let mut readings = [2_000; 640];
             readings[from..from + columns].fill(0);
@@ -501,7 +501,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_at_the_end_of_the_map_is_refused() {
+    fn a_scan_beyond_the_maps_coordinates_is_refused() {
         let beams = half_circle(5);
         let add = |words: usize, pose: Pose| {
             let mut scratch = vec![RowSighting::default(); words];
@@ -518,7 +518,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_drawn_in_parts_is_the_same() {
+    fn a_scan_drawn_in_parts_gives_the_same_map() {
         let beams = half_circle(181);
         let readings: Vec<u16> = (0..181).map(|beam| 1_500 + beam * 7 % 900).collect();
         for heading in [0, 7_000, 30_000] {
@@ -536,7 +536,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_cameras_see_is_left_to_them() {
+    fn cells_covered_by_cameras_are_not_mapped() {
         const RANGE: u16 = 2_000;
         let mut beams = [Beam::default(); 90];
         let sensor = SensorModel::Radial { first: -1.5, step: 0.03 };
@@ -562,6 +562,6 @@ mod tests {
             assert_eq!((odd.low, odd.high), (masked(&all.low), masked(&all.high)), "{id:?}");
         }
         let (nothing, none) = add(Some(&[u32::MAX; TILE_SIDE]));
-        assert_eq!((nothing.kept, nothing.omitted, none.len()), (0, 90, 0), "no tile is begun");
+        assert_eq!((nothing.kept, nothing.omitted, none.len()), (0, 90, 0), "no tile is created");
     }
 }

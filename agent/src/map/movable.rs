@@ -1,23 +1,22 @@
-//! What comes and goes: cells whose occupant is likely to move again (Aluckal: "extended
-//! awareness").
+//! Detects cells whose occupant is likely to move again (Aluckal: "extended awareness").
 //!
-//! Changes are counted for blocks of 2 x 2 cells, in four states:
+//! Changes are tracked for blocks of 2 x 2 cells, in four states:
 //!
-//! | state | what has been seen of the block | goes on to | when |
+//! | state | history of the block | next | condition |
 //! |---|---|---|---|
-//! | 0 | nothing that stood | 1 | a cell of it is occupied for certain |
-//! | 1 | something stands | 2 | a cell of it is free for certain, and none is known to be otherwise |
-//! | 2 | it has left | 3 | a cell of it is occupied for certain |
-//! | 3 | something comes and goes | 1 | the tile is calm |
+//! | 0 | never occupied | 1 | a cell of it is certainly occupied |
+//! | 1 | occupied | 2 | a cell of it is certainly free, and no known cell of it is not |
+//! | 2 | vacated | 3 | a cell of it is certainly occupied |
+//! | 3 | changes repeatedly | 1 | the tile is calm |
 //!
-//! The occupied cells of a block in state 3 are movable. A person who walks by once, or stands about
-//! and leaves, brings a block to state 2; a door that opens and shuts, or whatever else returns, to
-//! state 3. "For certain" is the end of the evidence counter's scale, so that a wall whose edge is
-//! seen now in this cell and now in the next one stays a wall. A tile is calm when nothing has left it
-//! or come back for ten minutes: what has left it is then forgotten (state 2 becomes 0).
+//! The occupied cells of a block in state 3 are movable. A person who walks by once, or stays a
+//! while and leaves, takes a block to state 2; a door that opens and closes, or anything else that
+//! returns, to state 3. "Certainly" means the end of the evidence counter's scale, so that a wall
+//! whose edge is seen alternately in two cells stays a wall. A tile is calm when no block of it was
+//! vacated or reoccupied for ten minutes; vacated blocks are then forgotten (state 2 becomes 0).
 //!
-//! The evidence is looked at before it is published, not with each scan: what changes faster than it
-//! is told makes no difference.
+//! The evidence is evaluated before it is published, not with each scan: faster changes are not
+//! sent anyway.
 
 use ubimap_protocol::{
     tile::{TILE_SIDE, Tile},
@@ -27,29 +26,29 @@ use ubimap_protocol::{
 use super::evidence::Evidence;
 use crate::timing::CALM;
 
-/// The western cell of each block in a word of two rows, where the low bit of its state is; the high
-/// bit is beside it.
+/// The western cell of each block in a word of two rows, which holds the low bit of its state; the
+/// high bit is next to it.
 const BLOCKS: u32 = 0x5555_5555;
 
-/// What has come and gone in a tile.
+/// The history of changes in a tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Changes {
-    /// The states of the blocks in two rows of cells.
+    /// The states of the blocks, a word per two rows of cells.
     states: [u32; TILE_SIDE / 2],
-    /// When something last left or came back, in [`ticks`].
+    /// When a block was last vacated or reoccupied, in [`ticks`].
     last: u32,
 }
 
-/// Units of 1.05 s.
+/// Time in units of 1.05 s.
 fn ticks(moment: Instant) -> u32 {
     (moment.micros() >> 20) as u32
 }
 
 impl Changes {
-    /// Nothing has been seen.
+    /// Never occupied.
     pub(super) const NONE: Self = Self { states: [0; TILE_SIDE / 2], last: 0 };
 
-    /// Looks at the evidence, at a moment of the robot's clock.
+    /// Evaluates the evidence, at a time of the robot's clock.
     pub(super) fn look(&mut self, evidence: &Evidence, now: Instant) {
         let now = ticks(now);
         let is_calm = now.saturating_sub(self.last) >= ticks(Instant(CALM.0));
@@ -94,7 +93,7 @@ mod tests {
         Instant(seconds * 1_000_000)
     }
 
-    /// One tile, looked at once a second.
+    /// One tile, evaluated once a second.
     struct Watched {
         evidence: Evidence,
         changes: Changes,
@@ -106,7 +105,8 @@ mod tests {
             Self { evidence: Evidence::NONE, changes: Changes::NONE, now: 5_000 }
         }
 
-        /// Scans of two rows, and then a look. What is published of the cell at (4, 0).
+        /// Adds scans of two rows, and evaluates. Returns the published state of the cell at (4,
+        /// 0).
         fn see(&mut self, scans: usize, sightings: [RowSighting; 2]) -> Cell {
             for _ in 0..scans {
                 self.evidence.add(0, sightings.into_iter());
@@ -120,12 +120,12 @@ mod tests {
     }
 
     const FREE: [RowSighting; 2] = [RowSighting { free: 0xF0, hit: 0 }; 2];
-    /// In the cell at (4, 0), and in one of another block.
+    /// Hits in the cell at (4, 0), and in one of another block.
     const STANDS: [RowSighting; 2] =
         [RowSighting { free: 0, hit: 0x10 }, RowSighting { free: 0x30, hit: 0x40 }];
 
     #[test]
-    fn who_walks_by_once_is_not_movable_and_who_comes_back_is() {
+    fn only_occupants_that_return_are_movable() {
         let mut watched = Watched::new();
         assert_eq!(watched.see(6, FREE), Cell::Free);
         for (visit, expected) in
@@ -137,10 +137,10 @@ mod tests {
     }
 
     #[test]
-    fn a_door_that_opens_and_shuts_is_movable_and_calms_down_if_it_stays_shut() {
+    fn a_door_is_movable_until_it_has_stayed_closed() {
         let mut watched = Watched::new();
         assert_eq!(watched.see(6, STANDS), Cell::Occupied);
-        // Its edge is not seen for a while: it has not left.
+        // Its edge is missed for a while: that does not vacate the block.
         assert_eq!(watched.see(3, FREE), Cell::Occupied);
         assert_eq!(watched.see(6, STANDS), Cell::Occupied);
         assert_eq!(watched.see(6, FREE), Cell::Free);
@@ -151,12 +151,12 @@ mod tests {
         assert_eq!(watched.see(6, STANDS), Cell::Movable);
         watched.now += 3;
         assert_eq!(watched.see(6, STANDS), Cell::Occupied);
-        // And again.
+        // Again.
         assert_eq!(watched.see(6, FREE), Cell::Free);
         assert_eq!(watched.see(6, STANDS), Cell::Movable);
     }
 
-    /// The evidence of a cell, as a number.
+    /// The evidence counter of a cell, as a number.
     fn count(value: u8, free: bool, hit: bool) -> u8 {
         match (value, hit, free) {
             (0, true, _) => 5,
@@ -170,9 +170,9 @@ mod tests {
     proptest! {
         /// The table of states, block by block.
         #[test]
-        fn planes_change_like_states(
+        fn the_planes_follow_the_table_of_states(
             steps in proptest::collection::vec(
-                // Much of one kind in a row, or nothing would ever be certain.
+                // Long runs of the same observation, or nothing would ever be certain.
                 (any::<[u32; 2]>(), 0..3u8, 1..7usize, 0..900u64), 0..40),
         ) {
             let mut watched = Watched::new();

@@ -1,4 +1,4 @@
-//! Which readings have come into view by a turn (Aluckal II.C-D, "selective omission").
+//! The readings that came into view by a turn (Aluckal II.C-D, "selective omission").
 
 use core::ops::Range;
 
@@ -7,23 +7,23 @@ use ubimap_protocol::units::Angle;
 
 use crate::{sense::Beam, trigonometry::round};
 
-/// How the beams of a sensor follow each other.
+/// The angular order of a sensor's beams.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sweep {
-    /// From one beam to the next on the average, in radians; negative for clockwise.
+    /// Mean angle from one beam to the next, in radians; negative for clockwise.
     step: f32,
 }
 
 impl Sweep {
-    /// Of the table of a sensor: the angle between its outermost beams, shared out (the paper's
-    /// 86 / 640 = 0.134 degrees a pixel).
+    /// From a sensor's table: the angle between the outermost beams, divided by their number (the
+    /// paper's 86 / 640 = 0.134 degrees per pixel).
     pub(super) fn of(beams: &[Beam]) -> Self {
         let used = |beam: &&Beam| **beam != Beam::NONE;
         let bearing = |beam: &Beam| atan2f(f32::from(beam.left), f32::from(beam.forward));
         let first = beams.iter().position(|beam| *beam != Beam::NONE);
         let last = beams.iter().rposition(|beam| *beam != Beam::NONE);
         let pairs = beams.iter().filter(used).zip(beams.iter().filter(used).skip(1));
-        // Summed up, for the outermost ones may be more than half a turn apart.
+        // Summed up, as the outermost beams may be more than half a turn apart.
         let turn = pairs.map(|(a, b)| {
             let turn = bearing(b) - bearing(a);
             let whole = 2.0 * core::f32::consts::PI;
@@ -33,13 +33,13 @@ impl Sweep {
         Self { step: turn.sum::<f32>() / steps.max(1) as f32 }
     }
 
-    /// The readings of `count` that came into view when the robot turned from one heading to
-    /// another: start and end pixel of the paper, and all of them if it did not turn.
+    /// The readings, of `count`, that came into view when the robot turned from one heading to
+    /// another: the paper's start and end pixel; all of them if it did not turn.
     ///
-    /// Two slips of the print are cured. Its turning sense is opposite to REP-103, where a turn to
-    /// the left makes the yaw grow and brings what is new into view on the left. And its second
-    /// branch subtracts a negative number of pixels from 640, which is a start pixel beyond the
-    /// last one: the number is meant without its sign.
+    /// Corrects two misprints. The paper's sense of rotation is opposite to REP-103, where a turn
+    /// to the left increases the yaw and brings new pixels into view on the left. And its second
+    /// branch subtracts a negative number of pixels from 640, which gives a start pixel beyond the
+    /// last: the absolute value is meant.
     pub(super) fn new_in_view(self, before: Angle, now: Angle, count: usize) -> Range<usize> {
         let turn = (now - before).0 as i16;
         let step = self.step * (32_768.0 / core::f32::consts::PI);
@@ -48,8 +48,7 @@ impl Sweep {
         }
         let pixels = round(f32::from(turn) / step) as i32;
         let new = (pixels.unsigned_abs() as usize).min(count);
-        // Beams that follow each other to the left show what is new at their end after a turn to
-        // the left.
+        // If the beams run to the left, a turn to the left brings new ones into view at their end.
         if pixels > 0 { count - new..count } else { 0..new }
     }
 }
@@ -68,23 +67,23 @@ mod tests {
 
     #[test]
     fn the_papers_pixels() {
-        // 640 pixels from the left to the right in 86 degrees: 0.134 degrees a pixel.
+        // 640 pixels from left to right in 86 degrees: 0.134 degrees per pixel.
         let step = -(86f32 / 640.0).to_radians();
         let sweep = sweep(SensorModel::Radial { first: 43f32.to_radians(), step }, 640);
         assert!((sweep.step.to_degrees() + 0.134).abs() < 0.001);
         let view = |before: f64, now: f64| {
             sweep.new_in_view(Angle::from_degrees(before), Angle::from_degrees(now), 640)
         };
-        // Ten degrees are 74 pixels (10 / 0.134 = 74.6; in 86 / 640 of a degree 74.4).
+        // Ten degrees are 74 pixels (10 / 0.134 = 74.6; with 86 / 640 degrees 74.4).
         assert_eq!(view(0.0, 10.0), 0..74, "to the left: from the left-hand side");
         assert_eq!(view(0.0, -10.0), 566..640, "to the right: from the right-hand side");
-        assert_eq!(view(175.0, -175.0), 0..74, "across the turn");
+        assert_eq!(view(175.0, -175.0), 0..74, "across 180 degrees");
         assert_eq!(view(30.0, 30.0), 0..640, "no turn");
         assert_eq!(view(0.0, 120.0), 0..640, "more than is in view");
     }
 
     #[test]
-    fn a_lidar_sweeps_the_other_way() {
+    fn a_counter_clockwise_lidar_is_mirrored() {
         let half_turn = core::f32::consts::PI;
         let model = SensorModel::Radial { first: -half_turn, step: half_turn / 180.0 };
         let sweep = sweep(model, 361);

@@ -1,4 +1,4 @@
-//! A tile of the robot's own layer: its evidence, and what of it the server has.
+//! A tile of the robot's own layer: its evidence, and its state on the server.
 
 use ubimap_protocol::{
     tile::{Epoch, Publication, Row, Stamp, Tile, TileId, Version},
@@ -10,20 +10,20 @@ use super::{evidence::Evidence, movable::Changes};
 /// One place in the pool of the robot's own tiles.
 #[derive(Clone, Debug)]
 pub struct OwnTile {
-    /// Which tile, or `None` if the place is free.
+    /// The tile's id, or `None` for a free place.
     pub(crate) id: Option<TileId>,
-    /// Since when this tile is kept without a break.
+    /// The epoch since which this tile has been kept without interruption.
     pub(crate) epoch: Epoch,
-    /// What speaks for and against its cells.
+    /// The evidence for its cells.
     pub(crate) evidence: Evidence,
     changes: Changes,
-    /// What the server has of it.
+    /// The part of it that the server has.
     pub(crate) publication: Publication,
-    /// The version that the server has on disk, if it stores any.
+    /// The newest version that the server has on disk, if it stores tiles.
     pub(crate) stored: Version,
-    /// The evidence may say something that has not been published.
+    /// Whether the evidence may contain unpublished changes.
     pub(crate) dirty: bool,
-    /// The number of the last scan that said something of it.
+    /// The number of the last scan that observed it.
     pub(crate) touched: u32,
 }
 
@@ -40,49 +40,49 @@ impl OwnTile {
         touched: 0,
     };
 
-    /// Which tile, or `None` if the place is free.
+    /// The tile's id, or `None` for a free place.
     pub fn id(&self) -> Option<TileId> {
         self.id
     }
 
-    /// Since when it is kept without a break.
+    /// The epoch since which it has been kept without interruption.
     pub fn epoch(&self) -> Epoch {
         self.epoch
     }
 
-    /// What the server has of it.
+    /// The part of it that the server has.
     pub fn publication(&self) -> &Publication {
         &self.publication
     }
 
-    /// The version that the server is known to have on disk.
+    /// The newest version that the server has reported to be on disk.
     pub fn stored(&self) -> Version {
         self.stored
     }
 
-    /// Whether the evidence may say something that has not been published.
+    /// Whether the evidence may contain unpublished changes.
     pub fn is_dirty(&self) -> bool {
         self.dirty
     }
 
-    /// Takes note of what has come and gone, before the tile is published.
+    /// Updates the history of changes, before the tile is published.
     pub(crate) fn look(&mut self, now: Instant) {
         self.changes.look(&self.evidence, now);
     }
 
-    /// What there is to publish.
+    /// The cells to publish.
     pub fn cells(&self) -> Tile {
         let mut cells = self.evidence.cells();
         self.changes.mark(&mut cells);
         cells
     }
 
-    /// What has been seen of a row of cells, whether anything in it is movable or not.
+    /// The observed state of a row of cells, without movable marks.
     pub fn row(&self, y: usize) -> Row {
         self.evidence.row(y)
     }
 
-    /// Whether the tile could be given up without losing anything.
+    /// Whether the tile can be evicted without losing anything.
     fn is_safe(&self, server_stores: bool) -> bool {
         let stored = !server_stores || self.stored == self.publication.version();
         !self.dirty && self.publication.is_acknowledged() && stored
@@ -92,15 +92,15 @@ impl OwnTile {
 /// The fixed pool of the robot's own tiles, in the caller's memory.
 #[derive(Debug)]
 pub struct Pool<'b> {
-    /// The tiles that are kept, and then the free places.
+    /// First the tiles in use, then the free places.
     places: &'b mut [OwnTile],
     kept: usize,
-    /// The epoch of tiles that are begun now: one more after each eviction.
+    /// The epoch of new tiles: increases by one with each eviction.
     epoch: Epoch,
     evicted: u32,
-    /// The place after the one that was asked for last.
+    /// The place after the last one looked up.
     next: usize,
-    /// Whether the server says when a tile is on disk.
+    /// Whether the server reports when a tile is on disk.
     server_stores: bool,
 }
 
@@ -111,13 +111,13 @@ impl<'b> Pool<'b> {
         Self { places, kept: 0, epoch: Epoch(0), evicted: 0, next: 0, server_stores: false }
     }
 
-    /// How many tiles have been given up to make room.
+    /// Number of tiles evicted.
     pub fn evicted(&self) -> u32 {
         self.evicted
     }
 
-    /// Whether tiles may be given up only when the server has them on disk. What an earlier life
-    /// of the server stored does not count.
+    /// Starts a session. `server_stores`: tiles may be evicted only when the server has them on
+    /// disk. Reports of an earlier server do not count.
     pub(crate) fn begin_session(&mut self, server_stores: bool, same_server: bool) {
         self.server_stores = server_stores;
         if !same_server {
@@ -125,7 +125,7 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// The server has a state of a tile on disk.
+    /// Records that the server has a version of a tile on disk.
     pub(crate) fn stored(&mut self, id: TileId, stamp: Stamp) {
         let mut tiles = self.places.iter_mut();
         if let Some(tile) = tiles.find(|tile| tile.id == Some(id) && tile.epoch == stamp.epoch) {
@@ -133,7 +133,7 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// The epochs below this one have been used up in an earlier life of the robot.
+    /// Starts new tiles at this epoch or later: earlier epochs were used before a reboot.
     pub fn start_epochs_at(&mut self, epoch: Epoch) {
         self.epoch = self.epoch.max(epoch);
         for tile in self.places.iter_mut() {
@@ -143,22 +143,22 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// Gives up all tiles, told or not; later ones are of this epoch at least.
+    /// Discards all tiles, published or not; later ones have at least this epoch.
     pub(crate) fn begin_anew(&mut self, epoch: Epoch) {
         self.places.fill(OwnTile::FREE);
         (self.kept, self.next) = (0, 0);
         self.epoch = Epoch(self.epoch.0.wrapping_add(1)).max(epoch);
     }
 
-    /// The tile of this id, if it is kept.
+    /// The tile with this id, if it is in the pool.
     pub fn find(&self, id: TileId) -> Option<&OwnTile> {
         self.places.iter().find(|tile| tile.id == Some(id))
     }
 
-    /// The tile of this id, begun if need be. `None` if there is no room: every tile says
-    /// something that the server has not stored, or was touched by scan `scan` itself.
+    /// The tile with this id, created if necessary. `None` if the pool is full: every tile has
+    /// changes that the server has not stored, or was observed by scan `scan` itself.
     pub fn find_or_begin(&mut self, id: TileId, scan: u32) -> Option<&mut OwnTile> {
-        // Scans touch the same few tiles in the same order.
+        // Scans visit the same few tiles in the same order.
         let kept = self.places.get(..self.kept)?;
         let next = self.next.min(kept.len());
         let (before, after) = kept.split_at_checked(next)?;
@@ -179,7 +179,8 @@ impl<'b> Pool<'b> {
         Some(tile)
     }
 
-    /// A free place, or that of the tile that was touched longest ago among those that are safe.
+    /// A free place, or that of the least recently observed tile among those that are safe to
+    /// evict.
     fn place_for_new(&mut self, scan: u32) -> Option<usize> {
         if self.kept < self.places.len() {
             self.kept += 1;
@@ -197,12 +198,12 @@ impl<'b> Pool<'b> {
         Some(index)
     }
 
-    /// The tiles that are kept.
+    /// The tiles in use.
     pub fn tiles(&self) -> impl Iterator<Item = &OwnTile> {
         self.places.iter().take(self.kept)
     }
 
-    /// The tiles that are kept, to change them.
+    /// The tiles in use, mutable.
     pub(crate) fn tiles_mut(&mut self) -> impl Iterator<Item = &mut OwnTile> {
         self.places.iter_mut().take(self.kept)
     }
@@ -218,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_the_server_has_is_given_up() {
+    fn only_tiles_that_the_server_has_are_evicted() {
         let mut places = [OwnTile::FREE; 2];
         let mut pool = Pool::new(&mut places);
         for x in 0..2 {
@@ -229,7 +230,7 @@ mod tests {
         assert!(pool.find_or_begin(id(2), 2).is_none(), "nothing is acknowledged");
         assert_eq!(pool.evicted(), 0);
 
-        // The server acknowledges tile 0, but has it on disk only later.
+        // The server acknowledges tile 0, but stores it on disk only later.
         let mut out = [0; 64];
         let mut encoder = TileEncoder::new(&mut out);
         let tile = pool.find_or_begin(id(0), 2).unwrap();

@@ -1,9 +1,9 @@
-//! The other robots, which are not mapped (Ahmed 2.2, the "window around other robots").
+//! Masks for the other robots, which are not mapped (Ahmed 2.2, the "window around other robots").
 //!
-//! Ahmed leaves out a square around each. A robot is no square: his maps have its ends in them, and
-//! a square that is wide enough for any heading hides walls beside a long one. Here a robot takes up
-//! its footprint at its heading, with room for all that is not certain of it; where the heading is
-//! not known any more, that becomes as wide as the square.
+//! Ahmed leaves out a square around each. Robots are not square: the ends of his robots appear in
+//! his maps, and a square large enough for any heading hides walls beside a long robot. Here the
+//! mask is the robot's footprint at its heading, with a margin for all uncertainties; where the
+//! heading is unknown, that grows to the size of the square.
 
 use heapless::Vec;
 use libm::sqrtf;
@@ -21,80 +21,81 @@ use crate::{
     trigonometry::{radians, sin_cos},
 };
 
-/// What is left out of the map around another robot.
+/// The shape of the mask around another robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PeerMask {
     /// Its footprint, at its heading.
     #[default]
     Footprint,
-    /// A square along the axes of `map` that holds its footprint at any heading (Ahmed 2.2).
+    /// A square along the axes of `map` that contains its footprint at any heading (Ahmed 2.2).
     Square,
 }
 
-/// How far a robot may have gone, and turned, since it was seen: mm/s, rad/s.
+/// Maximum speed and turn rate assumed since the last report, in mm/s and rad/s.
 const SPEED: f32 = 500.0;
 const TURN: f32 = 1.0;
-/// As far as that gets it before it is lost: mm.
-const FARTHEST: u32 = 1_500;
-/// The variance of a position that cameras see, 30 mm, and twice the deviation of a heading, rad.
+/// The distance driven at that speed until the robot is lost, in mm.
+const MAX_WAY: u32 = 1_500;
+/// Variance of a position measured by cameras (30 mm), and twice the deviation of a heading, in
+/// rad.
 const SEEN_POSITION: f32 = 900.0;
 const SEEN_TURN: f32 = 0.07;
-/// More than there can be: rad.
+/// Larger than any angle: an unknown heading, in rad.
 const ANY_TURN: f32 = 10.0;
-/// The variance of a reading, in parts of its square: a 64th.
+/// Variance of a reading, relative to its square: a deviation of 1/64.
 const READING: f32 = 1.0 / 4_096.0;
 
 /// The scan in which peers are masked.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ScanContext {
-    /// `base_link` in `map` when it was taken.
+    /// `base_link` in `map` when the scan was taken.
     pub(crate) pose: Pose,
-    /// When that was, in the server's clock.
+    /// When that was, by the server's clock.
     pub(crate) moment: Instant,
-    /// Beyond it nothing is mapped: millimetres.
+    /// Maximum range that is mapped, in millimetres.
     pub(crate) range: u16,
     /// The side of a cell.
     pub(crate) resolution: Millimetres,
-    /// What is left out.
+    /// The shape of the masks.
     pub(crate) mask: PeerMask,
 }
 
-/// What the other robots take up during a scan.
+/// The masks of the other robots during a scan.
 #[derive(Debug)]
 pub(crate) struct PeerMasks {
     masks: Vec<Mask, MAX_PEERS>,
-    /// That of a cell: mm.
+    /// Side of a cell, in mm.
     side: i32,
 }
 
 impl PeerMasks {
-    /// Of those robots that may be in view. `unsure` says how unsure the scan's pose is.
+    /// The masks of the robots that may be in view. `unsure`: the variances of the scan's pose.
     pub(crate) fn new(peers: Option<&Peers>, scan: &ScanContext, unsure: Variances) -> Self {
         let mut near = Self { masks: Vec::new(), side: scan.resolution.0.clamp(1, 1 << 16) };
         for (peers, peer) in
             peers.into_iter().flat_map(|it| it.peers.iter().map(move |peer| (it, peer)))
         {
             let reach = u32::from(scan.range) + u32::from(peer.half_length);
-            let reach = reach + u32::from(peer.half_width) + FARTHEST;
+            let reach = reach + u32::from(peer.half_width) + MAX_WAY;
             let off = |here: Millimetres, there: Millimetres| (there - here).0.unsigned_abs();
             let off = off(scan.pose.x, peer.pose.x).max(off(scan.pose.y, peer.pose.y));
             let seen = peers.time - Duration(u64::from(u32::from(peer.age) * 10_000));
             let age = scan.moment.0.abs_diff(seen.0);
             if off <= reach && age <= PEER_LOST.0 {
-                // There is room for each.
+                // The capacity covers all peers.
                 let _ = near.masks.push(Mask::new(peer, age as u32, scan, unsure));
             }
         }
         near
     }
 
-    /// The cells of a tile whose middles a robot takes up, a word for each row; `None` if no robot
-    /// is near. About 1,000 instructions for a robot that is.
+    /// The masked cells of a tile, a word per row: those whose centres are inside a mask. `None` if
+    /// no robot is near. About 1,000 instructions for each robot that is near.
     pub(crate) fn cells(&self, id: TileId) -> Option<[u32; TILE_SIDE]> {
         let mut cells = None;
         for mask in &self.masks {
             let (x, y) = id.first_cell();
-            // From the robot to the middle of the first cell.
+            // From the robot to the centre of the first cell.
             let from = |cell: i32, centre: Millimetres| {
                 let middle = cell.wrapping_mul(self.side).wrapping_add(self.side / 2);
                 (Millimetres(middle) - centre).0 as f32
@@ -111,19 +112,19 @@ impl PeerMasks {
     }
 }
 
-/// What one robot takes up: a rectangle.
+/// The mask of one robot: a rectangle.
 #[derive(Clone, Copy, Debug)]
 struct Mask {
     centre: (Millimetres, Millimetres),
     /// Cosine and sine of its heading.
     turn: (f32, f32),
-    /// Half its length and its width: mm.
+    /// Half its length and half its width, in mm.
     length: f32,
     width: f32,
 }
 
 impl Mask {
-    /// A robot whose pose is so many microseconds older, or newer, than the scan.
+    /// For a robot whose pose is `age` microseconds older or newer than the scan.
     fn new(peer: &Peer, age: u32, scan: &ScanContext, unsure: Variances) -> Self {
         let seconds = age as f32 * 1.0e-6;
         let off = |here: Millimetres, there: Millimetres| (there - here).0 as f32;
@@ -131,7 +132,8 @@ impl Mask {
         let variance = SEEN_POSITION
             + unsure.position / 2.0
             + (unsure.heading + READING) * (dx * dx + dy * dy);
-        // Two standard deviations. A hit in the outermost corner of a cell is in that cell.
+        // Two standard deviations, plus the half diagonal of a cell: a hit at its corner marks the
+        // whole cell.
         let room = 2.0 * sqrtf(variance) + SPEED * seconds + scan.resolution.0 as f32 * 0.71;
 
         let (length, width) = (f32::from(peer.half_length), f32::from(peer.half_width));
@@ -149,11 +151,13 @@ impl Mask {
         }
     }
 
-    /// Marks the cells of a tile, of which the first one's middle is at (x, y) from the centre.
+    /// Marks the cells of a tile whose first cell has its centre at (x, y) from the rectangle's
+    /// centre.
     fn mark(&self, x: f32, y: f32, side: f32, cells: &mut [u32; TILE_SIDE]) {
         let (cos, sin) = self.turn;
-        // A row of cells crosses both pairs of the rectangle's sides: within each pair it is so far
-        // to either way of a middle that moves by so much from row to row.
+        // A row of cells crosses both pairs of the rectangle's sides. For each pair the covered
+        // interval has a constant half-width, and its centre moves by a constant slope from row to
+        // row.
         let (ends, ends_slope) = (self.length / cos.abs(), -sin / cos);
         let (flanks, flanks_slope) = (self.width / sin.abs(), cos / sin);
         let mut y = y;
@@ -167,20 +171,20 @@ impl Mask {
     }
 }
 
-/// Without the fourth of a degree next to the axes, of which there is no inverse.
+/// Avoids values near zero, which have no inverse: changes angles by at most a quarter of a degree.
 fn away_from_zero(value: f32) -> f32 {
-    const LEAST: f32 = 0.002;
-    if value.abs() < LEAST { LEAST } else { value }
+    const MIN: f32 = 0.002;
+    if value.abs() < MIN { MIN } else { value }
 }
 
-/// For numbers only.
+/// The minimum of two values, neither of which is NaN.
 fn least(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The first column whose middle is beyond a coordinate, 0 to 32.
+/// The first column whose centre is beyond a coordinate, 0 to 32.
 fn column(at: f32, first: f32, side: f32) -> u32 {
-    // The cast rounds down what is positive, and saturates.
+    // The cast rounds positive values down, and saturates.
     let cells = ((at - first) / side + 64.0) as i32;
     cells.saturating_sub(63).clamp(0, TILE_SIDE as i32) as u32
 }
@@ -217,14 +221,14 @@ mod tests {
         PeerMasks::new(Some(&peers), scan, Variances::default())
     }
 
-    /// How many cells of the tiles around the origin are left out.
+    /// Number of masked cells in the tiles around the origin.
     fn count(masks: &PeerMasks) -> u32 {
         let tiles = (-4..4i16).flat_map(|y| (-4..4i16).map(move |x| TileId { x, y }));
         tiles.filter_map(|id| masks.cells(id)).flatten().map(u32::count_ones).sum()
     }
 
     proptest! {
-        /// Every cell by itself, but for those whose middles lie on a side.
+        /// Checks each cell, except those whose centres lie on a side.
         #[test]
         fn a_mask_is_the_cells_inside_its_rectangle(
             x in -3_000..3_000i32, y in -3_000..3_000i32, heading: u16,
@@ -247,7 +251,7 @@ mod tests {
                         let along = (dx * cos + dy * sin).abs() - f64::from(mask.length);
                         let across = (dy * cos - dx * sin).abs() - f64::from(mask.width);
                         let off = along.max(across);
-                        // Next to an axis it is turned by up to a fourth of a degree.
+                        // Next to an axis it is rotated by up to a quarter of a degree.
                         let slack = 1.0 + 0.005 * dx.hypot(dy);
                         let is_in = cells >> column & 1 != 0;
                         prop_assert!(off.abs() < slack || is_in == (off < 0.0), "{off} at {dx}, {dy}");
@@ -258,25 +262,29 @@ mod tests {
     }
 
     #[test]
-    fn a_footprint_takes_less_than_the_square_and_more_when_unheard_of() {
+    fn a_footprint_is_smaller_than_the_square_and_grows_with_age() {
         let body = peer(at(1_500, 300, 5_000), 600, 150);
         let count = |mask, moment| count(&masks(body, &scan(mask, moment)));
         let (square, footprint) =
             (count(PeerMask::Square, 10_000_000), count(PeerMask::Footprint, 10_000_000));
         assert!(2 * footprint < square, "{footprint} of {square}");
-        // Unheard of for longer it takes more room, up to the square's and what it may have gone.
+        // It grows with age, up to the square plus the distance possibly driven.
         let mut last = footprint;
         for age in [100_000, 500_000, 1_000_000, 3_000_000] {
             let older = count(PeerMask::Footprint, 10_000_000 + age);
             assert!(last < older && older <= count(PeerMask::Square, 10_000_000 + age));
-            assert_eq!(older, count(PeerMask::Footprint, 10_000_000 - age), "of a scan before");
+            assert_eq!(
+                older,
+                count(PeerMask::Footprint, 10_000_000 - age),
+                "the same for an earlier scan"
+            );
             last = older;
         }
         assert_eq!(count(PeerMask::Footprint, 13_000_001), 0, "it may be anywhere");
     }
 
     #[test]
-    fn who_is_out_of_reach_costs_nothing_more() {
+    fn robots_out_of_range_have_no_mask() {
         let peers = |x| Peers {
             time: Instant(0),
             peers: [peer(at(x, 0, 0), 300, 200)].into_iter().collect(),
@@ -290,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unsure_pose_leaves_more_room() {
+    fn an_uncertain_pose_enlarges_the_masks() {
         let room = |variances: Variances| {
             let peers = Peers {
                 time: Instant(0),
@@ -300,7 +308,7 @@ mod tests {
             masks.masks[0].width
         };
         let sure = room(Variances::default());
-        // A degree at 2 m is 35 mm; with the 30 mm of the other's and the 31 mm of the reading.
+        // One degree at 2 m is 35 mm; plus 30 mm of the other robot and 31 mm of the reading.
         let expected = |more: f32| 360.56 + 35.5 + 2.0 * (900.0f32 + 976.6 + more).sqrt();
         assert!((sure - expected(0.0)).abs() < 0.1, "{sure}");
         let unsure = room(Variances { position: 5_000.0, heading: 0.000_304_6 });

@@ -1,20 +1,19 @@
-//! How much of what a sensor says is mapped: the methods that the paper compares, and what became
-//! of them (Aluckal III.A).
+//! Which part of the sensor's data is mapped: the methods compared by the paper, and their
+//! extension (Aluckal III.A).
 
-/// From the simplest to the most thrifty.
+/// From the simplest to the most economical.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Policy {
-    /// Every scan, and all of it.
+    /// Every scan, entirely.
     Pilot,
-    /// A scan when the robot has moved, and all of it ("thresholding").
+    /// A scan after each motion, entirely ("thresholding").
     Threshold,
-    /// The same, less what was in view before the robot turned ("selective omission", for
-    /// rotation as printed).
+    /// The same, without the readings already in view before the robot turned ("selective
+    /// omission", for rotations, as printed).
     Omission,
-    /// A scan when the robot has moved, or where something has changed in view; less every reading
-    /// that could only say what is known already: by the readings beside it, by what was mapped
-    /// before, by the server's map. That holds after any motion, as the paper's future work asks
-    /// for.
+    /// A scan after each motion, or where the view has changed; without readings that are redundant
+    /// given the adjacent readings, the robot's own map, or the server's map. Works for any motion,
+    /// the paper's future work.
     #[default]
     Full,
 }

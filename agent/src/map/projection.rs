@@ -1,4 +1,4 @@
-//! From a beam and a reading to a position in the grid of the map (Aluckal, "offsetting").
+//! From a beam and a reading to a position in the map's grid (Aluckal, "offsetting").
 
 use ubimap_protocol::units::{Millimetres, Pose};
 
@@ -9,46 +9,46 @@ use crate::{
 
 /// Fractional bits of a position in cells.
 pub(super) const FRACTION: u32 = 16;
-/// The finest cells that can be mapped.
+/// The minimum side of a map cell: below about 12 mm the fixed-point projection would overflow.
 pub const MIN_RESOLUTION: Millimetres = Millimetres(20);
 
 /// One cell.
 pub(super) const CELL: i32 = 1 << FRACTION;
 
-/// A position, x and y in 1/65,536 cells.
+/// A position: x and y in 1/65,536 cells.
 pub(super) type Point = (i32, i32);
 
-/// A corner of the polygon: the same, counted from the middle of a cell, so that its whole cells are
-/// the first row and column whose middles are at or beyond it.
+/// A corner of the polygon: the same, relative to a cell's centre, so that its integer part is the
+/// first row and column whose centres are at or beyond it.
 pub(super) type Corner = (i32, i32);
 
-/// From the middle of a cell, towards the next one, to its end.
+/// From the centre of a cell to its end towards the next one.
 const TO_MIDDLE: i32 = CELL / 2 - 1;
 
-/// Further bits of a [`Direction`].
+/// Additional fractional bits of a [`Direction`].
 const EXTRA: u32 = 3;
 
-/// Where one beam goes: 1/524,288 cells for each millimetre of reading, along x and y of the map.
+/// The direction of a beam: in 1/524,288 cells per millimetre of reading, along x and y of the map.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Direction(pub(super) i32, pub(super) i32);
 
-/// Places what a sensor sees: where it stands, and how it is turned.
+/// Converts readings to positions: the sensor's position and heading.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Projection {
-    /// The cell that the sensor is in.
+    /// The cell that contains the sensor.
     cell: (i32, i32),
-    /// The sensor, from the corner of the grid of the moment.
+    /// The sensor, relative to the corner of the current grid.
     origin: Point,
-    /// Cosine and sine of the heading, in 1/524,288 cells for each millimetre.
+    /// Cosine and sine of the heading, in 1/524,288 cells per millimetre.
     turn: (i32, i32),
-    /// One millimetre, in the same.
+    /// One millimetre, in the same unit.
     millimetre: i32,
 }
 
 impl Projection {
     /// For a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in `base_link`
-    /// (whose heading is in the table of beams) and cells of [`MIN_RESOLUTION`] or more.
-    /// Positions are counted from the corner of the sensor's cell.
+    /// (its heading is in the table of beams) and cells of at least [`MIN_RESOLUTION`]. Positions
+    /// are relative to the corner of the sensor's cell.
     pub(super) fn new(pose: Pose, mounting: Pose, resolution: Millimetres) -> Self {
         let one = (1 << DIRECTION_BITS) as f32;
         let (sin, cos) = sin_cos(radians(pose.heading));
@@ -72,12 +72,12 @@ impl Projection {
         }
     }
 
-    /// The cell of the grid that the sensor is in.
+    /// The cell of the grid that contains the sensor.
     pub(super) fn cell(&self) -> (i32, i32) {
         self.cell
     }
 
-    /// The same with positions counted from a cell at most 1,000 cells away.
+    /// The same with positions relative to a cell at most 1,000 cells away.
     pub(super) fn within(self, (x, y): (i32, i32)) -> Self {
         let shifted = |origin: i32, cell: i32, corner: i32| {
             origin.wrapping_add(cell.wrapping_sub(corner) << FRACTION)
@@ -87,23 +87,23 @@ impl Projection {
         Self { origin, ..self }
     }
 
-    /// The sensor.
+    /// The sensor's position.
     pub(super) fn origin(&self) -> Point {
         self.origin
     }
 
-    /// The sensor, as a corner of the polygon.
+    /// The sensor's position as a corner of the polygon.
     #[inline(always)]
     pub(super) fn sensor(&self) -> Corner {
         (self.origin.0.wrapping_add(TO_MIDDLE), self.origin.1.wrapping_add(TO_MIDDLE))
     }
 
-    /// How long so many millimetres are, in 1/65,536 cells.
+    /// A length in 1/65,536 cells.
     pub(super) fn length(&self, millimetres: u16) -> i32 {
         self.millimetre.wrapping_mul(millimetres.into()) >> EXTRA
     }
 
-    /// Where a beam goes.
+    /// The direction of a beam.
     #[inline(always)]
     pub(super) fn direction(&self, beam: Beam) -> Direction {
         let (cos, sin) = self.turn;
@@ -114,13 +114,13 @@ impl Projection {
         )
     }
 
-    /// What a beam of this direction reaches with a reading of at most 1,000 cells.
+    /// The end of a beam in this direction, for a reading of at most 1,000 cells.
     #[inline(always)]
     pub(super) fn point(&self, direction: Direction, reading: u32) -> Point {
         direction.from(self.origin, reading)
     }
 
-    /// The same, as a corner of the polygon.
+    /// The same as a corner of the polygon.
     #[inline(always)]
     pub(super) fn corner(&self, direction: Direction, reading: u32) -> Corner {
         direction.from(self.sensor(), reading)

@@ -1,7 +1,7 @@
 //! The part of the grid on which a sector of a scan is drawn.
 //!
-//! Free space is not carved ray by ray. Edges of a polygon flip one cell in every row of cells
-//! that they cross; the running XOR along a row then is the interior, 32 cells at a time.
+//! Free space is not carved ray by ray. Each edge of a polygon flips one cell in every row of cells
+//! that it crosses; the running XOR along a row is then the interior, 32 cells at a time.
 
 use core::ops::Range;
 
@@ -13,20 +13,20 @@ use super::{
 };
 use crate::sense::Beam;
 
-/// Between the outermost cells that a beam can touch and the side of the window.
+/// Margin between the outermost cells that a beam can touch and the side of the window, in cells.
 const RIM: i32 = 2;
 
 /// Bits of a position within a column of tiles.
 const COLUMN: u32 = FRACTION + TILE_SIDE.ilog2();
 
-/// Edges across fewer rows are sooner drawn row by row.
+/// Edges that cross fewer rows are drawn faster row by row.
 const FEW_ROWS: i32 = 8;
 
-/// Arcs that a part of a scan is divided into to find out how far it can reach.
+/// Number of arcs into which a part of a scan is divided to bound its extent.
 const ARCS: usize = 4;
 
-/// What a window must hold for any eighth of a turn of a scan of so many cells: 340 words of
-/// two planes (2.7 kB) for 80.
+/// Window size for any eighth of a turn of a scan with a radius in cells: 340 words of two planes
+/// (2.7 kB) for 80.
 pub(super) const fn words_of(radius: usize) -> usize {
     let across = radius + 2 * RIM as usize + 1;
     across * ((across + TILE_SIDE - 2) / TILE_SIDE + 1)
@@ -35,19 +35,19 @@ pub(super) const fn words_of(radius: usize) -> usize {
 /// A rectangle of the grid: whole columns of tiles wide, any number of rows of cells high.
 #[derive(Debug)]
 pub(super) struct ScanWindow<'s> {
-    /// Words of cells, column of tiles by column of tiles from the west, from south to north.
+    /// Words of cells, one column of tiles after another from the west, each from south to north.
     cells: &'s mut [RowSighting],
-    /// The column of tiles in the west, and how many there are.
+    /// The western column of tiles, and their number.
     west: i32,
     width: usize,
-    /// The row of cells in the south, and how many there are.
+    /// The southern row of cells, and their number.
     south: i32,
     rows: usize,
 }
 
 impl<'s> ScanWindow<'s> {
-    /// A window on all that these beams can reach within a range (millimetres), in `memory` that holds no sighting. `None` if
-    /// it is too short.
+    /// A window around everything that these beams can reach within a range (millimetres). `memory`
+    /// must hold no observation. `None` if it is too short.
     pub(super) fn over(
         beams: &[Beam],
         range: u16,
@@ -67,12 +67,12 @@ impl<'s> ScanWindow<'s> {
         Some(Self { cells, west, width, south, rows })
     }
 
-    /// The grid coordinates of the cell in the south-west corner.
+    /// The grid coordinates of the south-western cell.
     pub(super) fn corner(&self) -> (i32, i32) {
         (self.west << TILE_SIDE.ilog2(), self.south)
     }
 
-    /// Whether all of it is on the map.
+    /// Whether all of it is within the map's coordinates.
     pub(super) fn is_on_the_map(&self) -> bool {
         let (x, y) = self.corner();
         let far = |from: i32, cells: usize| i32::try_from(cells).ok()?.checked_add(from);
@@ -81,8 +81,8 @@ impl<'s> ScanWindow<'s> {
         near.is_some() && far.is_some_and(|(x, y)| TileId::of_cell(x, y).is_some())
     }
 
-    /// Marks the cells of a surface as hit between one point and another that is so many beams
-    /// further. Points are counted from the corner.
+    /// Marks the cells of a surface as hit, from one point to another that is `beams` beams
+    /// further. Points are relative to the corner.
     #[inline(always)]
     pub(super) fn surface(&mut self, from: Point, to: Point, beams: i32) {
         let (run, rise) = (to.0 - from.0, to.1 - from.1);
@@ -92,7 +92,7 @@ impl<'s> ScanWindow<'s> {
         }
     }
 
-    /// Marks so many cells as hit, from one point on by a step each time.
+    /// Marks `cells` cells as hit, from a point on, one step each.
     #[inline(never)]
     fn surface_of(&mut self, (mut x, mut y): Point, (step_x, step_y): Point, cells: i32) {
         for _ in 0..cells {
@@ -124,8 +124,8 @@ impl<'s> ScanWindow<'s> {
         self.cells.get_mut(index)
     }
 
-    /// Flips, in every row whose middle the edge crosses, the first cell whose middle is not to
-    /// the west of the crossing.
+    /// In every row whose centre line the edge crosses, flips the first cell whose centre is not
+    /// west of the crossing.
     #[inline(always)]
     pub(super) fn edge(&mut self, a: Corner, b: Corner) {
         if (a.1 ^ b.1) >> FRACTION != 0 {
@@ -146,7 +146,8 @@ impl<'s> ScanWindow<'s> {
             return self.flip(first as usize, (x >> FRACTION) as u32);
         }
         let step = (((run >> 8) << 12) / (rise >> 8).max(1) as i32) << 4;
-        // Counted from the east, a column is how far its bit is turned from the last one.
+        // Counted from the east, the column is the distance by which its bit is rotated from the
+        // last one.
         let mut from_east = !x;
         if last - first < FEW_ROWS {
             for row in first..last {
@@ -157,7 +158,7 @@ impl<'s> ScanWindow<'s> {
         }
         let mut row = first;
         while row < last {
-            // As many rows as it crosses within one column of tiles.
+            // The number of rows crossed within one column of tiles.
             let room = (if step < 0 { !from_east } else { from_east }) & ((1 << COLUMN) - 1);
             let rows = (room as u32 / step.unsigned_abs().max(1) + 1).min((last - row) as u32);
             let column = !(from_east >> COLUMN) as usize;
@@ -172,9 +173,9 @@ impl<'s> ScanWindow<'s> {
         }
     }
 
-    /// What is said of the tiles, column by column of tiles from the west, from south to north.
-    /// Each piece must be read before the next one is asked for: what is inside at its eastern
-    /// side goes on there.
+    /// The observations of the tiles, one column of tiles after another from the west, each from
+    /// south to north. Each piece must be read before the next is requested: an interior that
+    /// reaches its eastern side continues there.
     pub(super) fn for_each_piece(&mut self, mut take: impl FnMut(Piece<'_>)) {
         let Self { west, south, rows, .. } = *self;
         let mut beyond = [RowSighting::default(); TILE_SIDE];
@@ -199,14 +200,14 @@ impl<'s> ScanWindow<'s> {
     }
 }
 
-/// How far some beams can reach.
+/// The extent of some beams.
 struct Sector<'p> {
     projection: &'p Projection,
     range: u16,
-    /// The south-western corner and the north-eastern one of all that has been looked at.
+    /// The south-western and north-eastern corner of everything seen so far.
     low: Point,
     high: Point,
-    /// Where the last beam goes.
+    /// The direction of the last beam.
     last: Direction,
 }
 
@@ -232,7 +233,7 @@ impl<'p> Sector<'p> {
         sector
     }
 
-    /// Begins or ends with a beam.
+    /// Starts or ends with a beam.
     #[inline(never)]
     fn end(&mut self, beam: Beam) {
         let Self { projection, low, high, .. } = self;
@@ -242,7 +243,8 @@ impl<'p> Sector<'p> {
         *high = (high.0.max(x), high.1.max(y));
     }
 
-    /// Turns to a beam less than half a turn away. Where it crosses an axis it reaches farthest.
+    /// Extends the sector to a beam less than half a turn away. The extremes are where it crosses
+    /// an axis.
     #[inline(never)]
     fn turn(&mut self, beam: Beam) {
         let to = self.projection.direction(beam);
@@ -257,17 +259,17 @@ impl<'p> Sector<'p> {
     }
 }
 
-/// Columns of a word, 32 at most, counted from the west.
+/// The first `columns` columns of a word from the west, at most 32.
 pub(super) fn below(columns: u32) -> u32 {
     ((1u64 << columns) - 1) as u32
 }
 
-/// The rows of a tile that a window touches.
+/// The rows of a tile in a window.
 #[derive(Debug)]
 pub(super) struct Piece<'w> {
-    /// Which tile.
+    /// The tile's id.
     pub(super) id: TileId,
-    /// The row of the tile that is the first.
+    /// The first row of the tile.
     pub(super) first_row: usize,
     rows: &'w mut [RowSighting],
     /// The rows to the east of them.
@@ -275,12 +277,12 @@ pub(super) struct Piece<'w> {
 }
 
 impl<'w> Piece<'w> {
-    /// How many rows there are.
+    /// Number of rows.
     pub(super) fn len(&self) -> usize {
         self.rows.len()
     }
 
-    /// Whether nothing is said of any row.
+    /// Whether no row has any observation.
     pub(super) fn says_nothing(&self) -> bool {
         let (fours, rest) = self.rows.as_chunks();
         let silent =
@@ -288,7 +290,7 @@ impl<'w> Piece<'w> {
         fours.iter().all(silent) && rest.iter().all(|row| row.known() == 0)
     }
 
-    /// What is left of the piece without some cells of its tile, in memory for it.
+    /// The piece without some cells of its tile, written into `rows`.
     pub(super) fn without<'r>(
         self,
         cells: &[u32; TILE_SIDE],
@@ -300,7 +302,7 @@ impl<'w> Piece<'w> {
         let left = self.fill().zip(cells.iter().skip(first_row));
         for (row, (sighting, cells)) in rows.iter_mut().zip(left) {
             let free = sighting.free & !cells;
-            // Flipped where it changes, to be filled as before.
+            // Flips where the interior changes, for the running XOR.
             *row = RowSighting { free: free ^ free << 1, hit: sighting.hit & !cells };
             len += 1;
         }
@@ -312,7 +314,7 @@ impl<'w> Piece<'w> {
         self.rows.get(rows).unwrap_or_default().iter().map(|row| row.hit)
     }
 
-    /// Takes what is said of the rows: the flipped cells turned into the interior, less the hits.
+    /// The observations of the rows: the flipped cells turned into the interior, minus the hits.
     #[inline(always)]
     pub(super) fn fill(self) -> impl Iterator<Item = RowSighting> + use<'w> {
         self.rows.iter_mut().zip(self.east).map(|(row, east)| {
@@ -343,10 +345,10 @@ mod tests {
     const SIDE: Millimetres = Millimetres(50);
 
     proptest! {
-        /// Sensors that see little or all around, some of whose beams are taken out at either end and
-        /// in the middle.
+        /// Sensors with narrow or full views, some of whose beams are removed at either end and in
+        /// the middle.
         #[test]
-        fn a_window_holds_all_that_its_beams_reach(
+        fn a_window_contains_everything_that_its_beams_reach(
             count in 2usize..400, angle in 0.1..6.2f32, is_pinhole: bool,
             heading: u16, x in -9_000i32..9_000, y in -9_000i32..9_000,
             holes in [0.0..0.3f32, 0.3..0.7, 0.9..1.0], missing in 0.0..0.2f32,

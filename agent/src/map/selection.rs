@@ -1,4 +1,4 @@
-//! Which readings of a scan are to be mapped (Aluckal II.C, "thresholding" and "selective
+//! Selects the readings of a scan to be mapped (Aluckal II.C, "thresholding" and "selective
 //! omission").
 
 use core::ops::Range;
@@ -8,36 +8,36 @@ use ubimap_protocol::units::Pose;
 use super::{change::LastScan, gate::Gate, omission::Sweep, policy::Policy};
 use crate::sense::Beam;
 
-/// In so many scans a change in view of a robot that stands still is mapped: they take the evidence of
-/// a cell from one end of its scale to the other.
+/// Number of scans in which a change in the view of a standing robot is mapped: they take a cell's
+/// evidence from one end of its scale to the other.
 const REPEATS: u8 = 6;
 
-/// Why readings are mapped.
+/// The readings to map, and why.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selected {
-    /// None is: the robot stands still and sees what it saw.
+    /// None: the robot stands still and its view is unchanged.
     Nothing,
     /// The robot has moved.
     Moved(Range<usize>),
-    /// It stands still, and something has changed in view.
+    /// The robot stands still, but its view has changed.
     Changed(Range<usize>),
 }
 
-/// Chooses from scan to scan.
+/// Selects from scan to scan.
 #[derive(Debug)]
 pub struct Selection {
     policy: Policy,
     sweep: Sweep,
     mapped_at: Option<Pose>,
-    /// What the odometry said then: `base_link` in `odom`.
+    /// The odometry then: `base_link` in `odom`.
     odometry_then: Option<Pose>,
     last: LastScan,
-    /// Scans in which a change was mapped that is not known yet.
+    /// Number of further scans in which the current change is mapped.
     repeats: u8,
 }
 
 impl Selection {
-    /// For a sensor; nothing has been mapped.
+    /// For a sensor; nothing is mapped yet.
     pub fn new(policy: Policy, beams: &[Beam]) -> Self {
         Self {
             policy,
@@ -49,14 +49,14 @@ impl Selection {
         }
     }
 
-    /// Nothing of what has been mapped is left.
+    /// Forgets the last mapped scan: the map was discarded.
     pub fn begin_anew(&mut self) {
         self.mapped_at = None;
     }
 
-    /// Whether a scan says nothing, without its pose: the robot stands where it mapped last, by its
-    /// odometry and by the newest pose that is known, and it sees what it saw. `odometry` is `None`
-    /// if the robot moves.
+    /// Whether a scan is redundant, without its pose: the robot stands where it mapped last, by its
+    /// odometry and by the newest known pose, and its view is unchanged. `odometry` is `None` if
+    /// the robot moves.
     pub fn stands(
         &self,
         gate: Gate,
@@ -73,7 +73,7 @@ impl Selection {
             && self.last.changed(readings).is_none()
     }
 
-    /// Which readings of a scan that was taken at `pose` (`base_link` in `map`) say something new.
+    /// The new readings of a scan taken at `pose` (`base_link` in `map`).
     pub fn select(&self, gate: Gate, pose: Pose, readings: &[u16]) -> Selected {
         if self.policy == Policy::Pilot || gate.opens(self.mapped_at, pose) {
             let all = 0..readings.len();
@@ -88,12 +88,12 @@ impl Selection {
             Policy::Full => {
                 self.last.changed(readings).map_or(Selected::Nothing, Selected::Changed)
             }
-            // As printed: who stands still maps nothing.
+            // As printed: a standing robot maps nothing.
             _ => Selected::Nothing,
         }
     }
 
-    /// Takes note that a part of a scan has been mapped, and of the odometry.
+    /// Records that a part of a scan has been mapped, and the odometry.
     pub fn mapped(
         &mut self,
         pose: Pose,

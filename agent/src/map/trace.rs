@@ -1,13 +1,13 @@
-//! The outline of what a scan saw, drawn on a window.
+//! Draws the outline of a scan's free space on a window.
 //!
-//! The ends of the beams, in order of bearing, close a polygon with the sensor; what is inside,
-//! minus the hits, is free. Invalid beams break the polygon where they leave room for a cell, and
-//! where the range jumps between two beams only the nearer range is claimed between them: nothing is
+//! The ends of the beams, in order of bearing, and the sensor form a polygon; its interior, minus
+//! the hits, is free. Invalid beams break the polygon where the gap is wide enough for a cell, and
+//! where the range jumps between two beams only the nearer range is used between them: no cell is
 //! free that no beam crossed.
 //!
-//! Where there are several beams to a cell, most of them end on a surface that others have shown
-//! already. From each beam that is drawn on, those are passed over that end where the surface goes
-//! on, within a cell, up to some cells further; in between the surface is drawn as a line.
+//! Where several beams fall into a cell, most of them end on a surface that others have already
+//! shown. After each drawn beam, beams are skipped while they end on the continuation of its
+//! surface, within a cell, for up to [`SPAN`] cells; the surface in between is drawn as a line.
 
 use core::ops::AddAssign;
 
@@ -20,19 +20,19 @@ use super::{
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
-/// Two beams whose readings differ by more than this look past an edge, in millimetres.
+/// Minimum difference of two adjacent readings at an edge, in millimetres.
 const JUMP: u32 = 150;
 
-/// How the readings of a scan fared.
+/// Counts of a scan's readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PixelCounts {
-    /// All of them.
+    /// All readings.
     pub seen: u32,
-    /// Those that went into the map.
+    /// Readings that were mapped.
     pub kept: u32,
-    /// Those that could have said nothing new.
+    /// Readings skipped as redundant.
     pub omitted: u32,
-    /// Those without a return, or that the sensor model has no place for.
+    /// Readings without a return, or outside the sensor model.
     pub invalid: u32,
 }
 
@@ -45,44 +45,45 @@ impl AddAssign for PixelCounts {
     }
 }
 
-/// What is constant from scan to scan: millimetres, if not said otherwise.
+/// Parameters that are constant from scan to scan, in millimetres unless stated otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Grain {
-    /// Half a cell: the free space ends so much before a hit, for its cell, and its neighbours on
-    /// a wall that is seen at a slant, are not free.
+    /// Half a cell: free space ends this far before a hit, because its cell is not free, nor are
+    /// the adjacent cells on a slanted wall.
     margin: u32,
-    /// Three quarters of a cell: what differs less is within a cell.
+    /// Three quarters of a cell: the maximum deviation within a surface.
     tolerance: u32,
-    /// Millimetres of reading times beams that fit [`SPAN`] cells side by side.
+    /// Reading (mm) times number of beams that spans [`SPAN`] cells sideways.
     spread: u32,
-    /// How far scans are mapped at most.
+    /// Maximum range of the mapping.
     reach: Reach,
-    /// Millimetres of reading times beams that fit half a cell.
+    /// Reading (mm) times number of beams that spans half a cell.
     bridge: u32,
-    /// Readings from the first on, so many more, may count.
+    /// Valid readings: the first, and the length of the interval.
     counting: (u32, u32),
-    /// They do if they are so near to the one before; negative if that alone does not do.
+    /// Maximum difference to the previous reading for which no further check is needed; negative if
+    /// it is always needed.
     touch: i32,
-    /// Which readings count.
+    /// Which readings are valid.
     validity: Validity,
 }
 
-/// How far a scan is mapped: millimetres.
+/// The mapped range, in millimetres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Reach {
-    /// From the sensor, whatever a beam's reading means.
+    /// Distance from the sensor.
     pub(super) range: u16,
-    /// Readings up to this one are within it, whatever their beam.
+    /// Readings up to this one are within the range for every beam.
     surely: u32,
-    /// Those from this one on are beyond it, whatever their beam.
+    /// Readings from this one on are beyond the range for every beam.
     beyond: u32,
 }
 
 impl Reach {
-    /// This reach, but no farther than `range`.
+    /// The same, but at most `range`.
     fn within(self, range: u16) -> Self {
         let scale = f32::from(range) / f32::from(self.range);
-        // Off by less than one.
+        // With an error below one.
         let part = |reading: u32| (reading as f32 * scale) as u32;
         Self {
             range,
@@ -101,13 +102,13 @@ impl Reach {
     }
 }
 
-/// Cells that are passed over at most, across the beams.
+/// Maximum number of cells that skipped beams span.
 const SPAN: u32 = 16;
-/// Beams that are looked at among those that are passed over: three in two cells.
+/// Number of skipped beams that are checked: three per two cells.
 const CHECKS: usize = SPAN as usize * 3 / 2;
 
 impl Grain {
-    /// For the table of a sensor.
+    /// For a sensor's table.
     pub(super) fn new(
         beams: &[Beam],
         side: Millimetres,
@@ -156,12 +157,12 @@ impl Grain {
         (range < self.reach.range).then(|| Self { reach: self.reach.within(range), ..*self })
     }
 
-    /// The range up to which scans are mapped, in millimetres.
+    /// The maximum range, in millimetres.
     pub(super) fn range(&self) -> u16 {
         self.reach.range
     }
 
-    /// Whether a reading counts, and is farther than the margin.
+    /// Whether a reading is valid, and beyond the margin.
     #[inline(always)]
     fn counts(&self, readings: &[u16], index: usize, reading: u16) -> bool {
         let (first, more) = self.counting;
@@ -171,23 +172,24 @@ impl Grain {
                 || self.validity.counts_at(readings, index, reading))
     }
 
-    /// Within a radian, in millimetres: a robot that stands before a wall sees it bend.
+    /// The range at which [`SPAN`] cells cover one radian, in millimetres: closer, a straight wall
+    /// looks bent.
     #[inline(always)]
     fn near(&self) -> u32 {
         2 * SPAN * self.margin
     }
 
-    /// Whether a gap of so many beams is too narrow for a cell that no beam crosses. Near the robot, which
-    /// goes there next, half a cell is wide enough.
+    /// Whether a gap of `beams` beams is too narrow to hide a cell. Near the robot, where it drives
+    /// next, half a cell counts.
     #[inline(always)]
     fn bridges(&self, beams: u32, range: u32) -> bool {
         let bridge = if range > self.near() { 2 * self.bridge } else { self.bridge };
         beams.wrapping_mul(range) <= bridge
     }
 
-    /// How far a surface goes on in a line, to `end` at most, from a beam on that ends on it. One
-    /// beam in some is looked at, and those between the last of them and the next. The first of
-    /// them says how the line goes, if what lies half way is on it too.
+    /// The last beam, at most `end`, up to which a surface continues in a line from the beam `from`
+    /// on it. Checks every `stride`th beam, then those after the last one found. The first step
+    /// gives the line's slope, if the point halfway is on the line, too.
     #[inline(always)]
     fn surface_up_to(
         &self,
@@ -216,8 +218,9 @@ impl Grain {
         last + rest.iter().take(stride).take_while(is_next).count()
     }
 
-    /// The last beam that ends within the range on a surface that leaves it, from a beam within it on.
-    /// So many steps further it is still the surface; the beams in between may look at something else.
+    /// The last beam within the range on a surface that leaves it, starting from a beam within it.
+    /// Bisects steps of `stride` beams, at which the surface must be seen; the beams in between may
+    /// see something else.
     #[inline(never)]
     fn last_within(
         &self,
@@ -241,9 +244,9 @@ impl Grain {
         last + (last + 1..last + stride).take_while(is_next).count()
     }
 
-    /// The last beam before `end` up to which nothing is in range, from one on that reaches so far, or
-    /// the next one if a surface comes into it within a cell. One beam in some is looked at, and those
-    /// after the last of them.
+    /// The last beam before `end` up to which nothing is in range, starting from one out of range,
+    /// or the next one if a surface enters the range within a cell. Checks every
+    /// `stride`th beam, then those after the last one found.
     #[inline(never)]
     fn nothing_up_to(
         &self,
@@ -276,12 +279,12 @@ impl Grain {
     }
 }
 
-/// A part of a scan: beams, and as many readings.
+/// A part of a scan: beams and their readings.
 #[derive(Clone, Copy)]
 pub(super) struct Part<'s> {
     pub(super) beams: &'s [Beam],
     pub(super) readings: &'s [u16],
-    /// Whether the first beam was the last one of the part before.
+    /// Whether the first beam was the last one of the previous part.
     pub(super) is_continued: bool,
 }
 
@@ -367,7 +370,7 @@ pub(super) fn trace(
     }
     window.edge(last.at, sensor);
     let seen = (readings.len() as u32).saturating_sub(u32::from(is_continued));
-    // The first one has been counted with the part before.
+    // The first beam was counted with the previous part.
     let again = if is_first_invalid { &mut invalid } else { &mut kept };
     *again = again.saturating_sub(u32::from(is_continued));
     *pixels += PixelCounts { seen, kept, omitted: seen.saturating_sub(kept + invalid), invalid };

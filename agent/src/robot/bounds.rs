@@ -1,4 +1,4 @@
-//! How much a robot keeps.
+//! The sizes of a robot's memory.
 
 use ubimap_protocol::units::Millimetres;
 
@@ -8,11 +8,11 @@ use crate::{
     share::FusedTile,
 };
 
-/// How much a robot keeps. A [`Config`](crate::Config) and its [`Memory`](crate::Memory) are made
-/// from the same bounds.
+/// The sizes of a robot's memory. A [`Config`](crate::Config) and its [`Memory`](crate::Memory) are
+/// built from the same bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounds {
-    /// Readings in a scan.
+    /// Readings per scan.
     pub readings: usize,
     /// Scans that can wait for their poses, 1 to 8.
     pub waiting: usize,
@@ -21,9 +21,9 @@ pub struct Bounds {
     pub own_tiles: usize,
     /// Tiles of the server's map; the largest square that fits is the window around the robot.
     pub fused_tiles: usize,
-    /// The radial range that is mapped, in millimetres.
+    /// The maximum mapped range, in millimetres.
     pub max_range: u16,
-    /// The side of the map's cells; the server's must be the same.
+    /// The side of a map cell; must equal the server's.
     pub resolution: Millimetres,
 }
 
@@ -38,8 +38,8 @@ impl Bounds {
         resolution: Millimetres(50),
     };
 
-    /// The firmware of the reference board: a row of 100 pixels, and the range that a pool of eight
-    /// tiles holds, in a window of 4 x 4.
+    /// The firmware of the reference board: a row of 100 pixels, a window of 4 x 4 tiles, and the
+    /// maximum range for which eight own tiles suffice.
     pub const REFERENCE: Self =
         Self { readings: 100, own_tiles: 8, fused_tiles: 16, max_range: 2_000, ..Self::DEFAULT };
 
@@ -52,12 +52,12 @@ impl Bounds {
         scratch_words(self.max_range, self.resolution)
     }
 
-    /// Bytes of the tiles.
+    /// Size of the tiles, in bytes.
     pub const fn tile_bytes(&self) -> usize {
         self.own_tiles * size_of::<OwnTile>() + self.fused_tiles * size_of::<FusedTile>()
     }
 
-    /// Bytes of the [`Memory`](crate::Memory) of a robot without a drive.
+    /// Size of the [`Memory`](crate::Memory) of a robot without a drive, in bytes.
     pub const fn memory_bytes(&self) -> usize {
         self.readings * (size_of::<Beam>() + self.waiting * size_of::<u16>())
             + self.scratch() * size_of::<RowSighting>()
@@ -65,7 +65,7 @@ impl Bounds {
     }
 }
 
-// The same on every machine of 32 bits.
+// The same on every 32-bit machine.
 #[cfg(target_pointer_width = "32")]
 const _: () = {
     assert!(size_of::<OwnTile>() <= 768);

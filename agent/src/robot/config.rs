@@ -1,6 +1,6 @@
-//! A robot's configuration, and what can be wrong with it.
+//! A robot's configuration and its validation.
 
-use core::num::NonZero;
+use core::{fmt, num::NonZero};
 
 use ubimap_protocol::{
     tile::Epoch,
@@ -17,62 +17,62 @@ use crate::{
     timing::SCAN_LATE,
 };
 
-/// What a robot is, and how it maps and drives. Some of it is the server's to change
+/// The configuration of a robot. The server can change some of it
 /// ([`Parameter`](crate::Parameter)).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config<D = NoDrive> {
-    /// The robot's number, unique in a deployment.
+    /// The robot's id, unique in a deployment.
     pub robot: RobotId,
     /// A number that should differ from boot to boot.
     pub boot_nonce: u32,
-    /// How much the robot keeps, and how far and how finely it maps.
+    /// Memory sizes, and the map's range and resolution.
     pub bounds: Bounds,
-    /// Hits this near along x and along y of the map count twice, in millimetres: for a grey camera
-    /// what [`ScaleCurve::near`](crate::sense::ScaleCurve::near) says. `None` is the square within a
-    /// quarter of the range, where beams are closer than cells.
+    /// Hits within this distance along `map`'s x and y count twice, in millimetres:
+    /// [`ScaleCurve::near`](crate::sense::ScaleCurve::near) for a grey camera. `None`: a quarter of
+    /// the range, within which beams are closer together than cells.
     pub near: Option<NonZero<u16>>,
-    /// What the sensor's readings mean.
+    /// The sensor's geometry.
     pub sensor: SensorModel,
     /// The sensor in `base_link`.
     pub mounting: Pose,
-    /// Which readings count.
+    /// Which readings are valid.
     pub validity: Validity,
-    /// The light of pixels whose depths count, for who has an intensity image beside its depths:
-    /// by it the caller masks a row before the robot gets it ([`Exposure::mask`]).
+    /// Brightness of the pixels whose depths are valid, for sensors with an intensity image. The
+    /// caller masks each row by it before passing it to the robot ([`Exposure::mask`]).
     pub exposure: Exposure,
-    /// Readings that are never mapped. The last two are the server's to set
-    /// ([`Parameter`](crate::Parameter)): pixels, and bearings.
+    /// Readings that are never mapped. The server can set the last two
+    /// ([`Parameter`](crate::Parameter)): pixels and bearings.
     pub removed: [Option<Removal>; 4],
-    /// How fast the robot may turn and gain speed for a scan to be mapped.
+    /// Maximum turn rate and acceleration for a scan to be mapped.
     pub steady: SteadyLimits,
-    /// Where the poses come from.
+    /// The source of the poses.
     pub pose_source: PoseSource,
-    /// How far the odometry is to be trusted.
+    /// The noise of the odometry.
     pub odometry_noise: OdometryNoise,
-    /// Scans from poses that are less sure than this are not mapped.
+    /// Maximum uncertainty of a pose for its scan to be mapped.
     pub uncertainty_limit: UncertaintyLimit,
-    /// How far the robot must have moved to map again.
+    /// How far the robot must move before it maps again.
     pub gate: Gate,
-    /// How much of what the sensor says is mapped.
+    /// Which part of a scan is mapped.
     pub policy: Policy,
-    /// What is not mapped of other robots.
+    /// Which readings are ignored because of other robots.
     pub peer_mask: PeerMask,
     /// How long a scan waits for its pose.
     pub scan_deadline: Duration,
-    /// How long changes of the map are gathered before they are sent.
+    /// How long changes of the map are collected before they are sent.
     pub hold: Duration,
-    /// Between two distance vectors at least, while the robot moves; one that stands still sends
-    /// one in a minute at most, and one that has had no fix for a while one in a second.
+    /// Minimum time between two distance vectors while the robot moves. At standstill it sends at
+    /// most one per minute, and without a recent fix one per second.
     pub vector_interval: Duration,
-    /// Tiles are begun from this epoch on, or a later one.
+    /// The minimum epoch of new tiles.
     pub first_epoch: Epoch,
-    /// What drives the robot: [`Driving`](crate::drive::Driving) or [`NoDrive`].
+    /// The drive: [`Driving`](crate::drive::Driving) or [`NoDrive`].
     pub drive: D,
 }
 
 impl Config {
-    /// A robot that only maps: a scan waits 1.5 s for its pose, changes are gathered for 1 s, a
-    /// distance vector is sent every 5 s.
+    /// A robot that only maps: a scan waits 1.5 s for its pose, changes are collected for 1 s, and
+    /// a distance vector is sent every 5 s.
     pub fn new(robot: RobotId, sensor: SensorModel, bounds: Bounds) -> Self {
         Self {
             robot,
@@ -101,7 +101,7 @@ impl Config {
 }
 
 impl<D> Config<D> {
-    /// The same robot, driven otherwise.
+    /// The same configuration with another drive.
     pub fn with_drive<E>(self, drive: E) -> Config<E> {
         Config {
             drive,
@@ -128,7 +128,7 @@ impl<D> Config<D> {
         }
     }
 
-    /// Checks what does not depend on the memory.
+    /// Checks everything that does not depend on the memory.
     pub(super) fn check(&self) -> Result<(), ConfigError> {
         let Bounds { resolution, max_range, .. } = self.bounds;
         if resolution < MIN_RESOLUTION {
@@ -145,7 +145,7 @@ impl<D> Config<D> {
 /// A part of a [`Memory`](crate::Memory).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The table of beams: one for each reading.
+    /// The table of beams, one per reading.
     Beams,
     /// The readings of waiting scans.
     Waiting,
@@ -157,23 +157,53 @@ pub enum Part {
     FusedTiles,
 }
 
-/// Why a robot cannot work with a configuration and a memory.
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Beams => "beams",
+            Self::Waiting => "waiting scans",
+            Self::Scratch => "scratch words",
+            Self::OwnTiles => "own tiles",
+            Self::FusedTiles => "fused tiles",
+        })
+    }
+}
+
+/// Why a robot can't be built from a configuration and a memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ConfigError {
     /// The cells are smaller than [`MIN_RESOLUTION`].
     Resolution,
-    /// The range is less than a cell, or over [`MAX_RADIUS`] cells.
+    /// The range is less than one cell, or more than [`MAX_RADIUS`] cells.
     Range,
-    /// A part of the memory is smaller than the bounds of the configuration, or empty.
+    /// A part of the memory is empty, or smaller than the configuration's bounds.
     Memory {
         /// Which part.
         part: Part,
-        /// Elements that it must have.
+        /// Number of elements required.
         needed: usize,
-        /// Elements that it has.
+        /// Number of elements present.
         found: usize,
     },
 }
+
+impl fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Resolution => {
+                write!(f, "the map's cells must be at least {} mm wide", MIN_RESOLUTION.0)
+            }
+            Self::Range => {
+                write!(f, "the range must be 1 to {MAX_RADIUS} cells of the map")
+            }
+            Self::Memory { part, needed, found } => {
+                write!(f, "the memory for {part} has {found} elements; the bounds require {needed}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for ConfigError {}
 
 #[cfg(test)]
 mod tests {
@@ -193,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_small_is_named_with_what_is_needed_and_what_there_is() {
+    fn an_error_names_the_part_that_is_too_small_with_its_sizes() {
         let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
         let mut made = |bounds| made(bounds, &mut memory);
         assert_eq!(made(BOUNDS), Ok(()));
@@ -204,7 +234,7 @@ mod tests {
         assert_eq!(made(Bounds { fused_tiles: 16, ..BOUNDS }), small(Part::FusedTiles, 16, 12));
         let far = Bounds { max_range: 4_000, ..BOUNDS };
         assert_eq!(made(far), small(Part::Scratch, far.scratch(), BOUNDS.scratch()));
-        // What is larger than needed does no harm, and what is empty does.
+        // Excess memory is harmless; an empty part is an error.
         assert_eq!(made(Bounds { readings: 9, fused_tiles: 0, own_tiles: 1, ..BOUNDS }), Ok(()));
         assert_eq!(made(Bounds { readings: 0, ..BOUNDS }), small(Part::Beams, 1, 0));
         assert_eq!(made(Bounds { waiting: 0, ..BOUNDS }), small(Part::Waiting, 1, 0));
@@ -212,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_and_ranges_that_cannot_be_mapped_are_refused() {
+    fn invalid_resolutions_and_ranges_are_refused() {
         let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
         let mut made = |bounds| made(bounds, &mut memory);
         for resolution in [-50, 0, 19] {
@@ -225,7 +255,7 @@ mod tests {
         }
     }
 
-    /// Storage that is sized while the program runs.
+    /// Storage sized at run time.
     struct Grown;
 
     impl Storage for Grown {

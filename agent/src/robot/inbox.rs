@@ -1,4 +1,4 @@
-//! What the server says: each message to the part of the robot that it is for.
+//! Dispatches the server's messages.
 
 use ubimap_protocol::{
     link::ClockSync,
@@ -17,11 +17,11 @@ use super::{
 use crate::locate::{FixError, FixOutcome};
 
 impl Mapper<'_> {
-    /// A session has begun, with the server of the last one or with another.
+    /// Starts a session, with the last one's server or another.
     pub(super) fn begin_session(&mut self, welcome: &Welcome, same_server: bool, now: Instant) {
         self.statistics.sessions = self.statistics.sessions.wrapping_add(1);
         if !same_server {
-            // Another life of the server has another clock: moments of the last one mean nothing.
+            // A restarted server has another clock: times by the old one are void.
             self.clock = ClockSync::default();
             self.commands.forget();
             self.latest_pose = None;
@@ -34,7 +34,7 @@ impl Mapper<'_> {
         self.fused.begin_session(Epoch(welcome.server_epoch));
     }
 
-    /// Takes the messages of a frame.
+    /// Processes the messages of a frame.
     pub(super) fn take(&mut self, messages: Messages<'_, ToRobot>, now: Instant) {
         let mut command = None;
         for message in messages.map_while(Result::ok) {
@@ -51,8 +51,8 @@ impl Mapper<'_> {
         }
     }
 
-    /// Takes a message; a command about parameters is carried out when the frame has been read.
-    /// `None` if the message cannot be read.
+    /// Processes a message; a command about parameters is executed after the rest of the frame.
+    /// Returns `None` if the message is malformed.
     fn take_one(
         &mut self,
         message: ToRobotMessage<'_>,
@@ -60,7 +60,7 @@ impl Mapper<'_> {
         now: Instant,
     ) -> Option<()> {
         match message {
-            // The link has taken it.
+            // Already processed by the link.
             ToRobotMessage::Ack(_) => {}
             ToRobotMessage::TimeReply(reply) => self.clock.reply(&reply.decode().ok()?, now),
             ToRobotMessage::PoseFix(fix) => self.fix(&fix.decode().ok()?, now),
@@ -81,12 +81,12 @@ impl Mapper<'_> {
             ToRobotMessage::Digests(digests) => self.compare(digests)?,
             ToRobotMessage::Freshness(freshness) => {
                 let freshness = freshness.decode().ok()?;
-                // Before the clocks agree its age is not known.
+                // Without synchronised clocks its age is unknown.
                 if let Some(moment) = self.clock.to_local(freshness.time) {
                     self.fused.confirm(&freshness, moment);
                 }
             }
-            // These belong in handshake frames.
+            // Allowed in handshake frames only.
             ToRobotMessage::Welcome(_) | ToRobotMessage::Refusal(_) | ToRobotMessage::Reset(_) => {
                 return None;
             }
@@ -104,7 +104,7 @@ impl Mapper<'_> {
         }
     }
 
-    // Long messages are not decoded in `take_one`, where they would add to the stack of every other.
+    // Long messages are decoded outside `take_one`, so that they do not add to its stack frame.
     #[inline(never)]
     fn stored(&mut self, stored: Encoded<'_, Stored>) -> Option<()> {
         for &(id, stamp) in &stored.decode().ok()?.tiles {
@@ -155,13 +155,13 @@ impl Mapper<'_> {
         }
     }
 
-    /// Carries out a command about parameters.
+    /// Executes a command about parameters.
     fn configure(&mut self, command: &ParameterCommand) {
         let first_epoch = self.settings.first_epoch;
         self.outbox.answer = Some(carry_out(command, &mut self.settings));
         self.outbox.publisher.set_hold(self.settings.hold);
         if let ParameterAction::Set(_) = command.action {
-            // Whatever it was: commands are rare, and the table is soon filled.
+            // Recomputed for any parameter: commands are rare, and the table is cheap.
             point_beams(self.beams, &self.settings);
             self.map.configure((&self.settings).into(), self.beams);
         }

@@ -1,4 +1,4 @@
-//! The robot's end of the link: the handshake that begins a session, and its frames.
+//! The robot's end of the link: the handshake that opens a session, and the session's frames.
 
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, MIN_VERSION, SessionId, VERSION},
@@ -11,12 +11,11 @@ use ubimap_protocol::{
 use super::{mapper::Mapper, outbox::Token};
 use crate::timing::RESET_SILENCE;
 
-/// Reliable frames that may be in flight.
+/// Maximum number of reliable frames in flight.
 const WINDOW: usize = 3;
 
-/// Bytes of a [`Robot`](crate::Robot) that are its end of the link: the frames in flight, the one
-/// that comes in and the one that goes out, the handshake and the server's time. At most 4 KiB on a
-/// machine of 32 bits.
+/// Size of the link's part of a [`Robot`](crate::Robot): the frames in flight, the receive and
+/// transmit buffers, the handshake and the clock. At most 4 KiB on a 32-bit machine.
 pub const LINK_STATE: usize = size_of::<Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>>()
     + size_of::<Knocking>()
     + size_of::<ClockSync>();
@@ -30,13 +29,13 @@ pub(super) struct Link {
     endpoint: Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>,
     knocking: Knocking,
     server_epoch: Option<u32>,
-    /// When something of a session was last heard.
+    /// When the last frame of a session arrived.
     heard: Instant,
     refusal: Option<RefusalReason>,
 }
 
 impl Link {
-    /// A robot that has just booted and knocks.
+    /// A freshly booted robot, which starts the handshake.
     #[inline(never)]
     pub(super) fn new(boot_nonce: u32) -> Self {
         Self {
@@ -60,7 +59,7 @@ impl Link {
         self.refusal
     }
 
-    /// When something of a session was last heard, if ever.
+    /// When the last frame of a session arrived, if ever.
     pub(super) fn heard(&self) -> Option<Instant> {
         self.server_epoch.map(|_| self.heard)
     }
@@ -69,12 +68,12 @@ impl Link {
         self.endpoint.counters()
     }
 
-    /// Bytes for messages in a frame.
+    /// Space for messages in a frame, in bytes.
     pub(super) fn room(&self) -> usize {
         self.endpoint.room()
     }
 
-    /// When something is due to be sent.
+    /// When the next frame is due.
     pub(super) fn poll_timeout(&self, mapper: &Mapper<'_>) -> Instant {
         if !self.is_connected() {
             return self.knocking.poll_timeout();
@@ -83,7 +82,7 @@ impl Link {
         self.endpoint.poll_timeout().map_or(due, |resend| resend.min(due))
     }
 
-    /// Takes the next frame of some bytes; `false` if they are used up before its end.
+    /// Processes the bytes of the next frame. Returns `false` if they end before the frame does.
     #[inline(never)]
     pub(super) fn receive_frame(
         &mut self,
@@ -94,7 +93,8 @@ impl Link {
         let Some(received) = self.endpoint.receive(bytes, now) else { return false };
         match received {
             Received::Bad => {}
-            // Parsed to a copy: what follows changes the endpoint that the message is borrowed from.
+            // Parsed into a copy: the following calls change the endpoint that the message borrows
+            // from.
             Received::Handshake(message) => match Knock::parse(message) {
                 Some(Knock::Welcome(welcome)) => self.welcomed(mapper, &welcome, now),
                 Some(Knock::Refusal(refusal)) => self.refused(&refusal, now),
@@ -109,7 +109,7 @@ impl Link {
         true
     }
 
-    /// Takes note of acknowledged frames.
+    /// Processes the acknowledged frames.
     pub(super) fn settle(&mut self, mapper: &mut Mapper<'_>, now: Instant) {
         while let Some(token) = self.endpoint.poll_acknowledged() {
             mapper.acknowledged(token, now);
@@ -136,7 +136,7 @@ impl Link {
         }
     }
 
-    /// The server knows no session here.
+    /// The server has no session with this robot.
     fn reset(&mut self, now: Instant) {
         if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
             self.endpoint.end();
@@ -144,7 +144,7 @@ impl Link {
         }
     }
 
-    /// Writes the next frame that is due into `out`. Returns its length.
+    /// Writes the next frame due into `out`. Returns its length.
     #[inline(never)]
     pub(super) fn poll_transmit(
         &mut self,

@@ -1,4 +1,4 @@
-//! What a robot does apart from talking and driving: it knows where it is, maps and shares.
+//! The robot without its link and drive: localisation, mapping and sharing.
 
 use ubimap_protocol::{link::ClockSync, time::Instant, units::Pose};
 
@@ -11,7 +11,7 @@ use crate::{
     share::{Commands, FusedMap, FusedTile},
 };
 
-/// What messages and scans work on. It is one type for every [`Drive`].
+/// The state that messages and scans work on. Its type does not depend on the [`Drive`].
 #[derive(Debug)]
 pub(super) struct Mapper<'b> {
     pub(super) settings: Settings,
@@ -19,10 +19,10 @@ pub(super) struct Mapper<'b> {
     pub(super) steadiness: Steadiness,
     pub(super) selection: Selection,
     pub(super) locator: Locator,
-    /// The server's time, as far as it is known.
+    /// The server's clock, once synchronised.
     pub(super) clock: ClockSync,
     pub(super) latest_pose: Option<(Instant, Pose)>,
-    /// Whether the poses of the newest scans are unknown.
+    /// Whether the newest scans have no pose.
     pub(super) lost: bool,
     pub(super) map: LocalMap<'b>,
     pub(super) fused: FusedMap<'b>,
@@ -32,7 +32,7 @@ pub(super) struct Mapper<'b> {
 }
 
 impl<'b> Mapper<'b> {
-    /// A robot that has just booted.
+    /// A freshly booted robot.
     #[inline(never)]
     pub(super) fn new<D: Drive>(
         config: &Config<D>,
@@ -61,18 +61,18 @@ impl<'b> Mapper<'b> {
         }
     }
 
-    /// Lets the map's evidence age if that is due.
+    /// Ages the map's evidence if that is due.
     pub(super) fn age(&mut self, now: Instant) {
         self.map.timeout(now, |id| self.fused.tile(id));
     }
 
-    /// Whether everything that is mapped is on the server, as far as the robot knows.
+    /// Whether the server has acknowledged everything mapped so far.
     pub(super) fn is_idle(&self) -> bool {
         self.map.pool.tiles().all(|tile| !tile.is_dirty()) && self.fused.untold().is_none()
     }
 }
 
-/// Fills the table of the sensor's beams, without those that are never mapped.
+/// Fills the table of beams, leaving out those that are never mapped.
 pub(super) fn point_beams(beams: &mut [Beam], settings: &Settings) {
     fill_beams(beams, settings.sensor, settings.mounting);
     settings.removed.iter().flatten().for_each(|&removal| remove_beams(beams, removal));

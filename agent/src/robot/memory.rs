@@ -15,9 +15,9 @@ use crate::{
 
 /// The containers of a [`Memory`]: arrays ([`Arrays`]), or vectors on a machine with a heap.
 pub trait Storage {
-    /// One entry for each reading of a scan.
+    /// One element per reading of a scan.
     type Beams: AsMut<[Beam]>;
-    /// The readings of all scans that can wait.
+    /// The readings of all waiting scans.
     type Waiting: AsMut<[u16]>;
     /// [`Bounds::scratch`] words.
     type Scratch: AsMut<[RowSighting]>;
@@ -48,10 +48,10 @@ impl<const R: usize, const W: usize, const S: usize, const O: usize, const F: us
     type Fused = [FusedTile; F];
 }
 
-/// All the memory that a [`Robot`](crate::Robot) borrows. It bounds what the robot keeps.
+/// All the memory that a [`Robot`](crate::Robot) borrows.
 ///
-/// It is generic over its containers rather than sized by constants alone, because a
-/// microcontroller needs arrays in a `static`, and a PC learns the sizes from its command line.
+/// It is generic over its containers because a microcontroller needs arrays in a `static`, while a
+/// PC takes the sizes from its command line.
 ///
 /// [`Memory::EMPTY`] is all zero bits, so a `static` of it costs no flash:
 ///
@@ -59,7 +59,7 @@ impl<const R: usize, const W: usize, const S: usize, const O: usize, const F: us
 /// use ubimap_agent::{Bounds, Memory, memory};
 ///
 /// const BOUNDS: Bounds = Bounds::SMALL;
-/// // In the function that `#[entry]` marks, `static mut` gives a `&'static mut`.
+/// // In the `#[entry]` function of firmware, use a `static mut`, which becomes a `&'static mut`.
 /// let memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
 /// assert_eq!(size_of_val(&*memory), BOUNDS.memory_bytes());
 /// ```
@@ -78,8 +78,8 @@ impl<S: Storage, D: Drive> fmt::Debug for Memory<S, D> {
     }
 }
 
-/// The type of a [`Memory`] of arrays with these [`Bounds`], a constant; the second argument is what
-/// drives the robot, if anything does.
+/// The type of a [`Memory`] of arrays with constant [`Bounds`]; the optional second argument is the
+/// drive's type.
 #[macro_export]
 macro_rules! memory {
     ($bounds:expr) => {
@@ -102,7 +102,7 @@ macro_rules! memory {
 impl<D: Drive, const R: usize, const W: usize, const S: usize, const O: usize, const F: usize>
     Memory<Arrays<R, W, S, O, F>, D>
 {
-    /// Memory that no robot has used yet.
+    /// Unused memory.
     pub const EMPTY: Self = Self {
         beams: [Beam::NONE; R],
         waiting: [0; W],
@@ -124,7 +124,7 @@ where
         >,
     D: Drive,
 {
-    /// Memory of these bounds, in containers that grow.
+    /// Memory with these bounds, in growable containers.
     pub fn new(bounds: &Bounds) -> Self {
         fn of<T: Clone, C: FromIterator<T>>(element: T, count: usize) -> C {
             core::iter::repeat_n(element, count).collect()
@@ -141,7 +141,7 @@ where
 }
 
 impl<S: Storage, D: Drive> Memory<S, D> {
-    /// The memory as slices, for code that runs one stage alone.
+    /// The memory as slices, for code that runs a single stage.
     pub fn slices(&mut self) -> Slices<'_, D> {
         Slices {
             beams: self.beams.as_mut(),
@@ -154,19 +154,19 @@ impl<S: Storage, D: Drive> Memory<S, D> {
     }
 }
 
-/// A [`Memory`], borrowed part by part.
+/// A borrowed [`Memory`], part by part.
 pub struct Slices<'m, D: Drive = NoDrive> {
-    /// One entry for each reading of a scan.
+    /// One element per reading of a scan.
     pub beams: &'m mut [Beam],
-    /// The readings of all scans that can wait.
+    /// The readings of all waiting scans.
     pub waiting: &'m mut [u16],
-    /// Scratch memory of the mapping.
+    /// Scratch memory for mapping.
     pub scratch: &'m mut [RowSighting],
     /// The pool of the robot's own tiles.
     pub own: &'m mut [OwnTile],
     /// The pool of fused tiles.
     pub fused: &'m mut [FusedTile],
-    /// What the drive works in.
+    /// The drive's working memory.
     pub drive: &'m mut D::Memory,
 }
 
@@ -177,7 +177,7 @@ impl<D: Drive> fmt::Debug for Slices<'_, D> {
 }
 
 impl<D: Drive> Slices<'_, D> {
-    /// Cuts off what lies beyond the bounds.
+    /// Truncates each part to the bounds.
     ///
     /// # Errors
     /// [`ConfigError::Memory`] for the first part that is too small.
@@ -196,7 +196,7 @@ impl<D: Drive> Slices<'_, D> {
 
 /// The first `bound` elements.
 fn cut<T>(slice: &mut [T], bound: usize, part: Part) -> Result<&mut [T], ConfigError> {
-    // A robot without the server's map works; without one of anything else it does not.
+    // The server's map is optional; every other part is required.
     let least = usize::from(part != Part::FusedTiles);
     if bound < least {
         return Err(ConfigError::Memory { part, needed: least, found: bound });

@@ -1,9 +1,9 @@
-//! The robot: what its sensor, its wheels and its link say goes in, frames and wheel commands come
-//! out.
+//! The robot: readings of the sensor and the wheels and bytes from the link go in, frames and wheel
+//! commands come out.
 //!
-//! [`Robot`] is the surface. `scans` is the way of a scan into the map; `link` the session with the
-//! server, whose messages `inbox` takes, and to which `writing` writes what waits in the `outbox`;
-//! `surroundings` are what drives the robot goes by. All of them work on the `mapper`.
+//! [`Robot`] is the interface. `scans` takes a scan into the map; `link` holds the session with the
+//! server, `inbox` handles its messages, and `writing` writes the messages pending in the `outbox`;
+//! `surroundings` collects the inputs of the drive. All of them work on the `mapper`.
 
 mod bounds;
 mod config;
@@ -44,17 +44,18 @@ use crate::{
 use link::Link;
 use mapper::Mapper;
 
-/// A robot that maps, shares what it maps, and drives if it has something that drives it.
+/// A robot that maps, shares its map with the server, and drives if it has a drive.
 ///
-/// It owns no clock and no port: time is an argument, and whatever a board reads or writes goes
-/// through these methods. All times are of the robot's own clock, which counts from any moment on.
+/// It owns no clock and no port: time is an argument, and the board's inputs and outputs pass
+/// through these methods. All times are by the robot's own clock, with any zero.
 ///
-/// **The law**: after every input ([`receive`](Self::receive), [`odometry`](Self::odometry),
-/// [`scan`](Self::scan), [`timeout`](Self::timeout)) drain [`poll_transmit`](Self::poll_transmit)
-/// until it has nothing more, give the wheels the [`command`](Self::command), and call `timeout` at
-/// [`poll_timeout`](Self::poll_timeout) at the latest.
+/// **The driving law**: after every input ([`receive`](Self::receive),
+/// [`odometry`](Self::odometry), [`scan`](Self::scan), [`timeout`](Self::timeout)) drain
+/// [`poll_transmit`](Self::poll_transmit) until it returns `None`, apply the
+/// [`command`](Self::command) to the wheels, and call `timeout` no later than
+/// [`poll_timeout`](Self::poll_timeout).
 ///
-/// The whole main loop; `examples/main_loop.rs` has one with a simulated room:
+/// The complete main loop; `examples/main_loop.rs` runs one in a simulated room:
 ///
 /// ```
 /// use ubimap_agent::{
@@ -69,24 +70,24 @@ use mapper::Mapper;
 ///     units::{Pose, RobotId},
 /// };
 ///
-/// /// A depth sensor that gives rows of 100 pixels.
+/// /// A depth sensor with rows of 100 pixels.
 /// const BOUNDS: Bounds = Bounds::REFERENCE;
 ///
-/// /// What the loop needs of a board.
+/// /// The board's functions that the loop uses.
 /// trait Board {
 ///     /// Microseconds since boot.
 ///     fn now(&self) -> Instant;
-///     /// Sleeps until a device has something, or until this moment.
+///     /// Sleeps until an input arrives, at most until `until`.
 ///     fn wait(&mut self, until: Instant);
-///     /// Bytes from the server, as many as there are and find room.
+///     /// Reads the bytes that have arrived from the server, up to the buffer's length.
 ///     fn read(&mut self, bytes: &mut [u8]) -> usize;
-///     /// Bytes to the server.
+///     /// Sends bytes to the server.
 ///     fn write(&mut self, bytes: &[u8]);
-///     /// A reading of the wheels, if there is a new one: when, and `base_link` in `odom`.
+///     /// New odometry, if any: its time, and `base_link` in `odom`.
 ///     fn odometry(&mut self) -> Option<(Instant, Pose)>;
-///     /// A row of the sensor, if there is a new one: when it was taken, and millimetres.
+///     /// A new scan, if any: its time, and its readings in millimetres.
 ///     fn scan(&mut self) -> Option<(Instant, [u16; BOUNDS.readings])>;
-///     /// What the wheels shall do from now on.
+///     /// Sets the speed of the wheels.
 ///     fn turn_wheels(&mut self, command: DriveCommand);
 /// #   fn is_on(&self) -> bool;
 /// }
@@ -107,7 +108,7 @@ use mapper::Mapper;
 ///             robot.odometry(moment, pose, board.now());
 ///         }
 ///         if let Some((taken, readings)) = board.scan() {
-///             // The robot counts a scan that it cannot take, and tells the server.
+///             // The robot counts a refused scan and reports it to the server.
 ///             let _ = robot.scan(taken, &readings, board.now());
 ///         }
 ///         robot.timeout(board.now());
@@ -117,13 +118,13 @@ use mapper::Mapper;
 ///         board.turn_wheels(robot.command());
 /// #       if !board.is_on() {
 /// #           let count = robot.statistics();
-/// #           assert_eq!(count.scans + count.overflowed, 100, "without a fix few can wait");
+/// #           assert_eq!(count.scans + count.overflowed, 100, "without a fix the queue overflows");
 /// #           return Ok(());
 /// #       }
 ///     }
 /// }
 /// #
-/// # /// A room without anything, ten seconds long; nobody answers.
+/// # /// An empty room for ten seconds, without a server.
 /// # #[derive(Default)]
 /// # struct Bench {
 /// #     now: Instant,
@@ -153,7 +154,7 @@ use mapper::Mapper;
 /// #         is_due.then_some((self.now, [1_500; BOUNDS.readings]))
 /// #     }
 /// #     fn turn_wheels(&mut self, command: DriveCommand) {
-/// #         assert!(command.is_stand(), "it has no task");
+/// #         assert!(command == DriveCommand::STAND, "no task");
 /// #     }
 /// #     fn is_on(&self) -> bool {
 /// #         self.scans < 100
@@ -163,7 +164,7 @@ use mapper::Mapper;
 /// # let mut board = Bench::default();
 /// # let mut memory: Box<memory!(BOUNDS, Driving)> = Box::new(Memory::EMPTY);
 /// # run(&mut board, &mut memory).unwrap();
-/// # assert!(board.frames > 1, "it says hello again and again");
+/// # assert!(board.frames > 1, "it repeats its Hello");
 /// ```
 #[derive(Debug)]
 pub struct Robot<'b, D: Drive = NoDrive> {
@@ -174,13 +175,12 @@ pub struct Robot<'b, D: Drive = NoDrive> {
 }
 
 impl<'b, D: Drive> Robot<'b, D> {
-    /// A robot that has just booted. It is built in place: what it takes of the stack beside the
-    /// robot itself is less than its work takes later.
+    /// A freshly booted robot. It is built in place, with less extra stack than later calls need.
     ///
     /// # Errors
-    /// [`ConfigError`], of the configuration or of memory that is too small for it.
-    // This and what it calls are not inlined: each then writes its result where it shall stay, and
-    // what it needs of the stack beside does not lie under all others.
+    /// [`ConfigError`]: the configuration is invalid, or the memory is too small for it.
+    // Not inlined, and neither are its callees: each writes its result in place, and their stack
+    // frames do not add up.
     #[inline(never)]
     pub fn new(
         config: Config<D>,
@@ -202,7 +202,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         }
     }
 
-    /// Takes bytes from the server, in pieces of any size.
+    /// Processes bytes from the server, split in any way.
     pub fn receive(&mut self, mut bytes: &[u8], now: Instant) {
         let Self { mapper, scans, link, .. } = self;
         while link.receive_frame(mapper, &mut bytes, now) {
@@ -211,18 +211,18 @@ impl<'b, D: Drive> Robot<'b, D> {
         mapper.map_waiting(scans, link, now);
     }
 
-    /// Takes a reading of the odometry: `base_link` in `odom` at `moment`.
+    /// Processes an odometry reading: `base_link` in `odom` at `moment`.
     pub fn odometry(&mut self, moment: Instant, pose: Pose, now: Instant) {
         let Self { mapper, scans, link, .. } = self;
         mapper.odometry(moment, pose);
         mapper.map_waiting(scans, link, now);
     }
 
-    /// Takes a scan that was taken at `taken`: readings in millimetres, 0 where nothing came back. It
-    /// is mapped once its pose is known, and driven by at once.
+    /// Processes a scan taken at `taken`: readings in millimetres, 0 for no return. The drive uses
+    /// it at once; it is mapped when its pose is known.
     ///
     /// # Errors
-    /// [`ScanError`]: the scan is not mapped. One that finds the queue full is still driven by.
+    /// [`ScanError`]: the scan is not mapped. The drive still uses one that finds the queue full.
     pub fn scan(
         &mut self,
         taken: Instant,
@@ -245,20 +245,20 @@ impl<'b, D: Drive> Robot<'b, D> {
         outcome
     }
 
-    /// Takes a reading of a gyroscope about the vertical, if the robot has one: how far it would
-    /// turn in a second, either way.
+    /// Processes a gyroscope reading: the turn rate about the vertical axis, as the magnitude of
+    /// the angle turned in one second. Optional.
     pub fn gyro(&mut self, moment: Instant, turn: Angle) {
         self.mapper.steadiness.gyro(moment, turn);
     }
 
-    /// The robot was jolted at `moment`: an accelerometer or a bumper says so. Scans of that moment
-    /// are not mapped.
+    /// Reports a jolt at `moment`, detected by an accelerometer or a bumper. Scans of that time are
+    /// not mapped.
     pub fn jolt(&mut self, moment: Instant) {
         self.mapper.steadiness.jolt(moment);
     }
 
-    /// Does what is due at `now`: scans that have waited long enough, the map's evidence, a step of
-    /// the drive.
+    /// Does the work due at `now`: gives up expired scans, ages the map's evidence, steps the
+    /// drive.
     pub fn timeout(&mut self, now: Instant) {
         let Self { mapper, scans, link, drive } = self;
         mapper.age(now);
@@ -271,7 +271,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         }
     }
 
-    /// When to call [`Robot::timeout`] at the latest, and then [`Robot::poll_transmit`].
+    /// The latest time for the next calls of [`Robot::timeout`] and then [`Robot::poll_transmit`].
     pub fn poll_timeout(&self) -> Instant {
         let due = self.link.poll_timeout(&self.mapper);
         let due = due.min(self.mapper.map.poll_timeout());
@@ -279,29 +279,28 @@ impl<'b, D: Drive> Robot<'b, D> {
         rest.into_iter().flatten().fold(due, Instant::min)
     }
 
-    /// Writes the next frame that is due into `out`, which should have 250 bytes. Returns its
-    /// length.
+    /// Writes the next frame due into `out`, which should hold 250 bytes. Returns its length.
     #[must_use]
     pub fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<usize> {
         self.link.poll_transmit(&mut self.mapper, now, out)
     }
 
-    /// What the wheels shall do now. It changes with [`Robot::timeout`] only.
+    /// The current command for the wheels. Only [`Robot::timeout`] changes it.
     pub fn command(&self) -> DriveCommand {
         self.drive.command()
     }
 
-    /// What drives the robot.
+    /// The state of the drive.
     pub fn drive(&self) -> &D::State<'b> {
         &self.drive
     }
 
-    /// What has been counted.
+    /// The robot's counters.
     pub fn statistics(&self) -> Statistics {
         self.mapper.statistics
     }
 
-    /// What the link has counted.
+    /// The link's counters.
     pub fn link_counters(&self) -> Counters {
         self.link.counters()
     }
@@ -311,40 +310,40 @@ impl<'b, D: Drive> Robot<'b, D> {
         &self.mapper.map.pool
     }
 
-    /// The server's tiles that the robot holds.
+    /// The robot's copy of the server's tiles.
     pub fn fused_tiles(&self) -> &FusedMap<'b> {
         &self.mapper.fused
     }
 
-    /// The newest pose known, and its moment in the server's clock (in the robot's, if odometry
-    /// told it before the clocks agreed).
+    /// The newest known pose and its time by the server's clock (by the robot's, if it came from
+    /// odometry before the clocks were synchronised).
     pub fn pose(&self) -> Option<(Instant, Pose)> {
         self.mapper.latest_pose
     }
 
-    /// `base_link` in `map` at a moment of the robot's clock as far as is known now, and the
-    /// standard deviation of the position in millimetres. It may lie after the newest odometry: for
-    /// a third of a second the robot is taken to go on as it did. At most 13,000 instructions.
+    /// `base_link` in `map` at a time of the robot's clock, by what is known now, and the standard
+    /// deviation of the position in millimetres. Extrapolates up to a third of a second beyond the
+    /// newest odometry. At most 13,000 instructions.
     pub fn pose_at(&self, moment: Instant) -> Option<(Pose, f32)> {
         self.mapper.pose_at(moment)
     }
 
-    /// What each reading of a scan stands for.
+    /// The direction of each reading of a scan.
     pub fn beams(&self) -> &[Beam] {
         self.mapper.beams
     }
 
-    /// What counts of the configuration, as the server has changed it.
+    /// The settings in force: the configuration with the server's changes.
     pub fn settings(&self) -> &Settings {
         &self.mapper.settings
     }
 
-    /// The server's time now, once the clocks agree.
+    /// The server's time at `now`, once the clocks are synchronised.
     pub fn server_time(&mut self, now: Instant) -> Option<Instant> {
         self.mapper.clock.server_now(now)
     }
 
-    /// What the server wants of the robot, and what it tells of its surroundings.
+    /// The server's newest commands, and its reports on other robots and obstacles.
     pub fn commands(&self) -> &Commands {
         &self.mapper.commands
     }
@@ -354,7 +353,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.link.refusal()
     }
 
-    /// The epoch of the server with which the last session was begun.
+    /// The epoch of the last session's server.
     pub fn server_epoch(&self) -> Option<Epoch> {
         self.link.server_epoch()
     }
@@ -364,8 +363,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.link.is_connected()
     }
 
-    /// Whether everything that the robot has mapped is on the server, as far as it knows, and no
-    /// scan waits.
+    /// Whether the server has acknowledged everything mapped so far, and no scan is waiting.
     pub fn is_idle(&self) -> bool {
         self.scans.oldest().is_none() && self.mapper.is_idle()
     }

@@ -1,4 +1,4 @@
-//! What waits to be sent.
+//! Messages to be sent.
 
 use ubimap_protocol::{
     message::EventCode,
@@ -12,7 +12,7 @@ use crate::{
     timing::HURRY,
 };
 
-/// What a reliable frame carries, to be told apart when it is acknowledged.
+/// The content of a reliable frame, returned when it is acknowledged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Token {
     Tiles(u16),
@@ -20,20 +20,20 @@ pub(super) enum Token {
     Other,
 }
 
-/// What waits to be sent, apart from what the map and the clock have to ask.
+/// Messages to be sent, except the requests of the map and the clock.
 #[derive(Debug)]
 pub(super) struct Outbox {
     pub(super) publisher: Publisher,
     pub(super) vectors: DistanceVectors,
     pub(super) events: Events,
-    /// The answer to the newest command about parameters.
+    /// The reply to the newest command about parameters.
     pub(super) answer: Option<Answer>,
     /// When the robot's state is due.
     pub(super) next_state: Instant,
 }
 
 impl Outbox {
-    /// Nothing waits.
+    /// Empty.
     pub(super) fn new(hold: Duration, vector_interval: Duration) -> Self {
         Self {
             publisher: Publisher::new(hold),
@@ -44,7 +44,7 @@ impl Outbox {
         }
     }
 
-    /// A session has begun.
+    /// Starts a session.
     pub(super) fn begin_session(
         &mut self,
         pool: &mut Pool<'_>,
@@ -61,8 +61,8 @@ impl Outbox {
         self.next_state = now;
     }
 
-    /// Tells the server that something has happened that it may have to decide upon; with it go where
-    /// the robot is, at once, and soon what it has seen by then.
+    /// Reports an event that may require a decision of the server. The robot's state follows at
+    /// once, and the changes of the map soon.
     pub(super) fn raise(&mut self, code: EventCode, now: Instant) {
         self.next_state = now;
         self.publisher.hurry(now + HURRY);

@@ -1,4 +1,4 @@
-//! What the server may ask of the robot's settings, and change while it runs.
+//! The settings that the server can read and change at run time.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -24,41 +24,41 @@ pub enum Parameter {
     MountingY = 2,
     /// The sensor in `base_link`: its heading, in binary angle units, -32,768 to 65,535.
     MountingHeading = 3,
-    /// How far the robot must move to map again, in millimetres, 0 to 10,000.
+    /// How far the robot must move before it maps again, in millimetres, 0 to 10,000.
     GateDistance = 4,
-    /// How far it must turn to map again, in binary angle units, 0 to 32,767.
+    /// How far it must turn before it maps again, in binary angle units, 0 to 32,767.
     GateTurn = 5,
-    /// How long changes are gathered, in milliseconds, 0 to 60,000.
+    /// How long changes are collected before they are sent, in milliseconds, 0 to 60,000.
     Hold = 6,
     /// How long a scan waits for its pose, in milliseconds, 0 to 60,000.
     ScanDeadline = 7,
-    /// The epoch from which tiles are begun, 0 to 1,073,741,824. Setting it to another value gives
-    /// up all tiles of the robot's own: the server has corrected its pose or mounting.
+    /// The minimum epoch of new tiles, 0 to 1,073,741,824. A change discards all of the robot's own
+    /// tiles: the server has corrected its pose or mounting.
     FirstEpoch = 8,
-    /// Readings that are never mapped, by their places in a scan: from the first to the last, as
-    /// two halves of the value. -1 is none, here and of the bearings.
+    /// Readings that are never mapped, by index: the first in the value's upper half, the last in
+    /// the lower. -1 means none, also for bearings.
     RemovedPixels = 9,
-    /// Readings that are never mapped, by where they point in `base_link`: counter-clockwise from
-    /// one bearing to another, in binary angle units.
+    /// Readings that are never mapped, by bearing in `base_link`: counter-clockwise from one
+    /// bearing to another, in binary angle units.
     RemovedBearings = 10,
-    /// Readings that are never mapped, by what they say: from one to another, in millimetres; 0 is
-    /// none.
+    /// Readings that are never mapped, by distance: from minimum to maximum, in millimetres; 0
+    /// means none.
     RemovedDistances = 11,
-    /// The darkest and the brightest pixel whose depth counts.
+    /// Minimum and maximum brightness of a pixel whose depth is valid.
     Exposure = 12,
 }
 
-/// Two numbers as one value: its upper half and its lower one.
+/// Packs two numbers into the upper and lower half of a value.
 fn value_of(upper: u16, lower: u16) -> i32 {
     (u32::from(upper) << 16 | u32::from(lower)) as i32
 }
 
-/// The upper half of a value, and the lower one.
+/// The upper and the lower half of a value.
 fn halves(value: i32) -> (u16, u16) {
     ((value >> 16) as u16, value as u16)
 }
 
-/// The value by which nothing is removed.
+/// The value for no removal.
 const NONE: i32 = -1;
 
 impl Parameter {
@@ -77,7 +77,7 @@ impl Parameter {
         Self::Exposure,
     ];
 
-    /// The one of this number, or none.
+    /// The parameter with this number, as a slice of one; empty if unknown.
     fn of(number: u16) -> &'static [Self] {
         let found = |parameter: &&[Self]| parameter.iter().any(|it| *it as u16 == number);
         Self::ALL.chunks(1).find(found).unwrap_or_default()
@@ -153,7 +153,7 @@ impl Parameter {
     }
 }
 
-/// The answer to a command: the parameters whose values have not been told yet.
+/// The reply to a command, with the parameters not reported yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Answer {
     number: u16,
@@ -161,7 +161,7 @@ pub(crate) struct Answer {
     untold: &'static [Parameter],
 }
 
-/// Carries out a command.
+/// Executes a command.
 pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> Answer {
     let mut outcome = ParameterOutcome::Done;
     let number = command.number;
@@ -189,8 +189,8 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
 
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 
-/// Reports as much of an answer in a frame as there is room for; the rest stays for the next one.
-/// `false` if there is none.
+/// Reports the part of a reply that fits into a frame; the rest stays for the next one. Returns
+/// `false` if there is nothing to report.
 pub(crate) fn push_report(
     answer: &mut Option<Answer>,
     settings: &Settings,
@@ -200,7 +200,7 @@ pub(crate) fn push_report(
     let told = writer.push_longest(0..=untold.len(), |count| {
         let mut values = Vec::new();
         for parameter in untold.iter().take(count) {
-            // There is room for all of them: checked above at compile time.
+            // Their number is checked at compile time, above.
             let _ = values.push(parameter.value(settings));
         }
         ParameterReport { number: *number, outcome: *outcome, values }
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_removed_comes_back_and_what_the_robot_removes_itself_stays() {
+    fn the_server_clears_its_own_removals_only() {
         let mut settings = settings();
         let own = Some(Removal::Pixels { first: 3, last: 4 });
         settings.removed[0] = own;
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_that_is_too_long_for_a_frame_comes_in_parts() {
+    fn a_report_too_long_for_a_frame_is_split() {
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
         let mut settings = settings();
         let mut answer = Some(carry_out(&list, &mut settings));
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_out_of_range_or_unknown_changes_nothing() {
+    fn unknown_parameters_and_values_out_of_range_change_nothing() {
         let mut changed = settings();
         for &parameter in Parameter::ALL {
             let (least, most) = parameter.range();

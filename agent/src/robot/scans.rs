@@ -1,4 +1,4 @@
-//! The way of a scan: it waits for its pose, is mapped, and gives a distance vector.
+//! The path of a scan: it waits for its pose, is mapped, and yields a distance vector.
 
 use core::ops::Range;
 
@@ -21,18 +21,18 @@ use crate::{
 struct PlacedScan {
     /// When it was taken, by the robot's clock.
     taken: Instant,
-    /// The same by the server's clock, once the clocks agree.
+    /// The same by the server's clock, once the clocks are synchronised.
     server_moment: Option<Instant>,
     /// `base_link` in `map`.
     pose: Pose,
-    /// How unsure that is; `None` if more than is allowed.
+    /// Its variances; `None` if they exceed the limit.
     variances: Option<Variances>,
-    /// Whether the fixes had stopped.
+    /// Whether fixes were missing.
     is_blind: bool,
 }
 
 impl Mapper<'_> {
-    /// Takes a scan that was taken at `taken`.
+    /// Processes a scan taken at `taken`.
     pub(super) fn scan(
         &mut self,
         scans: &mut WaitingScans<'_>,
@@ -43,13 +43,13 @@ impl Mapper<'_> {
     ) -> Result<(), ScanError> {
         let speaks = link.is_connected() && self.outbox.vectors.is_due(taken, false, false);
         let pose = self.latest_pose.map(|(_, pose)| pose);
-        // What odometry said before the scan was taken says where that was only if the robot stands.
+        // Odometry from before the scan gives its pose only if the robot stands.
         let odometry = self.locator.standing_odometry();
         if !speaks
             && scans.check(taken, readings).is_ok()
             && self.selection.stands(self.settings.gate, pose, odometry, readings)
         {
-            // There is nothing for which its pose would have to be known.
+            // Nothing needs the pose of this scan.
             self.statistics.scans = self.statistics.scans.wrapping_add(1);
             self.statistics.gated = self.statistics.gated.wrapping_add(1);
             return Ok(());
@@ -61,7 +61,7 @@ impl Mapper<'_> {
         Ok(())
     }
 
-    /// Tells the server that a scan was not taken.
+    /// Reports a refused scan to the server.
     pub(super) fn refuse_scan(&mut self, error: ScanError, now: Instant) {
         let code = match error {
             ScanError::Width { .. } => EventCode::SensorFault,
@@ -74,7 +74,7 @@ impl Mapper<'_> {
         self.outbox.events.raise(code, now);
     }
 
-    /// Takes a reading of the odometry.
+    /// Processes an odometry reading.
     pub(super) fn odometry(&mut self, moment: Instant, pose: Pose) {
         self.steadiness.odometry(moment, pose);
         if self.locator.odometry(moment, pose).is_err() {
@@ -83,12 +83,12 @@ impl Mapper<'_> {
         }
     }
 
-    /// When a scan that waits has waited long enough.
+    /// When the oldest waiting scan expires.
     pub(super) fn scan_timeout(&self, scans: &WaitingScans<'_>) -> Option<Instant> {
         scans.oldest().map(|taken| taken + self.settings.scan_deadline)
     }
 
-    /// Maps the scans whose poses are known, and gives up those whose time is over.
+    /// Maps the scans whose poses are known, and gives up the expired ones.
     #[inline(never)]
     pub(super) fn map_waiting(&mut self, scans: &mut WaitingScans<'_>, link: &Link, now: Instant) {
         while let Some(taken) = scans.oldest() {
@@ -104,7 +104,7 @@ impl Mapper<'_> {
         }
     }
 
-    /// Takes note of where a scan was taken. `None` if it is not to be looked at.
+    /// Records the pose of a scan. Returns `None` if the scan is not to be processed.
     fn place(&mut self, taken: Instant, located: Located, now: Instant) -> Option<PlacedScan> {
         let (pose, variances) = match located {
             Located::At(pose, variances) => (pose, Some(variances)),
@@ -131,7 +131,7 @@ impl Mapper<'_> {
         (!is_shaken).then_some(PlacedScan { taken, server_moment, pose, variances, is_blind })
     }
 
-    /// The newest pose is kept, and the window of the server's tiles follows it.
+    /// Stores the newest pose; the window of the server's tiles follows it.
     fn keep_pose(&mut self, moment: Instant, pose: Pose) {
         let is_newer = |(newest, _): (Instant, Pose)| {
             newest < moment || newest.since(moment) > CLOCKS_DISAGREE
@@ -142,10 +142,11 @@ impl Mapper<'_> {
         self.fused.follow(pose, self.settings.resolution);
     }
 
-    /// Maps what a scan says that is new, and sends its distance vector if one is due.
+    /// Maps the new part of a scan, and queues its distance vector if one is due.
     fn take_in(&mut self, scan: &PlacedScan, readings: &mut [u16], link: &Link, now: Instant) {
         let is_sure = scan.variances.is_some();
-        // What an unsure robot sees is not mapped, but may tell the server where it is.
+        // With an uncertain pose the scan is not mapped, but its distance vector may help the
+        // server.
         let selected = if is_sure {
             self.selection.select(self.settings.gate, scan.pose, readings)
         } else {
@@ -156,7 +157,7 @@ impl Mapper<'_> {
             let vectors = &self.outbox.vectors;
             link.is_connected() && vectors.is_due(scan.taken, moves, scan.is_blind)
         });
-        // What is compared with the next scan is what the sensor said.
+        // The next scan is compared with the raw readings.
         let odometry = self.locator.newest_odometry();
         self.selection.mapped(scan.pose, odometry, readings, &selected);
         self.clean(readings, vector_time.is_some());
@@ -175,29 +176,29 @@ impl Mapper<'_> {
         }
     }
 
-    /// Sets readings to 0 that do not count. Mapping looks for most of them where it must; only what
-    /// is removed is taken out for certain, unless `wholly`.
+    /// Sets invalid readings to 0. Mapping checks validity itself where needed, so only removals
+    /// are applied here, unless `wholly`.
     fn clean(&self, readings: &mut [u16], wholly: bool) {
         if wholly || self.settings.validity.removes() {
             self.settings.validity.clean(readings);
         }
         if self.settings.removed.iter().any(Option::is_some) {
-            // Amid a surface no beam would be asked.
+            // Within a surface the mapping does not look at the beam.
             let beams = readings.iter_mut().zip(&*self.beams);
             beams.filter(|(_, beam)| **beam == Beam::NONE).for_each(|(reading, _)| *reading = 0);
         }
     }
 
-    /// Draws a part of a scan into the robot's tiles.
+    /// Draws part of a scan into the robot's tiles.
     fn draw(&mut self, scan: &PlacedScan, readings: &[u16], part: Range<usize>, now: Instant) {
         let &PlacedScan { taken, server_moment, pose, .. } = scan;
         let (mask, variances) = (self.settings.peer_mask, scan.variances.unwrap_or_default());
         let (resolution, max_range) = (self.settings.resolution, self.settings.max_range);
-        // What an unseen robot draws a cell to the side becomes a second wall.
+        // Without fixes, an error of one cell would draw every wall twice.
         let range = if scan.is_blind { variances.reach(resolution, max_range) } else { max_range };
         let moment = server_moment.unwrap_or(taken);
         let view = ScanContext { pose, moment, range, resolution, mask };
-        // Without the server's time the peers' moments mean nothing.
+        // Peers' times are by the server's clock.
         let peers = self.commands.peers().filter(|_| server_moment.is_some());
         let peers = PeerMasks::new(peers, &view, variances);
         let fused = &self.fused;
@@ -219,7 +220,7 @@ impl Mapper<'_> {
     }
 }
 
-/// Takes the distance vector of a scan, to be sent. Apart from mapping, which needs the stack.
+/// Queues the distance vector of a scan. Separate from mapping, which needs the stack.
 #[inline(never)]
 fn tell(
     vectors: &mut DistanceVectors,

@@ -1,4 +1,4 @@
-//! What of a robot's configuration counts while it runs.
+//! The settings of a robot, which can change at run time.
 
 use core::num::NonZero;
 
@@ -14,39 +14,40 @@ use crate::{
     sense::{Exposure, Removal, SensorModel, Validity},
 };
 
-/// What of a robot's [`Config`] counts while it runs, as the server has changed it. The fields mean
-/// what they mean there.
+/// The part of a robot's [`Config`] in force at run time, with the server's changes. The fields
+/// have the same meaning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// The robot's number.
+    /// The robot's id.
     pub robot: RobotId,
-    /// The side of the map's cells.
+    /// The side of a map cell.
     pub resolution: Millimetres,
-    /// The radial range that is mapped, in millimetres.
+    /// The maximum mapped range, in millimetres.
     pub max_range: u16,
-    /// Hits this near count twice, in millimetres.
+    /// Hits within this distance count twice, in millimetres.
     pub near: Option<NonZero<u16>>,
-    /// What the sensor's readings mean.
+    /// The sensor's geometry.
     pub sensor: SensorModel,
     /// The sensor in `base_link`.
     pub mounting: Pose,
-    /// Which readings count.
+    /// Which readings are valid.
     pub validity: Validity,
-    /// The light of pixels whose depths count: the caller masks rows by it ([`Exposure::mask`]).
+    /// Brightness of the pixels whose depths are valid: the caller masks rows by it
+    /// ([`Exposure::mask`]).
     pub exposure: Exposure,
     /// Readings that are never mapped.
     pub removed: [Option<Removal>; 4],
-    /// How far the robot must have moved to map again.
+    /// How far the robot must move before it maps again.
     pub gate: Gate,
-    /// How much of what the sensor says is mapped.
+    /// Which part of a scan is mapped.
     pub policy: Policy,
-    /// What is not mapped of other robots.
+    /// Which readings are ignored because of other robots.
     pub peer_mask: PeerMask,
     /// How long a scan waits for its pose.
     pub scan_deadline: Duration,
-    /// How long changes of the map are gathered before they are sent.
+    /// How long changes of the map are collected before they are sent.
     pub hold: Duration,
-    /// Tiles are begun from this epoch on, or a later one.
+    /// The minimum epoch of new tiles.
     pub first_epoch: Epoch,
 }
 

@@ -1,58 +1,57 @@
-//! What a robot has counted.
+//! A robot's counters.
 
 use crate::map::PixelCounts;
 
-/// What a robot has counted since it booted.
+/// A robot's counters since boot; they wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
-    /// Scans taken in.
+    /// Scans accepted.
     pub scans: u32,
-    /// Scans that went into the map.
+    /// Scans mapped.
     pub mapped: u32,
-    /// Scans that the gate held back.
+    /// Scans skipped by the gate.
     pub gated: u32,
-    /// Scans that were not mapped because the robot shook.
+    /// Scans not mapped because the robot was shaken.
     pub shaken: u32,
-    /// Scans whose pose never came.
+    /// Scans whose pose did not arrive in time.
     pub expired: u32,
-    /// Scans whose pose was less sure than is allowed.
+    /// Scans whose pose exceeded the uncertainty limit.
     pub unsure: u32,
-    /// Scans that found as many waiting as there is room for.
+    /// Scans refused because the queue was full.
     pub overflowed: u32,
-    /// The readings of the scans that were mapped.
+    /// The readings of the mapped scans.
     pub pixels: PixelCounts,
-    /// Cells that found no room in the pool.
+    /// Cells dropped because the tile pool was full.
     pub cells_refused: u32,
-    /// Pose fixes received, each once.
+    /// Pose fixes received, without duplicates.
     pub fixes: u32,
-    /// Those of them that were too far off, and were left out.
+    /// Pose fixes rejected as outliers.
     pub fixes_rejected: u32,
-    /// Those that were believed in the end, after others that agreed had been rejected: the robot
-    /// was carried off.
+    /// Pose fixes accepted after several consistent ones had been rejected: the robot was carried.
     pub moves: u32,
-    /// Pose fixes older than what is remembered, of a moment to come, or of an unknown one.
+    /// Pose fixes from the future, from an unknown time, or older than the history.
     pub fixes_untimely: u32,
-    /// Readings of the odometry older than the one before.
+    /// Odometry readings older than their predecessor.
     pub odometry_backwards: u32,
     /// Bytes sent, framing and retransmissions included.
     pub bytes_sent: u64,
-    /// Bytes of frames with tile updates among them.
+    /// Bytes of frames with tile updates, included in `bytes_sent`.
     pub bytes_sent_map: u64,
-    /// Messages of a kind that this version does not know.
+    /// Messages of an unknown kind.
     pub unknown_messages: u32,
-    /// Messages that could not be read.
+    /// Malformed messages.
     pub malformed_messages: u32,
-    /// Sessions begun.
+    /// Sessions opened.
     pub sessions: u32,
 }
 
 impl Statistics {
-    /// A message could not be read.
+    /// Counts a malformed message.
     pub(super) fn malformed(&mut self) {
         self.malformed_messages = self.malformed_messages.wrapping_add(1);
     }
 
-    /// A frame has been sent, with tile updates or without.
+    /// Counts a sent frame, with tile updates or without.
     pub(super) fn sent(&mut self, len: usize, has_tiles: bool) {
         self.bytes_sent = self.bytes_sent.wrapping_add(len as u64);
         if has_tiles {

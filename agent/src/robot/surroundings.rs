@@ -1,4 +1,4 @@
-//! What a step of the drive goes by.
+//! The inputs of the drive's step.
 
 use ubimap_protocol::{time::Instant, units::Pose};
 
@@ -6,13 +6,13 @@ use super::{link::Link, mapper::Mapper};
 use crate::drive::Surroundings;
 
 impl<'b> Mapper<'b> {
-    /// `base_link` in `map` at a moment, and the standard deviation of the position in millimetres.
+    /// `base_link` in `map` at a time, and the standard deviation of the position in millimetres.
     pub(super) fn pose_at(&self, moment: Instant) -> Option<(Pose, f32)> {
         let (pose, variances) = self.locator.predicted(moment)?;
         Some((pose, libm::sqrtf(variances.position)))
     }
 
-    /// What the drive's step at `now` goes by.
+    /// The inputs of the drive's step at `now`.
     pub(super) fn surroundings(&mut self, link: &Link, now: Instant) -> Surroundings<'_, 'b> {
         Surroundings {
             now,

@@ -1,4 +1,4 @@
-//! What the robot has to say, in the order in which it finds room in a frame.
+//! The contents of the next frame, in order of priority.
 
 use ubimap_protocol::{
     link::Fill,
@@ -14,7 +14,7 @@ use super::{
 use crate::timing::STATE_INTERVAL;
 
 impl Mapper<'_> {
-    /// When something is due to be sent in a session; tiles only if they can be.
+    /// When the next frame of a session is due, tiles only if reliable frames can be sent.
     pub(super) fn poll_transmit_timeout(&self, can_send_reliable: bool) -> Instant {
         let Outbox { publisher, next_state, .. } = &self.outbox;
         let due = self.clock.poll_timeout().min(publisher.digest_timeout()).min(*next_state);
@@ -22,7 +22,7 @@ impl Mapper<'_> {
         tiles.map_or(due, |tiles| tiles.min(due))
     }
 
-    /// Takes note of an acknowledged frame.
+    /// Processes an acknowledged frame.
     pub(super) fn acknowledged(&mut self, token: Token, now: Instant) {
         let Outbox { publisher, events, .. } = &mut self.outbox;
         match token {
@@ -34,8 +34,8 @@ impl Mapper<'_> {
         }
     }
 
-    /// Writes the messages of a frame, if any is due. What must not be sent again, for it would be
-    /// stale then, goes apart from what must arrive.
+    /// Writes the messages of a frame, if any are due. Messages that would be stale when
+    /// retransmitted go into other frames than those that must arrive.
     pub(super) fn write(
         &mut self,
         writer: &mut Writer<'_, ToServer>,
@@ -54,7 +54,7 @@ impl Mapper<'_> {
 
     fn write_perishable(&mut self, writer: &mut Writer<'_, ToServer>, now: Instant) {
         if let Some(request) = self.clock.poll_request(now) {
-            // One that finds no room is made again.
+            // If there is no room, a new request is made later.
             let _ = writer.push(&request);
         }
         if self.outbox.next_state <= now {
@@ -84,7 +84,7 @@ impl Mapper<'_> {
         if let Some(interest) = fused.untold()
             && writer.push(&interest)
         {
-            // Told as far as the window is concerned: the link sees to the rest.
+            // Counts as sent for the window: the link takes care of retransmission.
             fused.told(interest.number);
             return Some(Token::Other);
         }

@@ -1,4 +1,4 @@
-//! The beams of a range sensor: where each one points, computed once.
+//! The directions of a range sensor's beams, computed once.
 
 use libm::atan2f;
 use ubimap_protocol::units::{Angle, Pose};
@@ -7,7 +7,7 @@ use crate::trigonometry::{angle, radians, round, sin_cos};
 
 use super::camera::{Camera, Rays};
 
-/// What a sensor's readings mean. Beam 0 is the first reading of a scan.
+/// The geometry of a sensor's readings. Beam 0 is the first reading of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SensorModel {
     /// Readings are distances along the beams, at bearings of `first + index * step` (radians,
@@ -15,41 +15,41 @@ pub enum SensorModel {
     Radial {
         /// The bearing of beam 0.
         first: f32,
-        /// From one beam to the next; negative for clockwise.
+        /// Angle from one beam to the next; negative for clockwise.
         step: f32,
     },
-    /// Readings are depths along the optical axis (the sensor's x axis), one for each column of
-    /// a row: the true pinhole.
+    /// Readings are depths along the optical axis (the sensor's x-axis), one per column of a row,
+    /// of an ideal pinhole camera.
     Pinhole {
         /// The focal length in pixels.
         focal: f32,
         /// The column of the optical axis.
         centre: f32,
     },
-    /// Readings are depths of one row of a camera's image, one for each column: with the paper's
-    /// pixel model, lens distortion or a tilt. The points of a row that does not look level lie
-    /// at different heights; what the table gives is where they stand on the floor.
+    /// Readings are depths of one row of a camera's image, one per column, with the paper's pixel
+    /// model, lens distortion or a tilt. The points of a row that is not level differ in height;
+    /// the table gives their positions projected to the floor.
     Row {
         /// The camera.
         camera: Camera,
-        /// The row; between two rows is allowed.
+        /// The row; may lie between two rows.
         row: f32,
     },
 }
 
-/// Readings that are never mapped, whatever they are: the paper's selective removal of pixels
-/// (Aluckal III.D). Distances are removed by [`Validity`](super::Validity).
+/// Readings that are never mapped: the paper's selective removal of pixels (Aluckal III.D).
+/// [`Validity`](super::Validity) removes by distance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Removal {
-    /// By their place in a scan, from the first to the last, both included.
+    /// By index in a scan, inclusive.
     Pixels {
         /// The first.
         first: u16,
         /// The last.
         last: u16,
     },
-    /// By where they point in `base_link`, counter-clockwise from one bearing to another: the
-    /// robot's own mast, say.
+    /// By bearing in `base_link`, counter-clockwise from one to another: for example the robot's
+    /// own mast.
     Bearings {
         /// The clockwise end.
         from: Angle,
@@ -61,36 +61,35 @@ pub enum Removal {
 /// Fractional bits of a beam's direction.
 pub const DIRECTION_BITS: u32 = 14;
 
-/// One beam: what a reading of one millimetre stands for, in `base_link`.
+/// The direction of a beam in `base_link`, scaled for a reading of one millimetre.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Beam {
-    /// Forward, in 1/16,384 mm for each mm of reading.
+    /// Forward, in 1/16,384 mm per mm of reading.
     pub forward: i16,
-    /// Left, in 1/16,384 mm for each mm of reading.
+    /// Left, in 1/16,384 mm per mm of reading.
     pub left: i16,
 }
 
 impl Beam {
-    /// One that goes nowhere: its readings are never mapped.
+    /// A removed beam: its readings are never mapped.
     pub const NONE: Self = Self { forward: 0, left: 0 };
 
-    /// The square of what a reading of one millimetre stands for, in 2^-28 mm^2; 0 for
-    /// [`Beam::NONE`].
+    /// The squared length of a reading of one millimetre, in 2^-28 mm^2; 0 for [`Beam::NONE`].
     #[inline(always)]
     pub(crate) fn square(self) -> u32 {
         let (forward, left) = (i32::from(self.forward), i32::from(self.left));
         (forward * forward) as u32 + (left * left) as u32
     }
 
-    /// The reading at which the beam is `range` millimetres from the sensor, to 1 mm and a part in
-    /// 3,000: a root in 30 instructions.
+    /// The reading for a distance of `range` millimetres from the sensor, accurate to 1 mm plus
+    /// 1/3,000. Computes a square root in 30 instructions.
     #[inline(never)]
     pub(crate) fn reading_at(self, range: u16) -> u32 {
         let square = self.square().max(1);
-        // From a quarter (inclusive) to one in 1/2^16, its root coming out in whole bits.
+        // Normalised to [1/4, 1) in units of 1/2^16, by a shift with a whole root.
         let shift = square.leading_zeros() & !1;
         let part = square << shift >> 16;
-        // One by the root, in 1/2^14: a line that is off by a tenth, and Newton's steps.
+        // The inverse root in 1/2^14: a linear estimate with an error of 10 %, then Newton steps.
         let mut inverse = 34_900 - part * 39 / 131;
         for _ in 0..2 {
             let one = (part * ((inverse * inverse) >> 14)) >> 16;
@@ -100,11 +99,11 @@ impl Beam {
     }
 }
 
-/// Fills the table of a sensor that is mounted at `mounting` in `base_link` (only its heading
-/// counts here).
+/// Fills the table of a sensor mounted at `mounting` in `base_link` (only the heading matters
+/// here).
 ///
-/// Columns that look more than 63 degrees aside do not fit the table, nor do those beyond what the
-/// lens shows; they are [`Beam::NONE`].
+/// Columns that look more than 63 degrees sideways do not fit the number format, and those beyond
+/// the lens's view have no direction; they become [`Beam::NONE`].
 pub fn fill_beams(beams: &mut [Beam], model: SensorModel, mounting: Pose) {
     let row_of = |camera, row| Some((Rays::new(camera, beams.len()), row));
     let rays = match model {
@@ -139,8 +138,7 @@ pub fn fill_beams(beams: &mut [Beam], model: SensorModel, mounting: Pose) {
     }
 }
 
-/// Takes readings out of the table for good: they become [`Beam::NONE`], which costs nothing for
-/// each frame.
+/// Removes readings from the table permanently: they become [`Beam::NONE`], at no cost per frame.
 pub fn remove_beams(beams: &mut [Beam], removal: Removal) {
     for (index, beam) in beams.iter_mut().enumerate() {
         let is_removed = match removal {
@@ -175,7 +173,7 @@ mod tests {
         let model = SensorModel::Pinhole { focal: 343.1, centre: 319.5 };
         fill_beams(&mut beams, model, AT_CENTRE);
         assert!(beams.iter().all(|beam| beam.forward == 1 << DIRECTION_BITS));
-        // 86 degrees across (Aluckal II.D): the outermost columns look 43 degrees aside.
+        // 86 degrees across (Aluckal II.D): the outermost columns look 43 degrees sideways.
         let aside = f64::from(beams[0].left) / f64::from(1 << DIRECTION_BITS);
         assert!((aside.atan().to_degrees() - 43.0).abs() < 0.1);
     }
@@ -210,7 +208,7 @@ mod tests {
         let mut beams = [Beam::default(); 640];
         let camera = Camera { pitch: 0.3, ..Camera::new((343.1, 343.1), (319.5, 239.5)) };
         let forward = |beam: Beam| f64::from(beam.forward) / f64::from(1 << DIRECTION_BITS);
-        // The row on the axis: Z cos(pitch). The row that looks level: Z / cos(pitch).
+        // The row on the optical axis: Z cos(pitch). The level row: Z / cos(pitch).
         for (row, expected) in
             [(239.5, 0.3f64.cos()), (239.5 - 343.1 * 0.3f32.tan(), 1.0 / 0.3f64.cos())]
         {
@@ -221,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn removed_pixels_and_bearings_are_invalid_and_no_others() {
+    fn exactly_the_removed_pixels_and_bearings_are_invalid() {
         let model = SensorModel::Radial { first: -3.0, step: 0.1 };
         let bearing = |index: usize| 0.5 - 3.0 + 0.1 * index as f64;
         let mounting = Pose { heading: Angle::from_radians(0.5), ..AT_CENTRE };
@@ -233,7 +231,7 @@ mod tests {
         };
         let is_out = left_out(Removal::Pixels { first: 3, last: 7 });
         assert!((0..61).all(|index| is_out(index) == (3..=7).contains(&index)));
-        // Over the back, where bearings jump from pi to -pi.
+        // Across the back, where bearings jump from pi to -pi.
         let (from, to) = (Angle::from_radians(2.95), Angle::from_radians(-2.35));
         let is_out = left_out(Removal::Bearings { from, to });
         for index in 0..61 {

@@ -1,18 +1,17 @@
-//! A depth camera: where each of its pixels looks, and what stands at the depth that it reports.
+//! A depth camera: the direction of each pixel, and the point at its depth.
 
 use crate::trigonometry::sin_cos;
 
-/// How the column of a pixel becomes a bearing. Either way a reading is the depth `d` along the
-/// optical axis, and the point lies at a radial distance of `D = d / cos(theta)` (Aluckal,
-/// equation 1).
+/// How the column of a pixel becomes a bearing. In both models a reading is the depth `d` along the
+/// optical axis, and the radial distance of the point is `D = d / cos(theta)` (Aluckal, equation
+/// 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PixelModel {
-    /// `tan(theta) = (centre - column) / focal`: what a lens that is free of distortion does.
+    /// `tan(theta) = (centre - column) / focal`: a lens without distortion.
     Pinhole,
-    /// The paper's: each column as wide an angle as the next,
-    /// `theta = field / 2 * (n / 2 - column) / (n / 2)` for `n` columns (Aluckal, equation 2; with
-    /// 86 degrees over 640 columns 0.134 degrees each). It is off by up to 3.6 degrees there, half
-    /// way between the axis and the edge.
+    /// The paper's: all columns have the same angular width, `theta = field / 2 * (n / 2 - column)
+    /// / (n / 2)` for `n` columns (Aluckal, equation 2; 0.134 degrees each with 86 degrees over 640
+    /// columns). There its error is up to 3.6 degrees, halfway between the axis and the edge.
     LinearAngle {
         /// The angle between the outermost columns, in radians.
         field: f32,
@@ -20,7 +19,7 @@ pub enum PixelModel {
 }
 
 /// The lens distortion of Brown and Conrady, with the names and signs of OpenCV; all zero for
-/// images that are rectified.
+/// rectified images.
 ///
 /// ```text
 /// r2 = x*x + y*y,  radial = 1 + k1*r2 + k2*r2^2 + k3*r2^3
@@ -37,33 +36,33 @@ pub struct Distortion {
     pub k3: f32,
 }
 
-/// A depth camera as it is built and mounted. Columns count from the left of the image, rows from
-/// its top; pixels lie at whole numbers.
+/// The geometry of a depth camera. Columns count from the left of the image, rows from its top;
+/// pixel centres lie at integers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// The focal length in pixels, across and down; both positive.
+    /// The focal length in pixels, horizontal and vertical; both positive.
     pub focal: (f32, f32),
     /// The column and row of the optical axis.
     pub centre: (f32, f32),
-    /// What the lens does.
+    /// The lens distortion.
     pub distortion: Distortion,
-    /// What a column means.
+    /// How columns become bearings.
     pub pixels: PixelModel,
-    /// How far it looks down, in radians: less than a quarter turn.
+    /// Downward tilt, in radians: less than a quarter turn.
     pub pitch: f32,
-    /// How far it is turned about its axis, in radians: positive lowers the right of the image.
+    /// Rotation about the optical axis, in radians: positive lowers the right of the image.
     pub roll: f32,
 }
 
 impl Camera {
-    /// A pinhole camera that is mounted level and has no distortion.
+    /// A level pinhole camera without distortion.
     pub const fn new(focal: (f32, f32), centre: (f32, f32)) -> Self {
         let distortion = Distortion { k1: 0.0, k2: 0.0, p1: 0.0, p2: 0.0, k3: 0.0 };
         Self { focal, centre, distortion, pixels: PixelModel::Pinhole, pitch: 0.0, roll: 0.0 }
     }
 
-    /// The row that looks level in the middle column: what it sees lies as high as the camera,
-    /// however far away. `None` if the camera has no such row.
+    /// The row that looks level in the centre column: at any distance it sees points at the height
+    /// of the camera. `None` if the camera has no such row.
     pub fn level_row(&self) -> Option<f32> {
         let (sin, cos) = sin_cos(self.roll);
         let (pitch_sin, pitch_cos) = sin_cos(self.pitch);
@@ -74,14 +73,14 @@ impl Camera {
     }
 }
 
-/// Where a pixel looks: what a depth of one stands for, level with the floor.
+/// The direction of a pixel: its point at a depth of one, in level axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Ahead, on the floor.
+    /// Forward, parallel to the floor.
     pub forward: f32,
-    /// To the left, on the floor.
+    /// Left, parallel to the floor.
     pub left: f32,
-    /// Below the camera.
+    /// Down from the camera.
     pub down: f32,
 }
 
@@ -90,20 +89,20 @@ pub struct Ray {
 pub struct Rays {
     camera: Camera,
     width: f32,
-    /// Sine and cosine.
+    /// Sine and cosine of each angle.
     pitch: (f32, f32),
     roll: (f32, f32),
 }
 
 impl Rays {
-    /// Those of a camera whose images are `width` pixels wide.
+    /// The rays of a camera whose images are `width` pixels wide.
     pub fn new(camera: Camera, width: usize) -> Self {
         let (pitch, roll) = (sin_cos(camera.pitch), sin_cos(camera.roll));
         Self { camera, width: width as f32, pitch, roll }
     }
 
-    /// The ray of a pixel, or of a place between pixels. `None` where the lens sees nothing: its
-    /// formula does not reach there.
+    /// The ray of a pixel, or of a point between pixels. `None` where the lens model has no
+    /// solution.
     pub fn at(&self, column: f32, row: f32) -> Option<Ray> {
         let Camera { focal, centre, distortion, pixels, .. } = self.camera;
         let (right, below) = ((column - centre.0) / focal.0, (row - centre.1) / focal.1);
@@ -123,20 +122,20 @@ impl Rays {
         Some(Ray { forward: cos - below * sin, left: -right, down: sin + below * cos })
     }
 
-    /// The column in which a pinhole camera of the same focal length, at the same place but
-    /// level, sees what lies on a ray.
+    /// The column in which a level pinhole camera with the same focal length and position sees a
+    /// point on a ray.
     pub fn level_column(&self, ray: &Ray) -> f32 {
         self.camera.centre.0 - ray.left / ray.forward * self.camera.focal.0
     }
 }
 
 impl Distortion {
-    /// Steps towards the undistorted place; strong lenses take about 20 at the edge.
+    /// Iterations for the undistorted point; strong lenses take about 20 at the edge.
     const STEPS: usize = 40;
-    /// How well it must be met, in focal lengths: 1/200 pixel where that is 500.
+    /// Convergence tolerance, in focal lengths: 1/200 pixel at a focal length of 500.
     const CLOSE: f32 = 1e-5;
 
-    /// Where the lens shows what a pinhole would show at `x`, `y` (in focal lengths).
+    /// Where the lens shows the point that a pinhole shows at `x`, `y` (in focal lengths).
     fn apply(&self, x: f32, y: f32) -> (f32, f32) {
         let (radial, aside, below) = self.parts(x, y);
         (x * radial + aside, y * radial + below)
@@ -152,7 +151,8 @@ impl Distortion {
         (radial, aside, below)
     }
 
-    /// The inverse of [`Distortion::apply`], by fixed-point steps. `None` if there is none near.
+    /// The inverse of [`Distortion::apply`], by fixed-point iteration. `None` if it does not
+    /// converge.
     fn remove(&self, shown_x: f32, shown_y: f32) -> Option<(f32, f32)> {
         let (mut x, mut y) = (shown_x, shown_y);
         for _ in 0..Self::STEPS {
@@ -191,7 +191,7 @@ mod tests {
             assert!((radial - 1.0 / printed.to_radians().cos()).abs() < 1e-5, "{k}");
         }
         assert!((degrees(0.0) - degrees(1.0) - 0.134).abs() < 5e-4);
-        // The pinhole that sees as wide is elsewhere in between.
+        // A pinhole with the same field of view differs in between.
         let pinhole = Rays::new(Camera::new((343.1, 343.1), (319.5, 239.5)), 640);
         let off = (0..640).map(|column| {
             let ray = pinhole.at(column as f32, 239.5).unwrap();
@@ -201,8 +201,8 @@ mod tests {
         assert!((3.4..3.6).contains(&most), "{most}");
     }
 
-    /// A point in the camera's own frame (right, below, ahead) through the lens, in double
-    /// precision: OpenCV's formulas, written out once more.
+    /// Projects a point in the camera's own frame (right, down, forward) through the lens in double
+    /// precision: an independent implementation of OpenCV's formulas.
     fn project(camera: &Camera, [x, y, z]: [f64; 3]) -> (f64, f64) {
         let Distortion { k1, k2, p1, p2, k3 } = camera.distortion;
         let [k1, k2, p1, p2, k3] = [k1, k2, p1, p2, k3].map(f64::from);
@@ -218,8 +218,8 @@ mod tests {
     }
 
     proptest! {
-        /// A point on the floor's axes, turned into the camera's frame by rotation matrices and
-        /// seen through the lens, is what the ray of its pixel times its depth says.
+        /// A point in level axes, rotated into the camera's frame by matrices and projected through
+        /// the lens, equals the ray of its pixel times its depth.
         #[test]
         fn a_ray_leads_back_to_the_point(
             pitch in -0.5f64..0.9, roll in -0.4f64..0.4,
@@ -236,7 +236,7 @@ mod tests {
             let (column, row) = project(&camera, [right * depth, below * depth, depth]);
             let ray = Rays::new(camera, 640).at(column as f32, row as f32);
             let ray = ray.expect("the lens reaches here");
-            // The camera's axes, seen from the floor: forward, left, down.
+            // The camera's axes in level axes: forward, left, down.
             let ahead = [pitch.cos(), 0.0, pitch.sin()];
             let level_right = [0.0, -1.0, 0.0];
             let straight_below = [-pitch.sin(), 0.0, pitch.cos()];
@@ -252,9 +252,9 @@ mod tests {
             }
         }
 
-        /// Whatever the coefficients, there is an answer, and it is one.
+        /// Any coefficients give a finite ray or none.
         #[test]
-        fn no_lens_is_too_bad(
+        fn any_lens_gives_finite_rays_or_none(
             coefficients: [f32; 5], focal: (f32, f32), column: f32, row: f32, pitch: f32,
         ) {
             let [k1, k2, p1, p2, k3] = coefficients;
@@ -265,8 +265,8 @@ mod tests {
     }
 
     #[test]
-    fn where_the_formula_folds_over_the_lens_sees_nothing() {
-        // x * (1 - 0.3 x2) never gets beyond 0.703.
+    fn the_lens_has_no_ray_where_its_formula_folds_over() {
+        // x * (1 - 0.3 x^2) never exceeds 0.703.
         let distortion = Distortion { k1: -0.3, ..Distortion::default() };
         let camera = Camera { distortion, ..Camera::new((100.0, 100.0), (100.0, 0.0)) };
         let rays = Rays::new(camera, 200);

@@ -1,27 +1,26 @@
-//! The ground clearance signal (Ahmed 2.1): is there room to drive on, and so something to map?
+//! The ground clearance signal (Ahmed 2.1): whether the floor ahead is free.
 
 use super::floor::COLUMNS;
 
-/// How much free floor before the robot is enough. The paper does not say.
+/// How much free floor the robot needs. The paper gives no values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GroundClearance {
-    /// Columns in the middle of the image that the robot must fit through.
+    /// Number of columns at the centre of the image that must be free.
     pub columns: usize,
-    /// Pixels of free floor that each of them must have.
+    /// Free floor required in each of them, in pixels.
     pub pixels: u8,
 }
 
 impl Default for GroundClearance {
-    /// The middle half of the image, and the near end of table 1: of what is nearer than its 62
-    /// pixels the camera cannot tell how near it is.
+    /// The middle half of the image, and 62 pixels, the near end of table 1: the camera can't
+    /// measure smaller distances.
     fn default() -> Self {
         Self { columns: COLUMNS / 2, pixels: 62 }
     }
 }
 
 impl GroundClearance {
-    /// Whether there is so much free floor, by the [`distances`](super::Floor::distances) of an
-    /// image.
+    /// Whether the floor ahead is free, by the [`distances`](super::Floor::distances) of an image.
     pub fn is_clear(&self, distances: &[u8; COLUMNS]) -> bool {
         let aside = COLUMNS.saturating_sub(self.columns) / 2;
         distances.iter().skip(aside).take(self.columns).all(|&pixels| pixels >= self.pixels)
@@ -33,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_stands_in_the_middle_is_in_the_way_and_what_stands_aside_is_not() {
+    fn only_obstacles_in_the_middle_columns_block() {
         let clearance = GroundClearance::default();
         let clear_but_for = |column: usize, pixels| {
             let mut distances = [62; COLUMNS];

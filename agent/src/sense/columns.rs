@@ -1,4 +1,4 @@
-//! A range scan as a distance vector: the nearest reading in each of a few columns.
+//! A distance vector from a range scan: the nearest reading in each column.
 
 use core::f32::consts::PI;
 
@@ -11,29 +11,27 @@ use ubimap_protocol::{
 
 use super::beams::{Beam, DIRECTION_BITS};
 
-/// Millimetres of a column's unit.
+/// The unit of distances, in millimetres.
 const UNIT: f32 = 20.0;
-/// The width of the column of a beam that has no neighbours, in binary angle units: 5 degrees.
+/// Width of a single beam's column, in binary angle units: 5 degrees.
 const ALONE: i32 = 910;
 
 /// The columns of a [`DistanceVector`](ubimap_protocol::message::DistanceVector).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Columns {
-    /// The bearing of the first one, the rightmost, in `base_link`.
+    /// The bearing of the first column, the rightmost, in `base_link`.
     pub first: Angle,
-    /// From one to the next, in binary angle units.
+    /// Angle from one column to the next, in binary angle units.
     pub step: i16,
-    /// The nearest reading in each, in units of 2 cm; 0 where there is none, 255 for 5.1 m and
-    /// more.
+    /// The nearest reading in each column, in units of 2 cm; 0 for none, 255 for 5.1 m and more.
     pub distances: Vec<u8, MAX_COLUMNS>,
 }
 
 impl Columns {
-    /// The nearest readings of a scan, in at most `most` columns that are spread evenly over the
-    /// field of view; no more than there are beams. They are seen from `base_link`, in which the
-    /// sensor is mounted at `mounting` (its heading is in the beams already). The beams are in
-    /// order of their bearings, one way round or the other. `None` if there is no reading, or no
-    /// room for a column. About 320 instructions for each beam.
+    /// The nearest readings of a scan, in at most `most` columns (and at most one per beam) that
+    /// divide the field of view evenly, relative to `base_link`. The sensor is mounted at
+    /// `mounting`; its heading is already in the beams, which must be ordered by bearing, in either
+    /// direction. `None` if there is no reading, or `most` is 0. About 320 instructions per beam.
     pub fn of_scan(beams: &[Beam], readings: &[u16], mounting: Pose, most: usize) -> Option<Self> {
         let usable = beams.iter().filter(|beam| **beam != Beam::NONE);
         let mut bearings = usable.map(|beam| bearing(beam.left.into(), beam.forward.into()));
@@ -49,10 +47,10 @@ impl Columns {
         }
         let mut distances = Vec::new();
         for _ in 0..=gaps.min(most as i32 - 1) {
-            // No more than the message holds.
+            // Bounded by the message's capacity.
             let _ = distances.push(0);
         }
-        // Every beam is taken to be as wide as the way to the next.
+        // Each beam is as wide as the gap to the next.
         let beam = turn.checked_div(gaps).unwrap_or(ALONE);
         let count = (distances.len() as i32).max(1);
         let step = ((turn + beam + count - 1) / count).clamp(1, 32_767);
@@ -114,12 +112,12 @@ mod tests {
         let mut seen = 0;
         for (bearing, &units) in bearings.iter().zip(&columns.distances) {
             let wall = 1_500.0 / bearing.to_radians().cos();
-            // The nearest in a column: half a column aside it is nearer by up to 20 mm.
+            // The nearest reading in a column: half a column off-centre it is up to 20 mm nearer.
             let off = f64::from(units) * 20.0 - wall;
             assert!(units == 0 || (-32.0..=10.5).contains(&off), "{bearing}: {units} {off}");
             seen += u32::from(units != 0);
         }
-        // What the sensor cannot see from where it is mounted is not known.
+        // Columns that the mounted sensor can't see are unknown.
         assert!((58..64).contains(&seen), "{seen}");
     }
 
@@ -145,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_beam_is_a_column_and_no_reading_is_none() {
+    fn a_single_beam_gives_one_column_and_no_reading_none() {
         let beams = table(1, SensorModel::Radial { first: 0.5, step: 0.1 }, Pose::default());
         let found = |reading, most| Columns::of_scan(&beams, &[reading], Pose::default(), most);
         let columns = found(6_000, 64).unwrap();
@@ -159,7 +157,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_scan_ends(
+        fn any_scan_gives_a_valid_vector(
             beams in proptest::collection::vec((any::<i16>(), any::<i16>()), 0..100),
             readings in proptest::collection::vec(any::<u16>(), 0..100),
             x in any::<i32>(), y in any::<i32>(), most in 0usize..100,

@@ -1,28 +1,27 @@
-//! From a distance vector in pixels onto the map (Ahmed 2.3, equations 2 to 5).
+//! From a distance vector in pixels to points on the map (Ahmed 2.3, equations 2 to 5).
 
 use nalgebra::Point2;
 
 use super::{floor::COLUMNS, scale_curve::ScaleCurve};
 
-/// A distance vector as a scan: for each column the distance to the boundary in millimetres
-/// (equation 2), if the curve is one of millimetres; 0, no reading, where it says nothing.
+/// Converts a distance vector to a scan: the distance to the boundary in each column (equation 2),
+/// in millimetres if the curve is in millimetres; 0, no reading, outside the curve's range.
 ///
-/// The sensor model tells what they are. A line of the image is one depth, not one range: with
-/// [`Pinhole`](super::SensorModel::Pinhole) the boundary lies where the camera saw it. The paper
-/// takes the distances to be ranges along bearings that are spread evenly over its 90 degrees
-/// ([`Radial`](super::SensorModel::Radial)), which is true in the middle of the image only: at its
-/// sides a boundary is mapped at 0.71 of its distance. Each column costs an evaluation of the
-/// curve, about 100 instructions.
+/// The sensor model determines the geometry. A line of the image has a constant depth, not a
+/// constant range: with [`Pinhole`](super::SensorModel::Pinhole) the boundary lies where the camera
+/// saw it. The paper takes the distances as ranges along bearings spread evenly over its 90 degrees
+/// ([`Radial`](super::SensorModel::Radial)), which is correct only at the centre of the image: at
+/// its sides a boundary is mapped at 0.71 of its distance. About 100 instructions per column.
 pub fn floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; COLUMNS] {
     distances.map(|pixels| curve.distance(pixels).map_or(0, |it| libm::roundf(it) as u16))
 }
 
-/// Where a boundary lies (equations 3 to 5): so far from the robot towards any other point on the
-/// ray of its column. `None` if there is no direction towards that point.
+/// The position of a boundary (equations 3 to 5): at `distance` from the robot, in the direction of
+/// another point on the ray of its column. `None` if that point gives no direction.
 ///
-/// Equation 5 as printed goes by the slope of the ray (equation 4), which is the same for the
-/// opposite ray: all that lies to the left of the robot (smaller x) is mirrored to its right, and
-/// a ray along the y axis has none. Here the direction is a unit vector and keeps its quadrant.
+/// Equation 5 as printed uses the slope of the ray (equation 4), which is the same for the opposite
+/// ray: everything to the left of the robot (smaller x) is mirrored to its right, and a ray along
+/// the y-axis has no slope. Here the direction is a unit vector and keeps its quadrant.
 pub fn boundary_point(
     robot: Point2<f32>,
     towards: Point2<f32>,
@@ -50,7 +49,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_curve_does_not_reach_is_no_reading() {
+    fn distances_outside_the_curve_are_no_readings() {
         let mut distances = [0; COLUMNS];
         for (column, distance) in distances.iter_mut().enumerate() {
             *distance = column.min(255) as u8;
@@ -79,12 +78,13 @@ mod tests {
             let robot = Point2::new(x, y);
             let towards = towards(robot, bearing);
             let found = boundary_point(robot, towards, distance).unwrap();
-            // By bearing and distance, and not by slopes or unit vectors.
+            // Compared by bearing and distance, not by slopes or unit vectors.
             let seen = (found.y - y).atan2(found.x - x);
             let off = (f64::from(seen) - f64::from(bearing)).sin();
             prop_assert!(off.abs() < 1e-3 && (seen - bearing).cos() > 0.9, "{seen} {bearing}");
             prop_assert!(((found - robot).norm() - distance).abs() < 0.01);
-            // As printed it holds to the right of the robot; to the left it is the opposite point.
+            // The printed equation holds to the right of the robot; to the left it gives the
+            // opposite point.
             prop_assume!(bearing.cos().abs() > 0.01);
             let printed = printed(robot, towards, distance);
             let expected = if bearing.cos() > 0.0 { found } else { robot - (found - robot) };

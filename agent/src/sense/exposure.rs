@@ -2,25 +2,25 @@
 
 use super::slice::SliceError;
 
-/// Limits of the light in which a pixel's depth can be trusted: the paper's exposure correction
-/// (Aluckal III.D), which leaves out what is too bright or too dark.
+/// Range of brightness in which a pixel's depth can be trusted: the paper's exposure correction
+/// (Aluckal III.D), which drops pixels that are too bright or too dark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exposure {
-    /// Darker pixels do not count.
+    /// Darker pixels are invalid.
     pub darkest: u16,
-    /// Brighter pixels do not count.
+    /// Brighter pixels are invalid.
     pub brightest: u16,
 }
 
 impl Exposure {
-    /// All pixels count.
+    /// All pixels are valid.
     pub const ANY: Self = Self { darkest: 0, brightest: u16::MAX };
 
-    /// Sets to 0 the readings of a line whose light, in the line of the intensity image (`u8` or
-    /// `u16`) beside it, is out of the limits.
+    /// Sets to 0 the readings of a row whose brightness, in the same row of the intensity image
+    /// (`u8` or `u16`), is out of range.
     ///
     /// # Errors
-    /// [`SliceError::Width`] if the lines are not equally wide; nothing has changed then.
+    /// [`SliceError::Width`] if the rows differ in length; the readings are unchanged.
     pub fn mask<T: Copy + Into<u16>>(
         &self,
         readings: &mut [u16],
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_too_bright_or_too_dark_does_not_count() {
+    fn pixels_that_are_too_bright_or_too_dark_are_invalid() {
         let exposure = Exposure { darkest: 10, brightest: 250 };
         let mut readings = [900; 5];
         assert_eq!(exposure.mask(&mut readings, &[9u8, 10, 100, 250, 255]), Ok(()));

@@ -1,76 +1,86 @@
-//! The free floor in a grey image (Ahmed 2.1): how far it reaches up from the bottom, in pixels,
-//! in each column.
+//! The free floor in a grey image (Ahmed 2.1): its height above the bottom of the image, in pixels,
+//! for each column.
 //!
-//! The paper segments the image and reads the region at the middle of its bottom; how it segments
-//! is left open there. Here the floor grows from that place: along the bottom line to both sides,
-//! then up every column, as long as the pixels stay near the level of those below. The level
-//! follows the pixels slowly, so gradients of light do not end the floor; it takes a few pixels
-//! in a row that differ, so noise and joints between tiles do not either.
+//! The paper segments the image and takes the region at the middle of its bottom; it does not
+//! describe the segmentation. Here the floor grows from that region: along the bottom line to both
+//! sides, then up each column while pixels stay near the level of those below. The level follows
+//! the pixels slowly, so gradients of light do not end the floor; and only several differing pixels
+//! in a row end it, so noise and joints between tiles do not either.
 //!
-//! What lies at the middle of the bottom is taken for floor. A robot that stands with its nose
-//! at a wall sees a floor of wall: that is for its bumper to know.
+//! The middle of the bottom is assumed to be floor. A robot right in front of a wall takes the wall
+//! for floor: a bumper must detect that.
+
+use core::fmt;
 
 /// Columns of an image (Ahmed, equation 1).
 pub const COLUMNS: usize = 320;
 /// Lines of an image.
 pub const LINES: usize = 240;
 
-/// Columns at the middle of the bottom whose mean is the level of the floor.
+/// Columns at the middle of the bottom line whose mean is the initial level of the floor.
 const SEED: usize = 32;
-/// So many pixels in a row that differ end the floor.
+/// Number of consecutive differing pixels that ends the floor.
 const CONFIRMED: u8 = 3;
 /// Fractional bits of a level.
 const FRACTION: u32 = 7;
-/// The level of a column whose floor has ended: no pixel is near it, whatever the tolerance.
+/// The level of a column whose floor has ended: no pixel is within any tolerance of it.
 const ENDED: u16 = u16::MAX;
 /// The level follows a pixel by 1/8 of the difference.
 const FOLLOW: u32 = 3;
 
-/// What is taken for floor.
+/// Parameters of the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FloorConfig {
-    /// How far a pixel may be from the level of the floor below it, in levels of grey.
+    /// Maximum difference of a pixel from the level of the floor below it, in grey levels.
     pub tolerance: u8,
-    /// Lines from the bottom that are looked at: up to the horizon at most, for there is no floor
-    /// above it. What a segmentation costs is in proportion to it.
+    /// Number of lines processed, from the bottom: at most up to the horizon, as there is no floor
+    /// above. The cost is proportional to it.
     pub lines: u8,
 }
 
 impl Default for FloorConfig {
-    /// 20 levels, several times the noise of a cheap camera; 124 lines, where a boundary at the end
-    /// of table 1 (121 pixels) can just be told.
+    /// 20 grey levels, several times the noise of a cheap camera; 124 lines, the minimum to detect
+    /// a boundary at the end of table 1 (121 pixels).
     fn default() -> Self {
         Self { tolerance: 20, lines: 121 + CONFIRMED }
     }
 }
 
 impl FloorConfig {
-    /// The width of what is taken for floor, in 1/128 levels.
+    /// The width of the tolerance band, in 1/128 levels.
     fn band(self) -> u32 {
         u32::from(self.tolerance) << (FRACTION + 1)
     }
 }
 
-/// An image, or a line of one, has another size than it must have.
+/// The size of an image or a line is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageSizeError {
-    /// The pixels that it must have.
+    /// Number of pixels required.
     pub expected: usize,
-    /// The pixels that it had.
+    /// Number of pixels received.
     pub found: usize,
 }
+
+impl fmt::Display for ImageSizeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the image has {} pixels instead of {}", self.found, self.expected)
+    }
+}
+
+impl core::error::Error for ImageSizeError {}
 
 /// The floor in one column.
 #[derive(Clone, Copy, Debug)]
 struct Column {
-    /// What the floor looks like here, in 1/128 levels of grey, or [`ENDED`].
+    /// The level of the floor, in 1/128 grey levels, or [`ENDED`].
     level: u16,
-    /// The last line that is floor, counted from the bottom from one on.
+    /// The topmost line that is floor, counted from the bottom, starting at 1.
     distance: u8,
 }
 
-/// The floor of one image, which arrives line by line from the bottom: as cameras send it that can
-/// flip an image. Nothing but 1,280 bytes are kept of it.
+/// The floor of one image, fed line by line from the bottom, as cameras that can flip an image send
+/// it. Needs only 1,280 bytes.
 #[derive(Clone, Debug)]
 pub struct Floor {
     config: FloorConfig,
@@ -79,22 +89,22 @@ pub struct Floor {
 }
 
 impl Floor {
-    /// Nothing of the image has arrived.
+    /// Before the first line.
     pub fn new(config: FloorConfig) -> Self {
         let column = Column { level: 0, distance: 0 };
         Self { config, columns: [column; COLUMNS], lines: 0 }
     }
 
-    /// Whether further lines can matter.
+    /// Whether further lines are needed.
     pub fn wants_more(&self) -> bool {
         self.lines < self.config.lines
     }
 
-    /// Takes the next line, the bottom one first; those beyond [`FloorConfig::lines`] change
-    /// nothing. About 14 instructions for each column.
+    /// Processes the next line, starting at the bottom; lines beyond [`FloorConfig::lines`] are
+    /// ignored. About 14 instructions per column.
     ///
     /// # Errors
-    /// [`ImageSizeError`] if it has not [`COLUMNS`] pixels; nothing has changed then.
+    /// [`ImageSizeError`] if it does not have [`COLUMNS`] pixels; the state is unchanged.
     pub fn line(&mut self, line: &[u8]) -> Result<(), ImageSizeError> {
         let line: &[u8; COLUMNS] =
             line.try_into().map_err(|_| ImageSizeError { expected: COLUMNS, found: line.len() })?;
@@ -109,9 +119,9 @@ impl Floor {
         Ok(())
     }
 
-    /// How far the floor reaches in each column, in pixels from the bottom: 0 where there is none,
-    /// the number of lines that were looked at where it does not end. A boundary that fewer than
-    /// three columns show is not believed (the median of five).
+    /// The height of the floor in each column, in pixels from the bottom: 0 without floor, the
+    /// number of lines processed where it does not end. Boundaries narrower than three columns are
+    /// filtered out (median of five).
     pub fn distances(&self) -> [u8; COLUMNS] {
         let raw = self.columns.each_ref().map(|column| column.distance);
         let mut distances = raw;
@@ -123,7 +133,8 @@ impl Floor {
         distances
     }
 
-    /// Sets the level of the floor in each column, from the middle of the bottom line outwards.
+    /// Sets the initial level of the floor in each column, from the middle of the bottom line
+    /// outwards.
     fn seed(&mut self, line: &[u8; COLUMNS]) {
         let middle = line.iter().skip((COLUMNS - SEED) / 2).take(SEED);
         let sum: u32 = middle.map(|&pixel| u32::from(pixel)).sum();
@@ -142,8 +153,8 @@ impl Floor {
     }
 }
 
-/// The floor of a whole image of [`COLUMNS`] x [`LINES`] pixels, the top line first:
-/// [`Floor::distances`] of it.
+/// The floor of a whole image of [`COLUMNS`] x [`LINES`] pixels, top line first: its
+/// [`Floor::distances`].
 ///
 /// # Errors
 /// [`ImageSizeError`].
@@ -161,7 +172,7 @@ pub fn floor_distances(image: &[u8], config: FloorConfig) -> Result<[u8; COLUMNS
     Ok(floor.distances())
 }
 
-/// Grows the floor by one line. By itself, so that all of the loop stays in registers.
+/// Grows the floor by one line. A separate function, to keep the whole loop in registers.
 #[inline(never)]
 fn grow(columns: &mut [Column; COLUMNS], line: &[u8; COLUMNS], band: u32, lines: u8) {
     for (column, &pixel) in columns.iter_mut().zip(line) {
@@ -173,8 +184,8 @@ fn grow(columns: &mut [Column; COLUMNS], line: &[u8; COLUMNS], band: u32, lines:
     }
 }
 
-/// The level of the floor after a pixel; `None` if the pixel is further from it than half of
-/// `band`, and none of the floor.
+/// The level of the floor after a pixel; `None` if they differ by more than half of `band`, so that
+/// the pixel is not floor.
 fn followed(level: u16, pixel: u8, band: u32) -> Option<u16> {
     let off = (i32::from(pixel) << FRACTION) - i32::from(level);
     let near = off.wrapping_add((band / 2) as i32) as u32 <= band;
@@ -183,7 +194,7 @@ fn followed(level: u16, pixel: u8, band: u32) -> Option<u16> {
 
 /// The median of five.
 fn median(a: u8, b: u8, c: u8, d: u8, e: u8) -> u8 {
-    // The least and the greatest of the first four cannot be it.
+    // The minimum and the maximum of the first four can't be the median.
     let low = a.min(b).max(c.min(d));
     let high = a.max(b).min(c.max(d));
     low.min(high).max(e.min(low.max(high)))
@@ -196,7 +207,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Floor of grey 140 up to some line in each column, and something of 70 above it.
+    /// Floor with grey level 140 up to some line in each column, and level 70 above it.
     fn image(floor: impl Fn(usize) -> usize) -> Vec<u8> {
         let pixel =
             |line: usize, column: usize| if LINES - line <= floor(column) { 140 } else { 70 };
@@ -208,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn every_distance_is_told_up_to_the_last_line_and_no_further() {
+    fn every_distance_is_found_up_to_the_last_line_processed() {
         for floor in 1..=LINES {
             let found = distances(&image(|_| floor));
             assert_eq!(found, [floor.min(124) as u8; COLUMNS]);
@@ -218,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_narrower_than_three_columns_or_lines_does_not_end_the_floor() {
+    fn objects_narrower_than_three_columns_or_lines_do_not_end_the_floor() {
         let mut spoiled = image(|column| if (40..42).contains(&column) { 30 } else { 100 });
         spoiled[(LINES - 50) * COLUMNS..][..2 * COLUMNS].fill(10);
         assert_eq!(distances(&spoiled), [100; COLUMNS]);
@@ -228,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn the_floor_behind_an_object_at_the_bottom_is_none() {
+    fn there_is_no_floor_behind_an_object_at_the_bottom() {
         let found = distances(&image(|column| if column < 60 { 0 } else { 90 }));
         assert_eq!(found, core::array::from_fn(|column| if column < 60 { 0 } else { 90 }));
     }
@@ -253,11 +264,11 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn any_image_ends(
+        fn distances_of_any_image_are_bounded(
             bytes in proptest::collection::vec(any::<u8>(), COLUMNS * 3),
             tolerance in any::<u8>(), lines in any::<u8>(),
         ) {
-            // Lines of any kind in an order of any kind.
+            // Random lines in random order.
             let image: Vec<u8> = (0..LINES)
                 .flat_map(|line| {
                     let from = usize::from(bytes[line]) % (2 * COLUMNS);

@@ -1,4 +1,4 @@
-//! A line of a tilted camera's frame in the columns of a level camera in the same place.
+//! Resamples a line of a tilted camera's frame to the columns of a level camera at the same place.
 
 use libm::roundf;
 
@@ -7,25 +7,26 @@ use super::{
     validity::Validity,
 };
 
-/// Pixels from one whose ray is worked out to the next.
+/// Distance between pixels whose rays are computed exactly.
 const STRIDE: usize = 32;
 
-/// Fractional bits of rays, and of places in a line.
+/// Fractional bits of rays and of positions in a line.
 const RAY_BITS: u32 = 14;
 const RAY_ONE: i32 = 1 << RAY_BITS;
 
-/// The columns of a level camera: how far ahead each meets a height, and how closely.
+/// The columns of a level camera: the depth at which each meets a height, and with what error.
 pub(super) struct LevelRow<'b> {
-    /// In millimetres; 0 where nothing meets it.
+    /// In millimetres; 0 for none.
     pub(super) readings: &'b mut [u16],
-    /// Millimetres by which the reading misses the height; what is no better does not count.
+    /// Vertical distance of each reading from the height, in millimetres; only better pixels
+    /// replace it.
     pub(super) misses: &'b mut [u16],
 }
 
 impl LevelRow<'_> {
-    /// Holds the pixels of a line against a height that lies `below` millimetres below the
-    /// camera, give or take `tolerance`. Where they look is worked out for one in 32, and
-    /// taken to change evenly in between, which it does to within a fifth of a pixel.
+    /// Compares the pixels of a line with a height `below` millimetres below the camera, within
+    /// `tolerance`. Rays are computed for every 32nd pixel and interpolated in between, with an
+    /// error below a fifth of a pixel.
     pub(super) fn hold(
         &mut self,
         (rays, row): (&Rays, u16),
@@ -48,7 +49,7 @@ impl LevelRow<'_> {
         }
     }
 
-    /// Looks at the pixels between two whose rays have been worked out.
+    /// Processes the pixels between two exact rays.
     fn follow(&mut self, mut walk: Walk, depths: &[u16], below: i32, validity: &Validity) {
         let beyond = walk.beyond.min(self.readings.len()).min(self.misses.len());
         let columns = walk.first..beyond;
@@ -69,10 +70,10 @@ impl LevelRow<'_> {
     }
 }
 
-/// A pixel of a line whose ray has been worked out.
+/// A pixel of a line with its exact ray.
 struct Knot {
     pixel: f32,
-    /// The column of the level camera that it falls into.
+    /// The level camera's column in which it appears.
     column: f32,
     ray: Ray,
 }
@@ -81,12 +82,12 @@ impl Knot {
     fn new(rays: &Rays, pixel: usize, row: u16) -> Option<Self> {
         let pixel = pixel as f32;
         let ray = rays.at(pixel, f32::from(row))?;
-        // What looks more steeply meets heights only underneath, and its products would not fit.
+        // Steeper rays meet heights only right below the camera, and would overflow the arithmetic.
         let is_flat = ray.forward > 0.1 && ray.forward < 1.9 && ray.down.abs() < 1.9;
         is_flat.then(|| Self { pixel, column: rays.level_column(&ray), ray })
     }
 
-    /// Whether a pixel between two knots that counts can lie in a band below the camera.
+    /// Whether a valid pixel between two knots can lie in a height band below the camera.
     fn may_meet(&self, other: &Self, band: (i32, i32), validity: &Validity) -> bool {
         let (upper, lower) = (self.ray.down.min(other.ray.down), self.ray.down.max(other.ray.down));
         let (near, far) = (f32::from(validity.nearest), f32::from(validity.farthest));
@@ -95,7 +96,7 @@ impl Knot {
     }
 }
 
-/// The way through the level camera's columns from knot to knot.
+/// The path through the level camera's columns from knot to knot.
 struct Walk {
     first: usize,
     beyond: usize,
@@ -104,7 +105,7 @@ struct Walk {
     down: Ramp,
 }
 
-/// What changes evenly from column to column, in 1/16,384.
+/// A value interpolated linearly from column to column, in 1/16,384.
 struct Ramp {
     here: i32,
     step: i32,
@@ -117,8 +118,8 @@ impl Ramp {
 }
 
 impl Walk {
-    /// From a knot up to the next one, without it if there is another after it. `None` where the
-    /// columns do not go from left to right.
+    /// From a knot to the next one, exclusive unless that is the last. `None` where the columns do
+    /// not increase.
     fn between(start: &Knot, end: &Knot, is_last: bool) -> Option<Self> {
         let span = end.column - start.column;
         let first = roundf(start.column).max(0.0);

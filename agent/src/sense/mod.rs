@@ -1,8 +1,8 @@
-//! From a depth frame, or a sensor's readings, to a range scan that waits for its pose.
+//! From a depth frame or a sensor's readings to a range scan that waits for its pose.
 //!
-//! A frame is cut by a [`Slicer`] to one reading for each column; where each reading points is a
-//! table of [`Beam`]s, filled once; [`Validity`] says which readings count, [`Steadiness`] which
-//! scans.
+//! A [`Slicer`] reduces a frame to one reading per column; a table of [`Beam`]s, computed once,
+//! gives the direction of each reading; [`Validity`] decides which readings are valid,
+//! [`Steadiness`] which scans are sharp.
 
 mod beams;
 mod camera;

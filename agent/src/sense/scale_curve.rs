@@ -1,10 +1,13 @@
-//! From pixels of free floor to a distance (Ahmed 2.3): equations 1 and 2, and curves of one's own.
+//! From pixels of free floor to a distance (Ahmed 2.3): equations 1 and 2, and curves fitted to
+//! other tables.
 
-/// Coefficients of the curve: it is of fourth degree, as equation 1.
+use core::fmt;
+
+/// Number of coefficients: the curve is of fourth degree, like equation 1.
 const TERMS: usize = 5;
 
-/// Table 1 of Ahmed: pixels of free floor (d_r), and the distance to the object in pixels of the
-/// ceiling camera (d_c). The scale factor of its third column is their quotient.
+/// Ahmed's table 1: pixels of free floor (d_r), and the distance to the object in pixels of the
+/// ceiling camera (d_c). The scale factor in its third column is their quotient.
 pub const TABLE_1: [(u8, f32); 10] = [
     (62, 74.0),
     (69, 83.0),
@@ -18,19 +21,19 @@ pub const TABLE_1: [(u8, f32); 10] = [
     (121, 254.0),
 ];
 
-/// The scale factor alpha by the pixels of free floor in a column, within the pixels that were
-/// measured. Outside it says nothing: a polynomial leaves its data there.
+/// The scale factor alpha as a function of the pixels of free floor in a column, within the
+/// measured range. Outside it there is no value: a polynomial diverges from its data there.
 ///
-/// The polynomial stands in a basis `p_0 = 1`, `p_(k+1) = (x - shift_k) p_k - damping_k p_(k-1)`.
-/// With shifts and dampings of zero these are the powers of x; [`ScaleCurve::fit`] chooses those
-/// for which the p_k are orthogonal over the table, which is what lets it work in `f32`.
+/// The polynomial is in a basis `p_0 = 1`, `p_(k+1) = (x - shift_k) p_k - damping_k p_(k-1)`. With
+/// all shifts and dampings zero these are the powers of x; [`ScaleCurve::fit`] chooses them so that
+/// the p_k are orthogonal over the table, so that `f32` suffices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScaleCurve {
-    /// Pixels at which x is zero, and for which it grows by one.
+    /// The pixels at which x is zero, and the pixels by which x grows by one.
     centre: f32,
     spread: f32,
     terms: [Term; TERMS],
-    /// The pixels that were measured, both included.
+    /// The measured range of pixels, inclusive.
     first: u8,
     last: u8,
 }
@@ -49,22 +52,42 @@ impl Term {
     }
 }
 
-/// Why no curve was fitted.
+/// Why a table can't be fitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScaleError {
-    /// A curve has five coefficients: the table must have as many rows.
+    /// The table has fewer than five rows, one for each coefficient.
     TooShort,
-    /// A row does not lie beyond the one before it, or is no distance: its index.
+    /// The row at this index is not beyond the one before it, or is not a distance.
     Row(usize),
-    /// The curve that lies nearest to the table comes back at this many pixels, where more free
-    /// floor would be a shorter distance.
+    /// The fitted curve is not monotonic: at this number of pixels more free floor would give a
+    /// shorter distance.
     Turns(u8),
 }
 
+impl fmt::Display for ScaleError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::TooShort => {
+                write!(f, "the scale table has fewer than {TERMS} rows")
+            }
+            Self::Row(row) => {
+                write!(
+                    f,
+                    "row {row} of the scale table (counted from 0) is not beyond the previous one, or not a distance"
+                )
+            }
+            Self::Turns(pixels) => {
+                write!(f, "the fitted scale curve is not monotonic at {pixels} pixels")
+            }
+        }
+    }
+}
+
+impl core::error::Error for ScaleError {}
+
 impl ScaleCurve {
     /// Equation 1 as printed, for distances in pixels of the ceiling camera. Its coefficients are
-    /// rounded: it stays 0.04 to 0.09 below table 1, to which a [`ScaleCurve::fit`] is within
-    /// 0.03.
+    /// rounded: it is 0.04 to 0.09 below table 1, where a [`ScaleCurve::fit`] is within 0.03.
     pub const EQUATION_1: Self = Self {
         centre: 0.0,
         spread: 1.0,
@@ -79,13 +102,13 @@ impl ScaleCurve {
         last: 121,
     };
 
-    /// The curve of fourth degree that lies nearest to a table (least squares of the scale
-    /// factor). Each row holds the pixels of free floor in the middle column and the distance to
-    /// the object there, in any unit: the curve's distances are in the same. Both grow from row
-    /// to row. One pass over the table for each of the five coefficients.
+    /// Fits a curve of fourth degree to a table (least squares of the scale factor). Each row holds
+    /// the pixels of free floor in the middle column and the distance to the object there, in any
+    /// unit; the curve uses the same unit. Both must increase from row to row. Takes one pass over
+    /// the table for each of the five coefficients.
     ///
     /// # Errors
-    /// Every [`ScaleError`].
+    /// [`ScaleError`].
     pub fn fit(table: &[(u8, f32)]) -> Result<Self, ScaleError> {
         let (Some(&(first, _)), Some(&(last, _))) = (table.first(), table.last()) else {
             return Err(ScaleError::TooShort);
@@ -110,7 +133,8 @@ impl ScaleCurve {
         };
         let mut norm_before = 1.0;
         for degree in 0..TERMS {
-            // Of p_k with itself, with x p_k, and with what the terms before it leave.
+            // The inner products of p_k with itself, with x p_k, and with the residual of the
+            // previous terms.
             let (mut norm, mut moment, mut rest) = (0.0, 0.0, 0.0);
             for &(pixels, distance) in table {
                 let (Some(x), Some(alpha)) = (curve.x(pixels), curve.alpha(pixels)) else {
@@ -137,8 +161,8 @@ impl ScaleCurve {
         }
     }
 
-    /// The same curve for distances in another unit, of which one of its own are `factor`: of
-    /// [`ScaleCurve::EQUATION_1`], millimetres of floor for each pixel of the ceiling camera.
+    /// The same curve for distances in another unit, multiplied by `factor`: for
+    /// [`ScaleCurve::EQUATION_1`], millimetres of floor per pixel of the ceiling camera.
     pub fn scaled(mut self, factor: f32) -> Self {
         for term in &mut self.terms {
             term.coefficient *= factor;
@@ -146,34 +170,33 @@ impl ScaleCurve {
         self
     }
 
-    /// The scale factor (equation 1); `None` outside the pixels that were measured.
+    /// The scale factor (equation 1); `None` outside the measured range.
     pub fn alpha(&self, pixels: u8) -> Option<f32> {
         let x = self.x(pixels)?;
         Some(self.basis(x).map(|(term, p, _)| term.coefficient * p).sum())
     }
 
-    /// The distance (equation 2) in the unit of the table; `None` outside the pixels that were
-    /// measured.
+    /// The distance (equation 2) in the table's unit; `None` outside the measured range.
     pub fn distance(&self, pixels: u8) -> Option<f32> {
         Some(self.alpha(pixels)? * f32::from(pixels))
     }
 
-    /// What one pixel more or less changes about the distance: alpha + d_r d(alpha)/d(r).
+    /// The derivative of the distance by pixels: alpha + d_r d(alpha)/d(d_r).
     pub fn reach(&self, pixels: u8) -> Option<f32> {
         let x = self.x(pixels)?;
         let slope: f32 = self.basis(x).map(|(term, _, slope)| term.coefficient * slope).sum();
         Some(self.alpha(pixels)? + f32::from(pixels) * slope / self.spread)
     }
 
-    /// How much a boundary at so many pixels is worth, 0 to 1: an error of a pixel moves it by
-    /// [`ScaleCurve::reach`], and the weight is the inverse of that, 1 at the near end of the
-    /// curve. `None` outside the pixels that were measured.
+    /// The weight of a boundary at `pixels`, 0 to 1: an error of one pixel moves it by
+    /// [`ScaleCurve::reach`], and the weight is inverse to that, with 1 at the near end of the
+    /// curve. `None` outside the measured range.
     pub fn weight(&self, pixels: u8) -> Option<f32> {
         Some((self.reach(self.first)? / self.reach(pixels)?).min(1.0))
     }
 
-    /// How far boundaries are worth at least half, in the unit of the table: beyond, a pixel more or
-    /// less changes the distance more than twice as much as at the near end of the curve.
+    /// The distance up to which the weight is at least 0.5, in the table's unit: beyond, one pixel
+    /// changes the distance more than twice as much as at the near end of the curve.
     pub fn near(&self) -> f32 {
         let is_near = |&pixels: &u8| self.weight(pixels).is_some_and(|weight| weight >= 0.5);
         let near = (self.first..=self.last).take_while(is_near);
@@ -185,7 +208,7 @@ impl ScaleCurve {
         measured.then(|| (f32::from(pixels) - self.centre) / self.spread)
     }
 
-    /// Each term with its p_k and the slope of that, at x.
+    /// Each term with the value and the slope of its p_k at x.
     fn basis(&self, x: f32) -> impl Iterator<Item = (Term, f32, f32)> {
         let (mut p, mut slope) = (1.0, 0.0);
         let (mut p_before, mut slope_before) = (0.0, 0.0);
@@ -217,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn table_1_is_the_quotient_that_is_printed() {
+    fn table_1_has_the_printed_quotients() {
         for ((pixels, distance), alpha) in TABLE_1.into_iter().zip(PRINTED) {
             assert!((distance / f32::from(pixels) - alpha).abs() < 0.006, "{pixels}");
         }
@@ -228,7 +251,7 @@ mod tests {
         for error in errors(&ScaleCurve::EQUATION_1) {
             assert!((-0.0897..=-0.0413).contains(&error), "{error}");
         }
-        // Equation 1 by another way, in the order of its terms.
+        // An independent evaluation of equation 1, in the order of its terms.
         for d in 62..=121u8 {
             let r = f64::from(d);
             let printed =
@@ -239,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fit_of_table_1_is_three_times_as_good() {
+    fn a_fit_of_table_1_has_a_third_of_the_error() {
         let curve = ScaleCurve::fit(&TABLE_1).unwrap();
         let worst = errors(&curve).into_iter().map(f32::abs).fold(0.0, f32::max);
         assert!(worst < 0.0897 / 3.0, "{worst}");
@@ -254,7 +277,7 @@ mod tests {
             assert_eq!(curve.weight(62), Some(1.0));
             assert!(curve.weight(121).unwrap() < 0.25);
             for pixels in 63..=120 {
-                // The slope by differences, in f64 to keep their digits.
+                // The slope by differences, in f64 for precision.
                 let at = |pixels| f64::from(curve.distance(pixels).unwrap());
                 let slope = (at(pixels + 1) - at(pixels - 1)) / 2.0;
                 let reach = f64::from(curve.reach(pixels).unwrap());
@@ -269,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_that_make_no_curve_are_refused() {
+    fn tables_without_a_valid_curve_are_refused() {
         assert_eq!(ScaleCurve::fit(&[]), Err(ScaleError::TooShort));
         assert_eq!(ScaleCurve::fit(&TABLE_1[..4]), Err(ScaleError::TooShort));
         let with = |index: usize, row| {
@@ -291,7 +314,7 @@ mod tests {
     }
 
     proptest! {
-        /// A camera at some height that looks down on a floor, whose horizon is so many lines up.
+        /// A camera at a random height, looking down on a floor, with a random horizon.
         #[test]
         fn the_fit_is_no_worse_than_any_curve_nearby(
             pixels in proptest::collection::btree_set(20u8..120, 6..30),
@@ -325,7 +348,7 @@ mod tests {
         }
 
         #[test]
-        fn any_table_ends(table in proptest::collection::vec((any::<u8>(), any::<f32>()), 0..40)) {
+        fn any_table_gives_a_finite_curve_or_an_error(table in proptest::collection::vec((any::<u8>(), any::<f32>()), 0..40)) {
             if let Ok(curve) = ScaleCurve::fit(&table) {
                 for pixels in 0..=255 {
                     prop_assert!(curve.distance(pixels).is_none_or(|it| it.is_finite()));

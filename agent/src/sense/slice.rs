@@ -1,4 +1,6 @@
-//! Plane slicing: a depth frame becomes one row of readings (Aluckal II.A).
+//! Plane slicing: reduces a depth frame to one row of readings (Aluckal II.A).
+
+use core::fmt;
 
 use ubimap_protocol::units::Millimetres;
 
@@ -9,70 +11,94 @@ use super::{
     validity::Validity,
 };
 
-/// The rows of which a median can be taken.
+/// Maximum number of rows for a median.
 const MEDIAN_ROWS: usize = 5;
 
-/// Which part of a frame is mapped.
+/// Which part of a frame is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slice {
-    /// One row: the paper's. On a tilted camera only [`Camera::level_row`] is a level slice.
+    /// One row, as in the paper. On a tilted camera only [`Camera::level_row`] is a level slice.
     Row(u16),
-    /// Several rows, of which each column gives one reading. Their points are taken to lie where
-    /// the middle row looks.
+    /// Several rows, with one reading per column. The points are assigned to the direction of the
+    /// middle row.
     Band {
         /// The uppermost row.
         first: u16,
-        /// How many.
+        /// Number of rows.
         rows: u16,
-        /// Which reading.
+        /// Which reading of each column.
         pick: Pick,
     },
-    /// The pixels that meet a height, of a camera however tilted. Which row that is depends on
-    /// the depth: a point at a depth of `Z` lies `Z * (sin pitch + cos pitch * (row - cy) / fy)`
-    /// below the camera. So every pixel is held against the height, and each column keeps the one
-    /// that comes closest. As the columns of a tilted image do not stand upright, pixels are put
-    /// into the columns of a level camera in the same place. It sees at that height what a lidar
-    /// would see there, but for what hides behind something else.
+    /// The pixels at a given height, for a camera with any tilt. Their row depends on the depth: a
+    /// point at a depth of `Z` lies `Z * (sin pitch + cos pitch * (row - cy) / fy)` below the
+    /// camera. So every pixel is compared with the height, and each column keeps the closest. As
+    /// the columns of a tilted image are not vertical, pixels are assigned to the columns of a
+    /// level camera at the same place. The result is what a lidar at that height would see, except
+    /// for what is occluded.
     Height {
-        /// How far the height lies below the camera, negative above it.
+        /// Depth of the height below the camera; negative above it.
         below: Millimetres,
-        /// How far from it a point may lie. At least half of what a row is wide at the farthest
-        /// depth (`Z / fy / 2`), lest surfaces fall between two rows.
+        /// Maximum vertical distance of a point from the height. At least half the width of a row
+        /// at the maximum depth (`Z / fy / 2`), or surfaces fall between two rows.
         tolerance: Millimetres,
     },
 }
 
-/// Which reading of several in a column.
+/// Which of several readings in a column to use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pick {
-    /// The nearest: what a robot as high as the band would touch first.
+    /// The nearest: the first thing that a robot as high as the band would touch.
     Nearest,
-    /// The one in the middle (of two, the nearer), of at most five rows: less noise.
+    /// The median (of two, the nearer) of at most five rows: less noise.
     Median,
 }
 
 /// Why a frame can't be sliced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SliceError {
-    /// A line has another number of readings than there are columns.
+    /// The line's length differs from the configured width.
     Width {
-        /// Readings that it must have.
+        /// Number of readings required.
         expected: usize,
-        /// Readings that it has.
+        /// Number of readings received.
         found: usize,
     },
-    /// The buffer is too short; it must have this many readings.
+    /// The buffer is too short; it needs this many readings.
     Buffer(usize),
-    /// A band of no rows, or a median of more than five.
+    /// A band without rows, or a median of more than five.
     Rows(u16),
-    /// A line that does not come after the one before it.
+    /// This line is not after the previous one.
     Order(u16),
-    /// The frame ended before the slice did; so many of its rows are missing.
+    /// The frame ended with this many rows of the slice missing.
     Incomplete(u16),
 }
 
+impl fmt::Display for SliceError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Width { expected, found } => {
+                write!(f, "the line has {found} readings instead of {expected}")
+            }
+            Self::Buffer(needed) => {
+                write!(f, "the slicer's buffer is too short: it needs {needed} readings")
+            }
+            Self::Rows(rows) => {
+                write!(f, "a slice can't have {rows} rows (a median at most {MEDIAN_ROWS})")
+            }
+            Self::Order(row) => {
+                write!(f, "line {row} is not after the previous one")
+            }
+            Self::Incomplete(missing) => {
+                write!(f, "the frame ended with {missing} rows of the slice missing")
+            }
+        }
+    }
+}
+
+impl core::error::Error for SliceError {}
+
 impl Slice {
-    /// What its readings mean: for [`Config::sensor`](crate::Config::sensor).
+    /// The geometry of its readings, for [`Config::sensor`](crate::Config::sensor).
     pub fn sensor(self, camera: Camera) -> SensorModel {
         match self {
             Self::Row(row) => SensorModel::Row { camera, row: f32::from(row) },
@@ -86,7 +112,7 @@ impl Slice {
         }
     }
 
-    /// Readings that a slicer's buffer must have for frames of this width.
+    /// Size of a slicer's buffer for frames of this width, in readings.
     pub const fn buffer_len(self, width: usize) -> usize {
         match self {
             Self::Row(_) | Self::Band { pick: Pick::Nearest, .. } => width,
@@ -95,7 +121,7 @@ impl Slice {
         }
     }
 
-    /// The rows that it needs; those of a height may be any.
+    /// First row and number of rows required; for a height all rows.
     fn rows(self) -> (u16, u16) {
         match self {
             Self::Row(row) => (row, 1),
@@ -105,7 +131,7 @@ impl Slice {
     }
 }
 
-/// Slices frames that come line by line, so that none is ever held whole:
+/// Slices frames line by line, so that no frame is ever held whole:
 ///
 /// ```
 /// # use ubimap_agent::sense::{Camera, Pick, Slice, Slicer, Validity};
@@ -122,7 +148,7 @@ impl Slice {
 /// # Ok::<(), ubimap_agent::sense::SliceError>(())
 /// ```
 ///
-/// A row of a frame that lies in memory needs no slicer: `Robot::scan` borrows it.
+/// A row of a frame in memory needs no slicer: pass it to `Robot::scan` directly.
 #[derive(Debug)]
 pub struct Slicer<'b> {
     slice: Slice,
@@ -130,15 +156,14 @@ pub struct Slicer<'b> {
     width: usize,
     validity: Validity,
     buffer: &'b mut [u16],
-    /// The row that may come next; `None` before the first one of a frame.
+    /// The minimum index of the next row; `None` before the first row of a frame.
     next: Option<u16>,
-    /// Rows of the slice that have come.
+    /// Number of rows of the slice received.
     taken: u16,
 }
 
 impl<'b> Slicer<'b> {
-    /// A slicer of frames that are `width` pixels wide. What is out of `validity`'s range
-    /// or removed by it is never picked.
+    /// A slicer for frames `width` pixels wide. Readings that `validity` excludes are never picked.
     ///
     /// # Errors
     /// [`SliceError::Buffer`], [`SliceError::Rows`].
@@ -160,12 +185,12 @@ impl<'b> Slicer<'b> {
         Ok(Self { slice, rays, width, validity, buffer, next: None, taken: 0 })
     }
 
-    /// Takes a line of the frame: depths in millimetres, 0 where there is none. Lines come from
-    /// the top; those that the slice does not need may be left out. The others cost a Cortex-M4
-    /// about 25 instructions a pixel for the nearest, 55 for a median and 65 for a height.
+    /// Processes a line of the frame: depths in millimetres, 0 for none. Lines come from the top;
+    /// lines outside the slice may be skipped. Cost on a Cortex-M4: about 25 instructions per pixel
+    /// for the nearest, 55 for a median, 65 for a height.
     ///
     /// # Errors
-    /// [`SliceError::Width`], [`SliceError::Order`]; the line is then as good as lost.
+    /// [`SliceError::Width`], [`SliceError::Order`]; the line is ignored.
     pub fn line(&mut self, row: u16, readings: &[u16]) -> Result<(), SliceError> {
         if readings.len() != self.width {
             return Err(SliceError::Width { expected: self.width, found: readings.len() });
@@ -190,7 +215,7 @@ impl<'b> Slicer<'b> {
             (Slice::Row(_), Some(_)) => copy(self.buffer, readings),
             (Slice::Band { pick: Pick::Nearest, .. }, Some(_)) => {
                 for (nearest, &reading) in self.buffer.iter_mut().zip(readings) {
-                    // 0, which is no reading, is the farthest here.
+                    // The wrapping makes 0, no reading, the farthest.
                     if self.validity.counts(reading) && reading <= nearest.wrapping_sub(1) {
                         *nearest = reading;
                     }
@@ -205,7 +230,7 @@ impl<'b> Slicer<'b> {
         Ok(())
     }
 
-    /// Takes a whole frame, row after row.
+    /// Slices a whole frame, row by row.
     ///
     /// # Errors
     /// [`SliceError::Width`] if its last line is shorter than the others,
@@ -218,8 +243,8 @@ impl<'b> Slicer<'b> {
         self.finish()
     }
 
-    /// The readings of the frame that ends here, one for each column; the next line begins
-    /// another frame. They still are to be held against [`Validity`], which the robot does.
+    /// The readings of the finished frame, one per column; the next line begins another frame.
+    /// [`Validity`] has not been applied to them yet; the robot does that.
     ///
     /// # Errors
     /// [`SliceError::Incomplete`]
@@ -246,7 +271,7 @@ impl<'b> Slicer<'b> {
         }
     }
 
-    /// Leaves the median of each column in the first row.
+    /// Computes the median of each column into the first row.
     fn median(&mut self) {
         for column in 0..self.width {
             let mut count = 0_usize;
@@ -264,7 +289,7 @@ impl<'b> Slicer<'b> {
     }
 }
 
-/// Five readings in order, by the shortest network that sorts so many.
+/// Sorts five readings by the shortest sorting network.
 fn sorted([a, b, c, d, e]: [u16; MEDIAN_ROWS]) -> [u16; MEDIAN_ROWS] {
     let order = |a: u16, b: u16| (a.min(b), a.max(b));
     let ((a, b), (d, e)) = (order(a, b), order(d, e));
@@ -291,11 +316,11 @@ mod tests {
     use proptest::prelude::*;
 
     const CAMERA: Camera = Camera::new((343.1, 343.1), (319.5, 239.5));
-    /// How high a camera of these tests is mounted, in millimetres.
+    /// Mounting height of the cameras in these tests, in millimetres.
     const MOUNTED: f64 = 300.0;
 
-    /// The depths of a frame of a room: a floor, and a vertical wall whose nearest point is
-    /// `distance` mm away at `bearing`; without the wall where it is `None`.
+    /// The depths of a frame: a floor, and a vertical wall whose nearest point is `distance` mm
+    /// away at `bearing`, or no wall if `None`.
     fn frame(
         camera: Camera,
         (width, height): (usize, usize),
@@ -325,13 +350,13 @@ mod tests {
     }
 
     #[test]
-    fn a_row_is_that_row() {
+    fn a_row_slice_is_that_row() {
         let frame: Vec<u16> = (0..12).collect();
         assert_eq!(slice(Slice::Row(1), CAMERA, 4, &frame), [4, 5, 6, 7]);
     }
 
     #[test]
-    fn a_band_gives_the_nearest_or_the_median_of_what_came_back() {
+    fn a_band_gives_the_nearest_or_the_median_of_its_returns() {
         let frame = [
             [7, 0, 9, 30_000, 0, 1],
             [500, 0, 700, 900, 300, 1_200],
@@ -346,8 +371,8 @@ mod tests {
     }
 
     #[test]
-    fn the_network_sorts() {
-        // A network that sorts every order of zeros and ones sorts everything.
+    fn the_sorting_network_sorts() {
+        // A network that sorts every sequence of zeros and ones sorts everything.
         for bits in 0..32u16 {
             let row = [0, 1, 2, 3, 4].map(|place| bits >> place & 1);
             let mut expected = row;
@@ -357,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_the_wrong_form_are_refused_and_the_next_one_is_read() {
+    fn malformed_frames_are_refused_and_the_next_frame_is_read() {
         let camera = CAMERA;
         let band = |rows, pick| Slice::Band { first: 1, rows, pick };
         let mut buffer = [0; 9];
@@ -382,10 +407,10 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(30))]
 
-        /// However the camera is tilted and whatever its lens: at every height the wall stands
-        /// where a level camera in its place would see it.
+        /// With any tilt and lens, a slice at any height shows the wall where a level camera at the
+        /// same place would see it.
         #[test]
-        fn a_height_meets_the_wall_where_it_stands(
+        fn a_height_slice_shows_the_wall_where_it_stands(
             pitch in -0.1f32..0.5, roll in -0.2f32..0.2,
             k1 in -0.15f32..0.15, p1 in -0.002f32..0.002,
             distance in 900.0f64..2_500.0, bearing in -0.3f64..0.3, below in -50i32..250,
@@ -399,21 +424,21 @@ mod tests {
                 let aside = (319.5 - column as f64) / 343.1;
                 let facing = bearing.cos() + aside * bearing.sin();
                 let truth = distance / facing;
-                // What is rounded, and one pixel of a wall that is seen at a slant.
+                // Tolerance: rounding, and one pixel of a wall seen at a slant.
                 let pixel = truth * (bearing.sin() / facing).abs() / 343.1;
                 prop_assert!(
                     (f64::from(reading) - truth).abs() < 3.0 + 1.2 * pixel,
-                    "column {column}: {reading} where {truth} is"
+                    "column {column}: {reading} instead of {truth}"
                 );
             }
-            // No column is left out of which a pixel meets the height.
+            // Every column with a pixel at the height has a reading.
             let rays = Rays::new(camera, 640);
             for (index, &depth) in frame.iter().enumerate().filter(|(_, depth)| **depth != 0) {
                 let (column, row) = (index % 640, index / 640);
                 let ray = rays.at(column as f32, row as f32).unwrap();
                 let off = f64::from(ray.down) * f64::from(depth) - f64::from(below);
                 let level = rays.level_column(&ray);
-                // At the very edge the middle of the column may lie beside the image.
+                // At the very edge the centre of the column may lie outside the image.
                 let is_shown = (1..639).contains(&column) && (0.0..639.0).contains(&level);
                 if off.abs() < 5.0 && is_shown {
                     prop_assert_ne!(readings[level.round() as usize], 0, "column {}", level);
@@ -423,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn a_floor_is_no_wall() {
+    fn a_height_slice_ignores_the_floor() {
         let camera = Camera { pitch: 0.3, ..CAMERA };
         let frame = frame(camera, (640, 480), None);
         let at = |below| {
@@ -443,14 +468,14 @@ mod tests {
         assert_eq!(slice(band, small, 8, &depths), [1_500; 8]);
         let height = Slice::Height { below: Millimetres(100), tolerance: Millimetres(80) };
         assert_eq!(slice(height, small, 8, &depths), [1_500; 8]);
-        // 100 x 100 pixels over 78 degrees, looking 20 degrees down.
+        // 100 x 100 pixels over 78 degrees, tilted 20 degrees down.
         let tilted = Camera { pitch: 0.35, ..Camera::new((61.7, 61.7), (49.5, 49.5)) };
         let depths = frame(tilted, (100, 100), Some((1_500.0, 0.0)));
         let height = Slice::Height { below: Millimetres(200), tolerance: Millimetres(20) };
         let readings = slice(height, tilted, 100, &depths);
-        // The outermost columns of the level camera lie beside the image at this height.
+        // At this height the outermost columns of the level camera lie outside the image.
         assert!(readings[1..99].iter().all(|&it| it.abs_diff(1_500) <= 2), "{readings:?}");
-        // The row on the axis meets the floor instead.
+        // The row on the optical axis meets the floor instead.
         let axis = slice(Slice::Row(50), tilted, 100, &depths);
         assert!(axis.iter().all(|&reading| reading < 900));
     }

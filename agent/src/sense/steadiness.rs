@@ -6,67 +6,66 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
-/// Odometry closer together than this says too little of turning.
-const BRIEFEST: Duration = Duration::from_millis(20);
-/// Odometry closer together than this says too little of speeds: its millimetres are whole.
-const SHORTEST: Duration = Duration::from_millis(100);
-/// Odometry further apart says nothing of what happened in between.
-const LONGEST: Duration = Duration::from_secs(1);
-/// A jolt goes on shaking for so long, and the frame that it spoils may have been begun before.
+/// Minimum interval of odometry to measure the turn rate.
+const MIN_TURN_SPAN: Duration = Duration::from_millis(20);
+/// Minimum interval of odometry to measure the speed: its unit is a millimetre.
+const MIN_SPEED_SPAN: Duration = Duration::from_millis(100);
+/// Maximum interval of odometry: beyond, the motion in between is unknown.
+const MAX_SPAN: Duration = Duration::from_secs(1);
+/// Duration for which a jolt spoils frames, before and after it.
 const RINGING: Duration = Duration::from_millis(50);
-/// Times of shaking that are remembered: scans wait for their poses for a second or two.
+/// Number of shaken intervals remembered: scans wait a second or two for their poses.
 const REMEMBERED: usize = 8;
 
-/// Faster than this, and a frame is not mapped: it is smeared, and the moment it was taken is not
-/// known well enough to say where it looked (a limit that the paper states, Aluckal III.C).
+/// Limits beyond which a frame is not mapped: it is smeared, and its time is not known exactly
+/// enough to give its direction (a limit stated by the paper, Aluckal III.C).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SteadyLimits {
-    /// Turning further than this in a second, either way; less than a whole turn.
+    /// Maximum turn rate, as the angle in one second in either direction; less than a whole turn.
     pub turn: Angle,
-    /// Gaining or losing more than this in a second: mm/s^2.
+    /// Maximum acceleration or deceleration, in mm/s^2.
     pub acceleration: Millimetres,
 }
 
 impl Default for SteadyLimits {
-    /// 90 degrees a second, in which a frame of 10 ms smears by a degree; and 3 m/s^2, more than
-    /// wheels do unless they bump into something.
+    /// 90 degrees/s, which smears a frame of 10 ms by one degree; and 3 m/s^2, which wheels exceed
+    /// only in a collision.
     fn default() -> Self {
         Self { turn: Angle(16_384), acceleration: Millimetres(3_000) }
     }
 }
 
-/// When the robot shook lately: from its odometry, and from a gyroscope if it has one.
+/// When the robot was shaken recently: detected by its odometry, and by a gyroscope if it has one.
 ///
-/// Odometry of whole millimetres tells a jolt a tenth of a second late. A scan whose pose is known
-/// at once, from odometry alone, may then be mapped already; a gyroscope or an accelerometer tells
-/// in time.
+/// Odometry in whole millimetres detects a jolt 0.1 s late. A scan whose pose is known at once, by
+/// odometry alone, may be mapped before that; a gyroscope or an accelerometer detects it in time.
 #[derive(Debug)]
 pub struct Steadiness {
     limits: SteadyLimits,
-    /// Where the odometry was last looked at, and the speed then: mm/s along x and y of `odom`.
+    /// The last odometry evaluated, and the speed then: mm/s along x and y of `odom`.
     last: Option<(Instant, Pose)>,
     speed: Option<(i64, i64)>,
-    /// From when to when it shook, oldest first.
+    /// Start and end of each shaken interval, oldest first.
     shaken: Deque<(Instant, Instant), REMEMBERED>,
 }
 
 impl Steadiness {
-    /// A robot that stands still.
+    /// At standstill.
     pub fn new(limits: SteadyLimits) -> Self {
         Self { limits, last: None, speed: None, shaken: Deque::new() }
     }
 
-    /// Takes a reading of the odometry.
+    /// Processes an odometry reading.
     pub fn odometry(&mut self, moment: Instant, pose: Pose) {
         let Some((since, from)) = self.last else {
             self.last = Some((moment, pose));
             return;
         };
         let span = moment.since(since);
-        if span < BRIEFEST {
+        if span < MIN_TURN_SPAN {
             return;
         }
-        if span > LONGEST {
+        if span > MAX_SPAN {
             (self.last, self.speed) = (Some((moment, pose)), None);
             return;
         }
@@ -75,7 +74,7 @@ impl Steadiness {
         if rate(i64::from(pose.heading.distance(from.heading))) > i64::from(self.limits.turn.0) {
             self.shook(since, moment);
         }
-        if span < SHORTEST {
+        if span < MIN_SPEED_SPAN {
             return;
         }
         self.last = Some((moment, pose));
@@ -89,20 +88,20 @@ impl Steadiness {
         }
     }
 
-    /// Takes a reading of a gyroscope about the vertical: how far the robot would turn in a
-    /// second, either way.
+    /// Processes a gyroscope reading: the turn rate about the vertical axis, as the magnitude of
+    /// the angle in one second.
     pub fn gyro(&mut self, moment: Instant, turn: Angle) {
         if turn.0 > self.limits.turn.0 {
             self.jolt(moment);
         }
     }
 
-    /// The robot was jolted: an accelerometer's interrupt, say, or a bumper's.
+    /// Records a jolt, for example from an accelerometer's or a bumper's interrupt.
     pub fn jolt(&mut self, moment: Instant) {
         self.shook(moment - RINGING, moment + RINGING);
     }
 
-    /// Whether the robot shook at a moment.
+    /// Whether the robot was shaken at a time.
     pub fn is_shaken(&self, moment: Instant) -> bool {
         self.shaken.iter().any(|&(from, to)| (from..=to).contains(&moment))
     }
@@ -117,7 +116,7 @@ impl Steadiness {
         if self.shaken.is_full() {
             self.shaken.pop_front();
         }
-        // There is room now.
+        // A place was freed above.
         let _ = self.shaken.push_back((from, to));
     }
 }
@@ -134,7 +133,7 @@ mod tests {
         Instant(millis * 1_000)
     }
 
-    /// Odometry at 50 Hz: from (ms, mm, degrees) to the next, evenly.
+    /// Odometry at 50 Hz, interpolated between (ms, mm, degrees).
     fn drive(path: &[(u64, f64, f64)]) -> Steadiness {
         let mut steadiness = Steadiness::new(SteadyLimits::default());
         for leg in path.windows(2) {
@@ -154,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn driving_and_turning_are_steady() {
+    fn normal_driving_and_turning_are_steady() {
         let path = [(0, 0.0, 0.0), (1_000, 250.0, 0.0), (2_000, 250.0, 85.0), (3_000, 500.0, 85.0)];
         assert_eq!(shaken(&drive(&path)), [0; 0]);
     }
@@ -168,14 +167,14 @@ mod tests {
 
     #[test]
     fn a_bump_shakes_for_a_moment() {
-        // From 600 mm/s to a stand.
+        // From 600 mm/s to standstill.
         let path = [(0, 0.0, 0.0), (1_000, 600.0, 0.0), (2_000, 600.0, 0.0)];
         let shaken = shaken(&drive(&path));
         assert!(!shaken.is_empty() && shaken.iter().all(|moment| (900..=1_200).contains(moment)));
     }
 
     #[test]
-    fn rare_odometry_says_nothing() {
+    fn sparse_odometry_detects_nothing() {
         let path: [(u64, f64, f64); 2] = [(0, 0.0, 0.0), (1_500, 9_000.0, 170.0)];
         let mut steadiness = Steadiness::new(SteadyLimits::default());
         for (millis, x, degrees) in path {
@@ -186,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gyroscope_and_jolts_count_and_the_oldest_are_forgotten() {
+    fn gyroscope_and_jolts_are_recorded_and_the_oldest_forgotten() {
         let mut steadiness = Steadiness::new(SteadyLimits::default());
         steadiness.gyro(at(1_000), Angle(16_384));
         assert_eq!(shaken(&steadiness), [0; 0]);
@@ -202,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn odometry_that_leaps_or_goes_back_in_time_is_survived() {
+    fn odometry_that_jumps_or_goes_back_in_time_is_harmless() {
         let mut steadiness = Steadiness::new(SteadyLimits::default());
         for (millis, x) in
             [(0, i32::MIN), (100, i32::MAX), (50, 0), (200, i32::MIN), (u64::MAX / 1_000, 0)]

@@ -1,39 +1,39 @@
-//! Which readings of a row count.
+//! Which readings of a row are valid.
 
 use core::mem;
 
 use super::beams::SensorModel;
 
-/// Which readings of a row count, in the sensor's own measure: depth for a camera, distance for a
-/// lidar. Any other is treated as if nothing had come back.
+/// Which readings of a row are valid, in the sensor's own measure: depth for a camera, distance for
+/// a lidar. All others are treated as no return.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Validity {
-    /// Nearer readings do not count, in millimetres.
+    /// Minimum reading, in millimetres.
     pub nearest: u16,
-    /// Farther readings do not count, in millimetres: the sensor can't measure them any more.
-    /// (What it can measure beyond the range of the map says that the way there is free.)
+    /// Maximum reading, in millimetres: the limit of the sensor. (Valid readings beyond the map's
+    /// range still show free space.)
     pub farthest: u16,
-    /// Readings from the first to the second, both included, are never mapped: the paper's
-    /// selective removal (Aluckal III.D) by distance. `(0, 0)` removes none.
+    /// Readings in this range, inclusive, are never mapped: the paper's selective removal (Aluckal
+    /// III.D) by distance. `(0, 0)` removes none.
     pub removed: (u16, u16),
     /// Flying pixels: at the edge of a near surface a camera reports depths between it and the
-    /// one behind. A reading that lies between its two neighbours, by more than so many
-    /// millimetres from either, is one. 0 lets all pass: for lidars, and for sensors with few
-    /// pixels, whose walls seen at a slant take as wide steps.
+    /// surface behind. A reading between its two neighbours that differs from each by more than
+    /// this distance, in millimetres, is one. 0 disables the check: for lidars, and for sensors
+    /// with few pixels, where slanted walls have steps of the same size.
     pub flying: u16,
 }
 
 impl Default for Validity {
-    /// All but 0 (no return) and 65,535 (a saturated measurement) count.
+    /// All but 0 (no return) and 65,535 (saturated).
     fn default() -> Self {
         Self { nearest: 1, farthest: u16::MAX - 1, removed: (0, 0), flying: 0 }
     }
 }
 
 impl Validity {
-    /// The usual one of a sensor. A camera's flying pixels do not count: those more than 150 mm
-    /// from both neighbours, or than a wall at 4 m that is seen at 7 degrees steps from column to
-    /// column.
+    /// The default for a sensor. For cameras it removes flying pixels: those that differ from both
+    /// neighbours by more than 150 mm, or by more than the step between columns on a wall at 4 m
+    /// seen at 7 degrees.
     pub fn of(sensor: SensorModel) -> Self {
         let focal = match sensor {
             SensorModel::Radial { .. } => return Self::default(),
@@ -43,15 +43,15 @@ impl Validity {
         Self { flying: (4_000.0 * 8.0 / focal).max(150.0) as u16, ..Self::default() }
     }
 
-    /// Sets to 0 what does not count, in one pass.
+    /// Sets invalid readings to 0, in one pass.
     ///
-    /// Readings close to the last one that was looked at closely need no look of their own: they
-    /// cost two and a half instructions each on a Cortex-M4, those that lie elsewhere a hundred.
+    /// Readings close to the last one checked in detail need no check of their own: they cost 2.5
+    /// instructions each on a Cortex-M4, others a hundred.
     pub fn clean(&self, readings: &mut [u16]) {
         let mut window = ReadingWindow::NO_RETURN;
-        // Around the last reading that counted: readings that do.
+        // An interval of valid readings around the last valid one.
         let mut interval = (1, 0);
-        // The reading before, as it came; 0 if it does not count.
+        // The previous reading, before cleaning; 0 if invalid.
         let mut before = 0;
         let mut rest = readings;
         while let Some(skipped) = window.first_outside(rest) {
@@ -62,7 +62,7 @@ impl Validity {
             before = inside.last().map_or(before, |&last| last);
             let (here, after) = (*reading, later.first());
             if here == 0 {
-                // Where nothing comes back, often much does not.
+                // Missing returns often come in runs.
                 let gap = later.iter().take_while(|&&reading| reading == 0).count();
                 (before, rest) = (0, later.get_mut(gap..).unwrap_or_default());
                 continue;
@@ -93,7 +93,7 @@ impl Validity {
         is_in_range && (reading < from || reading > to)
     }
 
-    /// The widest interval around a reading in which all count; `None` if it does not itself.
+    /// The widest interval of valid readings around a reading; `None` if it is invalid.
     fn counted(&self, reading: u16) -> Option<(u16, u16)> {
         let Self { nearest, farthest, removed: (from, to), .. } = *self;
         let nearest = nearest.max(1);
@@ -111,8 +111,8 @@ impl Validity {
         self.removed.1 >= self.removed.0.max(1)
     }
 
-    /// Whether the reading at `index` counts, as [`Validity::clean`] has it: for rows that are not
-    /// cleaned as a whole.
+    /// Whether the reading at `index` is valid, by the rules of [`Validity::clean`]: for rows that
+    /// are not cleaned as a whole.
     #[inline]
     pub(crate) fn counts_at(&self, readings: &[u16], index: usize, reading: u16) -> bool {
         if !self.counts(reading) {
@@ -124,7 +124,7 @@ impl Validity {
         !apart.is_some_and(|before| self.is_flying(before, reading, readings.get(index + 1)))
     }
 
-    /// Whether a reading that lies apart from the one before flies, given the one after.
+    /// Whether a reading far from the previous one is a flying pixel, given the next one.
     fn is_flying(&self, before: u16, reading: u16, after: Option<&u16>) -> bool {
         after.is_some_and(|&after| {
             let is_between = (before < reading) == (reading < after);
@@ -133,31 +133,32 @@ impl Validity {
     }
 }
 
-/// An interval of readings, all of which count and any two of which touch. Its length is a power
-/// of two, so that two readings can be held against it in one word: what the lower one borrows
-/// from the upper one changes nothing, for it then lies outside itself.
+/// An interval of valid readings, any two of which count as adjacent. Its length is a power of two,
+/// so that two readings can be compared in one word: a borrow from the upper one does no harm, as
+/// the lower one is then outside itself.
 #[derive(Clone, Copy)]
 struct ReadingWindow {
-    /// Its least reading, in both halves of the word.
+    /// Its minimum, in both halves of the word.
     low: u32,
-    /// The bits that a reading less that one has only if it lies outside, in both halves.
+    /// The bits that are set in the difference to `low` only if a reading is outside, in both
+    /// halves.
     outside: u32,
     last: u16,
 }
 
-/// A word of two readings.
+/// Two readings in one word.
 fn pair(first: u16, second: u16) -> u32 {
     u32::from(first) | u32::from(second) << 16
 }
 
 impl ReadingWindow {
-    /// Readings that are looked at together.
+    /// Readings checked at once.
     const LOOK: usize = 8;
 
-    /// Nothing but 0.
+    /// Contains only 0.
     const NO_RETURN: Self = Self { low: 0, outside: u32::MAX, last: 0 };
 
-    /// As long as an interval has room for, and no longer than `touch` if that is not 0.
+    /// As long as fits into the interval, and at most `touch` unless that is 0.
     fn within((nearest, farthest): (u16, u16), touch: u16) -> Self {
         let touch = if touch == 0 { u16::MAX } else { touch };
         let room = farthest.saturating_sub(nearest).saturating_add(1);
@@ -165,8 +166,8 @@ impl ReadingWindow {
         Self { low: 0, outside: pair(!last, !last), last }
     }
 
-    /// Moves it to a reading of the interval that it was made for. On a wall that is seen at a
-    /// slant readings go on as they left it: three quarters of it come to lie that way.
+    /// Moves it around a reading of the interval. On a slanted wall the readings continue in the
+    /// direction in which they left the window: three quarters of it are placed on that side.
     fn follow(&mut self, reading: u16, (nearest, farthest): (u16, u16)) {
         let quarter = self.last / 4;
         let behind = if reading < self.low as u16 { self.last - quarter } else { quarter };
@@ -178,7 +179,7 @@ impl ReadingWindow {
     fn first_outside(&self, readings: &[u16]) -> Option<usize> {
         let (looks, tail) = readings.as_chunks::<{ Self::LOOK }>();
         for (index, &[a, b, c, d, e, f, g, h]) in looks.iter().enumerate() {
-            // Written out: the compiler, told to be brief, would make it a loop.
+            // Unrolled by hand: at opt-level "s" the compiler would emit a loop.
             let off = |first, second| pair(first, second).wrapping_sub(self.low);
             let words = [off(a, b), off(c, d), off(e, f), off(g, h)];
             let [first, second, third, fourth] = words;
@@ -202,7 +203,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The same by its definition, reading by reading.
+    /// Reference: the definition, reading by reading.
     fn plain(validity: Validity, readings: &[u16]) -> Vec<u16> {
         let Validity { nearest, farthest, removed: (from, to), flying } = validity;
         let valid = |reading: u16| {
@@ -230,18 +231,18 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_between_two_surfaces_flies_and_a_leg_does_not() {
+    fn a_pixel_between_two_surfaces_is_removed_and_a_chair_leg_is_not() {
         let validity = Validity { flying: 150, ..Validity::default() };
         let row = [1_200, 1_205, 1_700, 2_400, 3_000, 3_000, 1_500, 3_010, 0, 2_000, 2_500, 2_990];
         let expected = [1_200, 1_205, 0, 0, 3_000, 3_000, 1_500, 3_010, 0, 2_000, 0, 2_990];
         assert_eq!(clean(validity, &row), expected);
-        // A lidar keeps them.
+        // A lidar has no such check.
         assert_eq!(clean(Validity::default(), &row), row);
     }
 
     #[test]
-    fn a_slanted_wall_does_not_fly() {
-        // From 10 to 26 degrees aside, a wall that the outermost pixel sees at 8 degrees.
+    fn a_slanted_wall_is_not_removed() {
+        // From 10 to 26 degrees off-axis, a wall that the outermost pixel sees at 8 degrees.
         let validity = Validity::of(SensorModel::Pinhole { focal: 343.1, centre: 319.5 });
         let wall: Vec<u16> = (60..170)
             .map(|column| {
@@ -253,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_out_of_range_or_removed_says_nothing() {
+    fn readings_out_of_range_or_removed_are_cleared() {
         let validity = Validity { nearest: 200, farthest: 5_000, removed: (900, 1_000), flying: 0 };
         let row = [0, 1, 199, 200, 899, 900, 950, 1_000, 1_001, 5_000, 5_001, u16::MAX];
         let expected = [0, 0, 0, 200, 899, 0, 0, 0, 1_001, 5_000, 0, 0];
@@ -265,9 +266,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-        /// Quick or plain, the same readings are left.
+        /// The fast pass and the reference agree.
         #[test]
-        fn the_quick_pass_does_what_its_definition_says(
+        fn the_fast_pass_matches_the_definition(
             steps in proptest::collection::vec(
                 (prop_oneof![-40i32..40, -400i32..400, Just(0), -70_000i32..70_000], 1usize..14),
                 0..30,

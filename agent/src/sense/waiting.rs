@@ -1,28 +1,44 @@
-//! Scans that wait for the pose of the moment they were taken.
+//! Scans that wait for their poses.
+
+use core::fmt;
 
 use heapless::Deque;
 use ubimap_protocol::time::Instant;
 
-/// The most scans that can wait, whatever memory there is.
-const MOST: usize = 8;
+/// Maximum number of waiting scans, whatever the memory.
+const MAX_WAITING: usize = 8;
 
-/// Why a scan was not taken.
+/// Why a scan was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ScanError {
-    /// It has another number of readings than the sensor was configured with.
+    /// The number of readings differs from the configured sensor.
     Width {
-        /// Readings that a scan must have.
+        /// Number of readings required.
         expected: usize,
-        /// Readings that it had.
+        /// Number of readings received.
         found: usize,
     },
-    /// As many scans as there is room for wait for their poses already.
+    /// The queue is full: too many scans wait for their poses.
     Full,
-    /// It was taken before the scan that came before it.
+    /// It was taken before the previous scan.
     Backwards,
 }
 
-/// The scans that wait, oldest first, in the caller's memory, which they take in turns.
+impl fmt::Display for ScanError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Width { expected, found } => {
+                write!(f, "the scan has {found} readings instead of {expected}")
+            }
+            Self::Full => f.write_str("too many scans wait for their poses"),
+            Self::Backwards => f.write_str("the scan is older than the previous one"),
+        }
+    }
+}
+
+impl core::error::Error for ScanError {}
+
+/// The waiting scans, oldest first, in a ring buffer in the caller's memory.
 #[derive(Debug)]
 pub struct WaitingScans<'b> {
     readings: &'b mut [u16],
@@ -30,21 +46,21 @@ pub struct WaitingScans<'b> {
     slots: usize,
     /// The slot of the oldest.
     first: usize,
-    taken: Deque<Instant, MOST>,
+    taken: Deque<Instant, MAX_WAITING>,
     newest: Instant,
 }
 
 impl<'b> WaitingScans<'b> {
-    /// Room for as many scans of `width` readings as `readings` holds, at most 8.
+    /// A queue for as many scans of `width` readings as fit into `readings`, at most 8.
     pub fn new(readings: &'b mut [u16], width: usize) -> Self {
-        let slots = (readings.len() / width.max(1)).min(MOST);
+        let slots = (readings.len() / width.max(1)).min(MAX_WAITING);
         Self { readings, width, slots, first: 0, taken: Deque::new(), newest: Instant(0) }
     }
 
-    /// Whether a scan could be one of this sensor's: apart from there being room.
+    /// Checks a scan, except for whether the queue is full.
     ///
     /// # Errors
-    /// Every [`ScanError`] but [`ScanError::Full`].
+    /// Every [`ScanError`] except [`ScanError::Full`].
     pub fn check(&self, taken: Instant, readings: &[u16]) -> Result<(), ScanError> {
         if readings.len() != self.width {
             return Err(ScanError::Width { expected: self.width, found: readings.len() });
@@ -55,10 +71,10 @@ impl<'b> WaitingScans<'b> {
         Ok(())
     }
 
-    /// Takes a scan: its readings in millimetres (0: no return) and the moment it was taken.
+    /// Adds a scan: its readings in millimetres (0: no return) and the time it was taken.
     ///
     /// # Errors
-    /// Every [`ScanError`]; nothing has changed then.
+    /// [`ScanError`]; the queue is unchanged.
     pub fn push(&mut self, taken: Instant, readings: &[u16]) -> Result<(), ScanError> {
         self.check(taken, readings)?;
         if self.taken.len() >= self.slots {
@@ -77,7 +93,7 @@ impl<'b> WaitingScans<'b> {
         self.taken.front().copied()
     }
 
-    /// Takes the oldest scan out. Its readings stand until the next one is pushed.
+    /// Removes the oldest scan. Its readings are kept until the next push.
     pub fn pop(&mut self) -> Option<&mut [u16]> {
         self.taken.pop_front()?;
         let slot = self.first;
@@ -91,7 +107,7 @@ impl<'b> WaitingScans<'b> {
     }
 }
 
-/// Copies as many readings, in half the instructions of the plain copy of a program built to be small.
+/// Copies readings, four at a time: half the instructions of the plain copy at opt-level "s".
 fn copy(to: &mut [u16], from: &[u16]) {
     let ((to, to_rest), (from, rest)) = (to.as_chunks_mut::<4>(), from.as_chunks::<4>());
     let ((to, to_fours), (from, fours)) = (to.as_chunks_mut::<4>(), from.as_chunks::<4>());

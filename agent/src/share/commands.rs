@@ -1,10 +1,9 @@
-//! What the server wants of the robot, and what it tells of its surroundings: the newest of each
-//! kind.
+//! The newest commands and reports of the server, one of each kind.
 
 use serde::de::DeserializeOwned;
 use ubimap_protocol::message::{Encoded, Obstacles, Path, Peers, Stop, ToRobotMessage};
 
-/// The newest commands and surroundings.
+/// The newest commands and reports of the server.
 #[derive(Clone, Debug, Default)]
 pub struct Commands {
     stop: Option<Stop>,
@@ -14,9 +13,10 @@ pub struct Commands {
 }
 
 impl Commands {
-    /// Takes a message of these kinds; one that is older than what is known is ignored. `None` if it
-    /// cannot be read, or is of another kind.
-    // Not inlined: these are the longest messages, and would add to the stack of every other.
+    /// Processes a message of these kinds; superseded ones are ignored. Returns `None` if it is
+    /// malformed or of another kind.
+    // Not inlined: these are the longest messages, and would enlarge the stack frame of every
+    // other.
     #[inline(never)]
     pub(crate) fn take(&mut self, message: ToRobotMessage<'_>) -> Option<()> {
         match message {
@@ -36,33 +36,33 @@ impl Commands {
         }
     }
 
-    /// Another life of the server counts anew.
+    /// Forgets everything: a restarted server numbers its messages from the start.
     pub(crate) fn forget(&mut self) {
         *self = Self::default();
     }
 
-    /// Whether the server wants the robot to stand.
+    /// Whether the server has commanded a stop.
     pub fn must_stop(&self) -> bool {
         self.stop.is_some_and(|stop| stop.stop)
     }
 
-    /// Where to drive, if the server said so.
+    /// The path to drive, if the server has sent one.
     pub fn path(&self) -> Option<&Path> {
         self.path.as_ref()
     }
 
-    /// The other robots, if the server told of any.
+    /// The other robots, if the server has reported any.
     pub fn peers(&self) -> Option<&Peers> {
         self.peers.as_ref()
     }
 
-    /// What stands or moves about, if the server told of any.
+    /// The obstacles, standing or moving, if the server has reported any.
     pub fn obstacles(&self) -> Option<&Obstacles> {
         self.obstacles.as_ref()
     }
 }
 
-/// Keeps a message if it is newer than the one that is known.
+/// Stores a message if it is newer than the stored one.
 fn keep<T: DeserializeOwned>(
     known: &mut Option<T>,
     message: Encoded<'_, T>,
@@ -81,7 +81,7 @@ mod tests {
     use ubimap_protocol::message::{Messages, ToRobot, Writer};
 
     #[test]
-    fn the_highest_number_holds_in_any_order() {
+    fn the_highest_number_wins_in_any_order() {
         let mut commands = Commands::default();
         let mut take = |number, stop| {
             let mut buffer = [0; 16];

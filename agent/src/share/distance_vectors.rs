@@ -1,5 +1,5 @@
-//! Distance vectors to the server, now and then: from them it measures the error of the robot's
-//! pose.
+//! Distance vectors, sent to the server from time to time: it measures the error of the robot's
+//! pose from them.
 
 use ubimap_protocol::{
     message::{DistanceVector, ToServer, Writer},
@@ -8,32 +8,33 @@ use ubimap_protocol::{
 
 use crate::timing::{BLIND_VECTOR_INTERVAL, STANDING_VECTOR_INTERVAL};
 
-/// From the first ones the server finds the robot's constant errors: so many are sent as often.
+/// Number of vectors sent at the full rate after the start of a session, even at standstill: the
+/// server estimates the robot's constant errors from them.
 const FIRST: u8 = 24;
 
-/// When to send the next one, and the one that is to be sent.
+/// Timing of the next distance vector, and the one waiting to be sent.
 #[derive(Debug)]
 pub(crate) struct DistanceVectors {
     interval: Duration,
-    /// When the scan of the last one was taken (robot's clock).
+    /// When the last one's scan was taken (robot's clock).
     last: Option<Instant>,
-    /// How many of the first are yet to come.
+    /// Number of initial vectors still to be sent.
     first: u8,
     waiting: Option<DistanceVector>,
 }
 
 impl DistanceVectors {
-    /// At most one in `interval`.
+    /// Sends at most one per `interval`.
     pub(crate) fn new(interval: Duration) -> Self {
         Self { interval, last: None, first: FIRST, waiting: None }
     }
 
-    /// A session has begun: the server has none.
+    /// Starts a session: the server has no vectors yet.
     pub(crate) fn begin_session(&mut self) {
         (self.last, self.first, self.waiting) = (None, FIRST, None);
     }
 
-    /// Whether one is due from a scan of this moment (robot's clock).
+    /// Whether one is due from a scan taken at `taken` (robot's clock).
     pub(crate) fn is_due(&self, taken: Instant, moves: bool, blind: bool) -> bool {
         let wait = match (moves, blind) {
             (false, _) => self.interval.max(STANDING_VECTOR_INTERVAL),
@@ -43,15 +44,14 @@ impl DistanceVectors {
         self.last.is_none_or(|last| taken >= last + wait)
     }
 
-    /// Takes the one that is due, if its scan had something to tell; one that has not been sent
-    /// gives way to it.
+    /// Stores the vector that was due, if its scan yielded one; it replaces one not sent yet.
     pub(crate) fn take(&mut self, taken: Instant, vector: Option<DistanceVector>) {
         self.last = Some(taken);
         self.first = self.first.saturating_sub(1);
         self.waiting = vector;
     }
 
-    /// Adds the one that waits to a frame that has room for it.
+    /// Adds the waiting vector to a frame if it fits.
     pub(crate) fn push(&mut self, writer: &mut Writer<'_, ToServer>) {
         self.waiting.take_if(|vector| writer.push(vector));
     }
@@ -64,7 +64,7 @@ mod tests {
     use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
     #[test]
-    fn the_longest_fits_the_room_that_it_was_made_for_and_waits_for_it() {
+    fn the_longest_vector_fits_its_room_and_waits_for_it() {
         for columns in [1, 20, 64] {
             let far = Millimetres(i32::MIN);
             let vector = DistanceVector {
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_moves_tells_more_often_than_one_that_stands_and_a_blind_one_most_often() {
+    fn vectors_are_sent_more_often_while_moving_and_most_often_without_fixes() {
         let mut vectors = DistanceVectors::new(Duration::from_secs(5));
         let after = |seconds| Instant(9) + Duration::from_secs(seconds);
         assert!(vectors.is_due(after(0), false, false));

@@ -1,4 +1,4 @@
-//! What happened on the robot and the server should know.
+//! Events on the robot that are reported to the server.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -8,8 +8,8 @@ use ubimap_protocol::{
 
 use crate::timing::EVENT_INTERVAL;
 
-/// One for each code that the robot has.
-const MOST: usize = 10;
+/// One per event code that a robot raises.
+const MAX_EVENTS: usize = 10;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Progress {
@@ -26,16 +26,16 @@ struct Raised {
     progress: Progress,
 }
 
-/// The newest event of each code. Each is told until it has arrived, whatever becomes of sessions.
+/// The newest event of each code. Each is sent until it is acknowledged, across sessions.
 #[derive(Debug, Default)]
 pub struct Events {
-    raised: Vec<Raised, MOST>,
+    raised: Vec<Raised, MAX_EVENTS>,
 }
 
 impl Events {
-    /// Something happened at `at` (robot's clock). It is passed over if the last event of this code
-    /// has not arrived, or is not old enough; but that a path ends, or leads nowhere, for which the
-    /// server waits, is news each time.
+    /// Records an event at `at` (robot's clock). It is ignored if the last event of this code is
+    /// unacknowledged or recent; but the end of a path, and a blocked path, are always new, as the
+    /// server waits for them.
     pub fn raise(&mut self, code: EventCode, at: Instant) {
         let new = Raised { code, at, progress: Progress::Waiting };
         match self.raised.iter_mut().find(|raised| raised.code == code) {
@@ -52,8 +52,8 @@ impl Events {
         }
     }
 
-    /// Sends an event: `push` has the message and tells whether there was room. `to_server` gives
-    /// its time by the server's clock. The event's code, if one was sent.
+    /// Sends an event: `push` writes the message and returns whether it fitted. `to_server`
+    /// converts its time to the server's clock. Returns the event's code, if one was sent.
     pub fn send(
         &mut self,
         to_server: impl FnOnce(Instant) -> Option<Instant>,
@@ -72,12 +72,12 @@ impl Events {
         })
     }
 
-    /// The frame of an event has been acknowledged.
+    /// The frame of an event was acknowledged.
     pub fn acknowledged(&mut self, code: EventCode) {
         self.pass(Progress::UnderWay, Progress::Arrived, |raised| raised.code == code);
     }
 
-    /// A session has begun: what was under way is lost.
+    /// Starts a session: events in flight are lost and sent again.
     pub fn begin_session(&mut self) {
         self.pass(Progress::UnderWay, Progress::Waiting, |_| true);
     }
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn an_event_is_told_until_it_has_arrived_and_then_not_for_a_while() {
+    fn an_event_is_sent_until_acknowledged_and_then_not_repeated_for_a_while() {
         let mut events = Events::default();
         let code = EventCode::PoolFull;
         let second = |second: u64| Instant(second * 1_000_000);
@@ -106,7 +106,7 @@ mod tests {
         assert_eq!(events.send(Some, |_| false), None, "no room");
         assert_eq!(sent(&mut events), Some(code));
         events.raise(code, second(20));
-        assert_eq!(sent(&mut events), None, "it is under way");
+        assert_eq!(sent(&mut events), None, "in flight");
         events.begin_session();
         assert_eq!(sent(&mut events), Some(code));
         events.acknowledged(EventCode::PoseLost);
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_server_waits_for_is_told_each_time() {
+    fn events_that_the_server_waits_for_are_always_sent() {
         let mut events = Events::default();
         for code in [EventCode::PathDone, EventCode::PathBlocked] {
             for second in 1..3 {
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_do_not_wait_for_each_other() {
+    fn codes_are_independent() {
         let mut events = Events::default();
         let codes = [EventCode::Started, EventCode::PoseLost, EventCode::ScanOverflow];
         codes.iter().for_each(|&code| events.raise(code, Instant(5)));

@@ -1,4 +1,5 @@
-//! What the robot tells the server of its map, and the server's map on the robot.
+//! Sharing the map: updates of the robot's tiles to the server, and the server's tiles on the
+//! robot.
 
 mod commands;
 mod distance_vectors;

@@ -13,19 +13,19 @@ use crate::{
     timing::DIGEST_INTERVAL,
 };
 
-/// The most tiles whose states are told at once.
+/// Maximum number of tile digests sent at once.
 const DIGESTS: usize = 2;
 
-/// When to send what has changed, and what became of it.
+/// When to send changes of the map, and the state of those sent.
 #[derive(Debug)]
 pub struct Publisher {
-    /// How long changes are gathered before they are sent.
+    /// How long changes are collected before they are sent.
     hold: Duration,
-    /// Since when something is waiting.
+    /// When the oldest pending change happened.
     waiting_since: Option<Instant>,
-    /// What has changed before that is not held.
+    /// Changes before this time are sent without delay.
     hurries_until: Instant,
-    /// When the newest scan in the map was taken: seconds of the server's clock.
+    /// When the newest mapped scan was taken, in seconds of the server's clock.
     newest_scan: u32,
     frame: u16,
     /// The tile whose digest was sent last.
@@ -34,7 +34,7 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Nothing to send yet.
+    /// Nothing to send.
     pub fn new(hold: Duration) -> Self {
         Self {
             hold,
@@ -47,18 +47,18 @@ impl Publisher {
         }
     }
 
-    /// Changes are gathered this long from now on.
+    /// Sets how long changes are collected before they are sent.
     pub(crate) fn set_hold(&mut self, hold: Duration) {
         self.hold = hold;
     }
 
-    /// What has changed, or does before this moment, is sent at once.
+    /// Changes before `until` are sent without delay.
     pub(crate) fn hurry(&mut self, until: Instant) {
         self.hurries_until = until;
     }
 
-    /// Adds the states of the next few tiles that the server should hold, if it is time. What finds
-    /// no room is left for the next frame, unless there is nothing else in this one.
+    /// Adds the digests of the next few tiles that the server should hold, if they are due. Those
+    /// that do not fit are left for the next frame, unless this one is otherwise empty.
     pub fn push_digests(
         &mut self,
         pool: &Pool<'_>,
@@ -99,7 +99,7 @@ impl Publisher {
         self.next_digest
     }
 
-    /// The map has changed. `newest_scan` is in seconds of the server's clock, as far as known.
+    /// Records a change of the map. `newest_scan` is in seconds of the server's clock, if known.
     pub fn changed(&mut self, now: Instant, newest_scan: Option<u32>) {
         self.waiting_since = self.waiting_since.or(Some(now));
         self.newest_scan = newest_scan.unwrap_or(self.newest_scan);
@@ -111,8 +111,8 @@ impl Publisher {
         Some(if since < self.hurries_until { since } else { since + self.hold })
     }
 
-    /// Adds a tile update of as many tiles as fit, if it is time. Returns the number of the
-    /// frame, by which the tiles will be known when it is acknowledged.
+    /// Adds an update with as many tiles as fit, if it is due. Returns the frame's number, which
+    /// identifies the tiles when it is acknowledged.
     pub fn fill(
         &mut self,
         pool: &mut Pool<'_>,
@@ -128,7 +128,7 @@ impl Publisher {
         let mut blocked = false;
         let written = writer.push_with(&head, |coded| {
             let mut encoder = TileEncoder::new(coded);
-            // In order of their ids: the next id is then coded in a few bits.
+            // In order of their ids, which takes only a few bits per id.
             let mut done = None;
             while let Some(tile) = next_tile(pool, done) {
                 let Some(id) = tile.id else { break };
@@ -141,7 +141,7 @@ impl Publisher {
                 }
                 let version = Version(tile.publication.version().0.wrapping_add(1));
                 let epoch: Epoch = tile.epoch;
-                // Dirty still: what is under way may be lost, or be the first part only.
+                // Still dirty: the part in flight may be lost, or be only the first part.
                 blocked |=
                     !tile.publication.push(&mut encoder, id, epoch, version, &mut cells, frame);
             }
@@ -151,15 +151,15 @@ impl Publisher {
             self.frame = frame;
             return Some(frame);
         }
-        // Nothing is left to send but what is under way already: its acknowledgement comes back
-        // here. What did not fit beside other messages is tried again in the next frame.
+        // Nothing is left to send except what is in flight; its acknowledgement sets this again.
+        // What did not fit beside other messages is tried again in the next frame.
         if !blocked {
             self.waiting_since = None;
         }
         None
     }
 
-    /// A frame with tiles has been acknowledged.
+    /// A frame with tiles was acknowledged.
     pub fn acknowledged(
         &mut self,
         pool: &mut Pool<'_>,
@@ -171,19 +171,19 @@ impl Publisher {
             if !tile.publication.acknowledge(frame) {
                 continue;
             }
-            // If it has nothing more to tell, it may be given up at once.
+            // If it has no more news, its place may be reused at once.
             let merged = tile.id.and_then(|id| merged.tile(id));
             tile.dirty = tile.dirty && tile.publication.differs(&news(tile, merged));
             if tile.dirty {
-                // Further parts need not wait.
+                // Further parts are sent without delay.
                 let since = if tile.publication.has_parts_left() { now - self.hold } else { now };
                 self.waiting_since = self.waiting_since.map(|old| old.min(since)).or(Some(since));
             }
         }
     }
 
-    /// The server could not read an update of a tile (of all tiles, if `None`): it is sent whole,
-    /// and so is all that travelled with it.
+    /// The server could not decode an update of a tile (of all tiles, if `None`): it is sent whole,
+    /// and so are all tiles of the same frame.
     pub fn requested(&mut self, pool: &mut Pool<'_>, id: Option<TileId>, now: Instant) {
         let one = id.and_then(|id| Some(pool.find(id)?.publication.clone()));
         for tile in pool.tiles_mut() {
@@ -199,11 +199,10 @@ impl Publisher {
         }
     }
 
-    /// A session has begun. `same_server` tells whether it is with the server that acknowledged
-    /// what was acknowledged.
+    /// Starts a session. `same_server`: the server is the one that sent the acknowledgements.
     pub fn begin_session(&mut self, pool: &mut Pool<'_>, same_server: bool, now: Instant) {
         if !same_server {
-            // That was by another clock: what is told again is older than all that is new.
+            // That time is by another clock: tiles sent again count as older than all new ones.
             self.newest_scan = 0;
         }
         for tile in pool.tiles_mut() {
@@ -220,15 +219,14 @@ impl Publisher {
     }
 }
 
-/// What a tile has to tell: what it has told in this epoch, and what the server's map does not
-/// say already.
+/// A tile's news: the cells sent in this epoch, and those that differ from the server's map.
 fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
     let mut cells = tile.cells();
     let Some(merged) = merged else { return cells };
     let sent = tile.publication.sent();
     for y in 0..TILE_SIDE {
         let (own, known) = (cells.row(y), merged.row(y));
-        // Who has not seen it come and go does not contradict.
+        // The lack of an own observation of a movable object does not contradict the map.
         let same = !(own.high ^ known.high | own.low & !known.low);
         let told = sent.row(y).known();
         let tell = told | !same;
@@ -237,14 +235,13 @@ fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
     cells
 }
 
-/// The first tile after `done`, in order of ids, that is dirty and of which no update is under
-/// way.
+/// The first tile after `done`, in order of ids, that is dirty and has no update in flight.
 fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut OwnTile> {
     let place = place_after(pool, done, |tile| tile.dirty && tile.publication.is_ready())?;
     pool.tiles_mut().nth(place)
 }
 
-/// Where the first tile after `done`, in order of ids, is that is wanted.
+/// The index of the first tile after `done`, in order of ids, that satisfies the predicate.
 fn place_after(
     pool: &Pool<'_>,
     done: Option<TileId>,
@@ -276,7 +273,7 @@ mod tests {
         units::{Millimetres, Pose},
     };
 
-    /// A pool of tiles that the server has.
+    /// A pool of tiles that the server has acknowledged.
     fn acknowledged(places: &mut [OwnTile]) -> Pool<'_> {
         let mut pool = Pool::new(places);
         for x in [1, 2, 3] {
@@ -293,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn in_small_frames_the_digests_of_all_tiles_take_turns() {
+    fn the_digests_of_all_tiles_take_turns_in_small_frames() {
         let mut places = [OwnTile::FREE; 3];
         let pool = acknowledged(&mut places);
         let mut publisher = Publisher::new(Duration(0));
@@ -317,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn another_server_is_not_told_the_time_of_the_last_ones_clock() {
+    fn times_of_one_servers_clock_are_not_sent_to_another() {
         let mut places = [OwnTile::FREE; 1];
         let mut pool = Pool::new(&mut places);
         let merged = FusedMap::new(&mut []);
@@ -342,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn hits_that_are_minutes_apart_say_nothing_against_the_map_and_those_of_one_moment_do() {
+    fn only_hits_close_in_time_contradict_the_map() {
         let mut places = [FusedTile::FREE; 4];
         let mut merged = FusedMap::new(&mut places);
         merged.begin_session(Epoch(7));
@@ -366,7 +363,7 @@ mod tests {
             policy: Policy::default(),
         };
         let mut map = LocalMap::new(config, &[], &mut [], Pool::new(&mut places));
-        // What there is to tell after ten hits.
+        // The number of cells to send after ten hits.
         let mut told = |apart: Duration| {
             map.pool.begin_anew(Epoch(0));
             for hit in 1..=10 {

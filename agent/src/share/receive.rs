@@ -1,5 +1,5 @@
-//! The server's tiles on the robot: a window of the merged map around it, and of what the cameras
-//! see of that ground.
+//! The server's tiles on the robot: a window of the merged map around it, and the camera coverage
+//! of the same ground.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -14,18 +14,18 @@ use ubimap_protocol::{
 
 use crate::{map::Surround, timing::COVERAGE_STALE};
 
-/// One place in the pool: a tile of the fused layer, and the same of the coverage layer. Both are
-/// of the server's epoch.
+/// One place in the pool: a tile of the fused layer, and the same tile of the coverage layer. Both
+/// belong to the server's epoch.
 #[derive(Clone, Debug)]
 pub struct FusedTile {
     cells: Tile,
-    /// The cells that the cameras see, a word for each row.
+    /// The cells covered by cameras, a word per row.
     covered: [u32; TILE_SIDE],
     fused_version: Version,
     coverage_version: Version,
     fused_next: u16,
     coverage_next: u16,
-    /// When the coverage was last known to be the newest, in [`ticks`]; 0 if it never was.
+    /// When the coverage was last confirmed to be current, in [`ticks`]; 0 if never.
     confirmed: u32,
 }
 
@@ -43,7 +43,7 @@ impl FusedTile {
         confirmed: 0,
     };
 
-    /// The tile of one layer.
+    /// The tile in one layer.
     fn replica(&self, layer: Layer, epoch: Epoch) -> Replica {
         match layer {
             Layer::Coverage => {
@@ -58,7 +58,7 @@ impl FusedTile {
         }
     }
 
-    /// Nothing is held of one layer any more: its cells mean nothing.
+    /// Discards one layer: its cells are void.
     fn give_up(&mut self, layer: Layer) {
         if layer == Layer::Coverage {
             (self.coverage_version, self.coverage_next) = (Version(0), 0);
@@ -83,8 +83,8 @@ impl FusedTile {
     }
 }
 
-/// Units of 1.024 ms, never 0. They wrap after 51 days: a tile that has not been confirmed for just
-/// so long is taken to be fresh for a second.
+/// Time in units of 1.024 ms, never 0. Wraps after 51 days: a tile unconfirmed for exactly that
+/// long counts as fresh for a second.
 fn ticks(moment: Instant) -> u32 {
     ((moment.micros() >> 10) as u32).max(1)
 }
@@ -92,26 +92,26 @@ fn ticks(moment: Instant) -> u32 {
 /// How long coverage is fresh, in [`ticks`].
 const FRESH: u32 = (COVERAGE_STALE.0 >> 10) as u32;
 
-/// The server's tiles that the robot holds, in the caller's memory.
+/// The robot's copy of the server's tiles, in the caller's memory.
 #[derive(Debug)]
 pub struct FusedMap<'b> {
-    /// Tile (x, y) of the window is at x and y modulo `side`, row by row.
+    /// Tile (x, y) of the window is at (x, y) modulo `side`, row by row.
     places: &'b mut [FusedTile],
     /// Tiles along a side of the window.
     side: u8,
     epoch: Epoch,
     interest: Option<Interest>,
-    /// The number of the interest that the server is known to have.
+    /// The number of the last interest sent to the server.
     told: u32,
     missing: [Missing; 2],
 }
 
-/// The tiles of a layer to ask for.
+/// The tiles of a layer to request.
 #[derive(Debug)]
 struct Missing {
     layer: Layer,
     tiles: Vec<TileId, MAX_REQUESTS>,
-    /// There were more of them than can be listed: all are.
+    /// Too many to list: all tiles are requested.
     all: bool,
 }
 
@@ -122,13 +122,13 @@ impl Missing {
 
     fn add(&mut self, id: TileId) {
         if !self.tiles.contains(&id) && self.tiles.push(id).is_err() {
-            // No other update may come to ask for this one again.
+            // Set now: no later update may come to request it.
             self.tiles.clear();
             self.all = true;
         }
     }
 
-    /// Asks for them, as many as there is room for, once. `false` if there are none.
+    /// Requests as many as fit, once each. Returns `false` if there are none.
     fn push(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         if self.all {
             let request = Request { layer: self.layer, tiles: Vec::new() };
@@ -148,7 +148,7 @@ impl Missing {
 }
 
 impl<'b> FusedMap<'b> {
-    /// A window of as many tiles as there are places.
+    /// A window with at most as many tiles as `places`.
     pub fn new(places: &'b mut [FusedTile]) -> Self {
         places.iter_mut().for_each(FusedTile::clear);
         let side = (1..=u8::MAX).take_while(|&it| usize::from(it).pow(2) <= places.len()).last();
@@ -162,12 +162,12 @@ impl<'b> FusedMap<'b> {
         }
     }
 
-    /// How many tiles can be held.
+    /// Capacity, in tiles.
     pub fn capacity(&self) -> usize {
         self.places.len()
     }
 
-    /// The tiles of one of the server's layers that are held, whole or in part.
+    /// The tiles held of one of the server's layers, complete or partial.
     pub fn tiles(&self, layer: Layer) -> impl Iterator<Item = (TileId, Replica)> {
         self.interest.into_iter().flat_map(|interest| interest.ids()).filter_map(move |id| {
             let replica = self.place(id)?.replica(layer, self.epoch);
@@ -175,14 +175,14 @@ impl<'b> FusedMap<'b> {
         })
     }
 
-    /// The cells of a fused tile, if it is held whole.
+    /// The cells of a fused tile, if it is complete.
     pub fn tile(&self, id: TileId) -> Option<&Tile> {
         let place = self.place(id)?;
         (place.fused_version.0 != 0 && place.fused_next == 0).then_some(&place.cells)
     }
 
-    /// What the server says of a tile: the merged map, and the cells that the cameras see, a word
-    /// for each row, as long as that is fresh.
+    /// The server's knowledge of a tile: the merged map, and the cells covered by cameras, a word
+    /// per row, while that is fresh.
     pub fn around(&self, id: TileId, now: Instant) -> Surround<'_> {
         let fresh = |place: &&FusedTile| {
             let confirmed = place.confirmed != 0 && place.coverage_next == 0;
@@ -202,11 +202,11 @@ impl<'b> FusedMap<'b> {
             return;
         }
         let tile_size = resolution.0.saturating_mul(TILE_SIDE as i32).max(1);
-        // The south-western tile of a window in whose middle the robot is.
+        // The south-western tile of a window centred on the robot.
         let first = |coordinate: Millimetres| {
             let half = side * tile_size / 2;
             let first = (coordinate.0.saturating_sub(half)).div_euclid(tile_size);
-            // Rounded: the robot is within half a tile of the middle.
+            // Rounded: the robot is within half a tile of the centre.
             let rest = coordinate.0.saturating_sub(half).rem_euclid(tile_size);
             first + i32::from(2 * i64::from(rest) >= i64::from(tile_size))
         };
@@ -235,29 +235,28 @@ impl<'b> FusedMap<'b> {
         self.interest = Some(interest);
     }
 
-    /// The window that the robot wants, once it knows where it is.
+    /// The window to request, once the pose is known.
     pub fn interest(&self) -> Option<Interest> {
         self.interest
     }
 
-    /// The window, if the server does not know it yet.
+    /// The window, if it has not been sent to the server yet.
     pub fn untold(&self) -> Option<Interest> {
         self.interest.filter(|interest| interest.number > self.told)
     }
 
-    /// The server has been told of a window.
+    /// A window was sent to the server.
     pub fn told(&mut self, number: u32) {
         self.told = self.told.max(number);
     }
 
-    /// Asks for the tiles that are to be asked for, as many as there is room for, once. `false`
-    /// if there are none.
+    /// Requests as many of the missing tiles as fit, once each. Returns `false` if there are none.
     pub fn push_request(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         self.missing.iter_mut().any(|missing| missing.push(writer))
     }
 
-    /// A session has begun: the server, which is in this epoch, knows no window. Tiles of another
-    /// epoch are void.
+    /// Starts a session with a server in this epoch, which knows no window. Tiles of another epoch
+    /// are void.
     pub fn begin_session(&mut self, epoch: Epoch) {
         self.told = 0;
         self.missing = [Missing::of(Layer::Fused), Missing::of(Layer::Coverage)];
@@ -267,18 +266,20 @@ impl<'b> FusedMap<'b> {
         }
     }
 
-    /// Takes the coded tiles of an update of one of the server's layers.
+    /// Processes the coded tiles of an update of one of the server's layers.
     ///
     /// # Errors
-    /// What follows a [`TileError`] is not read; what came before it holds.
-    // Not inlined, like `compare` and `confirm`: decoding adds to the stack of every other message.
+    /// [`TileError`]: the rest of the update is ignored; the tiles before the error are kept.
+    // Not inlined, like `compare` and `confirm`: decoding would enlarge the stack frame of every
+    // other message.
     #[inline(never)]
     pub fn update(&mut self, layer: Layer, coded: &[u8]) -> Result<(), TileError> {
         let mut decoder = TileDecoder::new(coded);
         let epoch = self.epoch;
         while let Some(header) = decoder.header()? {
-            // One outside the window was sent before that moved: it is read past if it is whole.
-            // Else the rest of the message is lost, and asking for the tile brings back what it held.
+            // A tile outside the window was sent before the window moved. It is skipped if
+            // complete; otherwise the rest of the message is lost, and requesting the tile brings
+            // it back.
             let place = self.place(header.id).filter(|_| header.stamp.epoch == epoch);
             let mut replica = place.map_or(Replica::NOTHING, |place| place.replica(layer, epoch));
             let is_held = place.is_some();
@@ -293,8 +294,8 @@ impl<'b> FusedMap<'b> {
         Ok(())
     }
 
-    /// Takes the states of some tiles of the server's: those of which an older state or other
-    /// cells are held are asked for.
+    /// Compares the digests of some of the server's tiles, and requests those held in an older
+    /// version or with different cells.
     #[inline(never)]
     pub fn compare(&mut self, digests: &Digests) {
         let (layer, epoch) = (digests.layer, self.epoch);
@@ -304,7 +305,7 @@ impl<'b> FusedMap<'b> {
             let (held, told) = (replica.stamp(), digest.stamp);
             let other = held == told && tile_hash(replica.tile()) != digest.hash;
             if other {
-                // It must be dropped: the same state would be taken for an old one.
+                // Dropped: an update to the same version would be ignored as old.
                 place.give_up(layer);
             }
             if held < told || other {
@@ -313,7 +314,7 @@ impl<'b> FusedMap<'b> {
         }
     }
 
-    /// Takes the confirmation that coverage tiles were the newest at `moment` (robot's clock).
+    /// Records that coverage tiles were current at `moment` (robot's clock).
     #[inline(never)]
     pub fn confirm(&mut self, freshness: &Freshness, moment: Instant) {
         let Some(interest) = self.interest.filter(|it| it.number == freshness.interest) else {
@@ -339,7 +340,7 @@ impl<'b> FusedMap<'b> {
         self.places.get_mut(self.index(id)?)
     }
 
-    /// The place of a tile of the window.
+    /// The index of a tile of the window.
     fn index(&self, id: TileId) -> Option<usize> {
         let side = i32::from(self.side);
         let along = |tile: i16| i32::from(tile).checked_rem_euclid(side);
@@ -363,7 +364,7 @@ mod tests {
     };
 
     #[test]
-    fn more_tiles_than_a_request_names_are_asked_for_all_at_once() {
+    fn tiles_too_many_to_list_are_all_requested() {
         let mut places: [FusedTile; 16] = core::array::from_fn(|_| FusedTile::FREE);
         let mut map = FusedMap::new(&mut places);
         map.follow(Pose::default(), Millimetres(50));
@@ -399,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn coverage_holds_for_a_second_after_the_moment_of_its_confirmation() {
+    fn coverage_is_fresh_for_a_second_after_its_confirmation() {
         let mut places = [FusedTile::FREE; 4];
         let mut map = FusedMap::new(&mut places);
         map.begin_session(Epoch(7));
@@ -411,7 +412,7 @@ mod tests {
         let covered = |map: &FusedMap<'_>, millis: u64| {
             map.around(id, Instant(millis * 1_000)).covered.map(|rows| rows[6])
         };
-        assert_eq!(covered(&map, 3_000), None, "nothing has confirmed it");
+        assert_eq!(covered(&map, 3_000), None, "not confirmed yet");
         // The window is (-1, -1) to (0, 0).
         let confirm = |map: &mut FusedMap<'_>, interest: u32, tiles: u8, at: u64| {
             let tiles = core::iter::once(tiles).collect();
@@ -430,13 +431,13 @@ mod tests {
         assert_eq!(map.tile(id), None, "the fused tile is not held");
         confirm(&mut map, 1, 0b0010, 5 * SECOND);
         map.begin_session(Epoch(8));
-        assert_eq!(covered(&map, 5_000), None, "another life of the server");
+        assert_eq!(covered(&map, 5_000), None, "another epoch of the server");
     }
 
     proptest::proptest! {
-        /// Wherever the robot goes, the tiles of its window are held, and no others.
+        /// Wherever the robot goes, exactly the tiles of its window are held.
         #[test]
-        fn a_window_holds_what_lies_within(
+        fn a_window_holds_exactly_its_tiles(
             places in 0usize..40,
             steps in proptest::collection::vec((-20_000i32..20_000, -20_000i32..20_000), 1..12),
         ) {

@@ -1,4 +1,4 @@
-//! What must hold at any moment, and what holds once all is settled.
+//! Invariants that hold at any time, and conditions that hold once everything has settled.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -15,7 +15,7 @@ use ubimap_sim_host::mapping::{SeenTile, Sight, clear, fuse, hollow};
 use super::{Member, Star};
 
 impl<'b> Star<'b> {
-    /// Why not all hold the same yet; `None` if they do.
+    /// Why the robots' maps have not converged yet; `None` if they have.
     pub fn behind(&self) -> Option<String> {
         self.members.iter().find_map(|member| {
             let robot = member.robot.as_ref()?;
@@ -33,7 +33,7 @@ impl<'b> Star<'b> {
             ));
         }
         if self.server.state(member.id).is_none() {
-            // An old hello may have opened the session: then the robot speaks in another one.
+            // An old hello may have opened the session: the robot then uses another one.
             return Some("the server has heard nothing of it in this session".into());
         }
         if !robot.is_idle() {
@@ -77,7 +77,7 @@ impl<'b> Star<'b> {
         self.missing_at(robot).map(|id| format!("it lacks the fused {id:?}"))
     }
 
-    /// A fused tile that a robot wants and does not hold.
+    /// A fused tile in a robot's window that it does not hold.
     fn missing_at(&self, robot: &Robot<'b>) -> Option<TileId> {
         let window = robot.fused_tiles().interest()?;
         let mut wanted = self.server.fused().within(&window);
@@ -86,7 +86,7 @@ impl<'b> Star<'b> {
         })
     }
 
-    /// A tile of a robot's own that it holds acknowledged and does not know to be stored.
+    /// A robot's own tile that is acknowledged but, as far as the robot knows, not stored.
     pub fn unstored(&self) -> Option<String> {
         self.disk.as_ref()?;
         self.members.iter().find_map(|member| {
@@ -98,8 +98,8 @@ impl<'b> Star<'b> {
         })
     }
 
-    /// When a robot holds every fused tile that it wants, as new as the server's. `None` before
-    /// it wants any.
+    /// Whether a robot holds every fused tile of its window in the server's version. `None` before
+    /// it has a window.
     pub fn holds_its_window(&self, member: usize) -> Option<bool> {
         let robot = self.members[member].robot.as_ref()?;
         let window = robot.fused_tiles().interest()?;
@@ -114,7 +114,7 @@ impl<'b> Star<'b> {
         Some(level)
     }
 
-    /// Bytes of frames with tiles of robots so far, and frames sent again.
+    /// Total bytes of the robots' frames with tiles, and the number of retransmitted frames.
     pub fn effort(&self) -> Vec<(u64, u32)> {
         let robots = self.members.iter().filter_map(|member| member.robot.as_ref());
         robots
@@ -122,7 +122,7 @@ impl<'b> Star<'b> {
             .collect()
     }
 
-    /// What must hold at any moment.
+    /// Checks the invariants.
     pub(super) fn check(&mut self) {
         self.check_robots();
         if mem::take(&mut self.server_changed) {
@@ -132,8 +132,8 @@ impl<'b> Star<'b> {
         }
     }
 
-    /// Nothing that the server knew of a robot's layer is unknown again, and the fused layer is
-    /// what the layers make.
+    /// Checks that known cells of a robot's layer never become unknown at the server, and that the
+    /// fused layer is the fusion of the layers.
     fn check_layers(&mut self) {
         let seconds = (self.server_now().micros() / 1_000_000) as u32 + 1;
         let mut changed = BTreeSet::new();
@@ -175,7 +175,8 @@ impl<'b> Star<'b> {
         assert!(found == Some(&expected), "{id:?} is not what the layers make");
     }
 
-    /// What all robots' layers make of a tile. The cameras of these runs see robots, and no cells.
+    /// The fusion of all robots' layers in a tile. The cameras of these runs see robots, but no
+    /// cells.
     fn whole(&self, id: TileId) -> Tile {
         let server = &self.server;
         let layers = self.members.iter().filter_map(|member| {
@@ -185,17 +186,18 @@ impl<'b> Star<'b> {
         fuse(&SeenTile::NOTHING, &layers, server.map_time())
     }
 
-    /// Every fused tile is what the layers make, and the layers know what is on disk.
+    /// Checks that every fused tile is the fusion of the layers, and that the layers match the
+    /// disk.
     pub fn check_all(&self) {
         self.disk.iter().for_each(|disk| disk.check_server(&self.server));
         self.server.fused().tiles().for_each(|(id, ..)| self.check_fused(id));
     }
 
-    /// What the robot believes to be acknowledged is.
+    /// Checks that everything acknowledged by the robot's knowledge has arrived.
     fn check_acknowledged(&self) {
         for member in &self.members {
             let Some(robot) = &member.robot else { continue };
-            // A welcome of the server's life before may come late.
+            // A welcome of the server's previous epoch may arrive late.
             if robot.server_epoch() != Some(self.server.epoch()) || !robot.is_connected() {
                 continue;
             }

@@ -1,5 +1,5 @@
-//! Robots around one server, under virtual time, over wires at which anything may be done to
-//! them. After every moment at which something happened the state of all is checked.
+//! Robots around one server in virtual time, over wires with arbitrary faults. The state of all is
+//! checked after every event.
 
 mod checks;
 mod way;
@@ -27,15 +27,15 @@ pub use way::Way;
 
 use crate::disk::{Disk, Held};
 
-/// Rounds of input and output at one moment, after which time is taken to stand still for good.
-const MOST_ROUNDS: u32 = 2_000;
+/// Maximum rounds of input and output at one time, beyond which time counts as stuck.
+const MAX_ROUNDS: u32 = 2_000;
 
-/// One robot, in whichever of its lives.
+/// One robot, across its reboots.
 #[derive(Debug)]
 pub struct Member<'b> {
-    /// Its number.
+    /// Its id.
     pub id: RobotId,
-    /// Where it is plugged in at the server.
+    /// Its port at the server.
     pub port: usize,
     /// To the server.
     pub up: Way,
@@ -46,12 +46,12 @@ pub struct Member<'b> {
     booted: (Instant, u64),
     bytes_at_boot: u64,
     last: (Statistics, Counters),
-    /// The tiles of its own that it held, if the server keeps any on disk.
+    /// The state of its own tiles, if the server stores any on disk.
     own: Held,
 }
 
 impl<'b> Member<'b> {
-    /// A robot that is not there yet.
+    /// A robot that has not booted yet.
     pub fn new(id: RobotId, port: usize) -> Self {
         Self {
             id,
@@ -66,7 +66,7 @@ impl<'b> Member<'b> {
         }
     }
 
-    /// The robot itself, once it has booted.
+    /// The robot itself, once booted.
     pub fn robot(&self) -> Option<&Robot<'b>> {
         self.robot.as_ref()
     }
@@ -84,7 +84,7 @@ impl<'b> Member<'b> {
 #[derive(Debug)]
 pub struct Star<'b> {
     server: Server,
-    /// Where it keeps what robots tell, if it does.
+    /// The server's disk, if it stores the robots' tiles.
     disk: Option<Disk>,
     terms: Terms,
     ports: usize,
@@ -99,7 +99,7 @@ pub struct Star<'b> {
     checked: Checked,
 }
 
-/// What the last check saw.
+/// The state at the last check.
 #[derive(Debug, Default)]
 struct Checked {
     layers: BTreeMap<(RobotId, TileId), SeenTile>,
@@ -107,7 +107,7 @@ struct Checked {
 }
 
 impl<'b> Star<'b> {
-    /// A server without robots, with a disk if the terms say that it stores. The seed is for garbage,
+    /// A server without robots, with a disk if `terms` enable storing. The seed is for garbage,
     /// clocks and the disk.
     pub fn new(terms: Terms, ports: usize, seed: u64) -> Self {
         Self {
@@ -125,7 +125,7 @@ impl<'b> Star<'b> {
         }
     }
 
-    /// The time by which everything here goes.
+    /// The simulated time.
     pub fn now(&self) -> Instant {
         self.now
     }
@@ -135,17 +135,17 @@ impl<'b> Star<'b> {
         &self.server
     }
 
-    /// The server commands a robot.
+    /// Sends a command of the server to a robot.
     ///
     /// # Errors
-    /// Every [`CommandError`].
+    /// [`CommandError`].
     pub fn command(&mut self, member: usize, command: Command) -> Result<(), CommandError> {
         let done = self.server.command(self.members[member].id, command);
         self.drain();
         done
     }
 
-    /// A robot boots, for the first time or anew, with fresh memory.
+    /// Boots a robot, for the first time or again, with fresh memory.
     pub fn boot(&mut self, member: usize, config: Config, life: &'b mut Memory<Heap>) {
         let start = self.rng.random_range(0..600_000_000);
         let member = &mut self.members[member];
@@ -156,8 +156,8 @@ impl<'b> Star<'b> {
         member.bytes_at_boot = member.up.bytes();
     }
 
-    /// The server is killed and starts anew, with a new epoch: from its disk, and then with the
-    /// clock of its life before, or with an empty map and another clock.
+    /// Kills the server and restarts it in a new epoch: from its disk, with its previous clock, or
+    /// with an empty map and another clock.
     pub fn restart_server(&mut self) {
         self.terms.server_epoch += 1;
         self.server = Server::new(self.terms, self.ports);
@@ -175,7 +175,7 @@ impl<'b> Star<'b> {
         self.server_changed = true;
     }
 
-    /// A robot is plugged in elsewhere; what is under way is lost.
+    /// Moves a robot to another port; frames in flight are lost.
     pub fn move_to_port(&mut self, member: usize, port: usize) {
         let member = &mut self.members[member];
         member.port = port;
@@ -183,7 +183,7 @@ impl<'b> Star<'b> {
         member.down.lose_all();
     }
 
-    /// Bytes that nobody sent arrive at the server or at a robot.
+    /// Sends random bytes to the server or to a robot.
     pub fn garbage(&mut self, member: usize, direction: Direction) {
         let len = self.rng.random_range(1..400);
         let bytes: Vec<u8> =
@@ -191,7 +191,7 @@ impl<'b> Star<'b> {
         self.inject(member, direction, &bytes);
     }
 
-    /// An earlier frame arrives once more.
+    /// Delivers an earlier frame again.
     pub fn replay(&mut self, member: usize, direction: Direction) {
         let way = match direction {
             Direction::ToServer => &self.members[member].up,
@@ -224,7 +224,7 @@ impl<'b> Star<'b> {
         self.check();
     }
 
-    /// A robot reads its odometry and takes a scan.
+    /// Gives a robot an odometry reading and a scan.
     pub fn scan(&mut self, member: usize, pose: Option<Pose>, readings: &[u16]) {
         let member = &mut self.members[member];
         let local = member.local(self.now);
@@ -232,12 +232,12 @@ impl<'b> Star<'b> {
         if let Some(pose) = pose {
             robot.odometry(local, pose, local);
         }
-        // Full queues are counted by the robot.
+        // The robot counts full queues.
         let _ = robot.scan(local, readings, local);
         self.drain();
     }
 
-    /// The cameras see a robot.
+    /// Reports a camera sighting of a robot.
     pub fn fix(&mut self, member: usize, pose: Pose) {
         let robots = vec![Sighting::usual(self.members[member].id, pose)];
         let captured = self.server_now();
@@ -250,12 +250,12 @@ impl<'b> Star<'b> {
         self.drain();
     }
 
-    /// Lets all that is due until then happen.
+    /// Processes everything due up to a time.
     pub fn run_until(&mut self, until: Instant) {
         let mut rounds = 0;
         while let Some(next) = self.next_due().filter(|&next| next <= until) {
             rounds = if next > self.now { 0 } else { rounds + 1 };
-            assert!(rounds < MOST_ROUNDS, "time stands still: {}", self.who_is_due());
+            assert!(rounds < MAX_ROUNDS, "time stands still: {}", self.who_is_due());
             self.now = self.now.max(next);
             self.deliver();
             let server_now = self.server_now();
@@ -291,7 +291,7 @@ impl<'b> Star<'b> {
         robots.chain(ports).flatten().chain(write).min()
     }
 
-    /// For messages: who wants to come back, and when.
+    /// For messages: the next deadlines.
     fn who_is_due(&self) -> String {
         let server_now = self.server_now();
         let robots = self.members.iter().map(|member| {
@@ -336,7 +336,7 @@ impl<'b> Star<'b> {
             while let Some(len) = robot.poll_transmit(local, out) {
                 member.up.send(self.now, &out[..len]);
                 frames += 1;
-                assert!(frames < MOST_ROUNDS, "robot {} never stops sending", member.id.0);
+                assert!(frames < MAX_ROUNDS, "robot {} never stops sending", member.id.0);
             }
         }
         for port in 0..self.ports {
@@ -346,7 +346,7 @@ impl<'b> Star<'b> {
                     member.down.send(self.now, &self.frame[..len]);
                 }
                 frames += 1;
-                assert!(frames < MOST_ROUNDS, "port {port} never stops sending");
+                assert!(frames < MAX_ROUNDS, "port {port} never stops sending");
             }
         }
     }

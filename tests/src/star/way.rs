@@ -1,4 +1,4 @@
-//! One direction of a robot's channel, at which anything may be done to frames.
+//! One direction of a robot's channel, with arbitrary faults on frames.
 
 use std::collections::BTreeSet;
 
@@ -8,21 +8,21 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::channel::fault::{FaultWire, Faults};
 
-/// Frames that a way remembers, so that they can be replayed: the first, and the last.
+/// Number of frames remembered for replays: the first and the last.
 const REMEMBERED: usize = 40;
 
 /// One direction of a robot's channel.
 #[derive(Debug)]
 pub struct Way {
-    /// The last one takes what is sent; what is still on its way in the others arrives.
+    /// The last one takes new frames; the others still deliver their frames in flight.
     wires: Vec<FaultWire>,
     cut_until: Instant,
     pub(super) remembered: Vec<Vec<u8>>,
     sent: usize,
-    /// The frames of sessions so far, if a frame that comes again is dropped.
+    /// The session frames so far, if repeated frames are dropped.
     once: Option<BTreeSet<Vec<u8>>>,
     direction: Direction,
-    /// Bytes that were given to it, whatever became of them.
+    /// Bytes given to it, delivered or not.
     bytes: u64,
 }
 
@@ -39,23 +39,23 @@ impl Way {
         }
     }
 
-    /// From now on it is as bad as that.
+    /// Changes the faults from now on.
     pub fn weather(&mut self, faults: Faults, seed: u64) {
         self.wires.retain(|wire| wire.next_delivery().is_some());
         self.wires.push(FaultWire::new(faults, seed));
     }
 
-    /// What is sent before then is lost.
+    /// Frames sent before `until` are lost.
     pub fn cut(&mut self, until: Instant) {
         self.cut_until = self.cut_until.max(until);
     }
 
-    /// From now on a frame of a session that is sent again is lost.
+    /// From now on repeated session frames are lost.
     pub fn drop_repeats(&mut self) {
         self.once = Some(BTreeSet::new());
     }
 
-    /// Bytes that were given to it so far, whatever became of them.
+    /// Total bytes given to it, delivered or not.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }

@@ -1,4 +1,4 @@
-//! The coder of tile updates.
+//! Instruction counts of the coder of tile updates.
 
 use core::hint::black_box;
 
@@ -10,12 +10,12 @@ use ubimap_protocol::{
 
 use crate::counter::Bench;
 
-/// The fullest tile of a message, coded and read.
+/// Encodes and decodes the fullest tile of a message.
 pub(crate) fn run(bench: &mut Bench, message: &[u8]) -> Option<()> {
     code(bench, &fullest_tile(message)?)
 }
 
-/// The whole tile of a message of which most is known.
+/// The complete tile of a message with the most known cells.
 fn fullest_tile(message: &[u8]) -> Option<Tile> {
     let message = Messages::<ToServer>::new(message).next()?.ok()?;
     let (_, coded) = message.split::<TileUpdateHead>().ok()?;
@@ -31,7 +31,7 @@ fn fullest_tile(message: &[u8]) -> Option<Tile> {
     (fullest != Tile::UNKNOWN).then_some(fullest)
 }
 
-/// An update of one tile, coded and read.
+/// Encodes and decodes an update of one tile.
 fn code(bench: &mut Bench, tile: &Tile) -> Option<()> {
     let (known, free, occupied) = tile.counts();
     let id = TileId { x: 1, y: -1 };

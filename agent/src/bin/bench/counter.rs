@@ -1,4 +1,4 @@
-//! Counts instructions by SysTick.
+//! Counts instructions with SysTick.
 
 use core::hint::black_box;
 
@@ -7,21 +7,21 @@ use cortex_m::peripheral::{SYST, syst::SystClkSource};
 /// SysTick's clock in the emulator.
 const CORE_HZ: u64 = 168_000_000;
 
-/// One instruction is one nanosecond.
+/// In the emulator one instruction takes one nanosecond.
 const INSTRUCTIONS_PER_SECOND: u64 = 1_000_000_000;
 
-/// SysTick's period, the longest it has: 99.8 million instructions.
+/// SysTick's maximum period: 99.8 million instructions.
 const PERIOD: u32 = 1 << 24;
 
-/// Instructions in so many ticks.
+/// Number of instructions in a number of ticks.
 pub(crate) fn instructions(ticks: u64) -> u64 {
     ticks * INSTRUCTIONS_PER_SECOND / CORE_HZ
 }
 
-/// Measures by SysTick.
+/// Measures with SysTick.
 pub(crate) struct Bench {
     systick: SYST,
-    /// What measuring nothing takes.
+    /// Ticks of an empty measurement.
     overhead: u32,
 }
 
@@ -32,23 +32,23 @@ impl Bench {
         systick.set_reload(PERIOD - 1);
         systick.clear_current();
         systick.enable_counter();
-        // From zero it steps to the top.
+        // From zero it reloads.
         while SYST::get_current() == 0 {}
         let mut bench = Self { systick, overhead: 0 };
         bench.overhead = bench.ticks(|| ()).1.unwrap_or(0);
         bench
     }
 
-    /// Runs a stage once: what it gives, and the ticks that it takes, of six instructions each;
-    /// `None` if they may be more than a period.
+    /// Runs a stage once. Returns its result and its ticks, of six instructions each; `None` if
+    /// they may exceed a period.
     pub(crate) fn count<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
         let (result, ticks) = self.ticks(stage);
         (result, ticks.map(|ticks| ticks.saturating_sub(self.overhead)))
     }
 
-    /// The same, what measuring takes included.
+    /// The same, including the overhead.
     fn ticks<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
-        // It counts down, and wraps at most once within a period.
+        // SysTick counts down, and wraps at most once within a period.
         self.systick.has_wrapped();
         let start = SYST::get_current();
         let result = black_box(stage());

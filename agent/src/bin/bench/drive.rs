@@ -1,4 +1,4 @@
-//! Driving: a window of the map, ways across it, and a step along one.
+//! Instruction counts of driving: a window of the map, paths across it, and a step along one.
 
 use core::hint::black_box;
 
@@ -18,16 +18,16 @@ use ubimap_protocol::{
 
 use super::{counter::Bench, planes::BOUNDS};
 
-/// Rooms of 64 x 64 cells in which a robot of 30 cm goes from one corner to the other.
+/// Rooms of 64 x 64 cells, which a robot 30 cm wide crosses from corner to corner.
 #[derive(Clone, Copy, PartialEq)]
 enum Scene {
-    /// Nothing in it.
+    /// Empty.
     Empty,
-    /// Three rooms, whose doors of 80 cm are at opposite sides.
+    /// Three rooms, with doors of 80 cm on opposite sides.
     Rooms,
     /// Tables and boxes.
     Furniture,
-    /// Walls from alternate sides: the longest way that there is.
+    /// Walls from alternate sides: the longest path possible.
     Serpent,
     /// A wall without a door.
     Closed,
@@ -75,8 +75,8 @@ impl Scene {
     }
 }
 
-/// From corner to corner of each scene, and a frontier; then a step. `None` if one of them does not
-/// find what it should.
+/// Plans across each scene and to a frontier, then makes a step. `None` if one of them has a wrong
+/// result.
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let planner = singleton!(: Planner = Planner::EMPTY)?;
@@ -104,7 +104,7 @@ pub(super) fn run(bench: &mut Bench) -> Option<()> {
     follow(bench, window)
 }
 
-/// The window of a scene, its south-western corner the map's origin.
+/// The window of a scene, with its south-western corner at the map's origin.
 fn fill(scene: Scene, window: &mut PlanningWindow) {
     let near = NearPoints::default();
     let middle = Millimetres(SIDE as i32 / 2 * BOUNDS.resolution.0);
@@ -121,7 +121,7 @@ fn fill(scene: Scene, window: &mut PlanningWindow) {
     window.fill(&view, |column, row| scene.row(column, row));
 }
 
-/// The points of the way.
+/// Number of points of the path.
 fn plan(
     planner: &mut Planner,
     window: &mut PlanningWindow,
@@ -138,7 +138,7 @@ fn plan(
     }
 }
 
-/// A step in the middle of a curve, with things all around and people about.
+/// A step in the middle of a curve, with obstacles all around and people nearby.
 fn follow(bench: &mut Bench, window: &mut PlanningWindow) -> Option<()> {
     fill(Scene::Empty, window);
     let mut beams = [Beam::default(); MAX_POINTS];

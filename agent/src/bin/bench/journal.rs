@@ -1,6 +1,5 @@
-//! Plays the journal of a robot, which comes in at USART1 once it is open, and prints what the robot
-//! gives: `cargo test --package ubimap-tests --test journal` compares it with what the same robot
-//! gives on a PC.
+//! Replays a robot's journal, received on USART1, and prints the robot's outputs. `cargo test
+//! --package ubimap-tests --test journal` compares them with those of the same robot on a PC.
 #![no_std]
 #![no_main]
 
@@ -23,7 +22,7 @@ use port::Port;
 use ubimap_agent::{Memory, Robot, drive::Driving, memory};
 use ubimap_protocol::frame::DEFAULT_FRAME;
 
-/// Bytes of the longest line: a frame, two digits for each byte.
+/// Maximum length of a line: a frame, two digits per byte.
 const LINE: usize = 2 * DEFAULT_FRAME + 8;
 
 #[entry]
@@ -37,12 +36,12 @@ fn run(memory: &'static mut memory!(BOUNDS, Driving)) -> Option<()> {
     let mut port = Port::open()?;
     let mut robot = Robot::new(config(), memory).ok()?;
     let mut lines = Lines { host: hstdout().ok()?, line: String::new() };
-    // Bytes that come before the port is open are lost: who sends them waits for this line.
+    // Bytes sent before the port is open are lost: the sender waits for this line.
     hprintln!("a journal, please");
     play(&mut robot, || Some(port.byte()), &mut lines).ok()
 }
 
-/// Prints line by line: each time the host is asked takes long.
+/// Prints line by line, because each call to the host is slow.
 struct Lines {
     host: HostStream,
     line: String<LINE>,

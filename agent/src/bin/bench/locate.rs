@@ -1,4 +1,4 @@
-//! The filter: a fix that comes late, odometry, and the pose of a scan.
+//! Instruction counts of the filter: a late fix, odometry, and the pose of a scan.
 
 use core::hint::black_box;
 
@@ -13,8 +13,8 @@ use ubimap_protocol::{
 
 use super::counter::Bench;
 
-/// A robot that drives a curve, its wheels read at 20 Hz: fixes at 15 Hz, one of which is 100 ms
-/// late or as late as can be, and the pose of a scan.
+/// A robot drives a curve with odometry at 20 Hz and fixes at 15 Hz; one fix is 100 ms late, or as
+/// late as possible; then the pose of a scan is requested.
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let at = |millis: i32| Pose {

@@ -1,8 +1,8 @@
 //! Instruction counts of a robot's stages: `cargo instructions`.
 //!
-//! It needs QEMU with `-icount shift=0`, where every instruction takes one nanosecond of the
-//! emulated clock, and semihosting to print its table. It counts instructions, not cycles: the
-//! same number in every run, whatever the host.
+//! Requires QEMU with `-icount shift=0`, where every instruction takes one nanosecond of the
+//! emulated clock, and semihosting to print the table. Counts instructions, not cycles: the same
+//! number in every run on any host.
 #![no_std]
 #![no_main]
 
@@ -26,7 +26,7 @@ use cortex_m_semihosting::hprintln;
 use counter::Bench;
 use ending::end;
 use planes::{BOUNDS, PIXELS, POSE, local_map, rows};
-// For its table of interrupt vectors.
+// Links its interrupt vectors.
 use stm32f4xx_hal as _;
 use ubimap_agent::{
     Config, Memory, Robot, Slices, Storage,
@@ -43,11 +43,11 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-/// The focal length of the rows, in pixels: 86 degrees across (Aluckal II.D).
+/// Focal length of the rows, in pixels: 86 degrees across (Aluckal II.D).
 const FOCAL: f32 = 343.1;
-/// A wall across the whole view, in millimetres of depth.
+/// Depth of a wall across the whole view, in millimetres.
 const WALL: u16 = 3_000;
-/// Boxes before it: from column, to column, depth.
+/// Boxes in front of it: first column, end column, depth.
 const BOXES: [(usize, usize, u16); 2] = [(150, 270, 1_200), (400, 500, 1_900)];
 
 #[entry]
@@ -58,7 +58,7 @@ fn main() -> ! {
     end(core.and_then(|core| run(&mut Bench::new(core.SYST), MEMORY)))
 }
 
-/// The table. `None` if a stage did not do what it is there for.
+/// Prints the table. `None` if a stage has a wrong result.
 fn run(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     hprintln!("{:>12}  stage", "instructions");
     fill_beams(memory.slices().beams, sensor(), Pose::default());
@@ -96,7 +96,7 @@ fn sensor() -> SensorModel {
     SensorModel::Pinhole { focal: FOCAL, centre: (PIXELS - 1) as f32 / 2.0 }
 }
 
-/// A first message of the scene's tiles: as many as fit a frame. Its length.
+/// Writes the first message with the scene's tiles, as many as fit a frame. Returns its length.
 fn publish(
     bench: &mut Bench,
     memory: Slices<'_>,
@@ -115,7 +115,7 @@ fn publish(
     Some(writer.len())
 }
 
-/// A frame with a pose fix, and the three before it, from bytes to the robot's pose.
+/// Receives a frame with a pose fix and its three predecessors, from bytes to the robot's pose.
 #[inline(never)]
 fn receive(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     let mut robot = Robot::new(Config::new(RobotId(1), sensor(), BOUNDS), memory).ok()?;
@@ -139,13 +139,13 @@ fn receive(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     robot.receive(frame.get(..len)?, now);
     server.begin(welcome.session, DEFAULT_FRAME);
 
-    // The clocks agree: the first request has the nonce 0.
+    // Synchronises the clocks: the first request has the nonce 0.
     robot.poll_transmit(now, &mut frame)?;
     let reply = TimeReply { nonce: 0, received: now, held_micros: 0 };
     let len = datagram(&mut server, &reply, &mut frame, now)?;
     robot.receive(frame.get(..len)?, now);
 
-    // Each time three of four are known, as at 15 Hz without a loss.
+    // Three of the four fixes are known each time, as at 15 Hz without losses.
     for count in 1..=5u64 {
         now = Instant(count * 66_667);
         let before = (1..count).rev().map(|fix| (Instant(fix * 66_667), POSE));
@@ -163,7 +163,7 @@ fn receive(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     (robot.statistics().fixes == 5 && robot.pose() == Some((now, POSE))).then_some(())
 }
 
-/// A frame with one message. Its length.
+/// Writes a frame with one message. Returns its length.
 fn datagram(
     server: &mut Endpoint<ToRobot, (), 1, DEFAULT_FRAME>,
     message: &impl Body<ToRobot>,

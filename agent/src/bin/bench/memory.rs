@@ -1,9 +1,9 @@
-//! Bytes of memory that a robot takes, by its bounds: the same on every 32-bit machine.
+//! Memory of a robot in bytes, by its bounds: the same on every 32-bit machine.
 
 use cortex_m_semihosting::hprintln;
 use ubimap_agent::{Bounds, LINK_STATE, Robot, map::OwnTile, share::FusedTile};
 
-/// The lines of this file's table.
+/// Prints this file's lines of the table.
 pub(crate) fn run() {
     for (name, bounds) in [("default bounds", Bounds::DEFAULT), ("small bounds", Bounds::SMALL)] {
         let (all, tiles) = (size_of::<Robot<'_>>() + bounds.memory_bytes(), bounds.tile_bytes());

@@ -1,14 +1,14 @@
-//! How deep the stack has been, by painting it.
+//! Measures the stack's depth by painting it.
 #![allow(unsafe_code, reason = "it reads and writes memory that nobody owns")]
 
 use core::ptr::{read_volatile, with_exposed_provenance_mut, write_volatile};
 
 use cortex_m::register::msp;
 
-/// What is not likely to be on a stack.
+/// A value unlikely to appear on a stack.
 const PAINT: u32 = 0xC5A3_5CCA;
 
-/// How far down it is painted, in bytes; no stage goes as deep.
+/// Depth to which the stack is painted, in bytes; no stage goes as deep.
 const DEPTH: usize = 32 * 1_024;
 
 /// Paints the memory below the stack in use.
@@ -20,7 +20,7 @@ pub(crate) fn paint() {
     });
 }
 
-/// Bytes of the stack down to the deepest that has been written to since it was painted.
+/// Depth of the deepest word written since painting, in bytes.
 #[inline(never)]
 pub(crate) fn depth() -> usize {
     let written = |word: &*mut u32| {
@@ -31,7 +31,7 @@ pub(crate) fn depth() -> usize {
     top().saturating_sub(deepest)
 }
 
-/// Where the stack begins: the first word of the vector table.
+/// The start of the stack: the first word of the vector table.
 fn top() -> usize {
     unsafe extern "C" {
         safe static _stack_start: u32;
@@ -39,7 +39,7 @@ fn top() -> usize {
     (&raw const _stack_start).addr()
 }
 
-/// The words below the stack in use, from the deepest on.
+/// The words below the stack in use, deepest first.
 #[inline(always)]
 fn words() -> impl Iterator<Item = *mut u32> {
     let start = top().saturating_sub(DEPTH).max(cortex_m_rt::heap_start().addr());

@@ -1,4 +1,4 @@
-//! A row of a depth frame to evidence planes.
+//! Instruction counts from a row of a depth frame to evidence planes.
 
 use core::hint::black_box;
 
@@ -14,16 +14,16 @@ use ubimap_protocol::{
 
 use crate::counter::Bench;
 
-/// Pixels of a depth row (Aluckal II.D).
+/// Pixels per depth row (Aluckal II.D).
 pub(crate) const PIXELS: usize = 640;
 /// More tiles than a row touches.
 pub(crate) const BOUNDS: Bounds =
     Bounds { readings: PIXELS, waiting: 1, own_tiles: 12, fused_tiles: 9, ..Bounds::DEFAULT };
-/// Where the rows are taken: along no axis.
+/// The pose at which the rows are taken, not aligned with the axes.
 pub(crate) const POSE: Pose =
     Pose { x: Millimetres(310), y: Millimetres(-170), heading: Angle(5_000) };
 
-/// The robot layer with nothing in it.
+/// An empty robot layer.
 pub(crate) fn local_map<'m>(
     sensor: SensorModel,
     beams: &[Beam],
@@ -32,14 +32,14 @@ pub(crate) fn local_map<'m>(
 ) -> LocalMap<'m> {
     let (resolution, max_range, mounting) = (BOUNDS.resolution, BOUNDS.max_range, Pose::default());
     let (validity, policy) = (Validity::of(sensor), Policy::default());
-    // In a square within a quarter of the range.
+    // A quarter of the range.
     let near = 703;
     let config = MappingConfig { resolution, max_range, near, mounting, validity, policy };
     LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 
-/// A row of a frame to evidence planes, as a robot takes it: copied, sorted out, drawn, counted.
-/// And the same row once more.
+/// Takes a row of a frame to evidence planes as a robot does: copied, cleaned, drawn, counted; then
+/// the same row again.
 pub(crate) fn rows(
     bench: &mut Bench,
     memory: Slices<'_>,

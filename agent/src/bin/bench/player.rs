@@ -1,4 +1,4 @@
-//! A robot that does again what is in a journal, on a microcontroller and on a PC alike.
+//! A robot that replays a journal, identically on a microcontroller and on a PC.
 //!
 //! A journal is a sequence of entries, all numbers little-endian:
 //!
@@ -27,21 +27,21 @@ use ubimap_protocol::{
 
 /// Bytes from the server.
 pub(crate) const RECEIVED: u8 = 1;
-/// A reading of the odometry.
+/// An odometry reading.
 pub(crate) const ODOMETRY: u8 = 2;
 /// A scan.
 pub(crate) const SCAN: u8 = 3;
-/// The robot does what is due.
+/// A call of `timeout`.
 pub(crate) const TIMEOUT: u8 = 4;
-/// The robot sends a frame, if one is due.
+/// A call of `poll_transmit`.
 pub(crate) const TRANSMIT: u8 = 5;
-/// The journal is over.
+/// The end of the journal.
 pub(crate) const END: u8 = 6;
 
-/// What the robot keeps.
+/// The sizes of the robot's memory.
 pub(crate) const BOUNDS: Bounds = Bounds { own_tiles: 16, fused_tiles: 36, ..Bounds::REFERENCE };
 
-/// The robot: a depth camera of 100 pixels that sees 78 degrees, and wheels.
+/// The robot: a depth camera of 100 pixels with a view of 78 degrees, and wheels.
 pub(crate) fn config() -> Config<Driving> {
     let sensor = SensorModel::Pinhole { focal: 61.745, centre: 49.5 };
     let gaze = Gaze { half_view: 0.68, reach: 2_000, radius: 150 };
@@ -49,11 +49,11 @@ pub(crate) fn config() -> Config<Driving> {
     Config { boot_nonce: 77, ..Config::new(RobotId(1), sensor, BOUNDS) }.with_drive(driving)
 }
 
-/// Has the robot take what is in a journal, and writes what it gives: a line for each frame and for
-/// each new command to the wheels, and in the end one for each tile and for what has been counted.
+/// Replays a journal and writes the robot's outputs: a line for each frame and each new wheel
+/// command, and at the end a line for each tile and for the counters.
 ///
 /// # Errors
-/// The journal breaks off, or the output fails.
+/// The journal is incomplete, or writing fails.
 pub(crate) fn play(
     robot: &mut Robot<'_, Driving>,
     byte: impl FnMut() -> Option<u8>,
@@ -78,7 +78,7 @@ pub(crate) fn play(
                 for reading in &mut readings {
                     *reading = u16::from_le_bytes(journal.bytes()?);
                 }
-                // What is not taken is counted.
+                // Refused scans are counted.
                 let _ = robot.scan(now, &readings, now);
             }
             TIMEOUT => {
@@ -99,12 +99,12 @@ pub(crate) fn play(
     }
 }
 
-/// The line of a command to the wheels.
+/// Writes the line of a wheel command.
 pub(crate) fn write_command(command: DriveCommand, out: &mut impl fmt::Write) -> fmt::Result {
     writeln!(out, "wheels {} {}", command.speed, command.turn)
 }
 
-/// The line of a frame that is sent.
+/// Writes the line of a sent frame.
 pub(crate) fn write_frame(frame: &[u8], out: &mut impl fmt::Write) -> fmt::Result {
     out.write_str("sent ")?;
     for byte in frame {
@@ -115,7 +115,7 @@ pub(crate) fn write_frame(frame: &[u8], out: &mut impl fmt::Write) -> fmt::Resul
     out.write_str("\n")
 }
 
-/// The lines of the tiles, and of what has been counted.
+/// Writes the lines of the tiles and of the counters.
 fn write_result(robot: &Robot<'_, Driving>, out: &mut impl fmt::Write) -> fmt::Result {
     for tile in robot.own_tiles().tiles() {
         let (Some(id), stamp) = (tile.id(), tile.publication().version()) else { continue };

@@ -1,4 +1,4 @@
-//! The port that recorded data come from.
+//! The port for recorded data.
 
 use stm32f4xx_hal::{
     pac::{self, USART1},
@@ -6,11 +6,11 @@ use stm32f4xx_hal::{
     rcc::Enable,
 };
 
-/// USART1. The emulator waits until a byte has been taken.
+/// USART1. The emulator waits until each byte has been read.
 pub(crate) struct Port(USART1);
 
 impl Port {
-    /// Opens it; `None` if that has been done before.
+    /// Opens it; `None` if it was opened before.
     pub(crate) fn open() -> Option<Self> {
         let chip = pac::Peripherals::take()?;
         let mut rcc = chip.RCC.constrain();

@@ -1,7 +1,7 @@
-//! Instruction counts of rows of recorded depth frames to planes, which come in at USART1 once it
-//! is open: `cargo test --release --package ubimap-tests --test instructions -- --nocapture`.
+//! Instruction counts from rows of recorded depth frames, received on USART1, to planes: `cargo
+//! test --release --package ubimap-tests --test instructions -- --nocapture`.
 //!
-//! What comes in, all numbers little-endian:
+//! Input format, all numbers little-endian:
 //!
 //! | what | bytes |
 //! |---|---|
@@ -39,9 +39,9 @@ fn main() -> ! {
     end(core.and_then(|core| run(&mut Bench::new(core.SYST), &mut Port::open()?, MEMORY)))
 }
 
-/// The table. `None` if a row was not mapped.
+/// Prints the table. `None` if a row was not mapped.
 fn run(bench: &mut Bench, port: &mut Port, memory: &mut Memory<impl Storage>) -> Option<()> {
-    // Bytes that come before the port is open are lost: who sends them waits for this line.
+    // Bytes sent before the port is open are lost: the sender waits for this line.
     hprintln!("{:>12}  stage", "instructions");
     let mut number = 0;
     while port.byte() == 1 {

@@ -1,4 +1,4 @@
-//! From a depth frame to readings that count.
+//! Instruction counts from a depth frame to valid readings.
 
 use core::hint::black_box;
 
@@ -7,12 +7,12 @@ use ubimap_protocol::units::Millimetres;
 
 use crate::{FOCAL, PIXELS, counter::Bench, sensor};
 
-/// The middle row of a frame; a wall 3 m off is seen there.
+/// The middle row of a frame, which sees a wall 3 m away.
 const ROW: u16 = 240;
-/// The rows of a band.
+/// Number of rows of a band.
 const BAND: u16 = 5;
 
-/// The lines of this file's table; `None` if a stage did not do what it is there for.
+/// Prints this file's lines of the table; `None` if a stage has a wrong result.
 pub(crate) fn run(bench: &mut Bench, wall: &[u16; PIXELS], boxes: &[u16; PIXELS]) -> Option<()> {
     let validity = Validity::of(sensor());
     for (scene, row) in [("a wall", *wall), ("two boxes before it", *boxes), ("ragged", ragged())] {
@@ -50,7 +50,7 @@ fn slices(bench: &mut Bench, line: &[u16; PIXELS], validity: Validity) -> Option
     Some(())
 }
 
-/// A wall seen at a slant, with noise of a few centimetres, where now and then nothing came back.
+/// A slanted wall with noise of a few centimetres and some missing returns.
 fn ragged() -> [u16; PIXELS] {
     let mut readings = [0; PIXELS];
     for (column, reading) in (0u16..).zip(&mut readings) {

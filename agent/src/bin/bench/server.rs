@@ -1,5 +1,5 @@
-//! The server that a robot's stack is measured with. It has an own frame for what it says, and
-//! none of it is inlined: its stack is not the robot's.
+//! The server for measurements of a robot's stack. It has its own transmit buffer, and none of it
+//! is inlined, so that its stack does not count as the robot's.
 
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, SessionId},
@@ -17,7 +17,7 @@ use ubimap_protocol::{
 
 use super::{BOUNDS, INTERVAL, pose};
 
-/// The frames that are lost on their way to the server: one in so many.
+/// One in this number of frames to the server is lost.
 const LOST: u32 = 11;
 
 /// The server's side of one link.
@@ -25,18 +25,18 @@ pub(super) struct Server {
     link: Endpoint<ToRobot, (), 3, DEFAULT_FRAME>,
     frame: [u8; DEFAULT_FRAME],
     heard: u32,
-    /// What has not been answered yet.
+    /// Unanswered messages.
     hello: Option<Hello>,
     request: Option<TimeRequest>,
-    /// Which life this is.
+    /// The server's epoch.
     epoch: u32,
-    /// Tiles that have been sent in this life, and the next cell of the one that is under way.
+    /// Number of tiles sent in this epoch, and the next cell of the current one.
     sent: u32,
     next: u16,
 }
 
 impl Server {
-    /// A server that has heard nothing.
+    /// A server without a session.
     #[inline(never)]
     pub(super) fn begin(place: &mut Option<Self>) -> &mut Self {
         place.get_or_insert_with(|| Self {
@@ -51,7 +51,7 @@ impl Server {
         })
     }
 
-    /// Its next life.
+    /// Restarts the server in the next epoch.
     #[inline(never)]
     pub(super) fn forget(&mut self) {
         self.link.end();
@@ -59,7 +59,7 @@ impl Server {
         (self.sent, self.next) = (0, 0);
     }
 
-    /// Says that it knows no session, if that is so.
+    /// Sends a reset if there is no session.
     #[inline(never)]
     pub(super) fn reset(&mut self) -> Option<&[u8]> {
         if self.link.session() != SessionId::NONE {
@@ -69,7 +69,7 @@ impl Server {
         self.frame.get(..len)
     }
 
-    /// Takes a frame, if it is not lost.
+    /// Processes a frame, unless it is lost.
     #[inline(never)]
     pub(super) fn hear(&mut self, mut bytes: &[u8], now: Instant) {
         self.heard += 1;
@@ -92,7 +92,7 @@ impl Server {
         while self.link.poll_acknowledged().is_some() {}
     }
 
-    /// The answer to a hello, if there was one.
+    /// The reply to a hello, if there was one.
     #[inline(never)]
     pub(super) fn welcome(&mut self) -> Option<&[u8]> {
         let terms = Terms {
@@ -109,7 +109,7 @@ impl Server {
         self.frame.get(..len)
     }
 
-    /// The answer to a request for the time, if there was one.
+    /// The reply to a time request, if there was one.
     #[inline(never)]
     pub(super) fn reply(&mut self, now: Instant) -> Option<&[u8]> {
         let nonce = self.request.take()?.nonce;
@@ -117,7 +117,7 @@ impl Server {
         self.send(&reply, now)
     }
 
-    /// A message of this kind when the robot has taken so many scans.
+    /// A message of this kind after `count` scans of the robot.
     #[inline(never)]
     pub(super) fn say(
         &mut self,
@@ -189,7 +189,7 @@ impl Server {
                 self.send(&Path { number, waypoints }, now)
             }
             ToRobotKind::Parameter => {
-                // The sensor's mounting, or all of them.
+                // The sensor's mounting, or all parameters.
                 let set = ParameterAction::Set(ParameterValue { parameter: 1, value: 10 });
                 let action = if count.is_multiple_of(2) { set } else { ParameterAction::List };
                 self.send(&ParameterCommand { number: count as u16, action }, now)
@@ -199,7 +199,7 @@ impl Server {
         }
     }
 
-    /// The newest fix and three before it; now and then one that is half a second old.
+    /// The newest fix and its three predecessors; sometimes a fix that is half a second old.
     #[inline(never)]
     fn fix(&mut self, count: u64, now: Instant) -> Option<&[u8]> {
         let newest = if count.is_multiple_of(10) { count.saturating_sub(7) } else { count };
@@ -210,7 +210,7 @@ impl Server {
         self.send(&fix, now)
     }
 
-    /// A part of a tile that is half noise: of the fused layer, then of the other.
+    /// A part of a tile with half noise: of the fused layer, then of the coverage layer.
     #[inline(never)]
     fn tile(&mut self, id: TileId, now: Instant) -> Option<&[u8]> {
         let mut tile = Tile::UNKNOWN;

@@ -1,7 +1,7 @@
-//! Bytes of the stack that a robot takes, itself included: `cargo stack`, and on a Cortex-M0+
-//! `cargo stack-m0`. It is painted before each stage of a drive with a scripted server.
+//! Stack of a robot in bytes, including the robot itself: `cargo stack`, and on a Cortex-M0+ `cargo
+//! stack-m0`. The stack is painted before each stage of a drive with a scripted server.
 //!
-//! Nothing is formatted here, so that the image holds no panic but those of the robot.
+//! Nothing is formatted here, so that the image holds no panics except the robot's.
 #![no_std]
 #![no_main]
 
@@ -14,7 +14,7 @@ use cortex_m_semihosting::hio;
 use ending::end;
 use paint::{depth, paint};
 use server::Server;
-// For its table of interrupt vectors.
+// Links its interrupt vectors.
 #[cfg(feature = "firmware")]
 use stm32f4xx_hal as _;
 use ubimap_agent::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
@@ -26,16 +26,16 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose, RobotId},
 };
 
-/// Those of the firmware; on the core that has no more, the smallest.
+/// The firmware's; the smallest on a core with less memory.
 const BOUNDS: Bounds = if cfg!(feature = "firmware") { Bounds::REFERENCE } else { Bounds::SMALL };
 
-/// Between two scans.
+/// Time between two scans.
 const INTERVAL: Duration = Duration(66_667);
 
-/// Scans of the drive: in 12 m the pool of tiles is full, and tiles make room.
+/// Scans of the drive: after 12 m the pool is full, and tiles are evicted.
 const SCANS: u64 = 200;
 
-/// What the stack is measured of.
+/// The stages measured.
 #[derive(Clone, Copy)]
 enum Stage {
     Made,
@@ -45,7 +45,7 @@ enum Stage {
     Told(ToRobotKind),
 }
 
-/// The names of the stages, by their index.
+/// The names of the stages, by index.
 const NAMES: [&str; 15] = [
     "a new robot",
     "a frame to send",
@@ -88,7 +88,7 @@ impl Stage {
     }
 }
 
-/// The deepest of each stage.
+/// The maximum depth of each stage.
 #[derive(Default)]
 struct Depths([usize; NAMES.len()]);
 
@@ -100,7 +100,7 @@ impl Depths {
         result
     }
 
-    /// A stage is over, before which the stack was painted.
+    /// Records the depth of a stage; the stack was painted before it.
     fn note(&mut self, stage: Stage) {
         if let Some(deepest) = self.0.get_mut(stage.index()) {
             *deepest = depth().max(*deepest);
@@ -118,7 +118,7 @@ impl Depths {
 #[entry]
 fn main() -> ! {
     static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
-    // What is measured with, and not to be measured.
+    // The measuring equipment, which must not be measured.
     static mut SERVER: Option<Server> = None;
     static mut DEPTHS: Depths = Depths([0; _]);
 
@@ -138,7 +138,7 @@ fn config() -> Config {
     Config::new(RobotId(1), SensorModel::Pinhole { focal, centre }, BOUNDS)
 }
 
-/// Drives along a hall, with fixes at 15 Hz. `None` if the robot did not do what it should.
+/// Drives along a hall, with fixes at 15 Hz. `None` if the robot has a wrong result.
 #[inline(never)]
 fn drive(robot: &mut Robot<'_>, server: &mut Server, depths: &mut Depths) -> Option<()> {
     let mut readings = [0; BOUNDS.readings];
@@ -155,7 +155,7 @@ fn drive(robot: &mut Robot<'_>, server: &mut Server, depths: &mut Depths) -> Opt
         look(&mut readings, count);
         depths.measure(Stage::Mapped, || {
             robot.odometry(now, pose, now);
-            // Where there is no session, scans wait in vain and there is no room for more.
+            // Without a session scans wait in vain, and the queue overflows.
             let _ = robot.scan(now, &readings, now);
         });
         for kind in told(count) {
@@ -170,7 +170,7 @@ fn drive(robot: &mut Robot<'_>, server: &mut Server, depths: &mut Depths) -> Opt
     (well && robot.link_counters().retransmissions > 0).then_some(())
 }
 
-/// All that the robot has to send, and the answers to it.
+/// Sends all of the robot's frames, and receives the replies.
 #[inline(never)]
 fn talk(
     robot: &mut Robot<'_>,
@@ -192,7 +192,7 @@ fn talk(
     Some(())
 }
 
-/// What the server says after a scan: a fix, and one of all others.
+/// The server's messages after a scan: a fix, and one of the others in turn.
 fn told(count: u64) -> [ToRobotKind; 3] {
     let other = match count % 9 {
         0 => ToRobotKind::Digests,
@@ -208,14 +208,14 @@ fn told(count: u64) -> [ToRobotKind; 3] {
     [other, ToRobotKind::TileUpdate, ToRobotKind::PoseFix]
 }
 
-/// Along the hall, turning.
+/// The pose along the hall, turning.
 fn pose(count: u64) -> Pose {
     let along = 60 * count as i32;
     let heading = Angle((count * 700) as u16);
     Pose { x: Millimetres(along), y: Millimetres(along / 7), heading }
 }
 
-/// Walls, boxes and noise, some of it lost, now and then nothing new.
+/// Walls, boxes, noise, missing returns, and sometimes an unchanged view.
 fn look(readings: &mut [u16], count: u64) {
     if count.is_multiple_of(8) {
         return;

@@ -1,4 +1,5 @@
-//! A robot that stands still and sees what it saw: the whole robot, from the readings on.
+//! Instruction counts of a robot at standstill with an unchanged view: the whole robot, from the
+//! readings on.
 
 use core::hint::black_box;
 
@@ -10,9 +11,9 @@ use ubimap_protocol::{
 
 use super::{counter::Bench, planes::BOUNDS};
 
-/// A first scan is mapped; the next ones, with their odometry, are not. `None` if it goes otherwise.
+/// The first scan is mapped; the following ones, with their odometry, are not. `None` otherwise.
 ///
-/// Not inlined, nor are other stages with a robot: their frames would add up.
+/// Not inlined, like the other stages with a robot: their stack frames would add up.
 #[inline(never)]
 pub(super) fn run(
     bench: &mut Bench,

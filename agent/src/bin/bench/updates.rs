@@ -1,7 +1,7 @@
-//! Instruction counts of the coder over the tile updates of a recorded log, which come in at
-//! USART1 once it is open: `cargo test --release --package ubimap-tests --test instructions -- --nocapture`.
+//! Instruction counts of the coder for the tile updates of a recorded log, received on USART1:
+//! `cargo test --release --package ubimap-tests --test instructions -- --nocapture`.
 //!
-//! What comes in, all numbers little-endian:
+//! Input format, all numbers little-endian:
 //!
 //! | what | bytes |
 //! |---|---|
@@ -32,7 +32,7 @@ use ubimap_protocol::{
     tile::{Row, TILE_SIDE, Tile, TileDecoder, TileEncoder},
 };
 
-/// Ways that an update may go.
+/// Directions of an update.
 const WAYS: [&str; 2] = ["to the server", "to a robot"];
 
 #[entry]
@@ -41,9 +41,9 @@ fn main() -> ! {
     end(core.and_then(|core| run(&mut Bench::new(core.SYST), &mut Port::open()?)))
 }
 
-/// The table. `None` if an update was not coded as it was the first time.
+/// Prints the table. `None` if an update was not coded as in the log.
 fn run(bench: &mut Bench, port: &mut Port) -> Option<()> {
-    // Bytes that come before the port is open are lost: who sends them waits for this line.
+    // Bytes sent before the port is open are lost: the sender waits for this line.
     hprintln!("{:>12}  stage", "instructions");
     let mut counts = [Counts::default(); WAYS.len()];
     while let Some(counts) = counts.get_mut(usize::from(port.byte())) {
@@ -61,7 +61,7 @@ fn run(bench: &mut Bench, port: &mut Port) -> Option<()> {
     Some(())
 }
 
-/// Reads an update and writes it again.
+/// Decodes an update and encodes it again.
 fn update(
     bench: &mut Bench,
     port: &mut Port,
@@ -98,14 +98,14 @@ fn update(
     (again.get(..len?) == Some(coded)).then_some(())
 }
 
-/// What the updates of one way took.
+/// Costs of the updates in one direction.
 #[derive(Clone, Copy, Default)]
 struct Counts {
     encoded: Count,
     decoded: Count,
 }
 
-/// Ticks of many tiles.
+/// Total and maximum of ticks per tile.
 #[derive(Clone, Copy, Default)]
 struct Count {
     tiles: u64,

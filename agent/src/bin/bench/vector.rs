@@ -1,4 +1,4 @@
-//! Distance vectors: of a depth row, and of a grey image.
+//! Instruction counts of distance vectors: from a depth row, and from a grey image.
 
 use core::hint::black_box;
 
@@ -13,7 +13,7 @@ const WALL: usize = 110;
 const BOX: usize = 70;
 const BOX_COLUMNS: core::ops::Range<usize> = 90..150;
 
-/// A row to the columns of a message. `None` if they are not all filled.
+/// From a row to the columns of a message. `None` if they are not all filled.
 pub(super) fn of_row(bench: &mut Bench, beams: &[Beam], readings: &[u16]) -> Option<()> {
     let name = format_args!("a row of {} to a distance vector", readings.len());
     let columns = bench.measure(name, || {
@@ -22,7 +22,7 @@ pub(super) fn of_row(bench: &mut Bench, beams: &[Beam], readings: &[u16]) -> Opt
     (columns.distances.iter().filter(|&&units| units > 0).count() == MAX_COLUMNS).then_some(())
 }
 
-/// An image with walls, and one that is floor all over, to distances. `None` if they are wrong.
+/// From images with walls, and with floor only, to distances. `None` if they are wrong.
 pub(super) fn of_image(bench: &mut Bench) -> Option<()> {
     let image = singleton!(: [u8; COLUMNS * LINES] = [0; COLUMNS * LINES])?;
     let mut distances = |name, image: &[u8]| {
@@ -39,7 +39,7 @@ pub(super) fn of_image(bench: &mut Bench) -> Option<()> {
     found.iter().all(|&distance| distance == FloorConfig::default().lines).then_some(())
 }
 
-/// Floor that darkens upwards, ends after some lines in each column, and noise.
+/// Floor that darkens upwards and ends after some lines in each column, with noise.
 fn draw(image: &mut [u8], floor: impl Fn(usize) -> usize) {
     let mut noise = 1u32;
     for (line, pixels) in image.chunks_exact_mut(COLUMNS).rev().enumerate() {

@@ -1,4 +1,4 @@
-//! A robot in a room: it sees by rays, draws its own map, and drives by it.
+//! A simulated robot in a room: scans by ray casting, draws its own map, and drives by it.
 
 mod tests;
 
@@ -14,23 +14,23 @@ use ubimap_protocol::{
 use super::*;
 use crate::sense::{Beam, SensorModel, Validity, fill_beams};
 
-/// The side of a cell, of the room's drawing and of the map, in millimetres.
+/// Side of a cell in the room and on the map, in millimetres.
 const CELL: f64 = 50.0;
-/// Cells of a letter of the drawing.
+/// Cells per letter of the drawing.
 const LETTER: usize = 4;
-/// Rows of the map, and tiles along a row: more than any room here.
+/// Rows of the map, and tiles per row: larger than any room here.
 const ROWS: usize = 320;
 const COLUMNS: usize = ROWS / 32;
 /// Cells of the map beyond the room.
 const EDGE: i32 = 64;
-/// Seconds of a step.
+/// Duration of a step, in seconds.
 const STEP: f64 = 0.05;
 /// The robot's radius; `Motion::default()` adds a margin.
 const RADIUS: f64 = 150.0;
 const BEAMS: usize = 192;
 const RANGE: f64 = 4_000.0;
 
-/// A room: `#` is a wall. The first line is the north.
+/// A room: `#` is a wall. The first line is north.
 struct DrawnRoom(Vec<Vec<u8>>);
 
 impl DrawnRoom {
@@ -38,7 +38,7 @@ impl DrawnRoom {
         Self(drawing.split_whitespace().rev().map(|line| line.into()).collect())
     }
 
-    /// Whether there is a wall in a cell.
+    /// Whether a cell is a wall.
     fn is_wall(&self, x: i32, y: i32) -> bool {
         let letter = |it: i32| usize::try_from(it).map(|it| it / LETTER);
         let row = letter(y).ok().and_then(|y| self.0.get(y));
@@ -46,7 +46,7 @@ impl DrawnRoom {
         letter.is_none_or(|&it| it == b'#')
     }
 
-    /// From a point to the nearest wall, up to half a metre.
+    /// Distance from a point to the nearest wall, up to 0.5 m.
     fn nearest_wall(&self, x: f64, y: f64) -> f64 {
         let (column, row) = ((x / CELL).floor() as i32, (y / CELL).floor() as i32);
         let about = (-10..=10).flat_map(|dy| (-10..=10).map(move |dx| (column + dx, row + dy)));
@@ -60,17 +60,17 @@ impl DrawnRoom {
     }
 }
 
-/// A person who walks to and fro between two points, and does not walk into a robot that stands or
-/// creeps.
+/// A person who walks back and forth between two points, and does not walk into a robot that stands
+/// or creeps.
 #[derive(Clone, Copy)]
 struct Person {
     from: (f64, f64),
     to: (f64, f64),
-    /// How far from the first point, in millimetres, and which way it goes.
+    /// Distance from the first point in millimetres, and the direction.
     walked: f64,
     back: bool,
     waits: bool,
-    /// Stands for good.
+    /// Whether the person never moves.
     stands: bool,
 }
 
@@ -115,7 +115,7 @@ impl Person {
     }
 }
 
-/// What is wrong with the wheels.
+/// A fault of the wheels.
 #[derive(Clone, Copy, PartialEq)]
 enum Wheels {
     Work,
@@ -126,16 +126,16 @@ enum Wheels {
 struct Simulation {
     room: DrawnRoom,
     people: Vec<Person>,
-    /// Whether cameras tell of the people.
+    /// Whether cameras report the people.
     is_told: bool,
     wheels: Wheels,
-    /// Radians of the sensor's view.
+    /// The sensor's field of view, in radians.
     view: f64,
     link: bool,
     sees: bool,
     stop: bool,
     unsure: f32,
-    /// Millimetres and radians.
+    /// In millimetres and radians.
     at: (f64, f64, f64),
     odometry: (f64, f64, f64),
     command: DriveCommand,
@@ -145,7 +145,7 @@ struct Simulation {
     map: Vec<Row>,
     driver: Box<Driver<'static>>,
     told: Vec<Reason>,
-    /// The way driven, in millimetres.
+    /// Distance driven, in millimetres.
     way: f64,
 }
 
@@ -154,14 +154,14 @@ fn config() -> Driving {
     Driving { motion, explore_covered: true, ..Driving::default() }
 }
 
-/// A driver for the rest of the test.
+/// A driver that lives until the test ends.
 fn driver() -> Box<Driver<'static>> {
     let workspace = Box::leak(Box::new(Workspace::EMPTY));
     Box::new(Driver::new(config(), Millimetres(CELL as i32), workspace))
 }
 
 impl Simulation {
-    /// A robot at a place in metres that looks along x.
+    /// A robot at a position in metres, heading along x.
     fn new(drawing: &str, x: f64, y: f64) -> Self {
         let mut it = Self {
             room: DrawnRoom::new(drawing),
@@ -188,7 +188,7 @@ impl Simulation {
         it
     }
 
-    /// Knows all of the room.
+    /// With a complete map of the room.
     fn with_map(mut self) -> Self {
         for y in 0..ROWS as i32 - EDGE {
             for x in 0..ROWS as i32 - EDGE {
@@ -222,7 +222,7 @@ impl Simulation {
         Pose::from_metres(x / 1_000.0, y / 1_000.0, heading)
     }
 
-    /// A scan: onto the map what is no person.
+    /// Takes a scan, and draws onto the map what is not a person.
     fn look(&mut self) {
         let model = SensorModel::Radial {
             first: (-self.view / 2.0) as f32,
@@ -271,7 +271,7 @@ impl Simulation {
 
     fn step(&mut self) {
         self.now = self.now + Duration::from_millis((STEP * 1_000.0) as u64);
-        // The command of the last step is driven during this one.
+        // The last step's command is executed during this one.
         let (speed, turn) = (f64::from(self.command.speed), f64::from(self.command.turn) / 1_000.0);
         let (speed, turn) = if self.wheels == Wheels::Blocked { (0.0, 0.0) } else { (speed, turn) };
         let moved = |(x, y, heading): (f64, f64, f64)| {
@@ -326,7 +326,7 @@ impl Simulation {
         self.told.extend(self.driver.poll_event());
     }
 
-    /// Runs until a reason has been told, so many seconds at the most: after how many.
+    /// Runs until a reason is reported, at most `seconds`. Returns the elapsed seconds.
     fn until(&mut self, reason: Reason, seconds: f64) -> f64 {
         let start = self.now;
         let elapsed = |it: &Self| it.now.since(start).micros() as f64 * 1.0e-6;
@@ -346,7 +346,7 @@ impl Simulation {
         self.driver.set_task(Task::Go(point(x, y)));
     }
 
-    /// The cells that the robot's middle can reach in truth, and how many of them it knows.
+    /// The number of cells that the robot's centre can really reach, and how many of them it knows.
     fn reachable(&self) -> (usize, usize) {
         let start = ((self.at.0 / CELL) as i32, (self.at.1 / CELL) as i32);
         let mut seen = vec![false; ROWS * ROWS];

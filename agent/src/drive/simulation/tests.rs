@@ -1,4 +1,4 @@
-//! What the driver does in rooms.
+//! The driver's behaviour in rooms.
 
 use core::f64::consts::TAU;
 
@@ -7,7 +7,7 @@ use ubimap_protocol::units::Angle;
 
 use super::*;
 
-/// 20 cm a letter: 7.6 m by 5.2 m.
+/// 20 cm per letter: 7.6 m by 5.2 m.
 const MAZE: &str = "
     ######################################
     #.........#..............#...........#
@@ -85,7 +85,7 @@ fn it_explores_a_maze_on_its_own_map_and_comes_back() {
 }
 
 #[test]
-fn it_goes_to_a_goal_beyond_the_window_and_says_why_it_can_not() {
+fn it_reaches_goals_beyond_the_window_and_reports_unreachable_ones() {
     let mut it = Simulation::new(MAZE, 0.8, 0.8).with_map();
     it.go(6.8, 0.8);
     it.until(Reason::Arrived, 60.0);
@@ -103,8 +103,8 @@ fn it_goes_to_a_goal_beyond_the_window_and_says_why_it_can_not() {
     it.until(Reason::NoWay(PlanError::Unreachable), 10.0);
     assert_eq!(it.told, [Reason::Driving, Reason::NoWay(PlanError::Unreachable)]);
     it.run(10.0);
-    assert_eq!(it.told.len(), 2, "said once: {:?}", it.told);
-    // Somebody opens it.
+    assert_eq!(it.told.len(), 2, "reported once: {:?}", it.told);
+    // The door opens.
     it.room = DrawnRoom::new(DOOR);
     it.map.fill(Row::default());
     it = it.with_map();
@@ -112,7 +112,7 @@ fn it_goes_to_a_goal_beyond_the_window_and_says_why_it_can_not() {
 }
 
 #[test]
-fn a_door_that_closes_under_the_path_is_not_run_into() {
+fn it_stops_before_a_door_that_closes_across_its_path() {
     let closed = DOOR.replace("#..................#", "#.........#........#");
     for is_drawn in [true, false] {
         let mut it = Simulation::new(DOOR, 0.8, 1.2).with_map();
@@ -129,7 +129,7 @@ fn a_door_that_closes_under_the_path_is_not_run_into() {
 }
 
 #[test]
-fn people_who_cross_are_waited_for_and_not_touched() {
+fn it_waits_for_people_who_cross_and_never_touches_them() {
     let (mut crossed, mut longest) = (0, 0.0f64);
     for is_told in [true, false] {
         for start in 0..20 {
@@ -156,7 +156,7 @@ fn people_who_cross_are_waited_for_and_not_touched() {
 }
 
 #[test]
-fn a_person_who_stays_in_the_way_is_passed() {
+fn it_passes_a_person_who_stays_in_the_way() {
     for is_told in [true, false] {
         let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
         it.is_told = is_told;
@@ -170,7 +170,7 @@ fn a_person_who_stays_in_the_way_is_passed() {
 }
 
 #[test]
-fn it_stands_without_link_pose_or_scan_and_goes_on_with_them() {
+fn it_stops_without_link_pose_or_scan_and_resumes_with_them() {
     type Fault = fn(&mut Simulation, bool);
     let faults: [(Fault, Reason, f64); 4] = [
         (|it, on| it.link = !on, Reason::LinkLost, 2.1),
@@ -196,7 +196,7 @@ fn it_stands_without_link_pose_or_scan_and_goes_on_with_them() {
 }
 
 #[test]
-fn wheels_that_fail_are_noticed_and_it_stands() {
+fn it_stops_when_wheels_fail() {
     for (wheels, reason) in
         [(Wheels::Blocked, Reason::WheelsStuck), (Wheels::Slip, Reason::WheelsSlip)]
     {
@@ -208,7 +208,7 @@ fn wheels_that_fail_are_noticed_and_it_stands() {
         std::println!("{reason:?} after {seconds:.2} s");
         it.run(60.0);
         assert_eq!((it.driver.reason(), it.command), (reason, DriveCommand::STAND));
-        assert_eq!(it.told, [Reason::Driving, reason], "told once, however often it was tried");
+        assert_eq!(it.told, [Reason::Driving, reason], "reported once, despite the retries");
         it.wheels = Wheels::Work;
         it.go(3.4, 1.2);
         it.until(Reason::Arrived, 30.0);
@@ -226,9 +226,9 @@ fn the_same_room_is_driven_the_same_way() {
     assert!(drive() == drive());
 }
 
-/// Ahmed's way: a camera that sees the floor, no map.
+/// Ahmed's method: a camera that sees the floor, no map.
 #[test]
-fn a_boundary_is_followed_round_a_room_by_the_distance_vector() {
+fn it_follows_a_boundary_around_a_room_by_the_distance_vector() {
     use crate::sense::{COLUMNS, ScaleCurve, TABLE_1};
     let curve = ScaleCurve::fit(&TABLE_1).unwrap().scaled(2.5);
     let mut follower = BoundaryFollower::default();
@@ -237,7 +237,7 @@ fn a_boundary_is_followed_round_a_room_by_the_distance_vector() {
     for _ in 0..4_000 {
         let (x, y, heading) = it.at;
         let distances: [u8; COLUMNS] = core::array::from_fn(|column| {
-            // 90 degrees from the left to the right.
+            // 90 degrees, from left to right.
             let bearing = heading + TAU / 8.0 - TAU / 4.0 * column as f64 / COLUMNS as f64;
             let (sin, cos) = bearing.sin_cos();
             let wall = (1..600).map(|step| f64::from(step) * 5.0).find(|way| {
@@ -247,7 +247,7 @@ fn a_boundary_is_followed_round_a_room_by_the_distance_vector() {
             let pixels = wall.and_then(|way| {
                 (62..=121u8).find(|&it| curve.distance(it).is_some_and(|far| f64::from(far) >= way))
             });
-            // Nearer than the curve tells, or further.
+            // Outside the range of the scale curve.
             if wall.is_some_and(|way| way < 185.0) { 50 } else { pixels.unwrap_or(124) }
         });
         let command = follower.step(&distances, STEP as f32);
