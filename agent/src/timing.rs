@@ -1,4 +1,4 @@
-//! Timeouts and intervals of a robot.
+//! Timeouts and intervals of a robot: its session, its map, and how long it waits while it drives.
 
 use ubimap_protocol::time::Duration;
 

@@ -9,7 +9,9 @@
 //! it, the cell stays unknown here; otherwise the cell starts from the map's state, 5 or 1, and
 //! takes several observations to contradict it. If there are too few, the cell is soon reset to
 //! that state. A cell movable in the map starts at 4, so that one crossing makes it free.
-//! starts at 4, and seen free once it is free.
+//!
+//! A hit is near if it is within [`MappingConfig::near`](super::MappingConfig) of the sensor;
+//! `local_map` decides it.
 
 use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 

@@ -1,4 +1,15 @@
 //! From a range scan and its pose to the robot's own layer of the map.
+//!
+//! | file | what |
+//! |---|---|
+//! | `gate`, `change` | which scans are mapped: the robot has moved, or its view has changed |
+//! | `policy`, `selection`, `omission` | which of a scan's readings are mapped |
+//! | `peers` | readings of other robots, which are left out |
+//! | `projection`, `scan_window`, `trace` | a scan as free and occupied cells of a window |
+//! | `evidence` | the evidence of these cells in each cell |
+//! | `movable` | cells whose occupant is likely to move again |
+//! | `own_tile` | the robot's tiles and the pool that holds them |
+//! | `local_map` | all of it joined: a scan and its pose go in |
 
 mod change;
 mod evidence;

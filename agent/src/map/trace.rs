@@ -1,7 +1,7 @@
 //! Draws the outline of a scan's free space on a window.
 //!
 //! The ends of the beams, in order of bearing, and the sensor form a polygon; its interior, minus
-//! the hits, is free. Invalid beams break the polygon where the gap is wide enough for a cell, and
+//! the hits, is free. Free space ends half a cell before a hit (`Grain::margin`). Invalid beams break the polygon where the gap is wide enough for a cell, and
 //! where the range jumps between two beams only the nearer range is used between them: no cell is
 //! free that no beam crossed.
 //!

@@ -1,7 +1,7 @@
 //! Recorded frames of one or more fixed RGB-D cameras: the layout on disk, its player and its writer.
 //!
 //! ```text
-//! robots.toml           the robots and their markers: see `run::registry`
+//! robots.toml           the robots and their markers: see `deployment::registry`
 //! cameras.toml          poses and fields of view of cameras whose folders state none: see
 //!                       `camera::CamerasFile`
 //! CAMERA/               one folder per camera; cameras are numbered in the order of their names.
