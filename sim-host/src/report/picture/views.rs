@@ -346,7 +346,11 @@ mod tests {
                 render_overlap(
                     &map,
                     markers,
-                    |[x, y]| Some((((20.0 * x) as u16 + 3 * (20.0 * y) as u16) % 6, x > y)),
+                    |[x, y]| {
+                        let is_floor = (0.0..3.0).contains(&x) && (0.0..2.0).contains(&y);
+                        let count = ((20.0 * x) as u16 + 3 * (20.0 * y) as u16) % 6;
+                        is_floor.then_some((count, x > y))
+                    },
                     &caption,
                 ),
             ] {
