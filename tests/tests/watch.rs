@@ -147,7 +147,8 @@ fn a_recorded_simulation_gives_the_simulations_results() {
     assert_eq!(report.things.iter().map(|it| it.position_m).collect::<Vec<_>>(), live);
     let people = server.obstacles().1.iter().filter(|it| it.class == ObstacleClass::Person).count();
     assert!(people > 0, "{:?}", report.things);
-    assert_eq!(outcome.markers.len(), 2 + people);
+    // Robots, people, cameras.
+    assert_eq!(outcome.markers.len(), 2 + people + 2);
     let begun: u64 = server.sighting_events().iter().map(|(_, count, _)| count).sum();
     assert_eq!(report.events.iter().map(|it| it.count).sum::<u64>(), begun);
 

@@ -15,7 +15,7 @@ use ubimap_protocol::units::Millimetres;
 
 use super::{
     policy::Policy,
-    projection::{Corner, Direction, Point, Projection},
+    projection::{Corner, Point, Projection},
     scan_window::ScanWindow,
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
@@ -179,14 +179,6 @@ impl Grain {
         2 * SPAN * self.margin
     }
 
-    /// Whether a gap of `beams` beams is too narrow to hide a cell. Near the robot, where it drives
-    /// next, half a cell counts.
-    #[inline(always)]
-    fn bridges(&self, beams: u32, range: u32) -> bool {
-        let bridge = if range > self.near() { 2 * self.bridge } else { self.bridge };
-        beams.wrapping_mul(range) <= bridge
-    }
-
     /// The last beam, at most `end`, up to which a surface continues in a line from the beam `from`
     /// on it. Checks every `stride`th beam, then those after the last one found. The first step
     /// gives the line's slope, if the point halfway is on the line, too.
@@ -305,6 +297,7 @@ pub(super) fn trace(
     let mut last = End { index: 0, reach: 0, at: sensor, hit: None };
     // Whether there is an invalid beam behind the last end.
     let mut is_broken = true;
+    let near = grain.near();
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
         if !grain.counts(readings, index, reading) || beam == Beam::NONE {
@@ -322,14 +315,39 @@ pub(super) fn trace(
         kept += 1;
         let direction = projection.direction(beam);
         let at = projection.corner(direction, reach);
-        let next = Next { direction, reach, passed: index - last.index, is_broken };
-        let (from, continues) = join(window, (projection, sensor), grain, beams, &last, next);
+        // Joins the ends. Like the passing over below, this is no function of its own: both together
+        // would cost 5 % of a row's instructions.
+        let passed = index - last.index;
+        let least = last.reach.min(reach);
+        let mut from = sensor;
+        let mut surface = None;
+        // Is the gap too narrow for a cell that no beam crosses? Half as wide near the robot.
+        let bridge = if least > near { 2 * grain.bridge } else { grain.bridge };
+        if is_broken && (passed as u32).wrapping_mul(least) > bridge {
+            window.edge(last.at, sensor);
+        } else {
+            from = last.at;
+            if (is_broken || passed == 1) && last.reach.abs_diff(reach) > JUMP {
+                // Only the nearer range is claimed between them.
+                let mut step = direction;
+                if last.reach >= reach
+                    && let Some(&beam) = beams.get(last.index)
+                {
+                    step = projection.direction(beam);
+                }
+                let step = projection.corner(step, least);
+                window.edge(from, step);
+                from = step;
+            } else {
+                surface = last.hit;
+            }
+        }
         window.edge(from, at);
         let mut hit = None;
         if is_hit {
             let to = projection.point(direction, reading);
-            if let Some(surface) = last.hit.filter(|_| continues) {
-                window.surface(surface, to, next.passed as i32);
+            if let Some(surface) = surface {
+                window.surface(surface, to, passed as i32);
             }
             window.hit(to);
             nearest = nearest.min(reading);
@@ -337,11 +355,10 @@ pub(super) fn trace(
         }
         is_broken = false;
         last = End { index, reach, at, hit };
-        // Passes over beams that end on the same surface, or are out of range as this one is. Not a
-        // function of its own: that costs 5 % of a row's instructions.
+        // Passes over beams that end on the same surface, or are out of range as this one is.
         let here = index;
         index += 1;
-        let ahead = grain.spread.checked_div(reach.max(grain.near())).unwrap_or(0) as usize;
+        let ahead = grain.spread.checked_div(reach.max(near)).unwrap_or(0) as usize;
         if ahead < 2 * SPAN as usize {
             continue;
         }
@@ -396,47 +413,4 @@ struct End {
     reach: u32,
     at: Corner,
     hit: Option<Point>,
-}
-
-/// The beam after the last end.
-#[derive(Clone, Copy)]
-struct Next {
-    direction: Direction,
-    /// The part of its reading that is free.
-    reach: u32,
-    /// Number of beams since the last end.
-    passed: usize,
-    /// Whether an invalid beam lies between.
-    is_broken: bool,
-}
-
-/// Draws from the last end to where the edge to the next one starts: at the last end if the gap is too
-/// narrow for a cell, else at the sensor. Returns that corner, and whether the last surface continues.
-#[inline(always)]
-fn join(
-    window: &mut ScanWindow<'_>,
-    (projection, sensor): (&Projection, Corner),
-    grain: &Grain,
-    beams: &[Beam],
-    last: &End,
-    next: Next,
-) -> (Corner, bool) {
-    let least = last.reach.min(next.reach);
-    if next.is_broken && !grain.bridges(next.passed as u32, least) {
-        window.edge(last.at, sensor);
-        return (sensor, false);
-    }
-    if !(next.is_broken || next.passed == 1) || last.reach.abs_diff(next.reach) <= JUMP {
-        return (last.at, true);
-    }
-    // Only the nearer range is claimed between them.
-    let mut step = next.direction;
-    if last.reach >= next.reach
-        && let Some(&beam) = beams.get(last.index)
-    {
-        step = projection.direction(beam);
-    }
-    let step = projection.corner(step, least);
-    window.edge(last.at, step);
-    (step, false)
 }
