@@ -147,7 +147,8 @@ fn what_a_simulation_recorded_gives_what_it_gave() {
     assert_eq!(report.things.iter().map(|it| it.position_m).collect::<Vec<_>>(), live);
     let people = server.obstacles().1.iter().filter(|it| it.class == ObstacleClass::Person).count();
     assert!(people > 0, "{:?}", report.things);
-    assert_eq!(outcome.markers.len(), 2 + people);
+    // The robots, the people and the cameras.
+    assert_eq!(outcome.markers.len(), 2 + people + 2);
     let begun: u64 = server.sighting_events().iter().map(|(_, count, _)| count).sum();
     assert_eq!(report.events.iter().map(|it| it.count).sum::<u64>(), begun);
 
