@@ -22,6 +22,7 @@ const ROBOT: RobotId = RobotId(1);
 const RESOLUTION: Millimetres = Millimetres(50);
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn the_image_fits_and_has_no_panics_or_heap() {
     let path = match firmware() {
         Ok(path) => path,
@@ -34,6 +35,7 @@ fn the_image_fits_and_has_no_panics_or_heap() {
 }
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
     let emulator = match firmware().and_then(|image| Emulator::start(&image)) {
         Ok(emulator) => emulator,

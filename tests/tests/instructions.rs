@@ -59,6 +59,7 @@ struct CommandLine {
 }
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn no_stage_takes_more_than_its_bound() {
     match image("bench", Core::M4).and_then(|image| count(&image, Vec::new())) {
         Ok(table) => assert_eq!(bounded(&table), 29, "{table}"),
@@ -67,6 +68,7 @@ fn no_stage_takes_more_than_its_bound() {
 }
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn no_tile_update_of_a_recorded_log_takes_more_than_its_bound() {
     let Some(log) = data::file("carmen_corrected/intel-corrected.log.gz") else { return };
     match updates_table(&log) {
@@ -76,6 +78,7 @@ fn no_tile_update_of_a_recorded_log_takes_more_than_its_bound() {
 }
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn no_row_of_a_recorded_frame_takes_more_than_its_bound() {
     let (mut input, mut bounds) = (Vec::new(), Vec::new());
     for (folder, bound) in RECORDED {

@@ -164,6 +164,7 @@ fn assert_same(one: &str, other: &str) {
 }
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn a_journal_gives_the_same_in_the_emulator_and_here() {
     let session = session();
     let [_, received, odometry, scans, ..] = session.counts;
@@ -200,6 +201,7 @@ fn noticed(session: &Session, given: &str, (kind, offset, bit): (u8, usize, u8))
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn flipped_bits_are_detected() {
     let session = session();
     let given = played(&session.journal);

@@ -196,6 +196,7 @@ fn the_map_agrees_with_one_drawn_ray_by_ray() {
 /// The comparison of Aluckal III.A on public logs: cells kept, traffic and map quality of each
 /// policy.
 #[test]
+#[ignore = "long: cargo thorough"]
 fn the_papers_policies_are_compared() {
     for (name, no_return) in [LOGS[0], LOGS[3]] {
         let Some(log) = data::file(name) else { return };

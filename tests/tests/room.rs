@@ -343,6 +343,7 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
 /// The built-in scenarios. The bounds are the targets where they are met; otherwise the figures are
 /// printed, and the README states them.
 #[test]
+#[ignore = "long: cargo thorough"]
 fn cameras_and_robots_draw_the_room() {
     for name in ["room", "changing"] {
         for seed in seeds(1) {

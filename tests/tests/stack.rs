@@ -20,6 +20,7 @@ const FIRMWARE_STACK: usize = 8_400;
 const SMALLEST_STACK: usize = 8_700;
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn the_firmware_with_its_stack_fits_its_ram() {
     let read = |path| Ok(Image::parse(&std::fs::read(path).unwrap()).unwrap());
     let measured = firmware().and_then(read).and_then(|image| Ok((image, deepest(Core::M4)?.1)));
@@ -34,6 +35,7 @@ fn the_firmware_with_its_stack_fits_its_ram() {
 }
 
 #[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
 fn the_smallest_agent_runs_on_a_cortex_m0_without_panics_or_heap() {
     let (image, stack) = match deepest(Core::M0) {
         Ok(measured) => measured,
