@@ -1,7 +1,7 @@
-//! Depth images into evidence: by windows, sixteen pixels at a time, and pixel by pixel.
+//! Fusing depth images into evidence: by windows of sixteen pixels, and pixel by pixel.
 //!
-//! `cargo bench -p ubimap-sim-host --bench fusing` prints both, in pixels a second, and how much sooner
-//! the first is done; `cargo camera-server` only the latter.
+//! `cargo bench -p ubimap-sim-host --bench fusing` prints the throughput of both in pixels per
+//! second, and their ratio; `cargo camera-server` prints only the ratio.
 
 use std::time::{Duration, Instant as Clock};
 
@@ -15,10 +15,10 @@ use ubimap_sim_host::{
 #[path = "../src/perception/testing/boxes.rs"]
 mod boxes;
 
-/// Of each way the quickest of so many counts.
+/// Number of repetitions; the fastest counts.
 const ROUNDS: usize = 200;
 
-/// A corner of a room, a cupboard and a table; as long as `is_empty`, nobody is in it.
+/// A corner of a room with a cupboard and a table, and a person unless `is_empty`.
 fn room(is_empty: bool) -> Vec<boxes::Cuboid> {
     let mut room = vec![
         [[-4.0, 3.0, 0.0], [4.0, 3.1, 3.0]],
@@ -42,8 +42,8 @@ fn fusing(criterion: &mut Criterion) {
         let image = boxes::noisy(&empty, &DepthNoise::D435, frame, 980);
         background.learn(&rays, &image, Instant(frame * 300_000), &taken);
     }
-    // Two pixels in a hundred measure nothing.
-    for (what, is_empty) in [("an empty room", true), ("a room with somebody in it", false)] {
+    // 2 % of the pixels are invalid.
+    for (what, is_empty) in [("an empty room", true), ("a room with a person in it", false)] {
         let scene = boxes::render(&lens, 0.0, &room(is_empty));
         let images: Vec<DepthImage> =
             (100..108).map(|seed| boxes::noisy(&scene, &DepthNoise::D435, seed, 980)).collect();
@@ -58,7 +58,7 @@ fn fusing(criterion: &mut Criterion) {
             bencher.iter(|| evidence.scatter(&rays, &background, turn.next().map_or(&[], |it| it)));
         });
         group.finish();
-        // In turns, so that both meet the same machine.
+        // Alternating, so that both run under the same load.
         let [mut windows, mut pixels] = [Duration::MAX; 2];
         for image in images.iter().cycle().take(ROUNDS) {
             windows = windows.min(time(|| evidence.fuse(&rays, &background, image)));

@@ -1,4 +1,4 @@
-//! The command line as its users meet it: exit codes, and where words go.
+//! The command line as users meet it: exit codes, standard output and standard error.
 
 use std::{
     path::Path,
@@ -8,14 +8,16 @@ use std::{
 #[path = "command_line/place.rs"]
 mod place;
 
-/// Runs in the folder of the tests' own files, so that default output stays out of the checkout.
+/// Runs `ubimap` in the tests' temporary folder, which keeps its default output out of the
+/// checkout.
 fn ubimap(arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
     command.current_dir(env!("CARGO_TARGET_TMPDIR")).env_remove("RUST_LOG");
     command.args(arguments).output().unwrap()
 }
 
-/// Bad use and bad input: exit code 2, one line on standard error, nothing on standard output.
+/// Checks that wrong usage or invalid input gives exit code 2, one line on standard error and
+/// nothing on standard output.
 #[track_caller]
 fn refused(arguments: &[&str], expected: &str) {
     let output = ubimap(arguments);
@@ -27,7 +29,7 @@ fn refused(arguments: &[&str], expected: &str) {
 }
 
 #[test]
-fn bad_use_is_told_in_one_line() {
+fn wrong_usage_and_invalid_input_are_refused_in_one_line() {
     refused(&[], "no command given");
     refused(&["frob"], "frob");
     refused(&["simulat"], "did you mean simulate?");
@@ -62,7 +64,7 @@ fn bad_use_is_told_in_one_line() {
 }
 
 #[test]
-fn help_is_no_error() {
+fn help_and_version_go_to_standard_output() {
     for arguments in [&["--help"][..], &["replay", "--help"], &["--version"]] {
         let output = ubimap(arguments);
         assert_eq!(output.status.code(), Some(0));
@@ -71,7 +73,7 @@ fn help_is_no_error() {
 }
 
 #[test]
-fn a_run_goes_on_from_the_file_of_the_one_before() {
+fn a_run_restores_the_map_that_an_earlier_run_stored() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("store");
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
@@ -101,7 +103,7 @@ fn a_run_goes_on_from_the_file_of_the_one_before() {
 }
 
 #[test]
-fn maps_are_compared() {
+fn compare_scores_two_maps() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("compare");
     std::fs::create_dir_all(&folder).unwrap();
     let map = |name: &str, pixels: &str| {
@@ -131,7 +133,7 @@ fn maps_are_compared() {
     refused(&["compare", &torn, &b], "torn.pgm");
 }
 
-/// A room of one small camera and one robot.
+/// A room with one camera of low resolution and one robot.
 const ROOM: &str = r#"
 duration_s = 1
 slice_height_m = 0.2
@@ -165,9 +167,10 @@ fn a_simulation_ends_with_four_lines_and_its_pictures() {
     let starts: Vec<&str> = words.lines().filter_map(|it| Some(it.split_once(':')?.0)).collect();
     assert_eq!(starts, ["quality", "agreement", "time", "results"], "{words}");
     assert!(words.ends_with("in ubimap-out; open ubimap-out/map.png first\n"), "{words}");
-    assert!(!String::from_utf8(output.stderr).unwrap().contains("info:"));
+    // Neither information nor, without anything to act on, a warning.
+    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
 
-    // The camera sees most of the floor, up to the moment that is drawn.
+    // The camera has seen most of the floor by the end of the run.
     let picture = image::open(folder.join("ubimap-out/coverage.png")).unwrap().into_rgb8();
     let share = |colour: [u8; 3]| {
         let count = picture.pixels().filter(|pixel| pixel.0 == colour).count();
@@ -178,7 +181,7 @@ fn a_simulation_ends_with_four_lines_and_its_pictures() {
 }
 
 #[test]
-fn what_a_simulation_records_can_be_watched_and_what_is_wrong_with_it_is_told() {
+fn a_recorded_simulation_can_be_watched_and_its_faults_are_named() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch");
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
@@ -213,7 +216,7 @@ fn what_a_simulation_records_can_be_watched_and_what_is_wrong_with_it_is_told() 
     assert!(brief.contains(&format!("results:   in {out}; open {out}/map.png")), "{brief}");
     assert!(all.contains("camera-00") && all.lines().count() > 4, "{all}");
 
-    // A picture that breaks off is found when it is its turn: nothing is left behind.
+    // A truncated image ends the run when its frame is due, and no results are left behind.
     let picture = path("recording/camera-00/color/000000000000.png");
     let whole = std::fs::read(&picture).unwrap();
     std::fs::write(&picture, &whole[..whole.len() / 2]).unwrap();
@@ -237,7 +240,7 @@ fn what_a_simulation_records_can_be_watched_and_what_is_wrong_with_it_is_told() 
 }
 
 #[test]
-fn a_recording_without_any_frame_can_be_watched() {
+fn a_recording_without_frames_can_be_watched() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("watch-nothing");
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();

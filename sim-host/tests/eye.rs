@@ -1,4 +1,4 @@
-//! An eye in a room of boxes: what it makes of depth images with the noise of a D435.
+//! An eye in a room of boxes, given depth images with the noise of a D435.
 
 use std::collections::BTreeMap;
 
@@ -27,7 +27,7 @@ const BOX: Cuboid = [[1.0, 0.5, 0.0], [1.5, 1.0, 0.3]];
 /// The top of a table, higher than the robots.
 const TABLE: Cuboid = [[1.0, 1.6, 0.70], [1.8, 2.2, 0.74]];
 
-/// A camera under the ceiling, and what is in its room.
+/// A camera under the ceiling, and the contents of its room.
 struct Studio {
     eye: Eye,
     lens: Lens,
@@ -43,7 +43,7 @@ impl Studio {
         Self::with_noise(DepthNoise::D435, DepthNoise::D435, room)
     }
 
-    /// A camera with some noise, and another one in its calibration perhaps.
+    /// A camera with this noise; its calibration may state a different one.
     fn with_noise(noise: DepthNoise, stated: DepthNoise, room: &[Cuboid]) -> Self {
         let lens = lens(320, 240, [0.0, 0.0, 2.6], [1.6, 1.2, 0.0]);
         let calibration =
@@ -52,7 +52,7 @@ impl Studio {
         Self { eye, lens, room: room.to_vec(), floor_m: 0.0, noise, millis: 0 }
     }
 
-    /// One that knows its empty room.
+    /// A camera that has learnt its empty room.
     fn learnt(room: &[Cuboid]) -> Self {
         let mut studio = Self::new(room);
         while !studio.eye.has_learnt() {
@@ -61,7 +61,7 @@ impl Studio {
         studio
     }
 
-    /// The next frame, of who visits the room; five a second.
+    /// The next frame, with these visitors in the room; 5 Hz.
     fn frame(&mut self, visitors: &[Cuboid]) -> Frame {
         self.millis += 200;
         let image = render(&self.lens, self.floor_m, &[&self.room, visitors].concat());
@@ -79,7 +79,7 @@ impl Studio {
     }
 }
 
-/// Somebody, or a thing, of this height.
+/// A person or thing of this height.
 fn at(x: f64, y: f64, height: f64) -> Cuboid {
     [[x - 0.2, y - 0.2, 0.0], [x + 0.2, y + 0.2, height]]
 }
@@ -114,7 +114,7 @@ fn walls_and_boxes_are_occupied_where_they_stand_and_tables_hide_without_blockin
     let found = expected.iter().filter(|it| occupied.iter().any(|seen| near(seen, it))).count();
     assert!(found * 100 >= expected.len() * 97, "{found} of {}", expected.len());
 
-    // Floor in sight is free, nothing behind the wall is anything, and the table casts a shadow.
+    // Visible floor is free, cells behind the wall are unknown, and the table casts a shadow.
     assert_eq!(seen.get(&cell(0.9, 1.5)), Some(&Cell::Free));
     let behind: Vec<_> = seen.iter().filter(|it| it.0.0 > cell(3.05, 0.0).0).collect();
     assert_eq!(behind, [], "behind the wall");
@@ -163,7 +163,7 @@ fn a_noisy_sensor_draws_no_false_cells_if_its_calibration_states_the_noise() {
 }
 
 #[test]
-fn nothing_is_occupied_by_a_floor_a_centimetre_off_or_by_a_threshold() {
+fn a_floor_one_centimetre_off_or_a_door_sill_is_not_occupied() {
     let threshold = [[1.0, -1.0, 0.0], [1.06, 3.0, 0.02]];
     let mut studio = Studio::new(&[threshold]);
     studio.floor_m = 0.01;
@@ -182,7 +182,7 @@ fn nothing_is_occupied_by_a_floor_a_centimetre_off_or_by_a_threshold() {
 }
 
 #[test]
-fn who_walks_is_followed_and_leaves_nothing_behind() {
+fn a_walking_person_is_tracked_and_leaves_no_cells_behind() {
     let mut studio = Studio::learnt(&[WALL, BOX]);
     let (mut layer, mut tracks) = (CameraLayer::default(), Tracks::default());
     let empty = codes(&studio.look(&[]));
@@ -193,7 +193,7 @@ fn who_walks_is_followed_and_leaves_nothing_behind() {
         tracks.observe(seen.captured, &seen.things, Millimetres(50));
         assert_eq!(seen.things.len(), 1, "{step}");
         let codes = codes(&seen);
-        // Whatever was free and is in sight again is free.
+        // Cells that were free and are visible again are free.
         for cell in (0..step.saturating_sub(6)).flat_map(|step| under(walks(step))) {
             if empty.get(&cell) == Some(&Cell::Free) && codes.contains_key(&cell) {
                 let id = TileId::of_cell(cell.0, cell.1).unwrap();
@@ -208,7 +208,7 @@ fn who_walks_is_followed_and_leaves_nothing_behind() {
     assert!((track.position_m[1] - 1.6).abs() < 0.2, "{track:?}");
     assert!((track.velocity_m_s[0] - 0.4).abs() < 0.1, "{track:?}");
     assert!((1_650..=1_850).contains(&track.top_mm), "{track:?}");
-    // Gone.
+    // The person has left.
     let seen = studio.look(&[]);
     layer.observe(&seen);
     assert_eq!(seen.things, []);
@@ -216,7 +216,7 @@ fn who_walks_is_followed_and_leaves_nothing_behind() {
 }
 
 #[test]
-fn what_is_put_down_becomes_part_of_the_room_and_is_free_ground_when_it_is_taken_away() {
+fn a_thing_put_down_becomes_background_and_its_ground_is_free_after_removal() {
     let mut studio = Studio::learnt(&[WALL]);
     let crate_ = at(1.2, 1.4, 0.6);
     let mut tracks = Tracks::default();
@@ -238,7 +238,7 @@ fn what_is_put_down_becomes_part_of_the_room_and_is_free_ground_when_it_is_taken
 }
 
 #[test]
-fn who_has_walked_in_and_sits_down_does_not_become_part_of_the_room() {
+fn a_person_who_sits_down_does_not_become_background() {
     let mut studio = Studio::learnt(&[WALL]);
     for step in 0..20 {
         studio.look(&[at(0.4 + 0.06 * f64::from(step), 1.4, 1.75)]);
@@ -253,7 +253,7 @@ fn who_has_walked_in_and_sits_down_does_not_become_part_of_the_room() {
 }
 
 #[test]
-fn who_falls_is_told_of_once() {
+fn a_fall_is_reported_once() {
     let mut studio = Studio::learnt(&[WALL]);
     let mut tracks = Tracks::default();
     let terms = Terms { resolution: Millimetres(50), frame: 250, server_epoch: 1, stores: false };
@@ -270,7 +270,7 @@ fn who_falls_is_told_of_once() {
         tracks.observe(seen.captured, &seen.things, Millimetres(50));
         server.observe(&seen);
         told.extend(std::iter::from_fn(|| tracks.poll_lying()).map(|it| (step, it)));
-        // A height is believed for a second.
+        // A height counts after one second.
         if matches!(step, 15..30 | 38..45 | 53..) {
             let track = tracks.now().next().unwrap();
             assert_eq!(track.posture(), Some(posture), "{step}: {track:?}");
@@ -284,7 +284,7 @@ fn who_falls_is_told_of_once() {
 }
 
 #[test]
-fn a_localised_robot_is_no_thing_and_its_cells_are_left_out() {
+fn a_localised_robot_is_no_thing_and_its_cells_are_not_reported() {
     let mut studio = Studio::learnt(&[WALL]);
     let robot = [[1.0, 1.0, 0.0], [1.4, 1.3, 0.25]];
     let footprint = Footprint { half_length: 200, half_width: 150 };
@@ -299,7 +299,7 @@ fn a_localised_robot_is_no_thing_and_its_cells_are_left_out() {
 }
 
 #[test]
-fn a_shadow_is_not_seen() {
+fn cells_in_a_shadow_are_not_reported() {
     let mut studio = Studio::learnt(&[WALL]);
     let free = codes(&studio.look(&[]));
     let seen = codes(&studio.look(&[at(1.0, 0.8, 1.6)]));
@@ -312,7 +312,7 @@ fn a_shadow_is_not_seen() {
 }
 
 #[test]
-fn frames_that_cannot_be_are_refused_and_nothing_else_changes() {
+fn invalid_frames_are_refused_and_change_nothing() {
     let mut studio = Studio::learnt(&[WALL]);
     let good = studio.frame(&[]);
     let now = good.captured;

@@ -1,5 +1,5 @@
-//! `ubimap serve --store` is killed again and again, with robots at work: what it said it had stored
-//! is in the file.
+//! `ubimap serve --store` is killed repeatedly while robots work: the file holds everything that
+//! the server has confirmed as stored.
 
 use std::{
     collections::BTreeMap,
@@ -25,11 +25,11 @@ use ubimap_sim_host::{
 const RESOLUTION: Millimetres = Millimetres(50);
 const BEAMS: usize = 60;
 const ROBOTS: u16 = 2;
-/// Tiles in a robot's pool: about as many as one scan touches.
+/// Tiles in a robot's pool: about the number that one scan touches.
 const OWN_TILES: usize = 9;
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A server process, which is killed at its end.
+/// A server process, killed on drop.
 struct Serving(Child);
 
 impl Serving {
@@ -49,13 +49,13 @@ impl Serving {
 
 impl Drop for Serving {
     fn drop(&mut self) {
-        // SIGKILL: it has no time to put anything in order.
+        // SIGKILL: it can't clean up.
         self.0.kill().unwrap();
         self.0.wait().unwrap();
     }
 }
 
-/// What a robot was promised: the version that is stored of an epoch of a tile, and its cells.
+/// A confirmation to a robot: the stored version of an epoch of a tile, and its cells.
 type Promises = BTreeMap<(TileId, Epoch), (Version, Tile)>;
 
 struct Member<'b> {
@@ -67,11 +67,11 @@ struct Member<'b> {
 }
 
 impl Member<'_> {
-    /// Takes a scan if it drives and one is due, and talks to the server.
+    /// Takes a scan if the robot drives and one is due, and exchanges frames with the server.
     fn turn(&mut self, now: Instant, drives: bool) {
         if drives && self.next_scan <= now {
             self.next_scan = now + Duration::from_millis(50);
-            // To and fro, 6 m/s, over ground of a dozen metres.
+            // Back and forth over 12 m at 6 m/s.
             let way = now.micros() as f64 / 1e6 * 6.0 % 24.0;
             let pose = Pose::from_metres(way.min(24.0 - way), f64::from(self.id.0) * 2.0, 0.3);
             let readings: Vec<u16> = (0..BEAMS)
@@ -81,7 +81,7 @@ impl Member<'_> {
             let _ = self.robot.scan(now, &readings, now);
         }
         let mut buffer = [0; 1_024];
-        // A port without a server behind it is a link that loses everything.
+        // Without a server the link loses all frames.
         if let Some(count) = self.port.as_mut().and_then(|port| port.read(&mut buffer).ok()) {
             self.robot.receive(&buffer[..count], now);
         }
@@ -97,7 +97,7 @@ impl Member<'_> {
         }
     }
 
-    /// Whether all that it knows is stored, and it holds the server's map of its surroundings.
+    /// Whether all its tiles are stored, and it holds the server's map of its surroundings.
     fn is_done(&self) -> bool {
         self.robot.is_idle() && self.robot.own_tiles().tiles().all(is_stored)
     }
@@ -107,7 +107,7 @@ fn is_stored(tile: &ubimap_agent::map::OwnTile) -> bool {
     tile.publication().is_acknowledged() && tile.stored() == tile.publication().version()
 }
 
-/// The layers in the file, once its server is dead. What was promised must be among it.
+/// The layers in the file after the server was killed. Checks that all confirmed tiles are there.
 fn layers(store: &Path, robots: &[Member<'_>]) -> BTreeMap<RobotId, RobotLayer> {
     let mut layers = BTreeMap::<RobotId, RobotLayer>::new();
     for (robot, record) in Store::open(store, RESOLUTION).unwrap().records().unwrap() {
@@ -132,7 +132,7 @@ fn file() -> PathBuf {
 }
 
 #[test]
-fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
+fn a_killed_server_loses_no_confirmed_tile() {
     let store = file();
     let model = SensorModel::Radial { first: -3.0, step: 0.1 };
     let bounds = Bounds {
@@ -167,7 +167,7 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
         let evicted = |robots: &[Member<'_>]| -> u32 {
             robots.iter().map(|member| member.robot.own_tiles().evicted()).sum()
         };
-        // Work goes on: room is made for new tiles by giving up what is stored.
+        // Work continues: stored tiles are evicted to make room for new ones.
         let (began, before) = (now(), evicted(&robots));
         while evicted(&robots) < before + 25 {
             robots.iter_mut().for_each(|robot| robot.turn(now(), true));
@@ -192,7 +192,7 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
 
     let layers = layers(&store, &robots);
     for robot in &robots {
-        // For each cell, what the newest epoch said that knew it.
+        // For each cell the value from the newest epoch that knows it.
         let mut told = BTreeMap::<TileId, Tile>::new();
         for (&(id, _), (_, cells)) in robot.promises.iter().rev() {
             told.entry(id).or_default().fill_unknown_from(cells);
@@ -201,7 +201,7 @@ fn a_server_that_is_killed_has_lost_nothing_that_it_had_stored() {
             layers[&robot.id].tiles().map(|(id, seen)| (id, seen.tile)).collect();
         assert!(kept == told, "robot {}", robot.id.0);
         assert!(robot.promises.len() > kept.len() + 10, "evictions begin tiles anew");
-        // What it holds of the server's map is what the layers in the file make.
+        // Its copy of the server's map equals the fusion of the layers in the file.
         let held: Vec<_> = robot.robot.fused_tiles().tiles(Layer::Fused).collect();
         assert!(!held.is_empty());
         for (id, replica) in held {

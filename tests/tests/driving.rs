@@ -104,7 +104,7 @@ fn mapped_s(outcome: &Outcome) -> f64 {
 }
 
 #[test]
-fn two_robots_map_a_room_that_no_camera_sees_with_the_link_cut_meanwhile() {
+fn two_robots_map_a_blind_room_while_links_are_cut() {
     let scenario = written("two_rooms.toml", TWO_ROOMS);
     let options = ["--ideal-cameras", "--cut", "15", "--latency", "10"];
     let report = simulated(&scenario, &options).report;
@@ -118,7 +118,7 @@ fn two_robots_map_a_room_that_no_camera_sees_with_the_link_cut_meanwhile() {
 /// Checks the other tests' oracle: a robot that collides is stopped, and the collision counted
 /// once.
 #[test]
-fn who_drives_against_a_wall_or_a_robot_is_stopped_and_counted_once() {
+fn a_collision_stops_the_robot_and_is_counted_once() {
     let scenario = Scenario::from_toml(TWO_ROOMS, "two_rooms.toml").unwrap();
     let run = |turn_rad_s: f64, drive_s: f64| {
         let mut world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
@@ -171,20 +171,20 @@ fn against_routes(scenario: &str, duration: &str) {
 }
 
 #[test]
-fn robots_map_the_blind_ground_of_the_room() {
+fn the_blind_ground_of_the_room_is_mapped() {
     let report = run("room", 1, &["--duration", "120"]).report;
     assert!(report.driving.unwrap().blind_mapped >= 0.99, "{report}");
 }
 
 #[test]
 #[ignore = "prints a table: UBIMAP_SEEDS=10 cargo driving"]
-fn robots_map_the_room_about_as_fast_as_the_best_of_three_scripts() {
+fn robots_map_the_room_within_1_3_times_the_best_script() {
     against_routes("room", "150");
 }
 
 #[test]
 #[ignore = "prints a table: UBIMAP_SEEDS=10 cargo driving"]
-fn robots_map_the_warehouse_about_as_fast_as_the_best_of_three_scripts() {
+fn robots_map_the_warehouse_within_1_3_times_the_best_script() {
     against_routes("warehouse", "300");
 }
 
@@ -257,7 +257,7 @@ fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
 
 /// Odometry alone displaces walls by some cells, and with them the known ground.
 #[test]
-fn without_a_server_a_robot_explores_by_its_own_odometry_and_comes_home() {
+fn without_a_server_a_robot_explores_and_returns_home() {
     let (mut sum, mut squares) = (0.0, 0.0);
     for seed in 1..=5 {
         let Alone { known, believed_m, away_m } = explored_alone(seed);

@@ -1,5 +1,7 @@
 //! Messages from the server to a robot.
 
+use core::fmt;
+
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
@@ -75,6 +77,20 @@ pub enum RefusalReason {
     Resolution(Millimetres),
     /// The robot's maximum frame is too small; the minimum in bytes is given.
     Frame(u16),
+}
+
+impl fmt::Display for RefusalReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Version { min, current } => {
+                write!(f, "the server supports protocol versions {min} to {current}")
+            }
+            Self::Resolution(side) => {
+                write!(f, "the cells of the server's map are {} mm wide", side.0)
+            }
+            Self::Frame(bytes) => write!(f, "the maximum frame must be at least {bytes} bytes"),
+        }
+    }
 }
 
 /// Tells a robot, in a handshake frame, that the server has no session with it: the robot must say

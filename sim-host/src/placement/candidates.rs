@@ -5,11 +5,11 @@ use super::{
     floor_plan::FloorPlan,
 };
 
-/// A grid of places that gives more candidates than this is made coarser.
+/// Number of candidates above which the default grid of places is made coarser.
 const MANY: usize = 60_000;
-/// The most candidates.
-const MOST: usize = 400_000;
-/// The coarsest grid of places that is chosen for the user, in metres.
+/// Maximum number of candidates.
+const MAX_CANDIDATES: usize = 400_000;
+/// Maximum default spacing of places, in metres.
 const COARSEST_M: f64 = 2.0;
 
 /// Which candidates there are.
@@ -38,7 +38,7 @@ pub enum CandidatesError {
         /// Height of the ceiling, in metres.
         ceiling_m: f64,
     },
-    /// Everywhere something is in the way.
+    /// Obstacles block every place.
     #[error("there is no place for a camera at a height of {height_m} m")]
     NoPlace {
         /// Height of the cameras, in metres.
@@ -78,7 +78,7 @@ pub enum CandidatesError {
         tilt_deg: f64,
     },
     /// More than can be handled.
-    #[error("{count} candidates are too many (at most {MOST}); give a larger spacing")]
+    #[error("{count} candidates are too many (at most {MAX_CANDIDATES}); give a larger spacing")]
     TooMany {
         /// Number of candidates.
         count: usize,
@@ -115,7 +115,7 @@ pub fn candidates(
             spacing_m *= 2.0;
             continue;
         }
-        if count > MOST {
+        if count > MAX_CANDIDATES {
             return Err(CandidatesError::TooMany { count });
         }
         let mut candidates = Vec::with_capacity(count);

@@ -1,4 +1,4 @@
-//! From a room and what is asked of its cameras to a placement.
+//! Computes a placement from a room and a request.
 
 use super::{
     camera::{CameraModel, Candidate, Projection},
@@ -12,12 +12,12 @@ use super::{
     solver::{Interim, Solution, solve},
 };
 
-/// What a critical cell counts for where critical cells are weighted.
+/// Weight of a critical cell under [`CriticalRule::Weighted`].
 const CRITICAL_WEIGHT: u32 = 5;
-/// Cameras that see a critical cell where critical cells are to be seen twice.
+/// Minimum overlap of a critical cell under [`CriticalRule::Twice`].
 const TWICE: u16 = 2;
 
-/// The floor that two cameras share to be neighbours, in square metres: room for landmarks.
+/// Minimum floor that two neighbouring cameras share, in square metres: room for landmarks.
 const SHARED_M2: f64 = 0.25;
 
 /// The share of the time after which a solution is taken as it is, so that the rest is left for its
@@ -34,7 +34,7 @@ const EXCHANGES: usize = 500;
 /// The demand of a cell that need not be covered.
 const IGNORED: Demand = Demand { at_least: 0, at_most: ANY_OVERLAP, weight: 0, is_required: false };
 
-/// What is asked of a placement.
+/// A request for a placement.
 #[derive(Clone, Debug)]
 pub struct Request {
     /// Which floor counts as seen.
@@ -47,19 +47,19 @@ pub struct Request {
     pub at_least: u16,
     /// No more cameras may see a cell: the paper's `k`.
     pub at_most: Option<u16>,
-    /// What is asked for.
+    /// The goal of the optimisation.
     pub aim: Aim,
     /// Cells that matter more, and how.
     pub critical: Option<Critical>,
     /// Whether cameras may be added, or less be covered, to connect the overlap.
     pub connect: bool,
-    /// Another solver for the integer programme, after the usual one has had a fifth of the time.
+    /// Another solver for the integer programme, after the local search has had a fifth of the time.
     pub milp: Option<Milp>,
     /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// What is asked for.
+/// The goal of the optimisation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Aim {
     /// The fewest cameras that cover every cell that any candidate can see.
@@ -73,16 +73,16 @@ pub enum Aim {
 /// Cells that matter more.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Critical {
-    /// For each cell of the floor whether it is one.
+    /// For each cell of the floor whether it is critical.
     pub cells: Vec<bool>,
-    /// In which way they matter.
+    /// How they are treated.
     pub rule: CriticalRule,
 }
 
-/// In which way critical cells matter more.
+/// How critical cells are treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CriticalRule {
-    /// They must be seen by two cameras at least.
+    /// At least two cameras must see them.
     Twice,
     /// They count five times.
     Weighted,
@@ -97,7 +97,7 @@ pub enum PlacementError {
     #[error(transparent)]
     Candidates(#[from] CandidatesError),
     /// m > k.
-    #[error("an overlap of at least {at_least} and at most {at_most} is a contradiction")]
+    #[error("the minimum overlap exceeds the maximum: at least {at_least} and at most {at_most}")]
     Bounds {
         /// The lower bound.
         at_least: u16,
@@ -105,13 +105,13 @@ pub enum PlacementError {
         at_most: u16,
     },
     /// Critical cells need two cameras, and may have one.
-    #[error("critical cells are to be seen twice, but by at most {at_most} camera")]
+    #[error("critical cells must be seen twice, but the maximum overlap is {at_most}")]
     CriticalBounds {
         /// The upper bound.
         at_most: u16,
     },
     /// Connected cameras see some cells together.
-    #[error("cameras that are to be connected overlap, but a cell may be seen by at most one")]
+    #[error("connected cameras must overlap, but the maximum overlap is 1")]
     ConnectedBounds,
     /// No cell is critical.
     #[error("no cell of the floor is critical")]
@@ -121,7 +121,7 @@ pub enum PlacementError {
     NothingSeen,
     /// More is asked for than all candidates see together.
     #[error(
-        "{asked:.1} % are to be covered, but all candidates together see {seen:.1} % of the floor"
+        "{asked:.1} % of the floor requested, but all candidates together see only {seen:.1} %"
     )]
     Unreachable {
         /// Coverage asked for, in per cent.
@@ -137,13 +137,13 @@ pub enum PlacementError {
         /// Cameras needed at least.
         least: u64,
     },
-    /// Proved.
+    /// Proved to be infeasible.
     #[error("no placement keeps every overlap within its bounds; {advice}")]
     Infeasible {
         /// What to change.
         advice: &'static str,
     },
-    /// Not proved.
+    /// None found in time; infeasibility is not proved.
     #[error("no placement was found in time that keeps every overlap within its bounds; {advice}")]
     NotFound {
         /// What to change.
@@ -154,10 +154,10 @@ pub enum PlacementError {
     Milp(#[from] MilpError),
 }
 
-/// What goes on.
+/// The current stage of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// What each candidate sees is being found out.
+    /// The view of each candidate is being computed.
     Seeing {
         /// Number of candidates.
         candidates: usize,
@@ -329,7 +329,7 @@ impl Area {
             }
             let wanted = request.at_least.max(if is_twice { TWICE } else { 1 });
             let is_required = request.aim == Aim::Cover || is_twice;
-            // What can't be is not asked for where it must be.
+            // A required cell can't demand more cameras than candidates see it.
             let most = u16::try_from(seen_by).unwrap_or(u16::MAX);
             let at_least = if is_required { wanted.min(most) } else { wanted };
             area.lowered += usize::from(at_least < wanted);
@@ -418,8 +418,8 @@ fn solve_all(
 
 fn no_placement(request: &Request, is_proved: bool) -> PlacementError {
     let advice = match (request.at_most, request.at_least) {
-        (Some(_), _) => "raise the greatest overlap, or give more places, headings or tilts",
-        (None, _) => "lower the least overlap, or give more places, headings or tilts",
+        (Some(_), _) => "raise --max-overlap, or give more places, headings or tilts",
+        (None, _) => "lower --min-overlap, or give more places, headings or tilts",
     };
     if is_proved {
         PlacementError::Infeasible { advice }
@@ -428,7 +428,7 @@ fn no_placement(request: &Request, is_proved: bool) -> PlacementError {
     }
 }
 
-/// Takes out cameras without which as much is covered.
+/// Removes cameras that add no coverage.
 fn drop_surplus(programme: &Programme, chosen: &mut Vec<u32>) {
     let weight = programme.tally(chosen).covered_weight;
     for index in (0..chosen.len()).rev() {
@@ -451,7 +451,7 @@ fn overlap(covers: &Incidence, chosen: &[u32], cells: usize) -> Vec<u16> {
     overlap
 }
 
-/// What mending the overlap graph needs to know.
+/// Inputs for connecting the overlap graph.
 struct Connection<'a> {
     programme: &'a Programme,
     request: &'a Request,

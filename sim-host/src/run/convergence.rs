@@ -1,13 +1,12 @@
-//! Whether all hold the same map.
+//! Whether all maps have converged.
 
 use ubimap_protocol::tile::{Layer, Stamp, tile_hash};
 
 use super::{fleet::Fleet, member::Member};
 
 impl Fleet<'_> {
-    /// Whether the server holds the newest version of every tile that each robot has published,
-    /// and every fused tile that a robot holds is the server's newest, hash for hash; and all of it
-    /// is on disk, if the server keeps anything.
+    /// Whether the server holds the newest version of every published tile, every fused tile on a
+    /// robot equals the server's newest (by hash), and nothing is left to store.
     pub fn has_converged(&self) -> bool {
         !self.deployment().has_unsaved()
             && self.robots().iter().all(|robot| {

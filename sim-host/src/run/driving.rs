@@ -1,4 +1,5 @@
-//! A run in which the robots drive themselves: how they can, and what came of it.
+//! Runs in which the robots drive themselves: their drive configuration, and the blind ground
+//! mapped.
 
 use std::cell::Cell;
 
@@ -17,22 +18,23 @@ use crate::{
     world::{SimRobot, World},
 };
 
-/// What a robot keeps from everything, in millimetres.
+/// Minimum clearance of a robot, in millimetres.
 const MARGIN: u16 = 30;
-/// A turn on the spot, and until the server has heard what was seen.
+/// Time for a turn on the spot, until the server has received the result.
 const LOOK: Duration = Duration::from_secs(7);
-/// A frontier is in view from so far, in metres.
+/// Maximum distance at which a robot views a frontier, in metres.
 const VIEW_M: f64 = 2.5;
-/// And so far about itself a robot looks around where it ends: beyond the frontier.
+/// Radius that a robot looks at where its path ends, in metres: beyond the frontier.
 const AROUND_M: f64 = VIEW_M + 0.3;
-/// Beside a robot that passes, in metres: half a diagonal of two cells, as the map draws walls.
+/// Clearance that counts as passable, in metres: half a diagonal of two cells, the width of a wall
+/// in the map.
 const ROOM_M: f64 = 0.065;
-/// How much of the ground is all of it.
+/// Share of the blind ground that counts as completely mapped.
 const ALL: f64 = 0.99;
-/// How often it is looked at.
+/// Interval between two checks of that share.
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// How robots of a world are told where to drive.
+/// The coordinator's settings for the robots of a world.
 pub(super) fn coordination(world: &World) -> Settings {
     let ranges = world.robots().iter().map(|robot| robot.sensor().max_range_m());
     let range_m = ranges.fold(f64::INFINITY, f64::min);
@@ -40,7 +42,7 @@ pub(super) fn coordination(world: &World) -> Settings {
     Settings { view_m, range_m, look: LOOK, ..Settings::default() }
 }
 
-/// How a simulated robot drives itself; `None` if it has no route and stands.
+/// The drive configuration of a simulated robot; `None` if it has no route and never drives.
 pub(super) fn driving(robot: &SimRobot, motion: MotionName) -> Option<Driving> {
     robot
         .drives()
@@ -69,12 +71,12 @@ fn usual(robot: &SimRobot) -> Driving {
     Driving { motion, safety, looks_at_goal, ..Driving::default() }
 }
 
-/// What a command means for the wheels: metres and radians a second.
+/// A command as speed in m/s and turn rate in rad/s.
 pub(super) fn wheels(command: DriveCommand) -> (f64, f64) {
     (f64::from(command.speed) / 1_000.0, f64::from(command.turn) / 1_000.0)
 }
 
-/// The ground that no camera sees and a robot can stand on, and when it was mapped.
+/// The ground that a robot can reach but no camera sees, and when it was mapped.
 pub(super) struct BlindGround {
     cells: Vec<(i32, i32)>,
     next: Cell<Instant>,
@@ -93,7 +95,7 @@ impl BlindGround {
         Self { cells, next: Cell::new(Instant(0)), mapped: Cell::new(None) }
     }
 
-    /// How much of it a map knows.
+    /// The share that a map knows, 0 to 1.
     fn known(&self, fused: &ServedLayer) -> f64 {
         let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
         let is_known = |&&(x, y): &&(i32, i32)| {
@@ -106,7 +108,7 @@ impl BlindGround {
         self.cells.iter().filter(is_known).count() as f64 / self.cells.len() as f64
     }
 
-    /// Looks whether all is mapped.
+    /// Notes the time when all of it is mapped. Checks once per [`INTERVAL`].
     pub(super) fn look(&self, fleet: &Fleet<'_>) {
         let now = fleet.now();
         if self.mapped.get().is_none() && now >= self.next.get() {
@@ -117,7 +119,7 @@ impl BlindGround {
         }
     }
 
-    /// What came of the run.
+    /// The figures of the run.
     pub(super) fn summary(&self, fleet: &Fleet<'_>, world: &World) -> DrivingSummary {
         let (contacts, resolution) = (world.contacts(), fleet.deployment().resolution());
         DrivingSummary {

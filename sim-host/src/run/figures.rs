@@ -1,4 +1,4 @@
-//! The figures of a run, from the fleet that ran.
+//! The figures of a run, taken from its fleet.
 
 use ubimap_protocol::tile::{Digest, Stamp, tile_hash};
 
@@ -9,7 +9,7 @@ use crate::{
     server::EventLog,
 };
 
-/// The report of a run, but for what only the command knows.
+/// The report of a run, without the figures that only the command knows.
 pub(super) fn report(
     fleet: &Fleet<'_>,
     map: &OccupancyGrid,
@@ -21,7 +21,7 @@ pub(super) fn report(
         fleet.robots().iter().map(|robot| summary(fleet, robot, tiles)).collect();
     for robot in robots.iter().filter(|robot| robot.cells_refused > 0) {
         log::warn!(
-            "robot {} had no room for {} cells: its {tiles} tiles were full; --tiles gives it more",
+            "robot {} dropped {} cells because its {tiles} tiles were full; increase --tiles",
             robot.id,
             robot.cells_refused,
         );

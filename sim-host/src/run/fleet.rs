@@ -1,7 +1,7 @@
-//! Robots and a deployment, joined by channels under virtual time.
+//! Robots and a deployment, connected by channels, under virtual time.
 //!
-//! Nothing here waits: the clock jumps from event to event, each robot and the deployment come back
-//! when they asked to, and the same seed gives the same bytes.
+//! Nothing here waits: the clock jumps from event to event, each robot and the deployment is called
+//! at its `poll_timeout`, and the same seed gives the same bytes.
 
 use log::Level;
 use ubimap_agent::{
@@ -28,46 +28,46 @@ use crate::{
     store::StoreError,
 };
 
-/// Something that happens at a moment of a run.
+/// An input to the fleet at a moment of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// A robot, by its place in the fleet, takes a scan.
+    /// A robot takes a scan.
     Scan {
-        /// Which robot.
+        /// The robot's index in the fleet.
         robot: usize,
-        /// Readings in millimetres, 0 where nothing came back.
+        /// Readings in millimetres; 0 means no return.
         readings: Vec<u16>,
     },
     /// A robot reads its odometry.
     Odometry {
-        /// Which robot.
+        /// The robot's index in the fleet.
         robot: usize,
-        /// `base_link` in `odom`.
+        /// Pose of `base_link` in `odom`.
         pose: Pose,
     },
     /// A frame of a camera has arrived.
     Frame(Frame),
-    /// A frame of a camera has been looked at.
+    /// An observation of an ideal camera has arrived.
     Observation(Observation),
 }
 
-/// Where the events come from: a log, or a simulated room.
+/// A source of events: a log or a simulated room.
 pub trait Stage {
-    /// When the next event happens; `None` if there will be no more.
+    /// Time of the next event; `None` after the last one.
     fn next_event(&self) -> Option<Instant>;
 
-    /// An event that has happened by `now`, oldest first.
+    /// The oldest event that is due by `now`, if any.
     fn poll(&mut self, now: Instant) -> Option<Event>;
 
-    /// A robot's wheels shall do this from `moment` on.
+    /// Applies a drive command to a robot's wheels from `moment` on.
     fn drive(&mut self, _moment: Instant, _robot: usize, _command: DriveCommand) {}
 }
 
-/// Hears every frame that a robot or the server sends, before its channel does anything to it:
-/// the robot, the direction, and the bytes.
+/// Called with every frame that a robot or the server sends, before its channel can alter it: the
+/// robot, the direction and the bytes.
 pub type Tap<'t> = Box<dyn FnMut(RobotId, Direction, &[u8]) + 't>;
 
-/// Hears every event of the deployment.
+/// Called with every event of the deployment.
 pub type Listener<'l> = Box<dyn FnMut(&deployment::Event) + 'l>;
 
 /// A deployment and its robots, on one virtual clock.
@@ -75,21 +75,20 @@ pub struct Fleet<'b> {
     deployment: Deployment,
     robots: Vec<Member<'b>>,
     keeper: Option<Keeper>,
-    /// Since the run began.
+    /// Time since the run began.
     now: Instant,
     frame: Vec<u8>,
     tap: Option<Tap<'b>>,
     listener: Option<Listener<'b>>,
-    /// Whether the stage has ended: no frame tells robots where they are any more.
+    /// Whether the stage has ended. From then on no frames arrive, so robots get no fixes.
     has_ended: bool,
 }
 
-/// How long a run goes on after the last event, unless all hold the same map before.
+/// Maximum time after the last event for all maps to converge.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 impl<'b> Fleet<'b> {
-    /// A robot for each configuration, at a port of its own; `memory` has one entry for each as
-    /// well.
+    /// A robot for each configuration, each at its own port. `memory` has one entry per robot.
     ///
     /// # Errors
     /// [`ConfigError`].
@@ -116,24 +115,24 @@ impl<'b> Fleet<'b> {
         })
     }
 
-    /// Has what the deployment hands out written to a file from now on.
+    /// Stores the deployment's records in a file from now on.
     pub fn keep(&mut self, keeper: Keeper) {
         self.keeper = Some(keeper);
     }
 
-    /// Has every frame of the links heard from now on.
+    /// Calls `tap` with every frame from now on.
     pub fn tap(&mut self, tap: Tap<'b>) {
         self.tap = Some(tap);
     }
 
-    /// Has what a robot takes and gives heard from now on. The robot is named by its place.
+    /// Calls `journal` with every input and output of a robot from now on. `robot` is its index.
     pub fn keep_journal(&mut self, robot: usize, journal: Journal<'b>) {
         if let Some(robot) = self.robots.get_mut(robot) {
             robot.keep_journal(journal);
         }
     }
 
-    /// Has every event of the deployment heard from now on.
+    /// Calls `listener` with every event of the deployment from now on.
     pub fn listen(&mut self, listener: Listener<'b>) {
         self.listener = Some(listener);
     }
@@ -153,17 +152,18 @@ impl<'b> Fleet<'b> {
         &self.robots
     }
 
-    /// The time since the run began.
+    /// The current time of the run, whose clock starts at zero.
     pub fn now(&self) -> Instant {
         self.now
     }
 
-    /// How long the run has lasted.
+    /// The time since the run began.
     pub fn elapsed(&self) -> Duration {
         self.now.since(Instant(0))
     }
 
-    /// [`play`](Self::play), then [`settle`](Self::settle). Returns whether all hold the same map.
+    /// [`play`](Self::play), then [`settle`](Self::settle). Returns whether all maps
+    /// have converged.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -176,7 +176,7 @@ impl<'b> Fleet<'b> {
         self.settle(stage)
     }
 
-    /// Runs until the stage has ended. `watch` sees the fleet after every event.
+    /// Runs until the stage has ended. `watch` is called after all events of a moment.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -196,8 +196,8 @@ impl<'b> Fleet<'b> {
         Ok(())
     }
 
-    /// Runs on after the stage has ended until all hold the same map, for two minutes at most. Returns
-    /// whether they do.
+    /// Continues after the stage has ended until all maps have converged, for at most two minutes.
+    /// Returns whether they have.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -210,7 +210,7 @@ impl<'b> Fleet<'b> {
         Ok(self.has_converged())
     }
 
-    /// Lets all that is due before `until` happen; then it is `until`.
+    /// Processes everything due before `until`, then sets the clock to `until`.
     fn run_until(&mut self, until: Instant, stage: &mut dyn Stage) -> Result<(), StoreError> {
         while let Some(next) = self.next_due().filter(|&next| next < until) {
             self.now = self.now.max(next);
@@ -222,7 +222,7 @@ impl<'b> Fleet<'b> {
         Ok(())
     }
 
-    /// When a frame arrives, or a robot or the deployment wants to come back.
+    /// Time of the next frame delivery or timeout.
     fn next_due(&self) -> Option<Instant> {
         let robots = self.robots.iter().map(Member::poll_timeout);
         robots.chain([self.deployment.poll_timeout(self.now)]).flatten().min()
@@ -240,7 +240,7 @@ impl<'b> Fleet<'b> {
         self.deployment.timeout(now);
     }
 
-    /// Lets the wheels do what the robots say.
+    /// Passes the robots' drive commands to the stage.
     fn turn_wheels(&mut self, stage: &mut dyn Stage) {
         for (index, robot) in self.robots.iter_mut().enumerate() {
             if let Some(command) = robot.poll_command(self.now) {
@@ -266,7 +266,7 @@ impl<'b> Fleet<'b> {
         }
     }
 
-    /// Drains the outputs of all, until none has any left.
+    /// Drains the outputs of the deployment and all robots.
     fn drain(&mut self) -> Result<(), StoreError> {
         let now = self.now;
         if let Some(keeper) = &mut self.keeper {
@@ -289,7 +289,7 @@ impl<'b> Fleet<'b> {
             }
         }
         while let Some((moment, event)) = self.deployment.poll_event() {
-            // That robots lose their poses after the end is nobody's fault.
+            // After the end robots lose their poses, because no frames arrive.
             let level = if self.has_ended { Level::Debug } else { event.level() };
             log::log!(level, "{}: {event}", terminal::seconds(moment));
             if let Some(listener) = &mut self.listener {

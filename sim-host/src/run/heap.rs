@@ -1,4 +1,4 @@
-//! The memory of robots on a machine with a heap.
+//! Memory of simulated robots, on the heap.
 
 use ubimap_agent::{
     Bounds, Storage,
@@ -7,10 +7,10 @@ use ubimap_agent::{
     share::FusedTile,
 };
 
-/// What a simulated robot keeps, unless a run says otherwise: as much as a real one.
+/// Default bounds of a simulated robot: those of the firmware, with a queue of four scans.
 pub const BOUNDS: Bounds = Bounds { waiting: 4, ..Bounds::DEFAULT };
 
-/// Vectors, whose sizes are known only when the program runs.
+/// Storage in vectors, sized at run time.
 #[derive(Debug)]
 pub struct Heap;
 

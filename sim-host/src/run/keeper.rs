@@ -1,4 +1,4 @@
-//! The file that a deployment's records go to.
+//! Stores a deployment's records in a file.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::{
     store::{Store, StoreError},
 };
 
-/// Writes what a deployment hands out into a file.
+/// Writes the records of a deployment to a file.
 #[derive(Debug)]
 pub struct Keeper {
     store: Store,
@@ -18,7 +18,7 @@ pub struct Keeper {
 
 impl Keeper {
     /// Opens the file and begins a new life of the deployment, with an epoch of at least `least`.
-    /// Nobody may be welcomed before.
+    /// Call it before any robot is welcomed.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -29,7 +29,7 @@ impl Keeper {
     ) -> Result<(Self, Life), StoreError> {
         let mut store = Store::open(path, resolution)?;
         let epoch = store.begin_life(least)?;
-        log::info!("{}: life {} of the server", path.display(), epoch.0);
+        log::info!("{}: server epoch {}", path.display(), epoch.0);
         let kept = Kept {
             clock: store.clock(),
             tiles: store.records()?,
@@ -37,18 +37,18 @@ impl Keeper {
             cures: store.cured()?,
         };
         log::info!(
-            "{} states of robots' tiles and {} tiles of the cameras' are restored",
+            "restored {} robot tiles and {} camera tiles",
             kept.tiles.len(),
             kept.camera_tiles.len()
         );
         Ok((Self { store }, Life { epoch, kept: Some(kept) }))
     }
 
-    /// Writes what is due.
+    /// Writes the records that are due.
     ///
     /// # Errors
-    /// [`StoreError`]; then no robot is told that any of it was written, and the deployment hands
-    /// it out again.
+    /// [`StoreError`]. Then no robot gets an acknowledgement of the batch, and the deployment
+    /// returns it again later.
     pub fn keep(&mut self, deployment: &mut Deployment, now: Instant) -> Result<(), StoreError> {
         while let Some(batch) = deployment.poll_store(now) {
             if let Err(error) = self.write(&batch) {
@@ -75,8 +75,8 @@ impl Keeper {
 }
 
 impl RunOptions {
-    /// The keeper of a run whose robots come with it, if a file is asked for, and the life that it
-    /// begins.
+    /// The keeper of a run, if a file is given, and the life that begins. For runs that start their
+    /// own robots.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -88,7 +88,7 @@ impl RunOptions {
     }
 }
 
-/// The keeper for a file, if there is one, and the life that begins, with an epoch of at least
+/// The keeper for a file, if one is given, and the life that begins, with an epoch of at least
 /// `least`.
 ///
 /// # Errors
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cameras_saw_and_cured_is_there_in_the_next_life() {
+    fn camera_tiles_and_corrected_errors_survive_a_restart() {
         let folder = Folder::new("keeper");
         let path = folder.path().join("map.db");
         let (mut keeper, mut first) = life(&path);
@@ -150,7 +150,7 @@ mod tests {
         assert!(first.server().fused().tiles().count() > 2);
         assert_eq!(second.server().fused().digest(), first.server().fused().digest());
         assert_eq!(second.server().errors(robot).map(|errors| errors.cured()), Some(askew));
-        // The clock goes on where that of the first life was when it last wrote, and a second.
+        // The clock continues one second after the last write of the first life.
         let began = Instant(0);
         assert_eq!(second.server_time(began), Instant(11_000_000));
         let seen = Pose::from_metres(0.5, 0.5, 1.0);
@@ -158,7 +158,7 @@ mod tests {
         second.observe(Observation { captured: began, robots, ..Observation::default() });
         let (_, stands) = second.server().whereabouts(second.server_time(began)).next().unwrap();
         assert!(((seen.heading - stands.heading).degrees() - 3.0).abs() < 0.01);
-        // The cameras of this life see what has changed meanwhile.
+        // Cameras of the new life replace cells that have changed in between.
         first.observe(observation(Instant(11_000_000), |_| Cell::Free));
         second.observe(observation(began, |_| Cell::Free));
         assert_eq!(second.server().fused().digest(), first.server().fused().digest());

@@ -1,4 +1,4 @@
-//! What the pictures of a run show beside the map: robots, people and cameras.
+//! The markers on the pictures of a run: robots, people and cameras.
 
 use nalgebra::Vector3;
 use ubimap_protocol::{
@@ -15,16 +15,16 @@ use crate::{
     server::Footprint,
 };
 
-/// A person or thing that was seen this shortly before a moment is there at that moment.
+/// Maximum age of a detection of a person or thing that is drawn.
 const RECENT: Duration = Duration::from_secs(1);
-/// The edge of a camera's view is drawn up to this distance along the floor, in metres.
+/// Maximum distance along the floor at which the edge of a view is drawn, in metres.
 const VIEW_M: f64 = 6.0;
-/// Points of that edge on each side of the image.
+/// Number of points of that edge per side of the image.
 const POINTS: u32 = 16;
-/// A camera that is closer to straight down has no heading, as the cosine of the angle.
+/// A camera whose axis is within this angle of straight down has no heading; as a cosine.
 const DOWN: f64 = 0.999;
 
-/// The robots of a fleet where they believe to be, with the paths that they have driven.
+/// The robots of a fleet at their estimated poses, with the paths driven.
 pub(super) fn robots(fleet: &Fleet<'_>) -> Vec<Marker> {
     let robots = fleet.robots().iter().filter_map(|robot| {
         let (_, pose) = robot.robot().pose()?;
@@ -46,14 +46,14 @@ pub(super) fn radius_m(deployment: &Deployment, robot: RobotId) -> f64 {
     f64::from(half_length.max(half_width)) / 1000.0
 }
 
-/// The people and things that the cameras of a deployment follow at a moment.
+/// The people and things that a deployment tracks at `now`.
 pub(super) fn followed(deployment: &Deployment, now: Instant) -> Vec<Obstacle> {
     let (moment, obstacles) = deployment.server().obstacles();
     let is_recent = deployment.server_time(now).since(moment) <= RECENT;
     if is_recent { obstacles } else { Vec::new() }
 }
 
-/// The people that the cameras of a deployment follow at a moment.
+/// The people that a deployment tracks at `now`.
 pub(super) fn people(deployment: &Deployment, now: Instant) -> Vec<Marker> {
     let people = followed(deployment, now).into_iter();
     let people = people.filter(|it| it.class == ObstacleClass::Person).map(|person| {
@@ -65,7 +65,7 @@ pub(super) fn people(deployment: &Deployment, now: Instant) -> Vec<Marker> {
     people.collect()
 }
 
-/// Cameras, and what they see of an empty floor.
+/// Cameras, with their view of an empty floor.
 pub(super) fn cameras(cameras: &[Calibration]) -> Vec<Marker> {
     let lenses = cameras.iter().filter_map(|camera| camera.depth.or(camera.picture));
     lenses.map(|lens| camera(&lens)).collect()
@@ -78,7 +78,7 @@ fn camera(lens: &Lens) -> Marker {
     Marker { view: view(lens), ..Marker::new(kind, [centre.x, centre.y], axis.y.atan2(axis.x)) }
 }
 
-/// The edge of the floor that is in the image, or of that part within [`VIEW_M`].
+/// The outline of the visible floor, cut off at [`VIEW_M`].
 fn view(lens: &Lens) -> Vec<[f64; 2]> {
     let intrinsics = lens.intrinsics();
     let [right, lower] = [intrinsics.width, intrinsics.height].map(|it| f64::from(it) - 1.0);
@@ -94,7 +94,7 @@ fn view(lens: &Lens) -> Vec<[f64; 2]> {
     let floor = pixels.map(|pixel| {
         let direction = lens.direction(pixel);
         let along = direction.xy().norm();
-        // From the centre down to the floor; a ray that does not go down never meets it.
+        // Distance to the floor; a ray that does not point down never reaches it.
         let depth = if direction.z < 0.0 { centre.z / -direction.z } else { f64::INFINITY };
         let depth = depth.min(VIEW_M / along);
         [centre.x + depth * direction.x, centre.y + depth * direction.y]
@@ -111,26 +111,26 @@ mod tests {
     use super::*;
     use crate::camera::Intrinsics;
 
-    /// A camera 2 m above (1, 1) m, with a view of 90 degrees across and as much down.
+    /// A camera 2 m above (1, 1) m, with a field of view of 90 degrees both ways.
     fn lens(rotation: UnitQuaternion<f64>) -> Lens {
         let pose = Isometry3::from_parts(Translation3::new(1.0, 1.0, 2.0), rotation);
         Lens::new(Intrinsics::pinhole(200, 200, FRAC_PI_2), pose).unwrap()
     }
 
     #[test]
-    fn a_camera_that_looks_down_sees_a_square() {
+    fn a_camera_looking_down_sees_a_square() {
         let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI);
         let marker = camera(&lens(down));
         assert_eq!(marker.kind, MarkerKind::CameraDown);
         for [x, y] in marker.view {
-            // Half the side is the height, but for half a pixel.
+            // Half the side equals the height, to within half a pixel.
             let away = (x - 1.0).abs().max((y - 1.0).abs());
             assert!((away - 2.0).abs() < 0.03, "({x}, {y})");
         }
     }
 
     #[test]
-    fn a_level_camera_sees_from_two_metres_ahead_to_the_end_of_the_view() {
+    fn a_level_camera_sees_from_two_metres_to_the_maximum_distance() {
         // Along x: the image's right is -y, its down is -z.
         let level = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, -FRAC_PI_2);
         let marker = camera(&lens(level));

@@ -1,4 +1,4 @@
-//! One robot of a fleet: with its clock and its channel.
+//! One robot of a fleet, with its clock and its channel.
 
 use ubimap_agent::{
     Config, ConfigError, Memory, Robot,
@@ -18,7 +18,7 @@ use crate::{
     report::{Comparison, Published},
 };
 
-/// A robot's clock: it starts somewhere, and runs a little fast or slow.
+/// A robot's clock, with a random offset and drift.
 #[derive(Clone, Copy, Debug)]
 struct RobotClock {
     start: u64,
@@ -26,9 +26,9 @@ struct RobotClock {
 }
 
 impl RobotClock {
-    /// Clocks of different robots differ by up to ten minutes, and run up to 40 ppm fast or slow.
+    /// A clock with an offset of up to ten minutes and a drift of up to 40 ppm either way.
     fn of(robot: RobotId, seed: u64) -> Self {
-        // SplitMix64's mixing step: any two clocks differ.
+        // SplitMix64's mixing step, so that robots with similar numbers have different clocks.
         let mixed = (seed ^ u64::from(robot.0) << 32).wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = mixed ^ mixed >> 27;
@@ -40,7 +40,7 @@ impl RobotClock {
         Instant(self.start.wrapping_add(server.0).wrapping_add(drift as u64))
     }
 
-    /// The first moment of the server's clock at which this one shows `local`.
+    /// The earliest server time at which this clock shows `local` or later.
     fn server(self, local: Instant) -> Instant {
         if local.0 == u64::MAX {
             return local;
@@ -55,40 +55,40 @@ impl RobotClock {
     }
 }
 
-/// What a robot takes, and what it gives for it, in their order: enough to have it do all again.
+/// An input or output of a robot. All entries in order are enough to reproduce the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Entry<'e> {
-    /// It receives bytes.
+    /// Bytes received.
     Received(&'e [u8]),
-    /// It reads its odometry, `base_link` in `odom`.
+    /// Odometry read: the pose of `base_link` in `odom`.
     Odometry(Pose),
-    /// It takes a scan: readings in millimetres.
+    /// A scan taken: readings in millimetres.
     Scan(&'e [u16]),
-    /// It does what is due.
+    /// A call of `timeout`.
     Timeout,
-    /// It sends a frame, or has nothing to send.
+    /// A frame sent, or `None` if there was nothing to send.
     Transmit(Option<&'e [u8]>),
-    /// Its wheels shall do something else from now on.
+    /// A new drive command.
     Commanded(DriveCommand),
 }
 
-/// Hears what a robot takes and gives, and when by the robot's clock.
+/// Called with every input and output of a robot, and its time by the robot's clock.
 pub type Journal<'j> = Box<dyn FnMut(Instant, Entry<'_>) + 'j>;
 
-/// A robot with its clock and its channel to a port of the deployment. Moments count from the
-/// beginning of the run.
+/// A robot with its clock and its channel to a port of the deployment. Times count from the start
+/// of the run.
 pub struct Member<'b> {
     port: PortId,
     clock: RobotClock,
     robot: Robot<'b, Option<Driving>>,
     up: FaultWire,
     down: FaultWire,
-    /// What its wheels do.
+    /// Its last drive command.
     commanded: DriveCommand,
     journal: Option<Journal<'b>>,
     path: Vec<(Instant, Pose)>,
     published: Published,
-    /// Its map traffic when what it had published was last noted.
+    /// Its map traffic in bytes when `published` was last updated.
     bytes_noted: u64,
 }
 
@@ -119,7 +119,7 @@ impl<'b> Member<'b> {
         })
     }
 
-    /// Its number.
+    /// Its identifier.
     pub fn id(&self) -> RobotId {
         self.robot.settings().robot
     }
@@ -134,7 +134,7 @@ impl<'b> Member<'b> {
         &self.robot
     }
 
-    /// Has what the robot takes and gives heard from now on.
+    /// Calls `journal` with every input and output of the robot from now on.
     pub(super) fn keep_journal(&mut self, journal: Journal<'b>) {
         self.journal = Some(journal);
     }
@@ -145,14 +145,14 @@ impl<'b> Member<'b> {
         }
     }
 
-    /// When a frame arrives at either end of its channel, or the robot wants to come back.
+    /// Time of the next delivery at either end of its channel, or of the robot's timeout.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
         let robot = Some(self.clock.server(self.robot.poll_timeout()));
         let channel = [self.up.next_delivery(), self.down.next_delivery()];
         channel.into_iter().chain([robot]).flatten().min()
     }
 
-    /// The next frame that arrives at the server.
+    /// The next frame that has arrived at the server by `now`.
     pub(super) fn poll_up(&mut self, now: Instant) -> Option<Vec<u8>> {
         self.up.poll(now)
     }
@@ -162,7 +162,7 @@ impl<'b> Member<'b> {
         self.down.send(now, frame);
     }
 
-    /// Lets the robot do what is due: take the frames that arrive, and its timeouts.
+    /// Delivers the frames that have arrived at the robot, and calls its `timeout`.
     pub(super) fn deliver(&mut self, now: Instant) {
         let local = self.clock.local(now);
         while let Some(bytes) = self.down.poll(now) {
@@ -173,29 +173,30 @@ impl<'b> Member<'b> {
         self.robot.timeout(local);
     }
 
-    /// The robot takes a scan.
+    /// Passes a scan to the robot.
     pub(super) fn scan(&mut self, readings: &[u16], now: Instant) {
         let local = self.clock.local(now);
         self.note(local, Entry::Scan(readings));
         if let Err(error) = self.robot.scan(local, readings, local) {
-            // The robot counts them.
-            log::debug!("robot {}: a scan is not taken: {error:?}", self.id().0);
+            // Its statistics count dropped scans.
+            log::debug!("robot {}: scan dropped: {error}", self.id().0);
         }
     }
 
-    /// Takes note of where it believes that it is.
+    /// Appends an estimated pose to its path.
     pub(super) fn follow(&mut self, pose: Option<(Instant, Pose)>) {
         self.path.extend(pose);
     }
 
-    /// The robot reads its odometry.
+    /// Passes odometry to the robot.
     pub(super) fn odometry(&mut self, pose: Pose, now: Instant) {
         let local = self.clock.local(now);
         self.note(local, Entry::Odometry(pose));
         self.robot.odometry(local, pose, local);
     }
 
-    /// Sends the next frame that is due, and writes it into `frame`. Its length.
+    /// Writes the next frame into `frame` and sends it. Returns its length, or `None` if none is
+    /// due.
     pub(super) fn poll_transmit(&mut self, now: Instant, frame: &mut [u8]) -> Option<usize> {
         let local = self.clock.local(now);
         let len = self.robot.poll_transmit(local, &mut frame[..DEFAULT_FRAME]);
@@ -209,7 +210,7 @@ impl<'b> Member<'b> {
         len
     }
 
-    /// What its wheels shall do from now on, if that has changed.
+    /// The drive command, if it has changed.
     pub(super) fn poll_command(&mut self, now: Instant) -> Option<DriveCommand> {
         let command = self.robot.command();
         if command == self.commanded {
@@ -220,7 +221,7 @@ impl<'b> Member<'b> {
         Some(command)
     }
 
-    /// Takes note of what it has published by now.
+    /// Updates `published` if the robot has sent map data since the last call.
     fn note_published(&mut self) {
         let bytes_sent_map = self.robot.statistics().bytes_sent_map;
         if bytes_sent_map > self.bytes_noted {
@@ -231,7 +232,7 @@ impl<'b> Member<'b> {
         }
     }
 
-    /// Whether it leaves a cell to the cameras at a moment of the run.
+    /// Whether at `now` the robot does not map a cell because the cameras cover it.
     pub fn is_left_to_cameras(&self, now: Instant, (x, y): (i32, i32)) -> bool {
         let Some(id) = TileId::of_cell(x, y) else { return false };
         let around = self.robot.fused_tiles().around(id, self.clock.local(now));
@@ -239,12 +240,12 @@ impl<'b> Member<'b> {
         around.covered.is_some_and(|rows| rows[within(y)] >> within(x) & 1 != 0)
     }
 
-    /// Frames that the channel lost, both ways.
+    /// Number of frames that the channel lost, both ways.
     pub fn frames_lost(&self) -> u64 {
         self.up.counters().lost + self.down.counters().lost
     }
 
-    /// What telling the server of the same would have cost in other formats.
+    /// Traffic that the same map data would have caused in other formats.
     pub fn comparison(&self) -> Comparison {
         let mut comparison = self.published.cost();
         let mapped = self.robot.statistics().mapped.into();
@@ -252,7 +253,7 @@ impl<'b> Member<'b> {
         comparison
     }
 
-    /// Where it believes that it has been, and when since the run began.
+    /// Its estimated poses, with their times since the start of the run.
     pub fn path(&self) -> &[(Instant, Pose)] {
         &self.path
     }
@@ -263,7 +264,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robots_clock_comes_back_when_it_was_asked_to() {
+    fn clock_conversion_finds_the_first_moment_that_shows_a_local_time() {
         for id in 0..50 {
             let clock = RobotClock::of(RobotId(id), 7);
             for server in [0, 1, 999, 1_000_000, 3_600_000_000] {
@@ -276,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn some_clocks_run_fast_and_as_many_slow() {
+    fn clock_drifts_are_symmetric() {
         let clocks: Vec<_> = (0..2_000).map(|id| RobotClock::of(RobotId(id), 7)).collect();
         let hour = 3_600_000_000;
         let gained =

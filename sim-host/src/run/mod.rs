@@ -1,6 +1,6 @@
-//! What drives a deployment: a file for each of `ubimap`'s commands, their options, and the fleet
-//! of simulated robots. Each driver brings a clock, sources and channels; what is decided is
-//! decided in the [`deployment`](crate::deployment).
+//! The drivers of a deployment: one file per `ubimap` command, the options, and the fleet of
+//! simulated robots. A driver supplies the clock, the sources and the channels; all decisions are
+//! made in the [`deployment`](crate::deployment).
 
 pub mod compare;
 mod convergence;
@@ -30,10 +30,7 @@ use std::path::PathBuf;
 
 use image::RgbImage;
 use serde::Serialize;
-use ubimap_agent::{
-    ConfigError, Part,
-    map::{MAX_RADIUS, MIN_RESOLUTION},
-};
+use ubimap_agent::ConfigError;
 
 use crate::{
     channel::serial::SerialError,
@@ -45,26 +42,26 @@ use crate::{
     world::ScenarioError,
 };
 
-/// What a run ends with that draws a map.
+/// The results of a run that draws a map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome<R = Report> {
     /// The figures.
     pub report: R,
     /// The fused map.
     pub map: OccupancyGrid,
-    /// The robots, people and cameras when the last frame or scan had been looked at.
+    /// The robots, people and cameras after the last frame or scan was processed.
     pub markers: Vec<Marker>,
-    /// What the pictures show, and when.
+    /// Subject, seed and time of the pictures.
     pub caption: Caption,
-    /// More pictures, by the names of their files.
+    /// Further pictures, each with its file name.
     pub pictures: Vec<(&'static str, RgbImage)>,
-    /// Tables as text, by the names of their files.
+    /// Tables as text, each with its file name.
     pub tables: Vec<(&'static str, String)>,
 }
 
 impl<R: Serialize> Outcome<R> {
-    /// Writes `map.pgm`, `map.yaml`, `map.png`, `report.json`, the other pictures and the tables: all
-    /// of them or none.
+    /// Writes `map.pgm`, `map.yaml`, `map.png`, `report.json`, the other pictures and the tables:
+    /// either all of them or none.
     pub fn write(&self, mut folder: OutputFolder) -> Result<(), RunError> {
         folder.add("map.pgm", &grid::pgm(&self.map))?;
         folder.add("map.yaml", grid::yaml(&self.map, "map.pgm").as_bytes())?;
@@ -83,13 +80,13 @@ impl<R: Serialize> Outcome<R> {
     }
 }
 
-/// Why a run could not be made or finished. Each is one line.
+/// Why a run could not start or finish. Each message is one line.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// A log can't be read.
+    /// A log can't be read or written.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// Recorded frames can't be watched.
+    /// Recorded frames can't be read.
     #[error(transparent)]
     Frames(#[from] FramesError),
     /// A file of robots can't be used.
@@ -97,7 +94,7 @@ pub enum RunError {
     Robots {
         /// The file.
         path: PathBuf,
-        /// Why not, on one line.
+        /// The reason, in one line.
         reason: String,
     },
     /// A map can't be read.
@@ -109,7 +106,7 @@ pub enum RunError {
     /// The results can't be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// The map can't be kept.
+    /// The map can't be stored.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The picture can't be encoded.
@@ -121,43 +118,43 @@ pub enum RunError {
     /// A serial port can't be opened.
     #[error(transparent)]
     Port(#[from] SerialError),
-    /// There are neither as many poses as ports, nor one, nor none.
-    #[error("--pose: given {poses} times for {ports} ports; give one for all, or one for each")]
+    /// The number of poses is neither zero, one, nor the number of ports.
+    #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
-        /// Poses given.
+        /// Number of poses given.
         poses: usize,
-        /// Ports given.
+        /// Number of ports given.
         ports: usize,
     },
-    /// The robots can't work with these options.
-    #[error("no robot can be made with these options: {}", explain(.0))]
+    /// No robot can be configured with these options.
+    #[error("no robot can be configured with these options: {}", explain(.0))]
     Robot(ConfigError),
-    /// The robots' markers can't be told apart.
+    /// Two robots carry the same marker, or a marker is invalid.
     #[error(transparent)]
     Registry(#[from] RegistryError),
-    /// The scenario has fewer robots.
-    #[error("--robots {asked}: the scenario has {there}")]
+    /// More robots were requested than the scenario has.
+    #[error("--robots {asked}: the scenario has only {there}")]
     TooManyRobots {
-        /// Robots asked for.
+        /// Number of robots requested.
         asked: usize,
-        /// Robots in the scenario.
+        /// Number of robots in the scenario.
         there: usize,
     },
     /// Cameras can't be placed.
     #[error(transparent)]
     Place(#[from] place::PlaceFault),
-    /// A map that is to be the walls lies askew.
-    #[error("{path}: origin: walls must lie straight, but the map is turned by {yaw_rad} rad", path = path.display())]
+    /// A map used as walls is rotated.
+    #[error("{path}: origin: a map used as walls must have a yaw of 0, not {yaw_rad} rad", path = path.display())]
     TurnedMap {
         /// The map.
         path: PathBuf,
-        /// Its yaw.
+        /// Its yaw, in radians.
         yaw_rad: f64,
     },
 }
 
 impl RunError {
-    /// Whether what was given to the run is at fault, and not the run.
+    /// Whether the options or input files are at fault, rather than the run itself.
     pub fn is_bad_input(&self) -> bool {
         match self {
             Self::Log(_)
@@ -185,23 +182,10 @@ impl From<ConfigError> for RunError {
     }
 }
 
+/// The error, with the options that cure it.
 fn explain(error: &ConfigError) -> String {
     match error {
-        ConfigError::Resolution => {
-            format!("the cells must be {} mm wide or more", MIN_RESOLUTION.0)
-        }
-        ConfigError::Range => {
-            format!("the range must be 1 to {MAX_RADIUS} cells; change --max-range or --resolution")
-        }
-        ConfigError::Memory { part, needed, found } => {
-            let what = match part {
-                Part::Beams => "readings in a scan",
-                Part::Waiting => "readings of scans that wait",
-                Part::Scratch => "words of scratch memory",
-                Part::OwnTiles => "tiles",
-                Part::FusedTiles => "fused tiles",
-            };
-            format!("{needed} {what} are needed, there is memory for {found}")
-        }
+        ConfigError::Range => format!("{error}; change --max-range or --resolution"),
+        _ => error.to_string(),
     }
 }

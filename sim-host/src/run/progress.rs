@@ -1,5 +1,5 @@
-//! How far a run is: a bar with the time left, or a line now and then where standard error is no
-//! terminal.
+//! Progress of a run: a bar with the remaining time, or a line every ten seconds if standard error
+//! is no terminal.
 
 use std::{cell::Cell, time};
 
@@ -8,23 +8,23 @@ use ubimap_protocol::time::Instant;
 
 use super::terminal;
 
-/// Between two drawings of the bar.
+/// Interval between two updates of the bar.
 const REDRAW: time::Duration = time::Duration::from_millis(100);
-/// Between two lines without a terminal.
+/// Interval between two lines without a terminal.
 const LINE: time::Duration = time::Duration::from_secs(10);
 
-/// Progress over the time of a run. It goes away when dropped.
+/// Progress of a run; the bar disappears when it is dropped.
 pub(super) struct Progress {
     end: Instant,
     started: time::Instant,
-    /// When it is shown next; `None` if never.
+    /// Time of the next update; `None` if progress is not shown.
     next: Cell<Option<time::Instant>>,
-    /// None without a terminal.
+    /// The bar; `None` without a terminal.
     bar: Option<ProgressBar>,
 }
 
 impl Progress {
-    /// For a run up to `end`, shown if warnings are logged.
+    /// Progress of a run until `end`, shown if warnings are logged.
     pub(super) fn new(end: Instant) -> Self {
         let started = time::Instant::now();
         let is_shown = terminal::shows_progress();
@@ -33,7 +33,7 @@ impl Progress {
         Self { end, started, next: Cell::new(is_shown.then_some(first)), bar }
     }
 
-    /// It is `now` in the run. Costs the reading of a clock.
+    /// Reports that the run has reached `now`. Cost: one reading of the wall clock.
     pub(super) fn at(&self, now: Instant) {
         let wall = time::Instant::now();
         if self.next.get().is_none_or(|next| wall < next) {
@@ -64,14 +64,14 @@ impl Drop for Progress {
 
 fn bar(end: Instant) -> ProgressBar {
     let bar = ProgressBar::new(end.micros());
-    // The template is a constant: a bar of the default style would be no harm.
+    // The template is valid; otherwise the bar keeps its default style.
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {msg}") {
         bar.set_style(style);
     }
     bar
 }
 
-/// As in "35 of 120 s, 40 s left"; nobody can tell what is left before the run has begun.
+/// Text such as "35 of 120 s, 40 s left". At time zero the remaining time is unknown and left out.
 fn describe(now: Instant, end: Instant, elapsed: time::Duration) -> String {
     let [done, all] = [now, end].map(|moment| moment.micros() as f64 / 1e6);
     let mut text = format!("{done:.0} of {all:.0} s");
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_left_goes_by_the_speed_so_far() {
+    fn the_remaining_time_is_extrapolated_from_the_elapsed_time() {
         let text = |now: u64, elapsed: u64| {
             let seconds = |it: u64| Instant(it * 1_000_000);
             describe(seconds(now), seconds(120), time::Duration::from_secs(elapsed))

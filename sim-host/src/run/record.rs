@@ -1,4 +1,4 @@
-//! The frames of a run written down, so that `ubimap watch` can play them again.
+//! Records the frames of a run for `ubimap watch`.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use crate::{
     recording::{LogError, Recorder},
 };
 
-/// A folder that frames are written to.
+/// A folder for recorded frames.
 #[derive(Debug)]
 pub struct Recording {
     recorder: Recorder,
@@ -24,10 +24,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Makes the folder, with all in it but the frames.
+    /// Creates the folder with all its files except the frames.
     ///
     /// # Errors
-    /// [`RunError::Log`] if it can't be written to, or holds something already.
+    /// [`RunError::Log`] if it can't be written to or is not empty.
     pub fn create(
         folder: &Path,
         cameras: &[Calibration],
@@ -39,20 +39,20 @@ impl Recording {
     }
 }
 
-/// A stage whose frames are recorded as they come, if that is asked for.
+/// A stage whose frames are optionally recorded as they arrive.
 #[derive(Debug)]
 pub struct Recorded<S> {
     /// The stage.
     pub stage: S,
-    /// Where its frames go.
+    /// The recording, if any.
     pub recording: Option<Recording>,
 }
 
 impl<S> Recorded<S> {
-    /// The stage, when all is over.
+    /// Ends the recording and returns the stage.
     ///
     /// # Errors
-    /// [`RunError::Log`] if a frame could not be written. The stage has ended with it.
+    /// [`RunError::Log`] if a frame could not be written; the stage ended there.
     pub fn finish(self) -> Result<S, RunError> {
         match self.recording.and_then(|recording| recording.fault) {
             Some(fault) => Err(fault.into()),

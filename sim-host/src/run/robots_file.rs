@@ -1,4 +1,4 @@
-//! The file `robots.toml`: which robots there are ([`Registry`]).
+//! The file `robots.toml`: the robots and their markers ([`Registry`]).
 
 use std::{
     fs,
@@ -22,8 +22,8 @@ pub(super) fn read(path: &Path) -> Result<Registry, RunError> {
         .map_err(|fault| RunError::Robots { path: path.to_owned(), reason: fault.to_string() })
 }
 
-/// Reads the file of a recording: the one that is named, or the only one in its folders. Without
-/// any there are no robots.
+/// Reads the file of a recording: the one named, or the only one in its folders. Without a file the
+/// registry is empty.
 ///
 /// # Errors
 /// As [`read`].
@@ -34,12 +34,12 @@ pub(super) fn find(named: Option<&Path>, folders: &[PathBuf]) -> Result<Registry
         (Some(path), _) => read(path),
         (None, [path]) => read(path),
         (None, []) => {
-            log::info!("no {FILE}: no robot is known by its marker");
+            log::info!("no {FILE} found, so no marker belongs to a robot; see --robots");
             Ok(Registry::default())
         }
         (None, [first, path, ..]) => {
             let reason =
-                format!("{} is there too; say with --robots which one counts", first.display());
+                format!("{} exists as well; name one of them with --robots", first.display());
             Err(RunError::Robots { path: path.clone(), reason })
         }
     }
@@ -63,7 +63,7 @@ mod tests {
     const ONE: &str = "[[robots]]\nid = 1\nmarker_size_m = 0.1\nheight_m = 0.3\n";
 
     #[test]
-    fn what_is_written_is_found_again() {
+    fn a_written_registry_is_read_back() {
         let folder = Folder::new("registry");
         let path = folder.file(FILE, ONE.as_bytes());
         let folders = [folder.path().to_owned()];
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_name_the_file_and_of_two_files_one_must_be_named() {
+    fn errors_name_the_file_and_two_files_are_ambiguous() {
         let folder = Folder::new("registry-faults");
         let path = folder.file(FILE, ONE.replace("0.3", "nan").as_bytes());
         let error = read(&path).unwrap_err().to_string();
@@ -84,7 +84,7 @@ mod tests {
         let other = folder.file("other/robots.toml", ONE.as_bytes());
         let folders = [folder.path().to_owned(), folder.path().join("other")];
         let error = find(None, &folders).unwrap_err().to_string();
-        assert!(error.contains("say with --robots which one counts"), "{error}");
+        assert!(error.contains("name one of them with --robots"), "{error}");
         assert!(find(Some(&other), &folders).is_ok());
     }
 }

@@ -1,4 +1,4 @@
-//! A simulated room on which a fleet acts.
+//! A simulated room as the stage of a fleet.
 
 use std::collections::VecDeque;
 
@@ -19,11 +19,11 @@ use crate::{
     world::{STEP, World},
 };
 
-/// A robot reads its wheels at 20 Hz.
+/// Odometry is read at 20 Hz.
 const ODOMETRY_INTERVAL: Duration = Duration::from_millis(50);
 
-/// When a robot reads its wheels first: on a real robot they are read when the scans are not, and
-/// when the drive makes no step.
+/// Time of a robot's first odometry reading. As on a real robot, readings coincide neither with
+/// scans nor with the drive's steps.
 fn first_odometry(robot: usize) -> Instant {
     let phases = ODOMETRY_INTERVAL.0 / STEP.0 - 1;
     Instant((1 + robot as u64 * 3 % phases) * STEP.0)
@@ -33,22 +33,22 @@ fn first_odometry(robot: usize) -> Instant {
 pub struct RoomStage {
     world: World,
     end: Instant,
-    /// When each robot reads its wheels next.
+    /// Time of each robot's next odometry reading.
     next_odometry: Vec<Instant>,
     next_track: Instant,
     waiting: VecDeque<Event>,
-    /// Whether the cameras give frames, or observations of ideal cameras.
+    /// Whether cameras deliver rendered frames, instead of the observations of ideal cameras.
     is_filmed: bool,
-    /// What wheels have been told and do not do yet, by time: when, and which robot's.
+    /// Drive commands not yet applied, oldest first: time, robot and command.
     commands: VecDeque<(Instant, usize, DriveCommand)>,
-    /// Where each robot really was, every [`TRACK_INTERVAL`].
+    /// True poses of each robot, one per [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
     log: Option<ScanLog>,
 }
 
 impl RoomStage {
-    /// The events of a world up to a moment, with ideal cameras: no frames are rendered, and what is
-    /// in view is known.
+    /// The events of a world until `end`, with ideal cameras: these observe their view without
+    /// rendered frames.
     pub fn new(world: World, end: Instant) -> Self {
         let robots = world.robots().len();
         Self {
@@ -64,22 +64,22 @@ impl RoomStage {
         }
     }
 
-    /// The same with the frames of RGB-D cameras.
+    /// The same with rendered frames of RGB-D cameras.
     pub fn filmed(world: World, end: Instant) -> Self {
         Self { is_filmed: true, ..Self::new(world, end) }
     }
 
-    /// Where each robot really was, every twentieth of a second from the first moment on.
+    /// True poses of each robot, every 50 ms from time zero on.
     pub fn tracks(&self) -> &[Vec<Pose>] {
         &self.tracks
     }
 
-    /// Has every scan written to a log from now on.
+    /// Writes every scan to a log from now on.
     pub fn keep_log(&mut self, log: ScanLog) {
         self.log = Some(log);
     }
 
-    /// Writes the log, if one is kept.
+    /// Finishes the log, if there is one.
     ///
     /// # Errors
     /// [`RunError::Log`].
@@ -87,7 +87,7 @@ impl RoomStage {
         self.log.take().map_or(Ok(()), ScanLog::finish)
     }
 
-    /// Lets the robots that have a route drive themselves from now on.
+    /// Stops the scripted routes: robots that have one drive themselves from now on.
     pub fn hand_over(&mut self) {
         for robot in 0..self.world.robots().len() {
             if self.world.robots()[robot].drives() {
@@ -96,13 +96,12 @@ impl RoomStage {
         }
     }
 
-    /// The world as it is.
+    /// The simulated world.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// Moves the world on. Wheels obey from the first step of the world that begins after they were
-    /// told.
+    /// Advances the world. A command takes effect at the first step that begins after it.
     fn advance(&mut self, now: Instant) {
         let begins = |told: Instant| Instant(told.0.next_multiple_of(STEP.0));
         while let Some(&(told, robot, command)) = self.commands.front()

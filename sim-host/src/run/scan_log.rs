@@ -1,4 +1,4 @@
-//! What the sensors of simulated robots read, written down for `ubimap replay`.
+//! Writes the scans of simulated robots to a log for `ubimap replay`.
 
 use std::{
     fs::File,
@@ -16,17 +16,17 @@ use crate::{
     world::{RangeSensor, ScanEvent, SimRobot},
 };
 
-/// The scans of a run, and the CARMEN log that they go to.
+/// The scans of a run, and the CARMEN log to write them to.
 pub struct ScanLog {
     path: PathBuf,
     file: Box<dyn Write>,
-    /// The sensor in `base_link` of each robot.
+    /// Pose of each robot's sensor in `base_link`.
     mounts: Vec<Pose>,
     robots: Vec<(Sensor, Vec<LoggedScan>)>,
 }
 
 impl ScanLog {
-    /// Opens a log, gzipped if its name ends with ".gz".
+    /// Creates a log, gzipped if its name ends with ".gz".
     ///
     /// # Errors
     /// [`RunError::Log`] if it can't be written to.
@@ -46,7 +46,7 @@ impl ScanLog {
         })
     }
 
-    /// Takes a scan. Its poses become those of the sensor.
+    /// Adds a scan, with its poses converted to those of the sensor.
     pub fn add(&mut self, scan: &ScanEvent) {
         let Some((mount, (_, scans))) =
             self.mounts.get(scan.robot).zip(self.robots.get_mut(scan.robot))

@@ -1,4 +1,4 @@
-//! A simulated run against the truth.
+//! Scores a simulated run against the ground truth.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,18 +17,19 @@ use crate::{
     world::World,
 };
 
-/// Between two entries of a robot's true track.
+/// Interval between two entries of a robot's true track.
 pub(super) const TRACK_INTERVAL: Duration = Duration::from_millis(50);
-/// The robots boot at the first moment, and drive from it on. The errors of their poses are
-/// counted once they have had the time to meet the server.
+/// Time from which pose errors are counted: robots boot at time zero and first need a session with
+/// the server.
 const SETTLED: Duration = Duration::from_secs(5);
-/// A robot that is slower stands, in metres a second; one that turns faster drives, in degrees.
+/// Minimum speed of a robot that counts as driving, in m/s, and minimum turn rate in deg/s.
 const DRIVES_M_S: f64 = 0.05;
 const DRIVES_DEG_S: f64 = 5.0;
-/// Who walks is seen late: so far behind, in metres, in half a second.
+/// Distance by which the tracked position of a walking person may lag, in metres: about half a
+/// second.
 const TRAIL_M: f64 = 0.6;
 
-/// How far the robots' poses are from the truth, as they know them themselves.
+/// Errors of the robots' own pose estimates.
 pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let robots = fleet.robots().iter().zip(tracks);
     errors(robots.flat_map(|(robot, track)| {
@@ -39,7 +40,7 @@ pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     }))
 }
 
-/// How far what the cameras said of robots that drove is from the truth.
+/// Errors of the cameras' sightings of driving robots.
 pub fn sighting_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let tracks: BTreeMap<_, _> =
         fleet.robots().iter().map(|robot| robot.id()).zip(tracks).collect();
@@ -70,7 +71,7 @@ fn drives(track: &[Pose], moment: Instant) -> bool {
         || (to.heading - from.heading).degrees().abs() >= DRIVES_DEG_S * seconds
 }
 
-/// A robot's pose between two entries of its track.
+/// A robot's true pose, interpolated in its track.
 fn true_pose(track: &[Pose], moment: Instant) -> Option<Pose> {
     let interval = TRACK_INTERVAL.micros();
     let index = (moment.micros() / interval) as usize;
@@ -83,24 +84,24 @@ fn true_pose(track: &[Pose], moment: Instant) -> Option<Pose> {
     Some(Pose { x: mix(from.x, to.x), y: mix(from.y, to.y), heading: from.heading + turn })
 }
 
-/// The ground of a world that has run, and what should be known of it.
+/// The ground truth of a finished run.
 struct Ground {
     covered: BTreeSet<(i32, i32)>,
     passed: BTreeSet<(i32, i32)>,
-    /// What a perfect map would say.
+    /// A perfect map.
     whole: OccupancyGrid,
-    /// The same, of the surfaces those that a camera can see or that a robot has passed.
+    /// The same, but only with the surfaces that a camera can see or that a robot has passed.
     seen: OccupancyGrid,
 }
 
 impl Ground {
-    /// In cells of this side.
+    /// The ground truth in cells of this side.
     fn of(world: &World, side: Millimetres) -> Result<Self, RunError> {
         let truth = world.truth();
         let cameras = 0..FrameSource::cameras(world).len();
         let covered: BTreeSet<_> = cameras.flat_map(|camera| world.covered(camera)).collect();
         let passed: BTreeSet<_> = world.passed().collect();
-        // A surface has been passed if the air before it has.
+        // A surface counts as passed if a cell next to it has been passed.
         let is_seen = |&(x, y): &(i32, i32)| {
             let mut about = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
             covered.contains(&(x, y)) || about.any(|cell| passed.contains(&cell))
@@ -114,11 +115,11 @@ impl Ground {
     }
 }
 
-/// The map against the truth of a world that has run.
+/// Scores a map against the ground truth of a finished run.
 pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError> {
     let Ground { covered, passed, whole, seen } = Ground::of(world, side_of(map))?;
     let map = &without_bodies(map, world);
-    // What the map says must be true; of what is true it must say what has been seen.
+    // Precision counts all surfaces; recall only those that could have been seen.
     let scores = grid::compare(map, &whole, None);
     let (precision, recall) = (scores.precision, grid::compare(map, &seen, None).recall);
     let truth = world.truth();
@@ -140,8 +141,8 @@ pub fn score(map: &OccupancyGrid, world: &World) -> Result<TruthScores, RunError
     })
 }
 
-/// A map without the people and robots that stand or move about at the end: they are where it says,
-/// or were a moment ago, and no surfaces of the room. What is within a cell of a surface stays.
+/// A map without the people and robots present at the end: they are correctly mapped, or were a
+/// moment ago, but are no surfaces of the room. Cells next to a surface are kept.
 fn without_bodies(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
     let surfaces: BTreeSet<_> = world.truth().surfaces.iter().copied().collect();
     let mut map = map.clone();
@@ -172,7 +173,7 @@ fn without_bodies(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
     map
 }
 
-/// A picture of where a map is wrong.
+/// A picture of the errors of a map.
 pub(super) fn error_picture(
     map: &OccupancyGrid,
     world: &World,
@@ -183,7 +184,7 @@ pub(super) fn error_picture(
     Ok(report::render_error(map, &ground.whole, &ground.seen, caption))
 }
 
-/// The cells of which a map says something.
+/// The known cells of a map.
 fn known(map: &OccupancyGrid) -> BTreeSet<(i32, i32)> {
     let first = map.origin_m().map(|it| (it / map.resolution_m()).round() as i32);
     let cells = map.cells().iter().enumerate().filter(|(_, cell)| **cell != Cell::Unknown);

@@ -102,7 +102,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
 }
 
-/// The scenario that is asked for, and its world.
+/// The requested scenario and its world.
 fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
     let mut scenario = Scenario::read_with(&options.scenario, options.map.as_deref())?;
     let map = scenario.room.map.as_deref().map(straight_map).transpose()?;
@@ -122,12 +122,12 @@ fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
     Ok((scenario, world))
 }
 
-/// Tiles of its own that a robot keeps.
+/// Number of own tiles per robot.
 fn own_tiles(options: &SimulateOptions) -> usize {
     options.run.tiles.map_or(BOUNDS.own_tiles, |tiles| tiles as usize)
 }
 
-/// The configurations of a world's robots, which drive themselves unless they are scripted.
+/// The configurations of a world's robots. They drive themselves unless the run is scripted.
 fn robots(options: &SimulateOptions, world: &World) -> Vec<Config<Option<Driving>>> {
     let robots = world.robots().iter().map(|robot| {
         let driving = driving::driving(robot, options.motion).filter(|_| !options.scripted);
@@ -138,7 +138,7 @@ fn robots(options: &SimulateOptions, world: &World) -> Vec<Config<Option<Driving
     robots.collect()
 }
 
-/// The deployment of a scenario. Ideal cameras give observations and no frames.
+/// The deployment of a scenario. Ideal cameras deliver observations instead of frames.
 fn deployed(options: &SimulateOptions, scenario: &Scenario, world: &World) -> deployment::Config {
     let coordination = (!options.scripted).then(|| driving::coordination(world));
     let is_filmed = !options.ideal_cameras;
@@ -149,8 +149,8 @@ fn deployed(options: &SimulateOptions, scenario: &Scenario, world: &World) -> de
     }
 }
 
-/// A deployment with the robots of a scenario, and with its cameras if they are filmed. Nobody is
-/// told where to drive.
+/// A deployment with the robots of a scenario, with its cameras if `is_filmed`, and without a
+/// coordinator.
 pub fn deployment_config(
     scenario: &Scenario,
     world: &World,
@@ -161,7 +161,7 @@ pub fn deployment_config(
     deployment::Config { cameras, registry, ..deployment::Config::new(RESOLUTION) }
 }
 
-/// Where the frames of the cameras are written, if that is asked for.
+/// The recording of the camera frames, if requested.
 fn recording(
     options: &SimulateOptions,
     scenario: &Scenario,
@@ -172,8 +172,8 @@ fn recording(
     options.record.as_deref().map(create).transpose()
 }
 
-/// What was there when the last frame had been looked at. While robots and server still come to an
-/// agreement no frames come, and what the cameras saw goes stale.
+/// The state after the last frame. It is taken before the maps converge, because no frames arrive
+/// in that phase and the observations go stale.
 struct Seen {
     coverage: OccupancyGrid,
     cameras: Vec<Marker>,
@@ -257,7 +257,7 @@ fn registered(robot: &RobotConfig) -> RegisteredRobot {
     RegisteredRobot { tag_id, colours, ..RegisteredRobot::new(id, marker_size_m, height_m, box_m) }
 }
 
-/// A ROS map that lies straight.
+/// Reads a ROS map that must have a yaw of 0.
 fn straight_map(yaml: &Path) -> Result<OccupancyGrid, RunError> {
     let map = grid::read_map(yaml)?;
     if map.yaw_rad() != 0.0 {

@@ -1,7 +1,7 @@
-//! Standard error: log lines, and a progress bar below them.
+//! Standard error: log lines, with a progress bar below them.
 //!
-//! Both write to the one terminal of the process, and the logger of the process is a static too, so
-//! the bars are one: a line that is logged takes them away, is written, and draws them again below.
+//! Both share the process's one terminal, so the bars are a static like the logger: logging a line
+//! clears the bars, writes the line, and redraws the bars below it.
 
 use std::{
     io::{self, IsTerminal, Write},
@@ -14,8 +14,7 @@ use ubimap_protocol::time::Instant;
 
 static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
-/// Logs to standard error from now on: what is at least as important as `level`, or what `RUST_LOG`
-/// asks for.
+/// Starts logging to standard error at `level`, unless `RUST_LOG` says otherwise.
 pub fn start_logging(level: LevelFilter) {
     let mut builder = env_logger::Builder::new();
     builder.filter_level(level).parse_default_env().format(|out, record| {
@@ -30,35 +29,35 @@ pub fn start_logging(level: LevelFilter) {
     });
     let logger = AboveBars(builder.build());
     let level = logger.0.filter();
-    // A logger that is there already stays.
+    // An existing logger is kept.
     if log::set_boxed_logger(Box::new(logger)).is_ok() {
         log::set_max_level(level);
     }
 }
 
-/// Where progress is shown: wherever warnings are. A program that has not started to log shows none.
+/// Whether progress is shown: whenever warnings are logged. Before [`start_logging`] there is none.
 pub(super) fn shows_progress() -> bool {
     log::max_level() >= LevelFilter::Warn
 }
 
-/// Whether somebody sees a bar.
+/// Whether standard error is a terminal, so that a bar is visible.
 pub(super) fn is_terminal() -> bool {
     io::stderr().is_terminal()
 }
 
-/// Shows a bar below all lines that are logged.
+/// Shows a bar below the log lines.
 pub(super) fn show(bar: ProgressBar) -> ProgressBar {
     BARS.add(bar)
 }
 
-/// Writes a line above the bars. A standard error that is closed is no reason to fail.
+/// Writes a line above the bars. Ignores a closed standard error.
 pub(super) fn write_line(line: &str) {
     BARS.suspend(|| {
         let _ = writeln!(io::stderr(), "{line}");
     });
 }
 
-/// A moment of a run as log lines begin, such as "at 12.3 s".
+/// A moment of a run as a prefix of log lines, such as "at 12.3 s".
 pub(super) fn seconds(moment: Instant) -> String {
     format!("at {:.1} s", moment.micros() as f64 / 1e6)
 }

@@ -1,4 +1,4 @@
-//! The map as it grows: what is kept of a run for a picture of it.
+//! Snapshots of the growing map, for a time-lapse picture.
 
 use image::RgbImage;
 use ubimap_protocol::time::{Duration, Instant};
@@ -9,22 +9,22 @@ use crate::{
     report::{self, Caption, Moment},
 };
 
-/// The frames: each after twice the time of the one before, the last at the end.
+/// Number of snapshots. Each is taken at twice the time of the previous one, the last at the end.
 pub(super) const FRAMES: u32 = 6;
 
-/// Keeps the map and the robots' ways at some moments of a run.
+/// Collects snapshots of the map and the robots' paths during a run.
 pub(super) struct TimeLapse {
     duration: Duration,
     frames: Vec<Moment>,
 }
 
 impl TimeLapse {
-    /// For a run of this length.
+    /// A time-lapse of a run of this duration.
     pub(super) fn new(duration: Duration) -> Self {
         Self { duration, frames: Vec::new() }
     }
 
-    /// Keeps the map if the moment of a frame has come.
+    /// Takes a snapshot if one is due.
     pub(super) fn look(&mut self, fleet: &Fleet<'_>) {
         let taken = self.frames.len() as u32;
         let due = self.duration.micros() >> FRAMES.saturating_sub(taken + 1);
@@ -32,18 +32,18 @@ impl TimeLapse {
         if taken < FRAMES && now.micros() >= due {
             let time_s = fleet.elapsed().micros() as f64 / 1e6;
             let moment = |grid| Moment { time_s, grid, markers: markers::robots(fleet) };
-            // A map that can't become a grid is an error at the end.
+            // A map that can't become a grid is skipped here; it is an error at the end of the run.
             self.frames.extend(grid(fleet).ok().map(moment));
         }
     }
 
-    /// All frames, as large as the map at the end.
+    /// All snapshots, each of the size of the final map.
     pub(super) fn picture(&self, map: &OccupancyGrid, caption: &Caption) -> RgbImage {
         report::render_frames(map, &self.frames, caption)
     }
 }
 
-/// The fused map as it is now.
+/// The current fused map as a grid.
 pub(super) fn grid(fleet: &Fleet<'_>) -> Result<OccupancyGrid, RunError> {
     let tiles = fleet.server().fused().tiles().map(|(id, _, tile)| (id, tile));
     Ok(OccupancyGrid::from_tiles(tiles, fleet.deployment().resolution())?)

@@ -1,7 +1,6 @@
 //! `ubimap watch`: the camera server on recorded frames of fixed cameras.
 //!
-//! A deployment without ports is driven by the recording's clock: it is the same one that a
-//! simulation has, and nobody is at the other end of a link.
+//! The recording's clock drives the same deployment as in a simulation, but without ports.
 
 use std::{fmt::Write, time};
 
@@ -28,10 +27,10 @@ use crate::{
     server::Server,
 };
 
-/// Watches a recording.
+/// Processes a recording.
 ///
 /// # Errors
-/// What is wrong with the recording or the file of robots.
+/// [`RunError`] if the recording or the file of robots is invalid.
 pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let started = time::Instant::now();
     let mut frames = RecordedFrames::open(&options.folders)?;
@@ -71,7 +70,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         time_s: Some(report.recorded_s),
     };
     let markers = seen.markers();
-    // Robots and people stand where the floor is covered or not: without them it can be seen.
+    // Without robots and people, which would hide the coverage of the floor below them.
     let cameras: Vec<_> = markers::cameras(frames.cameras());
     let picture = report::render_coverage(&map, &coverage, &cameras, &caption);
     Ok(Outcome {
@@ -84,8 +83,8 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     })
 }
 
-/// Plays the frames of a recording to a deployment, by the recording's clock. Returns when the last
-/// one arrived.
+/// Plays the frames of a recording to a deployment, by the recording's clock. Returns the arrival
+/// time of the last frame.
 pub fn play(
     deployment: &mut Deployment,
     frames: &mut dyn FrameSource,
@@ -108,7 +107,7 @@ pub fn play(
     now
 }
 
-/// Drains the outputs. Nothing is kept, and nobody is at a port.
+/// Drains the outputs. There are no ports, so only events matter.
 fn drain(deployment: &mut Deployment, now: Instant) {
     let mut frame = [0; MAX_FRAME];
     while deployment.poll_transmit(now, &mut frame).is_some() {}
@@ -117,11 +116,11 @@ fn drain(deployment: &mut Deployment, now: Instant) {
     }
 }
 
-/// A recording that was watched.
+/// The results of a recording.
 struct Seen<'s> {
     deployment: &'s Deployment,
     frames: &'s RecordedFrames,
-    /// When the last frame arrived.
+    /// Arrival time of the last frame.
     end: Instant,
 }
 
@@ -143,7 +142,7 @@ impl Seen<'_> {
         }
     }
 
-    /// The figures of each camera. Says which have contributed nothing, and why that may be.
+    /// The figures of each camera. Warns of cameras that have contributed nothing.
     fn cameras(&self) -> Vec<CameraSummary> {
         let (status, frames) = (self.deployment.status(), self.frames);
         let cameras = frames.cameras().iter().zip(frames.names()).zip(frames.counts());
@@ -153,8 +152,8 @@ impl Seen<'_> {
                 status.cameras.get(&camera).copied().unwrap_or_default();
             if calibration.depth.is_some() && looks == 0 {
                 log::warn!(
-                    "{name} has told of no cell: it takes more than 15 depth images, 0.3 s apart or \
-                     more, to learn the room first, or its pose is wrong (z is up, and the floor at 0)"
+                    "{name} has mapped no cell: it needs more than 15 depth images, at least 0.3 s \
+                     apart, to learn the background; otherwise check its pose (z up, floor at 0)"
                 );
             }
             CameraSummary { name: name.clone(), frames, lost, looks }
@@ -162,16 +161,16 @@ impl Seen<'_> {
         summaries.collect()
     }
 
-    /// When and where a robot was localised.
+    /// The sightings of a robot with their capture times, in order.
     fn sightings_of(&self, robot: RobotId) -> Vec<(Instant, Sighting)> {
         let all = self.deployment.sightings().iter();
         let mut found: Vec<_> = all.filter(|(_, it)| it.robot == robot).copied().collect();
-        // Frames may come in any order.
+        // Frames may arrive out of order.
         found.sort_by_key(|(captured, _)| *captured);
         found
     }
 
-    /// The robots that the cameras localised.
+    /// The robots that the cameras localised, with their sightings.
     fn localised(&self) -> Vec<(RobotId, Vec<(Instant, Sighting)>)> {
         let all = self.deployment.sightings().iter();
         let mut robots: Vec<RobotId> = all.map(|(_, it)| it.robot).collect();
@@ -180,7 +179,7 @@ impl Seen<'_> {
         robots.into_iter().map(|robot| (robot, self.sightings_of(robot))).collect()
     }
 
-    /// All robots of the registry.
+    /// The figures of all registered robots.
     fn robots(&self, registry: &Registry) -> Vec<SeenRobot> {
         let mut robots: Vec<RobotId> = registry.footprints().map(|(robot, _)| robot).collect();
         robots.sort_unstable();
@@ -197,8 +196,7 @@ impl Seen<'_> {
         robots.into_iter().map(summary).collect()
     }
 
-    /// The robots where they were localised last, with their ways; the people at the end, and the
-    /// cameras.
+    /// The robots at their last sightings with their paths, the people at the end, and the cameras.
     fn markers(&self) -> Vec<Marker> {
         let robots = self.localised().into_iter().filter_map(|(robot, seen)| {
             let &(_, Sighting { pose, .. }) = seen.last()?;
@@ -214,7 +212,7 @@ impl Seen<'_> {
         robots.chain(people).chain(markers::cameras(self.frames.cameras())).collect()
     }
 
-    /// Every pose of every robot, by the recording's clock.
+    /// All sighted poses as CSV, with times of the recording's clock.
     fn poses_csv(&self) -> String {
         let mut text = "time_s,robot,x_m,y_m,heading_deg,sd_x_m,sd_y_m,sd_heading_deg\n".to_owned();
         for (robot, seen) in self.localised() {

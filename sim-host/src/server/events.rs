@@ -42,7 +42,7 @@ impl Event {
     pub fn level(&self) -> log::Level {
         match self {
             Self::Joined(..) => log::Level::Info,
-            Self::Reported(_, event) if event.severity == Severity::Info => log::Level::Info,
+            Self::Reported(_, event) if is_routine(event) => log::Level::Info,
             Self::Drive(..) => log::Level::Debug,
             _ => log::Level::Warn,
         }
@@ -55,7 +55,7 @@ impl fmt::Display for Event {
             Self::Joined(robot, port) => {
                 write!(f, "robot {} has a session on port {port}", robot.0)
             }
-            Self::Refused(robot, reason) => write!(f, "robot {} was refused: {reason:?}", robot.0),
+            Self::Refused(robot, reason) => write!(f, "robot {} was refused: {reason}", robot.0),
             Self::Reported(robot, event) => write!(f, "robot {} {}", robot.0, reason(event)),
             Self::Sighting(event) => event.fmt(f),
             Self::Robot(event) => event.fmt(f),
@@ -215,7 +215,21 @@ impl<E: Copy + Ord> Tally<E> {
 
 /// Formats an event with its severity, such as "Warning: ran out of tiles and refused cells".
 pub fn described(event: &message::Event) -> String {
-    format!("{:?}: {}", event.severity, reason(event))
+    let severity = match event.severity {
+        Severity::Info => "Info",
+        Severity::Warning => "Warning",
+        Severity::Error => "Error",
+    };
+    format!("{severity}: {}", reason(event))
+}
+
+/// Whether an event is part of normal operation: the robot or the server handles it, and the
+/// operator has nothing to do.
+fn is_routine(event: &message::Event) -> bool {
+    use EventCode::{PathBlocked, PathDone, PoseFound, PoseLost, Started, StoppedByPerson};
+    let routine = [Started, PoseLost, PoseFound, StoppedByPerson, PathBlocked, PathDone];
+    event.severity == Severity::Info
+        || EventCode::from_number(event.code).is_some_and(|code| routine.contains(&code))
 }
 
 /// What a robot reports, as the end of a sentence that begins with the robot.
@@ -240,4 +254,43 @@ fn reason(event: &message::Event) -> String {
     };
     let detail = event.detail.as_str();
     if detail.is_empty() { what.to_owned() } else { format!("{what} ({detail})") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn level(code: EventCode) -> log::Level {
+        let event = message::Event {
+            time: None,
+            severity: code.usual_severity(),
+            code: code as u16,
+            detail: Default::default(),
+        };
+        Event::Reported(RobotId(1), event).level()
+    }
+
+    #[test]
+    fn a_robot_that_waits_for_a_pose_or_a_person_is_no_warning() {
+        for code in [EventCode::PoseLost, EventCode::StoppedByPerson, EventCode::PathBlocked] {
+            assert_eq!(level(code), log::Level::Info, "{code:?}");
+        }
+        for code in [EventCode::SensorFault, EventCode::PoolFull, EventCode::Collision] {
+            assert_eq!(level(code), log::Level::Warn, "{code:?}");
+        }
+    }
+
+    #[test]
+    fn a_refusal_names_what_the_server_requires() {
+        let refused = |reason| Event::Refused(RobotId(3), reason).to_string();
+        let resolution = RefusalReason::Resolution(Millimetres(50));
+        assert_eq!(
+            refused(resolution),
+            "robot 3 was refused: the cells of the server's map are 50 mm wide"
+        );
+        assert_eq!(
+            refused(RefusalReason::Version { min: 2, current: 3 }),
+            "robot 3 was refused: the server supports protocol versions 2 to 3"
+        );
+    }
 }

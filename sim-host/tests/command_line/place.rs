@@ -1,4 +1,4 @@
-//! `ubimap place` from its files to its files.
+//! `ubimap place`, from its input files to its output files.
 
 use std::{
     path::{Path, PathBuf},
@@ -13,7 +13,8 @@ use super::{ROOM, refused, ubimap};
 /// An empty hall, for the paper's cameras.
 const HALL: &str = "duration_s = 1\nslice_height_m = 0.2\n[room]\nheight_m = 3.0\n\
                     outline_m = [[0, 0], [10, 0], [10, 8], [0, 8]]\n";
-/// Half of what the paper's camera sees at a height of 3 m, across and along the image, in metres.
+/// Half the sides of the paper's footprint at a height of 3 m, across and along the image, in
+/// metres.
 const HALF_M: [f64; 2] = [2.061_84, 1.561_70];
 
 struct Files(PathBuf);
@@ -38,7 +39,7 @@ impl Files {
         self.path(name)
     }
 
-    /// An image of grey pixels, the northern row first.
+    /// Writes an image of grey pixels, the northern row first.
     fn image(&self, name: &str, width: usize, grey: &[u8]) -> String {
         let pixels: Vec<String> = grey.iter().map(u8::to_string).collect();
         let height = grey.len() / width;
@@ -60,12 +61,12 @@ fn report(arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// How many of the report's cameras see a point of the hall, by the paper's formulas.
+/// Number of the report's cameras that see a point of the hall, by the paper's formulas.
 fn overlap(report: &Value, point: [f64; 2]) -> usize {
     let cameras = report["cameras"].as_array().unwrap();
     let sees = |camera: &&Value| {
         let apart = [0, 1].map(|axis| point[axis] - camera["position_m"][axis].as_f64().unwrap());
-        // With its top to the north, the width of the image lies along x.
+        // With the top of the image to the north, its width lies along x.
         let along_x = usize::from(camera["heading_deg"] != 90.0);
         apart[0].abs() <= HALF_M[along_x] && apart[1].abs() <= HALF_M[1 - along_x]
     };
@@ -86,11 +87,11 @@ fn the_report_counts_what_the_cameras_see() {
     let found: Vec<u64> =
         placement["by_overlap"].as_array().unwrap().iter().map(|it| it.as_u64().unwrap()).collect();
     assert_eq!(found, by_overlap[..found.len()]);
-    // 252 of 320 cells are what HiGHS finds for the same programme.
+    // HiGHS finds 252 of 320 cells for the same programme.
     assert_eq!(placement["value"], 252);
     assert_eq!(placement["is_optimal"], true);
 
-    // The share of the picture drawn as unseen floor is that of the cells; markers hide little.
+    // The share of unseen floor in the picture is that of the cells, except below the few markers.
     let picture = image::open(Path::new(&out).join("coverage.png")).unwrap().into_rgb8();
     let share_of = |colour: [u8; 3]| {
         picture.pixels().filter(|pixel| pixel.0 == colour).count() as f64
@@ -106,7 +107,7 @@ fn the_report_counts_what_the_cameras_see() {
 }
 
 #[test]
-fn critical_floor_is_marked_north_up() {
+fn the_image_of_critical_floor_has_north_up() {
     let files = Files::new("place-critical");
     // The two northern rows of the hall.
     let mask: Vec<u8> = (0..320).map(|pixel| if pixel < 40 { 255 } else { 0 }).collect();
@@ -123,7 +124,7 @@ fn critical_floor_is_marked_north_up() {
 }
 
 #[test]
-fn a_wall_of_a_map_parts_the_overlap_and_unknown_ground_is_no_floor() {
+fn walls_of_a_map_separate_the_overlap_and_unknown_cells_are_no_floor() {
     let files = Files::new("place-map");
     // A hall of 6 x 4 m with a wall across.
     let mut grey = vec![254; 60 * 40];
@@ -138,7 +139,7 @@ fn a_wall_of_a_map_parts_the_overlap_and_unknown_ground_is_no_floor() {
     );
     let report = report(&["place", &map]);
     assert_eq!(report["placement"]["coverage"], 1.0);
-    // The wall parts the floor in two, and no overlap can cross it.
+    // The wall divides the floor, and no overlap crosses it.
     assert_eq!(report["placement"]["fewest_pieces"], 2);
     assert_eq!(report["placement"]["pieces"], 2);
     files.image("map.pgm", 60, &vec![205; 60 * 40]);
@@ -146,7 +147,7 @@ fn a_wall_of_a_map_parts_the_overlap_and_unknown_ground_is_no_floor() {
 }
 
 #[test]
-fn what_is_written_goes_into_a_scenario_and_beside_a_recording() {
+fn the_cameras_file_works_in_a_scenario_and_beside_a_recording() {
     let files = Files::new("place-files");
     let room = files.write("room.toml", ROOM);
     let camera = files.write(
@@ -170,7 +171,7 @@ fn what_is_written_goes_into_a_scenario_and_beside_a_recording() {
         placed["cameras"].as_array().unwrap().len()
     );
     assert!(watched["robots"][0]["sightings"].as_u64().unwrap() > 5, "{watched}");
-    // The cameras' file says the same as the folders.
+    // cameras.toml states the same as the camera folders.
     files.write("recording/cameras.toml", &cameras);
     for camera in placed["cameras"].as_array().unwrap() {
         let name = camera["name"].as_str().unwrap();
@@ -184,7 +185,7 @@ fn what_is_written_goes_into_a_scenario_and_beside_a_recording() {
 }
 
 #[test]
-fn what_can_not_be_placed_is_told_in_one_line() {
+fn impossible_requests_are_refused_in_one_line() {
     let files = Files::new("place-refused");
     let hall = files.path("hall.toml");
     let mask = files.image("mask.pgm", 2, &[255; 4]);
@@ -199,7 +200,7 @@ fn what_can_not_be_placed_is_told_in_one_line() {
         (&["--critical", &mask], "mask.pgm: 2 x 2 pixels, but the room in cells has 20 x 16"),
         (&["--critical", &dark], "no cell of the floor is critical"),
         (&["--critical", "/no-such.png"], "/no-such.png: "),
-        (&["--camera", &posed], "posed.toml: tilt_deg is what is looked for"),
+        (&["--camera", &posed], "posed.toml: tilt_deg is a result of the placement"),
         (&["--camera", &wide], "wide.toml: fields of view"),
         (&["--camera", &torn], "torn.toml: "),
         (&["--cell", "0.05", "--spacing", "0.05"], "candidates are too many"),
@@ -214,10 +215,10 @@ fn what_can_not_be_placed_is_told_in_one_line() {
 }
 
 #[test]
-fn overlap_that_falls_apart_is_reported_and_repaired_on_request() {
+fn disconnected_overlap_is_reported_and_repaired_on_request() {
     let files = Files::new("place-connect");
-    // The western and the eastern column of cells: two cameras cover each, and no camera of one
-    // overlaps with a camera of the other.
+    // Only the western and the eastern column of cells: two cameras cover each, and cameras of
+    // different columns do not overlap.
     let mask: Vec<u8> = (0..320).map(|pixel| if pixel % 20 % 19 == 0 { 255 } else { 0 }).collect();
     let mask = files.image("mask.pgm", 20, &mask);
     let ends = ["--critical", &mask, "--critical-rule", "only"];
@@ -225,20 +226,21 @@ fn overlap_that_falls_apart_is_reported_and_repaired_on_request() {
     let placement = &apart["placement"];
     assert_eq!([&placement["cameras"], &placement["pieces"]], [4, 2]);
     assert_eq!(placement["fewest_pieces"], 1);
-    // 10 m less two cameras' depths of 4.12 m take one camera more, in the middle.
+    // The gap of 10 m minus two depths of 4.12 m takes one more camera in the middle.
     let connected = files.place_in_hall(&[&ends[..], &["--connect"]].concat());
     let placement = &connected["placement"];
     assert_eq!([&placement["cameras"], &placement["added"], &placement["pieces"]], [5, 1, 1]);
     assert_eq!([&placement["value"], &placement["bound"]], [4, 4]);
 }
 
-/// Ctrl-C takes the best placement so far.
+/// Ctrl-C ends the search with the best placement found.
 #[test]
 #[cfg(target_os = "linux")]
-fn an_interrupt_keeps_the_best_so_far() {
+fn an_interrupt_returns_the_best_placement_found() {
     let files = Files::new("place-interrupt");
     let room = files.write("room.toml", &HALL.replace("10", "40").replace('8', "30"));
     let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+    command.current_dir(env!("CARGO_TARGET_TMPDIR"));
     command.args(["place", &room, "--time-limit", "600", "--json"]).stdout(Stdio::piped());
     let child = command.spawn().unwrap();
     let pid = child.id().to_string();

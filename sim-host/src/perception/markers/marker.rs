@@ -1,5 +1,7 @@
 //! A marker found in a picture, and the identifier that it shows.
 
+use core::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// The identity that a marker shows.
@@ -56,4 +58,17 @@ impl Hue {
     /// All colours.
     pub const ALL: [Self; 6] =
         [Self::Red, Self::Yellow, Self::Green, Self::Cyan, Self::Blue, Self::Magenta];
+}
+
+impl fmt::Display for Hue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Red => "red",
+            Self::Yellow => "yellow",
+            Self::Green => "green",
+            Self::Cyan => "cyan",
+            Self::Blue => "blue",
+            Self::Magenta => "magenta",
+        })
+    }
 }

@@ -31,7 +31,7 @@ impl fmt::Display for SightingEvent {
                 write!(f, "tag {number} is not registered")
             }
             Self::Unregistered(Identifier::Colours { head, tail }) => {
-                write!(f, "a marker of {head:?} and {tail:?} is not registered")
+                write!(f, "a marker of {head} and {tail} is not registered")
             }
             Self::SeenTwice(robot) => write!(
                 f,

@@ -2,7 +2,7 @@
 
 use std::{fmt, path::Path};
 
-/// Why cameras can't be placed: one line that names the file or the room.
+/// Why cameras can't be placed, as one line that names the file or the room.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{what}: {reason}")]
 pub struct PlaceFault {
@@ -12,17 +12,17 @@ pub struct PlaceFault {
 }
 
 impl PlaceFault {
-    /// A fault of a file, or of what was asked of the room in it.
+    /// An invalid file, or a request that its room can't meet.
     pub(super) fn in_file(path: &Path, reason: &dyn fmt::Display) -> Self {
         Self { what: path.display().to_string(), reason: reason.to_string(), is_unanswered: false }
     }
 
-    /// The time limit passed without an answer, or a solver failed; there may be an answer.
+    /// No placement found within the time limit, or a solver failed; a placement may still exist.
     pub(super) fn unanswered(room: &Path, reason: &dyn fmt::Display) -> Self {
         Self { is_unanswered: true, ..Self::in_file(room, reason) }
     }
 
-    /// Whether the input or the request is at fault, and not the run.
+    /// Whether the input or the request is at fault, rather than the run.
     pub fn is_bad_input(&self) -> bool {
         !self.is_unanswered
     }

@@ -1,4 +1,4 @@
-//! `ubimap place`: where to hang the cameras of a room.
+//! `ubimap place`: optimal camera positions for a room.
 
 mod fault;
 pub mod options;
@@ -42,22 +42,23 @@ const MILP_SHARE: f64 = 0.75;
 /// Side of a cell of the picture of a drawn room, in metres.
 const PICTURE_CELL_M: f64 = 0.05;
 
-/// What placing cameras ends with.
+/// The results of a placement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlaceOutcome {
     /// The figures.
     pub report: PlaceReport,
-    /// The cameras, as a file.
+    /// The contents of `cameras.toml`.
     pub cameras: String,
-    /// The floor by the number of cameras that see it.
+    /// A picture of the floor, coloured by the number of cameras that see it.
     pub picture: RgbImage,
 }
 
 impl PlaceOutcome {
-    /// Writes `cameras.toml`, `coverage.png` and `report.json`: all of them or none.
+    /// Writes `cameras.toml`, `coverage.png` and `report.json`: either all of them or
+    /// none.
     ///
     /// # Errors
-    /// What can't be written.
+    /// [`RunError::Output`] or [`RunError::Picture`].
     pub fn write(&self, mut folder: OutputFolder) -> Result<(), RunError> {
         folder.add("cameras.toml", self.cameras.as_bytes())?;
         folder.add("coverage.png", &report::png(&self.picture)?)?;
@@ -69,14 +70,14 @@ impl PlaceOutcome {
 /// Places cameras.
 ///
 /// # Errors
-/// What is wrong with the files or with what is asked for.
+/// [`RunError`] if a file is invalid, or the request can't be met.
 pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
     let started = Instant::now();
     let is_stopped = stop_by_signal();
     let (plan, height_m) = room::read_room(options)?;
     let (model, keys) = room::read_camera(options.camera.as_deref())?;
     let request = request(options, &plan, model, height_m)?;
-    let progress = PlacingProgress::new(request.aim, options.json);
+    let progress = PlacingProgress::new(request.aim);
     let mut solved_s = 0.0;
     let placement = place(&plan, &request, &mut |stage| {
         progress.show(&stage);
@@ -145,7 +146,7 @@ fn request(
     })
 }
 
-/// A switch that Ctrl-C throws; a second one ends the program at once.
+/// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once.
 fn stop_by_signal() -> Arc<AtomicBool> {
     let is_stopped = Arc::new(AtomicBool::new(false));
     let thrown = is_stopped.clone();
@@ -155,7 +156,7 @@ fn stop_by_signal() -> Arc<AtomicBool> {
         }
     };
     if let Err(error) = ctrlc::set_handler(handler) {
-        log::warn!("Ctrl-C will end the program without an answer: {error}");
+        log::warn!("Ctrl-C will end the program without a result: {error}");
     }
     is_stopped
 }
@@ -236,7 +237,7 @@ fn cameras_file(report: &PlaceReport, model: &CameraModel, keys: &toml::Table) -
     format!("{heading}\n{}", file.to_toml())
 }
 
-/// The floor by the number of cameras that see each cell, and the cameras.
+/// The picture of the floor, by the number of cameras that see each cell, with the cameras.
 fn picture(
     plan: &FloorPlan,
     placement: &Placement,
@@ -266,7 +267,7 @@ fn picture(
     Ok(report::render_overlap(&background, &markers, floor, caption))
 }
 
-/// The room as a map: free, and occupied by what reaches the floor.
+/// The room as a map, in which obstacles that reach the floor are occupied.
 fn background(plan: &FloorPlan) -> Result<OccupancyGrid, GridError> {
     if let Enclosure::Map(map) = plan.enclosure() {
         let mut map = map.clone();
@@ -277,7 +278,7 @@ fn background(plan: &FloorPlan) -> Result<OccupancyGrid, GridError> {
     let scale = (plan.side_m() / PICTURE_CELL_M).round().max(1.0);
     let resolution = plan.side_m() / scale;
     let [width, height] = [columns, rows].map(|it| it * scale as usize);
-    // A large room has a coarse picture.
+    // A room too large for fine cells gets a coarser picture.
     let mut grid = OccupancyGrid::new(resolution, plan.origin_m(), width, height)
         .or_else(|_| OccupancyGrid::new(plan.side_m(), plan.origin_m(), columns, rows))?;
     draw_obstacles(plan, &mut grid);

@@ -19,7 +19,7 @@ pub struct PlaceOptions {
     #[arg(value_name = "ROOM")]
     pub room: PathBuf,
 
-    /// The camera: a file (TOML) with keys of a scenario's cameras but for the pose, or the
+    /// The camera: a file (TOML) with the keys of a scenario's camera except the pose, or the
     /// intrinsics.toml of a camera folder (then add range_m if it isn't 8 m) [default: the depth
     /// camera of a D435, 87 x 58 degrees, 8 m]
     #[arg(long, value_name = "FILE")]
@@ -39,8 +39,8 @@ pub struct PlaceOptions {
     #[arg(long, value_name = "N", value_parser = value_parser!(u16).range(1..=360))]
     pub headings: Option<u16>,
 
-    /// One place for a camera in each square of this side, in metres [default: the side of a cell,
-    /// doubled while that gives more than 60,000 candidates]
+    /// Spacing of camera positions, in metres [default: the side of a cell, doubled while there are
+    /// more than 60,000 candidates]
     #[arg(long, value_name = "M", value_parser = spacing, allow_negative_numbers = true)]
     pub spacing: Option<f64>,
 
@@ -48,28 +48,29 @@ pub struct PlaceOptions {
     #[arg(long, value_name = "M", default_value = "0.5", value_parser = cell, allow_negative_numbers = true)]
     pub cell: f64,
 
-    /// A cell counts as covered from this number of cameras on
+    /// Minimum number of cameras that must see a cell for it to count as covered
     #[arg(long, value_name = "M", default_value_t = 1, value_parser = value_parser!(u16).range(1..=100))]
     pub min_overlap: u16,
 
-    /// No more cameras than this may see a cell [default: any number]
+    /// Maximum number of cameras that may see a cell [default: no limit]
     #[arg(long, value_name = "K", value_parser = value_parser!(u16).range(1..=1000))]
     pub max_overlap: Option<u16>,
 
-    /// Cover as much as possible with this number of cameras, in place of everything with the fewest
+    /// Maximise the coverage with this number of cameras, instead of covering everything with the
+    /// fewest
     #[arg(long, value_name = "N", value_parser = value_parser!(u16).range(1..=10_000))]
     pub cameras: Option<u16>,
 
-    /// Cover this share of the floor (0 to 1) with the fewest cameras, in place of all of it
+    /// Cover only this share of the floor (0 to 1) with the fewest cameras
     #[arg(long, value_name = "F", value_parser = share, allow_negative_numbers = true, conflicts_with = "cameras")]
     pub coverage: Option<f64>,
 
-    /// An image whose lighter half of the grey scale marks the critical floor: of the size of the
-    /// map's image, or, for a drawn room, of a pixel for each cell, north up
+    /// An image in which pixels of 50 % grey and lighter mark critical floor. Size: that of the
+    /// map's image, or one pixel per cell for a scenario; north is up
     #[arg(long, value_name = "IMAGE")]
     pub critical: Option<PathBuf>,
 
-    /// What critical floor asks for
+    /// How critical floor is treated
     #[arg(long, value_name = "RULE", value_enum, default_value_t, requires = "critical")]
     pub critical_rule: CriticalRuleName,
 
@@ -77,16 +78,16 @@ pub struct PlaceOptions {
     #[arg(long, value_enum, default_value_t)]
     pub model: ModelName,
 
-    /// Add cameras, or with --cameras cover less, where the overlap would not connect all cameras for
-    /// calibration; without it they are moved if that costs nothing
+    /// Add cameras (with --cameras: accept less coverage) until overlapping views connect all
+    /// cameras, as calibration requires. Without it cameras are only moved where that is free
     #[arg(long)]
     pub connect: bool,
 
-    /// What solves the integer programme
+    /// Solver of the integer programme
     #[arg(long, value_enum, default_value_t)]
     pub solver: SolverName,
 
-    /// Take the best placement so far after this time, in seconds; Ctrl-C does so at once
+    /// Time limit in seconds, after which the best placement found is taken; Ctrl-C does so at once
     #[arg(long, value_name = "S", default_value = "30", value_parser = time_limit, allow_negative_numbers = true)]
     pub time_limit: f64,
 
@@ -104,7 +105,7 @@ pub struct PlaceOptions {
 }
 
 impl PlaceOptions {
-    /// What is asked for.
+    /// The optimisation goal.
     pub(super) fn aim(&self) -> Aim {
         match (self.cameras, self.coverage) {
             (Some(cameras), _) => Aim::Cameras(cameras.into()),
@@ -117,10 +118,11 @@ impl PlaceOptions {
 /// Which floor a camera sees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ModelName {
-    /// What a tilted pinhole sees within its range, less the shadows of walls and furniture
+    /// The view of a tilted pinhole within its range, without the floor hidden by walls and
+    /// furniture
     #[default]
     True,
-    /// UbiSLAM's rectangle below a camera that looks straight down, whatever stands there
+    /// UbiSLAM's rectangle below a camera that looks straight down, ignoring obstacles
     Paper,
 }
 
@@ -133,15 +135,15 @@ impl From<ModelName> for Projection {
     }
 }
 
-/// What critical floor asks for.
+/// How critical floor is treated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum CriticalRuleName {
-    /// Two cameras at least
+    /// At least two cameras must see it
     #[default]
     Twice,
-    /// It counts five times, with --cameras or --coverage
+    /// It counts five times; has an effect only with --cameras or --coverage
     Weighted,
-    /// Other floor is left out
+    /// Only critical floor must be covered
     Only,
 }
 
@@ -155,10 +157,10 @@ impl From<CriticalRuleName> for CriticalRule {
     }
 }
 
-/// What solves the integer programme.
+/// Solver of the integer programme.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum SolverName {
-    /// Local search and bounds made for cameras
+    /// Local search, bounds, and branch and bound
     #[default]
     Search,
     /// The same for a fifth of the time, then microlp
@@ -169,7 +171,7 @@ pub enum SolverName {
 }
 
 impl SolverName {
-    /// The solver that follows the usual one.
+    /// The solver that runs after the local search.
     pub(super) fn milp(self) -> Option<MilpSolver> {
         match self {
             Self::Search => None,

@@ -1,43 +1,44 @@
-//! How far a placement is: a line on standard error, if that is a terminal.
+//! Progress of a placement: a line on standard error, if that is a terminal.
 
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::placement::{
-    placing::{Aim, Stage},
-    solver::Interim,
+use crate::{
+    placement::{
+        placing::{Aim, Stage},
+        solver::Interim,
+    },
+    run::terminal,
 };
 
-/// A line that says what is known so far.
+/// A line with the current stage and the best placement found.
 pub(super) struct PlacingProgress {
     bar: ProgressBar,
     aim: Aim,
 }
 
 impl PlacingProgress {
-    /// A line for a placement with this aim; `quiet` shows none.
-    pub(super) fn new(aim: Aim, quiet: bool) -> Self {
-        let bar = ProgressBar::new_spinner();
+    /// A line for a placement with this aim, shown if warnings are logged.
+    pub(super) fn new(aim: Aim) -> Self {
+        let hidden = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
+        let bar = if terminal::shows_progress() { terminal::show(hidden) } else { hidden };
         if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}, {elapsed}") {
             bar.set_style(style);
-        }
-        if quiet {
-            bar.set_draw_target(ProgressDrawTarget::hidden());
         }
         bar.enable_steady_tick(Duration::from_millis(200));
         Self { bar, aim }
     }
 
-    /// Shows what goes on.
+    /// Shows the current stage.
     pub(super) fn show(&self, stage: &Stage) {
-        // Formatting costs more than a slice of the solver's work where nobody looks.
+        // Formatting takes longer than a slice of the solver's work: skipped for a hidden line.
         if !self.bar.is_hidden() {
             self.bar.set_message(self.describe(stage));
         }
     }
 
-    /// Takes the line away.
+    /// Removes the line.
     pub(super) fn finish(&self) {
         self.bar.finish_and_clear();
     }

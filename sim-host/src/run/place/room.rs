@@ -16,14 +16,14 @@ use crate::{
     world::{CameraConfig, FixedOutline, FixedPart, Scenario},
 };
 
-/// Cameras in a map hang at this height unless the user says otherwise, in metres.
+/// Default height of cameras in a map, in metres.
 const MAP_HEIGHT_M: f64 = 3.0;
-/// Cameras in a scenario hang this far below the ceiling unless the user says otherwise, in metres.
+/// Default distance of cameras from the ceiling of a scenario, in metres.
 const BELOW_CEILING_M: f64 = 0.1;
-/// Robots are no higher than this in a map, in metres: what stands higher is over the floor.
+/// Maximum height of robots in a map, in metres; they drive below anything higher.
 const ROBOT_HEIGHT_M: f64 = 0.3;
 
-/// A room, and the height of its cameras unless the user says otherwise.
+/// Reads a room. Also returns the default height of its cameras, in metres.
 pub(super) fn read_room(options: &PlaceOptions) -> Result<(FloorPlan, f64), RunError> {
     let path = &options.room;
     let is_map = path.extension().is_some_and(|it| it == "yaml" || it == "yml");
@@ -47,7 +47,7 @@ pub(super) fn read_room(options: &PlaceOptions) -> Result<(FloorPlan, f64), RunE
     Ok((plan, height_m))
 }
 
-/// A ROS map that lies straight.
+/// Reads a ROS map that must have a yaw of 0.
 fn straight_map(path: &Path) -> Result<OccupancyGrid, RunError> {
     let map = grid::read_map(path)?;
     if map.yaw_rad() != 0.0 {
@@ -65,7 +65,7 @@ fn obstacle(part: FixedPart) -> Obstacle {
     Obstacle { outline, bottom_m, top_m }
 }
 
-/// What the cameras are like, and the keys that say it in a scenario.
+/// Reads the camera model. Also returns its other keys of a scenario's camera.
 pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Table), RunError> {
     let (config, keys) = match path {
         None => (
@@ -84,7 +84,7 @@ pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Tab
                     .into_iter()
                     .find(|key| keys.contains_key(*key))
             {
-                return Err(refuse(format!("{key} is what is looked for; leave it out")).into());
+                return Err(refuse(format!("{key} is a result of the placement; remove it")).into());
             }
             from_intrinsics(&mut keys).map_err(refuse)?;
             (config(keys.clone()).map_err(refuse)?, keys)
@@ -113,7 +113,7 @@ fn config(mut keys: toml::Table) -> Result<CameraConfig, String> {
     keys.try_into().map_err(|error: toml::de::Error| error.message().replace('\n', ", "))
 }
 
-/// Where the keys are those of an `intrinsics.toml`, puts the fields of view in their place.
+/// Replaces the keys of an `intrinsics.toml` by the fields of view.
 fn from_intrinsics(keys: &mut toml::Table) -> Result<(), String> {
     if !keys.contains_key("fx") {
         return Ok(());
@@ -125,7 +125,7 @@ fn from_intrinsics(keys: &mut toml::Table) -> Result<(), String> {
         number.filter(|it| it.is_finite()).ok_or(format!("{key} must be a number"))
     };
     let fov = |size: f64, focal: f64, centre: f64| {
-        // The narrower side: what both sides of a level camera see.
+        // The narrower half, which is visible on both sides.
         let half = (centre + 0.5).min(size - centre - 0.5).max(0.0);
         2.0 * libm::atan(half / focal.abs()).to_degrees()
     };
@@ -137,7 +137,7 @@ fn from_intrinsics(keys: &mut toml::Table) -> Result<(), String> {
     Ok(())
 }
 
-/// For each cell of the floor whether an image marks it as critical.
+/// Reads for each cell of the floor whether an image marks it as critical.
 pub(super) fn read_critical(path: &Path, plan: &FloorPlan) -> Result<Vec<bool>, RunError> {
     let refuse = |reason: String| PlaceFault::in_file(path, &reason);
     let image = raster::read(path).map_err(|error| refuse(error.to_string()))?.image;
