@@ -101,6 +101,35 @@ fn a_run_goes_on_from_the_file_of_the_one_before() {
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn a_report_that_can_not_be_written_is_a_failure() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+    let output = command.arg("--help").stdout(full).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.starts_with("ubimap: standard output: can't write the report: "), "{words}");
+}
+
+#[test]
+fn a_replay_that_maps_nothing_fails_and_says_so() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("late");
+    std::fs::create_dir_all(&folder).unwrap();
+    let log = folder.join("late.log");
+    let scan = |time: u32| {
+        format!("FLASER 180{} {time} 0 0 {time} 0 0 {time} host {time}\n", " 2.0".repeat(180))
+    };
+    std::fs::write(&log, (1..6).map(scan).collect::<String>()).unwrap();
+    let [log, out] = [log, folder.join("out")].map(|it| it.to_str().unwrap().to_owned());
+    let output = ubimap(&["replay", &log, "--out", &out, "--latency", "60000"]);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("nothing was mapped: none of 5 scans"), "{words}");
+    let words = String::from_utf8(output.stdout).unwrap();
+    assert!(words.contains("agreement: NOT reached: nothing was mapped"), "{words}");
+}
+
+#[test]
 fn maps_are_compared() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("compare");
     std::fs::create_dir_all(&folder).unwrap();
@@ -246,7 +275,8 @@ fn a_recording_without_any_frame_can_be_watched() {
     let silent = ROOM.replace("[[cameras]]\n", "[[cameras]]\nlost_frames = 1.0\n");
     std::fs::write(&scenario, silent).unwrap();
     let simulate = ["simulate", &scenario, "--scripted", "--record", &recording];
-    assert_eq!(ubimap(&simulate).status.code(), Some(0));
+    // Nobody saw anything: that is no agreement.
+    assert_eq!(ubimap(&simulate).status.code(), Some(1));
     let output = ubimap(&["watch", &recording, "--json", "-v"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();

@@ -109,6 +109,9 @@ pub enum RunError {
     /// The results can't be written.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// The report can't be printed.
+    #[error("standard output: can't write the report: {0}")]
+    Print(std::io::Error),
     /// The map can't be kept.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -174,7 +177,7 @@ impl RunError {
             | Self::TooManyRobots { .. }
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
-            Self::Grid(_) | Self::Picture(_) => false,
+            Self::Print(_) | Self::Grid(_) | Self::Picture(_) => false,
         }
     }
 }

@@ -43,7 +43,8 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let started = time::Instant::now();
     let log =
         recording::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
-    log.notes.iter().for_each(|note| log::info!("{note}"));
+    // What a log lacks is assumed: that decides how good the map is.
+    log.notes.iter().for_each(|note| log::warn!("{note}"));
     let mut stage = LogStage::of(&log, usize::from(options.robots));
 
     let bounds = Bounds {
@@ -80,6 +81,12 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, bounds.own_tiles);
+    if !report.has_mapped() {
+        let scans = log.scans.len();
+        log::warn!(
+            "nothing was mapped: none of {scans} scans met a pose in time; lower --latency and --loss"
+        );
+    }
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let names = options.logs.iter().filter_map(|log| log.file_name()?.to_str());
