@@ -35,6 +35,7 @@ fn bad_use_is_told_in_one_line() {
     refused(&["simulate", "rom"], "no scenario \"rom\"; did you mean \"room\"? There are room, ");
     refused(&["simulate", "zzz"], "no scenario \"zzz\"; there are room, warehouse, ");
     refused(&["simulate", "-q", "-v"], "--quiet");
+    refused(&["simulate", "room", "--map", "bad.yaml"], "scenario room with --map bad.yaml: ");
     refused(&["simulate", "--out", "/dev/null/x"], "/dev/null/x: ");
     refused(&["replay"], "LOG");
     refused(&["replay", "x", "--loss", "1.5"], "--loss");
@@ -127,6 +128,43 @@ fn a_replay_that_maps_nothing_fails_and_says_so() {
     assert!(words.contains("nothing was mapped: none of 5 scans"), "{words}");
     let words = String::from_utf8(output.stdout).unwrap();
     assert!(words.contains("agreement: NOT reached: nothing was mapped"), "{words}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn endless_and_blocking_files_are_refused() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("endless");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let pipe = folder.join("pipe");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let pipe = pipe.to_str().unwrap();
+    let yaml = folder.join("map.yaml");
+    let text = "image: pipe\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n\
+                occupied_thresh: 0.65\nfree_thresh: 0.196\n";
+    std::fs::write(&yaml, text).unwrap();
+    let yaml = yaml.to_str().unwrap();
+    for path in ["/dev/zero", pipe] {
+        let expected = format!("{path}: is a device or a pipe");
+        refused(&["simulate", path], &expected);
+        refused(&["replay", path], &expected);
+        refused(&["compare", path, path], &expected);
+        refused(&["place", "room", "--camera", path], &expected);
+    }
+    refused(&["compare", yaml, yaml], "pipe: is a device or a pipe");
+}
+
+#[test]
+fn more_tiles_than_memory_holds_are_refused() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("tiles");
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("tiles.log");
+    let scan = |time: u32| format!("FLASER 2 1 1 0 0 0 0 0 0 {time}.5 host {time}\n");
+    std::fs::write(&path, (0..1_000).map(scan).collect::<String>()).unwrap();
+    refused(
+        &["replay", path.to_str().unwrap(), "--robots", "1000", "--tiles", "65536"],
+        "1000 robots with 65536 tiles each",
+    );
 }
 
 #[test]

@@ -15,6 +15,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::files;
+
 /// An output file or folder can't be written.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: can't write: {error}", path = path.display())]
@@ -99,7 +101,8 @@ impl OutputFolder {
             }
         }
         let mut results = self.pending.clone();
-        let report = fs::read_to_string(self.stage.target.join("report.json")).unwrap_or_default();
+        let report =
+            files::read_settings(&self.stage.target.join("report.json")).unwrap_or_default();
         if report.contains("\"schema\": \"ubimap-") {
             results.extend(OPTIONAL.map(str::to_owned));
         }

@@ -146,11 +146,24 @@ pub enum RunError {
         /// Robots in the scenario.
         there: usize,
     },
+    /// All robots together would have too many tiles.
+    #[error(
+        "--robots and --tiles: {robots} robots with {tiles} tiles each have more than {most} together; \
+         lower one of them"
+    )]
+    TooManyTiles {
+        /// Number of robots.
+        robots: usize,
+        /// Tiles in each robot's pool.
+        tiles: usize,
+        /// Maximum number of tiles of all robots.
+        most: usize,
+    },
     /// Cameras can't be placed.
     #[error(transparent)]
     Place(#[from] place::PlaceFault),
     /// A map that is to be the walls lies askew.
-    #[error("{path}: origin: walls must lie straight, but the map is turned by {yaw_rad} rad", path = path.display())]
+    #[error("{path}: origin: walls must lie straight, but the map is turned by {:.4} rad", .yaw_rad, path = path.display())]
     TurnedMap {
         /// The map.
         path: PathBuf,
@@ -175,6 +188,7 @@ impl RunError {
             | Self::Robot(_)
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
+            | Self::TooManyTiles { .. }
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
             Self::Print(_) | Self::Grid(_) | Self::Picture(_) => false,
