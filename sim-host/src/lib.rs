@@ -31,12 +31,14 @@
 pub mod camera;
 pub mod channel;
 pub mod deployment;
+mod files;
 pub mod grid;
 pub mod mapping;
 pub mod perception;
 pub mod placement;
 pub mod recording;
 pub mod report;
+mod rounding;
 pub mod run;
 pub mod server;
 pub mod store;

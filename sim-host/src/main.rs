@@ -71,7 +71,7 @@ fn main() -> ExitCode {
     let finished = match command {
         Command::Replay(options) => {
             let results = (&options.run.results, is_verbose);
-            finish(results, || replay::run(&options), |it| it.map.converged)
+            finish(results, || replay::run(&options), |it| it.map.converged && it.has_mapped())
         }
         Command::Simulate(options) => {
             let results = (&options.run.results, is_verbose);
@@ -84,10 +84,13 @@ fn main() -> ExitCode {
         Command::Serve(options) => serve(&options),
         Command::Compare(options) => compare(&options),
     };
-    finished.unwrap_or_else(|error| {
-        complain(&error.to_string());
-        ExitCode::from(if error.is_bad_input() { BAD_INPUT } else { FAILED })
-    })
+    finished.unwrap_or_else(|error| fail(&error))
+}
+
+/// Says why a run failed; the exit code.
+fn fail(error: &RunError) -> ExitCode {
+    complain(&error.to_string());
+    ExitCode::from(if error.is_bad_input() { BAD_INPUT } else { FAILED })
 }
 
 /// Makes a run, writes its results and says where they are; prints all figures only if `is_verbose`.
@@ -103,10 +106,10 @@ fn finish<R: Brief + fmt::Display + Serialize>(
     outcome.write(folder)?;
     let report = &outcome.report;
     if options.json {
-        print(&json_pretty(report));
+        print(&json_pretty(report))?;
     } else {
         let figures = if is_verbose { report.to_string() } else { String::new() };
-        print(&(figures + &brief(report, &options.out)));
+        print(&(figures + &brief(report, &options.out)))?;
     }
     Ok(status(is_success(report)))
 }
@@ -122,30 +125,35 @@ fn place(options: &PlaceOptions) -> Result<ExitCode, RunError> {
     outcome.write(folder)?;
     let report = &outcome.report;
     if options.json {
-        print(&json_pretty(report));
+        print(&json_pretty(report))?;
     } else {
-        print(&format!("{report}results: in {}; open coverage.png first\n", options.out.display()));
+        print(&format!(
+            "{report}results: in {}; open coverage.png first\n",
+            options.out.display()
+        ))?;
     }
     Ok(status(!options.connect || report.is_connected()))
 }
 
 fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
-    print(&if options.json { json_pretty(&report) } else { report.to_string() });
+    print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
     Ok(status(report.has_robot()))
 }
 
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     let scores = compare::run(options)?;
-    print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) });
+    print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) })?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Prints help and the version to standard output, and usage errors to standard error in one line.
 fn refuse_use(error: &clap::Error) -> ExitCode {
     if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) {
-        print(&error.to_string());
-        return ExitCode::SUCCESS;
+        return match print(&error.to_string()) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => fail(&error),
+        };
     }
     let text = error.to_string();
     let of_interest: Vec<&str> = text
@@ -185,8 +193,12 @@ fn complain(message: &str) {
     let _ = writeln!(io::stderr(), "ubimap: {one_line}");
 }
 
-/// Prints to standard output, ignoring a closed pipe.
-fn print(text: &str) {
+/// Prints to standard output. A reader that has closed its end of a pipe wants no more, which is no
+/// error.
+fn print(text: &str) -> Result<(), RunError> {
     let mut out = io::stdout().lock();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(RunError::Print(error)),
+        _ => Ok(()),
+    }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[expect(unreachable_pub, reason = "public in `tests`, whose file it is")]
 mod data;
 
-pub(crate) use data::file as shared_data;
+pub(crate) use data::{file as shared_data, frames as shared_frames};
 
 /// A test's temporary folder, removed when dropped.
 pub(crate) struct Folder(PathBuf);

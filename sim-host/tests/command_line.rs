@@ -37,6 +37,7 @@ fn wrong_usage_and_invalid_input_are_refused_in_one_line() {
     refused(&["simulate", "rom"], "no scenario \"rom\"; did you mean \"room\"? There are room, ");
     refused(&["simulate", "zzz"], "no scenario \"zzz\"; there are room, warehouse, ");
     refused(&["simulate", "-q", "-v"], "--quiet");
+    refused(&["simulate", "room", "--map", "bad.yaml"], "scenario room with --map bad.yaml: ");
     refused(&["simulate", "--out", "/dev/null/x"], "/dev/null/x: ");
     refused(&["replay"], "LOG");
     refused(&["replay", "x", "--loss", "1.5"], "--loss");
@@ -100,6 +101,72 @@ fn a_run_restores_the_map_that_an_earlier_run_stored() {
 
     std::fs::write(&path, "no map. ".repeat(100)).unwrap();
     refused(&["simulate", "--store", store], "map.db: not a ubimap store");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_report_that_can_not_be_written_is_a_failure() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+    let output = command.arg("--help").stdout(full).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.starts_with("ubimap: standard output: can't write the report: "), "{words}");
+}
+
+#[test]
+fn a_replay_that_maps_nothing_fails_and_says_so() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("late");
+    std::fs::create_dir_all(&folder).unwrap();
+    let log = folder.join("late.log");
+    let scan = |time: u32| {
+        format!("FLASER 180{} {time} 0 0 {time} 0 0 {time} host {time}\n", " 2.0".repeat(180))
+    };
+    std::fs::write(&log, (1..6).map(scan).collect::<String>()).unwrap();
+    let [log, out] = [log, folder.join("out")].map(|it| it.to_str().unwrap().to_owned());
+    let output = ubimap(&["replay", &log, "--out", &out, "--latency", "60000"]);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(words.contains("nothing was mapped: none of 5 scans"), "{words}");
+    let words = String::from_utf8(output.stdout).unwrap();
+    assert!(words.contains("agreement: NOT reached: nothing was mapped"), "{words}");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn endless_and_blocking_files_are_refused() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("endless");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    let pipe = folder.join("pipe");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let pipe = pipe.to_str().unwrap();
+    let yaml = folder.join("map.yaml");
+    let text = "image: pipe\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n\
+                occupied_thresh: 0.65\nfree_thresh: 0.196\n";
+    std::fs::write(&yaml, text).unwrap();
+    let yaml = yaml.to_str().unwrap();
+    for path in ["/dev/zero", pipe] {
+        let expected = format!("{path}: is a device or a pipe");
+        refused(&["simulate", path], &expected);
+        refused(&["replay", path], &expected);
+        refused(&["compare", path, path], &expected);
+        refused(&["place", "room", "--camera", path], &expected);
+    }
+    refused(&["compare", yaml, yaml], "pipe: is a device or a pipe");
+}
+
+#[test]
+fn more_tiles_than_memory_holds_are_refused() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("tiles");
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("tiles.log");
+    let scan = |time: u32| format!("FLASER 2 1 1 0 0 0 0 0 0 {time}.5 host {time}\n");
+    std::fs::write(&path, (0..1_000).map(scan).collect::<String>()).unwrap();
+    refused(
+        &["replay", path.to_str().unwrap(), "--robots", "1000", "--tiles", "65536"],
+        "1000 robots with 65536 tiles each",
+    );
 }
 
 #[test]
@@ -249,7 +316,8 @@ fn a_recording_without_frames_can_be_watched() {
     let silent = ROOM.replace("[[cameras]]\n", "[[cameras]]\nlost_frames = 1.0\n");
     std::fs::write(&scenario, silent).unwrap();
     let simulate = ["simulate", &scenario, "--scripted", "--record", &recording];
-    assert_eq!(ubimap(&simulate).status.code(), Some(0));
+    // Nobody saw anything: that is no agreement.
+    assert_eq!(ubimap(&simulate).status.code(), Some(1));
     let output = ubimap(&["watch", &recording, "--json", "-v"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();

@@ -3,9 +3,9 @@
 //! The unit tests of `sim-host` include this file as well.
 
 use std::{
-    env,
+    env, fs,
     io::{self, Write},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 /// The path of a file or folder of the recorded data, in the folder that `UBIMAP_DATA` names
@@ -33,4 +33,64 @@ pub fn file(name: &str) -> Option<PathBuf> {
     // Not `eprintln`, whose output the test harness captures.
     let _ = writeln!(io::stderr(), "{message}");
     None
+}
+
+/// Folders of recorded frames that lack their intrinsics, with what the data's README states.
+const INTRINSICS: [(&str, &str); 2] = [
+    (
+        "rgbd_frames/icl_nuim",
+        "width = 640\nheight = 480\nfx = 481.2\nfy = -480.0\ncx = 319.5\ncy = 239.5\n\
+         depth_per_metre = 5000.0\n",
+    ),
+    (
+        "rgbd_frames/handheld",
+        "width = 640\nheight = 480\nfx = 518.0\nfy = 519.0\ncx = 325.5\ncy = 253.5\n",
+    ),
+];
+
+/// A folder of recorded frames with their intrinsics; a copy is removed when dropped.
+pub struct Frames {
+    path: PathBuf,
+    is_copy: bool,
+}
+
+/// A folder of recorded frames with their intrinsics, or `None` as for [`file`].
+///
+/// # Panics
+///
+/// If the folder can't be copied, and as [`file`].
+pub fn frames(name: &str) -> Option<Frames> {
+    let path = file(name)?;
+    let Some((_, text)) = INTRINSICS.into_iter().find(|(folder, _)| *folder == name) else {
+        return Some(Frames { path, is_copy: false });
+    };
+    let copy = env::temp_dir().join(format!(
+        "ubimap-{}-{:?}-{}",
+        std::process::id(),
+        std::thread::current().id(),
+        name.replace('/', "-")
+    ));
+    fs::create_dir_all(copy.join("depth")).unwrap();
+    fs::copy(path.join("pose.txt"), copy.join("pose.txt")).unwrap();
+    for image in fs::read_dir(path.join("depth")).unwrap() {
+        let image = image.unwrap();
+        fs::copy(image.path(), copy.join("depth").join(image.file_name())).unwrap();
+    }
+    fs::write(copy.join("intrinsics.toml"), text).unwrap();
+    Some(Frames { path: copy, is_copy: true })
+}
+
+impl Frames {
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Frames {
+    fn drop(&mut self) {
+        if self.is_copy {
+            let _ = fs::remove_dir_all(&self.path);
+        }
+    }
 }

@@ -13,11 +13,13 @@ use graph::Graph;
 mod graph;
 
 /// The folders of `sim-host`, with the folders that each may import.
-const HOST: [(&str, &[&str]); 14] = [
+const HOST: [(&str, &[&str]); 16] = [
     ("timing", &[]),
-    ("grid", &[]),
+    ("files", &[]),
+    ("rounding", &[]),
+    ("grid", &["files"]),
     ("camera", &["grid"]),
-    ("recording", &["grid", "camera"]),
+    ("recording", &["files", "rounding", "grid", "camera"]),
     ("perception", &["grid", "camera", "timing"]),
     ("mapping", &["grid", "camera", "perception", "timing"]),
     ("server", &["grid", "camera", "perception", "mapping", "timing"]),
@@ -25,14 +27,15 @@ const HOST: [(&str, &[&str]); 14] = [
     ("store", &["mapping", "server"]),
     ("placement", &["grid"]),
     ("channel", &[]),
-    ("report", &["grid", "camera", "perception", "mapping", "server"]),
-    ("world", &["grid", "camera"]),
+    ("report", &["files", "grid", "camera", "perception", "mapping", "server"]),
+    ("world", &["files", "rounding", "grid", "camera"]),
     (
         "run",
         &[
             "camera",
             "channel",
             "deployment",
+            "files",
             "grid",
             "mapping",
             "perception",

@@ -6,7 +6,7 @@ use std::{cell::RefCell, rc::Rc};
 use clap::Parser;
 use ubimap_agent::sense::SensorModel;
 use ubimap_sim_host::{
-    recording::{self, Slicing},
+    recording::{self, Slicing, UpAxis},
     run::{options::ReplayOptions, replay},
 };
 use ubimap_tests::{
@@ -82,8 +82,9 @@ fn no_tile_update_of_a_recorded_log_takes_more_than_its_bound() {
 fn no_row_of_a_recorded_frame_takes_more_than_its_bound() {
     let (mut input, mut bounds) = (Vec::new(), Vec::new());
     for (folder, bound) in RECORDED {
-        let Some(folder) = data::file(folder) else { return };
-        let log = recording::read(&folder, None, Slicing::default()).unwrap();
+        let Some(frames) = data::frames(folder) else { return };
+        let slicing = Slicing { up: UpAxis::Cameras, ..Slicing::default() };
+        let log = recording::read(frames.path(), None, slicing).unwrap();
         let SensorModel::Pinhole { focal, centre } = log.sensor.model() else {
             panic!("{:?}", log.sensor)
         };

@@ -13,7 +13,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose, RobotId},
 };
 use ubimap_sim_host::{
-    recording::{self, DepthSlice, Log, PixelModel, Slicing},
+    recording::{self, DepthSlice, Log, PixelModel, Slicing, UpAxis},
     run::heap::{BOUNDS, Heap},
 };
 use ubimap_tests::data;
@@ -155,17 +155,18 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 fn read(folder: &Path, slice: DepthSlice, pixels: PixelModel) -> Log {
-    recording::read(folder, None, Slicing { slice, pixels }).unwrap()
+    recording::read(folder, None, Slicing { slice, pixels, up: UpAxis::Cameras }).unwrap()
 }
 
 #[test]
 fn the_row_of_a_recorded_frame_lies_on_its_3_d_points() {
     for (name, [fx, _, cx, cy, per_metre]) in FOLDERS {
-        let Some(folder) = data::file(name) else { return };
-        let frames = frames(&folder, per_metre);
+        let Some(recorded) = data::frames(name) else { return };
+        let folder = recorded.path();
+        let frames = frames(folder, per_metre);
         let row = cy.round() as usize;
         let errors = |pixels| {
-            let log = read(&folder, DepthSlice::Row, pixels);
+            let log = read(folder, DepthSlice::Row, pixels);
             let off = frames.iter().enumerate().flat_map(|(index, frame)| {
                 mapped(&log, index).into_iter().map(move |(column, point)| {
                     let depth = frame[640 * row + column];
@@ -188,9 +189,10 @@ fn the_row_of_a_recorded_frame_lies_on_its_3_d_points() {
 #[test]
 fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
     for (name, [fx, fy, cx, cy, per_metre]) in FOLDERS {
-        let Some(folder) = data::file(name) else { return };
-        let frames = frames(&folder, per_metre);
-        let stations = stations(&folder);
+        let Some(recorded) = data::frames(name) else { return };
+        let folder = recorded.path();
+        let frames = frames(folder, per_metre);
+        let stations = stations(folder);
         let down = |station: &Station| mix(station.axes[1], fy.signum(), station.axes[1], 0.0);
         let sum = stations.iter().map(down).fold([0.0; 3], |sum, it| mix(sum, 1.0, it, 1.0));
         let up = unit(mix(sum, -1.0, sum, 0.0));
@@ -226,7 +228,7 @@ fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
             .collect();
 
         let errors = |slice, pixels| {
-            let log = read(&folder, slice, pixels);
+            let log = read(folder, slice, pixels);
             let off = truths.iter().enumerate().flat_map(|(index, truth)| {
                 mapped(&log, index).into_iter().map(move |(_, point)| {
                     truth.iter().map(|&it| distance(it, point)).fold(f64::INFINITY, f64::min)

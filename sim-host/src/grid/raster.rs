@@ -1,7 +1,7 @@
 //! Image files, decoded with limits on their size.
 
 use std::{
-    io::{Cursor, Read},
+    io::{BufReader, Cursor},
     path::Path,
 };
 
@@ -11,6 +11,7 @@ use image::{
 };
 
 use super::occupancy::MAX_CELLS;
+use crate::files;
 
 /// Maximum number of bytes read from a file: four samples of two bytes per cell.
 const MAX_BYTES: u64 = 8 * MAX_CELLS as u64;
@@ -48,14 +49,14 @@ pub(crate) struct Raster {
 
 /// Reads a PNG, JPEG, BMP, PGM or PPM file; the format is detected from its content.
 pub(crate) fn read(path: &Path) -> Result<Raster, RasterError> {
-    let mut bytes = Vec::new();
-    std::fs::File::open(path)?.take(MAX_BYTES).read_to_end(&mut bytes)?;
-    decode(&bytes)
+    decode(&files::read(path, MAX_BYTES)?)
 }
 
 /// The size (columns, rows) and pixel type of an image file, from its header.
 pub(crate) fn look(path: &Path) -> Result<((u32, u32), ColorType), RasterError> {
-    let decoder = ImageReader::open(path)?.with_guessed_format()?.into_decoder()?;
+    let decoder = ImageReader::new(BufReader::new(files::open(path, MAX_BYTES)?))
+        .with_guessed_format()?
+        .into_decoder()?;
     Ok((decoder.dimensions(), decoder.color_type()))
 }
 

@@ -4,11 +4,7 @@
 //! is its occupancy, from 0 (white) to 1 (black), inverted with `negate`. A cell above
 //! `occupied_thresh` is occupied, below `free_thresh` free, and unknown between.
 
-use std::{
-    fs::File,
-    io::Read,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, GrayImage, Luma};
 use serde::Deserialize;
@@ -18,6 +14,7 @@ use super::{
     occupancy::{GridError, OccupancyGrid},
     raster::{self, RasterError},
 };
+use crate::files::{self, MAX_SETTINGS};
 
 /// Pixel value of a free cell in written maps, as in `map_server`'s trinary mode.
 const FREE: u8 = 254;
@@ -112,7 +109,8 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
         key,
         reason: reason.to_owned(),
     };
-    let text = read_bounded(yaml).map_err(|error| MapError::Io { path: yaml.to_owned(), error })?;
+    let text = files::read(yaml, MAX_SETTINGS)
+        .map_err(|error| MapError::Io { path: yaml.to_owned(), error })?;
     let text = String::from_utf8(text).map_err(|_| MapError::Yaml {
         path: yaml.to_owned(),
         reason: "not a text file; give the .yaml file of a ROS map".to_owned(),
@@ -157,13 +155,6 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
         }
     }
     Ok(grid)
-}
-
-/// Reads a YAML file up to a limit; a longer one is truncated and fails to parse.
-fn read_bounded(yaml: &Path) -> std::io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(yaml)?.take(1 << 20).read_to_end(&mut bytes)?;
-    Ok(bytes)
 }
 
 /// Encodes a map's image as a binary PGM: free 254, occupied (fixed or movable) 0, unknown 205.

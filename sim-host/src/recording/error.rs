@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::format::Format;
-use crate::grid::RasterError;
+use crate::{grid::RasterError, rounding::Rounded};
 
 /// Why a log cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -84,7 +84,7 @@ pub enum LogError {
         poses: usize,
     },
     /// The mean up axis of the cameras is zero.
-    #[error("{path}: the up axes of the cameras cancel out, so that the floor cannot be located",
+    #[error("{path}: the up axes of the cameras cancel out, so that the floor cannot be located; name the up axis with --up",
         path = path.display())]
     NoPlane {
         /// The file of the poses.
@@ -166,7 +166,7 @@ pub enum LineFault {
         text: String,
     },
     /// A number is out of range.
-    #[error("{field}: {value} is {reason}")]
+    #[error("{field}: {} is {reason}", Rounded(*.value))]
     OutOfRange {
         /// The field.
         field: Field,
@@ -187,7 +187,10 @@ pub enum LineFault {
     #[error("not a rotation")]
     NoRotation,
     /// The camera looks at the floor or the ceiling.
-    #[error("the camera looks {tilt_deg:.0} degrees off the horizon; its rows cannot be mapped")]
+    #[error(
+        "the camera looks {tilt_deg:.0} degrees off the horizon; its rows cannot be mapped (or does \
+         another axis point up? see --up)"
+    )]
     Steep {
         /// Angle above or below the horizon, in degrees.
         tilt_deg: f64,

@@ -1,11 +1,11 @@
 //! The intrinsics of a recorded camera: `intrinsics.toml` or Open3D's camera file.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::{error::LogError, numbered_files::files_in};
-use crate::camera;
+use crate::{camera, files};
 
 /// tan(85 degrees): half of the maximum field of view of a pinhole.
 const MAX_HALF_FIELD_TAN: f64 = 11.4;
@@ -52,31 +52,6 @@ struct Open3dCamera {
 }
 
 impl IntrinsicsFile {
-    const ICL_NUIM: Self = Self {
-        width: 640,
-        height: 480,
-        fx: 481.2,
-        fy: -480.0,
-        cx: 319.5,
-        cy: 239.5,
-        distortion: [0.0; 5],
-        depth_per_metre: 5000.0,
-        depth_noise: None,
-        row: None,
-    };
-    const HANDHELD: Self = Self {
-        width: 640,
-        height: 480,
-        fx: 518.0,
-        fy: 519.0,
-        cx: 325.5,
-        cy: 253.5,
-        distortion: [0.0; 5],
-        depth_per_metre: 1000.0,
-        depth_noise: None,
-        row: None,
-    };
-
     /// The file for a calibrated sensor with depths in millimetres.
     pub(super) fn of(pinhole: &camera::Intrinsics, noise: Option<&camera::DepthNoise>) -> Self {
         let camera::Intrinsics { width, height, fx, fy, cx, cy, distortion } = *pinhole;
@@ -123,7 +98,7 @@ impl IntrinsicsFile {
 pub(super) fn stated(folder: &Path) -> Result<Option<IntrinsicsFile>, LogError> {
     let toml_file = folder.join(INTRINSICS_FILE);
     let text_of = |path: &Path| {
-        std::fs::read_to_string(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
+        files::read_settings(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
     };
     let refuse = |path: &Path, reason: String| {
         let reason = reason.lines().next().unwrap_or_default().to_owned();
@@ -155,31 +130,8 @@ pub(super) fn missing(folder: &Path) -> LogError {
     LogError::Intrinsics { path: folder.join(INTRINSICS_FILE), reason: reason.to_owned() }
 }
 
-/// The intrinsics of a folder, and a note if they are a guess.
-pub(super) fn find(
-    folder: &Path,
-    images: &[PathBuf],
-) -> Result<(IntrinsicsFile, Option<String>), LogError> {
-    if let Some(stated) = stated(folder)? {
-        return Ok((stated, None));
-    }
-    if !folder.join("pose.txt").is_file() {
-        return Err(missing(folder));
-    }
-    let all_are = |extension: &str| {
-        images.iter().all(|image| image.extension().is_some_and(|found| found == extension))
-    };
-    let (intrinsics, whose) = if all_are("png") {
-        (IntrinsicsFile::ICL_NUIM, "ICL-NUIM's")
-    } else if all_are("pgm") {
-        (IntrinsicsFile::HANDHELD, "the slambook hand-held sensor's")
-    } else {
-        return Err(missing(folder));
-    };
-    let IntrinsicsFile { fx, fy, cx, cy, depth_per_metre, .. } = intrinsics;
-    let note = format!(
-        "no intrinsics; taking {whose} (fx {fx}, fy {fy}, cx {cx}, cy {cy}, {depth_per_metre} to \
-         the metre): write an intrinsics.toml if that is wrong"
-    );
-    Ok((intrinsics, Some(note)))
+/// The intrinsics stated in a folder. Nothing is guessed: wrong intrinsics give a wrong map, and no
+/// error.
+pub(super) fn required(folder: &Path) -> Result<IntrinsicsFile, LogError> {
+    stated(folder)?.ok_or_else(|| missing(folder))
 }

@@ -1,7 +1,6 @@
 //! Reads the numbered lines of a text file, plain or gzipped.
 
 use std::{
-    fs::File,
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
 };
@@ -9,9 +8,13 @@ use std::{
 use flate2::bufread::MultiGzDecoder;
 
 use super::error::{Field, LineFault, LogError};
+use crate::files;
 
 /// Maximum length of a line in bytes: a file with longer lines is not a log and is not read into memory.
 const MAX_LINE: usize = 1 << 20;
+
+/// Maximum size of a log in bytes, as a file and unpacked: its readings take several times as much memory.
+const MAX_LOG: u64 = 256 << 20;
 
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
 
@@ -22,20 +25,22 @@ pub(super) struct Lines {
     gzipped: bool,
     number: usize,
     line: Vec<u8>,
+    /// Number of bytes read, unpacked.
+    read: u64,
 }
 
 impl Lines {
     /// Opens a file; its first bytes tell whether it is gzipped.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {
         let io_error = |error| LogError::Io { path: path.to_owned(), error };
-        let mut file = BufReader::new(File::open(path).map_err(io_error)?);
+        let mut file = BufReader::new(files::open(path, MAX_LOG).map_err(io_error)?);
         let gzipped = file.fill_buf().map_err(io_error)?.starts_with(&GZIP_MAGIC);
         let reader: Box<dyn BufRead> = if gzipped {
             Box::new(BufReader::new(MultiGzDecoder::new(file)))
         } else {
             Box::new(file)
         };
-        Ok(Self { path: path.to_owned(), reader, gzipped, number: 0, line: Vec::new() })
+        Ok(Self { path: path.to_owned(), reader, gzipped, number: 0, line: Vec::new(), read: 0 })
     }
 
     /// The next line with its number, from 1; `None` at the end.
@@ -54,6 +59,13 @@ impl Lines {
                     LogError::Io { path, error }
                 }));
             }
+        }
+        self.read += self.line.len() as u64;
+        if self.read > MAX_LOG {
+            return Some(Err(LogError::Io {
+                path: self.path.clone(),
+                error: files::too_large(MAX_LOG),
+            }));
         }
         if self.line.len() > MAX_LINE {
             return Some(Err(self.fault(LineFault::TooLong(MAX_LINE))));

@@ -10,7 +10,7 @@
 //! | [`Format::Rgbd`] | a folder of 16-bit depth images; one row of each | of the camera | none |
 //!
 //! Information missing from a log (such as time stamps) is replaced by a documented rule, and
-//! [`Log::notes`] mentions it.
+//! [`Log::notes`] mentions it, or [`Log::warnings`] where it may make the map wrong.
 //!
 //! [`write_carmen`] writes the scans of robots as a CARMEN log.
 //!
@@ -33,6 +33,6 @@ pub use error::{Field, FrameFault, LineFault, LogError};
 pub use format::Format;
 pub use frames::{FramesError, RecordedFrames, Recorder};
 pub use scans::{
-    DepthSlice, Log, LoggedScan, PixelModel, Sensor, Slicing, concatenate, read, read_all,
+    DepthSlice, Log, LoggedScan, PixelModel, Sensor, Slicing, UpAxis, concatenate, read, read_all,
     write_carmen,
 };

@@ -4,7 +4,10 @@
 use std::path::Path;
 
 use super::error::LogError;
-use crate::camera::{CAMERAS_FILE, CamerasFile, MountedCamera};
+use crate::{
+    camera::{CAMERAS_FILE, CamerasFile, MountedCamera},
+    files,
+};
 
 /// The camera of this folder's name in the `cameras.toml` of the folder above, if both are there.
 pub(super) fn mounted(folder: &Path) -> Result<Option<MountedCamera>, LogError> {
@@ -12,7 +15,7 @@ pub(super) fn mounted(folder: &Path) -> Result<Option<MountedCamera>, LogError> 
     if !above.is_file() {
         return Ok(None);
     }
-    let text = std::fs::read_to_string(&above)
+    let text = files::read_settings(&above)
         .map_err(|error| LogError::Io { path: above.clone(), error })?;
     let file =
         CamerasFile::parse(&text).map_err(|reason| LogError::Cameras { path: above, reason })?;

@@ -8,6 +8,13 @@ pub(super) const USUAL_S: f64 = 1.0;
 /// Maximum gap between scans in seconds: a longer one means that the clock was set.
 const MAX_GAP_S: f64 = 3600.0;
 
+/// Maximum usual step of a coarse clock in seconds: what advances more seldom tells no rate.
+const MAX_TICK_S: f64 = 10.0;
+
+/// Minimum number of different stamps of a coarse clock: the time between two of them is known only to
+/// a whole tick.
+const MIN_VALUES: usize = 3;
+
 /// Maximum fraction of unusable steps for which single steps are repaired.
 const MAX_REPAIRED: f64 = 0.1;
 
@@ -16,7 +23,7 @@ const MAX_REPAIRED: f64 = 0.1;
 ///
 /// If few stamps stand still, go back or jump, their steps are replaced by the median step. If many do,
 /// the scans are spread evenly over the time from first to last, or placed one second apart if that time
-/// is unusable too.
+/// is unusable too: if the stamps go back, or have too few values to tell a rate.
 pub(super) fn repair(stamps: Option<&[f64]>, scans: usize) -> (Vec<Duration>, Option<String>) {
     let evenly = |step_s: f64| {
         let micros = |index: usize| (index as f64 * step_s * 1e6).round() as u64;
@@ -62,9 +69,19 @@ pub(super) fn repair(stamps: Option<&[f64]>, scans: usize) -> (Vec<Duration>, Op
 
     let span = stamps[scans - 1] - stamps[0];
     let step = span / (scans - 1) as f64;
+    let mut ticks: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
+    ticks.sort_by(f64::total_cmp);
+    let is_seldom = ticks.get(ticks.len() / 2).is_some_and(|tick| *tick > MAX_TICK_S);
+    if steps.iter().all(|step| *step >= 0.0) && (ticks.len() + 1 < MIN_VALUES || is_seldom) {
+        let values = ticks.len() + 1;
+        return by_index(&format!(
+            "the {scans} time stamps have only {values} different values, too coarse to tell the rate"
+        ));
+    }
     if steps.iter().all(|step| *step >= 0.0) && (1e-6..=MAX_GAP_S).contains(&step) {
         let note = format!(
-            "the time stamps are coarse; times are set by scan index, {step:.3} s apart on average"
+            "the time stamps are coarse; times are set by scan index, {step:.3} s apart, the mean from \
+             first to last stamp"
         );
         return (evenly(step), Some(note));
     }
@@ -98,13 +115,20 @@ mod tests {
 
     #[test]
     fn coarse_stamps_are_spread_and_missing_ones_set_by_index() {
-        let (times, note) = micros(&[7.0, 7.0, 7.0, 8.0, 8.0]);
-        assert_eq!(times, [0, 250_000, 500_000, 750_000, 1_000_000]);
+        let (times, note) = micros(&[7.0, 7.0, 7.0, 8.0, 9.0]);
+        assert_eq!(times, [0, 500_000, 1_000_000, 1_500_000, 2_000_000]);
         assert!(note.unwrap().contains("coarse"));
         for stamps in [&[0.0; 4][..], &[9.0, 5.0, 4.0, 3.0], &[1e300, -1e300, 1e300, 0.0]] {
             let (times, note) = micros(stamps);
             assert_eq!(times, [0, 1_000_000, 2_000_000, 3_000_000]);
             assert!(note.unwrap().contains("scan index"));
+        }
+        // Nobody knows how much of these 3,340 s the scans took.
+        for stamps in [&[0.0, 0.0, 0.0, 3_340.0][..], &[0.0, 0.0, 1_670.0, 3_340.0]] {
+            let (times, note) = micros(stamps);
+            assert_eq!(times, [0, 1_000_000, 2_000_000, 3_000_000]);
+            let note = note.unwrap();
+            assert!(note.contains("too coarse to tell the rate; times are set"), "{note}");
         }
         let (times, note) = repair(None, 2);
         assert_eq!(times, [Duration::from_secs(0), Duration::from_secs(1)]);

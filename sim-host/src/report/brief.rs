@@ -43,7 +43,9 @@ impl Brief for Report {
 
     fn agreement(&self) -> String {
         let robots = count(self.robots.len(), "robot");
-        if self.map.converged {
+        if self.map.known == 0 {
+            "NOT reached: nothing was mapped, so there is nothing to agree on".to_owned()
+        } else if self.map.converged {
             format!("{robots} and the server hold the same map")
         } else {
             format!("NOT reached: {robots} and the server hold different maps")
@@ -103,7 +105,10 @@ mod tests {
              time:      20 s of the run in 0 s\n\
              results:   in out; open out/map.png first\n"
         );
+        report.map.known = 0;
         report.map.converged = true;
+        assert!(report.agreement().starts_with("NOT reached: nothing was mapped"));
+        report.map.known = 4_000;
         report.truth =
             Some(TruthScores { f1_occupied: 0.9, coverage: 0.5, ..TruthScores::default() });
         assert_eq!(

@@ -1,10 +1,21 @@
 //! An output folder whose files appear all together, or not at all.
+//!
+//! The files are written into a staging folder beside it, `.NAME.PID.partial`, and then the two
+//! folders change places: in one step where the system can exchange names (Linux), otherwise by two
+//! renames. A kill between those two leaves no folder of that name, and the earlier results in the
+//! staging folder; the next run with the same output folder puts them back. Files that are not
+//! results are moved from the old folder to the new one right after the exchange; if a kill prevents
+//! that, the next run moves them. It also removes the staging folders of killed runs; a lock tells
+//! them from those of live ones.
 
 use std::{
+    collections::BTreeSet,
     fs::{self, File},
     io::{self, Write},
     path::{Path, PathBuf},
 };
+
+use crate::files;
 
 /// An output file or folder can't be written.
 #[derive(Debug, thiserror::Error)]
@@ -19,47 +30,69 @@ pub struct OutputError {
 /// Results that only some commands write.
 const OPTIONAL: [&str; 4] = ["coverage.png", "error.png", "timelapse.png", "robots.csv"];
 
-/// A folder being written to. Its files have temporary names until [`OutputFolder::finish`] renames
-/// them; if it is dropped before, they are removed, and so is the folder if it was created here.
+/// An output folder that is being written. Dropped before [`OutputFolder::finish`], it leaves
+/// everything as it was.
 #[derive(Debug)]
 pub struct OutputFolder {
-    path: PathBuf,
-    is_new: bool,
-    /// Final names of the files written so far.
-    pending: Vec<String>,
+    stage: Stage,
+    /// Names of the files written so far.
+    pending: BTreeSet<String>,
 }
 
 impl OutputFolder {
-    /// Opens a folder; creates it if it does not exist.
+    /// Prepares to write a folder that may exist, and repairs what a killed run left of it.
+    ///
+    /// # Errors
+    /// If the folder can't be created or replaced: among others the working folder, which can't be
+    /// replaced under the shell that works in it.
     pub fn create(path: &Path) -> Result<Self, OutputError> {
-        let is_new = !path.exists();
-        fs::create_dir_all(path).map_err(|error| OutputError { path: path.to_owned(), error })?;
-        Ok(Self { path: path.to_owned(), is_new, pending: Vec::new() })
+        let refuse = |error| OutputError { path: path.to_owned(), error };
+        let parent = match path.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        fs::create_dir_all(parent).map_err(refuse)?;
+        // A symbolic link stays one: the folder that it leads to is replaced.
+        let target = match path.canonicalize() {
+            Ok(path) => path,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                let name = path.file_name().ok_or(error).map_err(refuse)?;
+                parent.canonicalize().map_err(refuse)?.join(name)
+            }
+            Err(error) => return Err(refuse(error)),
+        };
+        if target.exists() && !target.is_dir() {
+            return Err(refuse(io::ErrorKind::NotADirectory.into()));
+        }
+        let parent = target.parent().unwrap_or(&target);
+        if std::env::current_dir().is_ok_and(|here| here.starts_with(&target))
+            || is_mount_point(&target, parent)
+        {
+            let reason = "a working folder or a mount point can't be replaced; name a folder in it";
+            return Err(refuse(io::Error::other(reason)));
+        }
+        let refuse = |error| OutputError { path: parent.to_owned(), error };
+        recover(&target, parent).map_err(refuse)?;
+        let stage = Stage::create(target.clone()).map_err(refuse)?;
+        Ok(Self { stage, pending: BTreeSet::new() })
     }
 
-    /// Writes a file under a temporary name.
+    /// Writes a file into the staging folder.
     pub fn add(&mut self, name: &str, bytes: &[u8]) -> Result<(), OutputError> {
-        let path = self.partial(name);
+        let path = self.stage.new_folder().join(name);
         let written = File::create(&path).and_then(|mut file| {
-            self.pending.push(name.to_owned());
             file.write_all(bytes)?;
             file.sync_all()
         });
-        written.map_err(|error| OutputError { path, error })
+        self.pending.insert(name.to_owned());
+        written.map_err(|error| OutputError { path: self.stage.target.join(name), error })
     }
 
-    /// Renames all files to their final names, replacing existing files. Removes optional results of an
-    /// earlier run that this one lacks: they would be mistaken for its own.
-    pub fn finish(mut self) -> Result<(), OutputError> {
-        let report = fs::read_to_string(self.path.join("report.json")).unwrap_or_default();
-        let stale: Vec<&str> = if report.contains("\"schema\": \"ubimap-") {
-            OPTIONAL.into_iter().filter(|name| !self.pending.iter().any(|it| it == name)).collect()
-        } else {
-            Vec::new()
-        };
-        // Check all names before the first one is replaced.
+    /// Replaces the folder's results with the new ones. Removes optional results of an earlier run
+    /// that this one lacks: they would be mistaken for its own. Keeps all other files.
+    pub fn finish(self) -> Result<(), OutputError> {
         for name in &self.pending {
-            let path = self.path.join(name);
+            let path = self.stage.target.join(name);
             if path.is_dir() {
                 let error = io::Error::other(
                     "a folder of that name exists; remove it or choose another output folder",
@@ -67,38 +100,143 @@ impl OutputFolder {
                 return Err(OutputError { path, error });
             }
         }
-        self.is_new = false;
-        while let Some(name) = self.pending.first() {
-            let path = self.path.join(name);
-            fs::rename(self.partial(name), &path).map_err(|error| OutputError { path, error })?;
-            self.pending.remove(0);
+        let mut results = self.pending.clone();
+        let report =
+            files::read_settings(&self.stage.target.join("report.json")).unwrap_or_default();
+        if report.contains("\"schema\": \"ubimap-") {
+            results.extend(OPTIONAL.map(str::to_owned));
         }
-        for name in stale {
-            match fs::remove_file(self.path.join(name)) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    return Err(OutputError { path: self.path.join(name), error });
-                }
-                _ => {}
-            }
-        }
-        Ok(())
-    }
-
-    fn partial(&self, name: &str) -> PathBuf {
-        self.path.join(format!(".{name}.{}.partial", std::process::id()))
+        let refuse = |error| OutputError { path: self.stage.target.clone(), error };
+        self.stage.swap(&results).map_err(refuse)
     }
 }
 
-impl Drop for OutputFolder {
-    fn drop(&mut self) {
-        // Best effort: errors can't be reported from here.
-        for name in &self.pending {
-            let _ = fs::remove_file(self.partial(name));
+/// A staging folder. `new` in it holds the files to come and, after an exchange, the old folder;
+/// `old` is the old folder between two renames. `results` lists the names that are not moved from the
+/// old folder to the new one; it exists from the start of a swap to its end.
+#[derive(Debug)]
+struct Stage {
+    path: PathBuf,
+    target: PathBuf,
+    /// Locked while the run lives.
+    _lock: File,
+}
+
+impl Stage {
+    fn create(target: PathBuf) -> io::Result<Self> {
+        let path = target.with_file_name(stage_name(&target, std::process::id()));
+        fs::create_dir(&path)?;
+        let lock = File::create(path.join("lock"))?;
+        // Without locks, no staging folder counts as abandoned.
+        let _ = lock.try_lock();
+        fs::create_dir(path.join("new"))?;
+        Ok(Self { path, target, _lock: lock })
+    }
+
+    fn new_folder(&self) -> PathBuf {
+        self.path.join("new")
+    }
+
+    /// Swaps `new` and the target, then moves what is not among the results to the target.
+    fn swap(&self, results: &BTreeSet<String>) -> io::Result<()> {
+        let (new, target) = (self.new_folder(), &self.target);
+        if !target.exists() {
+            return fs::rename(new, target);
         }
-        if self.is_new {
-            let _ = fs::remove_dir(&self.path);
+        fs::set_permissions(&new, fs::metadata(target)?.permissions())?;
+        let mut list = File::create(self.path.join("results"))?;
+        for name in results {
+            writeln!(list, "{name}")?;
+        }
+        list.sync_all()?;
+        if exchange(&new, target).is_err() {
+            fs::rename(target, self.path.join("old"))?;
+            fs::rename(&new, target)?;
+        }
+        settle(&self.path, target)
+    }
+}
+
+impl Drop for Stage {
+    fn drop(&mut self) {
+        // Best effort: errors can't be reported from here. A folder that could not be settled is left
+        // for the next run.
+        if settle(&self.path, &self.target).is_ok() {
+            let _ = fs::remove_dir_all(&self.path);
         }
     }
+}
+
+/// Exchanges two folders in one step.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn exchange(one: &Path, other: &Path) -> io::Result<()> {
+    use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
+    Ok(renameat2(AT_FDCWD, one, AT_FDCWD, other, RenameFlags::RENAME_EXCHANGE)?)
+}
+
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+fn exchange(_: &Path, _: &Path) -> io::Result<()> {
+    Err(io::ErrorKind::Unsupported.into())
+}
+
+/// Ends a swap that has begun: puts the old folder back if there is no new one, and moves what is
+/// not among the results to the target. Does nothing if none has begun.
+fn settle(stage: &Path, target: &Path) -> io::Result<()> {
+    let list = stage.join("results");
+    let Ok(results) = fs::read_to_string(&list) else { return Ok(()) };
+    let [new, old] = ["new", "old"].map(|name| stage.join(name));
+    if !target.exists() && old.exists() {
+        fs::rename(&old, target)?;
+    }
+    for folder in [new, old].iter().filter(|folder| folder.exists()) {
+        for entry in fs::read_dir(folder)? {
+            let name = entry?.file_name();
+            let is_result = name.to_str().is_some_and(|it| results.lines().any(|line| line == it));
+            if !is_result {
+                fs::rename(folder.join(&name), target.join(&name))?;
+            }
+        }
+    }
+    fs::remove_file(list)
+}
+
+/// Settles the swaps of killed runs into this target, and removes their staging folders.
+fn recover(target: &Path, parent: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(parent)? {
+        let stage = entry?.path();
+        let name = stage.file_name().unwrap_or_default().to_string_lossy();
+        let run = name.strip_suffix(".partial").and_then(|it| it.rsplit_once('.')?.1.parse().ok());
+        let Some(run) = run.filter(|&run| name == stage_name(target, run)) else { continue };
+        if is_abandoned(&stage, run) {
+            settle(&stage, target)?;
+            fs::remove_dir_all(stage)?;
+        }
+    }
+    Ok(())
+}
+
+fn stage_name(target: &Path, run: u32) -> String {
+    format!(".{}.{run}.partial", target.file_name().unwrap_or_default().to_string_lossy())
+}
+
+/// Whether no run holds the lock of a staging folder, nor is about to take it.
+fn is_abandoned(stage: &Path, run: u32) -> bool {
+    // Process numbers recur, in containers above all: a folder of this number is not of this run.
+    let may_be_starting =
+        run != std::process::id() && Path::new("/proc").join(run.to_string()).exists();
+    !may_be_starting && File::open(stage.join("lock")).is_ok_and(|lock| lock.try_lock().is_ok())
+}
+
+#[cfg(unix)]
+fn is_mount_point(path: &Path, parent: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let device = |path: &Path| Some(fs::metadata(path).ok()?.dev());
+    path.exists() && device(path) != device(parent)
+}
+
+#[cfg(not(unix))]
+fn is_mount_point(_: &Path, _: &Path) -> bool {
+    false
 }
 
 #[cfg(test)]
@@ -170,5 +308,73 @@ mod tests {
         assert!(OutputFolder::create(&file.join("below")).is_err());
         drop(OutputFolder::create(&folder.path().join("fresh")));
         assert_eq!(names(folder.path()), ["file", "new"]);
+    }
+
+    /// A staging folder as a run that was killed leaves it.
+    fn abandoned(folder: &Folder, files: &[&str]) -> PathBuf {
+        for file in [&["lock"], files].concat() {
+            folder.file(&format!(".out.4294967295.partial/{file}"), b"stale");
+        }
+        folder.path().join(".out.4294967295.partial")
+    }
+
+    #[test]
+    fn the_next_run_repairs_what_a_killed_one_left() {
+        let folder = Folder::new("output-killed");
+        let out = folder.path().join("out");
+        let read = |name: &str| fs::read_to_string(out.join(name)).unwrap();
+
+        // Killed while it wrote its files.
+        folder.file("out/map.pgm", b"before");
+        let stage = abandoned(&folder, &["new/map.pgm"]);
+        drop(OutputFolder::create(&out).unwrap());
+        assert!(!stage.exists() && read("map.pgm") == "before");
+
+        // Killed after the exchange: a file of the user's is still in the old folder.
+        abandoned(&folder, &["new/map.pgm", "new/notes.txt"]);
+        folder.file(".out.4294967295.partial/results", b"map.pgm\n");
+        drop(OutputFolder::create(&out).unwrap());
+        assert!(!stage.exists() && read("map.pgm") == "before" && read("notes.txt") == "stale");
+
+        // Killed between two renames.
+        fs::remove_dir_all(&out).unwrap();
+        abandoned(&folder, &["new/map.pgm", "old/map.pgm", "old/notes.txt"]);
+        folder.file(".out.4294967295.partial/old/map.pgm", b"before");
+        folder.file(".out.4294967295.partial/results", b"map.pgm\n");
+        drop(OutputFolder::create(&out).unwrap());
+        assert!(!stage.exists() && read("map.pgm") == "before" && read("notes.txt") == "stale");
+        assert_eq!(names(folder.path()), ["out"]);
+    }
+
+    #[test]
+    fn the_folder_of_a_live_run_is_left_alone() {
+        let folder = Folder::new("output-live");
+        let out = folder.path().join("out");
+        let stage = abandoned(&folder, &["new/map.pgm"]);
+        let lock = File::open(stage.join("lock")).unwrap();
+        lock.try_lock().unwrap();
+        drop(OutputFolder::create(&out).unwrap());
+        assert!(stage.exists());
+        drop(lock);
+        drop(OutputFolder::create(&out).unwrap());
+        assert!(!stage.exists());
+    }
+
+    #[test]
+    fn files_of_others_are_kept_and_working_folders_refused() {
+        let folder = Folder::new("output-foreign");
+        let out = folder.path().join("out");
+        folder.file("out/notes.txt", b"mine");
+        folder.file("out/frames/0.png", b"mine");
+        let mut output = OutputFolder::create(&out).unwrap();
+        output.add("map.pgm", b"new").unwrap();
+        // Nothing shows before the end.
+        assert_eq!(names(&out), ["frames", "notes.txt"]);
+        output.finish().unwrap();
+        assert_eq!(names(&out), ["frames", "map.pgm", "notes.txt"]);
+        assert!(out.join("frames/0.png").exists());
+        assert_eq!(names(folder.path()), ["out"]);
+        let error = OutputFolder::create(Path::new(".")).unwrap_err().to_string();
+        assert!(error.contains("name a folder in it"), "{error}");
     }
 }

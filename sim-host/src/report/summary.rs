@@ -206,6 +206,11 @@ impl Report {
             sighted: None,
         }
     }
+
+    /// Whether any robot has mapped a scan.
+    pub fn has_mapped(&self) -> bool {
+        self.robots.iter().any(|robot| robot.mapped > 0)
+    }
 }
 
 /// The ratio, or 0 if the denominator is 0.

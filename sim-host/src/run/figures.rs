@@ -33,7 +33,8 @@ pub(super) fn report(
         free: counts.free as u64,
         occupied: counts.occupied as u64,
         digest: HexDigest(fleet.server().fused().digest().0),
-        converged,
+        // Empty maps are equal, but agree on nothing.
+        converged: converged && counts.known > 0,
         ..MapSummary::default()
     };
     let mut comparison = Comparison::default();

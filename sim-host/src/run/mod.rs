@@ -106,6 +106,9 @@ pub enum RunError {
     /// The results can't be written.
     #[error(transparent)]
     Output(#[from] OutputError),
+    /// The report can't be printed.
+    #[error("standard output: can't write the report: {0}")]
+    Print(std::io::Error),
     /// The map can't be stored.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -140,11 +143,24 @@ pub enum RunError {
         /// Number of robots in the scenario.
         there: usize,
     },
+    /// All robots together would have too many tiles.
+    #[error(
+        "--robots and --tiles: {robots} robots with {tiles} tiles each have more than {most} together; \
+         lower one of them"
+    )]
+    TooManyTiles {
+        /// Number of robots.
+        robots: usize,
+        /// Tiles in each robot's pool.
+        tiles: usize,
+        /// Maximum number of tiles of all robots.
+        most: usize,
+    },
     /// Cameras can't be placed.
     #[error(transparent)]
     Place(#[from] place::PlaceFault),
     /// A map used as walls is rotated.
-    #[error("{path}: origin: a map used as walls must have a yaw of 0, not {yaw_rad} rad", path = path.display())]
+    #[error("{path}: origin: a map used as walls must have a yaw of 0, not {:.4} rad", .yaw_rad, path = path.display())]
     TurnedMap {
         /// The map.
         path: PathBuf,
@@ -169,9 +185,10 @@ impl RunError {
             | Self::Robot(_)
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
+            | Self::TooManyTiles { .. }
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
-            Self::Grid(_) | Self::Picture(_) => false,
+            Self::Print(_) | Self::Grid(_) | Self::Picture(_) => false,
         }
     }
 }

@@ -12,7 +12,7 @@ use ubimap_protocol::{
 
 use crate::{
     channel::fault::Faults,
-    recording::{DepthSlice, Format, PixelModel, Slicing},
+    recording::{DepthSlice, Format, PixelModel, Slicing, UpAxis},
     world::NAMED,
 };
 
@@ -65,12 +65,16 @@ pub struct SlicingOptions {
     /// What a column of a depth image means
     #[arg(long, value_enum, default_value_t)]
     pub pixel_model: PixelModel,
+
+    /// Which axis of the cameras' poses points up
+    #[arg(long, value_enum, value_name = "AXIS", default_value_t, allow_hyphen_values = true)]
+    pub up: UpAxis,
 }
 
 impl SlicingOptions {
     /// The same, as the reader of logs takes it.
     pub fn slicing(&self) -> Slicing {
-        Slicing { slice: self.slice, pixels: self.pixel_model }
+        Slicing { slice: self.slice, pixels: self.pixel_model, up: self.up }
     }
 }
 

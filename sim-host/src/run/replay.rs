@@ -15,7 +15,7 @@ use ubimap_protocol::{
 use super::{
     Outcome, RunError, figures,
     fleet::{Event, Fleet, Stage, Tap},
-    heap::BOUNDS,
+    heap::{BOUNDS, check_tiles},
     markers,
     options::ReplayOptions,
     progress::Progress,
@@ -43,6 +43,7 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let started = time::Instant::now();
     let log =
         recording::read_all(&options.logs, options.format.format(), options.slicing.slicing())?;
+    log.warnings.iter().for_each(|warning| log::warn!("{warning}"));
     log.notes.iter().for_each(|note| log::info!("{note}"));
     let mut stage = LogStage::of(&log, usize::from(options.robots));
 
@@ -54,6 +55,7 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
         max_range: options.max_range.0.clamp(0, i32::from(u16::MAX)) as u16,
         ..BOUNDS
     };
+    check_tiles(stage.robots, bounds.own_tiles)?;
     let robots = 1..=stage.robots as u16;
     let configs: Vec<_> =
         robots.map(|id| config(RobotId(id), bounds, &log, options).with_drive(None)).collect();
@@ -80,6 +82,12 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
     let map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, bounds.own_tiles);
+    if !report.has_mapped() {
+        let scans = log.scans.len();
+        log::warn!(
+            "nothing was mapped: none of {scans} scans met a pose in time; lower --latency and --loss"
+        );
+    }
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let names = options.logs.iter().filter_map(|log| log.file_name()?.to_str());
@@ -221,6 +229,7 @@ mod tests {
             format: Format::Carmen,
             sensor: Sensor::Radial { first_rad: 0.0, step_rad: 0.1, beams: 3 },
             scans: (0..scans).map(scan).collect(),
+            warnings: Vec::new(),
             notes: Vec::new(),
         }
     }

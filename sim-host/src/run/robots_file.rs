@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::RunError;
-use crate::{deployment::registry::Registry, recording::LogError};
+use crate::{deployment::registry::Registry, files, recording::LogError};
 
 /// The name of the file.
 pub(super) const FILE: &str = "robots.toml";
@@ -16,8 +16,8 @@ pub(super) const FILE: &str = "robots.toml";
 /// # Errors
 /// [`RunError::Robots`], and [`RunError::Log`] for a file that can't be read.
 pub(super) fn read(path: &Path) -> Result<Registry, RunError> {
-    let text =
-        fs::read_to_string(path).map_err(|error| LogError::Io { path: path.to_owned(), error })?;
+    let text = files::read_settings(path)
+        .map_err(|error| LogError::Io { path: path.to_owned(), error })?;
     Registry::from_toml(&text)
         .map_err(|fault| RunError::Robots { path: path.to_owned(), reason: fault.to_string() })
 }

@@ -15,7 +15,7 @@ use super::{
     driving::{self, BlindGround},
     figures,
     fleet::Fleet,
-    heap::BOUNDS,
+    heap::{BOUNDS, check_tiles},
     markers,
     options::SimulateOptions,
     progress::Progress,
@@ -45,6 +45,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let (scenario, world) = furnished(options)?;
     let configs = robots(options, &world);
+    check_tiles(configs.len(), own_tiles(options))?;
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut deployment = Deployment::new(deployed(options, &scenario, &world), life)?;

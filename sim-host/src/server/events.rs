@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
     message::{self, EventCode, RefusalReason, Severity},
-    time::Instant,
+    time::{Duration, Instant},
     units::{Millimetres, RobotId},
 };
 
@@ -17,6 +17,11 @@ use crate::perception::{Lying, robots::SightingEvent};
 const MAX_KEPT: usize = 8;
 /// Maximum number of events waiting to be polled; beyond it the oldest is dropped.
 const MAX_WAITING: usize = 1_000;
+
+/// Length of the interval in which events are counted.
+const LIMIT_INTERVAL: Duration = Duration::from_secs(10);
+/// Maximum number of events of one kind from one port in an interval.
+const MAX_IN_INTERVAL: u32 = 20;
 
 /// An event for the operator of the server.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,6 +40,36 @@ pub enum Event {
     Person(PersonEvent),
     /// Progress or the end of a robot's drive.
     Drive(RobotId, Notice),
+    /// A port caused more events of a kind than are passed on.
+    LeftOut {
+        /// The port.
+        port: usize,
+        /// The kind of the events.
+        kind: EventKind,
+        /// Number of events left out.
+        events: u32,
+    },
+}
+
+/// A kind of events that the robots at a port cause as often as they like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum EventKind {
+    /// [`Event::Joined`].
+    Joined,
+    /// [`Event::Refused`].
+    Refused,
+    /// [`Event::Reported`].
+    Reported,
+}
+
+impl fmt::Display for EventKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Joined => "new sessions",
+            Self::Refused => "refused sessions",
+            Self::Reported => "events reported by robots",
+        })
+    }
 }
 
 impl Event {
@@ -61,6 +96,9 @@ impl fmt::Display for Event {
             Self::Robot(event) => event.fmt(f),
             Self::Person(event) => event.fmt(f),
             Self::Drive(robot, notice) => write!(f, "robot {} {notice}", robot.0),
+            Self::LeftOut { port, kind, events } => {
+                write!(f, "port {port}: {events} more {kind} are left out here")
+            }
         }
     }
 }
@@ -72,6 +110,7 @@ pub(super) struct Events {
     sightings: Tally<SightingEvent>,
     robots: Tally<RobotEvent>,
     people: Tally<PersonEvent>,
+    limits: EventLimits,
 }
 
 impl Events {
@@ -88,6 +127,25 @@ impl Events {
         self.waiting.push_back((moment, event));
     }
 
+    /// Adds an event that the robot at a port caused, unless it causes too many.
+    pub(super) fn add_from(&mut self, port: usize, moment: Instant, event: Event) {
+        let kind = match event {
+            Event::Joined(..) => EventKind::Joined,
+            Event::Refused(..) => EventKind::Refused,
+            Event::Reported(..) => EventKind::Reported,
+            _ => return self.add(moment, event),
+        };
+        if self.limits.admit(port, kind, moment) {
+            self.add(moment, event);
+        }
+    }
+
+    /// Adds the number of events left out of each kind and port, once in ten seconds.
+    pub(super) fn timeout(&mut self, now: Instant) {
+        let left_out: Vec<Event> = self.limits.timeout(now).collect();
+        left_out.into_iter().for_each(|event| self.add(now, event));
+    }
+
     pub(super) fn poll(&mut self) -> Option<(Instant, Event)> {
         self.waiting.pop_front()
     }
@@ -102,6 +160,38 @@ impl Events {
 
     pub(super) fn people(&self) -> &Tally<PersonEvent> {
         &self.people
+    }
+}
+
+/// Counts of the events of each kind from each port: they are limited in rate, so that no robot
+/// fills the log.
+#[derive(Debug, Default)]
+pub(super) struct EventLimits {
+    counts: BTreeMap<(usize, EventKind), Count>,
+}
+
+#[derive(Debug)]
+struct Count {
+    since: Instant,
+    events: u32,
+}
+
+impl EventLimits {
+    /// Whether an event of a port is passed on.
+    fn admit(&mut self, port: usize, kind: EventKind, now: Instant) -> bool {
+        let count = self.counts.entry((port, kind)).or_insert(Count { since: now, events: 0 });
+        count.events = count.events.saturating_add(1);
+        count.events <= MAX_IN_INTERVAL
+    }
+
+    /// Ends the intervals that are over; an event for each in which others were left out.
+    fn timeout(&mut self, now: Instant) -> impl Iterator<Item = Event> {
+        let over =
+            self.counts.extract_if(.., move |_, count| now.since(count.since) >= LIMIT_INTERVAL);
+        over.filter_map(|((port, kind), count)| {
+            let events = count.events.checked_sub(MAX_IN_INTERVAL).filter(|&events| events > 0)?;
+            Some(Event::LeftOut { port, kind, events })
+        })
     }
 }
 
@@ -213,6 +303,20 @@ impl<E: Copy + Ord> Tally<E> {
     }
 }
 
+/// Text from a robot, with everything escaped that is no printable character: control characters
+/// could write lines and commands to a terminal, and bidirectional ones reorder a line.
+fn escaped(text: &str) -> String {
+    let mut escaped = String::new();
+    for letter in text.chars() {
+        if matches!(letter, '"' | '\'') {
+            escaped.push(letter);
+        } else {
+            escaped.extend(letter.escape_debug());
+        }
+    }
+    escaped
+}
+
 /// Formats an event with its severity, such as "Warning: ran out of tiles and refused cells".
 pub fn described(event: &message::Event) -> String {
     let severity = match event.severity {
@@ -250,9 +354,12 @@ fn reason(event: &message::Event) -> String {
         Some(EventCode::ScanOverflow) => "dropped a scan: too many wait for a pose",
         Some(EventCode::ClockBackwards) => "has a sensor whose clock ran backwards",
         Some(EventCode::FixRejected) => "rejected a fix that contradicts its odometry",
-        None => return format!("reports event {} {}", event.code, event.detail).trim_end().into(),
+        None => {
+            let detail = escaped(event.detail.as_str());
+            return format!("reports event {} {detail}", event.code).trim_end().into();
+        }
     };
-    let detail = event.detail.as_str();
+    let detail = escaped(event.detail.as_str());
     if detail.is_empty() { what.to_owned() } else { format!("{what} ({detail})") }
 }
 
@@ -292,5 +399,44 @@ mod tests {
             refused(RefusalReason::Version { min: 2, current: 3 }),
             "robot 3 was refused: the server supports protocol versions 2 to 3"
         );
+    }
+
+    fn reported(detail: &str) -> Event {
+        let event = message::Event {
+            time: None,
+            severity: Severity::Warning,
+            code: EventCode::LowBattery as u16,
+            detail: detail.parse().unwrap(),
+        };
+        Event::Reported(RobotId(1), event)
+    }
+
+    #[test]
+    fn text_of_a_robot_stays_on_its_line_and_in_its_order() {
+        let line = reported("a\nubimap: error: \u{1b}[2J\u{202e}'é\"").to_string();
+        assert!(line.contains("(a\\nubimap: error: \\u{1b}[2J\\u{202e}'é\")"), "{line}");
+        assert_eq!(line.lines().count(), 1);
+    }
+
+    #[test]
+    fn a_port_causes_a_limited_number_of_events_and_the_rest_is_counted() {
+        let mut events = Events::default();
+        let at = |seconds: u64| Instant(seconds * 1_000_000);
+        for index in 0..100 {
+            events.add_from(3, at(index / 20), reported("x"));
+        }
+        events.add_from(4, at(5), reported("y"));
+        let polled = |events: &mut Events| core::iter::from_fn(|| events.poll()).count();
+        assert_eq!(polled(&mut events), 21);
+        events.timeout(at(9));
+        assert_eq!(polled(&mut events), 0);
+        events.timeout(at(10));
+        let (_, event) = events.poll().unwrap();
+        assert_eq!(
+            event.to_string(),
+            "port 3: 80 more events reported by robots are left out here"
+        );
+        events.add_from(3, at(11), reported("x"));
+        assert_eq!(polled(&mut events), 1);
     }
 }

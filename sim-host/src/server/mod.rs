@@ -59,7 +59,7 @@ use crate::{
 
 pub use crate::perception::Footprint;
 pub use command::Command;
-pub use events::{Event, EventLog, PersonEvent, RobotEvent, Tally, described};
+pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
 pub use ports::{CommandError, NoSuchPort};
 
 /// The camera server's sans-IO core. It follows the driving rule of the crate: after every input
@@ -141,7 +141,7 @@ impl Server {
                     let taken = taken.take(messages, now);
                     self.unsaved.came(session, layer, &taken.updated.complete);
                     port.taken(taken.unknown, taken.malformed);
-                    self.taken(robot, taken, now);
+                    self.taken((index, robot), taken, now);
                 }
             }
         }
@@ -151,15 +151,17 @@ impl Server {
         let robot = hello.robot;
         let first_epoch = self.map.next_epoch(robot);
         match self.ports.greet(port, hello, (&self.terms, first_epoch), now)? {
-            Greeted::Joined => self.events.add(now, Event::Joined(robot, port)),
-            Greeted::Refused(reason) => self.events.add(now, Event::Refused(robot, reason)),
+            Greeted::Joined => self.events.add_from(port, now, Event::Joined(robot, port)),
+            Greeted::Refused(reason) => {
+                self.events.add_from(port, now, Event::Refused(robot, reason));
+            }
             Greeted::Known => {}
         }
         Ok(())
     }
 
-    /// Handles the effects of a robot's messages.
-    fn taken(&mut self, robot: RobotId, taken: Taken, now: Instant) {
+    /// Handles the effects of the messages of the robot at a port.
+    fn taken(&mut self, (port, robot): (usize, RobotId), taken: Taken, now: Instant) {
         self.map.changed(&taken.updated.tiles);
         if taken.updated.too_much && self.draws_too_much.insert(robot) {
             self.events.add(now, Event::Robot(RobotEvent::Floods(robot)));
@@ -168,7 +170,7 @@ impl Server {
             taken.codes().for_each(|code| dispatch.event(robot, code, now));
         }
         for event in taken.events {
-            self.events.add(now, Event::Reported(robot, event));
+            self.events.add_from(port, now, Event::Reported(robot, event));
         }
         let Some(session) = self.ports.session_mut(robot) else { return };
         let is_held_up = self.unsaved.holds_up(robot);
@@ -257,6 +259,7 @@ impl Server {
     /// Does what is due at `now` except sending. Work that takes milliseconds is done in pieces, so
     /// that messages are not delayed; [`Server::poll_timeout`] is `now` until all are done.
     pub fn timeout(&mut self, now: Instant) {
+        self.events.timeout(now);
         let waiting = self.corrections.poll_waiting();
         if let Some(session) = waiting.and_then(|robot| self.ports.session_mut(robot)) {
             self.corrections.look(session, &mut self.map, self.terms.resolution, now);

@@ -1,6 +1,6 @@
 //! Why a store file can't be used, and what to do about it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use rusqlite::ErrorCode;
 use ubimap_protocol::units::Millimetres;
@@ -41,6 +41,9 @@ pub enum Trouble {
     /// It is not writable.
     #[error("not writable; check its permissions, or give another file with --store")]
     ReadOnly,
+    /// It is on a file system that is mounted read-only.
+    #[error("on a read-only file system; give a file elsewhere with --store")]
+    ReadOnlyFileSystem,
     /// Another process has it open.
     #[error("in use by another process; stop that process, or give another file with --store")]
     InUse,
@@ -50,6 +53,32 @@ pub enum Trouble {
     /// Any other database error.
     #[error("can't store the map: {0}")]
     Other(rusqlite::Error),
+}
+
+impl StoreError {
+    /// The error of a file. SQLite reports a read-only file system as one of several errors, so the
+    /// system is asked.
+    pub(super) fn new(path: &Path, trouble: Trouble) -> Self {
+        let may_be = matches!(trouble, Trouble::CannotOpen | Trouble::ReadOnly | Trouble::Other(_));
+        let is_read_only = || {
+            let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
+            let probe = if path.exists() { path } else { folder.unwrap_or(Path::new(".")) };
+            is_on_read_only_file_system(probe)
+        };
+        let trouble = if may_be && is_read_only() { Trouble::ReadOnlyFileSystem } else { trouble };
+        Self { path: path.to_owned(), trouble }
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn is_on_read_only_file_system(path: &Path) -> bool {
+    use nix::sys::statvfs::{FsFlags, statvfs};
+    statvfs(path).is_ok_and(|system| system.flags().contains(FsFlags::ST_RDONLY))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn is_on_read_only_file_system(_: &Path) -> bool {
+    false
 }
 
 impl From<rusqlite::Error> for Trouble {

@@ -84,7 +84,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`]: the file can't be opened or written, or is not a store of such a map.
     pub fn open(path: &Path, resolution: Millimetres) -> Result<Self, StoreError> {
-        let wrap = |trouble| StoreError { path: path.to_owned(), trouble };
+        let wrap = |trouble| StoreError::new(path, trouble);
         let (connection, epoch, clock) = open(path, resolution).map_err(wrap)?;
         Ok(Self { path: path.to_owned(), connection, epoch, clock })
     }
@@ -218,7 +218,7 @@ impl Store {
     }
 
     fn error(&self, trouble: Trouble) -> StoreError {
-        StoreError { path: self.path.clone(), trouble }
+        StoreError::new(&self.path, trouble)
     }
 }
 

@@ -98,9 +98,7 @@ impl CameraFolder {
 
         let (mut notes, mut depth, mut picture) = (Vec::new(), None, None);
         if !depth_files.is_empty() {
-            let (sensor, note) = SensorFiles::of_depth(path, images.len(), &depth_files)?;
-            notes.extend(note);
-            depth = Some(sensor);
+            depth = Some(SensorFiles::of_depth(path, images.len(), &depth_files)?);
         }
         if has_pictures {
             picture = Some(SensorFiles::of_pictures(path, images.len(), depth.as_ref())?);
@@ -133,24 +131,16 @@ impl CameraFolder {
 }
 
 impl SensorFiles {
-    /// The files of the depth sensor, with a note if the intrinsics are a guess.
-    fn of_depth(
-        folder: &Path,
-        frames: usize,
-        images: &[PathBuf],
-    ) -> Result<(Self, Option<String>), FramesError> {
+    /// The files of the depth sensor.
+    fn of_depth(folder: &Path, frames: usize, images: &[PathBuf]) -> Result<Self, FramesError> {
         let poses = poses(folder, frames)?;
-        // Intrinsics are guessed only for the well-known data sets, which have one pose per frame.
-        let (intrinsics, note) = if poses.len() > 1 {
-            intrinsics::find(folder, images)?
-        } else {
-            let stated = match intrinsics::stated(folder)? {
-                None => mounted_intrinsics(folder, &images[0])?,
-                stated => stated,
-            };
-            (stated.ok_or_else(|| intrinsics::missing(folder))?, None)
+        let stated = match intrinsics::stated(folder)? {
+            // A camera that moves is not the one that `cameras.toml` describes.
+            None if poses.len() == 1 => mounted_intrinsics(folder, &images[0])?,
+            stated => stated,
         };
-        Ok((Self { intrinsics, poses }, note))
+        let intrinsics = stated.ok_or_else(|| intrinsics::missing(folder))?;
+        Ok(Self { intrinsics, poses })
     }
 
     /// The files of the picture sensor. Missing ones are taken from the depth sensor.

@@ -7,7 +7,7 @@ use super::*;
 use crate::{
     camera::{Calibration, DepthNoise, Frame, FrameSource, Picture},
     perception::{Background, Evidence, RayTable, Survey},
-    testing::{Folder, shared_data},
+    testing::{Folder, shared_frames},
 };
 
 const INTRINSICS: &[u8] = b"width = 2\nheight = 1\nfx = 2\nfy = 2\ncx = 0.5\ncy = 0\n";
@@ -350,8 +350,8 @@ fn a_truncated_image_ends_playback() {
 #[test]
 fn fuse_and_scatter_agree_on_recorded_images() {
     for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
-        let Some(folder) = shared_data(name) else { continue };
-        let mut source = open(&folder).unwrap();
+        let Some(recorded) = shared_frames(name) else { continue };
+        let mut source = open(recorded.path()).unwrap();
         assert_eq!(source.cameras().len(), 5, "{name}");
         let frames = all(&mut source);
         assert_eq!(frames.len(), 5, "{name}");

@@ -122,8 +122,8 @@ impl Content {
             notes.push(format!("assuming that the {beams} beams cover half a turn"));
         }
         let stamps: Option<Vec<f64>> = self.records.iter().map(|record| record.stamp_s).collect();
-        let (times, note) = time_stamps::repair(stamps.as_deref(), self.records.len());
-        notes.extend(note);
+        let (times, warning) = time_stamps::repair(stamps.as_deref(), self.records.len());
+        let warnings = warning.into_iter().collect();
         let trajectories = self.trajectories();
         notes.extend(trajectories.note().map(str::to_owned));
 
@@ -139,7 +139,13 @@ impl Content {
             },
             line: record.line,
         });
-        Some(Log { format: Format::Carmen, sensor: sensor(beams), scans: scans.collect(), notes })
+        Some(Log {
+            format: Format::Carmen,
+            sensor: sensor(beams),
+            scans: scans.collect(),
+            warnings,
+            notes,
+        })
     }
 
     fn limits(&self) -> Limits {
@@ -393,7 +399,7 @@ mod tests {
         let text = "FLASER 2 1 1 0 0 0 0 0 0\nFLASER 2 1 1 0 0 0 0 0 0\n";
         let log = read_text(text).unwrap();
         assert_eq!(log.scans[1].time.micros(), 1_000_000);
-        assert!(log.notes.iter().any(|note| note.contains("scan index")));
+        assert!(log.warnings.iter().any(|note| note.contains("scan index")));
     }
 
     #[test]
@@ -424,6 +430,6 @@ mod tests {
         assert_eq!(log.scans.len(), 2_726);
         assert!(log.scans.iter().all(|scan| scan.pose.is_none()));
         assert_eq!(log.scans[499].odometry, Some([13.525752, -7.609793, -2.279991]));
-        assert!(log.notes.iter().any(|note| note.contains("scan numbers")));
+        assert!(log.warnings.iter().any(|note| note.contains("scan numbers")));
     }
 }

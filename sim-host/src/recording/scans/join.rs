@@ -57,6 +57,7 @@ fn append(joined: &mut Log, log: Log) {
         });
         scan
     }));
+    joined.warnings.extend(log.warnings);
     joined.notes.extend(log.notes);
 }
 
@@ -77,7 +78,7 @@ mod tests {
 
     fn log(step_rad: f64, scans: Vec<LoggedScan>) -> Log {
         let sensor = Sensor::Radial { first_rad: 0.0, step_rad, beams: 2 };
-        Log { format: Format::Mines, sensor, scans, notes: Vec::new() }
+        Log { format: Format::Mines, sensor, scans, warnings: Vec::new(), notes: Vec::new() }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 mod carmen;
 mod carmen_writer;
+mod floor;
 mod join;
 mod mines;
 mod odometry;
@@ -16,4 +17,4 @@ pub use join::concatenate;
 pub use read::{read, read_all};
 pub use scan_log::{Log, LoggedScan};
 pub use sensor::Sensor;
-pub use slicing::{DepthSlice, PixelModel, Slicing};
+pub use slicing::{DepthSlice, PixelModel, Slicing, UpAxis};

@@ -11,27 +11,24 @@
 //!
 //! Images are ordered by the numbers in their names, and there must be one pose for each. Poses are camera
 //! to world, with the camera's x to the right and z forward; y points down, or up if `fy` is negative. The
-//! up axis of the world is not stated: it is taken to be the mean of the cameras' up axes. A scan's pose in
-//! `map` is the camera's position and forward axis seen from above; the x axis of `map` is the world's x
+//! up axis of the world is z unless [`Slicing::up`] says otherwise; a warning says so if the floor in the images
+//! contradicts it. A scan's pose in `map` is the camera's position and forward axis seen from above; the x axis of `map` is the world's x
 //! (or its y, if x is closer to the vertical).
-//!
-//! Two data sets are often distributed without their intrinsics, both 640 x 480 with a `pose.txt`:
-//! ICL-NUIM (PNG), and that of a hand-held sensor (PGM) from the slambook examples. A folder of that form
-//! without intrinsics is assumed to be one of them, and a note says so.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 
 use super::{
+    floor,
     scan_log::{Log, LoggedScan},
-    slicing::{DepthSlice, Slicing, Stance},
+    slicing::{DepthSlice, Slicing, Stance, UpAxis},
 };
 use crate::recording::{
     camera_poses::{CameraPose, read_poses},
     error::{LineFault, LogError},
     format::Format,
-    intrinsics,
+    intrinsics::{self, IntrinsicsFile},
     numbered_files::depth_images,
     time_stamps,
 };
@@ -42,6 +39,9 @@ const MAX_TILT_DEG: f64 = 75.0;
 /// Tilt in degrees from which a note warns that a row is not a level slice.
 const TILTED_DEG: f64 = 10.0;
 
+/// Angle in degrees between the floor in the images and the up axis from which a line warns.
+const FLOOR_DEG: f64 = 5.0;
+
 /// Reads a folder of depth images.
 pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
     let images = depth_images(folder)?;
@@ -50,14 +50,15 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
         let (images, poses) = (images.len(), poses.len());
         return Err(LogError::Poses { path: pose_file, images, poses });
     }
-    let (intrinsics, note) = intrinsics::find(folder, &images)?;
-    let mut notes: Vec<String> = note.into_iter().collect();
+    let intrinsics = intrinsics::required(folder)?;
+    let mut notes = Vec::new();
     if intrinsics.distortion != [0.0; 5] {
         notes.push("the distortion of the lens is ignored".to_owned());
     }
 
-    let planar = Plane::under(&poses, intrinsics.fy.signum())
+    let planar = Plane::under(&poses, intrinsics.fy.signum(), slicing.up)
         .ok_or_else(|| LogError::NoPlane { path: pose_file.clone() })?;
+    let mut warnings = Vec::from_iter(planar.floor_warning(&images, &poses, &intrinsics)?);
     let mut steepest_deg = 0.0_f64;
     let mut planar_poses = Vec::new();
     for pose in &poses {
@@ -82,8 +83,8 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
         .collect();
 
     let stamps: Option<Vec<f64>> = poses.iter().map(|pose| pose.stamp_s).collect();
-    let (times, note) = time_stamps::repair(stamps.as_deref(), poses.len());
-    notes.extend(note);
+    let (times, warning) = time_stamps::repair(stamps.as_deref(), poses.len());
+    warnings.extend(warning);
     let scans = slices?.into_iter().zip(times).zip(planar_poses).enumerate().map(
         |(index, ((readings_mm, time), pose))| LoggedScan {
             time,
@@ -94,7 +95,7 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
         },
     );
     let sensor = slicing.sensor(&intrinsics);
-    Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), notes })
+    Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), warnings, notes })
 }
 
 /// The horizontal plane of the world, with the axes of `map` in it.
@@ -106,19 +107,46 @@ struct Plane {
 }
 
 impl Plane {
-    /// The plane perpendicular to the mean of the cameras' up axes; `None` if they cancel out. `down_sign`
-    /// is 1 if the camera's y points down and -1 if it points up, which mirrors the world.
-    fn under(poses: &[CameraPose], down_sign: f64) -> Option<Self> {
-        let sum: Vector3<f64> = poses.iter().map(|pose| pose.rotation.column(1).into_owned()).sum();
-        let mean = sum * (-down_sign / poses.len().max(1) as f64);
-        if mean.norm() < 0.2 {
-            return None;
-        }
-        let up = mean.normalize();
+    /// The horizontal plane; `None` if the mean of the cameras' up axes is asked for and they cancel
+    /// out. `down_sign` is 1 if the camera's y points down and -1 if it points up, which mirrors the
+    /// world.
+    fn under(poses: &[CameraPose], down_sign: f64, up: UpAxis) -> Option<Self> {
+        let up = match up {
+            UpAxis::X => Vector3::x(),
+            UpAxis::Y => Vector3::y(),
+            UpAxis::Z => Vector3::z(),
+            UpAxis::MinusX => -Vector3::x(),
+            UpAxis::MinusY => -Vector3::y(),
+            UpAxis::MinusZ => -Vector3::z(),
+            UpAxis::Cameras => {
+                let ups = poses.iter().map(|pose| pose.rotation.column(1) * -down_sign);
+                let mean = ups.sum::<Vector3<f64>>() / poses.len().max(1) as f64;
+                mean.try_normalize(0.2)?
+            }
+        };
         let seed = if up.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
         let x = (seed - up * up.dot(&seed)).normalize();
         let y = up.cross(&x) * down_sign;
         Some(Self { up, x, y, down_sign })
+    }
+
+    /// A warning if the floor in the images is not level.
+    fn floor_warning(
+        &self,
+        images: &[PathBuf],
+        poses: &[CameraPose],
+        intrinsics: &IntrinsicsFile,
+    ) -> Result<Option<String>, LogError> {
+        let Some(normal) = floor::normal(images, poses, intrinsics)? else { return Ok(None) };
+        let off_deg = self.up.dot(&normal).clamp(-1.0, 1.0).acos().to_degrees();
+        let axis = |value: f64| (value * 100.0).round() / 100.0 + 0.0;
+        let [x, y, z] = [normal.x, normal.y, normal.z].map(axis);
+        Ok((off_deg > FLOOR_DEG).then(|| {
+            format!(
+                "the floor in the images is {off_deg:.0} degrees off: its normal is ({x}, {y}, {z}) \
+                 in the world of the poses; name the axis that points up with --up"
+            )
+        }))
     }
 
     /// Angle of the optical axis above or below the horizon, in degrees.
@@ -150,11 +178,12 @@ impl Plane {
 #[cfg(test)]
 mod tests {
     use image::{ImageBuffer, Luma};
+    use nalgebra::{Matrix3, UnitQuaternion};
 
     use super::*;
     use crate::{
         recording::{self, Sensor, scans::odometry::compose},
-        testing::{Folder, shared_data},
+        testing::{Folder, shared_frames},
     };
 
     const INTRINSICS: &str = "width = 4\nheight = 3\nfx = 2.0\nfy = 2.0\ncx = 1.5\ncy = 1.0\n";
@@ -259,8 +288,9 @@ mod tests {
         for (name, share) in
             [("rgbd_redwood", 0.9), ("rgbd_frames/icl_nuim", 0.15), ("rgbd_frames/handheld", 0.4)]
         {
-            let Some(folder) = shared_data(name) else { continue };
-            let log = recording::read(&folder, None, Slicing::default()).unwrap();
+            let Some(frames) = shared_frames(name) else { continue };
+            let slicing = Slicing { up: UpAxis::Cameras, ..Slicing::default() };
+            let log = recording::read(frames.path(), None, slicing).unwrap();
             assert_eq!((log.scans.len(), log.sensor.readings()), (5, 640), "{name}");
             let mut matched = 0;
             let mut measured = 0;
@@ -273,5 +303,45 @@ mod tests {
             }
             assert!(matched as f64 > share * measured as f64, "{name}: {matched} of {measured}");
         }
+    }
+
+    #[test]
+    fn intrinsics_are_never_guessed() {
+        let folder = two_frames("rgbd-guess");
+        std::fs::remove_file(folder.path().join("intrinsics.toml")).unwrap();
+        let error = read(folder.path(), Slicing::default()).unwrap_err().to_string();
+        assert!(error.contains("intrinsics.toml: intrinsics: missing; write width"), "{error}");
+    }
+
+    #[test]
+    fn z_is_up_and_a_floor_that_is_not_level_is_said() {
+        let folder = Folder::new("rgbd-floor");
+        folder.file(
+            "intrinsics.toml",
+            b"width = 80\nheight = 60\nfx = 60.0\nfy = 60.0\ncx = 39.5\ncy = 29.5\n",
+        );
+        // 1 m above the floor, 26 degrees down.
+        let (sin, cos) = 26f64.to_radians().sin_cos();
+        let image: ImageBuffer<Luma<u16>, _> = ImageBuffer::from_fn(80, 60, |_, row| {
+            let sinks = sin + cos * (f64::from(row) - 29.5) / 60.0;
+            Luma([if sinks > 0.2 { (1e3 / sinks) as u16 } else { 0 }])
+        });
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        folder.file("1.png", &bytes.into_inner());
+        let axes = Matrix3::new(0.0, -sin, cos, -1.0, 0.0, 0.0, 0.0, -cos, -sin);
+        let turn = UnitQuaternion::from_matrix(&axes).into_inner();
+        folder.file(
+            "pose.txt",
+            format!("0 0 1 {} {} {} {}", turn.i, turn.j, turn.k, turn.w).as_bytes(),
+        );
+        let notes = |up| {
+            let log = read(folder.path(), Slicing { up, ..Slicing::default() }).unwrap();
+            log.warnings.into_iter().filter(|it| it.contains("floor")).collect::<Vec<_>>()
+        };
+        assert!(notes(UpAxis::Z).is_empty(), "{:?}", notes(UpAxis::Z));
+        let [note] = &notes(UpAxis::Cameras)[..] else { panic!() };
+        assert!(note.contains("is 26 degrees off: its normal is (0, 0, 1)"), "{note}");
+        assert!(notes(UpAxis::Y)[0].contains("is 90 degrees off"));
     }
 }

@@ -30,6 +30,8 @@ pub struct Log {
     pub sensor: Sensor,
     /// The scans in order of time.
     pub scans: Vec<LoggedScan>,
+    /// Warnings for the user, one line each: what may make the map wrong.
+    pub warnings: Vec<String>,
     /// Notes for the user, one line each.
     pub notes: Vec<String>,
 }

@@ -22,6 +22,31 @@ pub struct Slicing {
     pub slice: DepthSlice,
     /// The model of its columns.
     pub pixels: PixelModel,
+    /// The up axis of the world in which the cameras' poses are.
+    pub up: UpAxis,
+}
+
+/// The up axis of the world of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum UpAxis {
+    /// Against the world's x
+    #[value(name = "-x")]
+    MinusX,
+    /// The world's x
+    X,
+    /// Against the world's y
+    #[value(name = "-y")]
+    MinusY,
+    /// The world's y
+    Y,
+    /// Against the world's z
+    #[value(name = "-z")]
+    MinusZ,
+    /// The world's z
+    #[default]
+    Z,
+    /// The mean of the images' up axes: for cameras that were held level
+    Cameras,
 }
 
 /// The part of a depth image that is mapped.

@@ -6,6 +6,7 @@ use image::GenericImageView;
 
 use super::{fault::PlaceFault, options::PlaceOptions};
 use crate::{
+    files,
     grid::{self, OccupancyGrid, raster},
     placement::{
         camera::CameraModel,
@@ -75,7 +76,7 @@ pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Tab
         ),
         Some(path) => {
             let text =
-                std::fs::read_to_string(path).map_err(|error| PlaceFault::in_file(path, &error))?;
+                files::read_settings(path).map_err(|error| PlaceFault::in_file(path, &error))?;
             let refuse = |reason: String| PlaceFault::in_file(path, &reason);
             let mut keys: toml::Table = toml::from_str(&text)
                 .map_err(|error| refuse(error.message().replace('\n', ", ")))?;

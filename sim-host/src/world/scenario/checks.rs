@@ -7,7 +7,7 @@ use super::{
     PersonConfig, PostureConfig, RobotConfig, RouteConfig, Scenario, ScenarioError, SensorConfig,
     SensorPreset,
 };
-use crate::world::TAGS;
+use crate::{rounding::Rounded, world::TAGS};
 
 impl Scenario {
     /// Refuses impossible numbers.
@@ -18,6 +18,7 @@ impl Scenario {
             return Err(self.invalid("grow", "needs a map; give room.map, or --map"));
         }
         self.check_room()?;
+        self.check_counts()?;
         for (index, furniture) in self.furniture.iter().enumerate() {
             self.check_furniture(&format!("furniture[{index}]"), furniture)?;
         }
@@ -37,6 +38,23 @@ impl Scenario {
         }
         for (index, person) in self.people.iter().enumerate() {
             self.check_person(&format!("people[{index}]"), person)?;
+        }
+        Ok(())
+    }
+
+    /// Refuses more of anything than the memory of a usual computer holds.
+    fn check_counts(&self) -> Result<(), ScenarioError> {
+        for (key, count, most) in [
+            ("cameras", self.cameras.len(), 256),
+            ("robots", self.robots.len(), 1_000),
+            ("people", self.people.len(), 1_000),
+            ("furniture", self.furniture.len(), 10_000),
+            ("doors", self.doors.len(), 10_000),
+            ("room.walls", self.room.walls.len(), 10_000),
+        ] {
+            if count > most {
+                return Err(self.invalid(key, format!("are {count}; give {most} at most")));
+            }
         }
         Ok(())
     }
@@ -322,8 +340,12 @@ impl Scenario {
         if range.contains(&value) {
             return Ok(());
         }
-        let problem =
-            format!("is {value}; give a number from {} to {}", range.start(), range.end());
+        let problem = format!(
+            "is {}; give a number from {} to {}",
+            Rounded(value),
+            range.start(),
+            range.end()
+        );
         Err(self.invalid(key, problem))
     }
 }

@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use crate::files;
+
 pub use camera::{CameraConfig, DepthConfig, PictureConfig};
 pub use robot::{
     MarkerConfig, OdometryConfig, RobotConfig, RouteConfig, SensorConfig, SensorPreset, StartConfig,
@@ -349,7 +351,7 @@ impl Scenario {
             Some((name, text)) => Self::parse(text, &format!("built-in scenario {name}"))?,
             None => {
                 let file = path.display().to_string();
-                let text = std::fs::read_to_string(path).map_err(|cause| {
+                let text = files::read_settings(path).map_err(|cause| {
                     let is_name = path.components().count() == 1 && path.extension().is_none();
                     if is_name && cause.kind() == std::io::ErrorKind::NotFound {
                         ScenarioError::Unknown { name: file.clone() }
@@ -363,7 +365,11 @@ impl Scenario {
         if let (Some(map), Some(folder)) = (&mut scenario.room.map, path.parent()) {
             *map = folder.join(&map);
         }
-        scenario.room.map = map.map(Path::to_owned).or(scenario.room.map);
+        if let Some(map) = map {
+            // What does not fit the map is no fault of the scenario's file.
+            scenario.file = format!("{} with --map {}", scenario.file, map.display());
+            scenario.room.map = Some(map.to_owned());
+        }
         scenario.check()?;
         Ok(scenario)
     }

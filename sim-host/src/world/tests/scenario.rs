@@ -20,6 +20,14 @@ const START: &str = "start = { x_m = 5.6, y_m = 3.4, heading_deg = -90.0 }";
 /// The first stops of its route, in the file.
 const ROUTE: &str = "[[5.6, 1.6], [7.4, 1.6]";
 
+#[test]
+fn more_cameras_than_memory_holds_are_refused() {
+    let camera = "[[cameras]]\nposition_m = [1.0, 1.0, 2.5]\nheading_deg = 0.0\ntilt_deg = 60.0\n";
+    let text = format!("{BUILT_IN}\n{}", camera.repeat(256));
+    let error = Scenario::from_toml(&text, "hall.toml").unwrap_err().to_string();
+    assert!(error.contains("; give 256 at most"), "{error}");
+}
+
 /// Impossible numbers. Each entry makes one mistake: the text that is replaced, its replacement, and a part
 /// of the expected error.
 const NUMBERS: &[(&str, &str, &str)] = &[
