@@ -17,19 +17,19 @@ pub struct Keeper {
 }
 
 impl Keeper {
-    /// Opens the file and begins a new life of the deployment, with an epoch of at least `least`.
-    /// Nobody may be welcomed before.
+    /// Opens the file and begins a new life of the deployment, in the epoch `drawn`, or the
+    /// next one if the file knows it. Nobody may be welcomed before.
     ///
     /// # Errors
     /// [`StoreError`].
     pub fn open(
         path: &Path,
         resolution: Millimetres,
-        least: Epoch,
+        drawn: Epoch,
     ) -> Result<(Self, Life), StoreError> {
         let mut store = Store::open(path, resolution)?;
-        let epoch = store.begin_life(least)?;
-        log::info!("{}: life {} of the server", path.display(), epoch.0);
+        let epoch = store.begin_life(drawn)?;
+        log::info!("{}: the server begins epoch {}", path.display(), epoch.0);
         let kept = Kept {
             clock: store.clock(),
             tiles: store.records()?,
@@ -88,18 +88,18 @@ impl RunOptions {
     }
 }
 
-/// The keeper for a file, if there is one, and the life that begins, with an epoch of at least
-/// `least`.
+/// The keeper for a file, if there is one, and the life that begins, in the epoch `drawn` or the
+/// next one.
 ///
 /// # Errors
 /// [`StoreError`].
 pub(super) fn open(
     path: Option<&Path>,
     resolution: Millimetres,
-    least: Epoch,
+    drawn: Epoch,
 ) -> Result<(Option<Keeper>, Life), StoreError> {
-    let Some(path) = path else { return Ok((None, Life::new(least))) };
-    let (keeper, life) = Keeper::open(path, resolution, least)?;
+    let Some(path) = path else { return Ok((None, Life::new(drawn))) };
+    let (keeper, life) = Keeper::open(path, resolution, drawn)?;
     Ok((Some(keeper), life))
 }
 
