@@ -1,7 +1,7 @@
 //! A tile of the robot's own layer: its evidence, and its state on the server.
 
 use ubimap_protocol::{
-    tile::{Epoch, Publication, Row, Stamp, Tile, TileId, Version},
+    tile::{EPOCHS_AHEAD, Epoch, Publication, Row, Stamp, Tile, TileId, Version},
     time::Instant,
 };
 
@@ -133,11 +133,13 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// Starts new tiles at this epoch or later: earlier epochs were used before a reboot.
+    /// Starts new tiles at this epoch or later: earlier epochs were used before a reboot. If the
+    /// epochs are too far ahead, because the server has lost its memory, all tiles get this epoch.
     pub fn start_epochs_at(&mut self, epoch: Epoch) {
-        self.epoch = self.epoch.max(epoch);
+        let is_too_far = self.epoch.0 > epoch.0.saturating_add(EPOCHS_AHEAD);
+        self.epoch = if is_too_far { epoch } else { self.epoch.max(epoch) };
         for tile in self.places.iter_mut() {
-            if tile.publication.version().0 == 0 {
+            if is_too_far || tile.publication.version().0 == 0 {
                 tile.epoch = self.epoch;
             }
         }
@@ -216,6 +218,24 @@ mod tests {
 
     fn id(x: i16) -> TileId {
         TileId { x, y: 0 }
+    }
+
+    #[test]
+    fn a_server_without_memory_gets_epochs_that_it_has_granted() {
+        let mut places = [OwnTile::FREE; 2];
+        let mut pool = Pool::new(&mut places);
+        pool.start_epochs_at(Epoch(10_000));
+        let mut out = [0; 64];
+        let tile = pool.find_or_begin(id(0), 1).unwrap();
+        let mut encoder = TileEncoder::new(&mut out);
+        let (epoch, mut cells) = (tile.epoch, Tile::UNKNOWN);
+        assert!(tile.publication.push(&mut encoder, id(0), epoch, Version(1), &mut cells, 7));
+        for (granted, expected) in [(9_000, 10_000), (1_808, 10_000), (1_807, 1_807)] {
+            pool.start_epochs_at(Epoch(granted));
+            let epochs = pool.tiles().map(|tile| tile.epoch.0).collect::<std::vec::Vec<_>>();
+            assert_eq!(epochs, [expected], "granted {granted}");
+        }
+        assert_eq!(pool.find_or_begin(id(1), 2).unwrap().epoch, Epoch(1_807));
     }
 
     #[test]

@@ -294,21 +294,17 @@ impl<'b> FusedMap<'b> {
         Ok(())
     }
 
-    /// Compares the digests of some of the server's tiles, and requests those held in an older
-    /// version or with different cells.
+    /// Compares the digests of some of the server's tiles. A tile held in any other state, even a
+    /// newer one, is dropped and requested: the server is the only writer, so that state is wrong.
     #[inline(never)]
     pub fn compare(&mut self, digests: &Digests) {
         let (layer, epoch) = (digests.layer, self.epoch);
         for digest in &digests.tiles {
             let Some(place) = self.place_mut(digest.id) else { continue };
             let replica = place.replica(layer, epoch);
-            let (held, told) = (replica.stamp(), digest.stamp);
-            let other = held == told && tile_hash(replica.tile()) != digest.hash;
-            if other {
-                // Dropped: an update to the same version would be ignored as old.
+            if replica.stamp() != digest.stamp || tile_hash(replica.tile()) != digest.hash {
+                // Dropped: an update to the same or an older version would be ignored as old.
                 place.give_up(layer);
-            }
-            if held < told || other {
                 self.request(layer, digest.id);
             }
         }
@@ -359,7 +355,7 @@ impl<'b> FusedMap<'b> {
 mod tests {
     use super::*;
     use ubimap_protocol::{
-        message::Messages,
+        message::{Messages, TileDigest},
         tile::{Epoch, Stamp, TileEncoder, Version},
     };
 
@@ -388,12 +384,44 @@ mod tests {
         assert_eq!((asked(8), asked(9), asked(3)), (8, 0, 3));
     }
 
+    /// A server may restart in the epoch of an earlier life, and reach the same versions with other
+    /// cells.
+    #[test]
+    fn a_tile_in_any_other_state_than_the_servers_is_replaced() {
+        let (old, new) = (Tile::UNKNOWN, Tile { low: [5; TILE_SIDE], ..Tile::UNKNOWN });
+        let id = TileId { x: 0, y: -1 };
+        for (layer, version) in
+            [Layer::Fused, Layer::Coverage].into_iter().flat_map(|it| [3, 7, 9].map(|v| (it, v)))
+        {
+            let mut places = [FusedTile::FREE; 4];
+            let mut map = FusedMap::new(&mut places);
+            map.begin_session(Epoch(7));
+            map.follow(Pose::default(), Millimetres(50));
+            whole_version(layer, id, 7, &old, &mut map);
+            // The robot takes a lower version for a late one.
+            let stamp = Stamp { epoch: Epoch(7), version: Version(version) };
+            let digest = TileDigest { id, stamp, hash: tile_hash(&new) };
+            map.compare(&Digests { layer, tiles: core::iter::once(digest).collect() });
+            let mut buffer = [0u8; 60];
+            assert!(map.push_request(&mut Writer::new(&mut buffer)), "version {version}");
+            whole_version(layer, id, version, &new, &mut map);
+            let (_, held) = map.tiles(layer).find(|(held, _)| *held == id).unwrap();
+            assert_eq!((held.stamp(), held.tile()), (stamp, &new), "version {version}");
+            map.compare(&Digests { layer, tiles: core::iter::once(digest).collect() });
+            assert!(!map.push_request(&mut Writer::new(&mut buffer)), "now they agree");
+        }
+    }
+
     const SECOND: u64 = 1_000_000;
 
     fn whole(layer: Layer, id: TileId, cells: &Tile, map: &mut FusedMap<'_>) {
+        whole_version(layer, id, 1, cells, map);
+    }
+
+    fn whole_version(layer: Layer, id: TileId, version: u32, cells: &Tile, map: &mut FusedMap<'_>) {
         let mut out = [0u8; 300];
         let mut encoder = TileEncoder::new(&mut out);
-        let stamp = Stamp { epoch: Epoch(7), version: Version(1) };
+        let stamp = Stamp { epoch: Epoch(7), version: Version(version) };
         encoder.push(id, stamp, None, 0, &Tile::UNKNOWN, cells).unwrap();
         let len = encoder.finish().unwrap();
         assert_eq!(map.update(layer, &out[..len]), Ok(()));

@@ -17,4 +17,4 @@ pub use digest::{Digest, tile_hash};
 pub use header::{TILE_CELLS, TileHeader};
 pub use planes::{Cell, Layer, Row, TILE_SIDE, Tile, TileId, cell_of};
 pub use replica::{Applied, BaseMissing, Publication, Replica};
-pub use stamp::{Epoch, Stamp, Version};
+pub use stamp::{EPOCHS_AHEAD, Epoch, Stamp, Version};

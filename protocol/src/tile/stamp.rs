@@ -8,6 +8,10 @@ use serde::{Deserialize, Serialize};
 )]
 pub struct Epoch(pub u32);
 
+/// How far the epochs of a robot may run ahead of the `first_epoch` that the server would grant it
+/// now: twice the margin of a cure. The server refuses later ones.
+pub const EPOCHS_AHEAD: u32 = 8_192;
+
 /// The version of a tile within an epoch: raised by its writer at each published change. Zero means
 /// that nothing has been published.
 #[derive(

@@ -52,7 +52,7 @@ impl Config {
 /// One life of the server: from a start of the program to its end.
 #[derive(Clone, Debug)]
 pub struct Life {
-    /// The epoch of the server's layers; higher than in all earlier lives.
+    /// The epoch of the server's layers; different in each life, in no order.
     pub epoch: Epoch,
     /// What earlier lives have stored; `None` if nothing is stored, in this life either.
     pub kept: Option<Kept>,

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::tile::{
-    Applied, BaseMissing, Epoch, Replica, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
-    TileError, TileId, Version,
+    Applied, BaseMissing, EPOCHS_AHEAD, Epoch, Replica, Stamp, TILE_CELLS, TILE_SIDE, Tile,
+    TileDecoder, TileError, TileId, Version,
 };
 
 /// Maximum number of tiles of a robot: 21,000 square metres with 5 cm cells.
@@ -63,6 +63,8 @@ pub struct RobotLayer {
     seen: BTreeMap<TileId, SeenTile>,
     /// Epochs below this one are void.
     first_epoch: Epoch,
+    /// The highest epoch accepted so far.
+    newest: Epoch,
     /// Number of epochs of all tiles.
     epochs: usize,
 }
@@ -98,8 +100,8 @@ impl RobotLayer {
                 Err(error) => return (updated, Err(error)),
             };
             let epoch = header.stamp.epoch;
-            if epoch == Epoch(u32::MAX) {
-                // It would leave no epoch for the robot's next life.
+            if epoch.0 > self.next_epoch().0.saturating_add(EPOCHS_AHEAD) || epoch.0 == u32::MAX {
+                // Never granted. Accepting it would leave no epochs for the robot's next lives.
                 return (updated, Err(TileError::Malformed));
             }
             if epoch < self.first_epoch {
@@ -117,7 +119,9 @@ impl RobotLayer {
             self.epochs += usize::from(is_new);
             let epochs = self.tiles.entry(header.id).or_default();
             let held = epochs.entry(epoch).or_default();
-            let mut before = *held.replica.tile();
+            // Cells of a discarded state may be wrong.
+            let is_discarded = held.replica.stamp() == Stamp::NOTHING;
+            let mut before = if is_discarded { Tile::UNKNOWN } else { *held.replica.tile() };
             match held.replica.apply(&header, &mut decoder) {
                 Ok(Applied::Old) => {}
                 Ok(Applied::Complete | Applied::Partial) => {
@@ -137,6 +141,7 @@ impl RobotLayer {
                     return (updated, Ok(()));
                 }
             }
+            self.newest = self.newest.max(epoch);
             updated.complete.extend((header.end == TILE_CELLS).then_some((header.id, epoch)));
             if self.join(header.id, |_| seconds) {
                 updated.tiles.insert(header.id);
@@ -216,7 +221,23 @@ impl RobotLayer {
     /// The newest complete state of an epoch of a tile, and its cells.
     pub fn held(&self, id: TileId, epoch: Epoch) -> Option<(Stamp, &Tile)> {
         let held = self.tiles.get(&id)?.get(&epoch)?;
-        (!held.replica.is_partial()).then(|| (held.replica.stamp(), held.replica.tile()))
+        let stamp = held.replica.stamp();
+        let is_complete = stamp != Stamp::NOTHING && !held.replica.is_partial();
+        is_complete.then(|| (stamp, held.replica.tile()))
+    }
+
+    /// Discards this state of a tile, if it is held: its cells differ from the robot's. Then the
+    /// same version, sent whole, replaces it; until then its cells stay in the map.
+    pub fn discard(&mut self, id: TileId, stamp: Stamp) {
+        let held = self.tiles.get_mut(&id).and_then(|epochs| epochs.get_mut(&stamp.epoch));
+        if let Some(held) = held.filter(|held| held.replica.stamp() == stamp) {
+            let mut cells = *held.replica.tile();
+            if let Some(before) = &held.before {
+                cells.fill_unknown_from(before);
+            }
+            let replica = Replica::restored(cells, Stamp::NOTHING, 0);
+            *held = Held { replica, before: None, kept: Version(0) };
+        }
     }
 
     /// The record to store for an epoch of a tile, if its state is complete.
@@ -234,7 +255,12 @@ impl RobotLayer {
     pub fn kept(&mut self, record: &TileRecord) {
         let Stamp { epoch, version } = record.stamp;
         let held = self.tiles.get_mut(&record.id).and_then(|epochs| epochs.get_mut(&epoch));
-        if let Some(held) = held {
+        // The state may have been discarded and replaced while the record was written.
+        let is_same = |held: &&mut Held| {
+            held.replica.stamp() > record.stamp
+                || held.replica.stamp() == record.stamp && *held.replica.tile() == record.cells
+        };
+        if let Some(held) = held.filter(is_same) {
             held.kept = held.kept.max(version);
         }
     }
@@ -250,6 +276,7 @@ impl RobotLayer {
     pub fn restore(&mut self, record: &TileRecord) -> bool {
         let epochs = self.tiles.entry(record.id).or_default();
         self.epochs += usize::from(!epochs.contains_key(&record.stamp.epoch));
+        self.newest = self.newest.max(record.stamp.epoch);
         let held = epochs.entry(record.stamp.epoch).or_default();
         if held.replica.stamp() >= record.stamp {
             return false;
@@ -262,9 +289,7 @@ impl RobotLayer {
 
     /// The first epoch that the robot has not used.
     pub fn next_epoch(&self) -> Epoch {
-        let used = self.tiles.values().filter_map(|epochs| epochs.keys().next_back()).max();
-        let next = used.map_or(Epoch(1), |epoch| Epoch(epoch.0.saturating_add(1)));
-        next.max(self.first_epoch)
+        Epoch(self.newest.0.saturating_add(1)).max(self.first_epoch)
     }
 }
 
@@ -362,14 +387,40 @@ mod tests {
         assert_eq!(layer.epochs, 1);
     }
 
+    /// One frame must not use up the epochs of a robot's next lives.
     #[test]
-    fn the_last_epoch_is_refused() {
+    fn epochs_that_were_never_granted_are_refused() {
         let mut layer = RobotLayer::default();
         let cells = tile(&[(0, Cell::Free)]);
-        let last = update(u32::MAX, 1, None, &cells);
-        assert_eq!(layer.update(&last, 5), (Updated::default(), Err(TileError::Malformed)));
-        assert_eq!(layer.update(&update(u32::MAX - 1, 1, None, &cells), 5).1, Ok(()));
-        assert_eq!(layer.next_epoch(), Epoch(u32::MAX));
+        let malformed = (Updated::default(), Err(TileError::Malformed));
+        for epoch in [u32::MAX, u32::MAX - 1, 1 << 31, EPOCHS_AHEAD + 2] {
+            assert_eq!(layer.update(&update(epoch, 1, None, &cells), 5), malformed, "{epoch}");
+        }
+        assert_eq!((layer.next_epoch(), layer.tiles().count()), (Epoch(1), 0));
+        assert_eq!(layer.update(&update(EPOCHS_AHEAD, 1, None, &cells), 5).1, Ok(()));
+        assert_eq!(layer.next_epoch(), Epoch(EPOCHS_AHEAD + 1));
+        // A cure grants epochs further ahead.
+        layer.retire(Epoch(1 << 20));
+        assert_eq!(layer.update(&update((1 << 20) + 1, 1, None, &cells), 5).1, Ok(()));
+    }
+
+    /// A sender may answer a Request with the version that it has sent before.
+    #[test]
+    fn a_discarded_state_is_replaced_by_the_same_version() {
+        let mut layer = RobotLayer::default();
+        let wrong = tile(&[(0, Cell::Occupied), (1, Cell::Occupied)]);
+        let right = tile(&[(0, Cell::Free)]);
+        assert_eq!(layer.update(&update(1, 4, None, &wrong), 5).1, Ok(()));
+        let written = layer.record(ID, Epoch(1)).unwrap();
+        layer.discard(ID, written.stamp);
+        assert_eq!((layer.held(ID, Epoch(1)), layer.record(ID, Epoch(1))), (None, None));
+        assert_eq!(layer.seen(ID).unwrap().tile, wrong, "until it is replaced");
+        assert_eq!(layer.update(&update(1, 4, None, &right), 6).1, Ok(()));
+        assert_eq!(layer.seen(ID).unwrap().tile, right);
+        layer.kept(&written);
+        assert_eq!(layer.on_disk(ID, Epoch(1)), None, "the record holds the discarded state");
+        layer.kept(&layer.record(ID, Epoch(1)).unwrap());
+        assert!(layer.on_disk(ID, Epoch(1)).is_some());
     }
 
     #[test]

@@ -17,18 +17,18 @@ pub struct Keeper {
 }
 
 impl Keeper {
-    /// Opens the file and begins a new life of the deployment, with an epoch of at least `least`.
-    /// Call it before any robot is welcomed.
+    /// Opens the file and begins a new life of the deployment, with the epoch `drawn`, or the next
+    /// one if the file's last life had that. Call it before any robot is welcomed.
     ///
     /// # Errors
     /// [`StoreError`].
     pub fn open(
         path: &Path,
         resolution: Millimetres,
-        least: Epoch,
+        drawn: Epoch,
     ) -> Result<(Self, Life), StoreError> {
         let mut store = Store::open(path, resolution)?;
-        let epoch = store.begin_life(least)?;
+        let epoch = store.begin_life(drawn)?;
         log::info!("{}: server epoch {}", path.display(), epoch.0);
         let kept = Kept {
             clock: store.clock(),
@@ -88,18 +88,18 @@ impl RunOptions {
     }
 }
 
-/// The keeper for a file, if one is given, and the life that begins, with an epoch of at least
-/// `least`.
+/// The keeper for a file, if one is given, and the life that begins, with the epoch `drawn` or the
+/// next one.
 ///
 /// # Errors
 /// [`StoreError`].
 pub(super) fn open(
     path: Option<&Path>,
     resolution: Millimetres,
-    least: Epoch,
+    drawn: Epoch,
 ) -> Result<(Option<Keeper>, Life), StoreError> {
-    let Some(path) = path else { return Ok((None, Life::new(least))) };
-    let (keeper, life) = Keeper::open(path, resolution, least)?;
+    let Some(path) = path else { return Ok((None, Life::new(drawn))) };
+    let (keeper, life) = Keeper::open(path, resolution, drawn)?;
     Ok((Some(keeper), life))
 }
 

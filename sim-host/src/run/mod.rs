@@ -112,6 +112,9 @@ pub enum RunError {
     /// The map can't be stored.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// A life of the server can't begin.
+    #[error("the operating system gave no random number for the server's epoch: {0}")]
+    Randomness(getrandom::Error),
     /// The picture can't be encoded.
     #[error("map.png: {0}")]
     Picture(#[from] image::ImageError),
@@ -188,7 +191,7 @@ impl RunError {
             | Self::TooManyTiles { .. }
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
-            Self::Print(_) | Self::Grid(_) | Self::Picture(_) => false,
+            Self::Print(_) | Self::Grid(_) | Self::Picture(_) | Self::Randomness(_) => false,
         }
     }
 }

@@ -3,7 +3,7 @@
 //! A deployment driven by the wall clock. Until real cameras come it serves robots on a bench: each
 //! one stands at a given pose, and gets a fix of it as often as a camera would send one.
 
-use std::time::{self, SystemTime};
+use std::time;
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
@@ -41,7 +41,7 @@ const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
     let ports = open(options)?;
     let resolution = options.resolution;
-    let (keeper, life) = keeper::open(options.store.as_deref(), resolution, epoch())?;
+    let (keeper, life) = keeper::open(options.store.as_deref(), resolution, epoch()?)?;
     let mut station = Station::new(resolution, life, ports, keeper)?;
     let end = options.duration.map(|duration| station.now() + duration);
     while station.is_attached() && end.is_none_or(|end| station.now() < end) {
@@ -68,11 +68,9 @@ fn open(options: &ServeOptions) -> Result<Vec<Attached>, RunError> {
     attached.collect()
 }
 
-/// A number that grows from life to life of the server.
-fn epoch() -> Epoch {
-    let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    let seconds = since_1970.map_or(1, |since| since.as_secs());
-    Epoch(seconds.clamp(1, u64::from(u32::MAX)) as u32)
+/// A random epoch, so that no two lives of the server share one, whatever the clock says.
+fn epoch() -> Result<Epoch, RunError> {
+    Ok(Epoch(getrandom::u32().map_err(RunError::Randomness)?.max(1)))
 }
 
 /// What carries bytes to a robot and back without a wait for the robot: a serial port.

@@ -125,6 +125,7 @@ impl<'a> Inbox<'a> {
     fn digests(&mut self, digests: &Digests) {
         for digest in digests.tiles.iter().filter(|_| digests.layer == Layer::Robot) {
             if !self.holds(digest) {
+                self.layer.discard(digest.id, digest.stamp);
                 self.session.ask_for(digest.id);
             } else if let Some(stamp) = self.layer.on_disk(digest.id, digest.stamp.epoch) {
                 // An earlier Stored message may have been lost with its session.

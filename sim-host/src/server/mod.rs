@@ -217,9 +217,10 @@ impl Server {
     }
 
     /// Starts a coordinator, which decides where robots drive. The server sets the resolution and
-    /// `first_path` in its settings, so that path numbers are higher than in its earlier lives.
+    /// `first_path` in its settings, so that path numbers differ from those of other lives.
     pub fn coordinate(&mut self, settings: Settings) {
         let Terms { resolution, server_epoch, .. } = self.terms;
+        // Robots compare numbers of paths within an epoch only.
         let first_path = server_epoch.wrapping_shl(20);
         self.dispatch = Some(Dispatch::new(Settings { resolution, first_path, ..settings }));
     }

@@ -26,6 +26,9 @@ const APPLICATION_ID: i32 = 0x7562_696D;
 const SCHEMA: i32 = 3;
 /// Bytes of a stored tile: the rows of its low plane, then those of its high plane, little-endian.
 const TILE_LEN: usize = 8 * TILE_SIDE;
+/// No robot reaches this epoch: tiles of later ones, which earlier versions of the server accepted,
+/// are deleted when the file is opened, because they would leave the robot no epochs.
+const END_OF_EPOCHS: u32 = 1 << 31;
 
 /// Tables of schema 1.
 const TABLES: &str = "
@@ -89,19 +92,21 @@ impl Store {
         Ok(Self { path: path.to_owned(), connection, epoch, clock })
     }
 
-    /// Starts a life of the server: allocates an epoch of at least `least`, which is on disk when
-    /// this returns. Call it before any robot is welcomed.
+    /// Starts a life of the server in the epoch `drawn`, which should be random, or in the next one
+    /// if that is zero or the epoch of the last life. It is on disk when this returns. Call it
+    /// before any robot is welcomed.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub fn begin_life(&mut self, least: Epoch) -> Result<Epoch, StoreError> {
-        let next = self.epoch.0.checked_add(1).map(|next| Epoch(next).max(least));
-        let begun = next.ok_or(Trouble::Damaged("its epochs are used up")).and_then(|epoch| {
-            self.connection.execute("UPDATE server SET epoch = ?", [epoch.0])?;
-            Ok(epoch)
-        });
-        self.epoch = begun.map_err(|trouble| self.error(trouble))?;
-        Ok(self.epoch)
+    pub fn begin_life(&mut self, drawn: Epoch) -> Result<Epoch, StoreError> {
+        let mut epoch = drawn;
+        while epoch == Epoch(0) || epoch == self.epoch {
+            epoch.0 = epoch.0.wrapping_add(1);
+        }
+        let written = self.connection.execute("UPDATE server SET epoch = ?", [epoch.0]);
+        written.map_err(|trouble| self.error(trouble.into()))?;
+        self.epoch = epoch;
+        Ok(epoch)
     }
 
     /// The last stored time of the server's clock, which continues from there.
@@ -253,6 +258,7 @@ fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Inst
         transaction.execute_batch(tables)?;
         transaction.pragma_update(None, "user_version", SCHEMA)?;
     }
+    execute(&transaction, "DELETE FROM tile WHERE epoch >= ?", [END_OF_EPOCHS])?;
     let server = transaction
         .query_row("SELECT resolution_mm, epoch, clock_us FROM server", [], |row| {
             Ok((Millimetres(row.get(0)?), Epoch(row.get(1)?), row.get(2)?))

@@ -37,7 +37,9 @@ fn stored_tiles_are_read_in_the_next_life() {
     assert_eq!((store.clock(), store.records().unwrap()), (Instant(0), Vec::new()));
     let [west, east] = [RobotId(1), RobotId(u16::MAX)];
     let edge = i16::MIN;
-    store.keep(&[(east, record(edge, u32::MAX, 1)), (west, record(4, 2, 8))], Instant(5)).unwrap();
+    store
+        .keep(&[(east, record(edge, END_OF_EPOCHS - 1, 1)), (west, record(4, 2, 8))], Instant(5))
+        .unwrap();
     // A newer version replaces the older one of its epoch; another epoch gets its own row, and the
     // newest times apply to the tile.
     store.keep(&[(west, record(4, 2, 9)), (west, record(4, 1, 3))], Instant(3)).unwrap();
@@ -47,10 +49,29 @@ fn stored_tiles_are_read_in_the_next_life() {
     assert_eq!(store.clock(), Instant(5), "the clock is monotonic");
     let seconds = record(4, 1, 3).seconds;
     let newer = TileRecord { seconds, ..record(4, 2, 9) };
-    let all = [(west, record(4, 1, 3)), (west, newer), (east, record(edge, u32::MAX, 1))];
+    let all = [(west, record(4, 1, 3)), (west, newer), (east, record(edge, END_OF_EPOCHS - 1, 1))];
     assert_eq!(store.records().unwrap(), all);
-    assert_eq!(store.begin_life(Epoch(0)).unwrap(), Epoch(2));
-    assert_eq!(store.begin_life(Epoch(70)).unwrap(), Epoch(70));
+    // No life repeats the last one's epoch; the order of epochs has no meaning.
+    assert_eq!(store.begin_life(Epoch(1)).unwrap(), Epoch(2));
+    for (drawn, begun) in [(u32::MAX, u32::MAX), (u32::MAX, 1), (70, 70), (9, 9)] {
+        assert_eq!(store.begin_life(Epoch(drawn)).unwrap(), Epoch(begun));
+    }
+}
+
+/// Earlier versions of the server accepted any epoch of a robot but the last.
+#[test]
+fn tiles_of_impossible_epochs_are_deleted() {
+    let folder = Folder::new("store-epochs");
+    let path = folder.path().join("map.db");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    let robot = RobotId(3);
+    let usual = (robot, record(4, 2, 8));
+    let all = [usual.clone(), (robot, record(4, u32::MAX - 1, 1))];
+    store.keep(&all, Instant(5)).unwrap();
+    drop(store);
+    let kept = Store::open(&path, CELLS).unwrap().records().unwrap();
+    assert_eq!(kept.len(), 1);
+    assert_eq!(kept[0].1.stamp, usual.1.stamp);
 }
 
 fn seen(x: i16, seed: u32) -> CameraTile {
