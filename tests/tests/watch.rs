@@ -251,8 +251,8 @@ fn real_depth_images_are_watched() {
 #[test]
 fn images_of_a_moving_camera_are_accepted() {
     for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
-        let Some(path) = data::file(name) else { continue };
-        let WatchReport { cameras, map, .. } = watched(&path).report;
+        let Some(recorded) = data::frames(name) else { continue };
+        let WatchReport { cameras, map, .. } = watched(recorded.path()).report;
         assert_eq!(cameras.iter().map(|it| it.frames).collect::<Vec<_>>(), [1; 5], "{name}");
         assert_eq!(map.known, 0, "{name}");
     }
