@@ -54,11 +54,11 @@ pub struct Frames {
     is_copy: bool,
 }
 
-/// A folder of recorded frames with their intrinsics, or `None` as for [`file`].
+/// A folder of recorded frames with their intrinsics, or `None` as for [`file()`].
 ///
 /// # Panics
 ///
-/// If the folder can't be copied, and as [`file`].
+/// If the folder can't be copied, and as [`file()`].
 pub fn frames(name: &str) -> Option<Frames> {
     let path = file(name)?;
     let Some((_, text)) = INTRINSICS.into_iter().find(|(folder, _)| *folder == name) else {
