@@ -32,6 +32,14 @@ pub enum Trouble {
         /// Side length of the cells in this run.
         asked: Millimetres,
     },
+    /// It is a name or device that keeps nothing on disk.
+    #[error("not a file on disk; give the path of a file with --store")]
+    NotAFile,
+    /// It was removed, replaced or truncated while it was open.
+    #[error(
+        "the file, or its -wal file, was removed, replaced or truncated while in use; nothing more is acknowledged as stored: restore both files, or give a new file with --store, and restart"
+    )]
+    Gone,
     /// Its contents are inconsistent.
     #[error("damaged: {0}; restore a backup, or give a new file with --store")]
     Damaged(&'static str),

@@ -6,10 +6,14 @@
 //! per robot whose correction has begun. The file belongs to one process at a time.
 
 mod error;
+mod presence;
 
 use std::path::{Path, PathBuf};
 
-use rusqlite::{Connection, OpenFlags, OptionalExtension, Params, Row, Transaction, params};
+use presence::Presence;
+use rusqlite::{
+    Connection, OpenFlags, OptionalExtension, Params, Row, Transaction, config::DbConfig, params,
+};
 use ubimap_protocol::{
     tile::{Epoch, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileId, Version},
     time::Instant,
@@ -76,6 +80,7 @@ const TABLES_3: &str = "ALTER TABLE cured ADD COLUMN is_over INTEGER NOT NULL DE
 pub struct Store {
     path: PathBuf,
     connection: Connection,
+    presence: Presence,
     epoch: Epoch,
     clock: Instant,
 }
@@ -89,7 +94,8 @@ impl Store {
     pub fn open(path: &Path, resolution: Millimetres) -> Result<Self, StoreError> {
         let wrap = |trouble| StoreError::new(path, trouble);
         let (connection, epoch, clock) = open(path, resolution).map_err(wrap)?;
-        Ok(Self { path: path.to_owned(), connection, epoch, clock })
+        let presence = Presence::new(path).map_err(wrap)?;
+        Ok(Self { path: path.to_owned(), connection, presence, epoch, clock })
     }
 
     /// Starts a life of the server in the epoch `drawn`, which should be random, or in the next one
@@ -104,7 +110,8 @@ impl Store {
             epoch.0 = epoch.0.wrapping_add(1);
         }
         let written = self.connection.execute("UPDATE server SET epoch = ?", [epoch.0]);
-        written.map_err(|trouble| self.error(trouble.into()))?;
+        let written = written.map_err(Trouble::from).and_then(|_| self.presence.check_committed());
+        written.map_err(|trouble| self.error(trouble))?;
         self.epoch = epoch;
         Ok(epoch)
     }
@@ -170,7 +177,8 @@ impl Store {
     /// the server's clock.
     ///
     /// # Errors
-    /// [`StoreError`]; the file is unchanged.
+    /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
+    /// [gone](Trouble::Gone).
     pub fn keep(
         &mut self,
         records: &[(RobotId, TileRecord)],
@@ -185,7 +193,8 @@ impl Store {
     /// Replaces camera tiles in one transaction.
     ///
     /// # Errors
-    /// [`StoreError`]; the file is unchanged.
+    /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
+    /// [gone](Trouble::Gone).
     pub fn keep_camera_tiles(
         &mut self,
         tiles: &[CameraTile],
@@ -200,7 +209,8 @@ impl Store {
     /// Stores the progress of a robot's cure, and deletes its void tiles.
     ///
     /// # Errors
-    /// [`StoreError`]; the file is unchanged.
+    /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
+    /// [gone](Trouble::Gone).
     pub fn cure(&mut self, record: &CureRecord) -> Result<(), StoreError> {
         let CureRecord { robot, cured, first_epoch, is_over } = *record;
         self.write(|transaction| {
@@ -215,9 +225,11 @@ impl Store {
         &mut self,
         all: impl FnOnce(&Transaction<'_>) -> Result<(), Trouble>,
     ) -> Result<(), StoreError> {
-        let kept = self.connection.transaction().map_err(Trouble::from).and_then(|transaction| {
+        let kept = self.presence.check().and_then(|()| {
+            let transaction = self.connection.transaction()?;
             all(&transaction)?;
-            Ok(transaction.commit()?)
+            transaction.commit()?;
+            self.presence.check_committed()
         });
         kept.map_err(|trouble| self.error(trouble))
     }
@@ -228,8 +240,14 @@ impl Store {
 }
 
 fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Instant), Trouble> {
+    check_name(path)?;
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE;
     let mut connection = Connection::open_with_flags(path, flags)?;
+    // The file may come from a stranger: nothing that its schema contains is executed.
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;
     connection.busy_timeout(std::time::Duration::ZERO)?;
     // Exclusive access; a commit returns only after the data is on disk.
     connection.pragma_update(None, "locking_mode", "exclusive")?;
@@ -274,6 +292,19 @@ fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Inst
     // Last, so that files of other programs are not modified.
     connection.pragma_update(None, "journal_mode", "wal")?;
     Ok((connection, epoch, Instant(clock)))
+}
+
+/// Refuses names that SQLite does not take for a file on disk.
+fn check_name(path: &Path) -> Result<(), Trouble> {
+    let name = path.as_os_str().as_encoded_bytes();
+    if name.is_empty() || name == b":memory:" || name.starts_with(b"file:") {
+        return Err(Trouble::NotAFile);
+    }
+    match path.metadata() {
+        Ok(metadata) if !metadata.is_file() && !metadata.is_dir() => Err(Trouble::NotAFile),
+        // A folder, or a file that does not exist yet, is SQLite's to judge.
+        _ => Ok(()),
+    }
 }
 
 fn write(

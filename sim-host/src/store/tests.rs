@@ -235,3 +235,73 @@ fn a_full_disk_loses_nothing_that_was_stored() {
     let store = Store::open(&path, CELLS).unwrap();
     assert_eq!((store.clock(), store.records().unwrap()), (Instant(0), kept));
 }
+
+#[test]
+fn names_that_keep_nothing_on_disk_are_refused() {
+    for name in ["", ":memory:", "file:map.db", "file::memory:?cache=shared", "/dev/null"] {
+        let told = refused(Path::new(name), CELLS);
+        assert!(told.contains("not a file on disk"), "{name}: {told}");
+    }
+}
+
+/// Each of these loses what is written afterwards, although SQLite reports success for most.
+#[cfg(unix)]
+#[test]
+fn a_file_that_was_removed_replaced_or_truncated_takes_nothing_more() {
+    let folder = Folder::new("store-gone");
+    let spoil: [(&str, fn(&Path, &Path)); 6] = [
+        ("removed", |path, _| std::fs::remove_file(path).unwrap()),
+        ("replaced", |path, _| {
+            let copy = path.with_extension("copy");
+            std::fs::copy(path, &copy).unwrap();
+            std::fs::rename(copy, path).unwrap();
+        }),
+        ("truncated", |path, _| truncate(path, 4096)),
+        ("emptied", |path, _| truncate(path, 0)),
+        ("log removed", |_, log| std::fs::remove_file(log).unwrap()),
+        ("log truncated", |_, log| truncate(log, 0)),
+    ];
+    for (what, spoil) in spoil {
+        let path = folder.path().join(format!("{what}.db"));
+        let mut store = Store::open(&path, CELLS).unwrap();
+        store.begin_life(Epoch(0)).unwrap();
+        // Past several checkpoints, so that the database and its log have both been rewritten.
+        for version in 1..=300 {
+            let records: Vec<_> =
+                (0..5).map(|x| (RobotId(1), record(x, version % 40, version))).collect();
+            store.keep(&records, Instant(version.into())).unwrap();
+        }
+        spoil(&path, &folder.path().join(format!("{what}.db-wal")));
+        for _ in 0..2 {
+            let told = store.keep(&[(RobotId(1), record(9, 1, 1))], Instant(400)).unwrap_err();
+            assert!(matches!(told.trouble, Trouble::Gone), "{what}: {told}");
+        }
+    }
+}
+
+#[cfg(unix)]
+fn truncate(path: &Path, len: u64) {
+    std::fs::OpenOptions::new().write(true).open(path).unwrap().set_len(len).unwrap();
+}
+
+#[test]
+fn triggers_and_views_in_a_file_do_not_run() {
+    let folder = Folder::new("store-schema");
+    let path = folder.path().join("map.db");
+    drop(Store::open(&path, CELLS).unwrap());
+    let change = |statements: &str| {
+        Connection::open(&path).unwrap().execute_batch(statements).unwrap();
+    };
+    change("CREATE TRIGGER t AFTER INSERT ON tile BEGIN DELETE FROM tile; END");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(0)).unwrap();
+    assert_eq!(store.records().unwrap(), [(RobotId(1), record(0, 1, 1))]);
+    drop(store);
+    change(
+        "ALTER TABLE camera RENAME TO other;
+         CREATE VIEW camera AS SELECT * FROM other",
+    );
+    let store = Store::open(&path, CELLS).unwrap();
+    let told = store.camera_tiles().unwrap_err().to_string();
+    assert!(told.contains("view"), "{told}");
+}
