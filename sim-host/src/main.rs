@@ -62,7 +62,7 @@ fn main() -> ExitCode {
         Err(error) => return refuse_use(&error),
     };
     let level = match command {
-        // It has no end to wait for: its messages are all there is to see.
+        // It runs until stopped: its messages are its only output.
         Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Info),
         _ => verbosity.level(),
     };
@@ -87,20 +87,20 @@ fn main() -> ExitCode {
     finished.unwrap_or_else(|error| fail(&error))
 }
 
-/// Says why a run failed; the exit code.
+/// Prints why a run failed. Returns the exit code.
 fn fail(error: &RunError) -> ExitCode {
     complain(&error.to_string());
     ExitCode::from(if error.is_bad_input() { BAD_INPUT } else { FAILED })
 }
 
-/// Makes a run, writes its results and says where they are; prints all figures only if `is_verbose`.
+/// Runs a command, writes its results and prints where they are, and all figures if `is_verbose`.
 /// `is_success` decides the exit code from the report.
 fn finish<R: Brief + fmt::Display + Serialize>(
     (options, is_verbose): (&ResultOptions, bool),
     run: impl FnOnce() -> Result<Outcome<R>, RunError>,
     is_success: impl FnOnce(&R) -> bool,
 ) -> Result<ExitCode, RunError> {
-    // Before the run: a folder that can't be written to costs no run.
+    // Before the run, so that a folder that can't be written fails at once.
     let folder = OutputFolder::create(&options.out)?;
     let outcome = run()?;
     outcome.write(folder)?;
@@ -118,7 +118,7 @@ fn status(is_success: bool) -> ExitCode {
     if is_success { ExitCode::SUCCESS } else { ExitCode::from(FAILED) }
 }
 
-/// Succeeds if the placement keeps what was asked for, `--connect` included.
+/// Succeeds if the placement meets the request, including `--connect`.
 fn place(options: &PlaceOptions) -> Result<ExitCode, RunError> {
     let folder = OutputFolder::create(&options.out)?;
     let outcome = place::run(options)?;
@@ -176,7 +176,7 @@ fn refuse_use(error: &clap::Error) -> ExitCode {
     ExitCode::from(BAD_INPUT)
 }
 
-/// What was probably meant.
+/// The suggestion for a mistyped name.
 fn meant(error: &clap::Error) -> Option<&str> {
     let kinds =
         [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
@@ -193,8 +193,7 @@ fn complain(message: &str) {
     let _ = writeln!(io::stderr(), "ubimap: {one_line}");
 }
 
-/// Prints to standard output. A reader that has closed its end of a pipe wants no more, which is no
-/// error.
+/// Prints to standard output. A closed pipe is not an error: the reader wants no more.
 fn print(text: &str) -> Result<(), RunError> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {

@@ -18,17 +18,17 @@ const HOT: f64 = 0.05;
 const COLD: f64 = 0.003;
 /// Exchanges of the first round.
 const FIRST_ROUND: u64 = 20_000;
-/// By how much a required cell weighs more than an optional one of weight one, at first.
+/// Initial weight of a required cell, relative to an optional one of weight one.
 const REQUIRED: i64 = 4;
 
-/// A search that goes on for as long as it is run.
+/// An anytime search: it can be run in slices without end.
 pub(super) struct Annealing<'p> {
     programme: &'p Programme,
     selection: Selection<'p>,
     dice: ChaCha8Rng,
     hot: f64,
     cold: f64,
-    /// Length of the round and the exchange that is next.
+    /// Number of exchanges of the round, and the index of the next one.
     round: u64,
     step: u64,
     best: Option<Vec<u32>>,
@@ -78,7 +78,7 @@ impl<'p> Annealing<'p> {
 
     fn begin_round(&mut self) {
         (self.round, self.step) = (self.round * 2, 0);
-        // What is still violated at the end of a round weighs more in the next one.
+        // Constraints that are still violated at the end of a round weigh more in the next one.
         self.selection.weigh_violations();
         if let Some(best) = &self.best {
             self.selection.chosen().to_vec().into_iter().for_each(|it| self.selection.remove(it));
@@ -121,7 +121,8 @@ impl<'p> Annealing<'p> {
         (!self.selection.is_chosen(new)).then_some(new)
     }
 
-    /// Keeps the present set if it is the best so far; for the fewest cameras, goes on with one less.
+    /// Records the current set if it is the best so far; for the fewest cameras, continues with one
+    /// fewer.
     fn note(&mut self) {
         if !self.selection.is_feasible() {
             return;
@@ -139,7 +140,7 @@ impl<'p> Annealing<'p> {
         self.drop_surplus();
     }
 
-    /// Takes out the candidates that are missed least while the goal is met without them.
+    /// Removes the least useful candidates while the goal is still met.
     fn drop_surplus(&mut self) {
         if matches!(self.programme.goal, Goal::Best { .. }) {
             return;

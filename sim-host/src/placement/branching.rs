@@ -10,18 +10,18 @@ use super::{
     relaxation::{self, Fixed, Relaxation},
 };
 
-/// Subgradient steps of a node at most, and how long they are.
+/// Maximum number of subgradient steps of a node, and their length.
 const STEPS: u32 = 20;
 const STEP: f64 = 0.3;
 
-/// What a search has come to.
+/// The state of a search.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// Nothing yet.
+    /// Not decided yet.
     Unfinished,
-    /// A placement within the limit, ascending. From now on only a better one is.
+    /// A placement within the limit, ascending; the limit then requires a better one.
     Found(Vec<u32>),
-    /// There is none.
+    /// No placement is within the limit.
     Exhausted,
 }
 
@@ -37,7 +37,7 @@ struct Decision {
 /// A contradiction: no placement agrees with the decisions.
 struct Contradiction;
 
-/// A search that goes on where it was left.
+/// A search that can be run in slices.
 pub(super) struct Branching<'p> {
     programme: &'p Programme,
     relaxation: Relaxation<'p>,
@@ -84,12 +84,12 @@ impl<'p> Branching<'p> {
         self.limit
     }
 
-    /// What a node costs, in matrix entries looked at.
+    /// The cost of a node, in visited matrix entries.
     pub(super) fn cost(&self) -> usize {
         self.relaxation.cost() * STEPS as usize
     }
 
-    /// Asks for at least this weight; only for the best coverage.
+    /// Requires at least this weight; only for the best coverage.
     pub(super) fn raise_limit(&mut self, weight: u64) {
         self.limit = self.limit.max(weight);
     }
@@ -170,7 +170,7 @@ impl<'p> Branching<'p> {
         fixed
     }
 
-    /// Goes back to the last decision with another side to try, and turns it.
+    /// Backtracks to the last decision with an untried side, and tries that side.
     fn give_up(&mut self) {
         self.pending.clear();
         while let Some(mut decision) = self.decisions.pop() {
@@ -217,7 +217,7 @@ impl<'p> Branching<'p> {
         }
     }
 
-    /// Fixes what the bounds of the pending cells leave no choice about.
+    /// Fixes the candidates that the bounds of the pending cells decide.
     fn imply(&mut self) -> Result<(), Contradiction> {
         while let Some(cell) = self.pending.pop() {
             let demand = self.programme.demands[cell as usize];
@@ -250,7 +250,7 @@ impl<'p> Branching<'p> {
         Ok(())
     }
 
-    /// Whether what is asked for can't be reached with the candidates and cameras that are left.
+    /// Whether the goal is out of reach with the remaining candidates and cameras.
     fn is_out_of_reach(&self) -> bool {
         // The limit may have fallen since these were chosen.
         if self.chosen > self.most_cameras() {

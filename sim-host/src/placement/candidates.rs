@@ -17,7 +17,7 @@ const COARSEST_M: f64 = 2.0;
 pub struct Choices {
     /// Heights above the floor, in metres.
     pub heights_m: Vec<f64>,
-    /// Tilts in degrees: 0 level, 90 straight down. The paper's projection knows 90 alone.
+    /// Tilts in degrees: 0 level, 90 straight down. The paper's projection is defined for 90 only.
     pub tilts_deg: Vec<f64>,
     /// Headings around the circle, the first along x; a camera whose footprint is the same when it
     /// is turned by half a circle needs half of them.
@@ -27,7 +27,7 @@ pub struct Choices {
     pub spacing_m: Option<f64>,
 }
 
-/// Why there are no candidates. Each is one line, without the name of the room.
+/// Why there are no candidates. Messages do not name the room.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CandidatesError {
     /// Nothing hangs above the ceiling.
@@ -170,8 +170,8 @@ fn check_view(
     }
     let candidate = Candidate { position_m: [0.0, 0.0, height_m], heading_deg: 0.0, tilt_deg };
     let footprint = Footprint::new(projection, model, &candidate);
-    // Seen from above the footprint is a convex shape about the x axis: who sees none of the axis
-    // sees nothing.
+    // Seen from above the footprint is convex and symmetric about the x axis: a camera that sees
+    // nothing of the axis sees nothing at all.
     let reach = footprint.reach_m();
     let steps = 10_000;
     let sees = (-steps..=steps)

@@ -1,5 +1,5 @@
-//! Whether the cameras of a placement overlap so that calibration can follow them, and how to mend
-//! it where they do not.
+//! Whether the cameras of a placement overlap so that they can be calibrated against each other, and how
+//! to connect them where they do not.
 //!
 //! Two cameras are neighbours if both see a number of cells, where landmarks can lie (UbiSLAM,
 //! section 5). The graph of neighbours falls into pieces; a camera of one piece can't be calibrated
@@ -15,10 +15,10 @@ use super::{
     selection::Selection,
 };
 
-/// What one piece more counts in the first round, in cells.
+/// Penalty of one more piece in the first round, in cells.
 const PIECE: f64 = 3.0;
-/// What it counts at most. Where coverage is the goal it doubles with each round, so that no more is
-/// given up than connecting takes.
+/// Maximum penalty. Where coverage is the goal, the penalty doubles with each round, so that no more
+/// coverage is given up than necessary.
 const MOST_PIECE: f64 = 400.0;
 /// The temperatures at which a round begins and ends, in cells.
 const HOT: f64 = 2.0;
@@ -163,7 +163,7 @@ pub(super) struct Connecting<'p> {
     graph: Graph<'p>,
     dice: ChaCha8Rng,
     pieces: usize,
-    /// What one piece more counts, in cells.
+    /// Penalty of one more piece, in cells.
     price: f64,
     /// Optional weight that a placement must cover to be taken.
     least_weight: u64,
@@ -212,7 +212,7 @@ impl<'p> Connecting<'p> {
             let done = (self.step % ROUND) as f64 / ROUND as f64;
             self.step += 1;
             if self.step.is_multiple_of(ROUND) {
-                // What has stayed violated weighs more.
+                // Constraints that stay violated weigh more.
                 self.selection.weigh_violations();
                 if matches!(self.programme.goal, Goal::Best { .. }) {
                     self.price = (2.0 * self.price).min(MOST_PIECE);
@@ -300,7 +300,7 @@ impl<'p> Connecting<'p> {
 
 /// A placement with cameras added until its pieces are as few as `enough`, or until no camera can
 /// connect any more of them: the shortest chain of candidates between two pieces, again and again.
-/// Then those that are not needed any more go. Upper bounds are kept.
+/// Cameras that are no longer needed are then removed. Upper bounds are kept.
 pub(super) fn bridge(programme: &Programme, start: &[u32], shared: u16, enough: usize) -> Vec<u32> {
     let mut selection = Selection::new(programme, 1);
     let mut graph = Graph::new(programme, shared);
@@ -319,7 +319,7 @@ pub(super) fn bridge(programme: &Programme, start: &[u32], shared: u16, enough: 
             graph.add(candidate);
         }
     }
-    // The last ones first: who was needed before may be bridged by now.
+    // In reverse order: later cameras may have made earlier ones unnecessary.
     let pieces = graph.count_pieces(selection.chosen());
     for candidate in selection.sorted().into_iter().rev() {
         selection.remove(candidate);

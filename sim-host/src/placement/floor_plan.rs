@@ -5,17 +5,17 @@ use ubimap_protocol::tile::Cell;
 use super::obstacle::Obstacle;
 use crate::grid::OccupancyGrid;
 
-/// The most cells of a lattice over a room: 500 m square at 0.5 m.
+/// Maximum number of cells of a lattice over a room: 500 x 500 m at 0.5 m.
 const MOST_CELLS: f64 = 1e6;
 
-/// Samples along a side of a cell at most, by which floor is told from obstacles.
+/// Maximum number of samples along a side of a cell, which decide whether it is floor.
 const MOST_SAMPLES: usize = 20;
 
-/// Samples of drawn rooms are this far apart, in metres.
+/// Distance between the samples of drawn rooms, in metres.
 const SAMPLE_M: f64 = 0.05;
 
-/// A piece of floor of fewer cells than this that touches no other floor is left out: speckles
-/// of a recorded map.
+/// Minimum number of connected floor cells; smaller pieces, such as speckles of a recorded map, are
+/// left out.
 const LEAST_PIECE: usize = 4;
 
 /// What bounds the floor of a room.
@@ -28,7 +28,7 @@ pub enum Enclosure {
     Map(OccupancyGrid),
 }
 
-/// Why a room has no floor plan. Each is one line, without the name of the room.
+/// Why a room has no floor plan. Messages do not name the room.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FloorPlanError {
     /// No cell is floor.
@@ -56,8 +56,8 @@ pub struct FloorCell {
     pub column: usize,
     /// Row of the lattice, from zero in the south.
     pub row: usize,
-    /// The point of floor nearest to the cell's centre, in `map`, metres. A camera covers the cell
-    /// if it sees this point.
+    /// The floor point nearest to the cell's centre, in `map`, metres. A camera covers the cell if it
+    /// sees this point.
     pub aim_m: [f64; 2],
 }
 
@@ -74,7 +74,7 @@ pub struct FloorPlan {
     columns: usize,
     rows: usize,
     cells: Vec<FloorCell>,
-    /// For each place of the lattice the index of its cell plus one; zero for none.
+    /// For each square of the lattice the index of its cell plus one, or zero if it is not floor.
     index: Vec<u32>,
     left_out: usize,
 }
@@ -82,8 +82,8 @@ pub struct FloorPlan {
 impl FloorPlan {
     /// The plan of a room whose cells have sides of `side_m` metres.
     ///
-    /// A cell is floor if at least half of it is: inside the enclosure, and under no obstacle that
-    /// stands lower than `robot_height_m`. Pieces of fewer than four cells are left out.
+    /// A cell counts as floor if at least half of its area is inside the enclosure and clear of
+    /// obstacles that begin below `robot_height_m`. Pieces of fewer than four cells are left out.
     ///
     /// # Errors
     /// Every [`FloorPlanError`].
@@ -94,7 +94,7 @@ impl FloorPlan {
         side_m: f64,
     ) -> Result<Self, FloorPlanError> {
         let [low, high] = enclosure.bounds();
-        // A corner within a micrometre of a multiple of the side is one.
+        // A corner within a micrometre of a multiple of the side counts as that multiple.
         let first = low.map(|it| (it / side_m + 1e-6).floor());
         let last = high.map(|it| (it / side_m - 1e-6).ceil());
         let size = [last[0] - first[0], last[1] - first[1]];
@@ -142,7 +142,7 @@ impl FloorPlan {
         [self.columns, self.rows]
     }
 
-    /// From the floor to the ceiling, in metres; infinite for a map.
+    /// Height of the ceiling in metres; infinite for a map.
     pub fn ceiling_m(&self) -> f64 {
         self.ceiling_m
     }
@@ -157,7 +157,7 @@ impl FloorPlan {
         &self.enclosure
     }
 
-    /// Cells of pieces of floor too small to count.
+    /// The cells of pieces of floor that are too small.
     pub fn left_out(&self) -> usize {
         self.left_out
     }
@@ -173,7 +173,7 @@ impl FloorPlan {
     /// The cells whose squares meet a rectangle, given by its corners in metres.
     pub fn cells_within(&self, low_m: [f64; 2], high_m: [f64; 2]) -> impl Iterator<Item = usize> {
         let place = |at: f64, axis: usize| {
-            // Negative becomes zero, and beyond the lattice there is nothing.
+            // The cast saturates: negative coordinates become zero.
             ((at - self.origin_m[axis]) / self.side_m).max(0.0) as usize
         };
         let columns = place(low_m[0], 0)..(place(high_m[0], 0) + 1).min(self.columns);
@@ -182,7 +182,7 @@ impl FloorPlan {
     }
 
     /// Whether a camera can hang at a point of `map` at a height, in metres: inside the room, and
-    /// not inside of anything.
+    /// not inside an obstacle.
     pub fn can_hold_camera(&self, point_m: [f64; 2], height_m: f64) -> bool {
         self.enclosure.is_inside(point_m)
             && height_m <= self.ceiling_m
@@ -235,7 +235,7 @@ impl FloorPlan {
         self.keep(cells);
     }
 
-    /// Takes these cells for the floor.
+    /// Sets the cells of the floor.
     fn keep(&mut self, cells: Vec<FloorCell>) {
         self.index.fill(0);
         for (number, cell) in (1..).zip(&cells) {
@@ -278,15 +278,15 @@ impl FloorPlan {
             .filter(|&cell| counts(cell))
             .map(|cell| self.cells[cell])
             .collect();
-        // A room that has nothing but small pieces is what it is.
+        // A room that consists only of small pieces keeps them.
         if !kept.is_empty() {
             self.left_out = self.cells.len() - kept.len();
             self.keep(kept);
         }
     }
 
-    /// Where a square of this side is sampled, from its corner in metres: an odd number of points
-    /// along each side, the nearest to the centre first.
+    /// The sample points of a square of this side, in metres from its corner: an odd number along
+    /// each side, those nearest to the centre first.
     fn offsets(&self, side_m: f64) -> Vec<[f64; 2]> {
         let pitch = match &self.enclosure {
             Enclosure::Outline(_) => SAMPLE_M,
@@ -317,7 +317,7 @@ impl Enclosure {
         }
     }
 
-    /// The least and the greatest coordinates, in metres.
+    /// The minimum and maximum coordinates, in metres.
     fn bounds(&self) -> [[f64; 2]; 2] {
         match self {
             Self::Outline(outline) => {

@@ -9,8 +9,8 @@ use super::{
 
 /// A placement to start from, ascending: it may miss the goal where upper bounds are in the way.
 ///
-/// What a candidate adds only falls as others are chosen, so the last known values are upper bounds
-/// and few candidates are looked at again (Minoux, "Accelerated greedy algorithms", 1978).
+/// The gain of a candidate only falls as others are chosen, so the last known gains are upper bounds
+/// and few candidates are evaluated again (Minoux, "Accelerated greedy algorithms", 1978).
 pub(super) fn greedy(programme: &Programme) -> Vec<u32> {
     // Keeping an upper bound is worth more than covering any one cell.
     let cells = programme.demands.len() as i64;

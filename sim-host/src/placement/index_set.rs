@@ -14,7 +14,7 @@ impl IndexSet {
         Self { members: Vec::new(), places: vec![0; bound] }
     }
 
-    /// The members, in no order that means anything.
+    /// The members, in arbitrary order.
     pub(super) fn members(&self) -> &[u32] {
         &self.members
     }

@@ -1,5 +1,5 @@
 //! The integer programme as it is written in the paper, through [`good_lp`]: for comparison with
-//! solvers that know nothing of cameras, and as an oracle of tests.
+//! general solvers, and as a test oracle.
 
 use good_lp::{
     Expression, ProblemVariables, ResolutionError, Solution as _, SolverModel, Variable,
@@ -25,9 +25,9 @@ pub enum MilpSolver {
 /// How an integer programme is to be solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Milp {
-    /// By what.
+    /// The solver.
     pub solver: MilpSolver,
-    /// How long at most, in seconds of the wall clock.
+    /// Time limit in seconds of the wall clock.
     pub seconds: f64,
 }
 
@@ -35,14 +35,14 @@ pub struct Milp {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("the solver of integer programmes failed: {reason}")]
 pub struct MilpError {
-    /// What it says, on one line.
+    /// The solver's message, on one line.
     pub reason: String,
 }
 
-/// A solution that may be better, or proved, from a solution that is known.
+/// Improves or proves a known solution.
 ///
 /// # Errors
-/// If the solver fails. That it ran out of time is no failure.
+/// If the solver fails. Running out of time is not a failure.
 pub fn improve(programme: &Programme, known: Solution, milp: &Milp) -> Result<Solution, MilpError> {
     let reduction = Reduction::exact(programme);
     let start = known.chosen.iter().flatten();

@@ -1,6 +1,6 @@
 //! What can hide floor from a camera: upright prisms.
 
-/// A convex shape from above, in `map`, metres.
+/// A convex outline seen from above, in `map`, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outline {
     /// A circle.
@@ -33,7 +33,7 @@ impl Obstacle {
 
     /// Whether a point of `map` is under or over it.
     pub fn contains(&self, point: [f64; 2]) -> bool {
-        // A way without length.
+        // A segment without length.
         self.outline.clip(point, [0.0, 0.0], [0.0, 1.0]).is_some()
     }
 
@@ -49,7 +49,7 @@ impl Obstacle {
         from <= to && self.outline.clip([x, y], [floor[0] - x, floor[1] - y], [from, to]).is_some()
     }
 
-    /// The least and the greatest coordinates from above, in metres.
+    /// The minimum and maximum coordinates seen from above, in metres.
     pub fn bounds(&self) -> [[f64; 2]; 2] {
         match &self.outline {
             Outline::Disc { centre_m: [x, y], radius_m } => {
@@ -90,7 +90,7 @@ impl Outline {
                 for (index, corner) in corners.iter().enumerate() {
                     let next = corners[(index + 1) % corners.len()];
                     let edge = [next[0] - corner[0], next[1] - corner[1]];
-                    // Inside is to the left of each edge: `at + t rate >= 0`.
+                    // A point is inside if it is left of every edge: `at + t rate >= 0`.
                     let at = edge[0] * (start[1] - corner[1]) - edge[1] * (start[0] - corner[0]);
                     let rate = edge[0] * way[1] - edge[1] * way[0];
                     if rate > 0.0 {

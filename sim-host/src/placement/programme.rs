@@ -30,17 +30,17 @@ pub struct Demand {
     pub is_required: bool,
 }
 
-/// What is asked of a placement.
+/// The goal of a placement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Goal {
     /// As few cameras as possible that cover optional cells of at least this weight.
     Fewest {
-        /// Least total weight of the covered optional cells.
+        /// Minimum total weight of the covered optional cells.
         weight: u64,
     },
     /// The greatest covered weight with at most this number of cameras.
     Best {
-        /// Most cameras.
+        /// Maximum number of cameras.
         cameras: usize,
     },
 }
@@ -58,12 +58,12 @@ pub struct Programme {
     pub goal: Goal,
 }
 
-/// What a set of candidates achieves.
+/// The result of a set of candidates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Cameras that required cells lack, in all.
+    /// Total number of cameras that required cells lack.
     pub shortfall: u64,
-    /// Cameras that cells have beyond `k`, in all.
+    /// Total number of cameras that cells have beyond `k`.
     pub excess: u64,
     /// Total weight of the covered cells, required or optional.
     pub covered_weight: u64,

@@ -27,15 +27,15 @@ pub(super) const ONE: i64 = 1 << 24;
 /// Steps without a better bound after which steps become shorter, by this factor.
 const PATIENCE: u32 = 30;
 const SHORTER: f64 = 0.7;
-/// How much of the last direction goes into the next one.
+/// Weight of the previous direction in the next one.
 const DEFLECTION: f64 = 0.7;
-/// The shortest steps, as shares of the usual one; then the bound has converged.
+/// The minimum step, as a share of the usual one; the bound has then converged.
 const SHORTEST: f64 = 1e-4;
 
-/// The greatest multiplier, so that no sum of them overflows: the price of 65,536 cameras.
+/// Maximum multiplier, so that no sum of them overflows: the price of 65,536 cameras.
 const DEAREST: i64 = ONE << 16;
 
-/// What has been decided about a candidate.
+/// The decision about a candidate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Fixed {
     /// Nothing.
@@ -51,7 +51,7 @@ pub(super) enum Fixed {
 pub(super) struct Relaxation<'p> {
     programme: &'p Programme,
     multipliers: Vec<i64>,
-    /// Of each candidate, at the last evaluation.
+    /// The reduced cost of each candidate at the last evaluation.
     reduced_costs: Vec<i64>,
     /// Of each cell: the cameras of the relaxed solution there.
     overlap: Vec<i32>,
@@ -66,7 +66,7 @@ pub(super) struct Relaxation<'p> {
 }
 
 impl<'p> Relaxation<'p> {
-    /// Multipliers with which no candidate costs less than nothing: a dual feasible start.
+    /// Starts with multipliers that leave no candidate a negative reduced cost: dual feasible.
     pub(super) fn new(programme: &'p Programme) -> Self {
         let cells = programme.demands.len();
         let start = |cell: usize| {
@@ -118,13 +118,13 @@ impl<'p> Relaxation<'p> {
         self.programme.candidates()
     }
 
-    /// What a step costs, in matrix entries looked at.
+    /// The cost of a step, in visited matrix entries.
     pub(super) fn cost(&self) -> usize {
         let Programme { demands, covers, .. } = self.programme;
         2 * covers.ones() + 8 * (demands.len() + covers.rows()) + 100
     }
 
-    /// Whether more steps hardly make the bound better.
+    /// Whether the bound has converged.
     pub(super) fn has_converged(&self) -> bool {
         self.step < SHORTEST
     }
@@ -163,7 +163,7 @@ impl<'p> Relaxation<'p> {
             Goal::Fewest { .. } => target as i64 * ONE,
             Goal::Best { .. } => -(target as i64 * ONE),
         };
-        // A little beyond, so that a bound that is nearly there does not stop the steps.
+        // Aims slightly beyond the target, so that steps do not vanish as the bound approaches it.
         self.move_multipliers((target - value).max(0) + ONE / 50);
         value
     }
@@ -308,10 +308,10 @@ impl<'p> Relaxation<'p> {
         let length = self.step * gap as f64 / squared;
         for (cell, multiplier) in self.multipliers.iter_mut().enumerate() {
             let moved = multiplier.saturating_add((length * self.direction[cell]) as i64);
-            // Where there is no placement, prices would rise for ever.
+            // If no placement exists, prices would rise without limit.
             let moved = moved.clamp(-DEAREST, DEAREST);
             let has_bound = self.programme.demands[cell].at_most != ANY_OVERLAP;
-            // A price changes its meaning at zero, and stops there.
+            // At zero the constraint that the price stands for changes from `m` to `k`: it stops there.
             *multiplier = match multiplier.signum() {
                 1 => moved.max(0),
                 -1 => moved.min(0),

@@ -58,7 +58,7 @@ impl<'p> Selection<'p> {
         selection
     }
 
-    /// The chosen candidates, in no order that means anything.
+    /// The chosen candidates, in arbitrary order.
     pub(super) fn chosen(&self) -> &[u32] {
         self.chosen.members()
     }
@@ -167,7 +167,7 @@ impl<'p> Selection<'p> {
         }
     }
 
-    /// Lets each violated required cell, and each with too many cameras, weigh one more.
+    /// Adds one to the weight of each violated required cell and each cell with too many cameras.
     pub(super) fn weigh_violations(&mut self) {
         for &cell in self.short.members() {
             if self.programme.demands[cell as usize].is_required {

@@ -7,12 +7,11 @@ use super::{
     obstacle::Obstacle,
 };
 
-/// The floor that is not hidden from one point: what cameras that hang there may see, whichever
-/// way they look.
+/// The floor visible from one point, in all directions.
 pub(super) struct Sight<'p> {
     plan: &'p FloorPlan,
     eye: [f64; 3],
-    /// Those that are near enough to hide anything.
+    /// The obstacles near enough to hide floor.
     obstacles: Vec<&'p Obstacle>,
 }
 
@@ -56,7 +55,7 @@ fn is_clear(from: [f64; 2], to: [f64; 2], walled: impl Fn(usize, usize) -> bool)
     let mut square = from.map(|it| it.floor() as i64);
     let last = to.map(|it| it.floor() as i64);
     let direction = way.map(|it| if it > 0.0 { 1 } else { -1 });
-    // How much of the way lies between two borders, and before the next border.
+    // The share of the segment between two borders, and before the next border.
     let each = way.map(|it| if it == 0.0 { f64::INFINITY } else { 1.0 / it.abs() });
     let mut next = [0, 1].map(|axis| {
         let ahead = if way[axis] > 0.0 { 1.0 } else { 0.0 };

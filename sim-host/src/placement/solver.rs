@@ -14,7 +14,7 @@ use super::{
     weighting::RowWeighting,
 };
 
-/// Matrix entries looked at in a slice of work, roughly: some milliseconds.
+/// Approximate number of matrix entries visited in a slice of work: some milliseconds.
 const SLICE: usize = 1_000_000;
 /// After bounds have converged, one slice in this number goes to branch and bound; the others go on
 /// searching.
@@ -22,7 +22,7 @@ const BRANCHING: u64 = 2;
 /// No branch and bound in matrices with more ones than this: it would look at a few nodes.
 const MOST_ONES: usize = 1_000_000;
 
-/// What is known in the middle of a solution.
+/// The progress of a solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Interim {
     /// Cameras of the best placement so far, if there is one.
@@ -224,7 +224,7 @@ impl<'p> Solving<'p> {
     fn limit(&self) -> u64 {
         match self.programme.goal {
             Goal::Best { .. } => self.best.as_ref().map_or(0, |_| self.weight + 1),
-            // Where nothing was found, whether there is anything at all.
+            // With no placement found yet, the question is whether any exists.
             Goal::Fewest { .. } if self.best.is_none() => self.programme.candidates() as u64,
             Goal::Fewest { .. } => self.bound.unwrap_or(0),
         }
@@ -247,7 +247,7 @@ impl<'p> Solving<'p> {
         self.branching = Some(branching);
     }
 
-    /// There is nothing better than a limit: takes what follows, and gives the next limit.
+    /// Records that nothing better than a limit exists. Returns the next limit.
     fn exhausted(&mut self, limit: u64) -> Option<u64> {
         match self.programme.goal {
             Goal::Best { .. } if self.best.is_none() => {

@@ -17,12 +17,12 @@ use super::{incidence::Incidence, programme::Programme, selection::Selection};
 const SAMPLE: usize = 64;
 /// One addition in this number may be a candidate that the reductions have set aside.
 const WILD: u32 = 4;
-/// Most steps for which a candidate that was taken out stays out.
+/// Maximum number of steps for which a removed candidate stays out.
 const TENURE: u64 = 3;
 /// Steps without a first feasible set after which one camera more is allowed.
 const HOPELESS: u64 = 5_000;
 
-/// A search that goes on for as long as it is run.
+/// An anytime search: it can be run in slices without end.
 pub(super) struct RowWeighting<'p> {
     programme: &'p Programme,
     /// For each cell the candidates worth trying first.
@@ -112,7 +112,7 @@ impl<'p> RowWeighting<'p> {
         self.changed[candidate as usize] = self.step;
     }
 
-    /// The chosen candidate that is missed least; among equals the one that has stayed longest.
+    /// The least useful chosen candidate; among equals the one chosen first.
     fn pick_removed(&self) -> Option<u32> {
         let chosen = self.selection.chosen().iter().copied();
         let free = chosen.filter(|&it| self.tabu_until[it as usize] <= self.step);
@@ -142,7 +142,7 @@ impl<'p> RowWeighting<'p> {
         best.map(|(.., candidate)| candidate)
     }
 
-    /// Keeps the present set if it is feasible and the smallest so far.
+    /// Records the current set if it is feasible and the smallest so far.
     fn note(&mut self) {
         let count = self.selection.chosen().len();
         if self.selection.is_feasible() && self.best.as_ref().is_none_or(|it| count < it.len()) {

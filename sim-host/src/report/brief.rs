@@ -1,16 +1,16 @@
-//! What a run tells its user at the end, in four lines.
+//! The four lines that a run prints at its end.
 
 use std::path::Path;
 
 use super::{summary::Report, watching::WatchReport};
 
-/// A report in a few words.
+/// A short report.
 pub trait Brief {
-    /// How good the map is.
+    /// The quality of the map.
     fn quality(&self) -> String;
-    /// Who agrees on it.
+    /// Which parties agree on it.
     fn agreement(&self) -> String;
-    /// How long it took.
+    /// The time it took.
     fn time(&self) -> String;
 }
 

@@ -1,4 +1,4 @@
-//! What came of placing cameras: what `ubimap place` prints, and its `report.json`.
+//! The result of `ubimap place`, as it is printed and in `report.json`.
 
 use std::fmt;
 
@@ -6,8 +6,8 @@ use serde::Serialize;
 
 /// The figures of a placement.
 ///
-/// As JSON, `schema` and `version` tell a reader what to expect: within a version names keep their
-/// meaning, and new ones may be added.
+/// In JSON, `schema` and `version` identify the format: within a version, names keep their meaning and
+/// new ones may be added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlaceReport {
     /// Always "ubimap-place".
@@ -47,7 +47,7 @@ pub struct FloorSummary {
     pub cells: u64,
     /// Cells that no candidate sees.
     pub blind: u64,
-    /// Cells that fewer candidates see than cameras must: as many as there are must see them.
+    /// Cells visible to fewer candidates than the required number of cameras: all of those must see them.
     pub lowered: u64,
     /// Cells of pieces of floor under a square metre, at 0.5 m, which were left out.
     pub left_out: u64,
@@ -62,7 +62,7 @@ pub struct PlacementSummary {
     pub spacing_m: f64,
     /// Number of cameras.
     pub cameras: u64,
-    /// Those among them that were added to connect the overlap.
+    /// Number of cameras that were added to connect the overlap.
     pub added: u64,
     /// Cells that `min_overlap` cameras or more see.
     pub covered: u64,
@@ -75,8 +75,7 @@ pub struct PlacementSummary {
     pub value: u64,
     /// No placement has a better value.
     pub bound: u64,
-    /// How far from optimal the value can be: the difference to the bound, as a share of the
-    /// greater of both.
+    /// Maximum gap to the optimum: the difference to the bound, as a share of the greater of both.
     pub gap: f64,
     /// Whether the value is proved to be optimal.
     pub is_optimal: bool,
@@ -90,7 +89,7 @@ pub struct PlacementSummary {
 /// A camera of the placement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PlacedCamera {
-    /// What it is called.
+    /// Its name.
     pub name: String,
     /// The optical centre in `map`, in metres.
     pub position_m: [f64; 3],

@@ -24,11 +24,11 @@ pub struct ReplayOptions {
     #[arg(required = true, value_name = "LOG")]
     pub logs: Vec<PathBuf>,
 
-    /// What the logs are
+    /// Format of the logs
     #[arg(long, value_enum, default_value_t)]
     pub format: FormatChoice,
 
-    /// Cut the log into this many consecutive segments, one robot each, all at the same time
+    /// Number of robots: the log is cut into as many consecutive segments, played at the same time
     #[arg(long, help_heading = "Robots and map", value_name = "N", default_value_t = 1, value_parser = robots(), allow_negative_numbers = true)]
     pub robots: u16,
 
@@ -36,12 +36,12 @@ pub struct ReplayOptions {
     #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
 
-    /// Map nothing beyond this range, in metres
+    /// Maximum range that is mapped, in metres
     #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
     pub max_range: Millimetres,
 
-    /// How much of what the sensors say is mapped, as Aluckal et al. compare it: every scan; those
-    /// after a motion; less what was in view before a turn; less all that is known
+    /// Which readings are mapped, after Aluckal et al.: all; scans after a motion; without what was in
+    /// view before a turn; without what is already known
     #[arg(long, help_heading = "Robots and map", value_name = "P", value_enum, default_value_t = PolicyName::Full)]
     pub policy: PolicyName,
 
@@ -49,7 +49,7 @@ pub struct ReplayOptions {
     #[command(flatten)]
     pub slicing: SlicingOptions,
 
-    /// What every run has.
+    /// Options common to all runs.
     #[command(flatten)]
     pub run: RunOptions,
 }
@@ -72,7 +72,7 @@ pub struct SlicingOptions {
 }
 
 impl SlicingOptions {
-    /// The same, as the reader of logs takes it.
+    /// Converts to the options of the log reader.
     pub fn slicing(&self) -> Slicing {
         Slicing { slice: self.slice, pixels: self.pixel_model, up: self.up }
     }
@@ -91,25 +91,25 @@ pub struct SimulateOptions {
     #[arg(long, value_name = "YAML")]
     pub map: Option<PathBuf>,
 
-    /// Let the cameras know what is in view, in place of drawing and looking at their frames:
-    /// quicker, and better than any camera
+    /// Use ideal cameras that know what is in view, instead of rendering and analysing their frames:
+    /// faster, and more accurate than any camera
     #[arg(long, help_heading = "Cameras and robots")]
     pub ideal_cameras: bool,
 
-    /// Let the robots drive the scenario's routes, in place of driving themselves where nobody has
-    /// been, under the server's coordination
+    /// Let the robots drive the scenario's routes, instead of exploring by themselves under the
+    /// server's coordination
     #[arg(long, help_heading = "Cameras and robots")]
     pub scripted: bool,
 
-    /// How robots that drive themselves come to their scans
+    /// When robots that drive themselves take scans
     #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
     pub motion: MotionName,
 
-    /// How many robots drive, in place of the scenario's number
+    /// Number of robots, instead of the scenario's
     #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,
 
-    /// How long they drive in seconds, in place of the scenario's time
+    /// Duration in seconds, instead of the scenario's
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<Duration>,
 
@@ -117,12 +117,12 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Results", value_name = "DIR", conflicts_with = "ideal_cameras")]
     pub record: Option<PathBuf>,
 
-    /// Write what the robots' sensors read to this file, a CARMEN log for ubimap replay: robot after
-    /// robot, so that --robots N plays N of them at once; gzipped if the name ends with .gz
+    /// Write the robots' scans to this file, a CARMEN log for ubimap replay: one robot after another,
+    /// so that --robots N plays N of them at once; gzipped if the name ends with .gz
     #[arg(long, help_heading = "Results", value_name = "FILE")]
     pub log: Option<PathBuf>,
 
-    /// What every run has.
+    /// Options common to all runs.
     #[command(flatten)]
     pub run: RunOptions,
 }
@@ -136,7 +136,7 @@ pub struct WatchOptions {
     #[arg(required = true, value_name = "FOLDER")]
     pub folders: Vec<PathBuf>,
 
-    /// The robots and their markers, in place of the robots.toml in a folder
+    /// The robots and their markers, instead of the robots.toml in a folder
     #[arg(long, value_name = "TOML")]
     pub robots: Option<PathBuf>,
 
@@ -144,7 +144,7 @@ pub struct WatchOptions {
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
 
-    /// Where the results go.
+    /// Options for the results.
     #[command(flatten)]
     pub results: ResultOptions,
 }
@@ -160,8 +160,8 @@ pub struct ServeOptions {
     #[arg(long, value_name = "N", default_value_t = 115_200, value_parser = value_parser!(u32).range(1_200..=12_000_000))]
     pub baud: u32,
 
-    /// Until there are real cameras: where the robot stands on the bench, in metres and degrees;
-    /// once for all ports, or once for each in their order. Without it no fix is sent
+    /// Pose of the robot on the bench, in metres and degrees, in place of cameras; once for all ports,
+    /// or once for each in their order. Without it no fix is sent
     #[arg(long, value_name = "X,Y,DEG", value_parser = pose, allow_hyphen_values = true)]
     pub pose: Vec<Pose>,
 
@@ -169,25 +169,25 @@ pub struct ServeOptions {
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
 
-    /// Keep the map in this file, and go on from what it holds; without it, the map
-    /// is lost with the server
+    /// Store the map in this file, and continue from its content; without it, the map is lost when
+    /// the server ends
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,
 
-    /// How long to serve, in seconds; without it, until stopped
+    /// Duration in seconds; without it, until stopped
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
     pub duration: Option<Duration>,
 
-    /// Print the report as JSON, and nothing else, on standard output
+    /// Print only the report, as JSON, to standard output
     #[arg(long)]
     pub json: bool,
 }
 
-/// Options that every run has.
+/// Options common to all runs.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Run")]
 pub struct RunOptions {
-    /// What the channels do.
+    /// Faults of the channels.
     #[command(flatten)]
     pub channel: ChannelOptions,
 
@@ -195,20 +195,20 @@ pub struct RunOptions {
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
 
-    /// Tiles in each robot's pool, in place of the robots' real bound
+    /// Tiles in each robot's pool, instead of the firmware's bound
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..=65_536))]
     pub tiles: Option<u32>,
 
-    /// Keep the map in this file, and go on from what it holds
+    /// Store the map in this file, and continue from its content
     #[arg(long, value_name = "FILE", help_heading = "Results")]
     pub store: Option<PathBuf>,
 
-    /// Where the results go.
+    /// Options for the results.
     #[command(flatten)]
     pub results: ResultOptions,
 }
 
-/// Where the results of a run go.
+/// Options for the results of a run.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Results")]
 pub struct ResultOptions {
@@ -217,16 +217,16 @@ pub struct ResultOptions {
     #[arg(long, value_name = "DIR", default_value = "ubimap-out")]
     pub out: PathBuf,
 
-    /// Print the report as JSON, and nothing else, on standard output; the folder is written as well
+    /// Print only the report, as JSON, to standard output; the folder is written as well
     #[arg(long)]
     pub json: bool,
 }
 
-/// How much is logged on standard error. `RUST_LOG` overrides it.
+/// What is logged to standard error. `RUST_LOG` overrides it.
 #[derive(Args, Clone, Copy, Debug)]
 #[command(next_help_heading = "Messages")]
 pub struct Verbosity {
-    /// More messages, and all figures at the end; -vv for what happens in detail
+    /// More messages, and all figures at the end; -vv for details
     #[arg(short, long, action = ArgAction::Count, global = true)]
     pub verbose: u8,
 
@@ -248,7 +248,7 @@ impl Verbosity {
     }
 }
 
-/// What the channel between the server and each robot does to a frame, both ways. Probabilities are
+/// Faults of the channel between the server and each robot, in both directions. Probabilities are
 /// from 0 to 1.
 #[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
 #[command(next_help_heading = "Channel between the server and each robot")]
@@ -269,20 +269,20 @@ pub struct ChannelOptions {
     #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
     pub corrupt: f64,
 
-    /// How long a frame takes, in milliseconds
+    /// Delay of a frame, in milliseconds
     #[arg(long, value_name = "MS", default_value = "0", value_parser = milliseconds, allow_negative_numbers = true)]
     pub latency: Duration,
 
-    /// Let nothing arrive for ten seconds from this second on
+    /// Interrupt the channel for ten seconds, from this second on
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
     pub cut: Option<Duration>,
 }
 
-/// How long a channel is cut.
+/// Duration of an interruption.
 const CUT: Duration = Duration::from_secs(10);
 
 impl ChannelOptions {
-    /// The same, as the wires take it.
+    /// Converts to the faults of a wire.
     pub fn faults(&self) -> Faults {
         Faults {
             loss: self.loss,
@@ -299,16 +299,16 @@ impl ChannelOptions {
 /// Options of `ubimap compare`.
 #[derive(Args, Clone, Debug)]
 pub struct CompareOptions {
-    /// The map's YAML file, as ROS's map_server has it
+    /// The map's YAML file, in the format of ROS's map_server
     #[arg(value_name = "MAP.yaml")]
     pub map: PathBuf,
 
-    /// The YAML file of the map to hold it against
+    /// The YAML file of the reference map
     #[arg(value_name = "REFERENCE.yaml")]
     pub reference: PathBuf,
 
-    /// How far apart occupied cells may lie to count as the same, in metres [default: one cell of
-    /// the reference]
+    /// Maximum distance between matching occupied cells, in metres [default: one cell of the
+    /// reference]
     #[arg(long, value_name = "M", value_parser = tolerance, allow_negative_numbers = true)]
     pub tolerance: Option<f64>,
 
@@ -317,10 +317,10 @@ pub struct CompareOptions {
     pub json: bool,
 }
 
-/// The format of a log, as it is asked for.
+/// The requested format of a log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum FormatChoice {
-    /// Told by the content
+    /// Detected from the content
     #[default]
     Auto,
     /// CARMEN text with FLASER records, plain or gzipped
@@ -332,7 +332,7 @@ pub enum FormatChoice {
 }
 
 impl FormatChoice {
-    /// The format, or `None` to tell it by the content.
+    /// The format, or `None` to detect it from the content.
     pub fn format(self) -> Option<Format> {
         match self {
             Self::Auto => None,
@@ -343,7 +343,7 @@ impl FormatChoice {
     }
 }
 
-/// Why the value of an option is refused.
+/// Why the value of an option is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub(super) enum OptionError {
     #[error("not a number")]
@@ -379,7 +379,7 @@ fn probability(text: &str) -> Result<f64, OptionError> {
     number(text, 0.0, 1.0, "(a probability)")
 }
 
-/// The names of the ways to come to a scan.
+/// When self-driving robots take scans.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum MotionName {
     /// They scan as they drive
@@ -392,13 +392,13 @@ pub enum MotionName {
 /// The names of the policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PolicyName {
-    /// Every scan, and all of it.
+    /// All readings of all scans.
     Pilot,
-    /// A scan when the robot has moved.
+    /// All readings of scans after a motion.
     Threshold,
-    /// The same, less what was in view before the robot turned.
+    /// The same, without what was in view before the robot turned.
     Omission,
-    /// The same, less all that is known already.
+    /// The same, without what is already known.
     Full,
 }
 

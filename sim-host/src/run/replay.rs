@@ -1,8 +1,8 @@
 //! `ubimap replay`: robots on the scans of a recorded log.
 //!
-//! The log is cut into consecutive segments, one for each robot, and all of them run at the same
-//! time. The poses of a log stand for what ceiling cameras would have seen: a fix for every scan,
-//! and at camera rate in between.
+//! The log is cut into consecutive segments, one for each robot, which run at the same time. The poses
+//! of the log take the place of ceiling cameras: they give a fix for every scan, and at the cameras'
+//! frame rate in between.
 
 use std::{collections::VecDeque, time};
 
@@ -28,9 +28,9 @@ use crate::{
     report::Caption,
 };
 
-/// How long before the first scan the robots boot: time to meet the server.
+/// Time between the robots' boot and the first scan, in which they connect to the server.
 const BOOT: Duration = Duration::from_secs(5);
-/// Between two frames of the ceiling cameras.
+/// Frame interval of the ceiling cameras.
 const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
 
 /// Runs the logs through robots, channels and the server.
@@ -38,7 +38,7 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
     run_tapped(options, Box::new(|_, _, _| {}))
 }
 
-/// The same, with every frame heard.
+/// As [`run`], with a tap on every frame.
 pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let log =
@@ -130,7 +130,7 @@ impl LogStage {
             let segment = &log.scans[bound(robot)..bound(robot + 1)];
             events.extend(play(robot, segment));
         }
-        // What happens at the same moment keeps its order: first the camera, then the robot.
+        // Simultaneous events keep their order: the camera first, then the robot.
         events.sort_by_key(|(moment, _)| *moment);
         Self { events: events.into(), robots }
     }
@@ -178,7 +178,7 @@ fn play(robot: usize, segment: &[LoggedScan]) -> Vec<(Instant, Event)> {
             }));
         }
     }
-    // The cameras go on for a moment, so that the last scan has a fix after it.
+    // The cameras continue briefly, so that the last scan has a fix after it.
     if let Some(last) = segment.last()
         && let Some(pose) = last.pose
     {
@@ -190,7 +190,7 @@ fn play(robot: usize, segment: &[LoggedScan]) -> Vec<(Instant, Event)> {
     events
 }
 
-/// What a camera says that sees one robot. Each robot has a camera of its own here.
+/// An observation of one robot by its own camera.
 fn seen(robot: usize, captured: Instant, pose: Pose) -> Event {
     Event::Observation(Observation {
         camera: robot,
@@ -204,7 +204,7 @@ fn to_pose([x, y, heading]: [f64; 3]) -> Pose {
     Pose::from_metres(x, y, heading)
 }
 
-/// In proportion, turning the short way.
+/// Interpolates linearly; headings take the shorter way.
 fn between(from: [f64; 3], to: [f64; 3], part: f64) -> [f64; 3] {
     use std::f64::consts::{PI, TAU};
     let turn = (to[2] - from[2] + PI).rem_euclid(TAU) - PI;

@@ -1,7 +1,7 @@
 //! `ubimap serve`: the camera server on serial ports, in real time.
 //!
-//! A deployment driven by the wall clock. Until real cameras come it serves robots on a bench: each
-//! one stands at a given pose, and gets a fix of it as often as a camera would send one.
+//! Drives a deployment by the wall clock. Without real cameras it serves robots on a bench: each stands
+//! at a given pose, and gets fixes of it at a camera's rate.
 
 use std::time;
 
@@ -28,16 +28,16 @@ use crate::{
     store::StoreError,
 };
 
-/// Between two frames of the camera that the bench stands for: 15 Hz.
+/// Frame interval of the simulated camera of the bench: 15 Hz.
 pub const CAPTURE_INTERVAL: Duration = Duration::from_micros(66_667);
 
-/// The longest wait for a byte, shared by all ports. What arrives at one of them meanwhile is taken
-/// for younger than it is by as much.
+/// Maximum wait for a byte, shared by all ports. Bytes that arrive at another port meanwhile get a
+/// time that is late by up to this.
 const LONGEST_WAIT: Duration = Duration::from_millis(4);
-/// The shortest wait that lets the processor rest.
+/// Minimum wait, so that the processor can idle.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 
-/// Serves until the time is over or every port has hung up.
+/// Serves until the time is up or every port has hung up.
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
     let ports = open(options)?;
     let resolution = options.resolution;
@@ -73,9 +73,9 @@ fn epoch() -> Result<Epoch, RunError> {
     Ok(Epoch(getrandom::u32().map_err(RunError::Randomness)?.max(1)))
 }
 
-/// What carries bytes to a robot and back without a wait for the robot: a serial port.
+/// A byte stream to and from a robot, such as a serial port.
 pub trait Wire {
-    /// Reads what has arrived, waiting that long for a first byte: the number of bytes.
+    /// Reads the bytes that have arrived, waiting up to `wait` for the first one. Returns their number.
     fn read_within(
         &mut self,
         buffer: &mut [u8],
@@ -100,24 +100,24 @@ impl Wire for SerialPort {
     }
 }
 
-/// A wire, and what is known of the robot behind it.
+/// A wire and the state of the robot behind it.
 pub struct Attached {
     name: String,
     /// `None` once it has hung up.
     wire: Option<Box<dyn Wire>>,
     stands: Option<Pose>,
     robot: Option<RobotId>,
-    /// What the robot said last, and when by the server's clock.
+    /// The robot's last reported status, and its time by the server's clock.
     said: Option<(Instant, State)>,
     stalled: bool,
     bytes_up: u64,
     bytes_down: u64,
-    /// What the link had counted when the wire hung up.
+    /// The link's counters when the wire hung up.
     counted: Option<Counters>,
 }
 
 impl Attached {
-    /// A wire by its name; the robot behind it stands at this pose, if that is known.
+    /// A wire with its name, and the pose of the robot behind it, if known.
     pub fn new(name: String, wire: Box<dyn Wire>, stands: Option<Pose>) -> Self {
         let wire = Some(wire);
         Self {
@@ -133,7 +133,7 @@ impl Attached {
         }
     }
 
-    /// Writes a frame. Bytes that a stalled wire does not take are lost, as on any bad link.
+    /// Writes a frame. Bytes that a stalled wire does not accept are lost; the protocol resends them.
     fn write(&mut self, frame: &[u8]) {
         let Some(wire) = &mut self.wire else { return };
         match wire.write(frame) {
@@ -145,7 +145,7 @@ impl Attached {
         }
     }
 
-    /// Reads what comes within a time. Returns the number of bytes.
+    /// Reads the bytes that arrive within a time. Returns their number.
     fn read_within(&mut self, buffer: &mut [u8], wait: time::Duration) -> usize {
         let Some(wire) = &mut self.wire else { return 0 };
         match wire.read_within(buffer, wait) {
@@ -160,7 +160,7 @@ impl Attached {
         }
     }
 
-    /// Logs the failure of a wire; one that has hung up is dropped.
+    /// Logs the failure of a wire, and drops it if it has hung up.
     fn failed(&mut self, error: &SerialError) {
         let is_stalled = matches!(error, SerialError::Stalled { .. });
         if !(is_stalled && self.stalled) {
@@ -172,7 +172,7 @@ impl Attached {
         self.stalled = is_stalled;
     }
 
-    /// Takes note of what the port's robot has said, and logs it if it is new.
+    /// Records the status of the port's robot, and logs it if it is new.
     fn note(&mut self, status: &PortStatus, now: Instant) {
         self.robot = status.robot.or(self.robot);
         if let (Some(robot), Some(state)) = (status.robot, status.state)
@@ -184,15 +184,14 @@ impl Attached {
     }
 }
 
-/// What stands for a camera on the bench: it sees each robot with a session where it is said to
-/// stand.
+/// The simulated camera of the bench: it sees each robot with a session at its configured pose.
 #[derive(Debug, Default)]
 struct BenchCamera {
     next: Instant,
 }
 
 impl BenchCamera {
-    /// The frame that is due. Frames that are late by more than one interval are left out.
+    /// The frame that is due. Frames late by more than one interval are skipped.
     fn poll(
         &mut self,
         now: Instant,
@@ -209,7 +208,7 @@ impl BenchCamera {
     }
 }
 
-/// A deployment joined with its wires, on the wall clock.
+/// A deployment with its wires, driven by the wall clock.
 pub struct Station {
     deployment: Deployment,
     ports: Vec<(PortId, Attached)>,
@@ -220,10 +219,10 @@ pub struct Station {
 }
 
 impl Station {
-    /// A deployment whose life begins now. What it hands out goes to the keeper, if there is one.
+    /// Starts a deployment. Its records go to the keeper, if there is one.
     ///
     /// # Errors
-    /// [`RunError::Registry`]; a deployment without markers has no reason for it.
+    /// [`RunError::Registry`], which a deployment without markers does not return.
     pub fn new(
         resolution: Millimetres,
         life: Life,
@@ -261,7 +260,7 @@ impl Station {
         self.ports.iter().filter(|(_, port)| port.wire.is_some()).count() as u64
     }
 
-    /// Does what is due and takes what comes, or comes within a few milliseconds.
+    /// Does the work that is due and processes input that arrives within a few milliseconds.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -289,13 +288,13 @@ impl Station {
         for (port, wire) in self.ports.iter_mut().filter(|(_, wire)| wire.wire.is_none()) {
             if let Ok(status) = self.deployment.port(*port) {
                 wire.counted = Some(status.link);
-                // It is open, or it would have no status.
+                // The port is open: it has a status.
                 let _ = self.deployment.close_port(*port);
             }
         }
     }
 
-    /// How long to wait at each port.
+    /// The time to wait at each port.
     fn wait(&self) -> time::Duration {
         let now = self.now();
         let due = self.deployment.poll_timeout(now).into_iter().chain([self.camera.next]).min();
@@ -335,7 +334,7 @@ impl Station {
         Ok(())
     }
 
-    /// What became of the robots so far.
+    /// The report on the robots at this time.
     pub fn report(&self) -> ServeReport {
         ServeReport {
             schema: ServeReport::SCHEMA,

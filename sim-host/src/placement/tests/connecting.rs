@@ -62,7 +62,7 @@ fn corridor(cells: u32, at_most: u16) -> Programme {
 }
 
 #[test]
-fn cameras_are_moved_where_that_is_enough() {
+fn cameras_are_moved_if_that_connects_them() {
     // Five cameras for 18 cells: 0-3, 4-7, 8-11, 12-15, 14-17 cover them in four pieces; moved so
     // that each shares a cell with the next, they reach 17 cells only; but two pieces are possible.
     let programme = corridor(18, 3);
@@ -83,7 +83,7 @@ fn cameras_are_moved_where_that_is_enough() {
 }
 
 #[test]
-fn cameras_are_added_where_it_takes_more() {
+fn cameras_are_added_if_moving_is_not_enough() {
     for at_most in [2, ANY_OVERLAP] {
         let programme = corridor(16, at_most);
         let start = [0, 4, 8, 12];

@@ -101,7 +101,7 @@ fn a_share_of_the_floor_takes_fewer_cameras() {
 }
 
 #[test]
-fn critical_cells_are_seen_twice_count_more_or_are_all_there_is() {
+fn critical_cells_follow_each_rule() {
     let plan = room(10.0, 8.0);
     // Three columns in the west.
     let cells: Vec<bool> = plan.cells().iter().map(|cell| cell.column < 3).collect();
@@ -163,7 +163,7 @@ fn coverage_is_given_up_to_connect_a_number_of_cameras() {
 }
 
 #[test]
-fn what_can_not_be_is_said_in_one_line() {
+fn impossible_requests_are_refused_in_one_line() {
     let plan = room(10.0, 8.0);
     let model = CameraModel { range_m: 2.0, ..request(0.5).model };
     let tilted = |tilt: f64| Choices { tilts_deg: vec![tilt], ..request(0.5).choices };
@@ -199,7 +199,7 @@ fn what_can_not_be_is_said_in_one_line() {
 }
 
 #[test]
-fn who_stops_it_gets_the_best_so_far() {
+fn a_stopped_search_returns_the_best_placement() {
     let plan = room(20.0, 15.0);
     let mut is_found = false;
     let placement = place(&plan, &request(0.5), &mut |stage| {

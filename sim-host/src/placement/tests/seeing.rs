@@ -215,7 +215,7 @@ fn walls_of_a_map_hide_what_is_behind_them() {
 }
 
 #[test]
-fn the_papers_model_sees_through_everything() {
+fn the_papers_model_ignores_obstacles() {
     let (plan, _) = furnished(3);
     let empty = Enclosure::Outline(vec![[0.0, 0.0], [9.0, 0.0], [9.0, 7.0], [0.0, 7.0]]);
     let empty = FloorPlan::new(empty, vec![], [3.0, 0.3], 0.5).unwrap();
@@ -236,7 +236,7 @@ fn the_papers_model_sees_through_everything() {
 }
 
 #[test]
-fn the_floor_is_what_is_free_and_inside() {
+fn the_floor_is_free_and_inside_the_outline() {
     let rectangle = |west: f64, south: f64, east: f64, north: f64| {
         vec![[west, south], [east, south], [east, north], [west, north]]
     };
@@ -281,7 +281,7 @@ fn the_floor_is_what_is_free_and_inside() {
 }
 
 #[test]
-fn cameras_hang_where_nothing_is() {
+fn cameras_hang_only_in_free_space() {
     let (plan, obstacles) = furnished(1);
     for height in [0.5, 1.2, 2.8] {
         let mounts = plan.mounts(0.5, height);

@@ -1,4 +1,4 @@
-//! A grid as pixels, and places of `map` on it.
+//! Draws a grid as pixels, and maps points of `map` to pixels.
 
 use std::collections::HashMap;
 
@@ -8,26 +8,26 @@ use ubimap_protocol::tile::Cell;
 use super::palette::{INK, UNKNOWN, are_alike};
 use crate::grid::OccupancyGrid;
 
-/// Unknown cells around the map.
+/// Width of the margin around the map, in cells.
 pub(super) const MARGIN: usize = 4;
 
-/// The longer side of a picture has about this many pixels, within the scales.
+/// Approximate length of the longer side of a picture in pixels, before rounding to a scale.
 const SIDE: usize = 1200;
 const SCALES: std::ops::RangeInclusive<usize> = 2..=8;
 
-/// Past this many cells a cell is one pixel, and nothing separates colours that are alike: a line
-/// would be a wall.
+/// Above this number of cells a cell is one pixel, and no lines separate similar colours: a line would
+/// look like a wall.
 const MOST_SCALED_CELLS: usize = 1 << 22;
 
 /// A picture of a grid with a margin.
 pub(super) struct Canvas<'g> {
     pub(super) image: RgbImage,
     grid: &'g OccupancyGrid,
-    /// Pixels of a cell.
+    /// Side of a cell in pixels.
     scale: usize,
 }
 
-/// Pixels of a cell in a picture of a whole grid: 2 to 8, 1 in that of a huge one.
+/// Side of a cell in pixels in a picture of a whole grid: 2 to 8, or 1 for a huge grid.
 pub(super) fn scale_of(grid: &OccupancyGrid) -> usize {
     if grid.width() * grid.height() > MOST_SCALED_CELLS {
         return 1;
@@ -37,14 +37,14 @@ pub(super) fn scale_of(grid: &OccupancyGrid) -> usize {
 }
 
 impl<'g> Canvas<'g> {
-    /// Draws a grid. `colour` gives that of each cell, and of the cells of the margin.
+    /// Draws a grid. `colour` gives the colour of each cell, including those of the margin.
     pub(super) fn new(
         grid: &'g OccupancyGrid,
         scale: usize,
         colour: impl Fn(usize, usize) -> Rgb<u8>,
     ) -> Self {
         let (columns, rows) = (grid.width() + 2 * MARGIN, grid.height() + 2 * MARGIN);
-        // From the upper left on. West and south of the grid the subtraction wraps: outside.
+        // From the upper left. West and south of the grid the subtraction wraps: outside.
         let cells = (0..columns * rows).map(|index| {
             let (column, row) = (index % columns, rows - 1 - index / columns);
             colour(column.wrapping_sub(MARGIN), row.wrapping_sub(MARGIN))
@@ -65,7 +65,7 @@ impl<'g> Canvas<'g> {
         [(column + margin) * scale, height - (row + margin) * scale]
     }
 
-    /// Whether the map says something of a point of `map`, in metres.
+    /// Whether the cell at a point of `map`, in metres, is known.
     pub(super) fn is_known(&self, point: [f64; 2]) -> bool {
         let [column, row] = self.grid.from_map(point);
         column >= 0.0
@@ -73,12 +73,12 @@ impl<'g> Canvas<'g> {
             && self.grid.cell(column as usize, row as usize) != Cell::Unknown
     }
 
-    /// Pixels of a metre.
+    /// Pixels per metre.
     pub(super) fn pixels_per_m(&self) -> f64 {
         self.scale as f64 / self.grid.resolution_m()
     }
 
-    /// An angle of `map` as it is on the picture, where y points down: counter-clockwise from the
+    /// Converts an angle of `map` to the picture, whose y axis points down: counter-clockwise from the
     /// right, in radians.
     pub(super) fn angle(&self, heading_rad: f64) -> f64 {
         heading_rad - self.grid.yaw_rad()
@@ -98,8 +98,8 @@ impl Cells {
             .then(|| self.colours[row * self.columns + column])
     }
 
-    /// The colour of a pixel: that of its cell, or a line towards a cell whose colour is too much
-    /// like it. One of the two cells has the line.
+    /// The colour of a pixel: that of its cell, or black on the border to a cell of too similar a
+    /// colour. Only one of the two cells has the line.
     fn pixel(
         &self,
         [x, y]: [usize; 2],
@@ -131,8 +131,8 @@ impl Cells {
     }
 }
 
-/// Which of two cells makes room for a line between them: what is unknown, that a single cell that
-/// matters keeps its size.
+/// Which of two cells gives up pixels for a line between them: the unknown one, so that a single
+/// known cell keeps its size.
 fn yields(own: Rgb<u8>, other: Rgb<u8>) -> bool {
     own != other && (own == UNKNOWN || other != UNKNOWN && own.0 < other.0)
 }

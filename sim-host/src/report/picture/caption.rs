@@ -1,4 +1,4 @@
-//! What stands below a picture: title, scale bar and legend.
+//! The caption below a picture: title, scale bar and legend.
 
 use std::fmt;
 
@@ -10,28 +10,28 @@ use super::{
     strokes::{LARGE, SMALL, edged_line, fill, size, write},
 };
 
-/// Between a text and what is beside it, in pixels.
+/// Space around a text, in pixels.
 const GAP: u32 = 10;
 const LINE: u32 = 24;
-/// The side of a sample in the legend.
+/// Side of a sample in the legend, in pixels.
 const SAMPLE: u32 = 16;
-/// A caption is as wide as its picture, and no narrower than this.
+/// Minimum width of a caption in pixels; otherwise it is as wide as its picture.
 const LEAST_WIDTH: u32 = 480;
-/// The longest scale bar.
+/// Maximum length of the scale bar in pixels.
 const LONGEST_BAR: f64 = 200.0;
 
-/// What a picture shows, and when.
+/// The source and the time of a picture.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Caption {
     /// The scenario, log or recording.
     pub subject: String,
     /// The seed of the run, if it had one.
     pub seed: Option<u64>,
-    /// The moment that is shown, in seconds since the run began, if there was a run.
+    /// The time shown, in seconds since the run began, if there was a run.
     pub time_s: Option<f64>,
 }
 
-/// As in "room, seed 2, after 120.0 s".
+/// For example "room, seed 2, after 120.0 s".
 impl fmt::Display for Caption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.subject)?;
@@ -48,7 +48,7 @@ impl fmt::Display for Caption {
 /// An entry of a legend: a sample and what it stands for.
 pub(super) type Entry = (Sample, &'static str);
 
-/// What an entry of a legend explains.
+/// The sample of an entry of a legend.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sample {
     /// A cell of this colour.
@@ -86,7 +86,7 @@ pub(super) fn with_caption(
     image
 }
 
-/// A picture with a text below it and nothing more.
+/// A picture with only a text below it.
 pub(super) fn with_title(picture: &RgbImage, title: &str) -> RgbImage {
     let [width, height] = [picture.width(), picture.height() + LINE];
     let mut image = RgbImage::from_pixel(width, height, PAPER);
@@ -95,7 +95,7 @@ pub(super) fn with_title(picture: &RgbImage, title: &str) -> RgbImage {
     image
 }
 
-/// The entries line by line.
+/// Breaks the entries into lines.
 fn wrapped(legend: &[Entry], width: u32) -> Vec<Vec<&Entry>> {
     let mut lines: Vec<Vec<&Entry>> = Vec::new();
     let mut left = u32::MAX / 2;
@@ -116,7 +116,7 @@ fn width_of((_, text): &Entry) -> u32 {
     SAMPLE + GAP / 2 + size(text, SMALL)[0] + 2 * GAP
 }
 
-/// A sample whose upper left corner is here.
+/// Draws a sample with this upper left corner.
 fn draw_sample(image: &mut RgbImage, sample: Sample, [left, top]: [u32; 2]) {
     let side = f64::from(SAMPLE);
     let at = |x: f64, y: f64| [f64::from(left) + x * side, f64::from(top) + y * side];
@@ -138,7 +138,7 @@ fn draw_sample(image: &mut RgbImage, sample: Sample, [left, top]: [u32; 2]) {
     }
 }
 
-/// A bar of a round length at the right, whose text ends at its left.
+/// Draws a scale bar of a round length at the right, with its text to the left of it.
 fn scale_bar(image: &mut RgbImage, pixels_per_m: f64, top: u32) {
     let Some(length_m) = round_length(LONGEST_BAR / pixels_per_m) else { return };
     let length = (length_m * pixels_per_m).round() as u32;
@@ -153,13 +153,13 @@ fn scale_bar(image: &mut RgbImage, pixels_per_m: f64, top: u32) {
     write(image, [left - i64::from(width + GAP), top.into()], &text, LARGE);
 }
 
-/// The greatest of 1, 2 and 5 times a power of ten that is no more than this.
+/// The greatest number of the form 1, 2 or 5 times a power of ten that is at most this.
 fn round_length(most_m: f64) -> Option<f64> {
     if !(most_m > 0.0 && most_m.is_finite()) {
         return None;
     }
     let power = most_m.log10().floor() as i32;
-    // A power of a fraction would not be exact: 0.1, but not 10^-1.
+    // Divides for negative powers: powers of 0.1 are not exact.
     let scaled = |digit: f64| {
         if power < 0 { digit / 10_f64.powi(-power) } else { digit * 10_f64.powi(power) }
     };

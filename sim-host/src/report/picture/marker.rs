@@ -8,15 +8,15 @@ use super::{
     strokes::{SMALL, dashed_line, edged_disc, edged_line, fill, size, stroke, write},
 };
 
-/// The radius of robots and people unless it is set, in metres.
+/// Default radius of robots and people, in metres.
 const RADIUS_M: f64 = 0.2;
-/// The smallest radius of a symbol, and that of a camera, in pixels.
+/// Minimum radius of a symbol, and the radius of a camera, in pixels.
 const LEAST_RADIUS: f64 = 6.0;
 const CAMERA_RADIUS: f64 = 11.0;
 /// Half the width of a path, and of the edge of a view, in pixels.
 const PATH: f64 = 1.3;
 const VIEW: f64 = 0.8;
-/// The edge of a view is followed in steps of this length; no side of one is longer. In metres.
+/// Step along the edge of a view, and the maximum length of a side, in metres.
 const STEP_M: f64 = 0.05;
 const LONGEST_SIDE_M: f64 = 1e3;
 
@@ -44,26 +44,26 @@ pub struct Marker {
     pub heading_rad: f64,
     /// What it is.
     pub kind: MarkerKind,
-    /// How large a robot or a person is, in metres.
+    /// Radius of a robot or a person, in metres.
     pub radius_m: f64,
-    /// What is written beside it; may be empty.
+    /// The text beside it; may be empty.
     pub label: String,
-    /// Where it has been, in `map`, metres; may be empty.
+    /// Its path, in `map`, metres; may be empty.
     pub path: Vec<[f64; 2]>,
-    /// The edge of what it sees of the floor, in `map`, metres; may be empty.
+    /// The outline of the floor in its view, in `map`, metres; may be empty.
     pub view: Vec<[f64; 2]>,
 }
 
 impl Marker {
-    /// A marker of the usual size at a place of `map` in metres with a heading in radians, without label,
-    /// path and view.
+    /// A marker of the default size at a point of `map` in metres, with a heading in radians and no
+    /// label, path or view.
     pub fn new(kind: MarkerKind, [x_m, y_m]: [f64; 2], heading_rad: f64) -> Self {
         let (label, path, view) = Default::default();
         Self { x_m, y_m, heading_rad, kind, radius_m: RADIUS_M, label, path, view }
     }
 }
 
-/// Draws markers, what lies on the floor first.
+/// Draws markers: first views and paths, then symbols and labels.
 pub(super) fn draw(canvas: &mut Canvas<'_>, markers: &[Marker]) {
     for marker in markers {
         for edge in edge_on_map(canvas, &marker.view) {
@@ -97,7 +97,7 @@ fn radius(canvas: &Canvas<'_>, marker: &Marker) -> f64 {
     }
 }
 
-/// The edge of a view in pixels, in pieces: beyond the map, behind the walls, it means nothing.
+/// The edge of a view in pixels, in pieces: parts beyond the map or behind walls are left out.
 fn edge_on_map(canvas: &Canvas<'_>, view: &[[f64; 2]]) -> Vec<Vec<[f64; 2]>> {
     let (mut pieces, mut piece) = (Vec::new(), Vec::new());
     let sides = view.iter().zip(view.iter().cycle().skip(1));
@@ -119,7 +119,7 @@ fn edge_on_map(canvas: &Canvas<'_>, view: &[[f64; 2]]) -> Vec<Vec<[f64; 2]>> {
     pieces
 }
 
-/// The symbol of a kind, which looks along an angle counter-clockwise from the right.
+/// Draws the symbol of a kind, rotated counter-clockwise from the right by an angle.
 pub(super) fn symbol(
     image: &mut RgbImage,
     kind: MarkerKind,
@@ -149,7 +149,7 @@ pub(super) fn symbol(
     }
 }
 
-/// A text in a box beside a marker, within the image if the marker is.
+/// Draws a text in a box beside a marker, inside the image if the marker is.
 fn label(image: &mut RgbImage, text: &str, centre: [f64; 2], radius: f64) {
     let [width, height] = size(text, SMALL);
     let [width, height] = [width + 3, height + 2];

@@ -2,16 +2,16 @@
 //!
 //! | file | subject |
 //! |---|---|
-//! | `palette` | the colours, and which of them are too alike to touch |
+//! | `palette` | the colours, and which of them are too similar to touch |
 //! | `strokes` | lines, discs and text |
 //! | `canvas` | a grid as pixels, and places of `map` on it |
 //! | `marker` | robots, people and cameras |
 //! | `caption` | title, scale bar and legend below a picture |
 //! | `views` | the pictures themselves |
 //!
-//! Colours that touch have a contrast of 3:1 or more, for colour-blind eyes too. Luminance leaves room
-//! for three such levels only, so cells of one level have a black line between them, and whatever is
-//! drawn over the cells has a black edge.
+//! Colours that touch have a contrast of 3:1 or more, for colour-blind eyes too. Luminance allows
+//! only three such levels, so a black line separates cells of the same level, and everything drawn
+//! over the cells has a black edge.
 
 mod canvas;
 mod caption;

@@ -1,25 +1,24 @@
 //! The colours of pictures, and the contrast between them.
 //!
-//! Contrast is that of WCAG 2 (relative luminance), the least that four kinds of eyes see: usual ones
-//! and, after Machado, Oliveira and Fernandes (2009, severity 1), those without red, green or blue
-//! cones.
+//! Contrast is that of WCAG 2 (relative luminance), the minimum over four kinds of vision: normal and,
+//! after Machado, Oliveira and Fernandes (2009, severity 1), without red, green or blue cones.
 
 use image::Rgb;
 
 /// Lines, edges and text.
 pub(super) const INK: Rgb<u8> = Rgb([0, 0, 0]);
-/// The ground of captions.
+/// The background of captions.
 pub(super) const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 
-/// Nobody knows what is there.
+/// Unknown cells.
 pub(super) const UNKNOWN: Rgb<u8> = Rgb([118, 118, 118]);
 /// Free floor.
 pub(super) const FREE: Rgb<u8> = Rgb([240, 240, 240]);
 /// Walls and furniture.
 pub(super) const WALL: Rgb<u8> = INK;
-/// Occupied by something that is likely to move again.
+/// Movable: occupied by something that is likely to move again.
 pub(super) const MOVABLE: Rgb<u8> = Rgb([200, 88, 0]);
-/// A camera sees it now.
+/// Floor in a camera's view now.
 pub(super) const COVERED: Rgb<u8> = Rgb([200, 235, 250]);
 /// Known floor that no camera sees now.
 pub(super) const BLIND: Rgb<u8> = Rgb([140, 90, 190]);
@@ -30,9 +29,9 @@ pub(super) const SEEN_BY: [Rgb<u8>; 4] =
 pub(super) const UNSEEN: Rgb<u8> = Rgb([240, 170, 165]);
 /// Floor that no camera could see.
 pub(super) const HIDDEN: Rgb<u8> = Rgb([160, 90, 130]);
-/// On the map, and not in the room.
+/// Occupied on the map but not in the room.
 pub(super) const EXTRA: Rgb<u8> = Rgb([200, 40, 150]);
-/// In the room, and not on the map.
+/// Occupied in the room but not on the map.
 pub(super) const MISSING: Rgb<u8> = Rgb([50, 105, 235]);
 
 /// Robots and their paths.
@@ -42,10 +41,10 @@ pub(super) const PERSON: Rgb<u8> = Rgb([200, 150, 255]);
 /// Cameras and the edge of their view.
 pub(super) const CAMERA: Rgb<u8> = Rgb([250, 205, 0]);
 
-/// The contrast that graphics need to be told apart (WCAG 2.2, 1.4.11).
+/// Minimum contrast between adjacent graphics (WCAG 2.2, 1.4.11).
 const LEAST_CONTRAST: f64 = 3.0;
 
-/// What a kind of eyes makes of linear red, green and blue.
+/// A kind of vision, as a matrix on linear red, green and blue.
 const EYES: [[[f64; 3]; 3]; 4] = [
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
     [
@@ -70,7 +69,7 @@ pub(super) fn are_alike(a: Rgb<u8>, b: Rgb<u8>) -> bool {
     a != b && contrast(a, b) < LEAST_CONTRAST
 }
 
-/// The least contrast between two colours for any kind of eyes, 1 to 21.
+/// The minimum contrast between two colours over all kinds of vision, 1 to 21.
 fn contrast(a: Rgb<u8>, b: Rgb<u8>) -> f64 {
     let of = |eyes: &[[f64; 3]; 3]| {
         let [a, b] = [a, b].map(|colour| luminance(colour, eyes) + 0.05);
@@ -79,7 +78,7 @@ fn contrast(a: Rgb<u8>, b: Rgb<u8>) -> f64 {
     EYES.iter().map(of).fold(f64::INFINITY, f64::min)
 }
 
-/// WCAG's relative luminance of a colour as these eyes see it, 0 to 1.
+/// WCAG's relative luminance of a colour for this kind of vision, 0 to 1.
 fn luminance(colour: Rgb<u8>, eyes: &[[f64; 3]; 3]) -> f64 {
     let linear = colour.0.map(|value| {
         let value = f64::from(value) / 255.0;
@@ -106,7 +105,7 @@ mod tests {
     #[test]
     fn contrast_is_that_of_the_standard() {
         assert!((contrast(INK, PAPER) - 21.0).abs() < 0.001);
-        // Grey is the same for all eyes: (0.2159 + 0.05) / 0.05 for 50 % grey.
+        // Grey is the same for every kind of vision: (0.2159 + 0.05) / 0.05 for 50 % grey.
         assert!((contrast(Rgb([128; 3]), INK) - 5.318).abs() < 0.01);
         let usual = |a, b| {
             let [a, b] = [a, b].map(|it| luminance(Rgb(it), &EYES[0]) + 0.05);
@@ -115,7 +114,7 @@ mod tests {
         // The usual example: #777 on white has 4.48, pure red 4.0.
         assert!((usual([0x77; 3], [255; 3]) - 4.48).abs() < 0.01);
         assert!((usual([255, 0, 0], [255; 3]) - 4.0).abs() < 0.01);
-        // Whoever has no red cones sees red darker.
+        // Red looks darker without red cones.
         assert!(contrast(Rgb([255, 0, 0]), INK) < usual([255, 0, 0], [0; 3]));
     }
 

@@ -22,13 +22,13 @@ pub(super) const SMALL: &MonoFont<'_> = &ascii::FONT_8X13;
 
 /// The width of a black edge.
 const EDGE: f64 = 1.2;
-/// A dash, and a dash with the gap after it.
+/// Length of a dash, and of a dash with its gap, in pixels.
 const DASH: f64 = 6.0;
 const DASH_AND_GAP: f64 = 16.0;
-/// Longer dashed lines are left out: they are no part of a picture.
+/// Maximum length of a dashed line in pixels; longer ones can't be part of a picture.
 const LONGEST: f64 = 1e5;
 
-/// A stroke with round ends, its edge blended. With no length it is a disc.
+/// Draws a stroke with round ends and a blended edge. A stroke of zero length is a disc.
 pub(super) fn stroke(
     image: &mut RgbImage,
     [from, to]: [[f64; 2]; 2],
@@ -64,7 +64,7 @@ pub(super) fn edged_line(
     half_width: f64,
     colour: Rgb<u8>,
 ) {
-    // All of the edge first, so that none of it lies on the line.
+    // The whole edge first, so that it does not cover the line.
     for (half_width, colour) in [(half_width + EDGE, INK), (half_width, colour)] {
         for step in points.windows(2) {
             stroke(image, [step[0], step[1]], half_width, colour);
@@ -72,7 +72,7 @@ pub(super) fn edged_line(
     }
 }
 
-/// The same, dashed.
+/// A dashed line along points with a black edge.
 pub(super) fn dashed_line(
     image: &mut RgbImage,
     points: &[[f64; 2]],
@@ -111,7 +111,7 @@ pub(super) fn edged_disc(image: &mut RgbImage, centre: [f64; 2], radius: f64, co
     stroke(image, [centre; 2], radius - EDGE, colour);
 }
 
-/// Fills a rectangle; what is outside the image is left out.
+/// Fills the part of a rectangle inside the image.
 pub(super) fn fill(
     image: &mut RgbImage,
     [x, y]: [i64; 2],
@@ -125,7 +125,7 @@ pub(super) fn fill(
     }
 }
 
-/// Black text whose upper left corner is here. ASCII only; other letters become question marks.
+/// Draws black text with this upper left corner. ASCII only; other letters become question marks.
 pub(super) fn write(image: &mut RgbImage, [x, y]: [i64; 2], text: &str, font: &MonoFont<'_>) {
     let style = MonoTextStyle::new(font, Rgb888::BLACK);
     let [x, y] = [x, y].map(|it| it.clamp(i32::MIN.into(), i32::MAX.into()) as i32);
@@ -167,7 +167,7 @@ impl DrawTarget for Pixels<'_> {
     }
 }
 
-/// From a point to a stroke.
+/// The distance from a point to a stroke.
 fn distance(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     let (x, y) = (to[0] - from[0], to[1] - from[1]);
     let length_squared = x * x + y * y;

@@ -14,9 +14,9 @@ use super::{
 };
 use crate::grid::OccupancyGrid;
 
-/// Frames of a time-lapse in a row.
+/// Number of frames in a row of a time-lapse.
 const ABREAST: usize = 3;
-/// Between frames, in pixels.
+/// Space between frames, in pixels.
 const GAP: u32 = 4;
 
 /// The cells of a map.
@@ -27,28 +27,27 @@ const MAP: [Entry; 4] = [
     (Sample::Cell(UNKNOWN), "unknown"),
 ];
 
-/// A map at a moment of a run, and what was on it.
+/// A map at a time of a run, with its markers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moment {
     /// Seconds since the run began.
     pub time_s: f64,
     /// The map.
     pub grid: OccupancyGrid,
-    /// What was on it.
+    /// The markers on it.
     pub markers: Vec<Marker>,
 }
 
-/// Draws a map and what moves on it. A cell becomes 2 to 8 pixels wide, so that the picture of a
-/// room and that of a building are of about the same size; huge maps get one pixel a cell.
+/// Draws a map with its markers. Cells are 2 to 8 pixels wide, so that pictures of rooms and buildings
+/// have about the same size; cells of huge maps are one pixel.
 pub fn render(grid: &OccupancyGrid, markers: &[Marker], caption: &Caption) -> RgbImage {
     let canvas = Canvas::new(grid, scale_of(grid), map_colour(grid));
     finish(canvas, markers, caption, &MAP)
 }
 
-/// Draws a map as it was at several moments, beside one another, row by row: all as large as the last
-/// map.
+/// Draws a map at several times, side by side in rows; all frames are as large as the last map.
 pub fn render_frames(map: &OccupancyGrid, frames: &[Moment], caption: &Caption) -> RgbImage {
-    // Half as large as a picture of its own, but a cell of one pixel has no room for edges.
+    // Half the size of a single picture, but at least two pixels per cell, which edges need.
     let scale = (scale_of(map) / 2).max(2);
     let mut pixels_per_m = 1.0;
     let drawn = frames.iter().map(|Moment { time_s, grid, markers }| {
@@ -78,7 +77,7 @@ pub fn render_frames(map: &OccupancyGrid, frames: &[Moment], caption: &Caption) 
     with_caption(&all, pixels_per_m, &caption.to_string(), &legend)
 }
 
-/// Draws which cells of a map the cameras see, and which are blind.
+/// Draws which cells of a map are in view of cameras, and which are blind.
 pub fn render_coverage(
     map: &OccupancyGrid,
     coverage: &OccupancyGrid,
@@ -104,7 +103,7 @@ pub fn render_coverage(
 }
 
 /// Draws the floor by the number of cameras that see it, and the cameras. `floor` gives that number
-/// for a point of `map` in metres, and whether any camera could see it; `None` outside of the floor.
+/// for a point of `map` in metres, and whether any camera could see it; `None` outside the floor.
 /// Occupied cells of the map are drawn over it: black, or as dots (movable) where something hangs
 /// above the floor.
 pub fn render_overlap(
@@ -137,8 +136,8 @@ pub fn render_overlap(
     finish(canvas, cameras, caption, &cells)
 }
 
-/// Draws a map against the truth: surfaces that are where they should be black, within one cell;
-/// those that are not magenta; those that are missing blue, if somebody has `seen` the place.
+/// Compares a map with the truth: correct surfaces (within one cell) are black, false ones magenta,
+/// and missing ones blue, where the cell has been `seen`.
 pub fn render_error(
     map: &OccupancyGrid,
     truth: &OccupancyGrid,
@@ -180,7 +179,7 @@ fn map_colour(grid: &OccupancyGrid) -> impl Fn(usize, usize) -> Rgb<u8> {
     }
 }
 
-/// Draws what is on the floor, and the caption.
+/// Draws the markers and the caption.
 fn finish(
     mut canvas: Canvas<'_>,
     markers: &[Marker],
@@ -192,7 +191,7 @@ fn finish(
     with_caption(&canvas.image, canvas.pixels_per_m(), &caption.to_string(), &legend)
 }
 
-/// The entries of cells, and of the markers that there are.
+/// The legend entries of the cells and of the markers present.
 fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone) -> Vec<Entry> {
     let is_there = |kind: MarkerKind| markers.clone().any(|marker| marker.kind == kind);
     let kinds = [
@@ -213,13 +212,13 @@ fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone
     entries
 }
 
-/// The cell of a grid that holds the middle of a cell of another, which may be beside that.
+/// The cell of a grid that contains the centre of another grid's cell; it may lie outside the grid.
 fn at(grid: &OccupancyGrid, other: &OccupancyGrid, column: usize, row: usize) -> Cell {
     let [x, y] = grid.from_map(other.to_map([middle(column), middle(row)]));
     if x < 0.0 || y < 0.0 { Cell::Unknown } else { grid.cell(x as usize, y as usize) }
 }
 
-/// The middle of a cell along an axis; indices west and south of the grid wrap.
+/// The centre of a cell along an axis; indices west and south of the grid wrap.
 fn middle(index: usize) -> f64 {
     index as isize as f64 + 0.5
 }
