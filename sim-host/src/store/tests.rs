@@ -244,12 +244,16 @@ fn names_that_keep_nothing_on_disk_are_refused() {
     }
 }
 
+/// Damages a store, given the paths of its database and its log.
+#[cfg(unix)]
+type Spoil = fn(&Path, &Path);
+
 /// Each of these loses what is written afterwards, although SQLite reports success for most.
 #[cfg(unix)]
 #[test]
 fn a_file_that_was_removed_replaced_or_truncated_takes_nothing_more() {
     let folder = Folder::new("store-gone");
-    let spoil: [(&str, fn(&Path, &Path)); 6] = [
+    let spoil: [(&str, Spoil); 6] = [
         ("removed", |path, _| std::fs::remove_file(path).unwrap()),
         ("replaced", |path, _| {
             let copy = path.with_extension("copy");
