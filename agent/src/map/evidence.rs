@@ -44,9 +44,9 @@ impl RowSighting {
 /// State of two rows of a tile: for each column, whether one of its two cells is in the state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Certain {
-    /// Certainly occupied: 7.
+    /// Cells that are certainly occupied: level 7. One bit per cell.
     pub(super) occupied: u32,
-    /// Certainly free: 1.
+    /// Cells that are certainly free: level 1. One bit per cell.
     pub(super) free: u32,
     /// Known, but in neither state.
     pub(super) neither: u32,

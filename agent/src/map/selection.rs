@@ -88,7 +88,7 @@ impl Selection {
             Policy::Full => {
                 self.last.changed(readings).map_or(Selected::Nothing, Selected::Changed)
             }
-            // As printed: a standing robot maps nothing.
+            // As in the paper's listing: a standing robot maps nothing.
             _ => Selected::Nothing,
         }
     }

@@ -75,7 +75,7 @@ impl core::error::Error for ImageSizeError {}
 struct Column {
     /// The level of the floor, in 1/128 grey levels, or [`ENDED`].
     level: u16,
-    /// The topmost line that is floor, counted from the bottom, starting at 1.
+    /// The highest image line that is still floor; the bottom line is 1.
     distance: u8,
 }
 

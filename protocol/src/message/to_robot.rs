@@ -37,7 +37,7 @@ messages! {
 /// Accepts a hello, in a handshake frame: the session begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Welcome {
-    /// The nonce of the hello.
+    /// The nonce of the hello that this answers.
     pub nonce: u32,
     /// The version that both sides speak from here on.
     pub version: u8,

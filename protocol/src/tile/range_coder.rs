@@ -26,7 +26,7 @@ impl Model {
 
     #[inline(always)]
     fn update(&mut self, bit: bool) {
-        // `>>` rounds down, so the goal of 31 gives `p - (p >> 5)`; p stays in 31..=65505.
+        // The step `(goal - p) >> RATE` is rounded down, so that p stays in 31..=65505.
         let (p, goal) = (i32::from(self.0), if bit { 31 } else { 65_536 });
         self.0 = (p + ((goal - p) >> RATE)) as u16;
     }

@@ -242,7 +242,7 @@ mod tests {
         let start = Instant::now();
         let frame = [0x5A; 250];
         let mut queued = 0;
-        // The operating system buffers some tens of kilobytes; then the queue fills.
+        // Nobody reads: the operating system's buffer fills first (tens of kilobytes), then the queue.
         while port.write(&frame).is_ok() {
             queued += frame.len();
             assert!(queued < 10_000_000, "{queued} bytes accepted without a reader");

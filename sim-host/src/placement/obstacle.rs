@@ -49,7 +49,7 @@ impl Obstacle {
         from <= to && self.outline.clip([x, y], [floor[0] - x, floor[1] - y], [from, to]).is_some()
     }
 
-    /// The minimum and maximum coordinates seen from above, in metres.
+    /// `[[x_min, y_min], [x_max, y_max]]` seen from above, in metres.
     pub fn bounds(&self) -> [[f64; 2]; 2] {
         match &self.outline {
             Outline::Disc { centre_m: [x, y], radius_m } => {

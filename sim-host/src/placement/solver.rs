@@ -27,7 +27,7 @@ const MOST_ONES: usize = 1_000_000;
 pub struct Interim {
     /// Cameras of the best placement so far, if there is one.
     pub cameras: Option<usize>,
-    /// The optional weight that it covers.
+    /// Total weight of the optional cells that this placement covers.
     pub weight: u64,
     /// No placement has fewer cameras, or more optional weight: whichever is the goal.
     pub bound: Option<u64>,

@@ -160,7 +160,7 @@ impl Coordinator {
         crowding
     }
 
-    /// What determines a robot's viewpoints, from the end of its granted ground.
+    /// The inputs for choosing a robot's viewpoints, starting at the end of the route granted to it.
     fn approach<'a>(&'a self, ground: &'a Ground, index: usize, tried: &'a [Disc]) -> Approach<'a> {
         let me = self.reservations.claim(index);
         let mut in_the_way = vec![false; ground.len()];
