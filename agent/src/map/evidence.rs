@@ -44,9 +44,9 @@ impl RowSighting {
 /// State of two rows of a tile: for each column, whether one of its two cells is in the state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Certain {
-    /// Cells that are certainly occupied: level 7. One bit per cell.
+    /// Columns with a certainly occupied cell (level 7), one bit each.
     pub(super) occupied: u32,
-    /// Cells that are certainly free: level 1. One bit per cell.
+    /// Columns with a certainly free cell (level 1), one bit each.
     pub(super) free: u32,
     /// Known, but in neither state.
     pub(super) neither: u32,
