@@ -1,5 +1,5 @@
 //! Instruction counts from rows of recorded depth frames, received on USART1, to planes: `cargo
-//! test --release --package ubimap-tests --test instructions -- --nocapture`.
+//! test --release --package ubimap-tests --test instructions -- --ignored --nocapture`.
 //!
 //! Input format, all numbers little-endian:
 //!

@@ -1,5 +1,5 @@
 //! Instruction counts of the coder for the tile updates of a recorded log, received on USART1:
-//! `cargo test --release --package ubimap-tests --test instructions -- --nocapture`.
+//! `cargo test --release --package ubimap-tests --test instructions -- --ignored --nocapture`.
 //!
 //! Input format, all numbers little-endian:
 //!
