@@ -15,7 +15,7 @@ use serde::Serialize;
 use ubimap_sim_host::{
     report::{Brief, OutputFolder, brief, json_pretty},
     run::{
-        Outcome, RunError, compare,
+        Outcome, RunError, compare, interruption,
         options::{
             CompareOptions, ReplayOptions, ResultOptions, ServeOptions, SimulateOptions, Verbosity,
             WatchOptions,
@@ -61,6 +61,9 @@ fn main() -> ExitCode {
         Ok(command_line) => command_line,
         Err(error) => return refuse_use(&error),
     };
+    if !matches!(command, Command::Compare(_)) {
+        interruption::listen();
+    }
     let level = match command {
         // It runs until stopped: its messages are its only output.
         Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Info),
@@ -103,6 +106,9 @@ fn finish<R: Brief + fmt::Display + Serialize>(
     // Before the run, so that a folder that can't be written fails at once.
     let folder = OutputFolder::create(&options.out)?;
     let outcome = run()?;
+    if interruption::is_requested() {
+        log::warn!("interrupted: the results are those of the run until then");
+    }
     outcome.write(folder)?;
     let report = &outcome.report;
     if options.json {
@@ -111,7 +117,7 @@ fn finish<R: Brief + fmt::Display + Serialize>(
         let figures = if is_verbose { report.to_string() } else { String::new() };
         print(&(figures + &brief(report, &options.out)))?;
     }
-    Ok(status(is_success(report)))
+    Ok(status(is_success(report) || interruption::is_requested()))
 }
 
 fn status(is_success: bool) -> ExitCode {
@@ -138,7 +144,7 @@ fn place(options: &PlaceOptions) -> Result<ExitCode, RunError> {
 fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
     print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
-    Ok(status(report.has_robot()))
+    Ok(status(report.has_robot() || interruption::is_requested()))
 }
 
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {

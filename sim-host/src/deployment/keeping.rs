@@ -84,6 +84,12 @@ impl Keeping {
         self.is_writing.then_some(batch)
     }
 
+    /// Makes the next batches due.
+    pub(super) fn hasten(&mut self, now: Instant) {
+        self.next_commit = now;
+        self.next_camera_tiles = now;
+    }
+
     /// Acknowledges a batch that is on disk.
     pub(super) fn stored(&mut self, server: &mut Server, batch: &Batch) {
         self.is_writing = false;

@@ -256,6 +256,12 @@ impl Deployment {
         self.server.explore(robot, explores);
     }
 
+    /// Tells every robot with a session to stop. A robot obeys until it meets the next life of the
+    /// server.
+    pub fn stop_robots(&mut self) {
+        self.server.stop_robots();
+    }
+
     /// Does what is due at `now`.
     pub fn timeout(&mut self, now: Instant) {
         let now = self.server_time(now);
@@ -270,6 +276,12 @@ impl Deployment {
     pub fn poll_store(&mut self, now: Instant) -> Option<Batch> {
         let now = self.server_time(now);
         self.keeping.poll(&mut self.server, now)
+    }
+
+    /// Makes all records that are not on disk due at once, before the life ends.
+    pub fn hasten_store(&mut self, now: Instant) {
+        let now = self.server_time(now);
+        self.keeping.hasten(now);
     }
 
     /// Call this once the batch is durably on disk.

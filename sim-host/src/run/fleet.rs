@@ -16,6 +16,7 @@ use ubimap_protocol::{
 
 use super::{
     heap::Heap,
+    interruption,
     keeper::Keeper,
     member::{Journal, Member},
     terminal,
@@ -176,7 +177,8 @@ impl<'b> Fleet<'b> {
         self.settle(stage)
     }
 
-    /// Runs until the stage has ended. `watch` is called after all events of a moment.
+    /// Runs until the stage has ended or a signal interrupts. `watch` is called after all events of
+    /// a moment.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -185,7 +187,9 @@ impl<'b> Fleet<'b> {
         stage: &mut dyn Stage,
         mut watch: impl FnMut(&Self),
     ) -> Result<(), StoreError> {
-        while let Some(next) = stage.next_event() {
+        while !interruption::is_requested()
+            && let Some(next) = stage.next_event()
+        {
             self.run_until(next, stage)?;
             while let Some(event) = stage.poll(self.now) {
                 self.happen(event);

@@ -14,6 +14,8 @@ use crate::{
 #[derive(Debug)]
 pub struct Keeper {
     store: Store,
+    /// Why the last attempt to write failed, as it was logged.
+    trouble: Option<String>,
 }
 
 impl Keeper {
@@ -41,7 +43,7 @@ impl Keeper {
             kept.tiles.len(),
             kept.camera_tiles.len()
         );
-        Ok((Self { store }, Life { epoch, kept: Some(kept) }))
+        Ok((Self { store, trouble: None }, Life { epoch, kept: Some(kept) }))
     }
 
     /// Writes the records that are due.
@@ -58,6 +60,32 @@ impl Keeper {
             deployment.stored(batch);
         }
         Ok(())
+    }
+
+    /// Writes the records that are due. If that fails, the deployment returns them again later.
+    /// Failures are logged once, and so is the recovery.
+    pub fn keep_trying(&mut self, deployment: &mut Deployment, now: Instant) {
+        while let Some(batch) = deployment.poll_store(now) {
+            match self.write(&batch) {
+                Ok(()) => {
+                    deployment.stored(batch);
+                    if self.trouble.take().is_some() {
+                        log::warn!("{}: the map is stored again", self.store.path().display());
+                    }
+                }
+                Err(error) => {
+                    deployment.store_failed(batch, now);
+                    let trouble = error.to_string();
+                    if self.trouble.as_ref() != Some(&trouble) {
+                        log::error!(
+                            "{trouble}; until it is stored, robots keep what they have drawn"
+                        );
+                    }
+                    self.trouble = Some(trouble);
+                    return;
+                }
+            }
+        }
     }
 
     fn write(&mut self, batch: &Batch) -> Result<(), StoreError> {
@@ -107,6 +135,7 @@ pub(super) fn open(
 mod tests {
     use ubimap_protocol::{
         tile::Cell,
+        time::Duration,
         units::{Pose, RobotId},
     };
 
@@ -162,5 +191,34 @@ mod tests {
         first.observe(observation(Instant(11_000_000), |_| Cell::Free));
         second.observe(observation(began, |_| Cell::Free));
         assert_eq!(second.server().fused().digest(), first.server().fused().digest());
+    }
+
+    /// A full disk: nothing is acknowledged as stored, the deployment goes on, and everything is
+    /// stored once there is space.
+    #[test]
+    fn a_full_disk_delays_storing() {
+        let folder = Folder::new("keeper-full");
+        let path = folder.path().join("map.db");
+        let (mut keeper, mut deployment) = life(&path);
+        let floor = |captured, tile: i32| Observation {
+            captured,
+            cells: (0..32).map(|x| ((32 * tile + x, x), Cell::Free)).collect(),
+            ..Observation::default()
+        };
+        keeper.store.limit_pages(1);
+        let mut now = Instant(10_000_000);
+        for tile in 0..20 {
+            deployment.observe(floor(now, tile));
+            keeper.keep_trying(&mut deployment, now);
+            assert!(keeper.trouble.as_ref().is_some_and(|it| it.contains("disk is full")));
+            now = now + Duration::from_secs(10);
+        }
+        assert!(keeper.store.camera_tiles().unwrap().is_empty());
+        assert_eq!(deployment.server().fused().tiles().count(), 20);
+
+        keeper.store.limit_pages(u32::MAX);
+        keeper.keep_trying(&mut deployment, now);
+        assert_eq!(keeper.trouble, None);
+        assert_eq!(keeper.store.camera_tiles().unwrap().len(), 20);
     }
 }

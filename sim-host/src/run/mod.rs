@@ -8,6 +8,7 @@ mod driving;
 mod figures;
 pub mod fleet;
 pub mod heap;
+pub mod interruption;
 pub mod keeper;
 mod markers;
 pub mod member;

@@ -83,6 +83,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         ground.look(fleet);
         time_lapse.look(fleet);
     })?;
+    time_lapse.end(&fleet);
     let seen = Seen::by(&fleet, stage.stage.world(), options)?;
     let converged = fleet.settle(&mut stage)?;
     drop(progress);

@@ -30,11 +30,22 @@ impl TimeLapse {
         let due = self.duration.micros() >> FRAMES.saturating_sub(taken + 1);
         let now = Instant(0) + fleet.elapsed();
         if taken < FRAMES && now.micros() >= due {
-            let time_s = fleet.elapsed().micros() as f64 / 1e6;
-            let moment = |grid| Moment { time_s, grid, markers: markers::robots(fleet) };
-            // A map that can't become a grid is skipped here; it is an error at the end of the run.
-            self.frames.extend(grid(fleet).ok().map(moment));
+            self.take(fleet);
         }
+    }
+
+    /// Takes the last snapshot of a run that has ended before its duration was over.
+    pub(super) fn end(&mut self, fleet: &Fleet<'_>) {
+        if (self.frames.len() as u32) < FRAMES {
+            self.take(fleet);
+        }
+    }
+
+    fn take(&mut self, fleet: &Fleet<'_>) {
+        let time_s = fleet.elapsed().micros() as f64 / 1e6;
+        let moment = |grid| Moment { time_s, grid, markers: markers::robots(fleet) };
+        // A map that can't become a grid is skipped here; it is an error at the end of the run.
+        self.frames.extend(grid(fleet).ok().map(moment));
     }
 
     /// All snapshots, each of the size of the final map.

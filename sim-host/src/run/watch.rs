@@ -12,7 +12,8 @@ use ubimap_protocol::{
 };
 
 use super::{
-    Outcome, RunError, markers, options::WatchOptions, progress::Progress, robots_file, terminal,
+    Outcome, RunError, interruption, markers, options::WatchOptions, progress::Progress,
+    robots_file, terminal,
 };
 use crate::{
     camera::{FrameSource, Sighting},
@@ -83,7 +84,8 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     })
 }
 
-/// Plays the frames of a recording to a deployment, by the recording's clock. Returns the arrival
+/// Plays the frames of a recording to a deployment, by the recording's clock, until it ends or a
+/// signal interrupts. Returns the arrival
 /// time of the last frame.
 pub fn play(
     deployment: &mut Deployment,
@@ -91,7 +93,9 @@ pub fn play(
     mut progress: impl FnMut(Instant),
 ) -> Instant {
     let mut now = Instant(0);
-    while let Some(next) = frames.next_arrival() {
+    while !interruption::is_requested()
+        && let Some(next) = frames.next_arrival()
+    {
         while let Some(due) = deployment.poll_timeout(now).filter(|due| *due < next) {
             now = now.max(due);
             deployment.timeout(now);

@@ -32,7 +32,7 @@ use std::collections::BTreeSet;
 
 use ubimap_protocol::{
     link::Terms,
-    message::Hello,
+    message::{Hello, Stop},
     tile::Epoch,
     time::Instant,
     units::{Millimetres, RobotId},
@@ -214,6 +214,15 @@ impl Server {
     /// Every [`CommandError`].
     pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), CommandError> {
         self.ports.command(robot, command)
+    }
+
+    /// Tells every robot with a session to stop, for the rest of this server's life.
+    pub fn stop_robots(&mut self) {
+        let robots: Vec<RobotId> = self.ports.sessions().map(|session| session.robot()).collect();
+        for robot in robots {
+            // A stop fits into every frame, and the robot has a session.
+            let _ = self.command(robot, Command::Stop(Stop { number: u32::MAX, stop: true }));
+        }
     }
 
     /// Starts a coordinator, which decides where robots drive. The server sets the resolution and

@@ -56,7 +56,7 @@ pub enum Trouble {
     #[error("in use by another process; stop that process, or give another file with --store")]
     InUse,
     /// The disk is full.
-    #[error("the disk is full; free some space and restart: nothing that was acknowledged is lost")]
+    #[error("the disk is full; free some space: nothing that was acknowledged as stored is lost")]
     Full,
     /// Any other database error.
     #[error("can't store the map: {0}")]

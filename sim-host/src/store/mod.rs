@@ -116,6 +116,11 @@ impl Store {
         Ok(epoch)
     }
 
+    /// The path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// The last stored time of the server's clock, which continues from there.
     pub fn clock(&self) -> Instant {
         self.clock
@@ -232,6 +237,12 @@ impl Store {
             self.presence.check_committed()
         });
         kept.map_err(|trouble| self.error(trouble))
+    }
+
+    /// Limits the file's length, as a full disk does.
+    #[cfg(test)]
+    pub(crate) fn limit_pages(&self, pages: u32) {
+        self.connection.pragma_update(None, "max_page_count", pages).unwrap();
     }
 
     fn error(&self, trouble: Trouble) -> StoreError {

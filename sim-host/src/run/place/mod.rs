@@ -5,18 +5,12 @@ pub mod options;
 mod progress;
 mod room;
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::Instant,
-};
+use std::time::Instant;
 
 use image::RgbImage;
 use ubimap_protocol::tile::Cell;
 
-use super::RunError;
+use super::{RunError, interruption};
 use crate::{
     camera::{CamerasFile, MountedCamera},
     grid::{GridError, OccupancyGrid},
@@ -73,7 +67,6 @@ impl PlaceOutcome {
 /// [`RunError`] if a file is invalid, or the request can't be met.
 pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
     let started = Instant::now();
-    let is_stopped = stop_by_signal();
     let (plan, height_m) = room::read_room(options)?;
     let (model, keys) = room::read_camera(options.camera.as_deref())?;
     let request = request(options, &plan, model, height_m)?;
@@ -85,11 +78,7 @@ pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
         if let Stage::Solving(_) = stage {
             solved_s = elapsed;
         }
-        if is_stopped.load(Ordering::Relaxed) {
-            f64::INFINITY
-        } else {
-            elapsed / options.time_limit
-        }
+        if interruption::is_requested() { f64::INFINITY } else { elapsed / options.time_limit }
     });
     progress.finish();
     let placement = placement.map_err(|error| match error {
@@ -100,7 +89,7 @@ pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
     })?;
     let mut report = summarise(options, &plan, &request, &placement);
     report.solved_s = solved_s;
-    report.was_interrupted = is_stopped.load(Ordering::Relaxed);
+    report.was_interrupted = interruption::is_requested();
     report.elapsed_s = started.elapsed().as_secs_f64();
     let caption = Caption { subject: options.room.display().to_string(), ..Caption::default() };
     Ok(PlaceOutcome {
@@ -144,21 +133,6 @@ fn request(
             .map(|solver| Milp { solver, seconds: options.time_limit * MILP_SHARE }),
         seed: options.seed,
     })
-}
-
-/// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once.
-fn stop_by_signal() -> Arc<AtomicBool> {
-    let is_stopped = Arc::new(AtomicBool::new(false));
-    let thrown = is_stopped.clone();
-    let handler = move || {
-        if thrown.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    };
-    if let Err(error) = ctrlc::set_handler(handler) {
-        log::warn!("Ctrl-C will end the program without a result: {error}");
-    }
-    is_stopped
 }
 
 fn summarise(
