@@ -13,6 +13,9 @@ use super::{
 /// Minimum distance in metres between a placed object and a person or robot.
 const APART: f64 = 0.02;
 
+/// Maximum distance in metres between the posts that stand for a closed door: nobody fits between.
+const POST_SPACING: f64 = 0.1;
+
 /// The changeable parts of the room and the schedule of their changes.
 pub(super) struct Changes {
     /// The scenario after the changes already made.
@@ -103,12 +106,19 @@ impl Changes {
         is_changed.then(|| self.room().ok()).flatten()
     }
 
-    /// Obstacles for people and robots: the closed doors.
+    /// Obstacles for people and scripted robots: the leaves of the closed doors, each as a row of
+    /// posts as thick as the leaf.
     pub(super) fn barriers(&self) -> impl Iterator<Item = Body> + '_ {
         let doors = self.scenario.doors.iter().zip(&self.are_open);
-        doors.filter(|&(_, is_open)| !is_open).map(|(door, _)| {
-            let bounds = leaf(door, false).footprint.bounds();
-            Body { centre: bounds.center(), radius: door.width_m / 2.0, height: door.height_m }
+        doors.filter(|&(_, is_open)| !is_open).flat_map(|(door, _)| {
+            let heading = door.heading_deg.to_radians();
+            let along = DVec2::new(libm::cos(heading), libm::sin(heading)) * door.width_m;
+            let spaces = (door.width_m / POST_SPACING).ceil().max(1.0);
+            (0..=spaces as u32).map(move |post| Body {
+                centre: DVec2::from(door.hinge_m) + along * (f64::from(post) / spaces),
+                radius: door.thickness_m / 2.0,
+                height: door.height_m,
+            })
         })
     }
 

@@ -291,8 +291,8 @@ impl World {
     fn obey(&mut self, index: usize, seconds: f64) {
         let people: Vec<Body> = self.people.iter().map(Person::body).collect();
         let others = self.robots.iter().enumerate().filter(|(other, _)| *other != index);
-        let mut things: Vec<Body> = others.map(|(_, robot)| robot.body()).collect();
-        things.extend(self.changes.barriers());
+        let robots: Vec<Body> = others.map(|(_, robot)| robot.body()).collect();
+        // Closed doors are parts of the room.
         let room = &self.room;
         let contact = |me: Body, next: DVec2| {
             let meets = |other: &Body| me.meets(next, other);
@@ -300,7 +300,7 @@ impl World {
                 return Some(Contact::Person);
             }
             let wall = || room.obstacle(me.centre, next, me.radius, me.height).is_some();
-            (things.iter().any(meets) || wall()).then_some(Contact::Thing)
+            (robots.iter().any(meets) || wall()).then_some(Contact::Thing)
         };
         match self.robots[index].obey(seconds, contact) {
             Some(Contact::Person) => self.contacts.touches += 1,
