@@ -5,6 +5,7 @@ Numbers in comments are sections of the specification.
 """
 
 import re
+import struct
 import zlib
 from pathlib import Path
 
@@ -442,6 +443,14 @@ def tile_hash(cells):
     return zlib.crc32(to_planes(cells))
 
 
+def base_check(cells):
+    """The 16 bits by which an update names the cells that it builds upon (8.3)."""
+    check = 0
+    for (row,) in struct.iter_unpack("<I", to_planes(cells)):
+        check = ((check << 5 | check >> 27) ^ row) * 0x9E3779B9 & 0xFFFFFFFF
+    return check >> 16
+
+
 def digest(tiles):
     total = 0
     for tile in tiles:
@@ -660,9 +669,11 @@ class Update:
         end = 1024 if coder.bit(TO_END) else coder.plain(10)
         if start >= end or not from_start and start == 0:
             raise Refused("malformed")
+        check = coder.plain(16) if has_base and from_start else None
         self.count += 1
         self.before = {
-            "x": x, "y": y, "epoch": epoch, "version": version, "base": base, "start": start, "end": end,
+            "x": x, "y": y, "epoch": epoch, "version": version, "base": base, "check": check,
+            "start": start, "end": end,
         }  # fmt: skip
         return self.before
 
@@ -697,6 +708,8 @@ def write_update(tiles):
         coder.bit(TO_END, int(header["end"] == 1024))
         if header["end"] != 1024:
             coder.plain(header["end"], 10)
+        if base is not None and header["start"] == 0:
+            coder.plain(base_check(was), 16)
         code_cells(coder, header["start"], header["end"], was, new)
         before = header
     coder.bit(MORE, 0)
@@ -724,7 +737,8 @@ class Replica:
             self.cells[start:end] = part[start:end]
             return "complete"
         elif start == 0:
-            if held != (header["epoch"], header["base"]) or self.next:
+            is_held = held == (header["epoch"], header["base"]) and not self.next
+            if not is_held or header["check"] != base_check(self.cells):
                 return "base missing"
         elif held != stamp or self.next != start:
             return "base missing"

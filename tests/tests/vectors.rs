@@ -207,6 +207,7 @@ fn tiles_read_and_write() {
             let header = decoder.header().unwrap().expect("one more tile");
             assert_eq!((header.id, header.stamp), (id_of(part), stamp_of(part)), "{case}");
             assert_eq!(header.base.map(|base| u64::from(base.0)), part["base"].as_u64());
+            assert_eq!(u64::from(header.check), part["check"].as_u64().unwrap_or(0));
             assert_eq!(u64::from(header.start), number(part, "start"));
             assert_eq!(u64::from(header.end), number(part, "end"));
             let mut cells = tile(text(part, "before"));

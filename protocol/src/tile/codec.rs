@@ -6,7 +6,7 @@
 use core::fmt;
 
 use super::{
-    Epoch, Stamp, TILE_SIDE, Tile, TileId, Version, cells,
+    Epoch, Stamp, TILE_SIDE, Tile, TileId, Version, base_check, cells,
     context::{self, Models},
     header::{TILE_CELLS, TileHeader},
     range_coder::{Decoder, Encoder},
@@ -68,10 +68,11 @@ impl<'a> TileEncoder<'a> {
         if base == Some(Version(0)) || stamp.version <= min {
             return None;
         }
+        let check = if base.is_some() && start == 0 { base_check(old) } else { 0 };
         let (before, models) = (self.coder.checkpoint(), self.models);
         let mut end = TILE_CELLS;
         loop {
-            let header = TileHeader { id, stamp, base, start, end };
+            let header = TileHeader { id, stamp, base, check, start, end };
             let fitted = self.try_push(&header, old, new);
             if fitted >= end {
                 self.previous = Some((id, stamp.epoch));
@@ -138,6 +139,9 @@ impl<'a> TileEncoder<'a> {
         coder.bit(&mut models[context::TO_END], to_end);
         if !to_end {
             coder.plain(u32::from(header.end), 10);
+        }
+        if header.base.is_some() && from_start {
+            coder.plain(u32::from(header.check), 16);
         }
     }
 }
@@ -220,12 +224,13 @@ impl<'a> TileDecoder<'a> {
         let start = if from_start { 0 } else { coder.plain(10) as u16 };
         let to_end = coder.bit(&mut models[context::TO_END]);
         let end = if to_end { TILE_CELLS } else { coder.plain(10) as u16 };
+        let check = if has_base && from_start { coder.plain(16) as u16 } else { 0 };
         if start >= end || from_start == (start != 0) {
             return Err(TileError::Malformed);
         }
         *previous = Some((id, epoch));
         *tiles += 1;
-        Ok(Some(TileHeader { id, stamp: Stamp { epoch, version }, base, start, end }))
+        Ok(Some(TileHeader { id, stamp: Stamp { epoch, version }, base, check, start, end }))
     }
 
     /// Reads the cells of the part described by `header` into `tile`. From `header.start` on, `tile`

@@ -16,6 +16,9 @@ pub struct TileHeader {
     pub stamp: Stamp,
     /// The version (of the same epoch) that the update builds upon; `None` for a whole tile.
     pub base: Option<Version>,
+    /// The [`base_check`](super::base_check) of the base's cells, in the first part of an update with a
+    /// base; otherwise 0.
+    pub check: u16,
     /// The first cell of this part; cells are numbered row by row from the south-west.
     pub start: u16,
     /// The cell after the last of this part; 1,024 in the last part.

@@ -7,7 +7,7 @@ use core::fmt;
 
 use super::{
     Epoch, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder, TileEncoder, TileHeader, TileId,
-    Version,
+    Version, base_check,
 };
 
 /// A tile at its receiver.
@@ -29,7 +29,7 @@ pub enum Applied {
     Old,
 }
 
-/// The replica does not hold the base of the update. The cells of the update, and everything after it
+/// The replica does not hold the base of the update, or holds other cells in its place. The cells of the update, and everything after it
 /// in the same message, cannot be read: request the whole tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BaseMissing;
@@ -98,7 +98,8 @@ impl Replica {
             (0, None) => self.tile = Tile::UNKNOWN,
             (0, Some(base)) => {
                 let base = Stamp { version: base, ..header.stamp };
-                if self.stamp != base || self.is_partial() {
+                let is_held = self.stamp == base && !self.is_partial();
+                if !is_held || base_check(&self.tile) != header.check {
                     return Err(BaseMissing);
                 }
             }

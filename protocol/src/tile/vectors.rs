@@ -126,6 +126,7 @@ fn refused() -> Vec<Value> {
         id: TileId { x: 1, y: -1 },
         stamp: Stamp { epoch: Epoch(2), version: Version(5) },
         base: Some(Version(4)),
+        check: 0,
         start: 0,
         end: TILE_CELLS,
     };

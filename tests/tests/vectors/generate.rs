@@ -16,7 +16,7 @@ use ubimap_protocol::{
     },
     tile::{
         Cell, Digest, Epoch, Layer, Replica, Row, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
-        TileEncoder, TileId, Version, tile_hash,
+        TileEncoder, TileId, Version, base_check, tile_hash,
     },
     time::Instant,
     units::{Angle, Millimetres, Pose, RobotId},
@@ -610,7 +610,8 @@ fn tile_case(name: &str, room: usize, start: u16, changes: &[Change]) -> (Value,
             }
             parts.push(json!({
                 "x": id.x, "y": id.y, "epoch": stamp.epoch.0, "version": stamp.version.0,
-                "base": base.map(|base| base.0), "start": start, "end": end,
+                "base": base.map(|base| base.0),
+                "check": (base.is_some() && start == 0).then(|| base_check(before)), "start": start, "end": end,
                 "before": planes(before), "after": planes(&held), "hash": tile_hash(&held),
             }));
             reached = end;
@@ -712,6 +713,13 @@ fn replica() -> Value {
     (0..usize::from(end))
         .for_each(|at| held.set(at % 32, at / 32, noise(1).cell(at % 32, at / 32)));
     let second = one(900, stamp(2, 5), None, end, &held, &noise(1));
+    let part = one(100, stamp(2, 5), None, end, &held, &noise(1));
+    let part_end = TileDecoder::new(&part).header().unwrap().unwrap().end;
+    (usize::from(end)..usize::from(part_end))
+        .for_each(|at| held.set(at % 32, at / 32, noise(1).cell(at % 32, at / 32)));
+    let third = one(900, stamp(2, 5), None, part_end, &held, &noise(1));
+    let upon_all = one(900, stamp(2, 6), Some(5), 0, &noise(1), &room());
+    let upon_another = one(900, stamp(2, 2), Some(1), 0, &room_later(), &room());
     let held_already = one(1000, stamp(2, 5), None, 0, &unknown, &noise(1));
     let cases = [
         ("held already, and comes in parts", vec![&held_already, &first, &second]),
@@ -726,6 +734,9 @@ fn replica() -> Value {
         ("the second part twice", vec![&first, &second, &second]),
         ("a part, and a change of what was before", vec![&whole, &first, &change, &second]),
         ("a part again after a loss", vec![&first, &first, &second]),
+        ("a part is skipped", vec![&first, &third, &part, &third]),
+        ("a change while parts are missing", vec![&first, &upon_all, &second, &upon_all]),
+        ("a change of other cells with the same stamp", vec![&whole, &upon_another, &change]),
     ];
     let case = |(name, updates): &(&str, Vec<&Vec<u8>>)| {
         let mut replica = Replica::default();
