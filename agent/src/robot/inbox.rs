@@ -78,7 +78,7 @@ impl Mapper<'_> {
             | ToRobotMessage::Stop(_) => self.commands.take(message)?,
             ToRobotMessage::Parameter(told) => *command = Some(told.decode().ok()?),
             ToRobotMessage::Stored(stored) => self.stored(stored)?,
-            ToRobotMessage::Digests(digests) => self.compare(digests)?,
+            ToRobotMessage::Digests(digests) => self.compare(digests, now)?,
             ToRobotMessage::Freshness(freshness) => {
                 let freshness = freshness.decode().ok()?;
                 // Without synchronised clocks its age is unknown.
@@ -114,12 +114,14 @@ impl Mapper<'_> {
     }
 
     #[inline(never)]
-    fn compare(&mut self, digests: Encoded<'_, Digests>) -> Option<()> {
+    fn compare(&mut self, digests: Encoded<'_, Digests>, now: Instant) -> Option<()> {
         let digests = digests.decode().ok()?;
         if digests.layer == Layer::Robot {
             return None;
         }
-        self.fused.compare(&digests);
+        let (publisher, pool) = (&mut self.outbox.publisher, &mut self.map.pool);
+        // Cells that agreed with a wrong tile of the server's map are news after all.
+        self.fused.compare(&digests, |id| publisher.requested(pool, Some(id), now));
         Some(())
     }
 

@@ -188,7 +188,8 @@ impl Publisher {
         let one = id.and_then(|id| Some(pool.find(id)?.publication.clone()));
         for tile in pool.tiles_mut() {
             let meant = match &one {
-                Some(one) => tile.publication.travelled_with(one),
+                // It may never have been sent, because it agreed with the server's map.
+                Some(one) => tile.id == id || tile.publication.travelled_with(one),
                 None => id.is_none(),
             };
             if meant {

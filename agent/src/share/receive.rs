@@ -61,9 +61,11 @@ impl FusedTile {
     /// Discards one layer: its cells are void.
     fn give_up(&mut self, layer: Layer) {
         if layer == Layer::Coverage {
+            self.covered = [0; TILE_SIDE];
             (self.coverage_version, self.coverage_next) = (Version(0), 0);
             self.confirmed = 0;
         } else {
+            self.cells = Tile::UNKNOWN;
             (self.fused_version, self.fused_next) = (Version(0), 0);
         }
     }
@@ -296,8 +298,9 @@ impl<'b> FusedMap<'b> {
 
     /// Compares the digests of some of the server's tiles. A tile held in any other state, even a
     /// newer one, is dropped and requested: the server is the only writer, so that state is wrong.
+    /// Calls `dropped` with each.
     #[inline(never)]
-    pub fn compare(&mut self, digests: &Digests) {
+    pub fn compare(&mut self, digests: &Digests, mut dropped: impl FnMut(TileId)) {
         let (layer, epoch) = (digests.layer, self.epoch);
         for digest in &digests.tiles {
             let Some(place) = self.place_mut(digest.id) else { continue };
@@ -306,6 +309,7 @@ impl<'b> FusedMap<'b> {
                 // Dropped: an update to the same or an older version would be ignored as old.
                 place.give_up(layer);
                 self.request(layer, digest.id);
+                dropped(digest.id);
             }
         }
     }
@@ -401,13 +405,13 @@ mod tests {
             // The robot takes a lower version for a late one.
             let stamp = Stamp { epoch: Epoch(7), version: Version(version) };
             let digest = TileDigest { id, stamp, hash: tile_hash(&new) };
-            map.compare(&Digests { layer, tiles: core::iter::once(digest).collect() });
+            map.compare(&Digests { layer, tiles: core::iter::once(digest).collect() }, |_| ());
             let mut buffer = [0u8; 60];
             assert!(map.push_request(&mut Writer::new(&mut buffer)), "version {version}");
             whole_version(layer, id, version, &new, &mut map);
             let (_, held) = map.tiles(layer).find(|(held, _)| *held == id).unwrap();
             assert_eq!((held.stamp(), held.tile()), (stamp, &new), "version {version}");
-            map.compare(&Digests { layer, tiles: core::iter::once(digest).collect() });
+            map.compare(&Digests { layer, tiles: core::iter::once(digest).collect() }, |_| ());
             assert!(!map.push_request(&mut Writer::new(&mut buffer)), "now they agree");
         }
     }

@@ -177,7 +177,9 @@ impl Publishing {
         self.next_digests
     }
 
-    /// Adds the digests of the next few tiles that the robot should hold, if due.
+    /// Adds the digests of the next few tiles of the window, if due: those that the robot should hold,
+    /// and those of which the server has nothing, in case the robot holds them from an earlier life of
+    /// the server with the same epoch.
     pub(super) fn fill_digests(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -189,24 +191,25 @@ impl Publishing {
             return;
         }
         self.next_digests = now + DIGEST_INTERVAL;
-        let level = snapshot
-            .layer(self.layer)
-            .within(interest)
-            .filter(|&(id, version, tile)| self.has(id, version, tile));
-        let next = level.filter(|(id, ..)| Some(*id) > self.digested).take(MAX_DIGESTS);
-        let tiles: Vec<TileDigest> = next
-            .map(|(id, version, tile)| TileDigest {
-                id,
-                stamp: Stamp { epoch: snapshot.epoch, version },
-                hash: tile_hash(tile),
-            })
-            .collect();
+        let layer = snapshot.layer(self.layer);
+        let mut ids: Vec<TileId> = interest.ids().filter(|&id| Some(id) > self.digested).collect();
+        ids.sort_unstable();
+        let next = ids.into_iter().filter_map(|id| {
+            let (version, tile) = layer.get(id).unwrap_or((Version(0), &Tile::UNKNOWN));
+            let is_level = version == Version(0) || self.has(id, version, tile);
+            let stamp = Stamp { epoch: snapshot.epoch, version };
+            is_level.then(|| TileDigest { id, stamp, hash: tile_hash(tile) })
+        });
+        let tiles: Vec<TileDigest> = next.take(MAX_DIGESTS).collect();
         // Up to the number that fits.
         let told = writer.push_longest(1..=tiles.len(), |count| {
             let tiles = tiles[..count].iter().copied().collect();
             Digests { layer: self.layer, tiles }
         });
-        self.digested = told.map(|count| tiles[count - 1].id);
+        // What does not fit beside other messages waits for the next turn.
+        if told.is_some() || tiles.is_empty() {
+            self.digested = told.map(|count| tiles[count - 1].id);
+        }
     }
 
     /// When the next confirmation is due; `None` if there are no tiles.
