@@ -16,6 +16,9 @@ use ubimap_sim_host::{mapping::TileRecord, server::Server};
 /// Maximum duration of a write in microseconds, as of a busy disk.
 const SLOWEST: u64 = 1_500_000;
 
+/// The share of writes that fail.
+const FAILING: f64 = 0.1;
+
 /// A robot's own tiles, with the version of each that it published last.
 pub type Held = BTreeMap<(TileId, Epoch), Version>;
 
@@ -29,7 +32,7 @@ pub struct Disk {
 }
 
 impl Disk {
-    /// Starts the server's pending writes, and confirms those due by `now`.
+    /// Starts the server's pending writes, and confirms those due by `now`, but for some that fail.
     pub fn work(&mut self, server: &mut Server, now: Instant, rng: &mut ChaCha8Rng) {
         while let Some((robot, record)) = server.poll_store() {
             let at = now + Duration(rng.random_range(0..SLOWEST));
@@ -38,6 +41,10 @@ impl Disk {
             self.writes.push_back((at, robot, record));
         }
         while let Some((_, robot, record)) = self.writes.pop_front_if(|(at, ..)| *at <= now) {
+            if rng.random_bool(FAILING) {
+                server.store_failed(robot, &record);
+                continue;
+            }
             server.stored(robot, &record);
             self.write(robot, record);
         }

@@ -9,6 +9,7 @@ pub mod emulator;
 pub mod floor_view;
 pub mod fuzz;
 pub mod per_ray;
+pub mod plain_map;
 pub mod raw_robot;
 pub mod routes;
 pub mod schedule;

@@ -9,6 +9,7 @@ use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction},
     link::Terms,
+    message::Stop,
     tile::Layer,
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
@@ -16,6 +17,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     channel::fault::Faults,
     run::heap::{BOUNDS, Heap},
+    server::Command,
 };
 
 use crate::{
@@ -31,10 +33,11 @@ const STEP: Duration = Duration::from_millis(100);
 pub const PATIENCE: Duration = Duration::from_secs(30);
 /// Time resolution for a newcomer.
 const TICK: Duration = Duration::from_millis(1);
-/// Time limit until a robot knows that its last tile is stored. Reports lost with a session are
-/// repeated when the server receives the tile's digest: in the smallest frames one of at most 36
-/// tiles every ten seconds. As one digest in ten is lost, five rounds are allowed.
-const UNTIL_STORED: Duration = Duration::from_secs(5 * 36 * 10);
+/// Time limit until all tiles have been compared by their digests: in the smallest frames one of at
+/// most 36 tiles every ten seconds. As one digest in ten is lost, five rounds are allowed. So long a
+/// robot may take to learn that its last tile is stored, and robots and a server with the epoch of an
+/// earlier life to agree.
+const UNTIL_COMPARED: Duration = Duration::from_secs(5 * 36 * 10);
 /// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);
 
@@ -43,19 +46,23 @@ const QUIET: Duration = Duration::from_secs(3);
 enum Happening {
     /// A robot boots, for the first time or again.
     Boot { robot: usize },
-    /// Its link is cut in both directions.
-    Cut { robot: usize, length: Duration },
+    /// Its link is cut, in one direction or in both.
+    Cut { robot: usize, only: Option<Direction>, length: Duration },
+    /// Its clock jumps forward, and runs fast or slow from then on.
+    Clock { robot: usize, drift_ppm: i64, jump: Duration },
+    /// The server commands it to stop or to drive on.
+    Stop { robot: usize, number: u32 },
     /// The faults of its link change.
     Weather { robot: usize, up: Faults, down: Faults },
     /// It moves to another port.
     Move { robot: usize, port: usize },
-    /// The server is killed and restarted: from its disk if it has one, otherwise empty. The robots
-    /// keep their state.
-    Restart,
+    /// The server is killed and restarted: from its disk if it has one, otherwise empty, and with
+    /// frames of another size. The robots keep their state.
+    Restart { frame: u16 },
     /// Random bytes.
     Garbage { robot: usize, direction: Direction },
-    /// An earlier frame, perhaps of an earlier session.
-    Replay { robot: usize, direction: Direction },
+    /// An earlier frame, perhaps of an earlier session; or an earlier Hello, Welcome or Reset.
+    Replay { robot: usize, direction: Direction, handshakes_only: bool },
 }
 
 /// A robot and its path.
@@ -152,6 +159,9 @@ impl Schedule {
             schedule.happenings.push((Instant(joins), Happening::Boot { robot }));
             let weather = weather(rng, robot);
             schedule.happenings.push((Instant(0), weather));
+            let drift_ppm = rng.random_range(-500..=500);
+            let clock = Happening::Clock { robot, drift_ppm, jump: Duration(0) };
+            schedule.happenings.push((Instant(0), clock));
         }
         let mut ports: Vec<usize> = (0..robots).collect();
         let mut moments: Vec<u64> =
@@ -160,11 +170,19 @@ impl Schedule {
         for moment in moments {
             let robot = rng.random_range(0..robots);
             let direction = if rng.random() { Direction::ToServer } else { Direction::ToRobot };
-            let happening = match rng.random_range(0..20) {
+            let happening = match rng.random_range(0..24) {
                 0..3 => Happening::Boot { robot },
                 3..6 => {
-                    Happening::Cut { robot, length: Duration(rng.random_range(100_000..6_000_000)) }
+                    let only = rng.random_bool(0.4).then_some(direction);
+                    let length = Duration(rng.random_range(100_000..6_000_000));
+                    Happening::Cut { robot, only, length }
                 }
+                20 => Happening::Clock {
+                    robot,
+                    drift_ppm: rng.random_range(-2_000..=2_000),
+                    jump: Duration(rng.random_range(0..3_000_000)),
+                },
+                21 => Happening::Stop { robot, number: moment as u32 },
                 6..9 => weather(rng, robot),
                 9..11 => {
                     let port = rng.random_range(0..schedule.ports);
@@ -174,16 +192,16 @@ impl Schedule {
                     ports[robot] = port;
                     Happening::Move { robot, port }
                 }
-                11..13 => Happening::Restart,
+                11..13 => Happening::Restart { frame: rng.random_range(32..300) },
                 13..15 => Happening::Garbage { robot, direction },
-                _ => Happening::Replay { robot, direction },
+                _ => Happening::Replay { robot, direction, handshakes_only: rng.random_bool(0.4) },
             };
             schedule.happenings.push((Instant(moment), happening));
         }
         // All robots at once, as after a power failure.
         if rng.random_bool(0.1) {
             let moment = Instant(rng.random_range(0..calm.0));
-            schedule.happenings.push((moment, Happening::Restart));
+            schedule.happenings.push((moment, Happening::Restart { frame: schedule.frame }));
             let boots = (0..robots).map(|robot| (moment, Happening::Boot { robot }));
             schedule.happenings.extend(boots);
         }
@@ -370,10 +388,20 @@ impl Schedule {
     fn happen(&self, star: &mut Star<'_>, moment: Instant, happening: Happening) {
         match happening {
             Happening::Boot { .. } => {}
-            Happening::Cut { robot, length } => {
+            Happening::Cut { robot, only, length } => {
                 let until = (moment + length).min(self.calm);
-                star.members[robot].up.cut(until);
-                star.members[robot].down.cut(until);
+                let Member { up, down, .. } = &mut star.members[robot];
+                if only != Some(Direction::ToRobot) {
+                    up.cut(until);
+                }
+                if only != Some(Direction::ToServer) {
+                    down.cut(until);
+                }
+            }
+            Happening::Clock { robot, drift_ppm, jump } => star.set_clock(robot, drift_ppm, jump),
+            Happening::Stop { robot, number } => {
+                // Without a session there is nobody to stop.
+                let _ = star.command(robot, Command::Stop(Stop { number, stop: number % 2 == 0 }));
             }
             Happening::Weather { robot, up, down } => {
                 let seed = self.seed.wrapping_mul(0x1_0001) ^ moment.0 << 8 ^ (robot as u64) << 1;
@@ -381,9 +409,11 @@ impl Schedule {
                 star.members[robot].down.weather(down, seed ^ 1);
             }
             Happening::Move { robot, port } => star.move_to_port(robot, port),
-            Happening::Restart => star.restart_server(),
+            Happening::Restart { frame } => star.restart_server(frame),
             Happening::Garbage { robot, direction } => star.garbage(robot, direction),
-            Happening::Replay { robot, direction } => star.replay(robot, direction),
+            Happening::Replay { robot, direction, handshakes_only } => {
+                star.replay(robot, direction, handshakes_only);
+            }
         }
     }
 
@@ -406,7 +436,7 @@ impl Schedule {
     /// Nothing new is mapped: waits for convergence, and then for silence.
     fn settle(&self, star: &mut Star<'_>, mut step: u64) -> Ending {
         let mut behind = star.behind();
-        let end = self.calm + PATIENCE;
+        let end = self.calm + if star.repeats_epoch() { UNTIL_COMPARED } else { PATIENCE };
         while behind.is_some() && star.now() < end {
             step += 1;
             star.run_until(Instant(step * STEP.0));
@@ -423,7 +453,7 @@ impl Schedule {
             } else if let Some(why) = star.behind() {
                 level = Err(format!("no longer converged: {why}"));
             }
-            let end = star.now() + UNTIL_STORED;
+            let end = star.now() + UNTIL_COMPARED;
             while level.is_ok()
                 && let Some(why) = star.unstored()
             {

@@ -67,10 +67,14 @@ fn held(layer: &RobotLayer) -> (Vec<Option<(Stamp, Tile)>>, Option<Tile>) {
 
 /// The joined tile by the specification: each cell has the code of the newest epoch that knows it.
 fn joined(history: &[(Stamp, Tile)]) -> Tile {
-    let mut newest: Vec<&(Stamp, Tile)> = history.iter().collect();
-    newest.sort_by_key(|(stamp, _)| std::cmp::Reverse(*stamp));
     let mut joined = Tile::UNKNOWN;
-    newest.iter().for_each(|(_, tile)| joined.fill_unknown_from(tile));
+    for (x, y) in (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y))) {
+        let claims = history.iter().map(|(stamp, tile)| (stamp, tile.cell(x, y)));
+        let known = claims.filter(|(_, cell)| *cell != Cell::Unknown);
+        if let Some((_, newest)) = known.max_by_key(|(stamp, _)| **stamp) {
+            joined.set(x, y, newest);
+        }
+    }
     joined
 }
 

@@ -4,7 +4,7 @@
 mod checks;
 mod way;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -42,8 +42,10 @@ pub struct Member<'b> {
     /// To the robot.
     pub down: Way,
     robot: Option<Robot<'b>>,
-    /// When it booted, and what its clock showed.
+    /// When it booted or its clock jumped last, and what its clock showed then.
     booted: (Instant, u64),
+    /// By how much its clock runs fast, in parts per million.
+    drift_ppm: i64,
     bytes_at_boot: u64,
     last: (Statistics, Counters),
     /// The state of its own tiles, if the server stores any on disk.
@@ -60,6 +62,7 @@ impl<'b> Member<'b> {
             down: Way::new(Direction::ToRobot),
             robot: None,
             booted: (Instant(0), 0),
+            drift_ppm: 0,
             bytes_at_boot: 0,
             last: Default::default(),
             own: Held::new(),
@@ -72,11 +75,19 @@ impl<'b> Member<'b> {
     }
 
     fn local(&self, now: Instant) -> Instant {
-        Instant(now.since(self.booted.0).micros() + self.booted.1)
+        let elapsed = now.since(self.booted.0).micros() as i64;
+        Instant((elapsed + elapsed * self.drift_ppm / 1_000_000) as u64 + self.booted.1)
     }
 
+    /// The first moment at which its clock shows `local` or more.
     fn global(&self, local: Instant) -> Instant {
-        self.booted.0 + Duration(local.0.saturating_sub(self.booted.1))
+        let shown = local.0.saturating_sub(self.booted.1) as i64;
+        let guess = shown - shown * self.drift_ppm / (1_000_000 + self.drift_ppm);
+        let mut moment = self.booted.0 + Duration(guess.saturating_sub(2).max(0) as u64);
+        while self.local(moment) < local {
+            moment = moment + Duration(1);
+        }
+        moment
     }
 }
 
@@ -90,6 +101,10 @@ pub struct Star<'b> {
     ports: usize,
     /// When the server started, and what its clock showed.
     started: (Instant, u64),
+    /// The epochs of the server's earlier lives, and whether this life repeats one of them: then robots
+    /// may believe for a while that it holds what it does not.
+    used_epochs: BTreeSet<u32>,
+    repeats_epoch: bool,
     /// The robots.
     pub members: Vec<Member<'b>>,
     now: Instant,
@@ -116,6 +131,8 @@ impl<'b> Star<'b> {
             terms,
             ports,
             started: (Instant(0), 0),
+            used_epochs: BTreeSet::new(),
+            repeats_epoch: false,
             members: Vec::new(),
             now: Instant(0),
             frame: vec![0; MAX_FRAME],
@@ -135,6 +152,11 @@ impl<'b> Star<'b> {
         &self.server
     }
 
+    /// Whether the server has the epoch of an earlier life.
+    pub fn repeats_epoch(&self) -> bool {
+        self.repeats_epoch
+    }
+
     /// Sends a command of the server to a robot.
     ///
     /// # Errors
@@ -143,6 +165,13 @@ impl<'b> Star<'b> {
         let done = self.server.command(self.members[member].id, command);
         self.drain();
         done
+    }
+
+    /// Makes a robot's clock run fast or slow from now on, after a jump forward.
+    pub fn set_clock(&mut self, member: usize, drift_ppm: i64, jump: Duration) {
+        let member = &mut self.members[member];
+        member.booted = (self.now, member.local(self.now).0 + jump.0);
+        member.drift_ppm = drift_ppm;
     }
 
     /// Boots a robot, for the first time or again, with fresh memory.
@@ -156,10 +185,18 @@ impl<'b> Star<'b> {
         member.bytes_at_boot = member.up.bytes();
     }
 
-    /// Kills the server and restarts it in a new epoch: from its disk, with its previous clock, or
-    /// with an empty map and another clock.
-    pub fn restart_server(&mut self) {
-        self.terms.server_epoch += 1;
+    /// Kills the server and restarts it: from its disk, with its previous clock, or with an empty map
+    /// and another clock. Its epoch is drawn from few, so that lives without a disk may share one;
+    /// a disk excludes only that of the life before.
+    pub fn restart_server(&mut self, frame: u16) {
+        let last = self.terms.server_epoch;
+        self.terms.server_epoch = self.rng.random_range(1..=4);
+        if self.disk.is_some() && self.terms.server_epoch == last {
+            self.terms.server_epoch += 1;
+        }
+        self.used_epochs.insert(last);
+        self.repeats_epoch = self.used_epochs.contains(&self.terms.server_epoch);
+        self.terms.frame = frame;
         self.server = Server::new(self.terms, self.ports);
         let clock = match &mut self.disk {
             Some(disk) => {
@@ -191,17 +228,17 @@ impl<'b> Star<'b> {
         self.inject(member, direction, &bytes);
     }
 
-    /// Delivers an earlier frame again.
-    pub fn replay(&mut self, member: usize, direction: Direction) {
+    /// Delivers an earlier frame again, or an earlier frame of a handshake.
+    pub fn replay(&mut self, member: usize, direction: Direction, handshakes_only: bool) {
         let way = match direction {
             Direction::ToServer => &self.members[member].up,
             Direction::ToRobot => &self.members[member].down,
         };
-        if way.remembered.is_empty() {
+        let remembered = way.remembered(handshakes_only);
+        if remembered.is_empty() {
             return;
         }
-        let index = self.rng.random_range(0..way.remembered.len());
-        let frame = way.remembered[index].clone();
+        let frame = remembered[self.rng.random_range(0..remembered.len())].to_vec();
         self.inject(member, direction, &frame);
     }
 

@@ -17,7 +17,7 @@ pub struct Way {
     /// The last one takes new frames; the others still deliver their frames in flight.
     wires: Vec<FaultWire>,
     cut_until: Instant,
-    pub(super) remembered: Vec<Vec<u8>>,
+    remembered: Vec<Vec<u8>>,
     sent: usize,
     /// The session frames so far, if repeated frames are dropped.
     once: Option<BTreeSet<Vec<u8>>>,
@@ -48,6 +48,12 @@ impl Way {
     /// Frames sent before `until` are lost.
     pub fn cut(&mut self, until: Instant) {
         self.cut_until = self.cut_until.max(until);
+    }
+
+    /// The remembered frames, or only those of handshakes.
+    pub(super) fn remembered(&self, handshakes_only: bool) -> Vec<&[u8]> {
+        let all = self.remembered.iter().map(Vec::as_slice);
+        all.filter(|frame| !handshakes_only || is_handshake(frame, self.direction)).collect()
     }
 
     /// From now on repeated session frames are lost.

@@ -1,0 +1,105 @@
+//! The server's map of robots' layers, cell by cell: an independent version of what the server
+//! computes with whole words. No camera has seen any cell.
+
+use std::collections::BTreeMap;
+
+use ubimap_protocol::{
+    tile::{Cell, TILE_SIDE, Tile, TileId},
+    units::RobotId,
+};
+use ubimap_sim_host::{
+    mapping::{SeenTile, Weight},
+    server::Server,
+};
+
+const SIDE: i32 = TILE_SIDE as i32;
+/// Age at which a movable cell is forgotten, in seconds.
+const MOVABLE_S: i64 = 300;
+/// A claim counts as this much older per grade below the full weight, in seconds.
+const GRADE_S: i64 = 60;
+
+/// The claims of all robots, and the time by which the map ages.
+pub struct PlainMap<'s> {
+    server: &'s Server,
+    layers: Vec<(Weight, BTreeMap<TileId, &'s SeenTile>)>,
+    now_s: i64,
+}
+
+impl<'s> PlainMap<'s> {
+    /// The map of a server with these robots.
+    pub fn of(server: &'s Server, robots: impl Iterator<Item = RobotId>) -> Self {
+        let layers = robots.filter_map(|robot| {
+            Some((server.weight(robot), server.layer(robot)?.tiles().collect()))
+        });
+        // The time is a multiple of ten seconds.
+        let now_s = server.map_time().next().micros() as i64 / 1_000_000 - 10;
+        Self { server, layers: layers.collect(), now_s }
+    }
+
+    /// What a fused tile must contain.
+    pub fn fused(&self, id: TileId) -> Tile {
+        let mut tile = Tile::UNKNOWN;
+        let under = self.server.under(id);
+        for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+            let at = (i32::from(id.x) * SIDE + x, i32::from(id.y) * SIDE + y);
+            let mut code = self.claimed(at);
+            if code == Cell::Occupied && !self.can_be_seen(at) {
+                code = Cell::Unknown;
+            }
+            let is_below_a_robot = under[y as usize] >> x & 1 != 0;
+            if is_below_a_robot && matches!(code, Cell::Occupied | Cell::Movable) {
+                code = Cell::Free;
+            }
+            tile.set(x as usize, y as usize, code);
+        }
+        tile
+    }
+
+    /// What the robots claim of a cell of the grid.
+    fn claimed(&self, (x, y): (i32, i32)) -> Cell {
+        let id = TileId { x: x.div_euclid(SIDE) as i16, y: y.div_euclid(SIDE) as i16 };
+        let (x, y) = (x.rem_euclid(SIDE) as usize, y.rem_euclid(SIDE) as usize);
+        let mut claims: Vec<(i64, Cell)> = Vec::new();
+        for (weight, tiles) in &self.layers {
+            let Some(seen) = tiles.get(&id).filter(|_| *weight != Weight::NONE) else { continue };
+            let (cell, second) = (seen.tile.cell(x, y), i64::from(seen.seconds[y * TILE_SIDE + x]));
+            let is_forgotten =
+                cell == Cell::Movable && self.now_s > second && self.now_s - second >= MOVABLE_S;
+            if cell != Cell::Unknown && !is_forgotten {
+                claims.push((second - GRADE_S * i64::from(weight.short_of_full()), cell));
+            }
+        }
+        // The newest claim; among those of one second movable before occupied before free.
+        claims.sort_by_key(|&(second, cell)| (second, cell.code()));
+        let Some(&(_, newest)) = claims.last() else { return Cell::Unknown };
+        let alternations = claims.windows(2).filter(|pair| {
+            pair[0].0 != pair[1].0 && (pair[0].1 == Cell::Free) != (pair[1].1 == Cell::Free)
+        });
+        if newest == Cell::Occupied && alternations.count() >= 3 { Cell::Movable } else { newest }
+    }
+
+    /// Whether an occupied cell is close enough to free ground: at most two cells, or three with
+    /// nothing fixed in between.
+    fn can_be_seen(&self, at: (i32, i32)) -> bool {
+        self.is_near(at, 2)
+            || self.is_near(at, 3) && !around(at, 1).any(|beside| self.is_second(beside))
+    }
+
+    fn is_near(&self, at: (i32, i32), steps: i32) -> bool {
+        around(at, steps).any(|beside| self.claimed(beside) == Cell::Free)
+    }
+
+    fn is_first(&self, at: (i32, i32)) -> bool {
+        self.claimed(at) == Cell::Occupied && self.is_near(at, 1)
+    }
+
+    fn is_second(&self, at: (i32, i32)) -> bool {
+        self.claimed(at) == Cell::Occupied && around(at, 1).any(|beside| self.is_first(beside))
+    }
+}
+
+/// The cells within some steps of a cell, itself included.
+fn around((x, y): (i32, i32), steps: i32) -> impl Iterator<Item = (i32, i32)> {
+    let reach = move || -steps..=steps;
+    reach().flat_map(move |dy| reach().map(move |dx| (x + dx, y + dy)))
+}
