@@ -77,6 +77,8 @@ pub enum RefusalReason {
     Resolution(Millimetres),
     /// The robot's maximum frame is too small; the minimum in bytes is given.
     Frame(u16),
+    /// Another robot uses the number, and is being heard.
+    NumberInUse,
 }
 
 impl fmt::Display for RefusalReason {
@@ -89,6 +91,9 @@ impl fmt::Display for RefusalReason {
                 write!(f, "the cells of the server's map are {} mm wide", side.0)
             }
             Self::Frame(bytes) => write!(f, "the maximum frame must be at least {bytes} bytes"),
+            Self::NumberInUse => {
+                f.write_str("another robot uses its number; give one of the two another number")
+            }
         }
     }
 }

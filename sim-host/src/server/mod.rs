@@ -129,6 +129,9 @@ impl Server {
             self.events.add(now, Event::Robot(RobotEvent::Floods(robot)));
         }
         loop {
+            if let Some(robot) = self.ports.poll_candidate(index, bytes, now)? {
+                self.events.add_from(index, now, Event::Joined(robot, index));
+            }
             let port = self.ports.get_mut(index)?;
             match port.receive(&mut bytes, now) {
                 None => return Ok(()),
@@ -155,7 +158,7 @@ impl Server {
             Greeted::Refused(reason) => {
                 self.events.add_from(port, now, Event::Refused(robot, reason));
             }
-            Greeted::Known => {}
+            Greeted::Answered => {}
         }
         Ok(())
     }

@@ -1,9 +1,9 @@
 //! One port and its session.
 
 use ubimap_protocol::{
-    frame::SessionId,
+    frame::{Direction, MAX_FRAME, SessionId, cobs, open},
     link::{Answer, Counters, Received},
-    message::{Hello, Messages, Reset, ToServer, Writer},
+    message::{Hello, Messages, Reset, ToServer, Welcome, Writer},
     time::{Duration, Instant},
     units::RobotId,
 };
@@ -19,12 +19,23 @@ use crate::timing::SESSION_SILENT;
 /// Minimum interval between Reset messages, which tell a robot that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
 
+/// Maximum number of sessions offered beside the one that is alive.
+const MAX_CANDIDATES: usize = 4;
+/// A session that was heard after another one was offered must be silent for this long before that one
+/// may replace it: a robot reports its state every two seconds. So of two robots with one number behind
+/// one port, the one that is alive keeps its session.
+const TWIN_SILENT: Duration = Duration::from_secs(3);
+
 /// A serial port or a simulated channel, with at most one robot behind it.
 #[derive(Debug)]
 pub(super) struct Port {
     link: Link,
     inflow: Inflow,
     session: Option<Session>,
+    /// Sessions that were offered while this one was alive, oldest first.
+    candidates: Vec<Candidate>,
+    /// Reads the frames for the candidates, beside the link.
+    decoder: cobs::Decoder<MAX_FRAME>,
     /// The handshake frame to send.
     answer: Option<Answer>,
     reset: PendingReset,
@@ -32,6 +43,17 @@ pub(super) struct Port {
     unknown: u32,
     malformed: u32,
     bytes_sent: u64,
+}
+
+/// A session that was offered in answer to a Hello. That may have come late, or from somebody who
+/// repeats it: the first good frame proves that the robot has taken the offer.
+#[derive(Debug)]
+pub(super) struct Candidate {
+    id: SessionId,
+    /// The negotiated frame size, in bytes.
+    frame: u16,
+    session: Session,
+    offered: Instant,
 }
 
 #[derive(Debug, Default)]
@@ -55,6 +77,8 @@ impl Default for Port {
             link: Link::new(),
             inflow: Inflow::default(),
             session: None,
+            candidates: Vec::new(),
+            decoder: cobs::Decoder::default(),
             answer: None,
             reset: PendingReset::default(),
             unknown: 0,
@@ -108,22 +132,63 @@ impl Port {
         }
     }
 
-    /// The open session that was the answer to this Hello.
-    pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
-        let session = self.session.as_ref()?;
-        session.answers(hello).then(|| self.link.session())
+    /// Returns the candidate that takes over, if the next frame in `bytes` is a good one of it: the
+    /// session has not been heard since it was offered, or for long enough. Call it before
+    /// [`Port::receive`] with the same bytes.
+    pub(super) fn poll_candidate(&mut self, mut bytes: &[u8], now: Instant) -> Option<Candidate> {
+        if self.candidates.is_empty() {
+            return None;
+        }
+        let frame = self.decoder.next(&mut bytes)?.ok()?;
+        let session = self.session.as_ref();
+        let is_free = |candidate: &Candidate| {
+            session.is_none_or(|session| {
+                let silent = session.silent_for(now);
+                silent > now.since(candidate.offered) || silent >= TWIN_SILENT
+            })
+        };
+        let is_heard = |candidate: &Candidate| {
+            open(candidate.id, Direction::ToServer, frame).is_some() && is_free(candidate)
+        };
+        let index = self.candidates.iter().position(is_heard)?;
+        Some(self.candidates.swap_remove(index))
     }
 
-    /// Starts a session with frames of at most `frame` bytes.
-    pub(super) fn begin(&mut self, id: SessionId, frame: u16, session: Session) {
+    /// The session or candidate that was the answer to this Hello.
+    pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
+        let session = self.session.as_ref().filter(|session| session.answers(hello));
+        let candidate = || self.candidates.iter().find(|it| it.session.answers(hello));
+        session.map(|_| self.link.session()).or_else(|| Some(candidate()?.id))
+    }
+
+    /// Whether a frame of the session has been received lately, or it is new.
+    pub(super) fn is_alive(&self, now: Instant) -> bool {
+        self.session.as_ref().is_some_and(|session| session.silent_for(now) < SESSION_SILENT)
+    }
+
+    /// Offers a session beside the one that is alive. Of too many offers the oldest is withdrawn.
+    pub(super) fn offer(&mut self, candidate: Candidate) {
+        if self.candidates.is_empty() {
+            self.decoder = cobs::Decoder::default();
+        }
+        if self.candidates.len() >= MAX_CANDIDATES {
+            self.candidates.remove(0);
+        }
+        self.candidates.push(candidate);
+    }
+
+    /// Starts an offered session.
+    pub(super) fn begin(&mut self, Candidate { id, frame, session, .. }: Candidate) {
+        self.candidates.clear();
         self.link.begin(id, usize::from(frame));
         // A pending Reset concerned the previous session.
         self.reset.due = false;
         self.session = Some(session);
     }
 
-    /// Ends the session.
+    /// Ends the session, and withdraws all offers.
     pub(super) fn end(&mut self) -> Option<Session> {
+        self.candidates.clear();
         self.link.end();
         self.session.take()
     }
@@ -224,97 +289,20 @@ impl Port {
     }
 }
 
-impl PendingReset {
-    fn ready_at(&self) -> Instant {
-        self.last.map_or(Instant(0), |last| last + RESET_INTERVAL)
+impl Candidate {
+    /// An offer made at `now`.
+    pub(super) fn new(welcome: &Welcome, session: Session, now: Instant) -> Self {
+        Self { id: welcome.session, frame: welcome.frame, session, offered: now }
+    }
+
+    /// The session that is offered.
+    pub(super) fn session_mut(&mut self) -> &mut Session {
+        &mut self.session
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::server::{CommandError, Server};
-    use ubimap_protocol::{
-        frame::{MAX_FRAME, MIN_VERSION, VERSION},
-        link::{Endpoint, Terms},
-        message::Stop,
-        units::Millimetres,
-    };
-
-    const TERMS: Terms =
-        Terms { resolution: Millimetres(50), frame: 250, server_epoch: 1, stores: false };
-
-    fn hello(nonce: u32) -> Vec<u8> {
-        let hello = Hello {
-            version: VERSION,
-            min_version: MIN_VERSION,
-            robot: RobotId(1),
-            nonce,
-            frame: 250,
-            resolution: Millimetres(50),
-            fused_tiles: 16,
-        };
-        let mut out = [0u8; 250];
-        let mut robot = Endpoint::<ToServer, (), 1, MAX_FRAME>::new();
-        let len = robot.handshake(&hello, &mut out).unwrap();
-        out[..len].to_vec()
-    }
-
-    /// Number of frames that the server sends on port 0.
-    fn drain(server: &mut Server, now: Instant) -> usize {
-        let mut out = [0u8; MAX_FRAME];
-        std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
-    }
-
-    /// An old Hello must not lock out the robot whose session it ended.
-    #[test]
-    fn a_session_opened_by_an_old_hello_is_reset() {
-        let mut server = Server::new(TERMS, 1);
-        server.receive(0, &hello(5), Instant(0)).unwrap();
-        assert_eq!(drain(&mut server, Instant(0)), 1);
-        let of_the_session_before = [7u8, 7, 0];
-        let soon = Instant(0) + Duration::from_secs(1);
-        server.receive(0, &of_the_session_before, soon).unwrap();
-        assert_eq!(drain(&mut server, soon), 0, "a single bad frame may just be damaged");
-        let later = Instant(0) + SESSION_SILENT;
-        server.receive(0, &of_the_session_before, later).unwrap();
-        assert_eq!(drain(&mut server, later), 1);
-        assert_eq!(server.robot_at(0), Some(RobotId(1)));
-    }
-
-    #[test]
-    fn a_new_session_cancels_a_pending_reset() {
-        let mut server = Server::new(TERMS, 1);
-        let garbage = [7u8, 7, 0];
-        server.receive(0, &garbage, Instant(0)).unwrap();
-        assert_eq!(drain(&mut server, Instant(0)), 1);
-        // The next Reset has to wait, and a Hello comes first.
-        server.receive(0, &garbage, Instant(1)).unwrap();
-        assert_eq!(drain(&mut server, Instant(1)), 0);
-        server.receive(0, &hello(5), Instant(2)).unwrap();
-        assert_eq!(drain(&mut server, Instant(2)), 1);
-        assert_eq!(server.poll_timeout(0, Instant(2)), None);
-    }
-
-    /// A robot moved to another port gets its commands again, and its reports are not lost.
-    #[test]
-    fn the_session_of_a_closed_port_continues_on_another() {
-        let mut server = Server::new(TERMS, 1);
-        server.receive(0, &hello(5), Instant(0)).unwrap();
-        assert_eq!(drain(&mut server, Instant(0)), 1);
-        let stop = Command::Stop(Stop { number: 1, stop: true });
-        server.command(RobotId(1), stop.clone()).unwrap();
-        assert_eq!(drain(&mut server, Instant(0)), 1);
-        server.close_port(0).unwrap();
-        assert!(server.receive(0, &[0], Instant(1)).is_err() && server.robot_at(0).is_none());
-        assert_eq!(server.command(RobotId(1), stop), Err(CommandError::NoSession(RobotId(1))));
-
-        let port = server.open_port();
-        assert_eq!((port, server.ports().collect::<Vec<_>>()), (1, vec![1]));
-        server.receive(port, &hello(6), Instant(2)).unwrap();
-        let mut out = [0u8; MAX_FRAME];
-        let frames = std::iter::from_fn(|| server.poll_transmit(port, Instant(2), &mut out));
-        assert_eq!(frames.count(), 2, "a Welcome and the Stop");
-        assert_eq!(server.waiting(RobotId(1)), 0);
+impl PendingReset {
+    fn ready_at(&self) -> Instant {
+        self.last.map_or(Instant(0), |last| last + RESET_INTERVAL)
     }
 }

@@ -5,13 +5,17 @@ use std::collections::BTreeMap;
 use ubimap_protocol::{
     frame::SessionId,
     link::{Answer, Terms, answer},
-    message::{Hello, RefusalReason},
+    message::{Hello, Refusal, RefusalReason},
     tile::Epoch,
     time::Instant,
     units::RobotId,
 };
 
-use super::{command::Command, port::Port, session::Session};
+use super::{
+    command::Command,
+    port::{Candidate, Port},
+    session::Session,
+};
 
 /// The open ports. A robot has at most one session.
 #[derive(Debug)]
@@ -43,8 +47,8 @@ pub enum CommandError {
 pub(super) enum Greeted {
     /// The robot got a new session.
     Joined,
-    /// The Hello repeats the one that opened the present session.
-    Known,
+    /// The Hello repeats an earlier one, or a session was offered beside the one that is alive.
+    Answered,
     Refused(RefusalReason),
 }
 
@@ -129,25 +133,63 @@ impl Ports {
     ) -> Result<Greeted, NoSuchPort> {
         let known = self.get(port)?.session_of(hello);
         let id = known.unwrap_or(SessionId(self.next_session.max(1)));
-        let answered = answer(hello, terms, id, first_epoch.0);
+        let answered = if self.is_in_use(hello.robot, port, now) {
+            Answer::Refusal(Refusal { nonce: hello.nonce, reason: RefusalReason::NumberInUse })
+        } else {
+            answer(hello, terms, id, first_epoch.0)
+        };
         let greeted = match &answered {
             Answer::Welcome(welcome) if known.is_none() => {
                 self.next_session = self.next_session.wrapping_add(1);
-                let mut session = Session::new(hello, now);
-                // The robot may have moved from another port.
-                let last = self.port_of(hello.robot).and_then(Port::end);
-                let last = last.or_else(|| self.parted.remove(&hello.robot));
-                if let Some(last) = last {
-                    session.continue_from(last);
+                let offer = Candidate::new(welcome, Session::new(hello, now), now);
+                if self.get(port)?.is_alive(now) {
+                    self.get_mut(port)?.offer(offer);
+                    Greeted::Answered
+                } else {
+                    self.begin(port, offer)?;
+                    Greeted::Joined
                 }
-                self.get_mut(port)?.begin(id, welcome.frame, session);
-                Greeted::Joined
             }
-            Answer::Welcome(_) => Greeted::Known,
+            Answer::Welcome(_) => Greeted::Answered,
             Answer::Refusal(refusal) => Greeted::Refused(refusal.reason),
         };
         self.get_mut(port)?.answer(answered);
         Ok(greeted)
+    }
+
+    /// Whether a robot with this number has a session on another port, and has been heard there
+    /// lately.
+    fn is_in_use(&self, robot: RobotId, port: usize, now: Instant) -> bool {
+        let mut others = self.open.iter().filter(|(number, _)| **number != port);
+        others.any(|(_, other)| other.robot() == Some(robot) && other.is_alive(now))
+    }
+
+    /// Begins the session offered at a port if the next frame in `bytes`, received there, is a good
+    /// one of it. Returns its robot.
+    pub(super) fn poll_candidate(
+        &mut self,
+        port: usize,
+        bytes: &[u8],
+        now: Instant,
+    ) -> Result<Option<RobotId>, NoSuchPort> {
+        let Some(offer) = self.get_mut(port)?.poll_candidate(bytes, now) else { return Ok(None) };
+        self.begin(port, offer).map(Some)
+    }
+
+    /// Begins an offered session, which continues from the robot's last one. Returns its robot.
+    fn begin(&mut self, port: usize, mut offer: Candidate) -> Result<RobotId, NoSuchPort> {
+        let robot = offer.session_mut().robot();
+        let last = self.port_of(robot).and_then(Port::end).or_else(|| self.parted.remove(&robot));
+        if let Some(last) = last {
+            offer.session_mut().continue_from(last);
+        }
+        let there = self.get_mut(port)?;
+        let displaced = there.end();
+        there.begin(offer);
+        if let Some(displaced) = displaced {
+            self.parted.insert(displaced.robot(), displaced);
+        }
+        Ok(robot)
     }
 
     /// Queues a command for a robot.
@@ -165,3 +207,6 @@ impl Ports {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

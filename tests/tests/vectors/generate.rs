@@ -417,6 +417,7 @@ fn to_robot(cases: &mut Cases) {
         ("refusal version", RefusalReason::Version { min: 1, current: 1 }),
         ("refusal resolution", RefusalReason::Resolution(Millimetres(50))),
         ("refusal frame", RefusalReason::Frame(32)),
+        ("refusal number in use", RefusalReason::NumberInUse),
     ] {
         cases.add::<ToRobot>(name, &Refusal { nonce: 99, reason });
     }
