@@ -34,7 +34,7 @@ pub enum Event {
     Reported(RobotId, message::Event),
     /// A sighting of a robot can't be a pose.
     Sighting(SightingEvent),
-    /// A robot misbehaves.
+    /// A robot misbehaves, or its map data is in trouble.
     Robot(RobotEvent),
     /// An event about a person.
     Person(PersonEvent),
@@ -222,13 +222,15 @@ impl EventLog {
     }
 }
 
-/// Misbehaviour of a robot.
+/// Misbehaviour of a robot, or trouble with its map data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RobotEvent {
     /// Its layer or its distance vectors contradict the others, and no constant error explains it.
     Disagrees(RobotId),
     /// It sends more than any agent would, or exceeds the maximum number of tiles.
     Floods(RobotId),
+    /// This number of its tiles were damaged in the store, and it has not sent them again.
+    LostTiles(RobotId, usize),
 }
 
 impl fmt::Display for RobotEvent {
@@ -245,6 +247,13 @@ impl fmt::Display for RobotEvent {
                 write!(
                     f,
                     "robot {} exceeds its limit of data or tiles; the excess is dropped",
+                    robot.0
+                )
+            }
+            Self::LostTiles(robot, tiles) => {
+                write!(
+                    f,
+                    "robot {} has not sent again {tiles} of its tiles that were damaged in the store: what it drew there is lost, until a robot draws it again",
                     robot.0
                 )
             }

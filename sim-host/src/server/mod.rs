@@ -8,12 +8,13 @@
 //! | `surroundings`, `shared_map` | positions of robots and obstacles; layers and fused map |
 //! | `correction` | constant errors of robots, and pose fixes in blind ground |
 //! | [`coordination`], `dispatch` | decides who drives where |
-//! | `unsaved`, `records` | state to be stored on disk |
+//! | `unsaved`, `records`, `damaged` | state to be stored on disk, and what was damaged there |
 //! | `events`, `queries` | events, and read access |
 
 mod command;
 pub mod coordination;
 mod correction;
+mod damaged;
 mod dispatch;
 mod events;
 mod inbox;
@@ -41,6 +42,7 @@ use ubimap_protocol::{
 use self::{
     coordination::{GoalError, Settings},
     correction::Corrections,
+    damaged::Damaged,
     dispatch::Dispatch,
     events::Events,
     inbox::{Inbox, Taken},
@@ -79,6 +81,7 @@ pub struct Server {
     /// Robots that exceeded the maximum number of tiles.
     draws_too_much: BTreeSet<RobotId>,
     unsaved: Unsaved,
+    damaged: Damaged,
 }
 
 impl Server {
@@ -95,6 +98,7 @@ impl Server {
             events: Events::default(),
             draws_too_much: BTreeSet::new(),
             unsaved: Unsaved::new(terms.stores),
+            damaged: Damaged::default(),
         };
         for _ in 0..ports {
             server.open_port();
@@ -151,7 +155,12 @@ impl Server {
         let robot = hello.robot;
         let first_epoch = self.map.next_epoch(robot);
         match self.ports.greet(port, hello, (&self.terms, first_epoch), now)? {
-            Greeted::Joined => self.events.add_from(port, now, Event::Joined(robot, port)),
+            Greeted::Joined => {
+                self.events.add_from(port, now, Event::Joined(robot, port));
+                if let Some(session) = self.ports.session_mut(robot) {
+                    self.damaged.joined(session, now);
+                }
+            }
             Greeted::Refused(reason) => {
                 self.events.add_from(port, now, Event::Refused(robot, reason));
             }
@@ -163,6 +172,7 @@ impl Server {
     /// Handles the effects of the messages of the robot at a port.
     fn taken(&mut self, (port, robot): (usize, RobotId), taken: Taken, now: Instant) {
         self.map.changed(&taken.updated.tiles);
+        self.damaged.came(robot, &taken.updated.complete);
         if taken.updated.too_much && self.draws_too_much.insert(robot) {
             self.events.add(now, Event::Robot(RobotEvent::Floods(robot)));
         }
@@ -261,6 +271,10 @@ impl Server {
     /// that messages are not delayed; [`Server::poll_timeout`] is `now` until all are done.
     pub fn timeout(&mut self, now: Instant) {
         self.events.timeout(now);
+        let is_reachable = |robot| self.ports.session(robot).is_some_and(|it| it.is_reachable(now));
+        while let Some((robot, tiles)) = self.damaged.poll_lost(is_reachable, now) {
+            self.events.add(now, Event::Robot(RobotEvent::LostTiles(robot, tiles)));
+        }
         let waiting = self.corrections.poll_waiting();
         if let Some(session) = waiting.and_then(|robot| self.ports.session_mut(robot)) {
             self.corrections.look(session, &mut self.map, self.terms.resolution, now);
@@ -330,8 +344,10 @@ impl Server {
     fn poll_common_timeout(&self, now: Instant) -> Option<Instant> {
         let dispatch = self.dispatch.as_ref().map(Dispatch::poll_timeout);
         let waiting = self.corrections.has_waiting().then_some(now);
-        let all = [self.coverage.poll_timeout(), self.map.poll_timeout(), dispatch, waiting];
-        all.into_iter().flatten().min()
+        let damaged = self.damaged.poll_timeout();
+        let map = [self.coverage.poll_timeout(), self.map.poll_timeout()];
+        let all = map.into_iter().chain([dispatch, waiting, damaged]);
+        all.flatten().min()
     }
 
     fn snapshot(&self) -> Snapshot<'_> {
