@@ -175,7 +175,13 @@ fn a_killed_server_loses_no_confirmed_tile() {
                 || robots.iter().map(|member| member.robot.statistics()).collect::<Vec<_>>();
             assert!(now().since(began) < PATIENCE, "life {life}: {:?}", states());
         }
+        // A backup of the running server holds what it has confirmed.
+        let copy = store.with_file_name(format!("copy-{life}.db"));
+        let mut backup = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+        let done = backup.arg("backup").args([&store, &copy]).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
         drop(serving);
+        layers(&copy, &robots);
         layers(&store, &robots);
     }
 

@@ -50,6 +50,21 @@ pub enum Trouble {
         "damaged, its tables can't be read: {0}; restore a backup, or give a new file with --store"
     )]
     Tables(rusqlite::Error),
+    /// Rows of it are damaged, so that it is not copied.
+    #[error(
+        "{0} of its rows are damaged, so that no backup is made: an earlier one may be better; the next run with this --store leaves them out and asks the robots for their tiles"
+    )]
+    DamagedRows(usize),
+    /// A backup would replace something else.
+    #[error(
+        "exists and is not a backup, or is a store in use; give the name of a new file, or of an earlier backup"
+    )]
+    NotABackup,
+    /// A finished backup can't be moved to its place.
+    #[error(
+        "can't write the backup: {0}; check the folder and its permissions, or give another file"
+    )]
+    Replace(std::io::Error),
     /// It can't be opened or created.
     #[error("can't be opened or created; check that its folder exists and is writable")]
     CannotOpen,

@@ -11,8 +11,10 @@
 //! | `schema` | the tables; opening, upgrading and checking a file |
 //! | `rows`, `damage` | rows with checksums, and those that were damaged |
 //! | `lock`, `presence` | exclusive use, and checks that the files are still there |
+//! | `backup` | copies of a file in use |
 //! | `error` | why a file can't be used |
 
+mod backup;
 mod damage;
 mod error;
 mod lock;
@@ -35,6 +37,7 @@ use ubimap_protocol::{
     units::{Millimetres, RobotId},
 };
 
+pub use backup::backup;
 pub use damage::Damage;
 pub use error::{StoreError, Trouble};
 

@@ -17,7 +17,7 @@ use super::{
 };
 
 /// SQLite application id: "ubim".
-const APPLICATION_ID: i32 = 0x7562_696D;
+pub(super) const APPLICATION_ID: i32 = 0x7562_696D;
 /// Version of the tables.
 pub(super) const SCHEMA: i32 = 4;
 /// No robot reaches this epoch: tiles of later ones, which earlier versions of the server accepted,
@@ -176,6 +176,15 @@ pub(super) fn check_owner(connection: &Connection) -> Result<bool, Trouble> {
 
 fn number(connection: &Connection, name: &str) -> Result<i32, Trouble> {
     Ok(connection.pragma_query_value(None, name, |row| row.get(0))?)
+}
+
+/// Refuses files of later versions. Returns whether it is of this one: its rows have checksums.
+pub(super) fn check_schema(connection: &Connection) -> Result<bool, Trouble> {
+    match number(connection, "user_version")? {
+        SCHEMA => Ok(true),
+        1..SCHEMA => Ok(false),
+        schema => Err(Trouble::Schema(schema)),
+    }
 }
 
 /// Creates the tables, or upgrades them.
