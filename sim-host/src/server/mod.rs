@@ -55,7 +55,7 @@ use self::{
 };
 use crate::{
     camera::{Observation, Sighting},
-    mapping::CoverageLayer,
+    mapping::{CoverageLayer, Limit},
     perception::robots::SightingEvent,
 };
 
@@ -63,6 +63,9 @@ pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
 pub use ports::{CommandError, NoSuchPort};
+
+/// Maximum number of robots that the server knows at once, in this life and in the store.
+pub const MAX_ROBOTS: usize = 1_024;
 
 /// The camera server's sans-IO core. It follows the driving rule of the crate: after every input
 /// drain [`Server::poll_transmit`] for each port and [`Server::poll_event`], then call
@@ -78,8 +81,8 @@ pub struct Server {
     /// `None` without a coordinator.
     dispatch: Option<Dispatch>,
     events: Events,
-    /// Robots that exceeded the maximum number of tiles.
-    draws_too_much: BTreeSet<RobotId>,
+    /// Robots that exceeded a limit, and were reported.
+    exceeded: BTreeSet<(RobotId, Limit)>,
     unsaved: Unsaved,
     damaged: Damaged,
 }
@@ -96,7 +99,7 @@ impl Server {
             corrections: Corrections::default(),
             dispatch: None,
             events: Events::default(),
-            draws_too_much: BTreeSet::new(),
+            exceeded: BTreeSet::new(),
             unsaved: Unsaved::new(terms.stores),
             damaged: Damaged::default(),
         };
@@ -140,7 +143,7 @@ impl Server {
                 Some(Brought::Hello(hello)) => self.greet(index, &hello, now)?,
                 Some(Brought::Messages(session, messages)) => {
                     let robot = session.robot();
-                    let layer = self.map.layer_mut(robot);
+                    let layer = self.map.limited_layer_mut(robot);
                     let taken = Inbox::new(session, layer, &mut self.surroundings);
                     let taken = taken.take(messages, now);
                     self.unsaved.came(session, layer, &taken.updated.complete);
@@ -153,9 +156,14 @@ impl Server {
 
     fn greet(&mut self, port: usize, hello: &Hello, now: Instant) -> Result<(), NoSuchPort> {
         let robot = hello.robot;
+        if !self.has_room_for(robot) {
+            self.events.add_from(port, now, Event::Robot(RobotEvent::TooMany(robot)));
+            return Ok(());
+        }
         let first_epoch = self.map.next_epoch(robot);
         match self.ports.greet(port, hello, (&self.terms, first_epoch), now)? {
             Greeted::Joined => {
+                self.map.layer_mut(robot);
                 self.events.add_from(port, now, Event::Joined(robot, port));
                 if let Some(session) = self.ports.session_mut(robot) {
                     self.damaged.joined(session, now);
@@ -169,12 +177,34 @@ impl Server {
         Ok(())
     }
 
+    /// Whether a robot is known or can be added. Forgets absent robots that have drawn nothing, if
+    /// it must.
+    fn has_room_for(&mut self, robot: RobotId) -> bool {
+        if self.map.layer(robot).is_none() && self.map.layers().len() >= MAX_ROBOTS {
+            let known: Vec<RobotId> = self.map.layers().keys().copied().collect();
+            for robot in known {
+                if self.ports.session(robot).is_none() && self.map.forget(robot) {
+                    self.corrections.forget(robot);
+                    self.surroundings.forget(robot);
+                    self.ports.forget(robot);
+                }
+            }
+        }
+        self.map.layer(robot).is_some() || self.map.layers().len() < MAX_ROBOTS
+    }
+
     /// Handles the effects of the messages of the robot at a port.
     fn taken(&mut self, (port, robot): (usize, RobotId), taken: Taken, now: Instant) {
         self.map.changed(&taken.updated.tiles);
         self.damaged.came(robot, &taken.updated.complete);
-        if taken.updated.too_much && self.draws_too_much.insert(robot) {
-            self.events.add(now, Event::Robot(RobotEvent::Floods(robot)));
+        if let Some(limit) = taken.updated.refused
+            && self.exceeded.insert((robot, limit))
+        {
+            let event = match limit {
+                Limit::Robot => RobotEvent::Floods(robot),
+                Limit::AllRobots => RobotEvent::NoRoom(robot),
+            };
+            self.events.add_from(port, now, Event::Robot(event));
         }
         if let Some(dispatch) = &mut self.dispatch {
             taken.codes().for_each(|code| dispatch.event(robot, code, now));
