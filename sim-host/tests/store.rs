@@ -110,7 +110,9 @@ fn is_stored(tile: &ubimap_agent::map::OwnTile) -> bool {
 /// The layers in the file after the server was killed. Checks that all confirmed tiles are there.
 fn layers(store: &Path, robots: &[Member<'_>]) -> BTreeMap<RobotId, RobotLayer> {
     let mut layers = BTreeMap::<RobotId, RobotLayer>::new();
-    for (robot, record) in Store::open(store, RESOLUTION).unwrap().records().unwrap() {
+    let file = Store::open(store, RESOLUTION).unwrap();
+    assert_eq!(file.damage(), [], "a kill damages nothing");
+    for (robot, record) in file.records().unwrap() {
         layers.entry(robot).or_default().restore(&record);
     }
     for robot in robots {

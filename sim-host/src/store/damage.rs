@@ -19,6 +19,8 @@ pub enum Damage {
     CameraTile(TileId),
     /// The progress of a robot's cure.
     Cure(RobotId),
+    /// SQLite's log: what was stored last may be missing.
+    Log,
     /// Something whose key can't be read.
     Unknown,
 }
@@ -44,6 +46,9 @@ impl fmt::Display for Damage {
                 f,
                 "the corrected errors of robot {} are damaged and left out; they are estimated again",
                 robot.0
+            ),
+            Self::Log => f.write_str(
+                "its -wal file is damaged, or a write to it failed: the newest tiles may be missing",
             ),
             Self::Unknown => f.write_str("a row without a readable key is damaged and left out"),
         }

@@ -10,6 +10,7 @@
 //! |---|---|
 //! | `schema` | the tables; opening, upgrading and checking a file |
 //! | `rows`, `damage` | rows with checksums, and those that were damaged |
+//! | `log` | damage of SQLite's log |
 //! | `lock`, `presence` | exclusive use, and checks that the files are still there |
 //! | `backup` | copies of a file in use |
 //! | `error` | why a file can't be used |
@@ -18,6 +19,7 @@ mod backup;
 mod damage;
 mod error;
 mod lock;
+mod log;
 mod presence;
 mod rows;
 mod schema;

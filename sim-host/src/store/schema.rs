@@ -13,6 +13,7 @@ use super::{
     Trouble,
     damage::Damage,
     lock::lock,
+    log,
     rows::{self, CAMERA, CURED, SEEN, SERVER, TILE},
 };
 
@@ -121,12 +122,14 @@ pub(super) fn open(path: &Path, resolution: Millimetres) -> Result<Opened, Troub
     check_owner(&connection).map_err(Trouble::in_tables)?;
     // Files of other programs are not modified, nor is anything put beside them.
     let lock = lock(path)?;
+    let log_damage = log::is_damaged(path).then_some(Damage::Log);
     // A commit returns only after the data is on disk.
     connection.pragma_update(None, "synchronous", "full")?;
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     prepare(&transaction, resolution).map_err(Trouble::in_tables)?;
     check_pages(&transaction)?;
-    let damage = remove_damaged(&transaction).map_err(Trouble::in_tables)?;
+    let mut damage = remove_damaged(&transaction).map_err(Trouble::in_tables)?;
+    damage.extend(log_damage);
     transaction.execute("DELETE FROM tile WHERE epoch >= ?", [END_OF_EPOCHS])?;
     let server = ServerRow::read(&transaction)?;
     if server.resolution != resolution {
@@ -217,7 +220,7 @@ pub(super) fn check_pages(connection: &Connection) -> Result<(), Trouble> {
         let text: String = row.get(0)?;
         // A value of the wrong type in a row is left to the row's checksum.
         if text != "ok" && !text.contains(" value in ") {
-            log::debug!("integrity check: {text}");
+            ::log::debug!("integrity check: {text}");
             return Err(Trouble::Damaged("the database is malformed"));
         }
     }
