@@ -15,10 +15,10 @@ use serde::Serialize;
 use ubimap_sim_host::{
     report::{Brief, OutputFolder, brief, json_pretty},
     run::{
-        Outcome, RunError, compare, interruption,
+        Outcome, RunError, backup, compare, interruption,
         options::{
-            CompareOptions, ReplayOptions, ResultOptions, ServeOptions, SimulateOptions, Verbosity,
-            WatchOptions,
+            BackupOptions, CompareOptions, ReplayOptions, ResultOptions, ServeOptions,
+            SimulateOptions, Verbosity, WatchOptions,
         },
         place::{self, options::PlaceOptions},
         replay, serve, simulate, terminal, watch,
@@ -52,6 +52,8 @@ enum Command {
     Place(PlaceOptions),
     /// Serve real robots on serial ports
     Serve(ServeOptions),
+    /// Copy the file of --store, even while the server is running
+    Backup(BackupOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
 }
@@ -61,7 +63,7 @@ fn main() -> ExitCode {
         Ok(command_line) => command_line,
         Err(error) => return refuse_use(&error),
     };
-    if !matches!(command, Command::Compare(_)) {
+    if !matches!(command, Command::Compare(_) | Command::Backup(_)) {
         interruption::listen();
     }
     let level = match command {
@@ -85,6 +87,7 @@ fn main() -> ExitCode {
         }
         Command::Place(options) => place(&options),
         Command::Serve(options) => serve(&options),
+        Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
     };
     finished.unwrap_or_else(|error| fail(&error))
@@ -145,6 +148,13 @@ fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
     print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
     Ok(status(report.has_robot() || interruption::is_requested()))
+}
+
+fn backup(options: &BackupOptions) -> Result<ExitCode, RunError> {
+    let tiles = backup::run(options)?;
+    let to = options.to.display();
+    print(&format!("{to}: a backup of {tiles} robot tiles; use it with --store {to}\n"))?;
+    Ok(ExitCode::SUCCESS)
 }
 
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {

@@ -110,7 +110,9 @@ fn is_stored(tile: &ubimap_agent::map::OwnTile) -> bool {
 /// The layers in the file after the server was killed. Checks that all confirmed tiles are there.
 fn layers(store: &Path, robots: &[Member<'_>]) -> BTreeMap<RobotId, RobotLayer> {
     let mut layers = BTreeMap::<RobotId, RobotLayer>::new();
-    for (robot, record) in Store::open(store, RESOLUTION).unwrap().records().unwrap() {
+    let file = Store::open(store, RESOLUTION).unwrap();
+    assert_eq!(file.damage(), [], "a kill damages nothing");
+    for (robot, record) in file.records().unwrap() {
         layers.entry(robot).or_default().restore(&record);
     }
     for robot in robots {
@@ -175,7 +177,13 @@ fn a_killed_server_loses_no_confirmed_tile() {
                 || robots.iter().map(|member| member.robot.statistics()).collect::<Vec<_>>();
             assert!(now().since(began) < PATIENCE, "life {life}: {:?}", states());
         }
+        // A backup of the running server holds what it has confirmed.
+        let copy = store.with_file_name(format!("copy-{life}.db"));
+        let mut backup = Command::new(env!("CARGO_BIN_EXE_ubimap"));
+        let done = backup.arg("backup").args([&store, &copy]).output().unwrap();
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
         drop(serving);
+        layers(&copy, &robots);
         layers(&store, &robots);
     }
 

@@ -28,6 +28,19 @@ impl RawRobot {
     /// # Panics
     /// If the server does not welcome it.
     pub fn connect(server: &mut Server, port: usize, id: RobotId, now: Instant) -> Self {
+        Self::try_connect(server, port, id, now).expect("a welcome")
+    }
+
+    /// Opens a session at a port; `None` if the server does not answer.
+    ///
+    /// # Panics
+    /// If the server's answer is no welcome.
+    pub fn try_connect(
+        server: &mut Server,
+        port: usize,
+        id: RobotId,
+        now: Instant,
+    ) -> Option<Self> {
         let mut link = Endpoint::new();
         let hello = Hello {
             version: VERSION,
@@ -41,15 +54,15 @@ impl RawRobot {
         let mut out = [0; MAX_FRAME];
         let len = link.handshake(&hello, &mut out);
         server.receive(port, &out[..len.expect("a hello fits")], now).expect("the port is open");
-        let len = server.poll_transmit(port, now, &mut out).expect("a welcome");
-        let session = match link.receive(&mut &out[..len], now) {
-            Some(Received::Handshake(message)) => {
-                message.decode::<Welcome>().expect("a welcome").session
+        let session = loop {
+            let len = server.poll_transmit(port, now, &mut out)?;
+            // Frames of the port's last session may come first.
+            if let Some(Received::Handshake(message)) = link.receive(&mut &out[..len], now) {
+                break message.decode::<Welcome>().expect("a welcome").session;
             }
-            other => panic!("{other:?}"),
         };
         link.begin(session, DEFAULT_FRAME);
-        Self { id, port, link, versions: BTreeMap::new() }
+        Some(Self { id, port, link, versions: BTreeMap::new() })
     }
 
     /// The next frame, filled by `fill`.

@@ -1,7 +1,7 @@
 //! The configuration of a deployment, and the state left by earlier lives.
 
 use ubimap_protocol::{
-    tile::Epoch,
+    tile::{Epoch, TileId},
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
 };
@@ -87,6 +87,8 @@ pub struct Kept {
     pub clock: Instant,
     /// States of robots' tiles; the epochs of each tile in ascending order.
     pub tiles: Vec<(RobotId, TileRecord)>,
+    /// Robots' tiles that were damaged in the store: the robots are asked for them again.
+    pub damaged_tiles: Vec<(RobotId, TileId, Epoch)>,
     /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
     /// Progress of the robots' cures.

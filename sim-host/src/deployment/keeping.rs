@@ -13,6 +13,8 @@ use crate::{
 /// Interval between batches of robots' tiles. A robot keeps a tile until it is stored; a commit
 /// costs some 10 ms, whatever its size.
 const COMMIT_INTERVAL: Duration = Duration::from_millis(250);
+/// Maximum number of robots' tiles in a batch, 1.3 MB, so that writing it delays no fix for long.
+const MAX_TILES: usize = 256;
 /// Interval between batches of camera tiles. Longer, because cameras see most of it again after a
 /// restart.
 const CAMERA_INTERVAL: Duration = Duration::from_secs(10);
@@ -78,7 +80,7 @@ impl Keeping {
         if self.next_commit <= now {
             self.next_commit = now + COMMIT_INTERVAL;
             batch.cures = server.unsaved_cures().copied().collect();
-            batch.tiles = std::iter::from_fn(|| server.poll_store()).collect();
+            batch.tiles = std::iter::from_fn(|| server.poll_store()).take(MAX_TILES).collect();
         }
         self.is_writing = !batch.is_empty();
         self.is_writing.then_some(batch)

@@ -411,6 +411,9 @@ fn server(config: &Config, life: Life) -> Server {
     }
     if let Some(kept) = life.kept {
         kept.tiles.iter().for_each(|(robot, record)| server.restore(*robot, record));
+        for &(robot, id, epoch) in &kept.damaged_tiles {
+            server.restore_damaged(robot, id, epoch);
+        }
         kept.camera_tiles.iter().for_each(|tile| server.restore_camera_tile(tile));
         kept.cures.iter().for_each(|record| server.restore_cured(record));
     }

@@ -76,6 +76,12 @@ pub struct Agreements {
 }
 
 impl Agreements {
+    /// Forgets a robot that has drawn nothing.
+    pub fn forget(&mut self, robot: RobotId) {
+        self.layers.remove(&robot);
+        self.points.remove(&robot);
+    }
+
     /// Recounts a tile from the cameras' knowledge and the layer of each robot that knows any of
     /// it. Cost: a few microseconds per robot.
     pub fn count(&mut self, id: TileId, cameras: &Tile, robots: &[(RobotId, &Tile)]) {

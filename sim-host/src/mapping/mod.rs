@@ -21,6 +21,6 @@ pub use coverage_layer::CoverageLayer;
 pub use fused_layer::{MapTime, clear, fuse};
 pub use hollow::{Sight, hollow};
 pub use mask::Mask;
-pub use robot_layer::{RobotLayer, SeenTile, TileRecord, Updated};
+pub use robot_layer::{Limit, RobotLayer, SeenTile, TileRecord, Updated};
 pub use ros_merge::RosMerge;
 pub use served_layer::ServedLayer;

@@ -9,8 +9,12 @@ use ubimap_protocol::tile::{
 
 /// Maximum number of tiles of a robot: 21,000 square metres with 5 cm cells.
 const MAX_TILES: usize = 8_192;
-/// Maximum number of epochs of all tiles of a robot: some 90 MB.
+/// Maximum number of epochs of all tiles of a robot: some 40 MB.
 const MAX_EPOCHS: usize = 65_536;
+/// Estimated memory of a tile in bytes: its cells' times (4 kB), and its share of the fused layer.
+const TILE_MEMORY: usize = 6 << 10;
+/// Estimated memory of one epoch of a tile in bytes.
+const EPOCH_MEMORY: usize = 640;
 
 /// One epoch of one tile.
 #[derive(Clone, Debug, Default)]
@@ -58,15 +62,27 @@ pub struct TileRecord {
 /// does not depend on the order in which states of tiles arrive.
 #[derive(Clone, Debug, Default)]
 pub struct RobotLayer {
-    tiles: BTreeMap<TileId, BTreeMap<Epoch, Held>>,
+    // Boxed, because a map's node has room for eleven entries.
+    tiles: BTreeMap<TileId, BTreeMap<Epoch, Box<Held>>>,
     /// The joined epochs of each tile.
-    seen: BTreeMap<TileId, SeenTile>,
+    seen: BTreeMap<TileId, Box<SeenTile>>,
     /// Epochs below this one are void.
     first_epoch: Epoch,
     /// The highest epoch accepted so far.
     newest: Epoch,
     /// Number of epochs of all tiles.
     epochs: usize,
+    /// Maximum memory in bytes; `None`: only this layer's own limits apply.
+    limit: Option<usize>,
+}
+
+/// A limit on what is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Limit {
+    /// Tiles and epochs of one robot.
+    Robot,
+    /// Memory of the layers of all robots.
+    AllRobots,
 }
 
 /// The result of an update.
@@ -79,9 +95,8 @@ pub struct Updated {
     /// The tile that could not be decoded because its base is missing. The rest of the update was
     /// skipped as well; requesting this tile restores all of it.
     pub missing: Option<TileId>,
-    /// Whether something was refused because the robot exceeds the maximum number of tiles or
-    /// epochs.
-    pub too_much: bool,
+    /// The limit because of which a tile, and the rest of the update, was refused.
+    pub refused: Option<Limit>,
 }
 
 impl RobotLayer {
@@ -110,10 +125,8 @@ impl RobotLayer {
             }
             let known = self.tiles.get(&header.id);
             let is_new = !known.is_some_and(|epochs| epochs.contains_key(&epoch));
-            let is_too_much = known.is_none() && self.tiles.len() >= MAX_TILES
-                || is_new && self.epochs >= MAX_EPOCHS;
-            if is_too_much {
-                updated.too_much = true;
+            updated.refused = self.refuses(known.is_none(), is_new);
+            if updated.refused.is_some() {
                 return (updated, Ok(()));
             }
             self.epochs += usize::from(is_new);
@@ -149,11 +162,31 @@ impl RobotLayer {
         }
     }
 
+    /// The limit that a tile or epoch exceeds, if it is new.
+    fn refuses(&self, is_new_tile: bool, is_new_epoch: bool) -> Option<Limit> {
+        let is_beyond_own = is_new_tile && self.tiles.len() >= MAX_TILES
+            || is_new_epoch && self.epochs >= MAX_EPOCHS;
+        let more =
+            usize::from(is_new_tile) * TILE_MEMORY + usize::from(is_new_epoch) * EPOCH_MEMORY;
+        let is_beyond = more > 0 && self.limit.is_some_and(|limit| self.memory() + more > limit);
+        if is_beyond_own { Some(Limit::Robot) } else { is_beyond.then_some(Limit::AllRobots) }
+    }
+
+    /// Estimated memory in bytes, with the layer's share of the fused layer.
+    pub fn memory(&self) -> usize {
+        self.tiles.len() * TILE_MEMORY + self.epochs * EPOCH_MEMORY
+    }
+
+    /// Sets the maximum memory in bytes. What is there is kept and can be updated; more is refused.
+    pub fn set_limit(&mut self, bytes: usize) {
+        self.limit = Some(bytes);
+    }
+
     /// Joins the epochs of a tile again; changed cells get the time `seconds`. Returns whether any
     /// has changed.
     fn join(&mut self, id: TileId, seconds: impl Fn(usize) -> u32) -> bool {
         let joined = self.joined(id);
-        let seen = self.seen.entry(id).or_insert(SeenTile::NOTHING);
+        let seen = self.seen.entry(id).or_insert_with(|| Box::new(SeenTile::NOTHING));
         for (cell, time) in seen.seconds.iter_mut().enumerate() {
             let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
             if seen.tile.cell(x, y) != joined.cell(x, y) {
@@ -199,7 +232,7 @@ impl RobotLayer {
     /// The cells of a tile whose last report is not after `second`.
     pub fn drawn_by(&self, id: TileId, second: u32) -> Tile {
         let mut drawn = Tile::UNKNOWN;
-        if let Some(SeenTile { tile, seconds }) = self.seen.get(&id) {
+        if let Some(SeenTile { tile, seconds }) = self.seen(id) {
             for (cell, _) in seconds.iter().enumerate().filter(|(_, seen)| **seen <= second) {
                 let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
                 drawn.set(x, y, tile.cell(x, y));
@@ -210,12 +243,12 @@ impl RobotLayer {
 
     /// The robot's observations of a tile.
     pub fn seen(&self, id: TileId) -> Option<&SeenTile> {
-        self.seen.get(&id)
+        self.seen.get(&id).map(Box::as_ref)
     }
 
     /// The tiles that the robot has observed.
     pub fn tiles(&self) -> impl Iterator<Item = (TileId, &SeenTile)> {
-        self.seen.iter().map(|(&id, seen)| (id, seen))
+        self.seen.iter().map(|(&id, seen)| (id, seen.as_ref()))
     }
 
     /// The newest complete state of an epoch of a tile, and its cells.
@@ -236,7 +269,7 @@ impl RobotLayer {
                 cells.fill_unknown_from(before);
             }
             let replica = Replica::restored(cells, Stamp::NOTHING, 0);
-            *held = Held { replica, before: None, kept: Version(0) };
+            **held = Held { replica, before: None, kept: Version(0) };
         }
     }
 
@@ -256,7 +289,7 @@ impl RobotLayer {
         let Stamp { epoch, version } = record.stamp;
         let held = self.tiles.get_mut(&record.id).and_then(|epochs| epochs.get_mut(&epoch));
         // The state may have been discarded and replaced while the record was written.
-        let is_same = |held: &&mut Held| {
+        let is_same = |held: &&mut Box<Held>| {
             held.replica.stamp() > record.stamp
                 || held.replica.stamp() == record.stamp && *held.replica.tile() == record.cells
         };
@@ -373,14 +406,15 @@ mod tests {
         };
         let mut layer = RobotLayer::default();
         for x in 0..MAX_TILES {
-            assert!(!layer.update(&coded(x, 1, 1, &cells), 5).0.too_much);
+            assert_eq!(layer.update(&coded(x, 1, 1, &cells), 5).0.refused, None);
         }
-        assert!(layer.update(&coded(MAX_TILES, 1, 1, &cells), 5).0.too_much);
+        let refused = layer.update(&coded(MAX_TILES, 1, 1, &cells), 5).0.refused;
+        assert_eq!(refused, Some(Limit::Robot));
         assert_eq!(layer.tiles().count(), MAX_TILES);
         let more = tile(&[(0, Cell::Occupied)]);
         for (epoch, version) in [(1, 2), (2, 1)] {
             let (updated, _) = layer.update(&coded(3, epoch, version, &more), 6);
-            assert!(!updated.too_much && !updated.complete.is_empty());
+            assert!(updated.refused.is_none() && !updated.complete.is_empty());
         }
         // Voided epochs do not count.
         layer.retire(Epoch(2));

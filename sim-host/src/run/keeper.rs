@@ -7,8 +7,11 @@ use ubimap_protocol::{tile::Epoch, time::Instant, units::Millimetres};
 use super::options::RunOptions;
 use crate::{
     deployment::{Batch, Deployment, Kept, Life},
-    store::{Store, StoreError},
+    store::{Damage, Store, StoreError},
 };
+
+/// Maximum number of lines about damaged rows.
+const MAX_LINES: usize = 20;
 
 /// Writes the records of a deployment to a file.
 #[derive(Debug)]
@@ -32,9 +35,15 @@ impl Keeper {
         let mut store = Store::open(path, resolution)?;
         let epoch = store.begin_life(drawn)?;
         log::info!("{}: server epoch {}", path.display(), epoch.0);
+        warn_of_damage(path, store.damage());
+        let damaged_tiles = store.damage().iter().filter_map(|damage| match *damage {
+            Damage::Tile(robot, id, epoch) => Some((robot, id, epoch)),
+            _ => None,
+        });
         let kept = Kept {
             clock: store.clock(),
             tiles: store.records()?,
+            damaged_tiles: damaged_tiles.collect(),
             camera_tiles: store.camera_tiles()?,
             cures: store.cured()?,
         };
@@ -99,6 +108,20 @@ impl Keeper {
             self.store.keep(&batch.tiles, batch.clock)?;
         }
         Ok(())
+    }
+}
+
+/// Logs what was damaged.
+fn warn_of_damage(path: &Path, damage: &[Damage]) {
+    for damage in damage.iter().take(MAX_LINES) {
+        log::warn!("{}: {damage}", path.display());
+    }
+    if damage.len() > MAX_LINES {
+        let more = damage.len() - MAX_LINES;
+        log::warn!("{}: {more} more rows are damaged and left out", path.display());
+    }
+    if !damage.is_empty() {
+        log::warn!("{}: the disk may be failing; check it, and make backups", path.display());
     }
 }
 

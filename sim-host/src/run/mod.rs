@@ -2,6 +2,7 @@
 //! simulated robots. A driver supplies the clock, the sources and the channels; all decisions are
 //! made in the [`deployment`](crate::deployment).
 
+pub mod backup;
 pub mod compare;
 mod convergence;
 mod driving;

@@ -170,7 +170,7 @@ pub struct ServeOptions {
     pub resolution: Millimetres,
 
     /// Store the map in this file, and continue from its content; without it, the map is lost when
-    /// the server ends
+    /// the server ends. Copy it with `ubimap backup`
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,
 
@@ -294,6 +294,19 @@ impl ChannelOptions {
             ..Faults::default()
         }
     }
+}
+
+/// Options of `ubimap backup`.
+#[derive(Args, Clone, Debug)]
+pub struct BackupOptions {
+    /// The file of `--store`; the program that uses it may be running
+    #[arg(value_name = "STORE")]
+    pub store: PathBuf,
+
+    /// The copy, a file that `--store` accepts; an earlier backup is replaced once the new one is
+    /// complete and checked
+    #[arg(value_name = "FILE")]
+    pub to: PathBuf,
 }
 
 /// Options of `ubimap compare`.

@@ -34,7 +34,7 @@ pub enum Event {
     Reported(RobotId, message::Event),
     /// A sighting of a robot can't be a pose.
     Sighting(SightingEvent),
-    /// A robot misbehaves.
+    /// A robot misbehaves, or its map data is in trouble.
     Robot(RobotEvent),
     /// An event about a person.
     Person(PersonEvent),
@@ -60,6 +60,8 @@ pub enum EventKind {
     Refused,
     /// [`Event::Reported`].
     Reported,
+    /// [`Event::Robot`] about limits.
+    Limits,
 }
 
 impl fmt::Display for EventKind {
@@ -68,6 +70,7 @@ impl fmt::Display for EventKind {
             Self::Joined => "new sessions",
             Self::Refused => "refused sessions",
             Self::Reported => "events reported by robots",
+            Self::Limits => "limits exceeded by robots",
         })
     }
 }
@@ -133,6 +136,7 @@ impl Events {
             Event::Joined(..) => EventKind::Joined,
             Event::Refused(..) => EventKind::Refused,
             Event::Reported(..) => EventKind::Reported,
+            Event::Robot(_) => EventKind::Limits,
             _ => return self.add(moment, event),
         };
         if self.limits.admit(port, kind, moment) {
@@ -222,13 +226,19 @@ impl EventLog {
     }
 }
 
-/// Misbehaviour of a robot.
+/// Misbehaviour of a robot, or trouble with its map data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RobotEvent {
     /// Its layer or its distance vectors contradict the others, and no constant error explains it.
     Disagrees(RobotId),
     /// It sends more than any agent would, or exceeds the maximum number of tiles.
     Floods(RobotId),
+    /// The layers of all robots have reached their maximum memory: its new tiles are refused.
+    NoRoom(RobotId),
+    /// It is one more than the server can know: its hellos are not answered.
+    TooMany(RobotId),
+    /// This number of its tiles were damaged in the store, and it has not sent them again.
+    LostTiles(RobotId, usize),
 }
 
 impl fmt::Display for RobotEvent {
@@ -245,6 +255,27 @@ impl fmt::Display for RobotEvent {
                 write!(
                     f,
                     "robot {} exceeds its limit of data or tiles; the excess is dropped",
+                    robot.0
+                )
+            }
+            Self::NoRoom(robot) => {
+                write!(
+                    f,
+                    "robot {} draws more than the server has memory for: the tiles of all robots take 64 MiB; its new tiles are not kept or stored until the server starts with a new --store",
+                    robot.0
+                )
+            }
+            Self::TooMany(robot) => {
+                write!(
+                    f,
+                    "robot {} gets no session: the server knows 1,024 robots, its maximum; start it with a new --store to forget them",
+                    robot.0
+                )
+            }
+            Self::LostTiles(robot, tiles) => {
+                write!(
+                    f,
+                    "robot {} has not sent again {tiles} of its tiles that were damaged in the store: what it drew there is lost, until a robot draws it again",
                     robot.0
                 )
             }

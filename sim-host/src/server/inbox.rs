@@ -113,7 +113,7 @@ impl<'a> Inbox<'a> {
         let seconds = head.seconds.min((now.micros() / 1_000_000) as u32);
         let (mut updated, result) = self.layer.update(coded, seconds);
         let all = &mut self.taken.updated;
-        all.too_much |= updated.too_much;
+        all.refused = all.refused.or(updated.refused);
         all.tiles.append(&mut updated.tiles);
         all.complete.append(&mut updated.complete);
         if let Some(missing) = updated.missing {

@@ -8,12 +8,13 @@
 //! | `surroundings`, `shared_map` | positions of robots and obstacles; layers and fused map |
 //! | `correction` | constant errors of robots, and pose fixes in blind ground |
 //! | [`coordination`], `dispatch` | decides who drives where |
-//! | `unsaved`, `records` | state to be stored on disk |
+//! | `unsaved`, `records`, `damaged` | state to be stored on disk, and what was damaged there |
 //! | `events`, `queries` | events, and read access |
 
 mod command;
 pub mod coordination;
 mod correction;
+mod damaged;
 mod dispatch;
 mod events;
 mod inbox;
@@ -41,6 +42,7 @@ use ubimap_protocol::{
 use self::{
     coordination::{GoalError, Settings},
     correction::Corrections,
+    damaged::Damaged,
     dispatch::Dispatch,
     events::Events,
     inbox::{Inbox, Taken},
@@ -53,7 +55,7 @@ use self::{
 };
 use crate::{
     camera::{Observation, Sighting},
-    mapping::CoverageLayer,
+    mapping::{CoverageLayer, Limit},
     perception::robots::SightingEvent,
 };
 
@@ -61,6 +63,9 @@ pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
 pub use ports::{CommandError, NoSuchPort};
+
+/// Maximum number of robots that the server knows at once, in this life and in the store.
+pub const MAX_ROBOTS: usize = 1_024;
 
 /// The camera server's sans-IO core. It follows the driving rule of the crate: after every input
 /// drain [`Server::poll_transmit`] for each port and [`Server::poll_event`], then call
@@ -76,9 +81,10 @@ pub struct Server {
     /// `None` without a coordinator.
     dispatch: Option<Dispatch>,
     events: Events,
-    /// Robots that exceeded the maximum number of tiles.
-    draws_too_much: BTreeSet<RobotId>,
+    /// Robots that exceeded a limit, and were reported.
+    exceeded: BTreeSet<(RobotId, Limit)>,
     unsaved: Unsaved,
+    damaged: Damaged,
 }
 
 impl Server {
@@ -93,8 +99,9 @@ impl Server {
             corrections: Corrections::default(),
             dispatch: None,
             events: Events::default(),
-            draws_too_much: BTreeSet::new(),
+            exceeded: BTreeSet::new(),
             unsaved: Unsaved::new(terms.stores),
+            damaged: Damaged::default(),
         };
         for _ in 0..ports {
             server.open_port();
@@ -139,7 +146,7 @@ impl Server {
                 Some(Brought::Hello(hello)) => self.greet(index, &hello, now)?,
                 Some(Brought::Messages(session, messages)) => {
                     let robot = session.robot();
-                    let layer = self.map.layer_mut(robot);
+                    let layer = self.map.limited_layer_mut(robot);
                     let taken = Inbox::new(session, layer, &mut self.surroundings);
                     let taken = taken.take(messages, now);
                     self.unsaved.came(session, layer, &taken.updated.complete);
@@ -152,9 +159,19 @@ impl Server {
 
     fn greet(&mut self, port: usize, hello: &Hello, now: Instant) -> Result<(), NoSuchPort> {
         let robot = hello.robot;
+        if !self.has_room_for(robot) {
+            self.events.add_from(port, now, Event::Robot(RobotEvent::TooMany(robot)));
+            return Ok(());
+        }
         let first_epoch = self.map.next_epoch(robot);
         match self.ports.greet(port, hello, (&self.terms, first_epoch), now)? {
-            Greeted::Joined => self.events.add_from(port, now, Event::Joined(robot, port)),
+            Greeted::Joined => {
+                self.map.layer_mut(robot);
+                self.events.add_from(port, now, Event::Joined(robot, port));
+                if let Some(session) = self.ports.session_mut(robot) {
+                    self.damaged.joined(session, now);
+                }
+            }
             Greeted::Refused(reason) => {
                 self.events.add_from(port, now, Event::Refused(robot, reason));
             }
@@ -163,11 +180,34 @@ impl Server {
         Ok(())
     }
 
+    /// Whether a robot is known or can be added. Forgets absent robots that have drawn nothing, if
+    /// it must.
+    fn has_room_for(&mut self, robot: RobotId) -> bool {
+        if self.map.layer(robot).is_none() && self.map.layers().len() >= MAX_ROBOTS {
+            let known: Vec<RobotId> = self.map.layers().keys().copied().collect();
+            for robot in known {
+                if self.ports.session(robot).is_none() && self.map.forget(robot) {
+                    self.corrections.forget(robot);
+                    self.surroundings.forget(robot);
+                    self.ports.forget(robot);
+                }
+            }
+        }
+        self.map.layer(robot).is_some() || self.map.layers().len() < MAX_ROBOTS
+    }
+
     /// Handles the effects of the messages of the robot at a port.
     fn taken(&mut self, (port, robot): (usize, RobotId), taken: Taken, now: Instant) {
         self.map.changed(&taken.updated.tiles);
-        if taken.updated.too_much && self.draws_too_much.insert(robot) {
-            self.events.add(now, Event::Robot(RobotEvent::Floods(robot)));
+        self.damaged.came(robot, &taken.updated.complete);
+        if let Some(limit) = taken.updated.refused
+            && self.exceeded.insert((robot, limit))
+        {
+            let event = match limit {
+                Limit::Robot => RobotEvent::Floods(robot),
+                Limit::AllRobots => RobotEvent::NoRoom(robot),
+            };
+            self.events.add_from(port, now, Event::Robot(event));
         }
         if let Some(dispatch) = &mut self.dispatch {
             taken.codes().for_each(|code| dispatch.event(robot, code, now));
@@ -273,6 +313,10 @@ impl Server {
     /// that messages are not delayed; [`Server::poll_timeout`] is `now` until all are done.
     pub fn timeout(&mut self, now: Instant) {
         self.events.timeout(now);
+        let is_reachable = |robot| self.ports.session(robot).is_some_and(|it| it.is_reachable(now));
+        while let Some((robot, tiles)) = self.damaged.poll_lost(is_reachable, now) {
+            self.events.add(now, Event::Robot(RobotEvent::LostTiles(robot, tiles)));
+        }
         let waiting = self.corrections.poll_waiting();
         if let Some(session) = waiting.and_then(|robot| self.ports.session_mut(robot)) {
             self.corrections.look(session, &mut self.map, self.terms.resolution, now);
@@ -342,8 +386,10 @@ impl Server {
     fn poll_common_timeout(&self, now: Instant) -> Option<Instant> {
         let dispatch = self.dispatch.as_ref().map(Dispatch::poll_timeout);
         let waiting = self.corrections.has_waiting().then_some(now);
-        let all = [self.coverage.poll_timeout(), self.map.poll_timeout(), dispatch, waiting];
-        all.into_iter().flatten().min()
+        let damaged = self.damaged.poll_timeout();
+        let map = [self.coverage.poll_timeout(), self.map.poll_timeout()];
+        let all = map.into_iter().chain([dispatch, waiting, damaged]);
+        all.flatten().min()
     }
 
     fn snapshot(&self) -> Snapshot<'_> {

@@ -118,6 +118,11 @@ impl Ports {
         self.port_of(robot)?.session_mut()
     }
 
+    /// Forgets the session of a robot whose port was closed.
+    pub(super) fn forget(&mut self, robot: RobotId) {
+        self.parted.remove(&robot);
+    }
+
     fn port_of(&mut self, robot: RobotId) -> Option<&mut Port> {
         self.open.values_mut().find(|port| port.robot() == Some(robot))
     }

@@ -1,6 +1,9 @@
 //! State that the server hands out for storage, and restores in its next life.
 
-use ubimap_protocol::units::RobotId;
+use ubimap_protocol::{
+    tile::{Epoch, TileId},
+    units::RobotId,
+};
 
 use super::Server;
 use crate::mapping::{CameraTile, CureRecord, TileRecord};
@@ -64,6 +67,11 @@ impl Server {
     /// clock, to which the record's times refer.
     pub fn restore(&mut self, robot: RobotId, record: &TileRecord) {
         self.map.restore(robot, record);
+    }
+
+    /// Requests a tile that was damaged in the store from its robot, once that has a session.
+    pub fn restore_damaged(&mut self, robot: RobotId, id: TileId, epoch: Epoch) {
+        self.damaged.add(robot, id, epoch);
     }
 
     /// Restores a camera tile of an earlier life, as in [`Server::restore`].

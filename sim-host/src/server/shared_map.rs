@@ -17,6 +17,11 @@ use crate::{
     timing::ROBOT_GONE,
 };
 
+/// Memory in bytes that each robot may use whatever the others use: some ten tiles.
+const SHARE: usize = 64 << 10;
+/// Memory in bytes for what robots use beyond their shares: some 10,000 tiles.
+const COMMON: usize = 64 << 20;
+
 /// The layers and everything derived from them.
 #[derive(Debug, Default)]
 pub(super) struct SharedMap {
@@ -59,6 +64,27 @@ impl SharedMap {
     /// A robot's layer for writing; call [`SharedMap::changed`] with the tiles that have changed.
     pub(super) fn layer_mut(&mut self, robot: RobotId) -> &mut RobotLayer {
         self.layers.entry(robot).or_default()
+    }
+
+    /// A robot's layer for an update, with its part of the memory as its limit.
+    pub(super) fn limited_layer_mut(&mut self, robot: RobotId) -> &mut RobotLayer {
+        let others = self.layers.iter().filter(|(other, _)| **other != robot);
+        let used: usize = others.map(|(_, layer)| layer.memory().saturating_sub(SHARE)).sum();
+        let layer = self.layer_mut(robot);
+        layer.set_limit(SHARE + COMMON.saturating_sub(used));
+        layer
+    }
+
+    /// Forgets a robot that has drawn nothing. Returns whether it did.
+    pub(super) fn forget(&mut self, robot: RobotId) -> bool {
+        let is_empty = |layer: &RobotLayer| layer.memory() == 0 && layer.next_epoch() <= Epoch(1);
+        let is_idle = self.layers.get(&robot).is_some_and(is_empty);
+        if is_idle {
+            self.layers.remove(&robot);
+            self.weights.remove(&robot);
+            self.agreements.forget(robot);
+        }
+        is_idle
     }
 
     /// All robots' layers.

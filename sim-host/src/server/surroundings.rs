@@ -42,6 +42,11 @@ impl Surroundings {
         }
     }
 
+    /// Forgets where a robot was.
+    pub(super) fn forget(&mut self, robot: RobotId) {
+        self.robots.remove(&robot);
+    }
+
     /// Adds the things in a frame, in cells of the given side length.
     pub(super) fn observe(&mut self, observation: &Observation, side: Millimetres) {
         let captured = observation.captured;

@@ -19,10 +19,12 @@ pub struct StoreError {
 #[derive(Debug, thiserror::Error)]
 pub enum Trouble {
     /// It is not a database, or one of another program.
-    #[error("not a ubimap store; give another file, or a new one, with --store")]
+    #[error(
+        "not a ubimap store, or its beginning is damaged; give another file or a new one with --store, or restore a backup"
+    )]
     Foreign,
     /// It was written by another version of the program.
-    #[error("written by another version of ubimap (schema {0}, this one has {SCHEMA}); use that version, or give another file with --store", SCHEMA = super::SCHEMA)]
+    #[error("written by another version of ubimap (schema {0}, this one has {SCHEMA}); use that version, or give another file with --store", SCHEMA = super::schema::SCHEMA)]
     Schema(i32),
     /// Its map has another cell size.
     #[error("holds a map with cells of {} m, but this run uses {} m; use the same cell size, or give another file with --store", .kept.metres(), .asked.metres())]
@@ -43,6 +45,26 @@ pub enum Trouble {
     /// Its contents are inconsistent.
     #[error("damaged: {0}; restore a backup, or give a new file with --store")]
     Damaged(&'static str),
+    /// Its tables can't be read.
+    #[error(
+        "damaged, its tables can't be read: {0}; restore a backup, or give a new file with --store"
+    )]
+    Tables(rusqlite::Error),
+    /// Rows of it are damaged, so that it is not copied.
+    #[error(
+        "{0} of its rows are damaged, so that no backup is made: an earlier one may be better; the next run with this --store leaves them out and asks the robots for their tiles"
+    )]
+    DamagedRows(usize),
+    /// A backup would replace something else.
+    #[error(
+        "exists and is not a backup, or is a store in use; give the name of a new file, or of an earlier backup"
+    )]
+    NotABackup,
+    /// A finished backup can't be moved to its place.
+    #[error(
+        "can't write the backup: {0}; check the folder and its permissions, or give another file"
+    )]
+    Replace(std::io::Error),
     /// It can't be opened or created.
     #[error("can't be opened or created; check that its folder exists and is writable")]
     CannotOpen,
@@ -87,6 +109,16 @@ fn is_on_read_only_file_system(path: &Path) -> bool {
 #[cfg(not(target_os = "linux"))]
 fn is_on_read_only_file_system(_: &Path) -> bool {
     false
+}
+
+impl Trouble {
+    /// The same trouble, of a statement that every store of this version accepts.
+    pub(super) fn in_tables(self) -> Self {
+        match self {
+            Self::Other(error) => Self::Tables(error),
+            trouble => trouble,
+        }
+    }
 }
 
 impl From<rusqlite::Error> for Trouble {

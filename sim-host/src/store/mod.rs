@@ -3,77 +3,50 @@
 //!
 //! Tables: `server` has one row; `tile` one per robot, tile and epoch; `seen` one per robot and
 //! tile, with the time each cell was last seen; `camera` one per tile seen by cameras; `cured` one
-//! per robot whose correction has begun. The file belongs to one process at a time.
+//! per robot whose correction has begun. Each row has a checksum. The file belongs to one process at
+//! a time.
+//!
+//! | file | content |
+//! |---|---|
+//! | `schema` | the tables; opening, upgrading and checking a file |
+//! | `rows`, `damage` | rows with checksums, and those that were damaged |
+//! | `log` | damage of SQLite's log |
+//! | `lock`, `presence` | exclusive use, and checks that the files are still there |
+//! | `backup` | copies of a file in use |
+//! | `error` | why a file can't be used |
 
+mod backup;
+mod damage;
 mod error;
+mod lock;
+mod log;
 mod presence;
+mod rows;
+mod schema;
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs::File,
+    path::{Path, PathBuf},
+};
 
 use presence::Presence;
-use rusqlite::{
-    Connection, OpenFlags, OptionalExtension, Params, Row, Transaction, config::DbConfig, params,
-};
+use rows::{CAMERA, CURED, SEEN, TILE};
+use rusqlite::{Connection, Row, Transaction, types::ValueRef};
+use schema::{Opened, ServerRow};
 use ubimap_protocol::{
     tile::{Epoch, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileId, Version},
     time::Instant,
     units::{Millimetres, RobotId},
 };
 
+pub use backup::backup;
+pub use damage::Damage;
 pub use error::{StoreError, Trouble};
 
 use crate::mapping::{CameraTile, CureRecord, Cured, SeenTile, TileRecord};
 
-/// SQLite application id: "ubim".
-const APPLICATION_ID: i32 = 0x7562_696D;
-/// Version of the tables.
-const SCHEMA: i32 = 3;
 /// Bytes of a stored tile: the rows of its low plane, then those of its high plane, little-endian.
 const TILE_LEN: usize = 8 * TILE_SIDE;
-/// No robot reaches this epoch: tiles of later ones, which earlier versions of the server accepted,
-/// are deleted when the file is opened, because they would leave the robot no epochs.
-const END_OF_EPOCHS: u32 = 1 << 31;
-
-/// Tables of schema 1.
-const TABLES: &str = "
-    CREATE TABLE server (
-        id INTEGER PRIMARY KEY CHECK (id = 1),
-        resolution_mm INTEGER NOT NULL,
-        epoch INTEGER NOT NULL,
-        clock_us INTEGER NOT NULL
-    ) STRICT;
-    CREATE TABLE tile (
-        robot INTEGER, x INTEGER, y INTEGER, epoch INTEGER,
-        version INTEGER NOT NULL,
-        cells BLOB NOT NULL,
-        known BLOB NOT NULL,
-        PRIMARY KEY (robot, x, y, epoch)
-    ) STRICT, WITHOUT ROWID;
-    CREATE TABLE seen (
-        robot INTEGER, x INTEGER, y INTEGER,
-        seconds BLOB NOT NULL,
-        PRIMARY KEY (robot, x, y)
-    ) STRICT, WITHOUT ROWID;
-";
-
-/// Added by schema 2; older files are upgraded when opened.
-const TABLES_2: &str = "
-    CREATE TABLE camera (
-        x INTEGER, y INTEGER,
-        cells BLOB NOT NULL,
-        seconds BLOB NOT NULL,
-        cameras BLOB NOT NULL,
-        PRIMARY KEY (x, y)
-    ) STRICT, WITHOUT ROWID;
-    CREATE TABLE cured (
-        robot INTEGER PRIMARY KEY,
-        first_epoch INTEGER NOT NULL,
-        identifier_deg REAL NOT NULL,
-        sensor_deg REAL NOT NULL
-    ) STRICT;
-";
-/// Added by schema 3; older files are upgraded when opened.
-const TABLES_3: &str = "ALTER TABLE cured ADD COLUMN is_over INTEGER NOT NULL DEFAULT 1";
 
 /// The open file.
 #[derive(Debug)]
@@ -81,21 +54,29 @@ pub struct Store {
     path: PathBuf,
     connection: Connection,
     presence: Presence,
-    epoch: Epoch,
-    clock: Instant,
+    server: ServerRow,
+    damage: Vec<Damage>,
+    /// Held for as long as the connection, which is closed first.
+    _lock: File,
 }
 
 impl Store {
     /// Opens the file of a map with cells of the given side length; creates it if it does not
-    /// exist. Reads no tiles.
+    /// exist. Deletes damaged rows, which [`Store::damage`] then names. Cost: reads the whole file.
     ///
     /// # Errors
     /// [`StoreError`]: the file can't be opened or written, or is not a store of such a map.
     pub fn open(path: &Path, resolution: Millimetres) -> Result<Self, StoreError> {
         let wrap = |trouble| StoreError::new(path, trouble);
-        let (connection, epoch, clock) = open(path, resolution).map_err(wrap)?;
+        let Opened { connection, lock, server, damage } =
+            schema::open(path, resolution).map_err(wrap)?;
         let presence = Presence::new(path).map_err(wrap)?;
-        Ok(Self { path: path.to_owned(), connection, presence, epoch, clock })
+        Ok(Self { path: path.to_owned(), connection, presence, server, damage, _lock: lock })
+    }
+
+    /// What was damaged when the file was opened, and is left out.
+    pub fn damage(&self) -> &[Damage] {
+        &self.damage
     }
 
     /// Starts a life of the server in the epoch `drawn`, which should be random, or in the next one
@@ -106,13 +87,10 @@ impl Store {
     /// [`StoreError`].
     pub fn begin_life(&mut self, drawn: Epoch) -> Result<Epoch, StoreError> {
         let mut epoch = drawn;
-        while epoch == Epoch(0) || epoch == self.epoch {
+        while epoch == Epoch(0) || epoch == self.server.epoch {
             epoch.0 = epoch.0.wrapping_add(1);
         }
-        let written = self.connection.execute("UPDATE server SET epoch = ?", [epoch.0]);
-        let written = written.map_err(Trouble::from).and_then(|_| self.presence.check_committed());
-        written.map_err(|trouble| self.error(trouble))?;
-        self.epoch = epoch;
+        self.write(ServerRow { epoch, ..self.server }, |_| Ok(()))?;
         Ok(epoch)
     }
 
@@ -123,7 +101,7 @@ impl Store {
 
     /// The last stored time of the server's clock, which continues from there.
     pub fn clock(&self) -> Instant {
-        self.clock
+        self.server.clock
     }
 
     /// Reads all robots' tiles; the epochs of each tile in ascending order.
@@ -189,10 +167,7 @@ impl Store {
         records: &[(RobotId, TileRecord)],
         now: Instant,
     ) -> Result<(), StoreError> {
-        let clock = self.clock.max(now);
-        self.write(|transaction| write(transaction, records, clock))?;
-        self.clock = clock;
-        Ok(())
+        self.write(self.server_at(now), |transaction| write(transaction, records))
     }
 
     /// Replaces camera tiles in one transaction.
@@ -205,10 +180,7 @@ impl Store {
         tiles: &[CameraTile],
         now: Instant,
     ) -> Result<(), StoreError> {
-        let clock = self.clock.max(now);
-        self.write(|transaction| write_camera_tiles(transaction, tiles, clock))?;
-        self.clock = clock;
-        Ok(())
+        self.write(self.server_at(now), |transaction| write_camera_tiles(transaction, tiles))
     }
 
     /// Stores the progress of a robot's cure, and deletes its void tiles.
@@ -217,26 +189,43 @@ impl Store {
     /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
     /// [gone](Trouble::Gone).
     pub fn cure(&mut self, record: &CureRecord) -> Result<(), StoreError> {
-        let CureRecord { robot, cured, first_epoch, is_over } = *record;
-        self.write(|transaction| {
+        let CureRecord { robot, cured: Cured { taken_out, added }, first_epoch, is_over } = *record;
+        self.write(self.server, |transaction| {
             let delete = "DELETE FROM tile WHERE robot = ? AND epoch < ?";
-            execute(transaction, delete, params![robot.0, first_epoch.0])?;
-            let row = params![robot.0, first_epoch.0, cured.taken_out, cured.added, is_over];
-            execute(transaction, "REPLACE INTO cured VALUES (?, ?, ?, ?, ?)", row)
+            transaction.execute(delete, [u32::from(robot.0), first_epoch.0])?;
+            // SQLite does not keep the sign of a zero.
+            let [taken_out, added] = [taken_out, added].map(|degrees| degrees + 0.0);
+            let row = vec![
+                robot.0.into(),
+                first_epoch.0.into(),
+                taken_out.into(),
+                added.into(),
+                is_over.into(),
+            ];
+            CURED.write(transaction, row)
         })
+    }
+
+    /// The `server` row at a time of the server's clock, which is monotonic.
+    fn server_at(&self, now: Instant) -> ServerRow {
+        ServerRow { clock: self.server.clock.max(now), ..self.server }
     }
 
     fn write(
         &mut self,
+        server: ServerRow,
         all: impl FnOnce(&Transaction<'_>) -> Result<(), Trouble>,
     ) -> Result<(), StoreError> {
         let kept = self.presence.check().and_then(|()| {
             let transaction = self.connection.transaction()?;
+            server.write(&transaction)?;
             all(&transaction)?;
             transaction.commit()?;
             self.presence.check_committed()
         });
-        kept.map_err(|trouble| self.error(trouble))
+        kept.map_err(|trouble| self.error(trouble))?;
+        self.server = server;
+        Ok(())
     }
 
     /// Limits the file's length, as a full disk does.
@@ -250,117 +239,36 @@ impl Store {
     }
 }
 
-fn open(path: &Path, resolution: Millimetres) -> Result<(Connection, Epoch, Instant), Trouble> {
-    check_name(path)?;
-    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE;
-    let mut connection = Connection::open_with_flags(path, flags)?;
-    // The file may come from a stranger: nothing that its schema contains is executed.
-    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
-    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
-    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
-    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;
-    connection.busy_timeout(std::time::Duration::ZERO)?;
-    // Exclusive access; a commit returns only after the data is on disk.
-    connection.pragma_update(None, "locking_mode", "exclusive")?;
-    connection.pragma_update(None, "synchronous", "full")?;
-    let transaction = connection.transaction()?;
-    let number = |name: &str| -> Result<i32, Trouble> {
-        Ok(transaction.pragma_query_value(None, name, |row| row.get(0))?)
-    };
-    let tables: u32 =
-        transaction.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
-    if tables == 0 {
-        transaction.execute_batch(TABLES)?;
-        transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
-        transaction.pragma_update(None, "user_version", 1)?;
-        execute(&transaction, "INSERT INTO server VALUES (1, ?, 0, 0)", [resolution.0])?;
-    } else if number("application_id")? != APPLICATION_ID {
-        return Err(Trouble::Foreign);
-    }
-    let missing: &[&str] = match number("user_version")? {
-        SCHEMA => &[],
-        2 => &[TABLES_3],
-        1 => &[TABLES_2, TABLES_3],
-        schema => return Err(Trouble::Schema(schema)),
-    };
-    for tables in missing {
-        transaction.execute_batch(tables)?;
-        transaction.pragma_update(None, "user_version", SCHEMA)?;
-    }
-    execute(&transaction, "DELETE FROM tile WHERE epoch >= ?", [END_OF_EPOCHS])?;
-    let server = transaction
-        .query_row("SELECT resolution_mm, epoch, clock_us FROM server", [], |row| {
-            Ok((Millimetres(row.get(0)?), Epoch(row.get(1)?), row.get(2)?))
-        })
-        .optional()?;
-    let (kept, epoch, clock): (_, _, i64) =
-        server.ok_or(Trouble::Damaged("its server row is missing"))?;
-    if kept != resolution {
-        return Err(Trouble::Resolution { kept, asked: resolution });
-    }
-    let clock = u64::try_from(clock).map_err(|_| Trouble::Damaged("its clock is negative"))?;
-    transaction.commit()?;
-    // Last, so that files of other programs are not modified.
-    connection.pragma_update(None, "journal_mode", "wal")?;
-    Ok((connection, epoch, Instant(clock)))
-}
-
-/// Refuses names that SQLite does not take for a file on disk.
-fn check_name(path: &Path) -> Result<(), Trouble> {
-    let name = path.as_os_str().as_encoded_bytes();
-    if name.is_empty() || name == b":memory:" || name.starts_with(b"file:") {
-        return Err(Trouble::NotAFile);
-    }
-    match path.metadata() {
-        Ok(metadata) if !metadata.is_file() && !metadata.is_dir() => Err(Trouble::NotAFile),
-        // A folder, or a file that does not exist yet, is SQLite's to judge.
-        _ => Ok(()),
-    }
-}
-
-fn write(
-    transaction: &Transaction<'_>,
-    records: &[(RobotId, TileRecord)],
-    clock: Instant,
-) -> Result<(), Trouble> {
-    write_clock(transaction, clock)?;
-    let mut tile = transaction.prepare("REPLACE INTO tile VALUES (?, ?, ?, ?, ?, ?, ?)")?;
-    let mut seen = transaction.prepare("REPLACE INTO seen VALUES (?, ?, ?, ?)")?;
+fn write(transaction: &Transaction<'_>, records: &[(RobotId, TileRecord)]) -> Result<(), Trouble> {
+    let (mut tile, mut seen) = (TILE.writer(transaction)?, SEEN.writer(transaction)?);
     for (robot, record) in records {
         let TileRecord { id, stamp, cells, known, seconds } = record;
-        let (epoch, version) = (stamp.epoch.0, stamp.version.0);
-        let (cells, known) = (tile_bytes(cells), tile_bytes(known));
-        tile.execute(params![robot.0, id.x, id.y, epoch, version, cells, known])?;
-        seen.execute(params![robot.0, id.x, id.y, bytes(seconds)])?;
+        let [robot, x, y] = [i64::from(robot.0), id.x.into(), id.y.into()];
+        tile.write(vec![
+            robot.into(),
+            x.into(),
+            y.into(),
+            stamp.epoch.0.into(),
+            stamp.version.0.into(),
+            tile_bytes(cells).into(),
+            tile_bytes(known).into(),
+        ])?;
+        seen.write(vec![robot.into(), x.into(), y.into(), bytes(seconds).into()])?;
     }
     Ok(())
 }
 
-fn write_camera_tiles(
-    transaction: &Transaction<'_>,
-    tiles: &[CameraTile],
-    clock: Instant,
-) -> Result<(), Trouble> {
-    write_clock(transaction, clock)?;
-    let mut row = transaction.prepare("REPLACE INTO camera VALUES (?, ?, ?, ?, ?)")?;
+fn write_camera_tiles(transaction: &Transaction<'_>, tiles: &[CameraTile]) -> Result<(), Trouble> {
+    let mut row = CAMERA.writer(transaction)?;
     for CameraTile { id, seen, cameras } in tiles {
-        let cells = tile_bytes(&seen.tile);
-        row.execute(params![id.x, id.y, cells, bytes(&seen.seconds), bytes(cameras)])?;
+        row.write(vec![
+            id.x.into(),
+            id.y.into(),
+            tile_bytes(&seen.tile).into(),
+            bytes(&seen.seconds).into(),
+            bytes(cameras).into(),
+        ])?;
     }
-    Ok(())
-}
-
-fn write_clock(transaction: &Transaction<'_>, clock: Instant) -> Result<(), Trouble> {
-    let clock = i64::try_from(clock.micros()).unwrap_or(i64::MAX);
-    execute(transaction, "UPDATE server SET clock_us = ?", [clock])
-}
-
-fn execute(
-    transaction: &Transaction<'_>,
-    statement: &str,
-    parameters: impl Params,
-) -> Result<(), Trouble> {
-    transaction.execute(statement, parameters)?;
     Ok(())
 }
 
@@ -370,7 +278,11 @@ fn record(row: &Row<'_>) -> Result<(RobotId, TileRecord), Trouble> {
         stamp: Stamp { epoch: Epoch(row.get(3)?), version: Version(row.get(4)?) },
         cells: tile(row, 5)?,
         known: tile(row, 6)?,
-        seconds: cells(row, 7)?,
+        // A damaged row of the times is missing: then the cells count as the oldest.
+        seconds: match row.get_ref(7)? {
+            ValueRef::Null => [0; TILE_CELLS as usize],
+            _ => cells(row, 7)?,
+        },
     };
     Ok((RobotId(row.get(0)?), record))
 }

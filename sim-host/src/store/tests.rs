@@ -1,9 +1,13 @@
+mod backup;
+mod damage;
+
+use super::schema::END_OF_EPOCHS;
 use super::*;
 use crate::testing::Folder;
 
 const CELLS: Millimetres = Millimetres(50);
 
-fn record(x: i16, epoch: u32, version: u32) -> TileRecord {
+pub(super) fn record(x: i16, epoch: u32, version: u32) -> TileRecord {
     let word = |row: usize| (row as u32 + version).wrapping_mul(0x9E37_79B9) ^ epoch;
     let cells =
         Tile { low: core::array::from_fn(word), high: core::array::from_fn(|row| !word(row)) };
@@ -101,6 +105,12 @@ fn camera_tiles_and_cures_are_read_in_the_next_life() {
     assert_eq!(store.records().unwrap(), [(robot, record(0, 5, 1))]);
 }
 
+/// Removes the checksums: the tables of schema 3.
+const WITHOUT_SUMS: &str = "
+    ALTER TABLE server DROP COLUMN crc; ALTER TABLE tile DROP COLUMN crc;
+    ALTER TABLE seen DROP COLUMN crc; ALTER TABLE camera DROP COLUMN crc;
+    ALTER TABLE cured DROP COLUMN crc; PRAGMA user_version = 3;";
+
 #[test]
 fn files_of_earlier_schemas_are_upgraded() {
     let folder = Folder::new("store-first");
@@ -108,6 +118,7 @@ fn files_of_earlier_schemas_are_upgraded() {
     let mut store = Store::open(&path, CELLS).unwrap();
     store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(3)).unwrap();
     let first = "DROP TABLE camera; DROP TABLE cured; PRAGMA user_version = 1";
+    store.connection.execute_batch(WITHOUT_SUMS).unwrap();
     store.connection.execute_batch(first).unwrap();
     drop(store);
     let mut store = Store::open(&path, CELLS).unwrap();
@@ -115,11 +126,20 @@ fn files_of_earlier_schemas_are_upgraded() {
     store.keep_camera_tiles(&[seen(2, 1)], Instant(8)).unwrap();
     let second = "ALTER TABLE cured DROP COLUMN is_over; PRAGMA user_version = 2;
                   INSERT INTO cured VALUES (7, 5, 3.0, -2.5)";
+    store.connection.execute_batch(WITHOUT_SUMS).unwrap();
     store.connection.execute_batch(second).unwrap();
     drop(store);
     let store = Store::open(&path, CELLS).unwrap();
     assert_eq!(store.camera_tiles().unwrap(), [seen(2, 1)]);
     assert_eq!(store.cured().unwrap(), [cure(3.0)]);
+    store.connection.execute_batch(WITHOUT_SUMS).unwrap();
+    drop(store);
+    for _ in 0..2 {
+        let store = Store::open(&path, CELLS).unwrap();
+        assert_eq!(store.damage(), []);
+        assert_eq!(store.records().unwrap(), [(RobotId(1), record(0, 1, 1))]);
+        assert_eq!((store.clock(), store.cured().unwrap()), (Instant(8), vec![cure(3.0)]));
+    }
 }
 
 #[test]
@@ -150,13 +170,14 @@ fn files_of_other_programs_and_maps_are_refused_unchanged() {
     drop(Store::open(&path, CELLS).unwrap());
     let cells = refused(&path, Millimetres(100));
     assert!(cells.contains("cells of 0.05 m, but this run uses 0.1 m"), "{cells}");
-    Connection::open(&path).unwrap().pragma_update(None, "user_version", 4).unwrap();
-    assert!(refused(&path, CELLS).contains("schema 4, this one has 3"));
+    Connection::open(&path).unwrap().pragma_update(None, "user_version", 5).unwrap();
+    assert!(refused(&path, CELLS).contains("schema 5, this one has 4"));
 
     assert!(refused(folder.path(), CELLS).contains("can't be opened"));
     assert!(refused(&folder.path().join("no/map.db"), CELLS).contains("folder"));
 }
 
+/// A row that was changed by another program is left out like one that a disk has changed.
 #[test]
 fn damage_is_reported() {
     let folder = Folder::new("store-damage");
@@ -170,27 +191,38 @@ fn damage_is_reported() {
         store.connection.execute_batch(statement).unwrap();
         drop(store);
         match Store::open(&path, CELLS) {
-            Ok(store) => {
-                let all = [store.records().err(), store.camera_tiles().err(), store.cured().err()];
-                all.into_iter()
-                    .flatten()
-                    .next()
-                    .expect("an error of one of the readers")
-                    .to_string()
-            }
+            Ok(store) => format!("{:?}", store.damage()),
             Err(error) => error.to_string(),
         }
     };
+    let (tile, robot) = (TileId { x: 0, y: -7 }, RobotId(1));
+    for (statement, damage) in [
+        ("UPDATE tile SET cells = x'00'", Damage::Tile(robot, tile, Epoch(1))),
+        ("UPDATE tile SET version = 2", Damage::Tile(robot, tile, Epoch(1))),
+        ("UPDATE tile SET epoch = 3", Damage::Tile(robot, tile, Epoch(3))),
+        ("UPDATE tile SET robot = 65536", Damage::Unknown),
+        ("UPDATE tile SET epoch = -1", Damage::Unknown),
+        ("UPDATE seen SET seconds = zeroblob(4095)", Damage::Times(robot, tile)),
+        ("UPDATE camera SET cells = zeroblob(257)", Damage::CameraTile(tile)),
+        ("UPDATE camera SET cameras = x''", Damage::CameraTile(tile)),
+        ("UPDATE camera SET x = 32768", Damage::Unknown),
+        ("UPDATE cured SET first_epoch = -1", Damage::Cure(RobotId(7))),
+        ("UPDATE cured SET identifier_deg = 1.5", Damage::Cure(RobotId(7))),
+    ] {
+        assert_eq!(spoilt(statement), format!("{:?}", [damage]), "{statement}");
+        let store = Store::open(&path, CELLS).unwrap();
+        assert_eq!(store.damage(), [], "the row is deleted");
+        let counts = [
+            store.records().unwrap().len(),
+            store.camera_tiles().unwrap().len(),
+            store.cured().unwrap().len(),
+        ];
+        let left = if statement.contains("seen") { 3 } else { 2 };
+        assert_eq!(counts.iter().sum::<usize>(), left, "{statement}");
+    }
     for statement in [
-        "UPDATE tile SET cells = x'00'",
-        "UPDATE seen SET seconds = zeroblob(4095)",
-        "UPDATE tile SET robot = 65536",
-        "UPDATE tile SET epoch = -1",
-        "UPDATE camera SET cells = zeroblob(257)",
-        "UPDATE camera SET cameras = x''",
-        "UPDATE camera SET x = 32768",
-        "UPDATE cured SET first_epoch = -1",
         "UPDATE server SET clock_us = -1",
+        "UPDATE server SET resolution_mm = 51",
         "UPDATE server SET epoch = 4294967296",
         "DELETE FROM server",
     ] {
@@ -305,7 +337,6 @@ fn triggers_and_views_in_a_file_do_not_run() {
         "ALTER TABLE camera RENAME TO other;
          CREATE VIEW camera AS SELECT * FROM other",
     );
-    let store = Store::open(&path, CELLS).unwrap();
-    let told = store.camera_tiles().unwrap_err().to_string();
+    let told = refused(&path, CELLS);
     assert!(told.contains("view"), "{told}");
 }

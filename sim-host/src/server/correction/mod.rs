@@ -40,6 +40,12 @@ impl Corrections {
         self.robots.get(&robot).map(RobotCorrection::errors)
     }
 
+    /// Forgets a robot that is gone and has drawn nothing.
+    pub(super) fn forget(&mut self, robot: RobotId) {
+        self.robots.remove(&robot);
+        self.waiting.retain(|waiting| *waiting != robot);
+    }
+
     /// Restores the corrections of an earlier life of the server.
     pub(super) fn restore(&mut self, record: &CureRecord) {
         self.robots.insert(record.robot, RobotCorrection::of(record));

@@ -10,6 +10,8 @@ use ubimap_protocol::{
 
 /// Maximum number of waiting replies of one kind; a working robot causes far fewer.
 const MAX_WAITING: usize = 256;
+/// Maximum number of waiting notices of stored tiles: several times the pool of a robot.
+const MAX_STORED_WAITING: usize = 1_024;
 
 /// Replies waiting to be sent.
 #[derive(Debug, Default)]
@@ -32,11 +34,22 @@ impl Replies {
         }
     }
 
-    /// Queues the notice that a tile's state is on disk, once per session and state.
+    /// Queues the notice that a tile's state is on disk, once per session and state, in place of one
+    /// about an earlier version. Excess notices are dropped; the robot's digests cause them again.
     pub(super) fn stored(&mut self, id: TileId, stamp: Stamp) {
-        if self.newest_stored.insert(id, stamp) != Some(stamp) {
-            self.stored.push((id, stamp));
+        if self.newest_stored.get(&id) == Some(&stamp) {
+            return;
         }
+        let is_same =
+            |(other, queued): &&mut (TileId, Stamp)| *other == id && queued.epoch == stamp.epoch;
+        if let Some((_, queued)) = self.stored.iter_mut().find(is_same) {
+            *queued = stamp;
+        } else if self.stored.len() < MAX_STORED_WAITING {
+            self.stored.push((id, stamp));
+        } else {
+            return;
+        }
+        self.newest_stored.insert(id, stamp);
     }
 
     /// Queues a request for a robot's tile that is missing or differs. Excess requests are dropped;

@@ -1,0 +1,28 @@
+//! Exclusive use of a store by one process.
+//!
+//! SQLite's own exclusive mode would shut out `ubimap backup`, which only reads.
+
+use std::{
+    ffi::OsString,
+    fs::{self, File, OpenOptions, TryLockError},
+    path::Path,
+};
+
+use super::Trouble;
+
+/// Locks a store until the file is dropped, or the process ends in any way. The lock belongs to a
+/// file beside the store, `NAME-lock`, which stays: closing the store's own file a second time would
+/// release SQLite's locks on it.
+pub(super) fn lock(store: &Path) -> Result<File, Trouble> {
+    // Two names of one file share the lock.
+    let real = fs::canonicalize(store).map_err(|_| Trouble::CannotOpen)?;
+    let mut name = OsString::from(real);
+    name.push("-lock");
+    let file = OpenOptions::new().create(true).truncate(false).write(true).open(name);
+    let file = file.map_err(|_| Trouble::CannotOpen)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(Trouble::InUse),
+        Err(TryLockError::Error(_)) => Err(Trouble::CannotOpen),
+    }
+}
