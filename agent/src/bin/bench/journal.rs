@@ -1,5 +1,6 @@
-//! Replays a robot's journal, received on USART1, and prints the robot's outputs. `cargo test
-//! --package ubimap-tests --test journal` compares them with those of the same robot on a PC.
+//! Replays a robot's journal (its recorded inputs), received on USART1, and prints the robot's
+//! outputs. `cargo test --package ubimap-tests --test journal` compares them with the outputs of
+//! the same robot on a PC.
 #![no_std]
 #![no_main]
 
@@ -22,7 +23,7 @@ use port::Port;
 use ubimap_agent::{Memory, Robot, drive::Driving, memory};
 use ubimap_protocol::frame::DEFAULT_FRAME;
 
-/// Maximum length of a line: a frame, two digits per byte.
+/// Maximum length of a line: a frame, in two hexadecimal digits per byte.
 const LINE: usize = 2 * DEFAULT_FRAME + 8;
 
 #[entry]
