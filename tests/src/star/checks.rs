@@ -33,7 +33,8 @@ impl<'b> Star<'b> {
             ));
         }
         if self.server.state(member.id).is_none() {
-            // An old hello may have opened the session: the robot then uses another one.
+            // An old Hello may have opened the session on the server's side; the robot then uses
+            // another session.
             return Some("the server has heard nothing of it in this session".into());
         }
         if !robot.is_idle() {
@@ -77,7 +78,7 @@ impl<'b> Star<'b> {
         self.missing_at(robot).map(|id| format!("it lacks the fused {id:?}"))
     }
 
-    /// A fused tile in a robot's window that it does not hold.
+    /// A fused tile that is missing at a robot although it lies in its window.
     fn missing_at(&self, robot: &Robot<'b>) -> Option<TileId> {
         let window = robot.fused_tiles().interest()?;
         let mut wanted = self.server.fused().within(&window);
@@ -98,8 +99,8 @@ impl<'b> Star<'b> {
         })
     }
 
-    /// Whether a robot holds every fused tile of its window in the server's version. `None` before
-    /// it has a window.
+    /// Whether a robot holds every fused tile of its window in the server's version. `None` if it
+    /// has no window yet.
     pub fn holds_its_window(&self, member: usize) -> Option<bool> {
         let robot = self.members[member].robot.as_ref()?;
         let window = robot.fused_tiles().interest()?;
@@ -175,8 +176,8 @@ impl<'b> Star<'b> {
         assert!(found == Some(&expected), "{id:?} is not what the layers make");
     }
 
-    /// The fusion of all robots' layers in a tile. The cameras of these runs see robots, but no
-    /// cells.
+    /// The fusion of all robots' layers in a tile. In these runs the cameras see only robots, and
+    /// no cells.
     fn whole(&self, id: TileId) -> Tile {
         let server = &self.server;
         let layers = self.members.iter().filter_map(|member| {
@@ -193,11 +194,11 @@ impl<'b> Star<'b> {
         self.server.fused().tiles().for_each(|(id, ..)| self.check_fused(id));
     }
 
-    /// Checks that everything acknowledged by the robot's knowledge has arrived.
+    /// Checks that the server holds everything that the robot believes to be acknowledged.
     fn check_acknowledged(&self) {
         for member in &self.members {
             let Some(robot) = &member.robot else { continue };
-            // A welcome of the server's previous epoch may arrive late.
+            // A Welcome from before the server's restart may arrive late.
             if robot.server_epoch() != Some(self.server.epoch()) || !robot.is_connected() {
                 continue;
             }

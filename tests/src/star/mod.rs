@@ -1,5 +1,5 @@
-//! Robots around one server in virtual time, over wires with arbitrary faults. The state of all is
-//! checked after every event.
+//! Robots around one server in virtual time, over wires with arbitrary faults. The complete state
+//! is checked after every event.
 
 mod checks;
 mod way;
@@ -27,26 +27,26 @@ pub use way::Way;
 
 use crate::disk::{Disk, Held};
 
-/// Maximum rounds of input and output at one time, beyond which time counts as stuck.
+/// Maximum number of rounds of input and output at one point in time; more mean that time is stuck.
 const MAX_ROUNDS: u32 = 2_000;
 
-/// One robot, across its reboots.
+/// A robot, across its reboots.
 #[derive(Debug)]
 pub struct Member<'b> {
-    /// Its id.
+    /// The robot's id.
     pub id: RobotId,
-    /// Its port at the server.
+    /// The robot's port at the server.
     pub port: usize,
-    /// To the server.
+    /// The direction to the server.
     pub up: Way,
-    /// To the robot.
+    /// The direction to the robot.
     pub down: Way,
     robot: Option<Robot<'b>>,
-    /// When it booted, and what its clock showed.
+    /// The time of the last boot, and what the robot's clock showed then.
     booted: (Instant, u64),
     bytes_at_boot: u64,
     last: (Statistics, Counters),
-    /// The state of its own tiles, if the server stores any on disk.
+    /// The versions of the robot's own tiles, if the server stores tiles on disk.
     own: Held,
 }
 
@@ -88,7 +88,7 @@ pub struct Star<'b> {
     disk: Option<Disk>,
     terms: Terms,
     ports: usize,
-    /// When the server started, and what its clock showed.
+    /// The time of the last start, and what the server's clock showed then.
     started: (Instant, u64),
     /// The robots.
     pub members: Vec<Member<'b>>,
@@ -107,8 +107,8 @@ struct Checked {
 }
 
 impl<'b> Star<'b> {
-    /// A server without robots, with a disk if `terms` enable storing. The seed is for garbage,
-    /// clocks and the disk.
+    /// A server without robots; it has a disk if `terms` enable storing. The seed determines
+    /// garbage, clocks and the disk.
     pub fn new(terms: Terms, ports: usize, seed: u64) -> Self {
         Self {
             server: Server::new(terms, ports),
@@ -156,8 +156,8 @@ impl<'b> Star<'b> {
         member.bytes_at_boot = member.up.bytes();
     }
 
-    /// Kills the server and restarts it in a new epoch: from its disk, with its previous clock, or
-    /// with an empty map and another clock.
+    /// Kills the server and restarts it in a new epoch: either from its disk and with its previous
+    /// clock, or with an empty map and another clock.
     pub fn restart_server(&mut self) {
         self.terms.server_epoch += 1;
         self.server = Server::new(self.terms, self.ports);
@@ -232,7 +232,7 @@ impl<'b> Star<'b> {
         if let Some(pose) = pose {
             robot.odometry(local, pose, local);
         }
-        // The robot counts full queues.
+        // The robot itself counts scans for which the queue was full.
         let _ = robot.scan(local, readings, local);
         self.drain();
     }
@@ -291,7 +291,7 @@ impl<'b> Star<'b> {
         robots.chain(ports).flatten().chain(write).min()
     }
 
-    /// For messages: the next deadlines.
+    /// The next deadlines, for messages.
     fn who_is_due(&self) -> String {
         let server_now = self.server_now();
         let robots = self.members.iter().map(|member| {

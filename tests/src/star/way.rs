@@ -14,15 +14,15 @@ const REMEMBERED: usize = 40;
 /// One direction of a robot's channel.
 #[derive(Debug)]
 pub struct Way {
-    /// The last one takes new frames; the others still deliver their frames in flight.
+    /// The last wire takes new frames; the others still deliver their frames in flight.
     wires: Vec<FaultWire>,
     cut_until: Instant,
     pub(super) remembered: Vec<Vec<u8>>,
     sent: usize,
-    /// The session frames so far, if repeated frames are dropped.
+    /// If repeated frames are dropped, the session frames sent so far.
     once: Option<BTreeSet<Vec<u8>>>,
     direction: Direction,
-    /// Bytes given to it, delivered or not.
+    /// Number of bytes sent, delivered or not.
     bytes: u64,
 }
 
@@ -50,12 +50,12 @@ impl Way {
         self.cut_until = self.cut_until.max(until);
     }
 
-    /// From now on repeated session frames are lost.
+    /// From now on, drops session frames that were sent before.
     pub fn drop_repeats(&mut self) {
         self.once = Some(BTreeSet::new());
     }
 
-    /// Total bytes given to it, delivered or not.
+    /// Total number of bytes sent, delivered or not.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }

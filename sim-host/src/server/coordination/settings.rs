@@ -311,15 +311,16 @@ pub struct ExplorationRules {
     pub neighbours_cost: f64,
     /// Maximum distance between positions of the same frontier, in metres.
     pub same_m: f64,
-    /// Radius around a failed viewpoint, in metres, that is not tried again ...
+    /// Radius around a failed viewpoint within which no viewpoint is tried for `tried_for`, in
+    /// metres.
     pub tried_m: f64,
-    /// ... for this long.
+    /// Time for which the surroundings of a failed viewpoint are not tried.
     pub tried_for: Duration,
     /// Number of failed looks after which a frontier is given up: it can't be seen.
     pub most_looks: usize,
-    /// A robot gives up a frontier if other robots block the way for this long ...
+    /// Time for which other robots may block the way before a robot gives up a frontier.
     pub patience: Duration,
-    /// ... and does not try it again for this long.
+    /// Time for which the robot does not try that frontier again.
     pub put_off: Duration,
 }
 
