@@ -16,7 +16,7 @@ use ubimap_sim_host::{mapping::TileRecord, server::Server};
 /// Maximum duration of a write in microseconds, as on a busy disk.
 const SLOWEST: u64 = 1_500_000;
 
-/// The versions that a robot last published, for each of its own tiles.
+/// A robot's own tiles, with the version of each that it published last.
 pub type Held = BTreeMap<(TileId, Epoch), Version>;
 
 /// The disk.

@@ -33,9 +33,8 @@ pub const PATIENCE: Duration = Duration::from_secs(30);
 /// Time resolution for a newcomer.
 const TICK: Duration = Duration::from_millis(1);
 /// Time limit until a robot knows that its last tile is stored. Reports lost with a session are
-/// repeated when the server receives the tile's digest, and the smallest frames carry the digest of
-/// only one of at most 36 tiles every ten seconds. As one digest in ten is lost, five rounds are
-/// allowed.
+/// repeated when the server receives the tile's digest: in the smallest frames one of at most 36
+/// tiles every ten seconds. As one digest in ten is lost, five rounds are allowed.
 const UNTIL_STORED: Duration = Duration::from_secs(5 * 36 * 10);
 /// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);
@@ -45,18 +44,18 @@ const QUIET: Duration = Duration::from_secs(3);
 enum Happening {
     /// A robot boots, for the first time or again.
     Boot { robot: usize },
-    /// A robot's link is cut in both directions.
+    /// Its link is cut in both directions.
     Cut { robot: usize, length: Duration },
-    /// The faults of a robot's link change.
+    /// The faults of its link change.
     Weather { robot: usize, up: Faults, down: Faults },
-    /// A robot moves to another port.
+    /// It moves to another port.
     Move { robot: usize, port: usize },
-    /// The server is killed and restarted: from its disk if it has one, otherwise with an empty
-    /// map. The robots keep their state.
+    /// The server is killed and restarted: from its disk if it has one, otherwise empty. The robots
+    /// keep their state.
     Restart,
-    /// Random bytes arrive.
+    /// Random bytes.
     Garbage { robot: usize, direction: Direction },
-    /// An earlier frame arrives again, perhaps of an earlier session.
+    /// An earlier frame, perhaps of an earlier session.
     Replay { robot: usize, direction: Direction },
 }
 

@@ -9,7 +9,7 @@ use ubimap_protocol::tile::{
 
 /// Maximum number of tiles of a robot: 21,000 square metres with 5 cm cells.
 const MAX_TILES: usize = 8_192;
-/// Maximum number of epochs of all tiles of a robot: about 90 MB.
+/// Maximum number of epochs of all tiles of a robot: some 90 MB.
 const MAX_EPOCHS: usize = 65_536;
 
 /// One epoch of one tile.
@@ -79,7 +79,8 @@ pub struct Updated {
     /// The tile that could not be decoded because its base is missing. The rest of the update was
     /// skipped as well; requesting this tile restores all of it.
     pub missing: Option<TileId>,
-    /// Whether a part was refused because the robot exceeds the maximum number of tiles or epochs.
+    /// Whether something was refused because the robot exceeds the maximum number of tiles or
+    /// epochs.
     pub too_much: bool,
 }
 
@@ -149,7 +150,7 @@ impl RobotLayer {
     }
 
     /// Joins the epochs of a tile again; changed cells get the time `seconds`. Returns whether any
-    /// cell has changed.
+    /// has changed.
     fn join(&mut self, id: TileId, seconds: impl Fn(usize) -> u32) -> bool {
         let joined = self.joined(id);
         let seen = self.seen.entry(id).or_insert(SeenTile::NOTHING);

@@ -194,7 +194,7 @@ impl<'b> Star<'b> {
         self.server.fused().tiles().for_each(|(id, ..)| self.check_fused(id));
     }
 
-    /// Checks that the server holds everything that the robot believes to be acknowledged.
+    /// Checks that everything acknowledged by the robot's knowledge has arrived.
     fn check_acknowledged(&self) {
         for member in &self.members {
             let Some(robot) = &member.robot else { continue };

@@ -42,7 +42,7 @@ pub struct Member<'b> {
     /// The direction to the robot.
     pub down: Way,
     robot: Option<Robot<'b>>,
-    /// The time of the last boot, and what the robot's clock showed then.
+    /// When it booted, and what its clock showed.
     booted: (Instant, u64),
     bytes_at_boot: u64,
     last: (Statistics, Counters),
@@ -88,7 +88,7 @@ pub struct Star<'b> {
     disk: Option<Disk>,
     terms: Terms,
     ports: usize,
-    /// The time of the last start, and what the server's clock showed then.
+    /// When the server started, and what its clock showed.
     started: (Instant, u64),
     /// The robots.
     pub members: Vec<Member<'b>>,
@@ -156,8 +156,8 @@ impl<'b> Star<'b> {
         member.bytes_at_boot = member.up.bytes();
     }
 
-    /// Kills the server and restarts it in a new epoch: either from its disk and with its previous
-    /// clock, or with an empty map and another clock.
+    /// Kills the server and restarts it in a new epoch: from its disk, with its previous clock, or
+    /// with an empty map and another clock.
     pub fn restart_server(&mut self) {
         self.terms.server_epoch += 1;
         self.server = Server::new(self.terms, self.ports);

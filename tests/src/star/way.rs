@@ -19,7 +19,7 @@ pub struct Way {
     cut_until: Instant,
     pub(super) remembered: Vec<Vec<u8>>,
     sent: usize,
-    /// If repeated frames are dropped, the session frames sent so far.
+    /// The session frames so far, if repeated frames are dropped.
     once: Option<BTreeSet<Vec<u8>>>,
     direction: Direction,
     /// Number of bytes sent, delivered or not.

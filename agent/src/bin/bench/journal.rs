@@ -1,6 +1,5 @@
-//! Replays a robot's journal (its recorded inputs), received on USART1, and prints the robot's
-//! outputs. `cargo test --package ubimap-tests --test journal` compares them with the outputs of
-//! the same robot on a PC.
+//! Replays a robot's journal, received on USART1, and prints the robot's outputs. `cargo test
+//! --package ubimap-tests --test journal` compares them with those of the same robot on a PC.
 #![no_std]
 #![no_main]
 
