@@ -33,8 +33,7 @@ impl<'b> Star<'b> {
             ));
         }
         if self.server.state(member.id).is_none() {
-            // An old Hello may have opened the session on the server's side; the robot then uses
-            // another session.
+            // An old hello may have opened the session: the robot then uses another one.
             return Some("the server has heard nothing of it in this session".into());
         }
         if !robot.is_idle() {
@@ -78,7 +77,7 @@ impl<'b> Star<'b> {
         self.missing_at(robot).map(|id| format!("it lacks the fused {id:?}"))
     }
 
-    /// A fused tile that is missing at a robot although it lies in its window.
+    /// A fused tile in a robot's window that it does not hold.
     fn missing_at(&self, robot: &Robot<'b>) -> Option<TileId> {
         let window = robot.fused_tiles().interest()?;
         let mut wanted = self.server.fused().within(&window);
@@ -99,8 +98,8 @@ impl<'b> Star<'b> {
         })
     }
 
-    /// Whether a robot holds every fused tile of its window in the server's version. `None` if it
-    /// has no window yet.
+    /// Whether a robot holds every fused tile of its window in the server's version. `None` before
+    /// it has a window.
     pub fn holds_its_window(&self, member: usize) -> Option<bool> {
         let robot = self.members[member].robot.as_ref()?;
         let window = robot.fused_tiles().interest()?;
@@ -176,8 +175,8 @@ impl<'b> Star<'b> {
         assert!(found == Some(&expected), "{id:?} is not what the layers make");
     }
 
-    /// The fusion of all robots' layers in a tile. In these runs the cameras see only robots, and
-    /// no cells.
+    /// The fusion of all robots' layers in a tile. The cameras of these runs see robots, but no
+    /// cells.
     fn whole(&self, id: TileId) -> Tile {
         let server = &self.server;
         let layers = self.members.iter().filter_map(|member| {
@@ -198,7 +197,7 @@ impl<'b> Star<'b> {
     fn check_acknowledged(&self) {
         for member in &self.members {
             let Some(robot) = &member.robot else { continue };
-            // A Welcome from before the server's restart may arrive late.
+            // A welcome of the server's previous epoch may arrive late.
             if robot.server_epoch() != Some(self.server.epoch()) || !robot.is_connected() {
                 continue;
             }

@@ -14,7 +14,7 @@ const REMEMBERED: usize = 40;
 /// One direction of a robot's channel.
 #[derive(Debug)]
 pub struct Way {
-    /// The last wire takes new frames; the others still deliver their frames in flight.
+    /// The last one takes new frames; the others still deliver their frames in flight.
     wires: Vec<FaultWire>,
     cut_until: Instant,
     pub(super) remembered: Vec<Vec<u8>>,
@@ -22,7 +22,7 @@ pub struct Way {
     /// The session frames so far, if repeated frames are dropped.
     once: Option<BTreeSet<Vec<u8>>>,
     direction: Direction,
-    /// Number of bytes sent, delivered or not.
+    /// Bytes given to it, delivered or not.
     bytes: u64,
 }
 
@@ -50,12 +50,12 @@ impl Way {
         self.cut_until = self.cut_until.max(until);
     }
 
-    /// From now on, drops session frames that were sent before.
+    /// From now on repeated session frames are lost.
     pub fn drop_repeats(&mut self) {
         self.once = Some(BTreeSet::new());
     }
 
-    /// Total number of bytes sent, delivered or not.
+    /// Total bytes given to it, delivered or not.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
