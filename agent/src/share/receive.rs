@@ -296,9 +296,8 @@ impl<'b> FusedMap<'b> {
         Ok(())
     }
 
-    /// Compares the digests of some of the server's tiles with those held here. A tile held in any
-    /// other state, even a newer one, is dropped and requested: as the server is the only writer,
-    /// the state held here is wrong.
+    /// Compares the digests of some of the server's tiles. A tile held in any other state, even a
+    /// newer one, is dropped and requested: the server is the only writer, so that state is wrong.
     #[inline(never)]
     pub fn compare(&mut self, digests: &Digests) {
         let (layer, epoch) = (digests.layer, self.epoch);
