@@ -4,7 +4,7 @@
 //! `cargo run --package ubimap-agent --example main_loop`
 //!
 //! [`run`] is the part to copy. [`Board`] replaces the hardware: a room of 5 x 4 m, in which time
-//! passes only while the robot waits.
+//! passes only while the robot sleeps.
 
 use std::{array, f64::consts::TAU};
 
@@ -41,7 +41,8 @@ fn main() -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// The robot's main loop. It returns when everything is explored; on a real robot it never does.
+/// The robot's main loop. It returns when everything is explored; on a real robot it would never
+/// return.
 fn run(board: &mut Board, memory: &mut RobotMemory) -> Result<String, ConfigError> {
     let mut robot = Robot::new(config(), memory)?;
     let mut bytes = [0; DEFAULT_FRAME];
@@ -76,7 +77,7 @@ fn config() -> Config<Driving> {
     .with_drive(Driving { alone, ..Driving::default() })
 }
 
-/// The robot's map, north up: `#` is occupied, `.` free, a space unknown.
+/// The robot's map with north at the top: `#` is occupied, `.` free, a space unknown.
 fn drawn(robot: &Robot<'_, Driving>) -> String {
     let side = TILE_SIDE as i32;
     let cell = |x: i32, y: i32| {
@@ -101,7 +102,7 @@ struct Board {
     /// The robot's true pose: metres and radians.
     at: [f64; 3],
     command: DriveCommand,
-    /// When the next readings of the wheels and the lidar are due.
+    /// When the next reading of the wheels and of the lidar is due.
     next: [Instant; 2],
     sent: usize,
 }

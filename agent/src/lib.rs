@@ -16,10 +16,10 @@
 //! depth frame, directly from memory. A [`sense::Slicer`] makes the row from a frame that arrives
 //! line by line, from several rows, or from a tilted camera.
 //!
-//! No code here owns a clock, a port, a thread or a heap: time is an argument, and memory is the
-//! caller's. **After every input, drain the outputs until none is left, then return at
-//! `poll_timeout`**: [`Robot`] shows the complete loop. The same inputs give the same bytes on a
-//! Cortex-M and on a PC.
+//! No code here owns a clock, a port, a thread or a heap: time is an argument, and the caller owns
+//! the memory. **After every input, drain the outputs until none is left, and call again at
+//! `poll_timeout` at the latest**: [`Robot`] shows the complete loop. The same inputs give the same
+//! bytes on a Cortex-M and on a PC.
 #![no_std]
 
 #[cfg(test)]

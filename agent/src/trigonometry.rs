@@ -1,5 +1,5 @@
-//! Sine and cosine in single precision. `libm`'s functions use double precision internally, for
-//! which a Cortex-M4 has no hardware: 7 KiB of flash and 2,400 instructions per call.
+//! Sine and cosine in single precision. `libm`'s functions use double precision internally, which a
+//! Cortex-M4 has to emulate: 7 KiB of flash and 2,400 instructions per call.
 
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
 
@@ -10,12 +10,12 @@ pub(crate) const RADIANS: f32 = TAU / 65_536.0;
 
 /// Sine and cosine of an angle in radians, with an error below 4e-7 within ten turns.
 pub(crate) fn sin_cos(radians: f32) -> (f32, f32) {
-    // A quarter turn as the sum of two constants, for a precise remainder.
+    // A quarter turn as the sum of two constants, so that the remainder is precise.
     const HIGH: f32 = 1.570_312_5;
     const LOW: f32 = 4.838_268e-4;
     let quarters = libm::rintf(radians / FRAC_PI_2);
     let rest = (radians - quarters * HIGH) - quarters * LOW;
-    // Taylor polynomials, within an eighth of a turn around zero.
+    // Taylor polynomials; the angle is within an eighth of a turn of zero.
     let square = rest * rest;
     let sine = 1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5_040.0));
     let sine = rest - rest * square * sine;
@@ -35,12 +35,12 @@ pub(crate) fn round(value: f32) -> f32 {
     libm::roundf(value)
 }
 
-/// A binary angle in radians, in [-pi, pi).
+/// A binary angle converted to radians, in [-pi, pi).
 pub(crate) fn radians(angle: Angle) -> f32 {
     f32::from(angle.0 as i16) * (PI / 32_768.0)
 }
 
-/// The nearest binary angle to an angle in radians, below a hundred turns.
+/// The nearest binary angle to an angle in radians, which must be below a hundred turns.
 pub(crate) fn angle(radians: f32) -> Angle {
     Angle(round(radians * (32_768.0 / PI)) as i32 as u16)
 }

@@ -4,8 +4,8 @@ use core::ops::{Add, Sub};
 
 use serde::{Deserialize, Serialize};
 
-/// A point in time: microseconds since a clock's start. Each side has its own clock; docs say "in the
-/// server's clock" where that one is meant.
+/// A point in time: microseconds since a clock's start. Each side has its own clock; where the
+/// server's clock is meant, docs say "server's clock".
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
@@ -30,7 +30,8 @@ impl Instant {
 
     /// Whole seconds since the clock's start; wraps after 136 years.
     pub const fn seconds(self) -> u32 {
-        // Long division in 16-bit digits: a 64-bit division costs a microcontroller 1 kB of flash.
+        // Long division in 16-bit digits, because a 64-bit division costs a microcontroller 1 kB of
+        // flash.
         const PER_SECOND: u32 = 1_000_000 >> 6;
         let (mut seconds, mut rest, mut digit) = (0u32, 0, 4);
         while digit > 0 {
@@ -42,7 +43,7 @@ impl Instant {
         seconds
     }
 
-    /// The earlier of the instants that are present.
+    /// The earliest of the instants that are present; `None` if none is.
     #[inline(never)]
     pub fn earlier(one: Option<Self>, other: Option<Self>) -> Option<Self> {
         match (one, other) {

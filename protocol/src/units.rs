@@ -38,7 +38,8 @@ impl Sub for Millimetres {
     }
 }
 
-/// A binary angle: 65,536 to a turn (0.0055 degrees), counter-clockwise from x. Arithmetic wraps.
+/// A binary angle: 65,536 units are a full turn (0.0055 degrees each), counter-clockwise from x.
+/// Arithmetic wraps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Angle(pub u16);
 
@@ -126,7 +127,7 @@ pub struct RobotId(pub u16);
 pub struct SessionId(pub u32);
 
 impl SessionId {
-    /// No session: handshake frames.
+    /// Stands for no session; used in handshake frames.
     pub const NONE: Self = Self(0);
 }
 

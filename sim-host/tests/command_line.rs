@@ -1,4 +1,4 @@
-//! The command line as users meet it: exit codes, standard output and standard error.
+//! The command line as users see it: exit codes, standard output and standard error.
 
 use std::{
     path::Path,
@@ -234,7 +234,7 @@ fn a_simulation_ends_with_four_lines_and_its_pictures() {
     let starts: Vec<&str> = words.lines().filter_map(|it| Some(it.split_once(':')?.0)).collect();
     assert_eq!(starts, ["quality", "agreement", "time", "results"], "{words}");
     assert!(words.ends_with("in ubimap-out; open ubimap-out/map.png first\n"), "{words}");
-    // Neither information nor, without anything to act on, a warning.
+    // There is no information, and no warning without anything to act on.
     assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
 
     // The camera has seen most of the floor by the end of the run.
@@ -316,7 +316,7 @@ fn a_recording_without_frames_can_be_watched() {
     let silent = ROOM.replace("[[cameras]]\n", "[[cameras]]\nlost_frames = 1.0\n");
     std::fs::write(&scenario, silent).unwrap();
     let simulate = ["simulate", &scenario, "--scripted", "--record", &recording];
-    // Nobody saw anything: that is no agreement.
+    // No camera saw anything, so there is no agreement.
     assert_eq!(ubimap(&simulate).status.code(), Some(1));
     let output = ubimap(&["watch", &recording, "--json", "-v"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");

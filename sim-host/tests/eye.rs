@@ -1,4 +1,4 @@
-//! An eye in a room of boxes, given depth images with the noise of a D435.
+//! The perception of one camera in a room of boxes, from depth images with the noise of a D435.
 
 use std::collections::BTreeMap;
 
@@ -131,8 +131,8 @@ fn noisy_sensor() -> DepthNoise {
 }
 
 /// The cells that a sensor with three times the noise of a D435 reports in twenty seconds of an
-/// unchanging room, if its calibration states this noise: free ones, and false ones, which are movable or
-/// occupied more than a cell away from anything solid.
+/// unchanging room, if its calibration states the noise `stated`: the number of free cells, and the
+/// number of false ones, which are movable, or occupied more than a cell away from anything solid.
 fn free_and_false_cells(stated: DepthNoise) -> [usize; 2] {
     let mut studio = Studio::with_noise(noisy_sensor(), stated, &[WALL, BOX]);
     let solid = [under(WALL), under(BOX)].concat();
@@ -193,7 +193,7 @@ fn a_walking_person_is_tracked_and_leaves_no_cells_behind() {
         tracks.observe(seen.captured, &seen.things, Millimetres(50));
         assert_eq!(seen.things.len(), 1, "{step}");
         let codes = codes(&seen);
-        // Cells that were free and are visible again are free.
+        // Cells that were free before the person came, and are visible again, are free.
         for cell in (0..step.saturating_sub(6)).flat_map(|step| under(walks(step))) {
             if empty.get(&cell) == Some(&Cell::Free) && codes.contains_key(&cell) {
                 let id = TileId::of_cell(cell.0, cell.1).unwrap();
@@ -303,7 +303,7 @@ fn cells_in_a_shadow_are_not_reported() {
     let mut studio = Studio::learnt(&[WALL]);
     let free = codes(&studio.look(&[]));
     let seen = codes(&studio.look(&[at(1.0, 0.8, 1.6)]));
-    // From the eye over the top of the head to the floor.
+    // The line from the camera over the top of the head to the floor.
     let stretch = 2.6 / (2.6 - 1.6);
     let hidden = [(1.0, 0.8), (1.1, 0.9)].map(|(x, y)| cell(x * 0.8 * stretch, y * 0.8 * stretch));
     for cell in hidden {
@@ -362,7 +362,7 @@ impl Detector for SeesPeople {
 fn a_detector_adds_labels() {
     let mut studio = Studio::learnt(&[WALL]);
     studio.eye.set_detector(studio.lens, Box::new(SeesPeople));
-    // One on the left and one on the right of the picture.
+    // One thing is on the left and one on the right of the picture.
     let mut frame = studio.frame(&[at(0.8, 1.7, 0.8), at(1.6, 0.4, 0.8)]);
     frame.picture = Some(Picture::Grey(image::GrayImage::new(320, 240)));
     let seen = studio.eye.look(&frame, frame.captured, &[]).unwrap();

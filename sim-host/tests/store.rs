@@ -1,5 +1,5 @@
-//! `ubimap serve --store` is killed repeatedly while robots work: the file holds everything that
-//! the server has confirmed as stored.
+//! `ubimap serve --store` is killed repeatedly while robots work: the file must contain everything
+//! that the server has confirmed as stored.
 
 use std::{
     collections::BTreeMap,
@@ -25,7 +25,7 @@ use ubimap_sim_host::{
 const RESOLUTION: Millimetres = Millimetres(50);
 const BEAMS: usize = 60;
 const ROBOTS: u16 = 2;
-/// Tiles in a robot's pool: about the number that one scan touches.
+/// Tiles in a robot's pool: about as many as one scan touches.
 const OWN_TILES: usize = 9;
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -55,7 +55,7 @@ impl Drop for Serving {
     }
 }
 
-/// A confirmation to a robot: the stored version of an epoch of a tile, and its cells.
+/// The confirmations to a robot: for each epoch of a tile the stored version and its cells.
 type Promises = BTreeMap<(TileId, Epoch), (Version, Tile)>;
 
 struct Member<'b> {
@@ -67,11 +67,11 @@ struct Member<'b> {
 }
 
 impl Member<'_> {
-    /// Takes a scan if the robot drives and one is due, and exchanges frames with the server.
+    /// Takes a scan if the robot drives and a scan is due, and exchanges frames with the server.
     fn turn(&mut self, now: Instant, drives: bool) {
         if drives && self.next_scan <= now {
             self.next_scan = now + Duration::from_millis(50);
-            // Back and forth over 12 m at 6 m/s.
+            // The robot drives back and forth over 12 m at 6 m/s.
             let way = now.micros() as f64 / 1e6 * 6.0 % 24.0;
             let pose = Pose::from_metres(way.min(24.0 - way), f64::from(self.id.0) * 2.0, 0.3);
             let readings: Vec<u16> = (0..BEAMS)
@@ -81,7 +81,7 @@ impl Member<'_> {
             let _ = self.robot.scan(now, &readings, now);
         }
         let mut buffer = [0; 1_024];
-        // Without a server the link loses all frames.
+        // As long as there is no server, the link loses all frames.
         if let Some(count) = self.port.as_mut().and_then(|port| port.read(&mut buffer).ok()) {
             self.robot.receive(&buffer[..count], now);
         }
@@ -97,7 +97,8 @@ impl Member<'_> {
         }
     }
 
-    /// Whether all its tiles are stored, and it holds the server's map of its surroundings.
+    /// Whether all tiles of the robot are stored, and the robot holds the server's map of its
+    /// surroundings.
     fn is_done(&self) -> bool {
         self.robot.is_idle() && self.robot.own_tiles().tiles().all(is_stored)
     }

@@ -1,4 +1,4 @@
-//! Mapping a scan on the host: the robot's polygon, and a line of cells per beam.
+//! Speed of mapping a scan on a PC: the robot's polygon, compared with a line of cells per beam.
 
 use std::hint::black_box;
 

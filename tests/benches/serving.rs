@@ -1,8 +1,9 @@
 //! Latency of a server with many robots, from a camera frame to the fixes.
 //!
-//! Two threads in real time: the server with its cameras' observations, and all robots, real agents
-//! that scan ten times per second. Each drives in a circle in its own room, half of which a camera
-//! covers, and is seen ten times per second. `UBIMAP_ROBOTS` robots, 200 by default.
+//! Two threads run in real time: the server with its cameras' observations, and all robots. The
+//! robots are real agents that scan ten times per second. Each drives in a circle in its own room;
+//! a camera covers half of the room and sees the robot ten times per second. `UBIMAP_ROBOTS` sets
+//! the number of robots (default: 200).
 
 use std::{
     sync::mpsc::{self, Receiver, Sender},
@@ -26,7 +27,7 @@ use ubimap_sim_host::{
 
 const RESOLUTION: Millimetres = Millimetres(50);
 const CAMERAS: usize = 8;
-/// Of each camera, and of each robot's sensor.
+/// Interval between frames of a camera, and between scans of a robot.
 const INTERVAL: Duration = Duration::from_millis(100);
 /// Number of frames per report of a camera's coverage.
 const CELLS_EVERY: u64 = 5;
@@ -40,11 +41,11 @@ const SPEED_M_S: f64 = 0.4;
 const BEAMS: usize = 160;
 const FIRST_RAD: f64 = -0.76;
 const STEP_RAD: f64 = 1.52 / 159.0;
-/// Time for opening sessions and synchronising clocks, and the end of the run.
+/// Time for opening sessions and synchronising clocks, and the time at which the run ends.
 const SETTLES: Span = Span::from_secs(6);
 const LASTS: Span = Span::from_secs(16);
 
-/// A port and bytes for it or from it.
+/// The number of a port, and bytes received from it or to be sent to it.
 type Bytes = (usize, Vec<u8>);
 
 fn main() {

@@ -5,12 +5,12 @@ use rand_chacha::ChaCha8Rng;
 use ubimap_agent::sense::SensorModel;
 use ubimap_protocol::{time::Instant, units::Pose};
 
-/// A box that may come and go; metres in `map`.
+/// A box that may disappear and return; in metres in `map`.
 #[derive(Clone, Copy, Debug)]
 struct Block {
     low: [f64; 2],
     high: [f64; 2],
-    /// Period in seconds after which it alternately disappears and returns; `None`: always there.
+    /// Period in seconds: the box alternately disappears and returns. `None`: it is always there.
     turns: Option<u64>,
 }
 
@@ -69,7 +69,7 @@ impl Boxes {
 }
 
 impl Block {
-    /// Distance to its surface, from the outside or from within.
+    /// Distance to the box's surface, from outside or from inside.
     fn hit(&self, from: [f64; 2], way: [f64; 2]) -> Option<f64> {
         let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
         for axis in 0..2 {

@@ -1,4 +1,4 @@
-//! Recorded data: where it is, and what its absence means.
+//! Recorded data: where it is, and what happens if it is missing.
 //!
 //! The unit tests of `sim-host` include this file as well.
 
@@ -11,11 +11,11 @@ use std::{
 /// The path of a file or folder of the recorded data, in the folder that `UBIMAP_DATA` names
 /// (default: `shared/data` beside the checkout).
 ///
-/// If it is absent, writes one line to stderr and returns `None`; the test is then to return.
+/// If it is missing, writes one line to stderr and returns `None`; the test should then return.
 ///
 /// # Panics
 ///
-/// If it is absent under CI (`CI` is set), unless `UBIMAP_DATA` is `none`.
+/// If it is missing under CI (`CI` is set), unless `UBIMAP_DATA` is `none`.
 pub fn file(name: &str) -> Option<PathBuf> {
     let folder = env::var_os("UBIMAP_DATA");
     let is_declined = folder.as_ref().is_some_and(|folder| folder == "none");
@@ -35,7 +35,8 @@ pub fn file(name: &str) -> Option<PathBuf> {
     None
 }
 
-/// Folders of recorded frames that lack their intrinsics, with what the data's README states.
+/// Folders of recorded frames that come without intrinsics, with the intrinsics that the data's
+/// README states.
 const INTRINSICS: [(&str, &str); 2] = [
     (
         "rgbd_frames/icl_nuim",
@@ -48,13 +49,15 @@ const INTRINSICS: [(&str, &str); 2] = [
     ),
 ];
 
-/// A folder of recorded frames with their intrinsics; a copy is removed when dropped.
+/// A folder of recorded frames with their intrinsics. If it is a temporary copy, it is removed when
+/// dropped.
 pub struct Frames {
     path: PathBuf,
     is_copy: bool,
 }
 
-/// A folder of recorded frames with their intrinsics, or `None` as for [`file()`].
+/// Opens a folder of recorded frames, with their intrinsics. `None` if it is missing, as for
+/// [`file()`].
 ///
 /// # Panics
 ///

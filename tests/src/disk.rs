@@ -1,5 +1,5 @@
-//! A model of the server's store for a server that may be killed at any time: confirmed writes are
-//! there in the next life, and an arbitrary part of the others.
+//! A model of the disk of a server that may be killed at any time: confirmed writes survive, and an
+//! arbitrary part of the others.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -13,7 +13,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{mapping::TileRecord, server::Server};
 
-/// Maximum duration of a write in microseconds, as of a busy disk.
+/// Maximum duration of a write in microseconds, as on a busy disk.
 const SLOWEST: u64 = 1_500_000;
 
 /// The share of writes that fail.
@@ -55,14 +55,14 @@ impl Disk {
         self.writes.front().map(|&(at, ..)| at)
     }
 
-    /// The server dies; part of the writes in progress are on disk nevertheless.
+    /// Kills the server; part of the writes in progress reach the disk nevertheless.
     pub fn survive(&mut self, rng: &mut ChaCha8Rng) {
         let written = rng.random_range(0..=self.writes.len());
         let writes: Vec<_> = self.writes.drain(..).take(written).collect();
         writes.into_iter().for_each(|(_, robot, record)| self.write(robot, record));
     }
 
-    /// Restores the stored records into a new life of the server.
+    /// Restores the stored records into a new server.
     pub fn restore(&self, server: &mut Server) {
         for (&(robot, id, _), record) in &self.tiles {
             let seconds = self.seconds[&(robot, id)];
@@ -72,8 +72,7 @@ impl Disk {
 
     /// Checks that the server knows every stored cell.
     ///
-    /// # Panics
-    /// If it does not.
+    /// # Panics If a stored cell is lost.
     pub fn check_server(&self, server: &Server) {
         for (&(robot, id, _), record) in &self.tiles {
             let seen = server.layer(robot).and_then(|layer| layer.seen(id));
@@ -85,11 +84,10 @@ impl Disk {
         }
     }
 
-    /// Checks that each tile is stored that a robot believes to be stored, or has discarded since
-    /// `before`.
+    /// Checks that each tile is stored that a robot believes to be stored, or that it has discarded
+    /// since `before`.
     ///
-    /// # Panics
-    /// If it is not.
+    /// # Panics If such a tile is not stored.
     pub fn check_robot(&self, robot: RobotId, pool: &Pool<'_>, before: &mut Held) {
         let mut held = Held::new();
         for tile in pool.tiles() {
@@ -110,8 +108,8 @@ impl Disk {
         *before = held;
     }
 
-    /// Whether the version that a robot believes to be stored is there, and, if it is the newest,
-    /// with the same cells.
+    /// Whether the version that a robot believes to be stored is on disk. If it is the robot's
+    /// newest version, the cells must be equal, too.
     fn has(&self, robot: RobotId, id: TileId, tile: &OwnTile) -> bool {
         let Some(record) = self.tiles.get(&(robot, id, tile.epoch())) else { return false };
         let sent = tile.publication();

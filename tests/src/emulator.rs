@@ -1,9 +1,9 @@
 //! Builds the firmware for the reference board and runs it in QEMU.
 //!
-//! [`image`] builds an image, [`Emulator::start`] runs it with its serial port on a
-//! pseudo-terminal, and [`count`] runs one that counts instructions to its end. On a machine that
-//! lacks the tools, [`leave_out`] prints one line, or fails if `CI` or `UBIMAP_REQUIRE_EMULATOR` is
-//! set.
+//! [`image`] builds an image. [`Emulator::start`] runs it with its serial port on a
+//! pseudo-terminal, and [`count`] runs an image that counts instructions until it ends. If the
+//! tools are missing, [`leave_out`] prints one line, or fails if `CI` or `UBIMAP_REQUIRE_EMULATOR`
+//! is set.
 
 use std::{
     env, fmt,
@@ -15,7 +15,7 @@ use std::{
     time::Duration,
 };
 
-/// The instruction set of an image; the emulator's core runs both.
+/// The core for which an image is built; the emulator's core runs images for both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Core {
     /// The reference board's Cortex-M4 with floating point.
@@ -68,11 +68,11 @@ impl fmt::Display for EmulatorError {
 
 impl std::error::Error for EmulatorError {}
 
-/// Prints one line about a test that was skipped because something is missing.
+/// Prints one line that a test was skipped because a tool is missing.
 ///
 /// # Panics
 ///
-/// If something failed, or if the emulator is required.
+/// If a tool failed, or if the emulator is required.
 pub fn leave_out(test: &str, error: &EmulatorError) {
     let must = ["CI", "UBIMAP_REQUIRE_EMULATOR"].iter().any(|name| env::var_os(name).is_some());
     assert!(!must && matches!(error, EmulatorError::Missing(_)), "{test}: {error}");
@@ -86,8 +86,8 @@ pub fn firmware() -> Result<PathBuf, EmulatorError> {
     IMAGE.get_or_init(|| image("firmware", Core::M4)).clone()
 }
 
-/// Runs an image that counts instructions, one per nanosecond of its clock, to its end. `input` is
-/// sent to its serial port after its first line of output. Returns the output.
+/// Runs an image that counts instructions (one per nanosecond of its clock) until it ends. `input`
+/// is sent to its serial port after its first line of output. Returns the output.
 pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
     let mut qemu = qemu(image)
         .args(["-chardev", "stdio,id=input,signal=off", "-serial", "chardev:input"])
@@ -101,7 +101,7 @@ pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
         said.extend([&line.map_err(missing_or_failed)?, "\n"]);
         if let Some(mut port) = port.take() {
             let input = input.clone();
-            // It may end before it has read everything.
+            // The image may end before it has read everything.
             thread::spawn(move || port.write_all(&input));
         }
     }
@@ -138,7 +138,7 @@ impl Emulator {
         let mut emulator = Self { qemu, port: PathBuf::new() };
         let (found, port) = mpsc::channel();
         thread::spawn(move || {
-            // Keep reading so that further output does not block it.
+            // Keeps reading, so that further output does not block the emulator.
             for line in said.into_iter().flat_map(|out| BufReader::new(out).lines()).flatten() {
                 if let Some(path) = pseudo_terminal(&line) {
                     let _ = found.send(PathBuf::from(path));
@@ -205,7 +205,7 @@ pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
         .args(["--features", core.features(), "--target", target, "--profile", "firmware"])
         .arg("--message-format=json-render-diagnostics")
         .current_dir(workspace())
-        // The host's flags do not apply to the board, and would replace those of
+        // Compiler flags for the host do not apply to the board, and would replace those of
         // `.cargo/config.toml`.
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO_ENCODED_RUSTFLAGS")
@@ -223,8 +223,8 @@ pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
         .ok_or_else(|| EmulatorError::Failed("cargo did not report an executable".into()))
 }
 
-/// A `cargo build` for the board's target: the current toolchain if it has the target, else
-/// Debian's, which has the sources of `core`.
+/// A `cargo build` for the board's target. Uses the current toolchain if it has the target,
+/// otherwise Debian's, which includes the sources of `core`.
 fn compiler(target: &'static str) -> Result<Command, EmulatorError> {
     let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     if printed(Path::new(&rustc), &["--print", "target-libdir", "--target", target])

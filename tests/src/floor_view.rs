@@ -1,4 +1,4 @@
-//! Renders the view of a grey camera near the floor, in `f64` and from geometry only.
+//! Renders the view of a grey camera near the floor, in `f64` and from the geometry alone.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -31,8 +31,8 @@ pub struct Spoils {
 }
 
 impl FloorView {
-    /// The camera of the tests: 90 degrees, 15 cm above the floor. Its horizon is where Ahmed's
-    /// table 1 tends to infinity.
+    /// The camera of the tests: a field of view of 90 degrees, 15 cm above the floor. Its horizon
+    /// is where the distances in Ahmed's table 1 tend to infinity.
     pub const USUAL: Self = Self { focal: 160.0, horizon: 144.0, height: 150.0 };
 
     /// Offset to the left of an object in a column, per unit of depth.

@@ -23,15 +23,15 @@ pub trait BodyVisitor {
     /// The operation's result.
     type Output;
 
-    /// Runs the operation.
+    /// Performs the operation on a body of type `T`.
     fn visit<D: Traffic, T: Body<D> + PartialEq + Debug>(
         self,
         body: Encoded<'_, T>,
     ) -> Self::Output;
 }
 
-/// Visits the body of a message with the type for its kind. `None` for a kind unknown to this
-/// version.
+/// Visits the body of a message with the type for its kind. `None` if this version does not know
+/// the kind.
 pub fn visit_body<V: BodyVisitor>(
     direction: Direction,
     number: u8,
@@ -73,7 +73,7 @@ pub fn visit_body<V: BodyVisitor>(
     })
 }
 
-/// Decodes a byte stream into frames; what can be decoded is encoded and decoded again.
+/// Decodes a byte stream into frames. Every frame that can be decoded is encoded and decoded again.
 pub fn frames(data: &[u8]) {
     let mut decoder = cobs::Decoder::<256>::default();
     let mut input = data;
@@ -110,8 +110,8 @@ pub fn frames(data: &[u8]) {
     assert_eq!(last.as_deref(), Some(&contents[..]));
 }
 
-/// Direction and kind in the first byte, then a body: what can be decoded is encoded and decoded
-/// again.
+/// Reads direction and kind from the first byte, then a body. A body that can be decoded is encoded
+/// and decoded again.
 pub fn messages(data: &[u8]) {
     let Some((&first, body)) = data.split_first() else { return };
     let direction = if first & 0x80 == 0 { Direction::ToServer } else { Direction::ToRobot };
@@ -138,8 +138,8 @@ impl BodyVisitor for RoundTrip {
     }
 }
 
-/// A tile update, applied to a replica and decoded directly: what can be decoded is encoded and
-/// decoded again.
+/// Reads a tile update, applies it to a replica and also decodes it directly. What can be decoded
+/// is encoded and decoded again.
 pub fn tiles(data: &[u8]) {
     let mut decoder = TileDecoder::new(data);
     let mut read: Vec<(TileHeader, Tile)> = Vec::new();
@@ -193,13 +193,13 @@ pub fn tiles(data: &[u8]) {
 
 type End<D> = Endpoint<D, u32, 8, 64>;
 
-/// Two link endpoints under an arbitrary sequence of operations, of one or two bytes each: send,
-/// deliver, lose, hold back, damage, let time pass, start a new session. Then the wire recovers:
-/// everything sent reliably in the last session must have arrived exactly once, and be
+/// Runs two link endpoints under an arbitrary sequence of operations of one or two bytes each:
+/// send, deliver, lose, hold back, damage, let time pass, start a new session. Then the wire
+/// becomes perfect: everything sent reliably in the last session must arrive exactly once and be
 /// acknowledged.
 pub fn links(data: &[u8]) {
     let mut pair = Pair::new();
-    // A frame must not be held back while a thousand others pass.
+    // Limits the number of operations, so that no frame is held back while a thousand others pass.
     let mut operations = data.iter().copied().take(1_500);
     while let Some(operation) = operations.next() {
         let side = usize::from(operation >> 7);
@@ -216,7 +216,7 @@ pub fn links(data: &[u8]) {
             }
             6 => {
                 let (at, bit) = (operations.next().unwrap_or(0), operation >> 3 & 7);
-                // Checksums are off while fuzzing, so damaged frames would be accepted.
+                // While fuzzing, checksums are off, and damaged frames would be accepted.
                 let frame = pair.wire[side].last_mut().filter(|_| !cfg!(fuzzing));
                 if let Some(frame) = frame
                     && let Some(byte) = {
@@ -241,8 +241,8 @@ struct Pair {
     wire: [Vec<Vec<u8>>; 2],
     session: u32,
     now: Instant,
-    /// Count of reliable numbers sent by each end in this session, and the numbers received from
-    /// the other end.
+    /// For each end, the count of numbers sent reliably in this session, and the numbers received
+    /// from the other end.
     said: [u32; 2],
     heard: [Vec<u32>; 2],
     acknowledged: [Vec<u32>; 2],
@@ -275,7 +275,8 @@ impl Pair {
         self.acknowledged = Default::default();
         self.wanted = Default::default();
         if cfg!(fuzzing) {
-            // Without checksums, frames of the previous session would be accepted.
+            // Checksums are off while fuzzing, and frames of the previous session would be
+            // accepted.
             self.wire = Default::default();
         }
     }
@@ -347,8 +348,8 @@ fn number_of(request: &Request) -> Option<u32> {
     request.tiles.first().map(|id| id.x as u32 | (id.y as u32) << 15)
 }
 
-/// Puts everything that an end has to send on the wire. `wanted` holds numbers to send reliably,
-/// and `None` for datagrams.
+/// Puts everything that an end has to send on the wire. `wanted` contains the numbers to send
+/// reliably, and `None` for datagrams.
 fn send_all<D: Traffic>(
     end: &mut End<D>,
     wanted: &mut Vec<Option<u32>>,

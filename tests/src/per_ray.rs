@@ -64,8 +64,8 @@ pub struct Seen {
     pub hit: HashSet<(i32, i32)>,
 }
 
-/// One scan from a point, in metres: a bearing in `map` and a range for each beam. A range of 0 is
-/// ignored; one beyond `max_range` means that the way up to there is free.
+/// One scan from a point, in metres, with a bearing in `map` and a range for each beam. A range of
+/// 0 is ignored; for one beyond `max_range`, the cells up to `max_range` are free.
 pub fn scan(
     from: [f64; 2],
     beams: impl Iterator<Item = (f64, f64)>,

@@ -12,7 +12,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::server::Server;
 
-/// It sends no acknowledgements and does not retransmit.
+/// A robot's end of the link that sends no acknowledgements and retransmits nothing.
 #[derive(Debug)]
 pub struct RawRobot {
     /// The robot's id.
@@ -25,8 +25,7 @@ pub struct RawRobot {
 impl RawRobot {
     /// Opens a session at a port.
     ///
-    /// # Panics
-    /// If the server does not welcome it.
+    /// # Panics If the server does not send a Welcome.
     pub fn connect(server: &mut Server, port: usize, id: RobotId, now: Instant) -> Self {
         Self::try_connect(server, port, id, now).expect("a welcome")
     }

@@ -1,6 +1,6 @@
-//! Scripted routes for the robots of `room` and `warehouse`, as a person would choose them: three
-//! sets for each, of which the first is the scenario's own. Autonomous robots are compared with
-//! them.
+//! Scripted routes for the robots of `room` and `warehouse`, as a person would choose them. There
+//! are three sets for each scenario; the first is the scenario's own. Autonomous robots are
+//! compared with them.
 
 use std::fmt::Write;
 
@@ -34,7 +34,8 @@ pub const SETS: usize = 3;
 
 /// The sets for `room` except the scenario's own.
 const ROOM: [Routes; SETS - 1] = [
-    // Each robot to its nearest blind corner by the shortest route, and then along the walls there.
+    // Each robot takes the shortest route to its nearest blind corner, and then drives along the
+    // walls there.
     &[
         &[
             [5.6, 1.6],
@@ -62,7 +63,7 @@ const ROOM: [Routes; SETS - 1] = [
             [6.3, 5.2],
         ],
     ],
-    // The store room along its southern wall first, and the west from north to south.
+    // Along the southern wall of the store room first, and through the west from north to south.
     &[
         &[
             [5.6, 1.6],
@@ -95,7 +96,7 @@ const ROOM: [Routes; SETS - 1] = [
 
 /// The sets for `warehouse` except the scenario's own.
 const WAREHOUSE: [Routes; SETS - 1] = [
-    // Each robot into its nearest blind ground: halves of the aisles, corners, ends.
+    // Each robot drives to its nearest blind ground: halves of the aisles, corners, ends.
     &[
         &[[1.0, 1.1], [1.0, 3.6], [8.9, 3.6], [1.0, 3.6], [1.0, 1.1]],
         &[[18.6, 1.1], [19.3, 2.0], [18.6, 3.6], [10.2, 3.6], [18.6, 3.6], [18.6, 1.1]],
@@ -108,7 +109,7 @@ const WAREHOUSE: [Routes; SETS - 1] = [
         &[[9.2, 1.0], [10.8, 0.7], [9.7, 2.4], [9.2, 1.0]],
         &[[9.9, 11.0], [8.8, 11.2], [10.8, 11.2], [9.9, 11.0]],
     ],
-    // The aisles by the robots that start in the middle, the ends by the others.
+    // The robots that start in the middle map the aisles, the others the ends.
     &[
         &[[1.0, 1.1], [0.5, 0.6], [1.0, 3.6], [4.5, 3.6], [1.0, 3.6], [1.0, 1.1]],
         &[[18.6, 1.1], [19.3, 0.6], [18.6, 3.6], [14.5, 3.6], [18.6, 3.6], [18.6, 1.1]],

@@ -1,5 +1,6 @@
-//! Schedules: random events in a star of robots, determined by a seed. After any schedule, once the
-//! links are restored and nothing new is mapped, all maps must converge within a time limit.
+//! Schedules: random events for a server and its robots, determined by a seed. After every
+//! schedule, once the links are restored and nothing new is mapped, all maps must converge within a
+//! time limit.
 
 use std::fmt;
 
@@ -27,9 +28,9 @@ use crate::{
 
 /// Interval of the robots' motion.
 const STEP: Duration = Duration::from_millis(100);
-/// Time limit for convergence after the links are restored and the last scan is taken: a handshake
-/// retry after a long cut (3.2 s), a session opened by an old hello, the tiles of a window at the
-/// downlink's bandwidth, and a mildly bad link.
+/// Time limit for convergence after the links are restored and the last scan is taken. It covers a
+/// handshake retry after a long cut (3.2 s), a session opened by an old Hello, the tiles of a
+/// window at the downlink's bandwidth, and a slightly faulty link.
 pub const PATIENCE: Duration = Duration::from_secs(30);
 /// Time resolution for a newcomer.
 const TICK: Duration = Duration::from_millis(1);
@@ -70,7 +71,7 @@ enum Happening {
 struct Plan {
     config: Config,
     walk: Walk,
-    /// Steps from scan to scan.
+    /// Number of steps from one scan to the next.
     scan_every: u64,
 }
 
@@ -106,12 +107,12 @@ pub struct Ending {
     pub known: u32,
 }
 
-/// How a robot comes to hold no tiles of the server.
+/// How a robot comes to hold none of the server's tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Newcomer {
-    /// It is new.
+    /// The robot is new.
     Joins,
-    /// It has rebooted.
+    /// The robot has rebooted.
     Reboots,
 }
 
@@ -122,16 +123,16 @@ pub struct Level {
     pub took: Duration,
     /// Round-trip time of a frame.
     pub round_trip: Duration,
-    /// Number of tiles in its window.
+    /// Number of tiles in the robot's window.
     pub tiles: usize,
-    /// Total bytes that the server sent it meanwhile.
+    /// Total bytes that the server sent to the robot meanwhile.
     pub bytes: u64,
 }
 
 impl Level {
-    /// Time limit: two round trips (hello and welcome, interest and tiles), plus the bytes beyond
-    /// one second's worth at 2 kB/s and one frame, as the rate limiter counts whole frames. The
-    /// server's delay of changes (up to 1 s) is irrelevant, as nothing changes.
+    /// Time limit: two round trips (Hello and Welcome, Interest and tiles), plus the time to send
+    /// all bytes at 2 kB/s except one second's worth and one frame, as the rate limiter counts
+    /// whole frames. The server's delay of changes (up to 1 s) does not matter, as nothing changes.
     pub fn bound(&self) -> Duration {
         let paced = self.bytes.saturating_sub(2_000) * 1_000_000 / 2_000;
         let frame = DEFAULT_FRAME as u64 * 1_000_000 / 2_000;
@@ -198,7 +199,7 @@ impl Schedule {
             };
             schedule.happenings.push((Instant(moment), happening));
         }
-        // All robots at once, as after a power failure.
+        // All robots boot at once, as after a power failure.
         if rng.random_bool(0.1) {
             let moment = Instant(rng.random_range(0..calm.0));
             schedule.happenings.push((moment, Happening::Restart { frame: schedule.frame }));
@@ -209,7 +210,7 @@ impl Schedule {
         schedule
     }
 
-    /// A schedule with nothing but frame losses, with the given probability: some robots map and
+    /// A schedule whose only faults are lost frames, with this probability. Some robots map, and
     /// finish.
     pub fn lossy(seed: u64, loss: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -243,11 +244,10 @@ impl Schedule {
         schedule
     }
 
-    /// The first robot maps; when everything has settled the second one boots, knows its pose and
-    /// sees nothing.
+    /// The first robot maps. When everything has settled, the second one boots, knows its pose and
+    /// sees nothing. Measures how long the second robot takes to hold its window.
     ///
-    /// # Panics
-    /// If it never holds its window.
+    /// # Panics If it never holds its window.
     pub fn level_after(&self, who: Newcomer) -> Level {
         let plans = [&self.plans[0], &self.plans[1], &self.plans[1]];
         let mut lives = plans.map(|plan| Memory::new(&plan.config.bounds));
@@ -264,7 +264,7 @@ impl Schedule {
         if who == Newcomer::Reboots {
             star.boot(1, self.plans[1].config, second);
         }
-        // Some of the worlds are full of rubble, so that their tiles are long.
+        // Some of the worlds are full of rubble, so that the encoded tiles are long.
         let mut rubble = ChaCha8Rng::seed_from_u64(self.seed);
         let density = if self.seed.is_multiple_of(2) { 0.0 } else { 0.9 };
         let mut step = 0;
@@ -305,7 +305,7 @@ impl Schedule {
         Terms { resolution: Millimetres(50), frame, server_epoch: 1, stores }
     }
 
-    /// The same, with retransmitted frames swallowed by the wire.
+    /// The same schedule, in which the wire drops all retransmitted frames.
     pub fn without_retransmissions(self) -> Self {
         Self { drop_repeats: true, ..self }
     }
@@ -433,7 +433,7 @@ impl Schedule {
         }
     }
 
-    /// Nothing new is mapped: waits for convergence, and then for silence.
+    /// Maps nothing new, waits for convergence, and then for silence.
     fn settle(&self, star: &mut Star<'_>, mut step: u64) -> Ending {
         let mut behind = star.behind();
         let end = self.calm + if star.repeats_epoch() { UNTIL_COMPARED } else { PATIENCE };
@@ -479,7 +479,7 @@ impl Schedule {
 
 fn plan(rng: &mut ChaCha8Rng, world: &Boxes, sensor: Fan, id: RobotId) -> Plan {
     let max_range = rng.random_range(900..2_500u16);
-    // A scan touches at most the tiles of a square of twice its range; some pools have more.
+    // A scan touches at most the tiles in a square of twice its range; some pools are larger.
     let side = (2 * usize::from(max_range)).div_ceil(1_600) + 1;
     let own = side * side + if rng.random() { 0 } else { rng.random_range(0..12) };
     let pose_source =

@@ -25,7 +25,7 @@ pub struct TileChange {
 /// The tile update of one frame.
 #[derive(Clone, Debug)]
 pub struct Update {
-    /// Its direction.
+    /// Direction of the frame.
     pub direction: Direction,
     /// Space for it in the frame, in bytes.
     pub room: usize,
@@ -36,8 +36,8 @@ pub struct Update {
 }
 
 impl Update {
-    /// Appends it to the input of the image that counts instructions over updates (see there for
-    /// the format).
+    /// Appends the update to the input of the image that counts instructions over updates; the
+    /// image's source describes the format.
     pub fn write(&self, input: &mut Vec<u8>) {
         input.push(self.direction as u8);
         input.extend((self.room as u16).to_le_bytes());
@@ -55,7 +55,7 @@ impl Update {
     }
 }
 
-/// Writes a mask of the rows that differ, and these rows.
+/// Writes a mask of the rows that differ, followed by these rows.
 fn write_rows(input: &mut Vec<u8>, from: &Tile, to: &Tile) {
     let differ: Vec<_> = (0..TILE_SIDE).filter(|&y| from.row(y) != to.row(y)).collect();
     let rows = differ.iter().fold(0u32, |rows, y| rows | 1 << y);
@@ -66,7 +66,7 @@ fn write_rows(input: &mut Vec<u8>, from: &Tile, to: &Tile) {
     }
 }
 
-/// Collects the updates on all links, which must be lossless.
+/// Collects the updates on all links. The links must not lose frames.
 #[derive(Debug, Default)]
 pub struct Gathering {
     links: BTreeMap<RobotId, Link>,
@@ -82,7 +82,7 @@ struct Link {
     tiles: BTreeMap<(Layer, TileId), Held>,
 }
 
-/// A tile at its receiver, and the positions in `updates` of the parts that wait for the last one.
+/// A tile at its receiver, and the indices in `updates` of the parts that wait for the last part.
 #[derive(Debug, Default)]
 struct Held {
     tile: Tile,
@@ -132,7 +132,7 @@ impl Gathering {
     }
 }
 
-/// Decodes the updates among a frame's messages, which had `capacity` bytes available.
+/// Decodes the updates among the messages of a frame, which had space for `capacity` bytes.
 fn gather<D: Traffic>(
     messages: Messages<'_, D>,
     capacity: usize,
@@ -159,7 +159,7 @@ fn gather<D: Traffic>(
                     earlier.tiles[tile].new = held.tile;
                 }
             }
-            // The writer reserves three bytes for kind and length before it moves the body.
+            // The writer reserves three bytes for kind and length before it writes a body.
             let room = capacity - before - 3 - (body.len() - coded.len());
             updates.push(Update { direction: D::DIRECTION, room, coded: coded.to_vec(), tiles });
         }

@@ -1,4 +1,4 @@
-//! Evidence against the server's map that is too rare to be reported is forgotten, even if the
+//! Evidence against the server's map that is too weak to be reported is forgotten, even if the
 //! robot can't send anything.
 
 use ubimap_agent::{Bounds, Config, Memory, Robot, sense::SensorModel};
@@ -26,7 +26,7 @@ const CELL: (usize, usize) = (9, 4);
 /// The reading that hits the cell, in millimetres.
 const READING: u16 = 2_100;
 
-/// The server's end of the link. It receives only what the session needs.
+/// The server's end of the link, which receives only what the session needs.
 struct Server {
     link: Endpoint<ToRobot, (), 8, DEFAULT_FRAME>,
 }
@@ -49,7 +49,7 @@ impl Server {
         let len = link.handshake(&welcome, &mut out).unwrap();
         link.begin(welcome.session, DEFAULT_FRAME);
         robot.receive(&out[..len], Instant(0));
-        // The first time request has the nonce 0.
+        // The reply answers the robot's first time request, which has nonce 0.
         robot.poll_transmit(Instant(0), &mut out).expect("a request for the time");
         let mut server = Self { link };
         let reply = TimeReply { nonce: 0, received: Instant(0), held_micros: 0 };
@@ -76,8 +76,8 @@ impl Server {
     }
 }
 
-/// Whether the robot marks the cell as occupied after ten scans with a hit in it, where the
-/// server's map is free. It has a session, but its port never has room for a frame.
+/// Whether the robot marks the cell as occupied after ten scans with a hit in it, although the cell
+/// is free on the server's map. The robot has a session, but its port never accepts a frame.
 fn contradicts(apart: Duration) -> bool {
     let sensor = SensorModel::Radial { first: -1.1, step: STEP };
     let bounds = Bounds { readings: BEAMS, own_tiles: 8, fused_tiles: 16, ..BOUNDS };

@@ -41,7 +41,7 @@ const IDENTIFIER: RobotId = RobotId(3);
 /// A room that records how long each robot has been in view.
 struct Watched {
     room: RoomStage,
-    /// The last time in view, and the total time in view, of each robot.
+    /// For each robot the last time in view, and its total time in view.
     seen: Rc<RefCell<BTreeMap<RobotId, (Instant, Duration)>>>,
 }
 
@@ -70,15 +70,15 @@ impl Stage for Watched {
 /// The result of a run.
 struct Run {
     f1: f64,
-    /// The corrections of each robot's fixes, and of its sensor's heading, in degrees, and after
-    /// how many seconds in view.
+    /// For each corrected identifier and sensor, the correction in degrees and the time in view
+    /// until then, in seconds.
     identifiers: BTreeMap<RobotId, (f64, f64)>,
     sensors: BTreeMap<RobotId, (f64, f64)>,
     /// Events of robots; none is expected.
     events: Vec<RobotEvent>,
 }
 
-/// The room, with these errors of the sensor and of the identifier.
+/// The room, with these errors of one robot's sensor and another robot's identifier.
 fn world(seed: u64, sensor_deg: f64, identifier_deg: f64) -> World {
     let mut scenario = Scenario::built_in().unwrap();
     for robot in &mut scenario.robots {
@@ -128,7 +128,8 @@ fn run(seed: u64, askew_deg: f64, cures: bool) -> Run {
     Run { f1, identifiers, sensors, events }
 }
 
-/// The error of one kind of correction over all runs: degrees, and seconds in view.
+/// The errors of one kind of correction over all runs, in degrees, and the times in view until
+/// then, in seconds.
 #[derive(Debug, Default)]
 struct Off {
     greatest_deg: f64,
@@ -137,7 +138,7 @@ struct Off {
 }
 
 impl Off {
-    /// Adds a run's correction, which must concern this robot only.
+    /// Adds the correction of a run; it must concern only this robot.
     fn add(&mut self, found: &BTreeMap<RobotId, (f64, f64)>, robot: RobotId, truth_deg: f64) {
         let [(&who, &(degrees, seconds))] = found.iter().collect::<Vec<_>>()[..] else {
             panic!("{found:?}")
@@ -164,7 +165,7 @@ fn misaligned_sensors_and_identifiers_are_distinguished_and_corrected() {
             straight.f1, left.f1, cured.f1, cured.sensors, cured.identifiers
         );
         assert!(straight.sensors.is_empty() && straight.identifiers.is_empty(), "seed {seed}");
-        // Explained errors lower no robot's weight.
+        // Errors that are explained do not reduce a robot's weight.
         assert_eq!((straight.events, cured.events), (vec![], vec![]), "seed {seed}");
         offs[0].add(&cured.sensors, SENSOR, 3.0);
         offs[1].add(&cured.identifiers, IDENTIFIER, -3.0);

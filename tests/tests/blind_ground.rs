@@ -1,5 +1,5 @@
 //! A robot whose wheels slip drives 10 m out of view of the cameras, after two rounds in view. It
-//! is localised by the learnt errors of its odometry and by what it sees. `UBIMAP_SEEDS=10` drives
+//! is localised by the learnt errors of its odometry, and by what it sees. `UBIMAP_SEEDS=10` drives
 //! ten times through each place.
 
 use std::{
@@ -143,8 +143,8 @@ fn off(believed: Pose, truth: Pose) -> (f64, f64) {
     (dx.metres().hypot(dy.metres()), turn)
 }
 
-/// A pose of `odom` in `map`, given that the robot was at `then` in `odom` when it was at `start`
-/// in `map`.
+/// The pose in `map` for an odometry pose, if the robot was at `start` in `map` when its odometry
+/// was `then`.
 fn carried(odometry: Pose, then: Pose, start: Pose) -> Pose {
     let turn = start.heading - then.heading;
     let (sin, cos) = turn.radians().sin_cos();
@@ -158,7 +158,7 @@ fn carried(odometry: Pose, then: Pose, start: Pose) -> Pose {
 fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
     let scenario = Scenario::from_toml(scenario, "hall.toml").unwrap();
     let world = || World::new(&scenario, None, RESOLUTION, seed).unwrap();
-    // The same world again, for the truth.
+    // A second, identical world provides the truth.
     let mut mirror = world();
     let covered: BTreeSet<_> = mirror.covered(0).into_iter().collect();
     // The assumed noise of such wheels: 2 cm and one degree per metre.
@@ -195,7 +195,7 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
             let (start, then) = *entered.get_or_insert((truth, odometry));
             let Some((moment, believed)) = fleet.robots()[0].robot().pose() else { return };
             way += last.map_or(0.0, |last: Pose| off(last, truth).0);
-            // Up to a step older than the pose.
+            // The truth may be up to a step older than the pose.
             let Some((_, was)) = truths.range(..=moment.0).next_back() else { return };
             let now = off(believed, *was);
             if way <= metres {
@@ -210,7 +210,7 @@ fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
     (end.unwrap(), worst)
 }
 
-/// Of metres and of degrees.
+/// Root mean square of the errors in metres and in degrees.
 fn root_mean_square(offs: &[(f64, f64)]) -> (f64, f64) {
     let mean = |of: fn(&(f64, f64)) -> f64| {
         offs.iter().map(|off| of(off).powi(2)).sum::<f64>() / offs.len() as f64
@@ -261,8 +261,9 @@ fn ten_metres_through_ground_that_another_robot_knows() {
     assert_eq!(good, count);
 }
 
-/// The robot uses only its own map. When it leaves the view its heading error is 0.12 degrees (RMS
-/// of 32 drives). On the first metre it grows by half a degree, which explains about half of the
+/// The robot uses only its own map. When it leaves the cameras' view, its heading error is 0.12
+/// degrees (RMS of 32 drives). In the first metre the error grows by half a degree, which explains
+/// about half of the final error; the rest comes from surfaces that come into view.
 /// final error; the rest comes from surfaces that come into view.
 #[test]
 fn ten_metres_through_unmapped_ground() {

@@ -23,8 +23,8 @@ use ubimap_tests::deployments::bare;
 
 /// Readings per scan.
 const BEAMS: usize = 30;
-/// After one scan the server holds exactly what the robot published: the sizes of the other formats
-/// are computed for the same cells.
+/// After one scan the server holds exactly what the robot published, so the sizes of the other
+/// formats are computed for the same cells.
 #[test]
 fn other_formats_are_compared_for_the_published_cells() {
     let model = SensorModel::Radial { first: -1.5, step: 0.02 };
@@ -133,7 +133,7 @@ fn an_idle_robot_sends_twenty_bytes_a_second_at_most() {
         let idle = |end| sent(Idle(Some(end)), faults);
         let standing = |end| sent(Standing { next: Instant(0), end, odometry_read: false }, faults);
         for (name, run) in [("idle", &idle as &dyn Fn(Instant) -> _), ("standing", &standing)] {
-            // The first minute is excluded: clock synchronisation.
+            // The first minute is excluded, because the clocks are synchronised then.
             let [(start, _), (end, vectors)] =
                 [60, 660].map(|seconds| run(Instant(0) + Duration::from_secs(seconds)));
             let rate = (end - start) as f64 / 600.0;
@@ -142,7 +142,8 @@ fn an_idle_robot_sends_twenty_bytes_a_second_at_most() {
                 faults.loss
             );
             assert!(rate <= 20.0, "{name}: {rate} bytes/s");
-            // Without scans it sends none; at standstill one per minute.
+            // A robot without scans sends no distance vectors; one at standstill sends one per
+            // minute.
             let expected = if name == "idle" { 0..=0 } else { 5..=12 };
             assert!(expected.contains(&vectors), "{name}: {vectors}");
         }
@@ -157,14 +158,16 @@ const END: Instant = Instant(90_000_000);
 /// Measurements of one run.
 #[derive(Debug, Default)]
 struct Seen {
-    /// Total bytes to the robot at each event within the last second, and the maximum per second.
+    /// The bytes sent to the robot in the last second with their times, and the maximum sum per
+    /// second.
     second: VecDeque<(Instant, u64)>,
     busiest: u64,
     joined: u64,
     bytes: u64,
     /// Maximum number of queued messages.
     waiting: usize,
-    /// Number of samples, and of those in which the cell ahead of the robot was covered by cameras.
+    /// Number of samples, and number of samples in which the cell ahead of the robot was covered by
+    /// cameras.
     samples: u32,
     fresh: u32,
     /// Maximum numbers of peers and people known to the robot.
@@ -250,9 +253,9 @@ fn a_robot_that_crosses_covered_ground_is_sent_two_kilobytes_a_second_at_most() 
             seen.peers,
             seen.people,
         );
-        // Frames that are lost together are retransmitted together.
+        // Frames that are lost together are also retransmitted together.
         assert!(mean <= 2_000.0 && (seen.busiest <= 2_000 || faults.loss > 0.0), "{seen:?}");
-        // A fix and a time reply; nothing accumulates.
+        // At most a fix and a time reply are queued: nothing accumulates.
         assert!(seen.waiting <= 4, "{seen:?}");
         assert!(seen.peers == 2 && seen.people >= 3, "{seen:?}");
     }

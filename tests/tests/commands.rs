@@ -66,7 +66,7 @@ fn commands_arrive_over_a_bad_link_and_parameters_are_reported() {
         let value = ParameterValue { parameter: Parameter::GateDistance as u16, value: 50 };
         let set = ParameterCommand { number: 9, action: ParameterAction::Set(value) };
         star.command(0, Command::Parameter(set)).unwrap();
-        // Two more at once: both arrive.
+        // Two more commands at the same time: both arrive.
         let value = |parameter, value| ParameterValue { parameter: parameter as u16, value };
         let values = [value(Parameter::GateTurn, 70), value(Parameter::Hold, 300)];
         for (number, value) in (10..).zip(values) {
@@ -103,7 +103,7 @@ fn readings_can_be_removed_remotely() {
     let pose_source = PoseSource::Odometry(Pose::default());
     let bounds = Bounds { readings: 100, own_tiles: 12, fused_tiles: 4, ..BOUNDS };
     let mut config = Config { pose_source, ..Config::new(RobotId(7), sensor, bounds) };
-    // Every scan is mapped.
+    // Makes the robot map every scan.
     config.gate.distance = Millimetres(0);
     let mut memory = Memory::new(&config.bounds);
     let terms =
@@ -131,14 +131,14 @@ fn readings_can_be_removed_remotely() {
     };
     assert_eq!(invalid(None), 0);
     assert_eq!(invalid(Some((Parameter::RemovedPixels, 10 << 16 | 14))), 5);
-    // From 28.6 degrees right to straight ahead: beams 0 to 50.
+    // The bearings from 28.6 degrees to the right to straight ahead: beams 0 to 50.
     let bearings = (Angle::from_radians(-0.505).0 as i32) << 16 | 5;
     assert_eq!(invalid(Some((Parameter::RemovedBearings, bearings))), 51);
     assert_eq!(invalid(Some((Parameter::RemovedPixels, -1))), 51);
     assert_eq!(invalid(Some((Parameter::RemovedDistances, 1_700 << 16 | 1_900))), 100);
     assert_eq!(invalid(Some((Parameter::RemovedBearings, -1))), 50);
     assert_eq!(invalid(Some((Parameter::RemovedDistances, 0))), 0);
-    // Masking by brightness is the caller's task.
+    // Masking by brightness is left to the caller, so no reading becomes invalid.
     assert_eq!(invalid(Some((Parameter::Exposure, 10 << 16 | 240))), 0);
     let exposure = star.members[0].robot().unwrap().settings().exposure;
     assert_eq!(exposure, Exposure { darkest: 10, brightest: 240 });
@@ -164,7 +164,7 @@ fn an_event_arrives_once_over_a_bad_link_and_is_not_repeated_for_a_while() {
         star.boot(0, config, &mut memory);
         for second in 20..60 {
             star.run_until(seconds(second));
-            // Not the sensor's width: reported once every ten seconds.
+            // The scan has a wrong number of readings, which is reported once every ten seconds.
             star.scan(0, None, &[1_000; 31]);
         }
         star.run_until(seconds(70));

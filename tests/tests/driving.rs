@@ -115,8 +115,8 @@ fn two_robots_map_a_blind_room_while_links_are_cut() {
     assert!(report.robots.iter().all(|robot| robot.frames_lost > 50), "the link was cut");
 }
 
-/// Checks the other tests' oracle: a robot that collides is stopped, and the collision counted
-/// once.
+/// Checks what the other tests rely on: a robot that collides is stopped, and the collision is
+/// counted once.
 #[test]
 fn a_collision_stops_the_robot_and_is_counted_once() {
     let scenario = Scenario::from_toml(TWO_ROOMS, "two_rooms.toml").unwrap();
@@ -134,20 +134,20 @@ fn a_collision_stops_the_robot_and_is_counted_once() {
         let robot = &world.robots()[0];
         (*all.last().unwrap(), robot.truth(), robot.radius_m())
     };
-    // To the south: the wall is 1.2 m away.
+    // The robot drives south, where the wall is 1.2 m away.
     let quarter = core::f64::consts::FRAC_PI_4;
     let (contacts, pose, radius) = run(-quarter, 20.0);
     assert_eq!(contacts, Contacts { collisions: 1, touches: 0 });
     assert!((pose.y.metres() - radius).abs() < 0.15 && pose.y.metres() >= radius, "{pose:?}");
-    // To the north: the other robot is 1.6 m away.
+    // The robot drives north, where the other robot is 1.6 m away.
     let (contacts, pose, radius) = run(quarter, 20.0);
     assert_eq!(contacts, Contacts { collisions: 1, touches: 0 });
     let apart = 2.8 - pose.y.metres();
     assert!(apart >= 2.0 * radius - 1e-3 && apart < 2.0 * radius + 0.05, "{apart}");
 }
 
-/// The share of reachable blind ground mapped, compared with the best of three sets of scripted
-/// routes.
+/// The fraction of reachable blind ground that was mapped, compared with the best of three sets of
+/// scripted routes.
 fn against_routes(scenario: &str, duration: &str) {
     let (mut driven, mut best) = (0.0, 0.0);
     for seed in seeds(1) {
@@ -225,8 +225,8 @@ fn drawn_of_standing(outcome: &Outcome, scenario: &Scenario) -> usize {
     cells.filter(|&index| matches!(map.cells()[index], Cell::Occupied | Cell::Movable)).count()
 }
 
-/// Ahmed 3: his robots waited after each move until they were localised; and R3 and R4 left
-/// boundaries in his map.
+/// Ahmed 3: his robots waited after each move until they were localised, and his robots R3 and R4
+/// left boundaries in his map.
 #[test]
 #[ignore = "prints a table: UBIMAP_SEEDS=10 cargo driving"]
 fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
@@ -255,7 +255,7 @@ fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
     assert!(f1[0] >= f1[1], "{f1:?}");
 }
 
-/// Odometry alone displaces walls by some cells, and with them the known ground.
+/// With odometry alone, walls are displaced by some cells, and the known ground with them.
 #[test]
 fn without_a_server_a_robot_explores_and_returns_home() {
     let (mut sum, mut squares) = (0.0, 0.0);
@@ -266,15 +266,15 @@ fn without_a_server_a_robot_explores_and_returns_home() {
         squares += away_m * away_m;
     }
     assert!(sum >= 5.0 * 0.9, "{sum} of 5");
-    // As far as its wheels slip, which it can't detect.
+    // The robot can be off by as much as its wheels slip, which it can't detect.
     assert!(squares <= 5.0 * 0.6 * 0.6, "{squares} m^2 of 5");
 }
 
 /// The result of a robot that explored alone.
 struct Alone {
-    /// The share of the ground that it knows.
+    /// The fraction of the ground that the robot knows.
     known: f64,
-    /// Its distance from home in metres: as it believes, and in truth.
+    /// The robot's distance from home in metres: according to its own pose, and in truth.
     believed_m: f64,
     away_m: f64,
 }

@@ -47,8 +47,8 @@ fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
     let pose = Pose::from_metres(1.25, -0.5, 1.0);
     let mut station = station(&emulator, 7, pose, &mut noise);
     wait_for_pose(&mut station, pose, Duration::from_secs(20));
-    // A robot that has used enough replies asks every 5 s; one that gets no usable replies asks
-    // eight times per second.
+    // A robot with enough usable replies asks every 5 s; one without usable replies asks eight
+    // times per second.
     let mut asked = (0, station.now());
     turn_until(&mut station, "the clocks agree", Duration::from_secs(60), |station| {
         let now = station.now();
@@ -62,8 +62,8 @@ fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
     assert!(report.ports[0].frames_bad > 0, "no noise arrived: {report:?}");
     drop(station);
 
-    // The server's next life has another epoch and another clock; the robot's session and time of
-    // the first one are invalid.
+    // A restarted server has another epoch and another clock, so the robot's session and its time
+    // from before are invalid.
     let pose = Pose::from_metres(-2.0, 3.0, -3.0);
     let mut station = self::station(&emulator, 8, pose, &mut noise);
     wait_for_pose(&mut station, pose, Duration::from_secs(20));
@@ -114,7 +114,7 @@ fn turn_until(
 }
 
 /// A port that inserts noise before every fifth write, and into the received bytes after every
-/// [`QUIET_BYTES`]; the noise corrupts the following frame.
+/// [`QUIET_BYTES`]. The noise corrupts the frame that follows it.
 struct NoisyWire {
     port: SerialPort,
     noise: Noise,
@@ -123,7 +123,7 @@ struct NoisyWire {
     writes: u32,
 }
 
-/// A Hello has a fifth of this length, so most get through.
+/// A Hello is five times shorter than this, so most of them arrive undamaged.
 const QUIET_BYTES: usize = 150;
 
 impl Wire for NoisyWire {

@@ -35,8 +35,8 @@ fn distances(image: &[u8]) -> [u8; COLUMNS] {
     floor_distances(image, FloorConfig::default()).unwrap()
 }
 
-/// The errors of the distances in lines, column by column; columns next to an edge are excluded, as
-/// the median may take the next object's distance there.
+/// The errors of the distances in lines, for each column. Columns next to an edge are excluded,
+/// because the median may use the distance of the next object there.
 fn errors(found: &[u8; COLUMNS], depth: impl Fn(usize) -> f64) -> Vec<f64> {
     let limit = f64::from(FloorConfig::default().lines);
     let lines: Vec<_> = (0..COLUMNS).map(|column| VIEW.lines(depth(column)).min(limit)).collect();
@@ -83,7 +83,7 @@ fn noise_tiles_and_light_from_one_side_move_no_boundary() {
     }
 }
 
-/// The user's calibration: an object placed at several distances, and a table of them.
+/// A calibration as a user would do it: places an object at several distances, and fits the table.
 fn calibrated() -> ScaleCurve {
     let mut table: Vec<(u8, f32)> = Vec::new();
     for depth in (290..1_060).step_by(15) {
@@ -173,11 +173,11 @@ fn boundaries_lie_on_the_walls_whichever_way_the_robot_looks() {
                 let point = boundary_point(robot, towards, distance as f32).unwrap();
                 (f64::from(point.x) - x).hypot(f64::from(point.y) - y)
             };
-            // The error of one and a half pixels at this depth.
+            // The distance error that one and a half pixels cause at this depth.
             let bound = 1.5 * depth * depth / (VIEW.focal * VIEW.height) * left.hypot(1.0);
             found += 1;
             off += u32::from(error(distance) > bound);
-            // With the paper's geometry.
+            // The error with the paper's geometry.
             off_as_ranges += u32::from(error(reading.into()) > bound);
         }
     }
@@ -187,8 +187,8 @@ fn boundaries_lie_on_the_walls_whichever_way_the_robot_looks() {
     assert!(off_as_ranges * 2 > found, "{off_as_ranges} of {found}");
 }
 
-/// An object is seen in front of the robot, and from a little further on seen through equally
-/// often: returns whether it is still in the map.
+/// Whether an object is still in the map after it was first seen in front of the robot, and then
+/// seen through as often from a little further away.
 fn stays(depth: f64, near: Option<NonZero<u16>>) -> bool {
     let model = SensorModel::Pinhole { focal: VIEW.focal as f32, centre: 159.5 };
     let pose_source = PoseSource::Odometry(Pose::default());
@@ -213,15 +213,16 @@ fn stays(depth: f64, near: Option<NonZero<u16>>) -> bool {
 
 #[test]
 fn distant_hits_are_given_up_sooner_than_near_ones() {
-    // Here a pixel's size grows with the square of the distance: half the weight is at 1.4 times
-    // the minimum distance, 24,000 / (144 - 62) mm, which gives 414 mm. The slope of a fit is less
-    // certain at its ends.
+    // For this camera the size of a pixel grows with the square of the distance. So the weight
+    // falls to one half at 1.4 times the minimum distance of 24,000 / (144 - 62) mm, which is 414
+    // mm. The slope of a fit is less certain at its ends.
     let near = calibrated().near();
     assert!((near - 414.0).abs() < 50.0, "{near}");
     let near = NonZero::new(near as u16);
     assert!(stays(320.0, near), "near");
     assert!(!stays(620.0, near), "far");
-    // The range alone is no criterion: at 4 m a quarter of it exceeds this camera's view.
+    // A quarter of the range would not do as a limit: with a range of 4 m it is more than this
+    // camera can see.
     assert!(stays(320.0, None) && stays(620.0, None));
 }
 
@@ -275,7 +276,7 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
                 let middle = |first: i32, cell: usize| f64::from(first + cell as i32) * 50.0 + 25.0;
                 let (x, y) = (middle(x0, x), middle(y0, y));
                 occupied += 1;
-                // Within a cell and a half.
+                // Within one and a half cells.
                 off += u32::from(from_wall(x, y) > 75.0);
                 let sides = [ROOM.0 - x, ROOM.0 + x, ROOM.1 - y, ROOM.1 + y];
                 for (count, side) in walls.iter_mut().zip(sides) {
@@ -286,7 +287,7 @@ fn a_robot_with_a_grey_camera_alone_maps_the_walls_of_its_room() {
     }
     println!("{occupied} cells occupied, {off} off, by wall {walls:?}");
     assert!(off * 20 <= occupied, "{off} of {occupied}");
-    // Walls of 28 and 24 cells.
+    // The walls are 28 and 24 cells long.
     assert!(walls.iter().all(|&cells| cells >= 20), "{walls:?}");
 
     // The same scans were sent to the server as distance vectors: the first two dozen once per

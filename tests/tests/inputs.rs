@@ -1,5 +1,5 @@
-//! Any input to a robot in any order gives a typed error or a counted event, leaves its state
-//! valid, and never panics.
+//! Whatever inputs a robot gets, in any order, it returns a typed error or counts an event, its
+//! state stays valid, and it never panics.
 //!
 //! NaN can't be an input: poses are in whole millimetres and binary angles, and the conversion from
 //! floating point maps NaN to zero and saturates.
@@ -59,7 +59,7 @@ enum Input {
         room: usize,
     },
     Timeout,
-    /// A welcome of the same or of a restarted server.
+    /// A Welcome from the same server or from a restarted one.
     Welcome {
         epoch: u32,
         stores: bool,
@@ -67,7 +67,7 @@ enum Input {
     Refusal,
 }
 
-/// Well-formed messages, not necessarily consistent.
+/// Well-formed messages, which need not be consistent.
 #[derive(Clone, Debug)]
 enum Message {
     Time(TimeReply),
@@ -262,7 +262,7 @@ impl Server {
 }
 
 impl Message {
-    /// The number of its kind, and its body.
+    /// The number of the message's kind, and its body.
     fn bytes(&self) -> (u8, Vec<u8>) {
         let mut buffer = [0; MAX_FRAME];
         let mut writer = Writer::new(&mut buffer);
@@ -297,7 +297,7 @@ impl Message {
     }
 }
 
-/// The robot's complete knowledge: everything except what is queued, in flight or counted.
+/// Everything that the robot knows, except for what is queued, in flight or counted.
 fn state(robot: &Robot<'_>) -> String {
     let own: Vec<_> = robot.own_tiles().tiles().collect();
     let [fused, coverage] = [Layer::Fused, Layer::Coverage]
@@ -313,7 +313,8 @@ fn config() -> Config {
 
 /// Applies one input.
 fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
-    // Work that is due already is not caused by this input.
+    // First does the work that is already due, so that its effects are not attributed to this
+    // input.
     robot.timeout(now);
     let (before, counted) = (state(robot), robot.statistics());
     match input {
@@ -349,7 +350,7 @@ fn put(robot: &mut Robot<'_>, server: &mut Server, input: Input, now: Instant) {
                     |it: &ubimap_agent::Statistics| it.unknown_messages + it.malformed_messages;
                 if unread(&after) != unread(&counted) {
                     assert_eq!(unread(&after), unread(&counted) + 1);
-                    // Of an incomplete tile update the tiles before the error are kept.
+                    // From an incomplete tile update, the robot keeps the tiles before the error.
                     if kind != u8::from(ToRobotKind::TileUpdate) {
                         assert_eq!(
                             state(robot),
@@ -435,7 +436,7 @@ proptest! {
     }
 }
 
-/// Each bad input that must be reported, one by one, with its result.
+/// Each bad input that must be reported, one at a time, with its result.
 #[test]
 fn each_bad_input_is_reported() {
     let config = config();
@@ -453,14 +454,14 @@ fn each_bad_input_is_reported() {
     };
     let scan = |millis| Input::Scan { taken: at(millis), readings: vec![3_000; BEAMS] };
 
-    // A fix with an unknown time: the clocks are not synchronised yet.
+    // A fix whose time is unknown, because the clocks are not synchronised yet.
     put(&mut robot, &mut server, fix(10, 0.0), at(10));
     assert_eq!((robot.statistics().fixes_untimely, robot.pose()), (1, None));
     put(&mut robot, &mut server, Input::Transmit { room: 250 }, at(20));
     let reply = TimeReply { nonce: 0, received: at(20), held_micros: 0 };
     put(&mut robot, &mut server, Input::Message(Message::Time(reply)), at(20));
     assert!(robot.server_time(at(20)).is_some());
-    // One from the future.
+    // A fix from the future.
     put(&mut robot, &mut server, fix(9_000, 0.0), at(30));
     assert_eq!((robot.statistics().fixes_untimely, robot.pose()), (2, None));
     put(&mut robot, &mut server, fix(100, 0.0), at(100));
@@ -472,8 +473,8 @@ fn each_bad_input_is_reported() {
     }
     assert_eq!(robot.statistics().odometry_backwards, 1);
 
-    // Scans: going backwards, and more than can wait. 4 m around it are more tiles than the pool
-    // has.
+    // A scan older than the last one, and more scans than can wait. Within 4 m there are more tiles
+    // than the pool has.
     put(&mut robot, &mut server, scan(150), at(150));
     assert_eq!(robot.scan(at(140), &[3_000; BEAMS], at(150)), Err(ScanError::Backwards));
     let full =
@@ -486,18 +487,19 @@ fn each_bad_input_is_reported() {
     assert!(counted.mapped > 0 && counted.cells_refused > 0, "{counted:?}");
     assert_eq!(robot.own_tiles().tiles().count(), TILES);
 
-    // An update of a tile relative to a version that it does not hold: it requests the whole tile.
+    // An update relative to a version that the robot does not hold: the robot requests the whole
+    // tile.
     let (id, base) = (TileId { x: 0, y: 0 }, Some(Version(8)));
     let stamp = Stamp { epoch: Epoch(1), version: Version(9) };
     let update = Message::Tile { layer: Layer::Fused, id, stamp, base, cells: 7 };
     put(&mut robot, &mut server, Input::Message(update), at(210));
     assert!(robot.fused_tiles().tile(id).is_none_or(|tile| tile.cell(0, 3) == Cell::Unknown));
-    // An outlier.
+    // A fix that is an outlier.
     put(&mut robot, &mut server, fix(220, 900.0), at(220));
     assert_eq!(robot.statistics().fixes_rejected, 1);
     // Poses from NaN.
     assert_eq!(Pose::from_metres(f64::NAN, f64::NAN, f64::NAN), Pose::default());
-    // Raised events are identified by their codes.
+    // Events that were raised are recognised by their codes.
     let codes = format!("{robot:?}");
     for code in [
         EventCode::SensorFault,

@@ -15,11 +15,11 @@ use ubimap_tests::{
     updates::{Gathering, Update},
 };
 
-/// Limits on the tables' lines, selected by the beginning and end of their names.
+/// Limits on the lines of the tables; a line is selected by the beginning and the end of its name.
 const BOUNDS: [(&str, &str, u64); 20] = [
     ("a row of 640 to planes", "", 25_000),
     ("a row of 640 from a robot that stands", "", 2_500),
-    // Half a million together with the conversion of the row.
+    // With the conversion of the row, this makes half a million.
     ("the tiles that fit a frame", "", 475_000),
     ("a grey image", "", 600_000),
     ("a pose fix", "", 6_600),
@@ -40,13 +40,13 @@ const BOUNDS: [(&str, &str, u64); 20] = [
     ("bytes of a fused tile", "", 400),
 ];
 
-/// Folders of recorded depth frames, and limits on the middle row of a frame on new ground. The
-/// target is 25,000; higher values are today's counts, and may only be lowered.
+/// Folders of recorded depth frames, and the limit on the middle row of a frame on new ground. The
+/// target is 25,000. Higher limits are the current counts; they may only be lowered.
 const RECORDED: [(&str, u64); 3] =
     [("rgbd_redwood", 25_000), ("rgbd_frames/icl_nuim", 25_000), ("rgbd_frames/handheld", 33_700)];
 
-/// Only every fourth update is measured: transferring it to the emulator takes longer than coding
-/// it.
+/// Only every fourth update is measured, because transferring an update to the emulator takes
+/// longer than coding it.
 const SAMPLE: usize = 4;
 
 /// Marks the end of the updates.

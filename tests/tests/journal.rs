@@ -62,7 +62,7 @@ const ROOMS: &str = r#"
     pause_s = 4.0
 "#;
 
-/// Number of entries of a kind in which a bit is flipped.
+/// Number of entries of each kind in which a bit is flipped.
 const TRIED: usize = 8;
 
 /// A journal, and the robot's outputs.
@@ -170,7 +170,7 @@ fn a_journal_gives_the_same_in_the_emulator_and_here() {
     let [_, received, odometry, scans, ..] = session.counts;
     assert!(scans >= 1_000 && odometry > 1_000 && received > 500, "{:?}", session.counts);
     let given = played(&session.journal);
-    // The robot that recorded the journal gave the same; its tiles were not recorded.
+    // The robot that recorded the journal produced the same outputs; its tiles were not recorded.
     assert_same(&session.given, &given[..session.given.len()]);
     let lines = |kind: &str| given.lines().filter(|line| line.starts_with(kind)).count();
     let counts = ["sent", "wheels", "own", "fused"].map(lines);
@@ -187,7 +187,7 @@ fn a_journal_gives_the_same_in_the_emulator_and_here() {
     }
 }
 
-/// Number of entries of a kind, sampled over the session, for which a flipped bit changes the
+/// The number of entries of a kind, sampled over the session, in which a flipped bit changes the
 /// outputs.
 fn noticed(session: &Session, given: &str, (kind, offset, bit): (u8, usize, u8)) -> usize {
     let bodies: Vec<usize> =
@@ -205,8 +205,9 @@ fn noticed(session: &Session, given: &str, (kind, offset, bit): (u8, usize, u8))
 fn flipped_bits_are_detected() {
     let session = session();
     let given = played(&session.journal);
-    // In a frame, a position, and a range (512 mm). Some have no effect: damaged frames, odometry
-    // readings that are thinned out, and scans at standstill, which are not mapped.
+    // The bit is in a frame, in a position, or in a range (512 mm). Some flips have no effect: in
+    // damaged frames, in odometry readings that are thinned out, and in scans at standstill, which
+    // are not mapped.
     for (which, least) in [
         ((player::RECEIVED, 6, 0x10), TRIED / 2),
         ((player::ODOMETRY, 0, 0x40), TRIED / 2),

@@ -26,8 +26,9 @@ struct Drive<'b> {
 }
 
 impl Drive<'_> {
-    /// Drives for some seconds, and returns what the robot counted meanwhile. `seen` returns where
-    /// the cameras see it, given the distance driven in metres and the number of the frame.
+    /// Drives for some seconds, and returns the increase of the robot's counters. `seen` returns
+    /// the position at which the cameras see the robot, given the distance driven in metres and the
+    /// number of the frame.
     fn on(&mut self, seconds: u64, seen: impl Fn(f64, u64) -> Option<f64>) -> Statistics {
         let before = self.fleet.robots()[0].robot().statistics();
         let start = self.fleet.now() + Duration::from_millis(10);
@@ -35,7 +36,7 @@ impl Drive<'_> {
         for millis in (0..seconds * 1_000).step_by(10) {
             let now = start + Duration::from_millis(millis);
             self.driven += 10;
-            // Half a metre per second, back and forth.
+            // The robot drives back and forth at half a metre per second.
             let phase = (self.driven % 8_000) as f64 / 4_000.0;
             let along = 2.0 * if phase < 1.0 { phase } else { 2.0 - phase };
             if millis % 70 == 0
@@ -50,7 +51,7 @@ impl Drive<'_> {
                 let pose = Pose::from_metres(along, 0.0, 0.0);
                 events.push_back((now, Event::Odometry { robot: 0, pose }));
             }
-            // The first scan is after the wheels' first reading following a pause.
+            // After a pause, the wheels give a reading before the first scan.
             if millis % 200 == 100 {
                 events.push_back((now, Event::Scan { robot: 0, readings: vec![2_000; READINGS] }));
             }
@@ -77,7 +78,7 @@ fn it_stops_mapping_before_it_is_lost_and_resumes_when_it_is_found() {
     let config = Config::new(ROBOT, model, bounds).with_drive(None);
     let mut memory = [Memory::new(&bounds)];
     let faults = Faults { latency: Duration::from_millis(30), ..Faults::default() };
-    // Without fixes from distance vectors.
+    // No fixes are derived from distance vectors.
     let deployment = deployment::Config {
         corrects_errors: false,
         ..deployment::Config::new(config.bounds.resolution)
@@ -91,14 +92,15 @@ fn it_stops_mapping_before_it_is_lost_and_resumes_when_it_is_found() {
     assert!(seen.mapped >= 45 && seen.unsure == 0, "{seen:?}");
     assert_eq!((seen.fixes_rejected, seen.moves), (0, 0));
 
-    // One frame in ten is wrong: it is rejected, and everything is mapped as before.
+    // One frame in ten is wrong. It is rejected, and everything is mapped as before.
     let mistaken =
         drive.on(10, |along, frame| Some(along + if frame % 10 == 9 { 4.0 } else { 0.0 }));
     assert_eq!((mistaken.fixes_rejected, mistaken.moves), (14, 0));
     assert!(mistaken.mapped >= 45 && mistaken.unsure == 0, "{mistaken:?}");
 
-    // Out of view after one second it keeps mapping until its heading deviation is 3 degrees, after
-    // about 30 m; after one second in view it maps again.
+    // The robot leaves the view after one second, and keeps mapping until the deviation of its
+    // heading is 3 degrees, after about 30 m. One second after its return to the view, it maps
+    // again.
     let lost = drive.on(80, |along, frame| (frame < 15).then_some(along));
     assert!(lost.mapped >= 230 && lost.unsure >= 50, "{lost:?}");
     assert_eq!(lost.expired, 0);
@@ -106,7 +108,7 @@ fn it_stops_mapping_before_it_is_lost_and_resumes_when_it_is_found() {
     let found = drive.on(5, |along, _| Some(along));
     assert!(found.mapped >= 20 && found.unsure == 0, "{found:?}");
 
-    // Carried off, its new position is accepted after five fixes.
+    // The robot is carried away; its new position is accepted after five fixes.
     let carried = drive.on(10, |along, frame| Some(along + if frame < 50 { 0.0 } else { 5.0 }));
     assert_eq!((carried.fixes_rejected, carried.moves), (4, 1));
     let pose = drive.fleet.robots()[0].robot().pose().unwrap().1;

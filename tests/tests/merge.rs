@@ -1,4 +1,4 @@
-//! Merging: in whatever order and however often the states of a robot's tile arrive, the server
+//! Merging: in whatever order the states of a robot's tile arrive, and however often, the server
 //! ends with the same layer.
 
 use proptest::prelude::*;
@@ -35,7 +35,7 @@ fn history() -> impl Strategy<Value = Vec<(Stamp, Tile)>> {
     })
 }
 
-/// A history, and an arbitrary selection of its states in any order.
+/// A history, and an arbitrary selection of its states in an arbitrary order.
 fn arrivals() -> impl Strategy<Value = (Vec<(Stamp, Tile)>, Vec<usize>, Vec<usize>)> {
     history().prop_flat_map(|history| {
         let indices: Vec<usize> = (0..history.len()).collect();
@@ -65,7 +65,7 @@ fn held(layer: &RobotLayer) -> (Vec<Option<(Stamp, Tile)>>, Option<Tile>) {
     ((1..6).map(epoch).collect(), layer.seen(ID).map(|seen| seen.tile))
 }
 
-/// The joined tile by the specification: each cell has the code of the newest epoch that knows it.
+/// The joined tile as specified: each cell has the code of the newest epoch that knows it.
 fn joined(history: &[(Stamp, Tile)]) -> Tile {
     let mut joined = Tile::UNKNOWN;
     for (x, y) in (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y))) {

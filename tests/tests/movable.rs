@@ -21,8 +21,8 @@ const BEAMS: usize = 61;
 /// A cell in the line of sight, 1.5 m away.
 const CELL: (i32, i32) = (30, 0);
 
-/// The state of the cell on the map at the end of each of these intervals in seconds, during which
-/// an object stands 1.5 m in front of the robot, or nothing stands before the wall at 3 m.
+/// The state of the cell on the map at the end of each of these intervals (end time in seconds, and
+/// whether an object stands 1.5 m in front of the robot; otherwise it sees the wall at 3 m).
 fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
     let step = 0.02;
     let first = -step * (BEAMS / 2) as f32;
@@ -40,7 +40,7 @@ fn codes(drives: bool, times: &[(u64, bool)]) -> Vec<Cell> {
         for _ in 0..seconds * 100 {
             millis += 10;
             let now = Instant(millis * 1_000);
-            // Moves a few centimetres back and forth.
+            // The robot moves a few centimetres back and forth.
             let off = if drives { 0.05 * (millis as f64 / 300.0).sin() } else { 0.0 };
             let pose = Pose::from_metres(off, 0.01, 0.0);
             if millis % 70 == 0 {
@@ -77,7 +77,7 @@ fn a_door_becomes_movable_and_a_passer_by_does_not() {
     let times = [(10, true), (6, false), (6, true), (6, false), (6, true), (6, false), (6, true)];
     let door = codes(true, &times);
     assert_eq!(door, [Occupied, Free, Movable, Free, Movable, Free, Movable]);
-    // A robot at standstill maps a closed door once: that is not enough to be certain.
+    // A robot at standstill maps a closed door only once, which is not enough for certainty.
     let door = codes(false, &times);
     assert_eq!(door, [Occupied, Free, Occupied, Free, Movable, Free, Movable]);
     for drives in [true, false] {

@@ -1,6 +1,6 @@
 //! Another robot on the map: without a mask, with a square around it (Ahmed 2.2), and with its
-//! footprint. A square computed as if the robot were as long as it is wide reproduces Ahmed's
-//! errors (his figures 5 and 6): ends of robots mapped as walls.
+//! footprint as a mask. A square that is computed as if the robot's length were equal to its width
+//! reproduces Ahmed's errors (his figures 5 and 6): ends of robots are mapped as walls.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -46,14 +46,14 @@ const SCENES: [(&str, Way); 4] = [
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Told {
     Nothing,
-    /// The mask of a robot as long as it is wide.
+    /// The mask of a robot whose length is taken to be equal to its width.
     Short(PeerMask),
     Of(PeerMask),
 }
 
 /// Cells reported as occupied at any time.
 struct Drawn {
-    /// Where there is no wall.
+    /// Occupied cells where there is no wall.
     wrong: BTreeSet<(i32, i32)>,
     walls: BTreeSet<(i32, i32)>,
 }
@@ -89,7 +89,7 @@ fn run(way: Way, told: Told) -> Drawn {
     for millis in (0..SECONDS * 1_000).step_by(10) {
         let now = Instant(millis * 1_000);
         let seconds = millis as f64 / 1_000.0;
-        // Back and forth, facing the other robot.
+        // The robot moves back and forth, and faces the other robot.
         let at = [-1.2 + 0.3 * seconds.sin(), -0.6];
         let body = way(seconds);
         if millis % 70 == 0 {
@@ -138,7 +138,7 @@ fn run(way: Way, told: Told) -> Drawn {
                 let cell = (x0 + x as i32, y0 + y as i32);
                 let middle = [cell.0, cell.1].map(|cell| (f64::from(cell) + 0.5) * side);
                 let off = (0..2).map(|axis| ROOM[axis] - middle[axis].abs());
-                // Tolerance: the noise of poses and readings, and half a cell.
+                // The tolerance covers the noise of poses and readings, and half a cell.
                 let is_wall = off.fold(f64::INFINITY, f64::min).abs() < 0.13;
                 if is_wall { &mut drawn.walls } else { &mut drawn.wrong }.insert(cell);
             }

@@ -4,13 +4,13 @@
 //! The beams are closer together than cells, so that the lines determine every cell in view. The
 //! polygon may differ from them only in these cells:
 //!
-//! - next to a cell in which the lines have another state: the polygon uses the centres of cells
-//!   and keeps half a cell before a hit. Two cells away where redundant readings are omitted:
-//!   surfaces are then drawn as lines between some of their readings;
-//! - whose centres lie next to an invalid beam, or between two beams of which one passes an edge:
+//! - next to a cell in which the lines have another state, because the polygon uses the centres of
+//!   cells and keeps half a cell before a hit; two cells away where redundant readings are omitted,
+//!   because surfaces are then drawn as lines between some of their readings;
+//! - whose centres lie next to an invalid beam, or between two beams, one of which passes an edge:
 //!   nothing is claimed there that only one of the two beams crossed;
-//! - where a surface is in view for less than a cell's width: it may be missed, as only three beams
-//!   per two cells are checked.
+//! - where a surface is in view for less than the width of a cell: it may be missed, as only three
+//!   beams per two cells are checked.
 
 use std::collections::HashSet;
 
@@ -35,7 +35,7 @@ use ubimap_tests::{
 
 type Cells = HashSet<(i32, i32)>;
 
-/// One beam per 17 mm at 4 m.
+/// The beams are 17 mm apart at 4 m.
 const FAN: Fan = Fan { beams: 481, angle: 2.0 };
 const MAX_RANGE: u16 = 4_000;
 
@@ -44,7 +44,7 @@ fn filled(pose: Pose, readings: &[u16], policy: Policy) -> (Cells, Cells) {
     filled_within(MAX_RANGE, MAX_RANGE, pose, readings, policy)
 }
 
-/// The same for a map with a maximum range, of which `range` is requested.
+/// Like `filled`, for a map with a maximum range and a scan that is mapped up to `range`.
 fn filled_within(
     max_range: u16,
     range: u16,
@@ -96,8 +96,8 @@ fn is_in_a_gap((x, y): (i32, i32), from: [f64; 2], pose: Pose, readings: &[u16])
     let bearing = (bearing + turn / 2.0).rem_euclid(turn) - turn / 2.0;
     let step = FAN.angle / (FAN.beams - 1) as f64;
     let place = (bearing + FAN.angle / 2.0) / step;
-    // The polygon's sides are accurate to 3 mm. A jump is one of 150 mm, minus the half cell kept
-    // before a hit.
+    // The polygon's sides are accurate to 3 mm. A jump is a difference of 150 mm, minus the half
+    // cell kept before a hit.
     let slack = 0.003 / (dx.hypot(dy) * step).max(0.001);
     let (first, last) = ((place - slack).floor(), (place + slack).ceil());
     let of = |beam: f64| readings.get(beam as usize).map(|&it| it.min(MAX_RANGE)).unwrap_or(0);
@@ -134,7 +134,8 @@ fn lines(readings: &[u16], from: [f64; 2], pose: Pose) -> Seen {
     per_ray::scan(from, beams, 0.05, f64::from(MAX_RANGE) / 1_000.0)
 }
 
-/// Whether the polygon must have a crossed cell as free.
+/// Whether the exceptions do not apply to a crossed cell, so that the polygon must contain it as
+/// free.
 fn is_comparable(
     cell: (i32, i32),
     reach: i32,
@@ -197,7 +198,7 @@ proptest! {
         let readings = room.scan(FAN, pose, Instant(0));
         let of = |max_range, policy| filled_within(max_range, range, pose, &readings, policy);
         prop_assert!(of(MAX_RANGE, Policy::Threshold) == of(range, Policy::Threshold));
-        // Where beams may be skipped, another choice of beams is allowed.
+        // Where beams may be skipped, the two maps may skip different beams.
         let (cut, less) = (of(MAX_RANGE, Policy::Full), of(range, Policy::Full));
         prop_assert!(cut.0.iter().all(|&cell| beside(&less.0, cell, 1)));
         prop_assert!(less.0.iter().all(|&cell| beside(&cut.0, cell, 1)));
@@ -206,7 +207,7 @@ proptest! {
     }
 }
 
-/// The exceptions do not dominate: over many rooms most of the crossed cells are compared.
+/// The exceptions are not too wide: over many rooms, most of the crossed cells are compared.
 #[test]
 fn most_of_the_crossed_cells_are_compared() {
     let (mut compared, mut crossed) = (0, 0);

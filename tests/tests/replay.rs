@@ -1,4 +1,4 @@
-//! Recorded logs through robots, bad channels and the server to one map.
+//! Recorded logs are replayed by robots over bad channels, and the server ends with one map.
 
 use std::{fs::File, io::Read};
 
@@ -20,7 +20,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{data, per_ray};
 
-/// The logs, each with the range in metres from which its readings mean no return.
+/// The logs, each with the range in metres from which on readings mean no return.
 const LOGS: [(&str, f64); 4] = [
     ("carmen_corrected/intel-corrected.log.gz", 81.0),
     ("carmen_corrected/freiburg-101-corrected.log.gz", 50.0),
@@ -211,9 +211,9 @@ fn the_papers_policies_are_compared() {
                 robot.pixels.kept, robot.pixels.seen, robot.mapped, robot.bytes_up_map
             );
             assert!(outcome.report.map.converged);
-            // Each policy keeps fewer points than the previous one without loss of quality, except
-            // for the paper's omission: it considers little more than the edge of the view when a
-            // robot drives straight.
+            // Each policy keeps fewer points than the one before, without loss of quality. The
+            // exception is the paper's omission: when a robot drives straight, it considers little
+            // more than the edge of the view.
             let kept = robot.pixels.kept;
             assert!(if policy == "full" { kept < robot.pixels.seen } else { kept <= before });
             assert!(f1 >= 0.98 || policy == "omission", "{policy}: {f1}");

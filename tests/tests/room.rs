@@ -50,7 +50,7 @@ struct Bodies {
     robots: Vec<[f64; 2]>,
 }
 
-/// Their paths, recorded while a stage runs.
+/// The positions over time, recorded while a stage runs.
 type Ways = Rc<RefCell<Vec<Bodies>>>;
 
 /// A room that records all positions.
@@ -80,19 +80,19 @@ impl Stage for Watched {
     }
 }
 
-/// Cells in which people have stood, and which stay occupied after they left.
+/// Cells in which people stood, and that stay occupied after they left.
 #[derive(Default)]
 struct Ghosts {
-    /// When a person last stood in each.
+    /// When a person last stood in each cell.
     stood: BTreeMap<(i32, i32), Instant>,
     noted: usize,
     next: Instant,
-    /// Maximum number at a time: left behind, and from noise about a person nearby. Number of
-    /// checks.
+    /// Maximum number of cells at a time: those left behind, and those from noise about a person
+    /// nearby. Then the number of checks.
     most: usize,
     most_about: usize,
     looks: u32,
-    /// The same by the clearing rule of ROS, which frees no such cells.
+    /// The maximum number left behind by the clearing rule of ROS, which frees no such cells.
     most_by_ros: usize,
 }
 
@@ -127,7 +127,7 @@ impl Ghosts {
         }
         self.next = now + Duration::from_millis(500);
         let server = fleet.server();
-        // Among those in view of a camera, where nothing else stands.
+        // Considers only cells that are in view of a camera and where nothing else stands.
         let left = self.stood.iter().filter(|(at, left)| {
             now.since(**left) >= GONE_AFTER
                 && !solid.contains(*at)
@@ -168,10 +168,10 @@ fn cell(layer: &ServedLayer, (x, y): (i32, i32)) -> Option<Cell> {
     Some(layer.get(TileId::of_cell(x, y)?)?.1.cell(column, row))
 }
 
-/// The ground that only the lost camera had seen shortly before.
+/// The ground that only the failed camera had seen shortly before.
 #[derive(Default)]
 struct LostGround {
-    /// When the lost camera, the first one, and when any other last saw a cell.
+    /// When the failed camera (the first) and any other camera last saw each cell.
     seen: BTreeMap<(i32, i32), [Option<Instant>; 2]>,
 }
 
@@ -188,7 +188,7 @@ impl LostGround {
     }
 
     /// Number of cells that only the first camera saw when it failed, and how many of them are
-    /// reported as in view now.
+    /// still reported as in view.
     fn still_covered(&self, failed: Instant, fleet: &Fleet<'_>) -> (usize, usize) {
         let now = fleet.now();
         let lost = self.seen.iter().filter(|(_, [first, others])| {
@@ -202,7 +202,7 @@ impl LostGround {
     }
 }
 
-/// The surfaces of an object moved during a scenario: before and after.
+/// The surfaces of an object that is moved during a scenario, before and after.
 struct Moved {
     moment: Instant,
     gone: Vec<(i32, i32)>,
@@ -219,7 +219,7 @@ struct TakenOver {
 }
 
 impl Moved {
-    /// Seconds after which it is checked.
+    /// Seconds after the move at which the map is checked.
     const LATER: [u64; 2] = [2, 4];
 
     /// The first time at which a scenario moves an object.
@@ -259,7 +259,7 @@ impl Moved {
     }
 }
 
-/// The cells within this distance of one, including itself.
+/// The cells within this distance of a cell, including the cell.
 fn around(&(x, y): &(i32, i32), cells: i32) -> impl Iterator<Item = (i32, i32)> {
     let beside = -cells..=cells;
     beside.clone().flat_map(move |dy| beside.clone().map(move |dx| (x + dx, y + dy)))
@@ -268,21 +268,21 @@ fn around(&(x, y): &(i32, i32), cells: i32) -> impl Iterator<Item = (i32, i32)> 
 /// The result of a run.
 struct Run {
     truth: TruthScores,
-    /// Errors of the cameras' poses of driving robots, and of the robots' own poses.
+    /// Errors of the poses of driving robots as seen by cameras, and of the robots' own poses.
     sighted: PoseErrors,
     believed: PoseErrors,
     ghosts: Ghosts,
-    /// With a failing first camera: the number of cells that only it saw, and of those reported as
-    /// in view a second later.
+    /// If the first camera fails: the number of cells that only it saw, and how many of them are
+    /// reported as in view a second later.
     lost: Option<(usize, usize)>,
-    /// With a moved object: after each time of [`Moved::LATER`].
+    /// If an object is moved: the state after each time of [`Moved::LATER`].
     taken_over: Vec<TakenOver>,
     converged: bool,
     /// Simulated seconds per real second.
     speed: f64,
 }
 
-/// Runs a built-in scenario with a change.
+/// Runs a built-in scenario after applying `change` to it.
 fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)) -> Run {
     let mut scenario = Scenario::read_with(name.as_ref(), None).unwrap();
     change(&mut scenario);
@@ -340,7 +340,7 @@ fn run(name: &str, seed: u64, long: Duration, change: impl FnOnce(&mut Scenario)
     }
 }
 
-/// The built-in scenarios. The bounds are the targets where they are met; otherwise the figures are
+/// The built-in scenarios. Where the targets are met, they are the bounds; the other figures are
 /// printed, and the README states them.
 #[test]
 #[ignore = "long: cargo thorough"]
@@ -377,8 +377,8 @@ fn cameras_and_robots_draw_the_room() {
             assert!(truth.passed_known >= 0.99, "{truth:?}");
             assert!(truth.f1_occupied >= 0.97, "{truth:?}");
             assert_eq!(ghosts.most, 0, "{name}, seed {seed}");
-            // The target is two seconds for everything; objects with little free floor behind them
-            // are partly seen in the third.
+            // The target is two seconds for everything. Objects with little free floor behind them
+            // need a third second to be seen completely.
             assert_eq!(run.taken_over.len(), if name == "changing" { 2 } else { 0 });
             if let [soon, later] = run.taken_over[..] {
                 assert!(later.gone > 20 && later.come > 20, "{later:?}");
@@ -391,7 +391,7 @@ fn cameras_and_robots_draw_the_room() {
     }
 }
 
-/// When a camera is lost its ground is blind within a second, and the map stays as good.
+/// When a camera fails, its ground becomes blind within a second, and the map stays as good.
 #[test]
 #[ignore = "long: cargo thorough"]
 fn a_camera_is_lost() {

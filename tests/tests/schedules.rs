@@ -1,4 +1,4 @@
-//! Whatever happens to links, robots and the server, all end with the same map.
+//! Whatever happens to links, robots and the server, all of them end with the same map.
 //!
 //! ```text
 //! cargo test -p ubimap-tests --test schedules                   300 schedules
@@ -23,7 +23,7 @@ fn number(name: &str) -> Option<u64> {
     Some(text.parse().unwrap_or_else(|_| panic!("{name} must be a number, not {text:?}")))
 }
 
-/// The failure of a seed's schedule, with the command that reproduces it.
+/// Runs the schedule of a seed; if it fails, returns the reason and the command that reproduces it.
 fn failure(seed: u64) -> Option<String> {
     let ending = panic::catch_unwind(AssertUnwindSafe(|| Schedule::of(seed).run()));
     let why = match ending {
@@ -77,8 +77,8 @@ fn without_retransmission_a_lossy_wire_leaves_the_map_incomplete() {
     }
 }
 
-/// A robot that joins late or reboots is up to date after two round trips, plus the time to send
-/// its tiles beyond the one second's worth of bytes that the downlink budget may save up.
+/// A robot that joins late or reboots is up to date after two round trips plus the time to send its
+/// tiles, minus the one second's worth of bytes that the downlink budget may save up.
 #[test]
 #[ignore = "long: cargo thorough"]
 fn a_new_robot_is_level_as_soon_as_the_downlink_allows() {

@@ -1,5 +1,5 @@
-//! Recorded depth frames through plane slicing, compared with the full 3-D points of the same
-//! frames; small sensors, shaking and removed pixels through complete robots.
+//! Plane slicing of recorded depth frames, compared with all 3-D points of the same frames. Also:
+//! small sensors, shaking and removed pixels, tested with complete robots.
 
 use std::{fs, path::Path};
 
@@ -93,8 +93,8 @@ fn frames(folder: &Path, per_metre: f64) -> Vec<Vec<f64>> {
     files.iter().map(depths).collect()
 }
 
-/// The points of a scan's readings by the robot's table of beams, with their columns: forward and
-/// left of the camera, in metres.
+/// The points of a scan's readings, computed with the robot's table of beams, and their columns:
+/// forward and left of the camera, in metres.
 fn mapped(log: &Log, scan: usize) -> Vec<(usize, [f64; 2])> {
     let mut beams = vec![Beam::default(); log.sensor.readings()];
     fill_beams(&mut beams, log.sensor.model(), Pose::default());
@@ -180,7 +180,7 @@ fn the_row_of_a_recorded_frame_lies_on_its_3_d_points() {
         println!("{name}, a row: depth noise {noise:.1} mm");
         println!("  pinhole {pinhole}");
         println!("  linear  {linear}");
-        // Readings are rounded to millimetres, whatever the noise.
+        // Readings are rounded to millimetres, so the bound is at least 0.3 mm.
         assert!(pinhole.rms <= noise.max(0.3) && pinhole.largest < 1.0, "{name}");
         assert!(linear.rms > 10.0 * pinhole.rms, "{name}");
     }
@@ -246,7 +246,7 @@ fn a_height_of_tilted_frames_lies_on_their_3_d_points_at_that_height() {
         println!("  linear  {linear}");
         println!("  the row on the axis instead {row}");
         assert!(count > 1_000, "{name}: {count}");
-        // The points are a pixel apart, so the nearest one is up to half a pixel away.
+        // Adjacent points are a pixel apart, so the nearest one is up to half a pixel away.
         let pixel = 1e3 * RANGE_M / fx;
         assert!(pinhole.rms <= noise.hypot(pixel / 12f64.sqrt()), "{name}");
         assert!(pinhole.largest <= pixel, "{name}");
@@ -259,7 +259,7 @@ const fn bounds(readings: usize) -> Bounds {
     Bounds { readings, own_tiles: 24, fused_tiles: 4, ..BOUNDS }
 }
 
-/// The default robot, which starts at the origin and has odometry only.
+/// A default robot that starts at the origin and has only odometry.
 fn config(slice: Slice, camera: Camera, readings: usize) -> Config {
     let pose_source = PoseSource::Odometry(Pose::default());
     Config { pose_source, ..Config::new(RobotId(1), slice.sensor(camera), bounds(readings)) }
@@ -278,9 +278,9 @@ fn stand(robot: &mut Robot<'_>, start: u64, end: u64) {
 
 #[test]
 fn time_of_flight_sensors_map_with_the_same_code() {
-    // 8 x 8 zones over 45 degrees, and 100 x 100 pixels over 78 degrees tilted 17 degrees down. A
-    // wall at 1.5 m: both middle rows of the small sensor see it, and the row of the large one that
-    // meets it 100 mm below the camera, which is 260 mm above the floor.
+    // 8 x 8 zones over 45 degrees, and 100 x 100 pixels over 78 degrees, tilted 17 degrees down. A
+    // wall is at 1.5 m. Both middle rows of the small sensor see it, as does the row of the large
+    // one that meets it 100 mm below the camera, which is 260 mm above the floor.
     let small = Camera::new((9.66, 9.66), (3.5, 3.5));
     let large = Camera { pitch: 0.3, ..Camera::new((61.7, 61.7), (49.5, 49.5)) };
     let band = Slice::Band { first: 3, rows: 2, pick: Pick::Nearest };
@@ -323,14 +323,14 @@ fn removed_and_flying_pixels_are_not_mapped() {
     let usual = Config { pose_source, ..Config::new(RobotId(1), sensor, bounds(640)) };
     let mut row = [3_000; 640];
     row[300..340].fill(1_200);
-    // Flying pixels at both edges of the box.
+    // There are flying pixels at both edges of the box.
     (row[299], row[340]) = (1_800, 2_200);
     let invalid = |config| {
         let mut memory = Memory::<Heap>::new(&bounds(640));
         let mut robot = Robot::new(config, &mut memory).unwrap();
         stand(&mut robot, 0, 100);
         robot.scan(at(50), &row, at(100)).unwrap();
-        // Invalid readings are no change of the view either.
+        // Invalid readings do not count as a change of the view either.
         robot.scan(at(60), &row, at(100)).unwrap();
         assert_eq!((robot.statistics().mapped, robot.statistics().gated), (1, 1));
         robot.statistics().pixels.invalid
@@ -343,7 +343,7 @@ fn removed_and_flying_pixels_are_not_mapped() {
     assert_eq!(invalid(config), 40);
     config.removed[0] = Some(Removal::Pixels { first: 0, last: 9 });
     assert_eq!(invalid(config), 50);
-    // The right half: bearings of the columns from 320 on.
+    // Removes the right half, by bearing: the columns from 320 on.
     let (from, to) = (Angle::from_degrees(-90.0), Angle(0));
     config.removed[1] = Some(Removal::Bearings { from, to });
     assert_eq!(invalid(config), 10 + 320 + 20);
@@ -363,7 +363,7 @@ fn a_scan_of_a_robot_that_shakes_is_counted_and_not_mapped() {
     };
     stand(&mut robot, 0, 1_000);
     assert_eq!(scan(&mut robot, 950), (1, 0));
-    // It spins by 180 degrees in one second, then stands still.
+    // The robot turns by 180 degrees in one second, then stands still.
     for moment in (1_000..2_000).step_by(20) {
         let heading = Angle::from_degrees((moment - 1_000) as f64 * 0.18);
         robot.odometry(at(moment), Pose { heading, ..Pose::default() }, at(moment));

@@ -5,18 +5,18 @@ use ubimap_tests::{
     emulator::{Core, EmulatorError, count, firmware, image, leave_out, lines},
 };
 
-/// RAM budget of the reference board's firmware: static memory, the stack, and one interrupt on
-/// top.
+/// RAM budget of the reference board's firmware: static memory, the stack, and one interrupt in
+/// addition.
 const RAM: usize = 24 * 1_024;
 
 /// Maximum stack usage of an interrupt: 108 bytes saved by the core, and 16 of its handler;
 /// interrupts do not nest.
 const INTERRUPT: usize = 124;
 
-/// Maximum stack of the firmware including the robot: today's usage, rounded up to a hundred. It
-/// may only be lowered.
+/// Maximum stack of the firmware, including the robot: the current usage, rounded up to a hundred
+/// bytes. It may only be lowered.
 const FIRMWARE_STACK: usize = 8_400;
-/// The same for the smallest agent.
+/// Maximum stack of the smallest agent, on a Cortex-M0+.
 const SMALLEST_STACK: usize = 8_700;
 
 #[test]

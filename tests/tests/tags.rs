@@ -1,5 +1,5 @@
 //! Compares the tag detector with an independent one in Rust, on photographs and on frames of the
-//! simulated room. Cargo feature `kornia`, which adds 180 packages.
+//! simulated room. Needs the Cargo feature `kornia`, which adds 180 packages.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -59,20 +59,20 @@ fn theirs(picture: &Picture) -> Vec<Tag> {
     };
     let size = ImageSize { width: grey.width() as usize, height: grey.height() as usize };
     let mut config = DecodeTagsConfig::new(vec![TagFamilyKind::Tag36H11]).unwrap();
-    // With the default of 0.33, tags seen by a ceiling camera merge with their surroundings.
+    // With the default of 0.33, tags merge with their surroundings under a ceiling camera.
     config.threshold_split = 0.5;
     config.downscale_factor = 1;
     let mut decoder = AprilTagDecoder::new(config, size).unwrap();
     let image = Image::<u8, 1>::new(size, grey.into_raw()).unwrap();
     let found = decoder.decode(&image).unwrap();
-    // Kornia's pixel centres are at 0.5.
+    // Kornia puts the centres of pixels at 0.5.
     let pixel = |it: kornia_algebra::Vec2F32| [f64::from(it.x) - 0.5, f64::from(it.y) - 0.5];
     let corners = |it: [kornia_algebra::Vec2F32; 4]| it.map(pixel);
     found.iter().map(|it| (it.id, middle(&corners(it.quad.corners)))).collect()
 }
 
-/// Number of expected tags that were found within a distance in pixels, and of found tags that were
-/// not expected.
+/// The number of expected tags that were found within a distance in pixels, and the number of found
+/// tags that were not expected.
 fn compare(expected: &[Tag], found: &[Tag], within: f64) -> (usize, usize) {
     let same = |(a, [x, y]): &Tag, (b, [u, v]): &Tag| a == b && (x - u).hypot(y - v) <= within;
     let hits = expected.iter().filter(|tag| found.iter().any(|it| same(tag, it))).count();

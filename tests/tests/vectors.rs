@@ -35,10 +35,11 @@ use ubimap_tests::{
 #[path = "vectors/generate.rs"]
 mod generate;
 
-/// Maximum length of the contents (with seal) accepted by the receiver of the refused frames.
+/// Maximum length of a frame's contents (including the seal) that the receiver accepts in the tests
+/// of refused frames.
 const FRAME_LIMIT: usize = 64;
 
-/// The cases of a file, which is generated first on request.
+/// The cases of a file. If requested, the file is generated first.
 fn cases(file: &str) -> Value {
     static WRITTEN: Once = Once::new();
     WRITTEN.call_once(|| {
@@ -80,7 +81,7 @@ fn frame(way: Direction, session: SessionId, header: Header, payload: &[u8]) -> 
     // The encoding of messages does not depend on the direction.
     let mut writer = Writer::<ToServer>::new(&mut buffer);
     for message in Messages::new(payload) {
-        // Malformed payloads only occur in frame cases.
+        // Malformed payloads occur only in frame cases.
         let Ok(message) = message else { return finish(way, session, header, payload) };
         assert!(writer.push_encoded(message));
     }
@@ -94,7 +95,7 @@ fn finish(way: Direction, session: SessionId, header: Header, payload: &[u8]) ->
     stuff(&[&contents[..], &tail].concat())
 }
 
-/// The contents of the single frame in these bytes.
+/// The contents of the only frame in these bytes.
 fn unstuff(wire: &[u8]) -> Vec<u8> {
     let mut decoder = cobs::Decoder::<1024>::default();
     decoder.next(&mut &wire[..]).expect("a frame").expect("a valid frame").to_vec()
@@ -215,8 +216,8 @@ fn tiles_read_and_write() {
             decoder.cells(&header, &mut cells);
             assert_eq!(planes(&cells), text(part, "after"), "{}", case["name"]);
             assert_eq!(u64::from(tile_hash(&cells)), number(part, "hash"));
-            // The cells after this part are unknown here, so `whole` may differ there: the encoder
-            // stops at the end of its room, as in the vector.
+            // The cells after this part are unknown here, so `whole` may differ in them: the
+            // encoder stops where its space ends, as in the vector.
             let whole = if header.end < TILE_CELLS { series_end(case) } else { cells };
             let end =
                 encoder.push(header.id, header.stamp, header.base, header.start, &before, &whole);
@@ -228,7 +229,7 @@ fn tiles_read_and_write() {
     }
 }
 
-/// The complete tile from which the parts of a case come: the result of the last part.
+/// The complete tile to which the parts of a case belong: the result of the last part.
 fn series_end(case: &Value) -> ubimap_protocol::tile::Tile {
     let series = text(case, "name").split(", part").next().unwrap();
     let all = cases("tiles");
@@ -378,7 +379,7 @@ fn reliable_frames_are_acknowledged() {
     }
 }
 
-/// Why a frame is refused, by the specification's rules in order.
+/// The reason why a frame is refused, by the specification's rules in order.
 fn error_of(wire: &[u8], way: Direction, session: SessionId) -> Option<&'static str> {
     let mut decoder = cobs::Decoder::<FRAME_LIMIT>::default();
     let frame = match decoder.next(&mut &wire[..]).expect("a delimiter") {
@@ -411,7 +412,7 @@ fn invalid_input_is_refused() {
         let (way, session) = (direction(text(case, "direction")), number(case, "session") as u32);
         let wire = bytes(case, "wire");
         assert_eq!(error_of(&wire, way, SessionId(session)), Some(text(case, "error")), "{case}");
-        // The endpoint refuses it as well, and reads the valid frame that follows.
+        // The endpoint also refuses the frame, and reads the valid frame that follows.
         let mut end = Endpoint::<ToRobot, u8, 8, FRAME_LIMIT>::new();
         end.begin(SessionId(session), FRAME_LIMIT);
         let header = Header { version: 1, kind: FrameKind::Datagram, sequence: 0 };

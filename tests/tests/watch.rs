@@ -1,5 +1,5 @@
-//! Watching recorded frames: a recorded simulation gives the simulation's results, and public
-//! recordings are accepted unchanged.
+//! Watching recorded frames: a recorded simulation gives the same results as the simulation, and
+//! public recordings are accepted unchanged.
 
 use std::{
     collections::BTreeMap,
@@ -139,7 +139,7 @@ fn a_recorded_simulation_gives_the_simulations_results() {
 
     let server = fleet.server();
     assert_eq!(report.map.digest.0, server.fused().digest().0);
-    // Of 6,400 cells; the rest is learnt later, or hidden by a person.
+    // There are 6,400 cells; the others are learnt later, or hidden by a person.
     assert!(report.map.free > 3_000 && report.map.occupied > 100, "{:?}", report.map);
     assert!(report.map.in_view > 3_000, "{:?}", report.map);
     let live: Vec<[f64; 2]> =
@@ -213,7 +213,7 @@ impl Still {
     }
 }
 
-/// A depth image of a real room, repeated as by a camera that does not move.
+/// A depth image of a real room, repeated as if a fixed camera had taken it several times.
 #[test]
 fn real_depth_images_are_watched() {
     for still in STILLS {
@@ -247,7 +247,8 @@ fn real_depth_images_are_watched() {
     }
 }
 
-/// Five images of a hand-held camera count as five cameras, none of which has time to learn a room.
+/// Five images of a hand-held camera count as five cameras, none of which has enough time to learn
+/// the room.
 #[test]
 fn images_of_a_moving_camera_are_accepted() {
     for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
@@ -258,11 +259,11 @@ fn images_of_a_moving_camera_are_accepted() {
     }
 }
 
-/// Photographs of tags by a camera without depth, and of an arena whose robot has a marker of
-/// another family.
+/// Photographs of tags by a camera without a depth sensor, and of an arena in which the robot
+/// carries a marker of another family.
 #[test]
 fn real_photographs_are_watched_without_depths() {
-    // At a height of 3 m, looking down.
+    // At a height of 3 m, looking straight down.
     let camera = |name: &str, size: [u32; 2], focal: f64, photographs: &[PathBuf]| {
         let path = folder(name);
         fs::create_dir_all(path.join("color")).unwrap();
@@ -280,7 +281,7 @@ fn real_photographs_are_watched_without_depths() {
         path
     };
     if let Some(photographs) = data::file("fiducials/apriltag") {
-        // Each twice, because a single reading is not reported.
+        // Each photograph twice, because a single detection is not reported.
         let twice = ["test_image_multiple_01.png"; 2].map(|name| photographs.join(name));
         let path = camera("tags", [640, 480], 338.6, &twice);
         let times = "0 1305031453.25\n1 1305031453.75 1305031453.8\n2 1305031454.5\n";

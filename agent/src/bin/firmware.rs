@@ -20,26 +20,26 @@ const ROBOT: RobotId = RobotId(1);
 /// The baud rate of the port to the server.
 const BAUD: u32 = 115_200;
 
-/// The sizes of the robot's memory; the cell side must equal the server's. The row is that of a
-/// depth sensor that looks forward.
+/// The sizes of the robot's memory, for a forward-looking depth sensor. The side of a cell must
+/// equal the server's.
 const BOUNDS: Bounds = Bounds::REFERENCE;
 
-/// The focal length in pixels: a view of 78 degrees across 100 pixels.
+/// The focal length in pixels: a field of view of 78 degrees across 100 pixels.
 const FOCAL: f32 = 61.7;
 
-/// Time for which the status LED is on, and off, without a session, as a power of two in
-/// microseconds: 2^18 us, 0.26 s.
+/// Without a session the status LED blinks: this is the time for which it is on, and then off, as a
+/// power of two in microseconds: 2^18 us, 0.26 s.
 const BLINK: u32 = 18;
 
 #[entry]
 fn main() -> ! {
-    // Static, not on the stack, so that the image's size includes it.
+    // A static, not a local variable, so that the image's size includes it.
     static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
 
     let Some(board) = Board::take(BAUD) else { SCB::sys_reset() };
     match &mut Robot::new(config(board.nonce), MEMORY) {
         Ok(robot) => run(board, robot),
-        // The constants above are inconsistent.
+        // The configuration above is invalid.
         Err(_) => SCB::sys_reset(),
     }
 }
@@ -60,7 +60,7 @@ fn run(mut board: Board, robot: &mut Robot<'_>) -> ! {
         let now = board.clock.now();
         robot.receive(bytes.get(..count).unwrap_or_default(), now);
         robot.timeout(now);
-        // The port's interrupt frees space meanwhile.
+        // Writes frames while the port has room for them; its interrupt frees space meanwhile.
         while board.port.room() >= DEFAULT_FRAME
             && let Some(count) = robot.poll_transmit(board.clock.now(), &mut bytes)
         {
@@ -74,7 +74,7 @@ fn run(mut board: Board, robot: &mut Robot<'_>) -> ! {
     }
 }
 
-/// Whether a blinking LED is on at `now`.
+/// Whether a blinking LED is lit at `now`.
 fn blinks(now: Instant) -> bool {
     now.micros() >> BLINK & 1 == 0
 }

@@ -30,19 +30,19 @@ use stm32f4xx_hal::{
 };
 use ubimap_protocol::time::Instant;
 
-/// The core clock: by the PLL on the chip, fixed in the emulator.
+/// The core clock: set by the PLL on the chip, fixed in the emulator.
 const CORE_HZ: u32 = 168_000_000;
 
-/// The clock of USART1: APB2, half the core's.
+/// The clock of USART1 (bus APB2): half the core clock.
 const USART_HZ: u32 = CORE_HZ / 2;
 
-/// The clock of TIM2: APB1, a quarter of the core's, doubled for its timers.
+/// The clock of TIM2: a quarter of the core clock (bus APB1), doubled for timers.
 const TIMER_HZ: u32 = CORE_HZ / 2;
 
 /// The status LED.
 pub(crate) type Led = PC13<Output>;
 
-/// The board's devices used by the firmware.
+/// The devices of the board that the firmware uses.
 pub(crate) struct Board {
     /// The time since boot.
     pub(crate) clock: Clock,
@@ -50,7 +50,7 @@ pub(crate) struct Board {
     pub(crate) port: Port,
     /// The status LED.
     pub(crate) led: Led,
-    /// A number that differs from boot to boot.
+    /// A random number, different at each boot.
     pub(crate) nonce: u64,
 }
 
@@ -76,15 +76,15 @@ impl Board {
     }
 }
 
-/// Sets the core to 168 MHz by the PLL from the internal oscillator, which every board has, APB1 to
-/// 42 MHz, APB2 to 84 MHz and the noise generator to 48 MHz.
+/// Sets the clocks by the PLL: the core to 168 MHz, APB1 to 42 MHz, APB2 to 84 MHz, and the random
+/// number generator to 48 MHz. The source is the internal oscillator, which every board has.
 ///
 /// The oscillator is accurate to 1 % at room temperature and to 4.5 % up to 105 degrees; use a
 /// crystal for higher accuracy over temperature.
 ///
-/// Returns `false` in the emulator, where there is nothing to do.
+/// Returns `false` in the emulator, where there is nothing to set.
 ///
-/// Written with registers, because the HAL's search for divisors adds panics to the image.
+/// Writes the registers directly, because the HAL's search for divisors adds panics to the image.
 fn start_pll(rcc: &RCC, flash: &FLASH) -> bool {
     // After a reset the chip runs on this oscillator, and its ready bit is set.
     if rcc.cr().read().hsirdy().bit_is_clear() {
@@ -125,7 +125,7 @@ const PER_MICRO: u32 = CORE_HZ / 1_000_000;
 /// SysTick counts per period.
 const PERIOD: u32 = PERIOD_MICROS * PER_MICRO;
 
-/// Complete periods of SysTick.
+/// Number of complete periods of SysTick.
 static PERIODS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
 impl Clock {
@@ -135,20 +135,21 @@ impl Clock {
         systick.clear_current();
         systick.enable_counter();
         systick.enable_interrupt();
-        // From zero it reloads: the first period starts.
+        // SysTick starts at zero and reloads: the first period begins then.
         while SYST::get_current() == 0 {}
         Self(())
     }
 
-    /// The time since boot. It is monotonic.
+    /// The time since boot; monotonic.
     pub(crate) fn now(self) -> Instant {
         interrupts::free(|cs| {
             let whole = PERIODS.borrow(cs).get();
-            // SysTick counts down. The step to zero ends a period and sets the interrupt pending; a
-            // delayed emulator stays at zero until it does.
+            // SysTick counts down. The step to zero ends a period and sets the interrupt pending.
+            // If the emulator is delayed, the counter stays at zero until then.
             let left = SYST::get_current();
             let (whole, part) = if SCB::is_pendst_pending() {
-                // The period has ended but is not counted yet; `left` may be from before its end.
+                // The period has ended but has not been counted yet. `left` may be from before its
+                // end, so the counter is read again.
                 (whole + 1, (PERIOD - SYST::get_current()) % PERIOD)
             } else {
                 (whole, PERIOD - left)
@@ -169,7 +170,7 @@ fn SysTick() {
 
 impl DelayNs for Clock {
     fn delay_ns(&mut self, ns: u32) {
-        // Plus one, because the current microsecond has partly passed.
+        // One more, because the current microsecond has partly passed.
         let end = self.now().micros() + u64::from(ns.div_ceil(1_000)) + 1;
         while self.now().micros() < end {}
     }
@@ -180,7 +181,7 @@ fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
     TIM2::enable(rcc);
     timer.psc().write(|w| w.psc().set((timer_hz / 1_000_000 - 1) as u16));
     timer.arr().write(|w| w.arr().set(1_000 - 1));
-    // Loads the prescaler; the flag that this sets is the first alarm.
+    // Loads the prescaler. This also sets the update flag, which serves as the first alarm.
     timer.egr().write(|w| w.ug().set_bit());
     timer.dier().write(|w| w.uie().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
@@ -188,10 +189,11 @@ fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
     unmask(Interrupt::TIM2);
 }
 
-/// TIM2's clock in the emulator. It only wakes the core, so this need not match every version.
+/// TIM2's clock in the emulator. The timer only wakes the core, so a different value in another
+/// version of the emulator does no harm.
 const EMULATED_TIMER_HZ: u32 = 1_000_000_000;
 
-/// Passes TIM2 from the setup to the interrupt.
+/// Hands TIM2 from the setup to the interrupt.
 static ALARM: Mutex<Cell<Option<TIM2>>> = Mutex::new(Cell::new(None));
 
 #[interrupt]
@@ -217,7 +219,8 @@ static QUEUED: Ring<512> = Ring::new();
 impl Port {
     fn start(usart: USART1, baud: u32, rcc: &mut Rcc) -> Option<Self> {
         USART1::enable(rcc);
-        // With oversampling by 16 the register holds the plain quotient, with four fractional bits.
+        // With oversampling by 16, the register holds the quotient of the clock and the baud rate,
+        // in which the lower four bits are the fraction.
         let divisor = (USART_HZ + baud / 2).checked_div(baud)?;
         usart.brr().write(|w| {
             w.div_mantissa().set((divisor >> 4) as u16).div_fraction().set((divisor & 0xF) as u8)
@@ -247,8 +250,8 @@ impl Port {
         QUEUED.room()
     }
 
-    /// Queues bytes to be sent. Returns their number, which is smaller than given if the queue is
-    /// full.
+    /// Queues bytes to be sent. Returns the number of bytes queued, which is smaller than given if
+    /// the queue is full.
     pub(crate) fn write(&mut self, bytes: &[u8]) -> usize {
         let mut count = 0;
         for &byte in bytes {
@@ -261,10 +264,10 @@ impl Port {
         count
     }
 
-    /// Sleeps until bytes arrive or the alarm fires, at most one millisecond.
+    /// Sleeps until bytes arrive or the alarm fires, which is at most one millisecond.
     pub(crate) fn wait(&self) {
-        // Interrupts are masked so that none arrives between the check and the sleep; a pending one
-        // wakes the core anyway.
+        // Interrupts are masked, so that none is handled between the check and the sleep; a pending
+        // one still wakes the core.
         interrupts::free(|_| {
             if RECEIVED.is_empty() {
                 asm::wfi();
@@ -273,7 +276,7 @@ impl Port {
     }
 }
 
-/// Passes the USART from the setup to the interrupt, which then owns it.
+/// Hands the USART from the setup to the interrupt, which then owns it.
 static USART: Mutex<Cell<Option<USART1>>> = Mutex::new(Cell::new(None));
 
 #[interrupt]
@@ -287,7 +290,7 @@ fn USART1() {
     }
 }
 
-/// Runs the interrupt, after the main loop has changed the queues.
+/// Triggers the interrupt after the main loop has changed the queues.
 fn serve_soon() {
     NVIC::pend(Interrupt::USART1);
 }
@@ -295,8 +298,8 @@ fn serve_soon() {
 fn serve(usart: &mut USART1) {
     while RECEIVED.room() > 0 {
         let status = usart.sr().read();
-        // An overrun has lost the byte after this one; the same two reads clear it. The link's
-        // checksum detects the loss.
+        // An overrun means that the byte after this one is lost; these two reads also clear that
+        // flag. The link's checksum detects the loss.
         if status.rxne().bit_is_clear() && status.ore().bit_is_clear() {
             break;
         }
@@ -309,31 +312,32 @@ fn serve(usart: &mut USART1) {
         let Some(byte) = QUEUED.take() else { break };
         usart.dr().write(|w| w.dr().set(byte.into()));
     }
-    // If the queue is full the byte stays in the USART, and a sender that can wait (the emulator's)
-    // does; `read` makes room and runs this again.
+    // If the queue is full, the byte stays in the USART. A sender that can wait, such as the
+    // emulator's, then waits; `read` makes room and triggers the interrupt again.
     usart.cr1().modify(|_, w| w.rxneie().bit(RECEIVED.room() > 0).txeie().bit(!QUEUED.is_empty()));
 }
 
 #[allow(unsafe_code, reason = "unmasking is unsafe for those whose critical sections mask it")]
 fn unmask(interrupt: Interrupt) {
-    // SAFETY: critical sections here mask all interrupts; none relies on this one's mask.
+    // SAFETY: critical sections here mask all interrupts, so none relies on the mask of this one.
     unsafe { NVIC::unmask(interrupt) }
 }
 
-/// A number that differs from boot to boot, from the chip's noise generator if available, its
-/// unique id, and the phase of the clock. In the emulator only the last is available, which depends
-/// on the host's speed: it distinguishes boots, but is not secret.
+/// A number that differs from boot to boot. It combines the chip's random number generator, its
+/// unique id, and the phase of the clock. In the emulator only the phase is available, which
+/// depends on the host's speed: it distinguishes boots, but is not secret.
 fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
     RNG::enable(rcc);
     noise.cr().modify(|_, w| w.rngen().set_bit());
     let mut nonce = 0;
-    // A word takes 40 cycles of 48 MHz; a defective generator must not block the boot.
+    // A word takes 40 cycles at 48 MHz; the limit lets the robot boot even if the generator is
+    // defective.
     for _ in 0..10_000 {
         if noise.sr().read().drdy().bit_is_set() {
             nonce = mix(nonce, noise.dr().read().bits());
         }
     }
-    // In the emulator reading the id would fault.
+    // Only on the chip: in the emulator, reading the id would fault.
     if nonce != 0 {
         let uid = Uid::get();
         nonce = mix(nonce, u32::from(uid.x()) << 16 | u32::from(uid.y()));
@@ -342,24 +346,24 @@ fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
     mix(nonce, SYST::get_current())
 }
 
-/// Mixes a word into a number: the multiplication spreads low bits upwards, the shift brings them
-/// down again.
+/// Mixes a word into a number: the multiplication spreads low bits upwards, and the shift brings
+/// high bits down again.
 fn mix(number: u64, word: u32) -> u64 {
     let spread = (number ^ u64::from(word)).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     spread ^ spread >> 32
 }
 
-/// A byte queue between the main loop and an interrupt: one side puts, the other takes.
+/// A byte queue between the main loop and an interrupt: one side puts bytes, the other takes them.
 struct Ring<const N: usize> {
     bytes: [AtomicU8; N],
-    /// Total numbers of bytes put and taken; they wrap.
+    /// Total numbers of bytes put and taken; both wrap.
     put: AtomicUsize,
     taken: AtomicUsize,
 }
 
 impl<const N: usize> Ring<N> {
     const fn new() -> Self {
-        // The counters wrap at a multiple of the size.
+        // The counters must wrap at a multiple of the size.
         assert!(N.is_power_of_two());
         Self {
             bytes: [const { AtomicU8::new(0) }; N],

@@ -13,22 +13,22 @@ pub struct BoundaryFollower {
     pub clearance: GroundClearance,
     /// Whether the boundary is on the left.
     pub is_left: bool,
-    /// Free floor to keep in the outermost columns on that side, in pixels. The paper gives no
-    /// value.
+    /// Free floor to keep in the outermost columns on the boundary's side, in pixels. The paper
+    /// gives no value.
     pub aside: u8,
-    /// Number of outermost columns evaluated on that side.
+    /// Number of outermost columns evaluated on the boundary's side.
     pub columns: usize,
     /// Speed, in mm/s.
     pub speed: i16,
     /// Maximum turn rate, in mrad/s.
     pub turn: i16,
-    /// Angle turned so far towards a boundary out of sight, in radians; after a full turn there is
-    /// none.
+    /// Angle turned so far in search of a boundary that is out of sight, in radians. After a full
+    /// turn there is none nearby.
     lost: f32,
 }
 
 impl Default for BoundaryFollower {
-    /// A boundary on the right, one eighth of the image wide.
+    /// Keeps the boundary on the right, and evaluates one eighth of the image there.
     fn default() -> Self {
         let clearance = GroundClearance::default();
         let columns = COLUMNS / 8;
@@ -38,9 +38,9 @@ impl Default for BoundaryFollower {
 
 impl BoundaryFollower {
     /// The next command, from the [`distances`](crate::sense::Floor::distances) of an image,
-    /// leftmost column first; `elapsed` is the time since the last one, in seconds. Without ground
-    /// clearance the robot turns away from the boundary on the spot. With it, it drives: towards a
-    /// boundary that is too far away, straight on if there is none.
+    /// leftmost column first; `elapsed` is the time since the last call, in seconds. If the floor
+    /// ahead is not free, the robot turns away from the boundary on the spot. Otherwise it drives:
+    /// towards a boundary that is too far away, and straight on if there is none.
     pub fn step(&mut self, distances: &[u8; COLUMNS], elapsed: f32) -> DriveCommand {
         let away = if self.is_left { self.turn.saturating_neg() } else { self.turn };
         if !self.clearance.is_clear(distances) {
@@ -51,7 +51,7 @@ impl BoundaryFollower {
         let right = distances.iter().rev().take(self.columns).min();
         let nearest = if self.is_left { left } else { right };
         let nearest = nearest.copied().unwrap_or(u8::MAX);
-        // Turns at the full rate when off by a quarter of the wanted distance.
+        // Turns at the full rate when the distance is off by a quarter of `aside`.
         let off = i32::from(self.aside) - i32::from(nearest);
         let full = i32::from(self.aside / 4).max(1);
         if off > -full {

@@ -15,12 +15,12 @@ use crate::{
 };
 
 /// A robot's drive: its configuration as a type. [`Driving`](super::Driving) plans, follows paths
-/// and stops, all by the map; [`NoDrive`] takes no flash, RAM or stack; an `Option` decides at run
-/// time.
+/// and stops, all by the map. [`NoDrive`] takes no flash, RAM or stack. With an `Option` of a drive
+/// the choice is made at run time.
 pub trait Drive {
     /// Its working memory, part of the robot's [`Memory`](crate::Memory).
     type Memory;
-    /// Unused memory: all zero bits.
+    /// The initial state of the memory: all zero bits.
     const EMPTY: Self::Memory;
     /// Its state while it drives.
     type State<'b>: Drives;
@@ -34,7 +34,7 @@ pub trait Drives: Debug {
     /// Whether to map a scan taken at `taken`. `fix` is the time of the newest fix.
     fn wants_scan(&mut self, taken: Instant, fix: Option<Instant>) -> bool;
 
-    /// Processes a scan, mapped or not.
+    /// Processes a new scan, whether it is mapped or not.
     fn see(&mut self, scan: &Seen<'_>);
 
     /// When the next step is due; `None` if there will be none.
@@ -52,7 +52,7 @@ pub trait Drives: Debug {
 pub struct Surroundings<'r, 'b> {
     /// The time of the step.
     pub now: Instant,
-    /// The same by the server's clock, once the clocks are synchronised.
+    /// The time of the step by the server's clock, once the clocks are synchronised.
     pub server_now: Option<Instant>,
     /// `base_link` in `map`, and the standard deviation of the position in millimetres.
     pub pose: Option<(Pose, f32)>,
@@ -72,7 +72,7 @@ pub struct Surroundings<'r, 'b> {
     pub fused: &'r FusedMap<'b>,
 }
 
-/// No drive.
+/// No drive: the wheels always stand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NoDrive;
 

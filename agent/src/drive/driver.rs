@@ -22,15 +22,16 @@ use crate::{
     trigonometry::radians,
 };
 
-/// A driver's task.
+/// What the driver is asked to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Task {
-    /// Stand.
+    /// Stand still.
     #[default]
     Stand,
     /// Go to a point of `map`.
     Go(Waypoint),
-    /// Map all blind ground that can be reached, then return to this point of `map`, if given.
+    /// Map all blind ground (ground that no camera sees) that can be reached, then return to this
+    /// point of `map`, if given.
     Explore(Option<Waypoint>),
 }
 
@@ -41,16 +42,16 @@ pub struct Inputs<'i> {
     pub health: Health,
     /// The newest scan.
     pub near: &'i NearPoints,
-    /// Objects that the cameras see and the map lacks: people, other robots, things.
+    /// Objects that the cameras see but the map does not contain: people, other robots, things.
     pub movers: &'i [Mover],
 }
 
-/// Distance to drive before a hindrance counts as over, in millimetres.
+/// Distance that the robot must drive before a hindrance counts as over, in millimetres.
 const STRETCH: u32 = 200;
-/// Upper limit for the elapsed time of a step in computations, in seconds.
+/// Upper limit of a step's duration in computations, in seconds.
 const MAX_STEP: f32 = 0.2;
 
-/// Why the robot can't drive on, since when, and where.
+/// The reason why the robot can't drive on, since when, and where.
 #[derive(Clone, Copy, Debug)]
 struct Hindered {
     since: Instant,
@@ -60,7 +61,7 @@ struct Hindered {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
-    /// No task, or the task is done.
+    /// No task, or the task has ended for this reason.
     Resting(Reason),
     /// Looking for a path.
     Searching,
@@ -74,10 +75,10 @@ enum Phase {
     Stuck { why: PlanError, since: Instant },
 }
 
-/// A look at a frontier.
+/// A look at a frontier: the robot turns on the spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Look {
-    /// The frontier's point and the level of its window.
+    /// The frontier's point, and the level of the window in which it was found.
     at: Waypoint,
     level: u32,
     /// Angle turned so far, and the last pose.
@@ -96,7 +97,7 @@ pub struct Driver<'b> {
     safety: Safety,
     task: Task,
     phase: Phase,
-    /// Where the path leads.
+    /// Where the current path leads.
     end: End,
     /// Whether the old path can still be driven while a new one is searched for.
     has_path: bool,
@@ -150,8 +151,8 @@ impl<'b> Driver<'b> {
         self.set_out();
     }
 
-    /// Sets the next point of a path. Until the search has found a way, the robot keeps driving
-    /// along its old path, if it has one.
+    /// Sets the next point of a path. Until a way to it is found, the robot keeps driving along its
+    /// old path, if it has one.
     pub fn go_to_next(&mut self, goal: Waypoint) {
         let has_path = self.has_path;
         self.task = Task::Go(goal);
@@ -166,12 +167,12 @@ impl<'b> Driver<'b> {
         self.task
     }
 
-    /// What it does now, and why.
+    /// What the robot does now, and why.
     pub fn reason(&self) -> Reason {
         self.reason
     }
 
-    /// The reason, once after each change.
+    /// The current reason, reported once after each change.
     pub fn poll_event(&mut self) -> Option<Reason> {
         (self.told != self.reason).then(|| {
             self.told = self.reason;
@@ -203,8 +204,8 @@ impl<'b> Driver<'b> {
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
-        // The fault is cleared only after some distance driven: that alone shows that the wheels
-        // work.
+        // The fault is cleared only after the robot has driven some distance: nothing else shows
+        // that the wheels work.
         let doubt = self.safety.doubt().filter(|_| reason == Reason::Driving);
         (self.command, self.reason) = (command, doubt.unwrap_or(reason));
         command
@@ -257,7 +258,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// The task's goal or home, if there is one.
+    /// The point that the task leads to: the goal, or home; `None` if there is none.
     fn goal(&self) -> Option<Waypoint> {
         match self.task {
             Task::Go(goal) => Some(goal),
@@ -307,9 +308,11 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// The inputs of the planning window; without `near`, moving objects are no obstacle.
+    /// The inputs of the planning window; `none` replaces the scan when its points are not to count
+    /// as obstacles.
     fn view<'v>(&self, step: &StepContext<'v>, none: &'v NearPoints) -> WindowInputs<'v> {
-        // People who walk by are ignored; those waited for without success count as obstacles.
+        // People who walk by are no reason to plan around them. The scan counts only for a while
+        // after the robot has waited in vain for a hindrance to go away.
         let avoids = self.avoided.is_some_and(|since| step.now.since(since) < AVOIDED_FOR);
         let motion = &self.config.motion;
         WindowInputs {
@@ -339,7 +342,7 @@ impl<'b> Driver<'b> {
         let clear = self.follower.is_clear(self.search.window(), step.pose);
         if !(leads && clear) {
             self.set_out();
-            // Keeps driving while it plans, if the path is clear.
+            // If the path is clear, the robot keeps driving while it plans.
             self.has_path = clear;
         }
     }
@@ -369,7 +372,7 @@ impl<'b> Driver<'b> {
     }
 
     /// Waits for a hindrance to go away, then plans around it. The reason is kept until the robot
-    /// has driven [`STRETCH`]: that alone shows that the way is clear.
+    /// has driven [`STRETCH`]: nothing else shows that the way is clear.
     fn wait(&mut self, reason: Reason, step: &StepContext<'_>) -> Reason {
         let hindered = match (self.hindered, reason) {
             (None, Reason::Driving) => return reason,

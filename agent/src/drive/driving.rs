@@ -11,24 +11,25 @@ pub struct Driving {
     pub motion: Motion,
     /// When it must stop.
     pub safety: SafetyLimits,
-    /// Time between steps, at most 100 ms: braking distances assume that.
+    /// Time between steps. At most 100 ms, the delay that braking distances allow for.
     pub interval: Duration,
-    /// Whether the robot stops to map, and maps only where it was localised while standing (Ahmed
-    /// 3). It stops whenever the mapping gate opens.
+    /// Whether the robot stops for each scan, and maps only scans taken while it stood and was
+    /// localised (Ahmed 3). It stops whenever the mapping gate opens.
     pub stop_and_wait: bool,
-    /// Explore autonomously until the first session, then return to this point of `map`. Requires
-    /// poses from odometry ([`PoseSource::Odometry`](crate::locate::PoseSource)).
+    /// For a robot that explores autonomously until its first session: the point of `map` to return
+    /// to. Requires poses from odometry ([`PoseSource::Odometry`](crate::locate::PoseSource)).
     pub alone: Option<Waypoint>,
     /// Whether to explore ground covered by cameras, too.
     pub explore_covered: bool,
-    /// What to look for at a goal before reporting arrival; `None`: nothing.
+    /// The ground to look at on arrival at a goal, before the arrival is reported. `None`: no look.
     pub looks_at_goal: Option<Gaze>,
-    /// Maximum number of corners that a search expands in a step, about 5,000 instructions each.
+    /// Maximum number of obstacle corners that a search expands in a step, about 5,000 instructions
+    /// each.
     pub corners_per_step: usize,
 }
 
 impl Default for Driving {
-    /// Steps at 20 Hz, eight corners each, on the move.
+    /// A step every 50 ms, eight corners each, and no stops for scans.
     fn default() -> Self {
         Self {
             motion: Motion::default(),

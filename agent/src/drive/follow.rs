@@ -34,7 +34,7 @@ impl DriveCommand {
 pub struct Motion {
     /// Radius of a circle around `base_link` that contains the robot.
     pub radius: u16,
-    /// Additional distance to all obstacles.
+    /// Distance to keep from all obstacles, in addition to the radius.
     pub margin: u16,
     /// Maximum speed.
     pub top_speed: f32,
@@ -50,7 +50,7 @@ pub struct Motion {
     pub reaction: f32,
     /// Assumed walking speed of a person.
     pub walking: f32,
-    /// Distance to people.
+    /// Distance to keep from people.
     pub person_margin: f32,
     /// Standard deviation of the position at which the robot stops.
     pub most_unsure: f32,
@@ -119,19 +119,20 @@ type Vector = (f32, f32);
 #[derive(Clone, Debug)]
 pub struct Follower {
     motion: Motion,
-    /// The remaining points; the first is behind the robot.
+    /// The remaining points; the robot has passed the first.
     route: Vec<Waypoint, MAX_POINTS>,
-    /// Distance from each of them to the end, along the path.
+    /// Distance along the path from each point to the end.
     rest: [f32; MAX_POINTS],
-    /// The index of the point behind the robot.
+    /// The index of the point that the robot passed last.
     at: usize,
     speed: f32,
     turn: f32,
-    /// Whether it turns on the spot towards the path.
+    /// Whether the robot is turning on the spot towards the path.
     turns: bool,
 }
 
-/// Tolerances: distance to the end that counts as arrived, and from the path that counts as off.
+/// Distance to the end of the path at which the robot has arrived, and distance from the path at
+/// which it is off the path, in mm.
 const ARRIVED: f32 = 40.0;
 const OFF: f32 = 300.0;
 /// Number of positions checked along the predicted motion.
@@ -142,13 +143,13 @@ const FORESIGHT: f32 = 2.0;
 const TURN_GAIN: f32 = 2.0;
 /// Below this speed the robot counts as standing, in mm/s.
 const STANDS: f32 = 20.0;
-/// Minimum speed beside obstacles in mm/s, and the time in seconds in which the robot would cover
-/// its lateral clearance: speed is limited to their quotient.
+/// Minimum speed beside obstacles in mm/s. The speed limit there is the lateral clearance divided
+/// by `ROOM_TIME`, in seconds.
 const CREEP: f32 = 100.0;
 const ROOM_TIME: f32 = 0.6;
 
 impl Follower {
-    /// For a standing robot.
+    /// A follower for a robot at standstill.
     pub fn new(motion: Motion) -> Self {
         let (route, rest) = (Vec::new(), [0.0; MAX_POINTS]);
         Self { motion, route, rest, at: 0, speed: 0.0, turn: 0.0, turns: false }
@@ -184,7 +185,7 @@ impl Follower {
         self.route.last().copied()
     }
 
-    /// Whether the rest of the path is clear in a window.
+    /// Whether the rest of the path is free in a window.
     pub fn is_clear(&self, window: &PlanningWindow, pose: Pose) -> bool {
         let mut from = Waypoint { x: pose.x, y: pose.y };
         let ahead = self.route.get(self.at + 1..).unwrap_or_default();
@@ -207,7 +208,7 @@ impl Follower {
         }
         let (sin, cos) = sin_cos(radians(sight.pose.heading));
         let (forward, side) = (target.0 * cos + target.1 * sin, target.1 * cos - target.0 * sin);
-        // Turns on the spot beyond 37 degrees off, until within 15.
+        // Starts to turn on the spot at 37 degrees off the direction, and stops at 15.
         let enough = if self.turns { 0.27 } else { 0.75 };
         self.turns = side.abs() > enough * forward;
         if self.turns {
@@ -219,7 +220,7 @@ impl Follower {
         let wanted = self.wanted(sight, curvature, left);
         let (speed, hindrance) = self.allowed(sight, curvature, wanted);
         let gained = self.speed + self.motion.acceleration * sight.elapsed;
-        // Slowing down is immediate: its distance is already accounted for.
+        // Braking is not limited here: the allowed speed already includes the braking distance.
         self.speed = speed.min(gained);
         self.turn = (self.speed * curvature).clamp(-self.motion.top_turn, self.motion.top_turn);
         (self.command(), hindrance)
@@ -233,7 +234,8 @@ impl Follower {
 
     /// Turns towards a point in `base_link`.
     fn turn_by(&mut self, side: f32, forward: f32, elapsed: f32) -> DriveCommand {
-        // Limited so that it can still stop in time; up to 45 degrees tan(a) is about a.
+        // The turn rate from which the robot still stops at the direction; up to 45 degrees tan(a)
+        // is about a.
         let off = if forward > 0.0 { (side / forward).abs().min(1.0) } else { 1.0 };
         let gain = TURN_GAIN * self.motion.top_turn;
         let wanted = root(2.0 * gain * off).min(self.motion.top_turn).max(0.3).copysign(side);
@@ -247,8 +249,8 @@ impl Follower {
         DriveCommand { speed: libm::floorf(self.speed) as i16, turn }
     }
 
-    /// The point to drive towards, relative to the robot in `map`'s axes, and the remaining
-    /// distance. `None` when off the path.
+    /// The point to drive towards, relative to the robot along `map`'s axes, and the remaining
+    /// distance. `None` if the robot is off the path.
     fn target(&mut self, sight: &Sight<'_>) -> Option<(Vector, f32)> {
         let robot = Waypoint { x: sight.pose.x, y: sight.pose.y };
         loop {
@@ -280,14 +282,15 @@ impl Follower {
                 }
                 ahead *= 0.5;
             }
-            // Then drive to the corner itself, or back to the path.
+            // Drives to the corner itself, or back to the path.
             let target =
                 if length(corner) < ahead { corner } else { self.ahead(robot, foot, ahead) };
             return Some((target, rest + to_corner));
         }
     }
 
-    /// The point at distance `way` along the path from `foot`, relative to the robot.
+    /// The point at distance `way` along the path from `foot`, the path's nearest point to the
+    /// robot; relative to the robot.
     fn ahead(&self, robot: Waypoint, foot: Vector, mut way: f32) -> Vector {
         let mut from = foot;
         for &point in self.route.get(self.at + 1..).unwrap_or_default() {
@@ -304,7 +307,8 @@ impl Follower {
         from
     }
 
-    /// The maximum speed given path, lateral clearance and pose uncertainty.
+    /// The maximum speed allowed by the path, the lateral clearance and the uncertainty of the
+    /// pose.
     fn wanted(&self, sight: &Sight<'_>, curvature: f32, left: f32) -> f32 {
         let motion = &self.motion;
         let bend = curvature.abs().max(1.0e-6);
@@ -318,7 +322,7 @@ impl Follower {
         motion.top_speed.min(in_curve).min(to_end).min(beside).min(sure)
     }
 
-    /// The maximum speed given the obstacles ahead, and the hindrance if any.
+    /// The maximum speed allowed by the obstacles ahead, and the hindrance if there is one.
     fn allowed(&self, sight: &Sight<'_>, curvature: f32, wanted: f32) -> (f32, Option<Hindrance>) {
         let motion = &self.motion;
         let free = self.free_way(sight.near, curvature, wanted);
@@ -328,7 +332,7 @@ impl Follower {
         let before_person = if crossing { 0.0 } else { before_stranger };
         let speed = wanted.min(before_wall).min(before_person);
         if before_person < CREEP {
-            // Stops for people instead of creeping towards them.
+            // For people the robot stops; it does not creep towards them.
             (0.0, Some(Hindrance::Person))
         } else if before_wall < STANDS {
             (0.0, Some(Hindrance::Blocked))
@@ -337,8 +341,8 @@ impl Follower {
         }
     }
 
-    /// Distance that the robot can drive along a circle before it is too close to an obstacle in
-    /// its own view; at most its stopping distance.
+    /// The distance that the robot can drive along an arc before it comes too close to a point of
+    /// its scan; at most its stopping distance.
     fn free_way(&self, near: &NearPoints, curvature: f32, speed: f32) -> f32 {
         let motion = &self.motion;
         let keep = f32::from(motion.radius) + f32::from(motion.margin);
@@ -367,12 +371,12 @@ impl Follower {
         step * free as f32
     }
 
-    /// The maximum speed that leaves room for a person missing from the map who walks towards the
-    /// robot.
+    /// The maximum speed that leaves time to stop for a person who walks towards the robot and is
+    /// not on the map.
     fn before_strangers(&self, sight: &Sight<'_>) -> f32 {
         let motion = &self.motion;
         let keep = f32::from(motion.radius) + f32::from(motion.margin);
-        // Closing speed: the person's, and the robot's own meanwhile.
+        // Closing speed: the person's, plus the robot's mean speed while it brakes.
         let closing = (motion.walking + 0.5 * motion.top_speed).max(1.0);
         let matters = (motion.reaction + motion.top_speed / motion.braking.max(1.0)) * closing;
         let mut nearest = (matters + keep) * (matters + keep);
@@ -412,7 +416,7 @@ impl Follower {
                 let (x, y) = (x + vx * time, y + vy * time);
                 let apart = (x - at.0, y - at.1);
                 let then = apart.0 * apart.0 + apart.1 * apart.1;
-                // If standing would not increase the distance, driving on is no worse.
+                // A distance that standing still would not increase is no reason to stop.
                 then < keep * keep && then <= x * x + y * y
             })
         })

@@ -14,7 +14,7 @@ use crate::trigonometry::{angle, radians, sin_cos};
 const RAYS: u32 = 32;
 /// Consecutive blind cells that count as blind ground; fewer are noise.
 const MIN_CELLS: u32 = 3;
-/// Usable part of the half view: closer to the edge of the view, ground may be missed.
+/// Usable part of half the field of view: closer to the edge, ground may be missed.
 const SURE: f32 = 0.9;
 
 /// What to look for.
@@ -36,8 +36,8 @@ impl Default for Gaze {
 }
 
 impl Gaze {
-    /// The rays from a pose, counter-clockwise from `map`'s x-axis, that meet blind ground behind
-    /// free ground; one bit each. Up to a thousand map lookups.
+    /// The rays from a pose that meet blind ground behind free ground, one bit each,
+    /// counter-clockwise from `map`'s x axis. Up to a thousand map lookups.
     fn blind_rays(
         &self,
         pose: Pose,
@@ -78,7 +78,7 @@ impl Gaze {
 /// State of looking around on the spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LookAround {
-    /// First and latest heading; angle turned since the first, with its minimum and maximum, in
+    /// First and latest heading; the angle turned since the first, with its minimum and maximum, in
     /// radians to the left.
     first: Angle,
     last: Angle,
@@ -108,8 +108,8 @@ impl LookAround {
         self.rays = gaze.blind_rays(pose, resolution, explore_covered, ground);
     }
 
-    /// Turn direction (`true`: left) that sees all remaining rays with the least turning, to one
-    /// side or to one after the other; `None` when none are left.
+    /// The direction to turn in (`true`: left) so that all remaining rays are seen with the least
+    /// turning, on one side or first on one and then on the other; `None` if no rays remain.
     pub(super) fn turn(&mut self, heading: Angle, half_view: f32) -> Option<bool> {
         self.turned += radians(heading - self.last);
         self.last = heading;
@@ -117,11 +117,11 @@ impl LookAround {
         let sure = half_view * SURE;
         let (right, left) = (self.least - sure, self.most + sure);
         let gap = TAU - (left - right);
-        // From here to the limits of what it has seen on either side.
+        // The angles from here to the limits of what has been seen on either side.
         let (to_left, to_right) = (self.most - self.turned, self.turned - self.least);
         let (mut best, mut is_left) = (f32::MAX, None);
-        // Of the unseen rays, those up to one ray are seen by turning left, the others by turning
-        // right.
+        // Each split of the unseen rays between both sides is tried: turning left sees the rays up
+        // to a certain one, turning right the others.
         let mut turn = |on_the_left: Option<f32>, on_the_right: Option<f32>| {
             let left = on_the_left.map_or(0.0, |beyond| to_left + beyond);
             let right = on_the_right.map_or(0.0, |beyond| to_right + gap - beyond);
@@ -155,8 +155,8 @@ mod tests {
         sweep(known, occupied).0
     }
 
-    /// Turns as `turn` says until nothing is left: the final angle to the left, and the total angle
-    /// turned, in degrees.
+    /// Turns as `LookAround::turn` says until no rays remain. Returns the final angle to the left
+    /// and the total angle turned, in degrees.
     fn sweep(
         mut known: impl FnMut(f64, f64) -> bool,
         occupied: impl Fn(f64, f64) -> bool,
@@ -195,7 +195,7 @@ mod tests {
         let nowhere = |_, _| false;
         assert_eq!(turned(|_, _| true, nowhere), 0.0, "all is known");
         assert_eq!(turned(|x, y| x.hypot(y) < 2.6, nowhere), 0.0, "or far away");
-        // It already looks ahead.
+        // The sensor already looks ahead.
         assert_eq!(turned(|x, y| x < 1.0 || y.abs() > 0.5, nowhere), 0.0);
         let left = turned(|_, y| y < 1.0, nowhere);
         assert!((85.0..=130.0).contains(&left), "{left}");

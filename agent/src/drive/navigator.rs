@@ -51,13 +51,13 @@ pub struct Navigator<'b> {
     /// When the next step is due.
     next_step: Instant,
     command: DriveCommand,
-    /// The sequence number of the path.
+    /// The sequence number of the current path.
     path: Option<u32>,
     /// The index of the point that the robot drives to.
     point: usize,
-    /// For a robot that stops to map.
+    /// The state of a robot that stops for each scan; `None` if it maps on the move.
     stops: Option<Stops>,
-    /// Its task until the first session.
+    /// The task until the first session; `None` to stand.
     alone: Option<Task>,
 }
 
@@ -67,7 +67,7 @@ impl<'b> Navigator<'b> {
         Self {
             near: NearPoints::default(),
             radius: config.motion.radius.into(),
-            // With an interval of 0 a step would always be due.
+            // With an interval of 0, a step would always be due.
             interval: config.interval.max(Duration::from_millis(1)),
             next_step: Instant(0),
             command: DriveCommand::STAND,
@@ -87,7 +87,7 @@ impl<'b> Navigator<'b> {
     /// Adopts the current path and drives to its next point. Returns whether that is the last.
     fn follow(&mut self, surroundings: &Surroundings<'_, '_>) -> bool {
         let Some(path) = surroundings.commands.path() else {
-            // A path belongs to one server: another one does not know it.
+            // A path belongs to the server that sent it: a different server does not know it.
             let task = self.alone.filter(|_| surroundings.heard.is_none()).unwrap_or(Task::Stand);
             if self.path.take().is_some() || self.driver.task() != task {
                 self.driver.set_task(task);
@@ -154,7 +154,7 @@ impl Drives for Navigator<'_> {
 
     fn step(&mut self, surroundings: &Surroundings<'_, '_>) -> Option<EventCode> {
         let now = surroundings.now;
-        // A late step shifts the later ones only if one was skipped.
+        // A late step delays the following ones only if a whole interval was missed.
         let next = self.next_step + self.interval;
         self.next_step = if next > now { next } else { now + self.interval };
         let is_last = self.follow(surroundings);
@@ -180,7 +180,7 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
     let mut movers = Movers::new();
     let peers = commands.peers().map_or(&[][..], |peers| &peers.peers);
     for peer in peers {
-        // The capacity covers all peers and obstacles.
+        // The capacity is large enough for all peers and obstacles.
         let _ = movers.push(Mover {
             x: peer.pose.x,
             y: peer.pose.y,
@@ -200,7 +200,7 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
         squared_distance(of, obstacle.x, obstacle.y) < i64::from(radius).pow(2)
     };
     for obstacle in &obstacles.obstacles {
-        // Cameras may report a robot as an obstacle.
+        // Cameras may report a robot as an obstacle, too.
         let is_robot = within(obstacle, pose, own_radius)
             || peers.iter().any(|peer| within(obstacle, peer.pose, radius(peer).into()));
         if obstacle.class == ObstacleClass::Fixed || is_robot {
@@ -233,7 +233,7 @@ fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
     way(x, from.x).pow(2) + way(y, from.y).pow(2)
 }
 
-/// The state of 32 cells: the server's, or where that is unknown the robot's own.
+/// The state of 32 cells: the server's, or the robot's own where the server's is unknown.
 fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundRow {
     let side = TILE_SIDE as i32;
     let Some(id) = TileId::of_cell(column.saturating_mul(side), row) else {

@@ -32,15 +32,15 @@ pub struct NearPoints {
 }
 
 impl NearPoints {
-    /// The nearest valid reading of each group of beams; there are [`MAX_POINTS`] groups. About 20
-    /// instructions per beam.
+    /// The nearest valid reading of each group of consecutive beams; there are [`MAX_POINTS`]
+    /// groups. About 20 instructions per beam.
     pub fn of_scan(scan: &Seen<'_>) -> Self {
         let mut near = Self { points: Vec::new(), taken: Some(scan.taken) };
         let each = scan.beams.len().div_ceil(MAX_POINTS).max(1);
         let stretches = scan.beams.chunks(each).zip(scan.readings.chunks(each));
         for (number, (beams, readings)) in stretches.enumerate() {
             if let Some(point) = scan.nearest(number * each, beams, readings) {
-                // There are no more groups than points.
+                // There are at most as many groups as points.
                 let _ = near.points.push(point);
             }
         }
@@ -52,7 +52,7 @@ impl NearPoints {
         self.taken
     }
 
-    /// The points: forward, left.
+    /// The points: distances forward and to the left.
     pub fn points(&self) -> &[(f32, f32)] {
         &self.points
     }

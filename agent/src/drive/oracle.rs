@@ -16,8 +16,8 @@ const CELL: i32 = 50;
 /// Rooms: rectangular walls with doors.
 #[derive(Clone, Debug)]
 struct Rooms {
-    /// Column or row, first cell, last cell, the door's first cell and width; whether it is
-    /// vertical.
+    /// Column or row of the wall, its first and last cell, the first cell and the width of its
+    /// door; whether the wall is vertical.
     walls: Vec<(i32, i32, i32, i32, i32, bool)>,
     /// Boxes: column, row, width, height.
     boxes: Vec<(i32, i32, i32, i32)>,
@@ -88,7 +88,8 @@ fn sees(window: &PlanningWindow, a: Place, b: Place) -> bool {
     let range = |p: i32, q: i32| p.min(q)..=p.max(q);
     range(ay, by).all(|y| {
         range(ax, bx).all(|x| {
-            // Where the line is between two sides of the cell, multiplied by (2 dx) and (2 dy).
+            // The interval in which the line lies between two sides of the cell, multiplied by (2
+            // dx) and (2 dy).
             let span = |from: i32, to: i32, at: i32| {
                 let way = f64::from(to - from);
                 if way == 0.0 {
@@ -105,7 +106,7 @@ fn sees(window: &PlanningWindow, a: Place, b: Place) -> bool {
     })
 }
 
-/// The exact shortest path in cells, among those of length at most `most`.
+/// The exact length of the shortest path in cells, if it is at most `most`.
 fn shortest(window: &PlanningWindow, start: Place, goal: Place, most: f64) -> f64 {
     let free = (0..SIDE * SIDE).map(place).filter(|&it| window.free.has(it));
     let nodes = free.filter(|&it| between(start, it) + between(it, goal) <= most + 1e-9);
@@ -209,7 +210,7 @@ proptest! {
         inside in (0.0f64..=1.0, 0.0f64..=1.0),
     ) {
         let window = rooms.window(radius);
-        // Not under the robot, which has pushed the walls aside in the middle.
+        // Cells under the robot are excluded: the window clears the walls there.
         let away = f64::from(x - 32).hypot(f64::from(y - 32)) * f64::from(CELL);
         prop_assume!(away > 2.0 * f64::from(radius) + 200.0);
         let is_free = window.free.has(Place { x: x as u8, y: y as u8 });

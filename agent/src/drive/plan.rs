@@ -24,20 +24,20 @@ const MAX_FRONTIERS: usize = 16;
 
 /// Extra cost of a cell that a movable object may occupy, in cells.
 const DEAR: f32 = 2.0;
-/// Value of a frontier cell in cells of path, and the maximum number counted: a frontier is worth
-/// at most 30 cells of path.
+/// Value of a frontier cell in cells of path length, and the maximum number of its cells that
+/// count: a frontier is worth a detour of at most 30 cells.
 const WORTH: f32 = 30.0 / MAX_WORTH as f32;
 const MAX_WORTH: u32 = 256;
 
 /// Where to plan to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
-    /// The best frontier: number of its cells weighed against the distance.
+    /// The best frontier: its number of cells, weighed against its distance.
     Frontier,
     /// A cell.
     Place(Place),
-    /// Column and row relative to the corner, outside the window, at most 1,000: out through the
-    /// rim.
+    /// Column and row relative to the corner, for a goal outside the window, at most 1,000 cells
+    /// away: the path leaves through the rim.
     Beyond(i16, i16),
 }
 
@@ -73,28 +73,29 @@ impl core::error::Error for PlanError {}
 /// State of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// More steps are needed.
+    /// The search has not ended: call `step` again.
     Searching,
-    /// Found; the end of the path.
+    /// A path is found; this cell is its end.
     Found(Place),
     /// There is no path.
     Failed(PlanError),
 }
 
-/// The lines through a corner that leave its obstacle on one side: falling from west to east past
-/// an obstacle in the north-east or south-west, or rising.
+/// The directions in which a line can touch a corner and leave its obstacle on one side: falling
+/// from west to east past an obstacle in the north-east or south-west, or rising past one in the
+/// north-west or south-east.
 const FALLING: u8 = 1;
 const RISING: u8 = 2;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
-    /// No parent is known.
+    /// No parent has been offered.
     New,
-    /// A parent is assumed to see it.
+    /// The parent is assumed to see the node; not checked yet.
     Promised,
-    /// Its best expanded parent in sight is known.
+    /// The best of the expanded nodes that see the node is its parent.
     Seen,
-    /// Expanded: its shortest path is known.
+    /// Expanded: the shortest path to the node is known.
     Done,
 }
 
@@ -102,12 +103,13 @@ enum State {
 struct Node {
     x: i16,
     y: i16,
-    /// The node from which it is reached.
+    /// The previous node on the best path to this one.
     parent: u16,
-    /// The directions of lines that pass its own obstacle.
+    /// The directions of lines that pass this corner's own obstacle.
     lines: u8,
     state: State,
-    /// Path length from the start, and that plus a lower bound to the goal, in cells.
+    /// Path length from the start, and its sum with a lower bound of the distance to the goal, in
+    /// cells.
     way: f32,
     promise: f32,
 }
@@ -121,7 +123,7 @@ pub struct Planner {
     goals: usize,
     prices: [f32; MAX_FRONTIERS],
     target: Target,
-    /// The goal reached, and where the path leaves the window if the goal is outside.
+    /// The goal reached, and the cell where the path leaves the window if the goal is outside.
     found: u16,
     exit: Place,
 }
@@ -139,9 +141,9 @@ impl Planner {
         exit: Place { x: 0, y: 0 },
     };
 
-    /// Begins a search. The window must not change until the search ends. Floods the free cells
-    /// first, so it already detects a closed door. A start on a blocked cell is moved to the
-    /// nearest free one. About 50,000 instructions, 1.5 KiB of stack.
+    /// Begins a search. The window must not change until the search ends. First floods the free
+    /// cells, which detects goals behind closed doors at once. A start on a blocked cell is moved
+    /// to the nearest free one. About 50,000 instructions, 1.5 KiB of stack.
     ///
     /// # Errors
     /// [`PlanError`].
@@ -247,7 +249,7 @@ impl Planner {
         Ok(())
     }
 
-    /// Number of corners, and of those expanded.
+    /// Number of corners found, and number of those expanded so far.
     pub fn corners(&self) -> (usize, usize) {
         let done = self.nodes.iter().filter(|node| node.state == State::Done);
         (self.nodes.len(), done.count())
@@ -297,13 +299,14 @@ impl Planner {
         }
     }
 
-    /// The node with its best visible parent among the expanded nodes.
+    /// Checks a node, and gives it the best parent among the expanded nodes that see it.
     #[inline(never)]
     fn settled(&mut self, index: usize, mut node: Node, window: &PlanningWindow) -> Node {
         let rest = node.promise - node.way;
         let is_goal = index <= self.goals;
         let (mut best, mut from) = (f32::MAX, 0);
-        // The assumed parent first: if it is visible at the assumed cost, none is better.
+        // Tries the assumed parent first: if it sees the node at the assumed cost, no other parent
+        // is better.
         let promised = node.parent;
         if let Some(parent) = self.nodes.get(usize::from(promised))
             && let Some((dear, exit)) = sight(parent, &node, is_goal, window)
@@ -333,7 +336,7 @@ impl Planner {
         node
     }
 
-    /// Offers all other nodes a path through an expanded node.
+    /// Offers to all other nodes the path through a node that was just expanded.
     #[inline(never)]
     fn expand(&mut self, index: usize, from: Node, window: &PlanningWindow) {
         let Self { nodes, goals, prices, target, exit, .. } = self;
@@ -346,7 +349,8 @@ impl Planner {
             if way >= node.way {
                 continue;
             }
-            // A node whose current path is checked may only get a path that is checked, too.
+            // The visibility of this node's parent has been checked, so a new parent must be
+            // checked, too.
             if node.state == State::Seen {
                 let Some((dear, left)) = sight(&from, node, other <= *goals, window) else {
                     continue;
@@ -382,7 +386,7 @@ impl Planner {
         for index in back().skip(beyond) {
             let node = self.nodes.get(usize::from(index));
             let place = node.and_then(|node| Place::new(node.x.into(), node.y.into()));
-            // Its length is bounded by the capacity.
+            // The path has at most as many points as `places` holds.
             let _ = places.push(place.unwrap_or(self.exit));
         }
         places.reverse();
@@ -390,8 +394,8 @@ impl Planner {
     }
 }
 
-/// Whether a node sees another: returns the extra cost of the cells in between, and the cell where
-/// the line leaves the window towards a goal outside.
+/// Whether node `from` sees node `to`. Returns the extra cost of the cells in between, and the cell
+/// where the line leaves the window if the goal is outside.
 fn sight(
     from: &Node,
     to: &Node,
@@ -406,8 +410,8 @@ fn sight(
     }
 }
 
-/// Whether a shortest path may go straight from one corner to another: the line must pass the
-/// obstacle of each. A line that only touches an obstacle passes it.
+/// Whether a shortest path may lead straight from one corner to another: the line must pass the
+/// obstacle of each corner on one side. A line that only touches an obstacle passes it.
 #[inline(always)]
 fn may_see(a: &Node, b: &Node) -> bool {
     let (x, y) = (i32::from(b.x - a.x), i32::from(b.y - a.y));

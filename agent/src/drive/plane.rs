@@ -32,7 +32,7 @@ pub struct Plane([u64; SIDE]);
 impl Plane {
     /// The empty set.
     pub const EMPTY: Self = Self([0; SIDE]);
-    /// All but the outermost cells of a row.
+    /// A row without its outermost cells.
     pub(super) const INNER: u64 = u64::MAX >> 2 << 1;
 
     /// Row `y`, modulo 64.
@@ -47,7 +47,7 @@ impl Plane {
         &mut self.0[y % SIDE]
     }
 
-    /// Whether it contains a cell.
+    /// Whether the set contains a cell.
     #[inline(always)]
     pub fn has(&self, place: Place) -> bool {
         half(self.row(place.y.into()), place.x) >> (place.x % 32) & 1 != 0
@@ -58,7 +58,7 @@ impl Plane {
         *self.row_mut(place.y.into()) |= bit(place.x);
     }
 
-    /// Whether it is empty.
+    /// Whether the set is empty.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(|&row| row == 0)
     }
@@ -68,7 +68,7 @@ impl Plane {
         self.0.iter().map(|row| row.count_ones()).sum()
     }
 
-    /// Its cells, row by row from the south-west.
+    /// The cells of the set, row by row from the south-west.
     pub fn cells(&self) -> impl Iterator<Item = Place> {
         let rows = self.0.iter().zip(0u8..);
         rows.flat_map(|(&row, y)| {
@@ -78,7 +78,7 @@ impl Plane {
         })
     }
 
-    /// Extends it to all cells of `within` connected to it by their sides.
+    /// Extends the set to all cells of `within` that are connected to it by their sides.
     pub(super) fn flood(&mut self, within: &Plane) {
         for (row, &mask) in self.0.iter_mut().zip(&within.0) {
             *row = filled(*row & mask, mask);
@@ -99,7 +99,8 @@ impl Plane {
         }
     }
 
-    /// Grows it by one step within `within`: over sides, or over corners too.
+    /// Extends the set by one step to adjacent cells of `within`: across sides, and with `corners`
+    /// across corners too.
     pub(super) fn grow(&mut self, within: &Plane, corners: bool) {
         let mut below = 0;
         for y in 0..SIDE {
@@ -124,8 +125,8 @@ fn bit(x: u8) -> u64 {
     if x & 32 == 0 { bit } else { bit << 32 }
 }
 
-/// Adds the cells of `mask` reachable from a row and its neighbour row. Returns whether any were
-/// new.
+/// Adds the cells of `mask` that are connected to this row or to its neighbour row. Returns whether
+/// any were new.
 #[inline(always)]
 fn spread(row: &mut u64, neighbour: u64, mask: u64) -> bool {
     let seeds = (*row | neighbour) & mask;
@@ -136,7 +137,7 @@ fn spread(row: &mut u64, neighbour: u64, mask: u64) -> bool {
     true
 }
 
-/// The runs of set bits of a mask that contain a seed.
+/// The runs of consecutive set bits of `mask` that contain a seed.
 #[inline(always)]
 fn filled(seeds: u64, mask: u64) -> u64 {
     // A carry propagates through each run from its first seed.
@@ -151,7 +152,7 @@ mod tests {
     use std::vec::Vec;
 
     fn plane() -> impl Strategy<Value = Plane> {
-        // Three of eight cells are set.
+        // On average, three of eight cells are set.
         prop::collection::vec((any::<u64>(), any::<u64>(), any::<u64>()), SIDE)
             .prop_map(|rows| Plane(core::array::from_fn(|y| rows[y].0 | rows[y].1 & rows[y].2)))
     }

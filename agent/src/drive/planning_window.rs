@@ -20,7 +20,7 @@ pub const MAX_LEVEL: u32 = 2;
 /// 32 cells of a map row: a row of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GroundRow {
-    /// Their states.
+    /// The states of the cells.
     pub cells: Row,
     /// The cells covered by cameras.
     pub covered: u32,
@@ -89,29 +89,29 @@ pub struct WindowInputs<'v> {
     pub level: u32,
     /// Radius of the circle that must be free for the robot, in millimetres.
     pub radius: u16,
-    /// Points seen by its own sensor: occupied, whatever the map says.
+    /// Points seen by the robot's own sensor: occupied, even if the map says otherwise.
     pub near: &'v NearPoints,
     /// Objects seen by the cameras: occupied if they stand, free if they move.
     pub movers: &'v [Mover],
-    /// Blind ground that has been given up.
+    /// Blind ground that is ignored, because it could not be seen.
     pub given_up: &'v [GivenUp],
     /// Whether to explore ground covered by cameras, too.
     pub explore_covered: bool,
 }
 
-/// 64 x 64 cells around the robot (1.5 KiB). The outermost are never free.
+/// A map of 64 x 64 cells around the robot (1.5 KiB). The outermost cells are never free.
 #[derive(Clone, Debug)]
 pub struct PlanningWindow {
-    /// Where the robot's centre may be: known cells. At level 0 every point of such a cell is
-    /// farther than the radius from everything occupied. In coarser windows, whose walls are as
-    /// thick as their cells, this holds for the cell's centre only: they are for planning, not for
-    /// driving.
+    /// The cells in which the robot's centre may be. At level 0 every point of such a cell is
+    /// farther than the radius from everything occupied. At coarser levels, where walls are as
+    /// thick as the larger cells, this holds for the cell's centre only: such windows are for
+    /// planning, not for driving.
     pub free: Plane,
-    /// The subset where a movable object stood when it was last seen.
+    /// The free cells where a movable object stood when it was last seen.
     pub dear: Plane,
     /// Whether `dear` contains any cell.
     pub(super) has_dear: bool,
-    /// The subset near unmapped blind ground.
+    /// The free cells near unmapped blind ground.
     pub frontier: Plane,
     /// The south-western corner in `map`, in millimetres.
     corner: (i32, i32),
@@ -160,7 +160,8 @@ impl PlanningWindow {
         self.inflate(view.radius, level, &occupied);
     }
 
-    /// Reads the map: free, movable (into `dear`), blind and unknown (into `frontier`), occupied.
+    /// Reads the cells' states: free, movable (into `dear`), blind and unknown (into `frontier`),
+    /// and occupied.
     fn read(
         &mut self,
         (west, south): (i32, i32),
@@ -205,8 +206,9 @@ impl PlanningWindow {
         });
     }
 
-    /// Replaces the blind cells by the free ones near them, allowing for the distance that the
-    /// robot keeps from walls. Spreads around walls, not through them.
+    /// Replaces the blind cells in `frontier` by the free cells near them. As the robot keeps its
+    /// distance from walls, "near" includes that distance; it is measured around walls, not through
+    /// them.
     fn bound_frontier(&mut self, view: &WindowInputs<'_>, occupied: &Plane) {
         let mut open = self.free;
         for y in 0..SIDE {
@@ -226,7 +228,8 @@ impl PlanningWindow {
     /// Removes from `free` the cells too close to anything occupied.
     fn inflate(&mut self, radius: u16, level: u32, occupied: &Plane) {
         let mut near = Plane::EMPTY;
-        // Coarse windows need no margin: a finer one decides, and their walls are thick already.
+        // Coarse windows need no margin: their walls are already thick, and the route is planned
+        // again in a finer window.
         let diagonal = if level == 0 { (i64::from(self.cell) * 1_448) >> 10 } else { 0 };
         let reach = 2 * i64::from(radius) + diagonal;
         inflate(occupied, reach, self.cell, &mut near);
@@ -247,7 +250,7 @@ impl PlanningWindow {
         self.has_dear = !self.dear.is_empty();
     }
 
-    /// Relative to the south-western corner, in millimetres.
+    /// A point relative to the south-western corner, in millimetres.
     fn relative(&self, x: Millimetres, y: Millimetres) -> (f32, f32) {
         (x.0.saturating_sub(self.corner.0) as f32, y.0.saturating_sub(self.corner.1) as f32)
     }
@@ -274,7 +277,7 @@ impl PlanningWindow {
         move |forward, left| {
             let x = from_x + forward * cos - left * sin;
             let y = from_y + forward * sin + left * cos;
-            // Points just outside land on the rim, which is never free.
+            // A point just outside is mapped to the rim, which is never free.
             Place::new(x as i32, y as i32)
         }
     }
@@ -292,9 +295,9 @@ impl PlanningWindow {
         self.cell
     }
 
-    /// The nearest free cell within a few cells of `to`, `to` itself if it is free.
+    /// The free cell nearest to `to`, within a few cells; `to` itself if it is free.
     pub(super) fn nearest_free(&self, to: Place) -> Option<Place> {
-        /// More than the errors of the pose and the map.
+        /// Larger than the errors of the pose and the map, in cells.
         const REACH: i32 = 6;
         let (x, y) = to.column_and_row();
         let about = (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dx, dy)));
@@ -311,12 +314,12 @@ impl PlanningWindow {
         matches!(self.line(from, to.column_and_row()), Line::Clear { .. })
     }
 
-    /// What the straight line from one cell to another crosses, without the first cell; the other
-    /// may be outside.
+    /// What a straight line crosses, from `from` (not included) to `to`, which may be outside the
+    /// window.
     #[inline(never)]
     pub(super) fn line(&self, from: Place, to: (i32, i32)) -> Line {
         let (across, up) = (to.0 - i32::from(from.x), to.1 - i32::from(from.y));
-        // Most blocked lines are blocked at one of these three points.
+        // Most blocked lines are blocked at one of these three points, so these are checked first.
         if Place::new(to.0, to.1).is_some() {
             for quarters in [2, 1, 3] {
                 let along = |from: u8, way| (i32::from(from) + ((quarters * way + 2) >> 2)) as u8;
@@ -331,8 +334,9 @@ impl PlanningWindow {
         let mut cell = 1u64 << (from.x % 64);
         let mut y = i32::from(from.y);
         let mut row = self.free.row(from.y.into());
-        // Twice the distances to the next sides, each multiplied by the other axis's length: the
-        // difference tells which side comes first.
+        // Twice the distances to the next vertical and the next horizontal side, each multiplied by
+        // the length along the other axis: the sign of the difference says which side the line
+        // crosses first.
         let mut ahead = up - across;
         let mut left = across + up;
         let mut dear = 0;
@@ -349,12 +353,12 @@ impl PlanningWindow {
                 ahead -= 2 * across;
                 left -= 1;
             }
-            // Through a corner: the two cells beside it must be free, too.
+            // The line crosses a corner: both cells beside it must be free, too.
             let beside = side == 0 && {
                 let last = if east { cell >> 1 } else { cell << 1 };
                 row & last == 0 || self.free.row((y - step_y) as usize) & cell == 0
             };
-            // The rim is never free: a line that leaves the window ends there.
+            // The rim is never free, so a line that leaves the window stops there.
             if row & cell == 0 || beside {
                 let x = cell.trailing_zeros() as i32;
                 let rim = |it: i32| it == 0 || it == SIDE as i32 - 1;
@@ -384,20 +388,20 @@ impl PlanningWindow {
     }
 }
 
-/// Radius of the ground to give up around a frontier cell from which it can't be seen, in
+/// Radius of the ground to give up around a frontier cell when it could not be seen from there, in
 /// millimetres.
 pub(super) fn frontier_reach(radius: u16, cell: i32) -> u16 {
     let cells = frontier_steps(radius, cell) + 2;
     u16::try_from(cells.saturating_mul(cell)).unwrap_or(u16::MAX)
 }
 
-/// Distance in cells within which a frontier is near: the robot can get there, whatever wall is
-/// beside it.
+/// Maximum distance from blind ground to the free cells that count as its frontier, in cells: large
+/// enough that the robot can get there even beside a wall.
 fn frontier_steps(radius: u16, cell: i32) -> i32 {
     (i32::from(radius) / cell.max(1) + 2).min(SIDE as i32)
 }
 
-/// 32 bits with each group of 2 or 4 neighbours merged into one.
+/// The bits with each group of 2 or 4 neighbours (levels 1 and 2) merged into one.
 fn squeezed(mut cells: u32, level: u32) -> u32 {
     for _ in 0..level {
         cells = (cells | cells >> 1) & 0x5555_5555;
@@ -409,14 +413,14 @@ fn squeezed(mut cells: u32, level: u32) -> u32 {
     cells
 }
 
-/// `cells` shifted to begin at column `east`; those outside the window are dropped.
+/// `cells` shifted so that the first is at column `east`; cells outside the window are dropped.
 fn shifted(cells: u32, east: i32) -> u64 {
     let cells = u64::from(cells);
     let by = east.unsigned_abs();
     if east < 0 { cells.checked_shr(by) } else { cells.checked_shl(by) }.unwrap_or(0)
 }
 
-/// Calls `take` for each row of a disc with the cells whose centres are inside.
+/// Calls `take` for each row of a disc with the cells whose centres are inside the disc.
 fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, u64)) {
     let radius = radius as f32 / cell as f32;
     let (x, y) = (x / cell as f32 - 0.5, y / cell as f32 - 0.5);
@@ -438,11 +442,12 @@ fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, 
 /// Maximum inflation of an obstacle, in cells.
 const MAX_INFLATION: usize = 24;
 
-/// Adds to `near` the cells whose centre is closer to an occupied cell than half of `reach`.
+/// Adds to `near` the cells whose centre is closer than half of `reach` to an occupied cell.
 fn inflate(occupied: &Plane, reach: i64, cell: i32, near: &mut Plane) {
-    // All lengths are doubled.
+    // All lengths are doubled, to avoid fractions.
     let gap = |cells: usize| (2 * cells as i64 - 1).max(0) * i64::from(cell);
-    // For each distance in rows: how far an occupied cell reaches along the row.
+    // For each distance in rows, the number of cells along the row that an occupied cell inflates
+    // to.
     let widths: [u8; MAX_INFLATION + 1] = core::array::from_fn(|aside| {
         let within = |along: &usize| gap(*along).pow(2) + gap(aside).pow(2) < reach.pow(2);
         if within(&0) { 1 + (1..=MAX_INFLATION).take_while(within).count() as u8 } else { 0 }

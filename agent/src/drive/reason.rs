@@ -34,12 +34,12 @@ pub enum Reason {
     OutsideMap,
     /// The wheels do not turn as commanded.
     WheelsStuck,
-    /// The wheels turn, but the robot does not move accordingly.
+    /// The wheels turn, but the robot does not move as far as they do.
     WheelsSlip,
 }
 
 impl Reason {
-    /// The event that reports it to the server, if there is one.
+    /// The event code that reports this reason to the server, if there is one.
     pub fn event_code(self) -> Option<EventCode> {
         Some(match self {
             Self::NoTask | Self::Driving | Self::Stopped | Self::LinkLost => return None,

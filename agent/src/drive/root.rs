@@ -1,7 +1,7 @@
 //! Square roots.
 
-/// A square root with a relative error below 1e-6: two Newton steps from an estimate by the
-/// exponent. 20 instructions; `libm` takes several times as many.
+/// A square root with a relative error below 1e-6: an estimate from the exponent, then two Newton
+/// steps. 20 instructions; `libm` takes several times as many.
 #[inline(always)]
 pub(super) fn root(square: f32) -> f32 {
     let guess = f32::from_bits(0x1fbd_1df5 + (square.to_bits() >> 1));

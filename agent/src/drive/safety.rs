@@ -12,20 +12,21 @@ use crate::timing::{SCAN_STALE, SERVER_SILENT, WHEELS_RETRY};
 /// The limits of the safety checks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SafetyLimits {
-    /// Maximum silence of the server; `None` for a robot that may drive without one.
+    /// Maximum time without a message from the server; `None` for a robot that may drive without
+    /// one.
     pub silence: Option<Duration>,
-    /// Maximum age of the scan to drive by.
+    /// Maximum age of the scan that the robot drives by.
     pub scan_age: Duration,
     /// Standard deviation of the position at which the pose counts as lost, in millimetres.
     pub most_unsure: f32,
-    /// The area that it may not leave: south-western and north-eastern corner.
+    /// The area that the robot may not leave: its south-western and north-eastern corner.
     pub fence: Option<[Waypoint; 2]>,
-    /// How long it stands before it tries the wheels again.
+    /// How long the robot stands before it tries faulty wheels again.
     pub retry: Duration,
 }
 
 impl Default for SafetyLimits {
-    /// 2 s of silence, a scan age of 0.5 s, a standard deviation of 15 cm.
+    /// 2 s without a message, a scan age of 0.5 s, a standard deviation of 15 cm, and no fence.
     fn default() -> Self {
         Self {
             silence: Some(SERVER_SILENT),
@@ -64,14 +65,14 @@ const TRIES: u8 = 3;
 pub struct Safety {
     limits: SafetyLimits,
     watch: Option<Watch>,
-    /// The fault of the wheels and since when; the number of retries in a row; whether a retry is
-    /// in progress.
+    /// The fault of the wheels and when it was found; the number of consecutive retries; whether a
+    /// retry is in progress.
     fault: Option<(Reason, Instant)>,
     tries: u8,
     is_trying: bool,
 }
 
-/// What was commanded and measured since a moment.
+/// The motion commanded and measured since a certain time.
 #[derive(Clone, Copy, Debug)]
 struct Watch {
     since: Instant,
@@ -81,15 +82,15 @@ struct Watch {
     odometry: Pose,
     /// Standard deviation of `pose`, in millimetres.
     unsure: f32,
-    /// `odometry` at the last check.
+    /// The odometry at the last check.
     seen: Pose,
-    /// Sums of distance and angle, in millimetres and radians.
+    /// Total distance and total angle, in millimetres and radians.
     commanded: (f32, f32),
     measured: (f32, f32),
 }
 
 impl Safety {
-    /// With these limits.
+    /// Checks with these limits.
     pub fn new(limits: SafetyLimits) -> Self {
         Self { limits, watch: None, fault: None, tries: 0, is_trying: false }
     }
@@ -104,7 +105,8 @@ impl Safety {
         self.fault.filter(|_| self.is_trying).map(|(reason, _)| reason)
     }
 
-    /// Why the robot must stop, if it must. `command` is the command executed since the last check.
+    /// The reason why the robot must stop; `None` if it may drive. `command` is the command
+    /// executed since the last check.
     pub fn check(&mut self, health: &Health, command: DriveCommand) -> Option<Reason> {
         let limits = &self.limits;
         let now = health.now;
@@ -177,13 +179,14 @@ impl Safety {
         }
         self.watch = None;
         let (commanded, measured) = (watch.commanded, watch.measured);
-        // Less than a third of the command, if enough was commanded to judge.
+        // The motion is less than a third of the commanded one, and the commanded one is long
+        // enough to judge.
         let stuck = |commanded: f32, measured: f32, enough: f32| {
             commanded > enough && measured < commanded / 3.0
         };
         let by_map = way(watch.pose, pose);
         let by_wheels = way(watch.odometry, odometry);
-        // More than the pose may have been corrected meanwhile.
+        // The difference is larger than what corrections of the pose explain.
         let corrected = 100.0 + 2.0 * watch.unsure;
         let slips = (by_map - by_wheels).abs() > corrected + 0.3 * by_map.min(by_wheels);
         if stuck(commanded.0, measured.0, 100.0) || stuck(commanded.1, measured.1, 0.4) {
@@ -266,7 +269,7 @@ mod tests {
     }
 
     /// The reasons over some seconds at 20 Hz, one entry per change. `by_map` and `by_wheels` are
-    /// the measured motion per commanded motion.
+    /// the ratios of the measured to the commanded motion.
     fn driven(command: DriveCommand, by_map: f32, by_wheels: f32) -> std::vec::Vec<Option<Reason>> {
         let mut safety = Safety::new(SafetyLimits::default());
         let (mut way, mut turned) = (0.0, 0.0);

@@ -1,9 +1,10 @@
-//! From a goal, or none, to a route: through windows of the map, from the finest to the coarsest.
+//! From a task, with a goal or without, to a route: plans in windows of the map, from the finest to
+//! the coarsest.
 //!
-//! A goal is searched for in the finest window that contains it, then in coarser ones. The result
-//! of a coarse window is planned again in the finest one, within its area: only such a route is
-//! driven. A goal that can't be reached within any window is approached through the rims of the
-//! finer ones.
+//! A goal is searched for in the finest window that contains it, then in coarser ones. The robot
+//! drives only routes planned in the finest window: the result of a coarse window is planned again
+//! there, as far as the finest window reaches. A goal that can't be reached within any window is
+//! approached through the rims of the finer ones.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -23,8 +24,8 @@ use super::{
 /// The points of a route.
 pub(super) type Route = Vec<Waypoint, MAX_POINTS>;
 
-/// A goal that is too close to an obstacle is approached to within this number of cells: less than
-/// the distance from a wall to the first free cell.
+/// Maximum distance in cells between a goal and the free cell that stands in for it: less than the
+/// distance from a wall to the first free cell.
 const BESIDE: u8 = 3;
 
 /// Maximum number of places where blind ground is given up.
@@ -55,9 +56,10 @@ struct Attempt {
     level: u32,
     /// The finest level whose window contains the goal.
     finest: u32,
-    /// Whether to leave through the rim of a window that does not contain the goal.
+    /// Whether the path may leave through the rim of a window that does not contain the goal.
     beyond: bool,
-    /// The result of a coarse window: an intermediate point in the finest one, and the end.
+    /// The result of a coarse window: an intermediate point in the finest window, and where the
+    /// whole route leads.
     via: Option<(Waypoint, End)>,
 }
 
@@ -78,10 +80,10 @@ impl Workspace {
 pub(super) struct Search<'b> {
     workspace: &'b mut Workspace,
     given_up: Vec<GivenUp, MAX_GIVEN_UP>,
-    /// `None`: the best frontier.
+    /// The goal; `None` for the best frontier.
     goal: Option<Waypoint>,
     attempt: Attempt,
-    /// Whether the planner has begun the attempt.
+    /// Whether the planner has started on the current attempt.
     is_begun: bool,
     target: Target,
     route: Route,
@@ -110,7 +112,7 @@ impl<'b> Search<'b> {
         &self.route
     }
 
-    /// Restarts the search at `pose`. Without a goal it explores.
+    /// Restarts the search at `pose`. Without a goal it searches for the best frontier.
     pub(super) fn begin(&mut self, goal: Option<Waypoint>, pose: Pose, resolution: Millimetres) {
         let side = resolution.0.max(1).saturating_mul(SIDE as i32 / 2 - 3).unsigned_abs();
         let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
@@ -122,7 +124,8 @@ impl<'b> Search<'b> {
         self.is_begun = false;
     }
 
-    /// Continues, expanding at most `corners` corners. A step either fills a window or plans in it.
+    /// Continues the search, expanding at most `corners` corners. Each step either fills a window
+    /// or plans in it.
     pub(super) fn step(
         &mut self,
         view: &WindowInputs<'_>,
@@ -192,13 +195,13 @@ impl<'b> Search<'b> {
         let (x, y) = self.workspace.window.column_and_row(goal);
         let inner = |it: i32| (1..SIDE as i32 - 1).contains(&it);
         let Some(place) = Place::new(x, y).filter(|_| inner(x) && inner(y)) else {
-            // Far enough to give the direction.
+            // Clamped: only the direction matters.
             let far = |it: i32| it.clamp(-1_000, 1_000) as i16;
             return Target::Beyond(far(x), far(y));
         };
-        // In an intermediate or coarse window any free cell nearby will do, as another window
-        // decides. For the goal itself it must be within `BESIDE`: otherwise the goal is inside an
-        // obstacle, or beyond it.
+        // In a coarse window, or for an intermediate point, any free cell nearby will do, because
+        // another window decides. For the goal itself the free cell must be within `BESIDE`:
+        // otherwise the goal is inside or behind an obstacle.
         let is_rough = self.attempt.via.is_some() || self.attempt.level > 0;
         let is_beside = |near: &Place| {
             let (across, up) = (near.x.abs_diff(place.x), near.y.abs_diff(place.y));
@@ -213,7 +216,7 @@ impl<'b> Search<'b> {
         let path = self.workspace.planner.path();
         let mut route = Route::new();
         for &place in &path.places {
-            // The capacity is that of a path.
+            // A route has the capacity of a path.
             let _ = route.push(self.workspace.window.middle(place));
         }
         let whole = path.is_whole;
@@ -233,7 +236,8 @@ impl<'b> Search<'b> {
         }
         let reach = self.workspace.window.cell() >> self.attempt.level;
         let (via, is_end) = within(&route, pose, reach.saturating_mul(SIDE as i32 / 2 - 4));
-        // If the end were a goal within the finest window, that window would have found it.
+        // If the goal were within reach, the finest window would have found it. So the end within
+        // reach is a frontier or an intermediate point.
         let end = if is_end && end != End::Goal { end } else { End::OnTheWay };
         self.attempt.via = Some((via, end));
         self.is_begun = false;
@@ -255,10 +259,11 @@ impl<'b> Search<'b> {
         if let Some((_, End::Frontier(at, level))) = via
             && self.give_up(at, level, view)
         {
-            // The frontier is not where the coarse window saw it.
+            // The frontier is not where the coarse window saw it, so the coarse window searches
+            // again without it.
             return self.attempt_at(level, false);
         }
-        // A goal blocked in the finest window is blocked.
+        // The finest window is the authority: a goal that is blocked there is blocked.
         let is_known = error == PlanError::GoalBlocked && level == 0 && via.is_none();
         if is_known || error == PlanError::StartBlocked && level == 0 {
             return Outcome::Failed(error);
@@ -279,8 +284,8 @@ impl<'b> Search<'b> {
     }
 }
 
-/// The last point of a route within `reach` of a pose along x and along y, and whether it is the
-/// route's end.
+/// The last point of a route that is within `reach` of a pose along both axes, and whether it is
+/// the route's end.
 fn within(route: &Route, pose: Pose, reach: i32) -> (Waypoint, bool) {
     let is_near = |point: &Waypoint| {
         let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
@@ -292,7 +297,7 @@ fn within(route: &Route, pose: Pose, reach: i32) -> (Waypoint, bool) {
             last = *point;
             continue;
         }
-        // Bisects the leg, to 1/256 of its length.
+        // Bisects the leg to find its last point within reach, to 1/256 of its length.
         let (mut inside, mut outside) = (last, *point);
         for _ in 0..8 {
             let half = |a: Millimetres, b: Millimetres| {

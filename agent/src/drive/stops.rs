@@ -1,5 +1,6 @@
-//! Stops for each scan, so that the robot is localised where it stands (Ahmed 3: "after every move,
-//! the robots needed to wait so that the tracking system locks their current position").
+//! Stops the robot for each scan, so that its pose is measured where it stands (Ahmed 3: "after
+//! every move, the robots needed to wait so that the tracking system locks their current
+//! position").
 
 use ubimap_protocol::{time::Instant, units::Pose};
 
@@ -9,25 +10,25 @@ use crate::{map::Gate, timing::UNSEEN_STOP};
 #[derive(Clone, Copy, Debug)]
 pub struct Stops {
     phase: Phase,
-    /// Whether it was localised since it last moved.
+    /// Whether a fix has arrived since the robot last moved.
     is_located: bool,
 }
 
-/// Poses are of `base_link` in `odom`.
+/// The phases of a stop. Poses are `base_link` in `odom`.
 #[derive(Clone, Copy, Debug)]
 enum Phase {
-    /// Not started.
+    /// The robot has not started yet.
     New,
-    /// Driving, from this pose.
+    /// Driving, since this pose.
     Driving(Option<Pose>),
-    /// Commanded to stand; its pose at the last step.
+    /// Commanded to stand, but still moving; the pose at the last step.
     Stopping(Pose),
     /// Standing since this time.
     Standing(Instant),
 }
 
 impl Default for Stops {
-    /// Stands until the first scan.
+    /// Stands until the first scan is mapped.
     fn default() -> Self {
         Self { phase: Phase::New, is_located: false }
     }
@@ -55,8 +56,8 @@ impl Stops {
         !matches!(self.phase, Phase::Driving(_))
     }
 
-    /// Whether to map a scan taken at `taken`: if the robot stands, and its newest fix is from
-    /// after it stopped. It may drive on afterwards.
+    /// Whether to map a scan taken at `taken`: only if the robot stands, and its newest fix was
+    /// taken after it stopped. The robot may drive on afterwards.
     pub fn takes(&mut self, taken: Instant, fix: Option<Instant>) -> bool {
         if let Phase::Standing(since) = self.phase {
             self.is_located = taken >= since && fix.is_some_and(|fix| fix >= since);
@@ -100,7 +101,7 @@ mod tests {
         assert!(stops.takes(at(360), Some(at(360))), "while it stands");
         assert!(!must_stand(&mut stops, 0.08, at(400)));
         assert!(!stops.takes(at(410), Some(at(410))), "it drives");
-        // No fix arrives.
+        // While no fix arrives, the robot keeps standing.
         assert!(must_stand(&mut stops, 0.09, at(450)) && must_stand(&mut stops, 0.09, at(500)));
         assert!(must_stand(&mut stops, 0.09, at(3_499)));
         assert!(!must_stand(&mut stops, 0.09, at(3_500)));

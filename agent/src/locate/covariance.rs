@@ -6,8 +6,8 @@ use nalgebra::{Vector2, Vector3};
 /// added back in each step, so that the matrix stays positive.
 const ROUNDING: f32 = 1.0e-6;
 
-/// A symmetric matrix over x, y (mm) and heading (rad), all in `map`, stored as six numbers: takes
-/// a tenth of the instructions of a general matrix.
+/// A symmetric 3 x 3 matrix over x, y (mm) and heading (rad), all in `map`, stored as six numbers:
+/// takes a tenth of the instructions of a general matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Covariance {
     pub(super) xx: f32,
@@ -19,13 +19,13 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// A diagonal matrix with these variances.
+    /// A diagonal matrix of variances.
     pub(super) fn diagonal(variances: Vector3<f32>) -> Self {
         Self { xx: variances.x, xy: 0.0, yy: variances.y, xh: 0.0, yh: 0.0, hh: variances.z }
     }
 
-    /// Propagates it by a known step: F P F', where F is the identity except for the effect of the
-    /// heading on the position.
+    /// Propagates the covariance by a known step of the robot: F P F', where F is the identity
+    /// except for the effect of the heading on the position.
     pub(super) fn carry(&mut self, step: Vector2<f32>) {
         let (dx, dy) = (step.x, step.y);
         let (turned_x, turned_y) = (dy * dy * self.hh, dx * dx * self.hh);
@@ -37,7 +37,7 @@ impl Covariance {
         self.hh += ROUNDING * self.hh;
     }
 
-    /// Adds independent noise with these variances, `position` for each of x and y.
+    /// Adds independent noise with these variances; `position` applies to x and to y.
     pub(super) fn grow(&mut self, position: f32, heading: f32) {
         self.xx += position;
         self.yy += position;
@@ -52,8 +52,9 @@ impl Covariance {
         }
     }
 
-    /// Updates it for a measurement of one of the three states: P - c c' `scale`, with `column` c
-    /// of that state and `scale` the inverse of the innovation's variance.
+    /// Updates the covariance for a measurement of one of the three states: P - c c' `scale`, where
+    /// `column` c is that state's column of P, and `scale` the inverse of the innovation's
+    /// variance.
     pub(super) fn reduce(&mut self, column: Vector3<f32>, scale: f32) {
         let scaled = column * scale;
         self.xx += ROUNDING * self.xx - scaled.x * column.x;
@@ -74,7 +75,7 @@ pub(super) enum Axis {
 }
 
 impl Axis {
-    /// Its component of a vector.
+    /// This state's component of a vector.
     pub(super) fn of(self, vector: Vector3<f32>) -> f32 {
         match self {
             Self::X => vector.x,

@@ -18,9 +18,9 @@ use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 /// freedom. Rejects one good fix in a thousand.
 const GATE: f32 = 16.27;
 
-/// Growth of the variances during unknown motion, in mm^2/s and rad^2/s. From frame to frame at 15
-/// Hz the deviations grow by 0.63 m and 38 degrees, enough that the estimate of a robot at 1 m/s
-/// lags behind fixes of 5 cm by less than a millimetre.
+/// Growth of the variances while the motion is unknown, in mm^2/s and rad^2/s. Between two frames
+/// at 15 Hz the deviations grow by 0.63 m and 38 degrees: enough that the estimate of a robot at 1
+/// m/s lags less than a millimetre behind fixes accurate to 5 cm.
 const UNKNOWN_POSITION: f32 = 6.0e6;
 const UNKNOWN_HEADING: f32 = 6.6;
 
@@ -28,12 +28,12 @@ const UNKNOWN_HEADING: f32 = 6.6;
 /// and rad/s^2. In 50 ms they amount to 1.3 mm and 0.4 degrees.
 const ACCELERATION: f32 = 1_000.0;
 const TURN_ACCELERATION: f32 = 6.0;
-/// Unknown speeds before there are two readings: standard deviations in mm/s and rad/s.
+/// Unknown speeds while there are fewer than two readings: standard deviations in mm/s and rad/s.
 const SPEED: f32 = 500.0;
 const TURN_SPEED: f32 = 1.5;
 
-/// Variances of the position and the heading beyond which an estimate is lost (10 m and one
-/// radian): the filter is linear for small errors only.
+/// Variances of the position (10 m squared) and the heading (1 rad squared) beyond which an
+/// estimate counts as lost: the filter is linear for small errors only.
 const LOST_POSITION: f32 = 1.0e8;
 const LOST_HEADING: f32 = 1.0;
 
@@ -45,7 +45,7 @@ pub(super) struct Fix {
 }
 
 impl Fix {
-    /// The variances; at least those of the rounding on the wire.
+    /// The fix's variances, no smaller than those of the rounding on the wire.
     fn variances(&self) -> Vector3<f32> {
         let Certainty { x, y, heading } = self.certainty;
         let deviations = Vector3::new(
@@ -60,25 +60,25 @@ impl Fix {
 /// Uncertainty of a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Variances {
-    /// Variance of the distance from the true position, in mm^2.
+    /// Variance of the distance to the true position, in mm^2.
     pub position: f32,
     /// Variance of the heading, in rad^2.
     pub heading: f32,
 }
 
 impl Variances {
-    /// The distance, at most `most` mm, up to which the heading's standard deviation displaces
-    /// points by at most `side`.
+    /// The distance from the robot, at most `most` mm, up to which one standard deviation of the
+    /// heading displaces points by at most `side`.
     pub(crate) fn reach(self, side: Millimetres, most: u16) -> u16 {
         let (side, far) = (side.0 as f32, f32::from(most));
         if self.heading * far * far <= side * side {
             return most;
         }
-        // The heading is not certain here; the cast saturates.
+        // The heading has a variance here, so the quotient is finite; the cast saturates.
         (side / libm::sqrtf(self.heading)) as u16
     }
 
-    /// After `seconds` of unknown motion.
+    /// The variances after `seconds` of unknown motion.
     pub(super) fn after(self, seconds: f32) -> Self {
         Self {
             position: self.position + 2.0 * UNKNOWN_POSITION * seconds,
@@ -86,7 +86,7 @@ impl Variances {
         }
     }
 
-    /// Interpolated, `part` from 0 to 1.
+    /// The variances interpolated between two poses; `part` is 0 to 1.
     pub(super) fn between(self, to: Self, part: f32) -> Self {
         let mix = |from: f32, to: f32| from * (1.0 - part) + to * part;
         Self { position: mix(self.position, to.position), heading: mix(self.heading, to.heading) }
@@ -99,11 +99,12 @@ impl Variances {
 /// operations, and `libm`'s square root and arc tangent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Estimate {
-    /// Whole millimetres, so that the precision does not depend on the distance from the origin,
+    /// The position rounded to whole millimetres. Integers keep the precision independent of the
+    /// distance from the origin.
     whole: (Millimetres, Millimetres),
-    /// and the remainder, at most half a millimetre.
+    /// What rounding left of the position, at most half a millimetre along each axis.
     rest: Vector2<f32>,
-    /// From `odom` to `map`: odometry does not change it.
+    /// The rotation from `odom` to `map`; a new odometry reading does not change it.
     rotation: UnitComplex<f32>,
     covariance: Covariance,
     /// Whether part of the motion since the last fix is unknown.
@@ -111,7 +112,7 @@ pub(super) struct Estimate {
 }
 
 impl Estimate {
-    /// At a pose known exactly, with the odometry's heading `odometry`.
+    /// An exactly known pose; the odometry's heading at that time is `odometry`.
     pub(super) fn certain(pose: Pose, odometry: Angle) -> Self {
         Self {
             whole: (pose.x, pose.y),
@@ -122,19 +123,19 @@ impl Estimate {
         }
     }
 
-    /// From a fix alone, with the odometry's heading `odometry`.
+    /// The estimate from a fix alone; the odometry's heading at that time is `odometry`.
     pub(super) fn of(fix: &Fix, odometry: Angle) -> Self {
         let covariance = Covariance::diagonal(fix.variances());
         Self { covariance, ..Self::certain(fix.pose, odometry) }
     }
 
-    /// `base_link` in `map`, with the odometry's heading `odometry`.
+    /// `base_link` in `map`, when the odometry's heading is `odometry`.
     pub(super) fn pose(&self, odometry: Angle) -> Pose {
         let turned = round(self.rotation.angle() / RADIANS) as i32 as u16;
         Pose { x: self.whole.0, y: self.whole.1, heading: odometry + Angle(turned) }
     }
 
-    /// Its uncertainty.
+    /// The uncertainty of the pose.
     pub(super) fn variances(&self) -> Variances {
         let position = self.covariance.xx + self.covariance.yy;
         Variances { position, heading: self.covariance.hh }
@@ -145,13 +146,13 @@ impl Estimate {
         self.guessed
     }
 
-    /// Whether the variances exceed the limit. They grow no further then.
+    /// Whether the variances exceed the limit. They do not grow beyond it.
     pub(super) fn is_lost(&self) -> bool {
         let Variances { position, heading } = self.variances();
         position > LOST_POSITION || heading > LOST_HEADING
     }
 
-    /// Prediction by odometry, from one pose in `odom` to another. About 350 instructions.
+    /// Predicts by odometry, from one pose in `odom` to another. About 350 instructions.
     pub(super) fn drive(&mut self, from: Pose, to: Pose, seconds: f32, noise: &MotionNoise) {
         let way = Vector2::new((to.x - from.x).0 as f32, (to.y - from.y).0 as f32);
         let step = self.rotation * way;
@@ -170,7 +171,7 @@ impl Estimate {
         );
     }
 
-    /// Prediction by unknown motion.
+    /// Predicts by unknown motion.
     pub(super) fn wander(&mut self, seconds: f32) {
         self.guessed = true;
         if !self.is_lost() {
@@ -190,18 +191,19 @@ impl Estimate {
         self.covariance.grow(way * way, turn * turn);
     }
 
-    /// The odometry's heading jumps from `from` to `to` without a motion of the robot.
+    /// Adapts to a jump of the odometry's heading from `from` to `to` without a motion of the
+    /// robot.
     pub(super) fn rebase(&mut self, from: Angle, to: Angle) {
         if from != to {
             self.rotation *= rotation(radians(from - to));
         }
     }
 
-    /// Correction by a fix. Returns `false` if it is beyond the gate; the estimate is unchanged
-    /// then.
+    /// Corrects the estimate by a fix. Returns `false` if the fix is beyond the gate; the estimate
+    /// is then unchanged.
     ///
     /// As the covariance of a fix is diagonal, its three numbers can be processed one after
-    /// another, which gives the same result and needs no inverse.
+    /// another, which gives the same result and needs no matrix inverse.
     pub(super) fn take(&mut self, fix: &Fix, odometry: Angle) -> bool {
         let Pose { x, y, heading } = fix.pose;
         let innovation = Vector3::new(
@@ -231,8 +233,8 @@ impl Estimate {
         near
     }
 
-    /// Turns by an angle. Small angles, the usual case, avoid sine and cosine: by the tangent of
-    /// the half angle, with an error below 10^-5.
+    /// Turns the rotation by an angle. Small angles, the usual case, need no sine or cosine: they
+    /// use the tangent of the half angle, with an error below 10^-5.
     fn turn(&mut self, angle: f32) {
         self.rotation *= if angle.abs() < 0.25 {
             let tangent = 0.5 * angle * (1.0 + angle * angle / 12.0);
@@ -303,7 +305,7 @@ mod tests {
             8 => (way(), way(), any::<u16>(), 0.0..4_000.0f32)
                 .prop_map(|(x, y, turn, seconds)| FilterInput::Drive(x, y, turn, seconds)),
             1 => (0.0..4_000.0f32).prop_map(FilterInput::Wander),
-            // Off by up to half a metre; any certainty.
+            // A fix that is off by up to half a metre, with any certainty.
             6 => (-500..500i32, -500..500i32, any::<u16>(), any::<u16>())
                 .prop_map(|(x, y, turn, deviation)| FilterInput::Take(x, y, turn, deviation)),
         ]

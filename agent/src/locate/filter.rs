@@ -1,8 +1,8 @@
 //! The filter: fuses odometry with fixes, which arrive late.
 //!
 //! The estimate for a time is computed from the measurements in the order of their time stamps, not
-//! of their arrival: it starts from a state older than all remembered measurements and replays
-//! them. So a late fix is inserted at its time, and the odometry since is replayed.
+//! of their arrival: the filter starts from a state that is older than all remembered measurements
+//! and replays these. So a late fix takes its place in time, and the odometry after it is replayed.
 
 use core::fmt;
 
@@ -19,34 +19,36 @@ use super::{
 };
 use crate::timing::BRIDGED_GAP;
 
-/// Number of odometry readings remembered, and their minimum distance in time: together at least
-/// the time that a scan waits. Hard braking in between displaces the robot by a millimetre.
+/// Number of odometry readings remembered, and the minimum interval between them. Their product is
+/// at least the time that a scan waits for its pose. Hard braking between two readings displaces
+/// the robot by a millimetre.
 const READINGS: usize = 15;
 const READING_INTERVAL: Duration = Duration::from_millis(100);
-/// Minimum distance in time of readings at the times of scans, which later ones do not replace: at
-/// 15 Hz those of one second are remembered.
+/// Minimum interval between the readings remembered for scans, which later readings do not replace:
+/// at 15 Hz the readings of one second are remembered.
 const SCAN_INTERVAL: Duration = Duration::from_millis(60);
-/// Minimum span over which the speed is measured: over a shorter one the rounding of readings to
-/// millimetres exceeds 20 mm/s.
+/// Minimum span for measuring the speed: over a shorter one, the rounding of readings to
+/// millimetres causes an error above 20 mm/s.
 const SPEED_SPAN: Duration = Duration::from_millis(50);
 /// Maximum turn between two readings for a steady robot: half a degree, in binary angle units.
 const STEADY: u16 = 91;
 /// Number of fixes remembered: half a second at 15 Hz.
 const FIXES: usize = 8;
-/// Number of consecutive rejected fixes that agree until they are accepted: a third of a second at
-/// 15 Hz.
+/// Number of consecutive rejected fixes that agree with one another before they are accepted: a
+/// third of a second at 15 Hz.
 const RIVALS: u8 = 5;
 
-/// What became of a fix.
+/// The result of processing a fix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FixOutcome {
-    /// It is the first, or the pose was lost: the estimate starts with it.
+    /// The fix is the first, or the pose was lost: the estimate starts anew from this fix.
     Began,
-    /// It was accepted.
+    /// The fix was accepted.
     Taken,
-    /// It was rejected as an outlier.
+    /// The fix was rejected as an outlier.
     Rejected,
-    /// It was accepted after several consistent ones had been rejected: the robot was carried.
+    /// The fix was accepted because it agrees with several that were rejected: the robot was
+    /// carried.
     Moved,
 }
 
@@ -55,9 +57,9 @@ pub enum FixOutcome {
 pub enum FixError {
     /// A fix of this time was received before.
     Repeated,
-    /// It is older than the history.
+    /// The fix is older than the history.
     TooOld,
-    /// Its time is in the future.
+    /// The fix's time is in the future.
     Future,
     /// The clocks are not synchronised yet, so its time is unknown.
     Untimed,
@@ -107,12 +109,12 @@ pub(super) struct Told {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Belief {
     moment: Instant,
-    /// The newest known pose in `odom`.
+    /// The newest known pose in `odom` up to this time.
     odometry: Pose,
-    /// Whether that pose is of this time.
+    /// Whether that odometry is of exactly this time.
     attached: bool,
     estimate: Option<Estimate>,
-    /// The estimate by the last rejected fixes, and the number of them that agree.
+    /// The estimate according to the last rejected fixes, and how many of them agree.
     rival: Option<(Estimate, u8)>,
 }
 
@@ -126,7 +128,7 @@ impl Belief {
         })
     }
 
-    /// Advances to a time, at which the odometry's pose may be known.
+    /// Advances to a time. `odometry` is the pose in `odom` at that time, if known.
     fn go(&mut self, moment: Instant, odometry: Option<Pose>, noise: &MotionNoise) {
         let seconds = seconds(moment.since(self.moment));
         let rival = self.rival.as_mut().map(|(rival, _)| rival);
@@ -179,14 +181,15 @@ pub(super) struct Filter {
     /// A later state, cached because most queries are near it and need not replay everything.
     recent: Belief,
     odometry: History<Pose, READINGS>,
-    /// When the newest scan was taken whose pose will be requested.
+    /// The time of the newest scan whose pose will be requested.
     scan: Instant,
-    /// By the robot's clock; each with the lower word of its server time, to detect repetitions.
+    /// The fixes by the robot's clock, each with the lower word of its server time, to detect
+    /// repetitions.
     fixes: History<(u32, Fix), FIXES>,
 }
 
 impl Filter {
-    /// Starts at `start`, the origin of `odom` in `map`, or with no estimate.
+    /// A filter that starts at `start`, the origin of `odom` in `map`, or without an estimate.
     pub(super) fn new(noise: MotionNoise, start: Option<Pose>) -> Self {
         let odometry = Pose::default();
         let base = Belief {
@@ -206,8 +209,8 @@ impl Filter {
         }
     }
 
-    /// Processes a fix of the server's time `server`, which is `local` by the robot's clock.
-    /// Returns its outcome and the estimate for its time.
+    /// Processes a fix taken at the server's time `server`, which is `local` by the robot's clock.
+    /// Returns the outcome and the estimated pose at that time.
     pub(super) fn fix(
         &mut self,
         server: Instant,
@@ -241,11 +244,11 @@ impl Filter {
         if newest.is_none() {
             self.recent = belief;
         }
-        // There is an outcome unless the insertion failed.
+        // If there is no outcome, the fix could not be inserted: it is too old.
         outcome.zip(belief.told().map(|told| told.pose)).ok_or(FixError::TooOld)
     }
 
-    /// Whether an odometry reading of a time is new.
+    /// Whether an odometry reading is new: `false` if it repeats the time of the last one.
     pub(super) fn is_new(&self, moment: Instant) -> Result<bool, Backwards> {
         let last = self.odometry.newest().map(|(last, _)| last);
         if moment < last.unwrap_or(self.base.moment) {
@@ -254,7 +257,7 @@ impl Filter {
         Ok(last != Some(moment))
     }
 
-    /// The pose of this time will be requested.
+    /// Announces that the pose at this time will be requested.
     pub(super) fn expect(&mut self, scan: Instant) {
         self.scan = scan;
     }
@@ -273,7 +276,8 @@ impl Filter {
         self.remember(moment, pose);
     }
 
-    /// Remembers a reading. Readings that come faster than they are remembered replace one another.
+    /// Remembers a reading. If readings come faster than the minimum interval, each replaces the
+    /// previous one.
     #[inline(never)]
     fn remember(&mut self, moment: Instant, pose: Pose) {
         self.forget_what_is_old(moment);
@@ -283,7 +287,7 @@ impl Filter {
         };
         let least = if last == Some(self.scan) { SCAN_INTERVAL } else { READING_INTERVAL };
         let replaces = before.filter(|before| last.is_some_and(|last| last.since(*before) < least));
-        // The cached state after the previous reading does not include this one.
+        // The cached state must not be newer than the last reading kept, as it would lack this one.
         if replaces.or(last).is_none_or(|known| known < self.recent.moment) {
             self.recent = self.base;
         }
@@ -311,8 +315,8 @@ impl Filter {
         &self.noise
     }
 
-    /// The odometry at a time between two readings during which the robot hardly turned, so that
-    /// the heading is known to a quarter of a degree.
+    /// The odometry at a time between two readings, if the robot hardly turned between them, so
+    /// that its heading is known to a quarter of a degree.
     pub(super) fn steady_odometry(&self, moment: Instant) -> Option<Pose> {
         let before = self.odometry.iter().take_while(|(at, _)| *at <= moment).last();
         let after = self.odometry.iter().find(|(at, _)| *at > moment);
@@ -329,7 +333,7 @@ impl Filter {
         self.fixes.newest().map(|(moment, _)| moment)
     }
 
-    /// The times of the newest fix up to a time, and of the oldest after it.
+    /// The times of the newest fix at or before `moment`, and of the oldest fix after it.
     pub(super) fn fixes_around(&self, moment: Instant) -> (Option<Instant>, Option<Instant>) {
         let moments = || self.fixes.iter().map(|(fix, _)| fix);
         let before = moments().take_while(|fix| *fix <= moment).last();
@@ -371,7 +375,7 @@ impl Filter {
         })
     }
 
-    /// The state after all measurements up to a time, and the outcome of the last fix replayed.
+    /// The state after all measurements up to a time, and the outcome of the last fix among them.
     fn replay(&self, until: Instant) -> (Belief, Option<FixOutcome>) {
         let start = if until < self.recent.moment { &self.base } else { &self.recent };
         let (mut belief, mut outcome) = (*start, None);
@@ -403,8 +407,8 @@ impl Filter {
         (belief, outcome)
     }
 
-    /// Drops old entries, so that the history stays within [`HISTORY_SPAN`] when one of this time
-    /// is added.
+    /// Drops old entries, so that the history still spans at most [`HISTORY_SPAN`] after an entry
+    /// for `moment` is added.
     fn forget_what_is_old(&mut self, moment: Instant) {
         let oldest = [self.odometry.oldest().map(|it| it.0), self.fixes.oldest().map(|it| it.0)];
         if oldest.into_iter().flatten().any(|oldest| moment.since(oldest) >= HISTORY_SPAN) {
@@ -423,7 +427,7 @@ impl Filter {
     }
 }
 
-/// In seconds, at most about an hour.
+/// A span in seconds; the span must be below an hour.
 pub(super) fn seconds(span: Duration) -> f32 {
     u32::try_from(span.micros()).unwrap_or(u32::MAX) as f32 * 1.0e-6
 }

@@ -7,12 +7,13 @@ use ubimap_protocol::time::{Duration, Instant};
 /// [`HISTORY_SPAN`].
 #[derive(Debug)]
 pub(super) struct History<T, const N: usize> {
-    /// With the lower words of their times.
+    /// The entries, each with the lower word of its time in microseconds.
     entries: Deque<(u32, T), N>,
     newest: Instant,
 }
 
-/// Half an hour: older entries must be dropped before a new one is added.
+/// Half an hour: the lower words of the times are unique within it. Older entries must be dropped
+/// before a new one is added.
 pub(super) const HISTORY_SPAN: Duration = Duration::from_secs(30 * 60);
 
 impl<T: Copy, const N: usize> History<T, N> {
@@ -20,15 +21,15 @@ impl<T: Copy, const N: usize> History<T, N> {
         Self { entries: Deque::new(), newest: Instant(0) }
     }
 
-    /// Inserts an entry in order of time, after those of the same time. Returns `false` if it is
-    /// full.
+    /// Inserts an entry in order of time, after entries of the same time. Returns `false` if the
+    /// history is full.
     pub(super) fn insert(&mut self, moment: Instant, entry: T) -> bool {
         let newest = if self.entries.is_empty() { moment } else { self.newest.max(moment) };
         if self.entries.push_back((moment.0 as u32, entry)).is_err() {
             return false;
         }
         self.newest = newest;
-        // Insertion sort from the end: usually the entry is in place already.
+        // Insertion sort from the end, because an entry is usually the newest.
         let age = |entry: &(u32, T)| (newest.0 as u32).wrapping_sub(entry.0);
         let mut entries = self.entries.iter_mut().rev();
         let mut new = entries.next();
@@ -40,7 +41,7 @@ impl<T: Copy, const N: usize> History<T, N> {
         true
     }
 
-    /// Replaces the newest entry; the new one must not be older than its predecessor.
+    /// Replaces the newest entry; the new one must not be older than the entry before it.
     pub(super) fn replace_newest(&mut self, moment: Instant, entry: T) {
         if let Some(newest) = self.entries.back_mut() {
             *newest = (moment.0 as u32, entry);
@@ -48,7 +49,7 @@ impl<T: Copy, const N: usize> History<T, N> {
         }
     }
 
-    /// Drops the entries up to a time.
+    /// Drops the entries up to and including a time.
     pub(super) fn forget_until(&mut self, moment: Instant) {
         while self.oldest().is_some_and(|(oldest, _)| oldest <= moment) {
             self.entries.pop_front();

@@ -25,19 +25,19 @@ const STANDS_WITHIN: (u32, u16) = (5, 182);
 /// The source of the poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PoseSource {
-    /// The server's fixes; odometry, if there is any, bridges the gaps.
+    /// The server's fixes; odometry, if there is any, bridges the gaps between them.
     Fixes,
-    /// Odometry alone, from this pose of `odom` in `map`. Its errors are ignored: the map can't
-    /// conflict with any other.
+    /// Odometry alone, starting from this pose of `odom` in `map`. Its errors are ignored, because
+    /// no other map can contradict this one.
     Odometry(Pose),
 }
 
-/// Maximum uncertainty of a pose for its scan to be mapped: standard deviations.
+/// Maximum standard deviations of a pose for its scan to be mapped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UncertaintyLimit {
-    /// Of the distance from the true position.
+    /// Deviation of the position.
     pub position: Millimetres,
-    /// Of the heading.
+    /// Deviation of the heading.
     pub heading: Angle,
 }
 
@@ -49,12 +49,12 @@ impl Default for UncertaintyLimit {
     }
 }
 
-/// The pose of a time, if known.
+/// The answer to a request for the pose at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Located {
-    /// `base_link` in `map`, and its uncertainty.
+    /// The pose (`base_link` in `map`) and its uncertainty.
     At(Pose, Variances),
-    /// `base_link` in `map`, with an uncertainty above the limit.
+    /// The pose (`base_link` in `map`), but its uncertainty exceeds the limit.
     Unsure(Pose),
     /// Measurements that determine it may still arrive.
     NotYet,
@@ -83,8 +83,8 @@ impl Locator {
     }
 
     /// Processes a fix that arrived at `now`: `base_link` in `map` at the server's time `server`,
-    /// which is `local` by the robot's clock (if known). Returns its outcome and the estimate for
-    /// that time.
+    /// which is `local` by the robot's clock, if that is known. Returns the outcome and the
+    /// estimated pose at that time.
     ///
     /// # Errors
     /// [`FixError`]; the estimate is unchanged.
@@ -107,8 +107,8 @@ impl Locator {
         self.filter.fix(server, local, pose, certainty)
     }
 
-    /// Processes an odometry reading: `base_link` in `odom` at a time of the robot's clock. Of two
-    /// readings of the same time the second is ignored.
+    /// Processes an odometry reading: `base_link` in `odom` at a time of the robot's clock. A
+    /// second reading for the same time is ignored.
     ///
     /// # Errors
     /// [`Backwards`]; the estimate is unchanged.
@@ -126,20 +126,20 @@ impl Locator {
         self.filter.expect(taken);
     }
 
-    /// Learns the systematic errors of odometry from an accepted camera fix.
+    /// Learns the systematic errors of the odometry from an accepted camera fix.
     pub(crate) fn learn(&mut self, local: Instant, pose: Pose, certainty: Certainty) {
         if let Some(odometry) = self.filter.steady_odometry(local) {
             self.errors.learn(local, pose, certainty, odometry, self.filter.noise());
         }
     }
 
-    /// The newest odometry, corrected for known errors: `base_link` in `odom`.
+    /// The newest odometry, corrected for the learnt errors: `base_link` in `odom`.
     pub fn newest_odometry(&self) -> Option<Pose> {
         self.filter.newest_odometry().map(|(_, pose)| pose)
     }
 
-    /// The newest odometry, if the robot has hardly moved since the previous one, so that it is
-    /// still there: `base_link` in `odom`.
+    /// The newest odometry if the robot has hardly moved since the reading before, so that it is
+    /// likely still there: `base_link` in `odom`.
     pub(crate) fn standing_odometry(&self) -> Option<Pose> {
         let (newest, before) = self.filter.newest_two()?;
         let moved = |to: Millimetres, from: Millimetres| to.0.abs_diff(from.0) > STANDS_WITHIN.0;
@@ -159,8 +159,8 @@ impl Locator {
         self.takes_fixes && newest.is_none_or(|newest| moment.since(newest) >= BLIND_AFTER)
     }
 
-    /// The pose at `moment`, requested at `now` (robot's clock). With `last_chance` it does not
-    /// wait for further measurements.
+    /// The pose at `moment`, requested at `now` (both by the robot's clock). With `last_chance`,
+    /// the answer is never [`Located::NotYet`].
     pub fn at(&self, moment: Instant, now: Instant, last_chance: bool) -> Located {
         if !last_chance && self.may_know_better(moment, now) {
             return Located::NotYet;
@@ -175,7 +175,7 @@ impl Locator {
         }
     }
 
-    /// Whether a measurement that improves the pose of a time may still arrive.
+    /// Whether a measurement that improves the pose at `moment` may still arrive.
     fn may_know_better(&self, moment: Instant, now: Instant) -> bool {
         let fresh = |newest: Instant| now.since(newest) <= BRIDGED_GAP;
         let odometry = self.filter.newest_odometry().map(|(newest, _)| newest);
@@ -184,19 +184,21 @@ impl Locator {
         }
         let driven = odometry.is_some_and(fresh);
         let fix = self.filter.newest_fix();
-        // Without odometry only a fix can help; with it, a fix if one is likely to come.
+        // Without odometry only a fix can help. With odometry, a fix can help if one is likely to
+        // arrive.
         let seen = fix.is_some_and(fresh) || !driven;
         fix.is_none_or(|newest| newest < moment) && seen
             || driven && odometry.is_some_and(|newest| newest < moment)
     }
 
-    /// The pose at a time, and its uncertainty.
+    /// The most likely pose at a time, and its uncertainty.
     pub(crate) fn best(&self, moment: Instant) -> Option<(Pose, Variances)> {
         let before = self.filter.at(moment);
         if let Some(told) = before.filter(|told| !told.guessed) {
             return Some((told.pose, told.variances));
         }
-        // The motion is unknown: interpolates between the fixes on both sides, if they are near.
+        // The motion is unknown here. If the fixes before and after are close enough, interpolates
+        // between them.
         let (last, next) = self.filter.fixes_around(moment);
         let after = next.and_then(|next| Some((next, self.filter.at(next)?)));
         if let Some((last, (next, to))) = last.zip(after)
@@ -272,7 +274,7 @@ mod tests {
         assert_eq!(at(&locator, 1_050, true), Located::Unsure(pose(0, 0, 0.0)));
         fix_at(&mut locator, 1_100, pose(100, 0, 10.0));
         near(at(&locator, 1_050, false), pose(50, 0, 5.0));
-        // Gaps that are too wide are not bridged.
+        // Gaps that are too long are not bridged.
         fix_at(&mut locator, 2_100, pose(1100, 0, 10.0));
         assert!(matches!(at(&locator, 1_600, true), Located::Unsure(_)));
         assert_eq!(at(&locator, 2_200, false), Located::NotYet);
@@ -294,7 +296,7 @@ mod tests {
         drive(&mut locator, 0, 1_050);
         fix_at(&mut locator, 1_000, pose(1000, 2000, 90.0));
         let at = |locator: &Locator, scan, now| locator.at(moment(scan), moment(now), false);
-        // A fix may still arrive, and so may odometry.
+        // A fix or more odometry may still arrive.
         assert_eq!(at(&locator, 1_020, 1_030), Located::NotYet);
         drive(&mut locator, 1_050, 2_050);
         near(at(&locator, 1_910, 2_020), pose(1000, 2455, 90.0));
@@ -310,8 +312,8 @@ mod tests {
         assert!(matches!(at(&locator, 20_000, 20_000), Located::At(..)));
     }
 
-    /// Remembered readings are 100 ms apart; for a scan the readings right before and after it are
-    /// used.
+    /// Remembered readings are 100 ms apart, but for a scan the readings just before and after it
+    /// are used.
     #[test]
     fn the_odometry_of_a_scans_moment_is_remembered() {
         let (mut locator, mut other) = (
@@ -334,14 +336,14 @@ mod tests {
                 Located::At(found, _) => found.heading.distance(at(millis).heading),
                 missing => panic!("{missing:?}"),
             };
-        // In binary angle units: 182 are one degree.
+        // Headings in binary angle units: 182 are one degree.
         for scan in [200, 300, 400] {
             assert!(off(&locator, scan) <= 90, "{}", off(&locator, scan));
             assert!(off(&other, scan) > off(&locator, scan), "{}", off(&other, scan));
         }
     }
 
-    /// The drive's steps are not synchronised with the odometry.
+    /// The drive's steps happen at other times than the odometry readings.
     #[test]
     fn the_pose_is_extrapolated_shortly_after_the_odometry_and_then_lost() {
         for turn in [0.0, 60.0] {

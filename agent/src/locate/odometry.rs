@@ -4,20 +4,21 @@ use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use crate::trigonometry::{RADIANS, round};
 
-/// The noise of odometry: standard deviations, whose squares grow with the distance.
+/// The noise of odometry, as standard deviations; their squares (the variances) grow with the
+/// distance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OdometryNoise {
-    /// Of x and of y after one metre.
+    /// Deviation of x and of y after one metre.
     pub position_per_metre: Millimetres,
-    /// Of the heading after one metre.
+    /// Deviation of the heading after one metre.
     pub heading_per_metre: Angle,
-    /// Of the heading after turning by one radian.
+    /// Deviation of the heading after a turn of one radian.
     pub heading_per_radian: Angle,
 }
 
 impl Default for OdometryNoise {
     /// Two driven wheels with encoders: 1.5 cm and 0.5 degrees after one metre, 1 degree after one
-    /// radian. Half of each is random, half a slip of 1 %.
+    /// radian. Half of each is random; the other half is a slip of 1 %.
     fn default() -> Self {
         Self {
             position_per_metre: Millimetres(15),
@@ -27,24 +28,24 @@ impl Default for OdometryNoise {
     }
 }
 
-/// Growth of the variances.
+/// Growth of the variances by the motion and by time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct MotionNoise {
-    /// Of x and of y with distance: mm^2/mm.
+    /// Variance of x and of y per distance, in mm^2/mm.
     pub(super) position_by_way: f32,
-    /// Of the heading with distance: rad^2/mm.
+    /// Variance of the heading per distance, in rad^2/mm.
     pub(super) heading_by_way: f32,
-    /// Of the heading with turning: rad^2/rad.
+    /// Variance of the heading per angle turned, in rad^2/rad.
     pub(super) heading_by_turn: f32,
-    /// Of x and of y with time: mm^2/s.
+    /// Variance of x and of y per time, in mm^2/s.
     pub(super) position_by_time: f32,
-    /// Of the heading with time: rad^2/s.
+    /// Variance of the heading per time, in rad^2/s.
     pub(super) heading_by_time: f32,
 }
 
 impl MotionNoise {
-    /// The noise of odometry, plus motion that the wheels do not notice, such as a push: 3 mm and
-    /// 0.1 degrees after one second, so that a small push is accepted within 2 s at 15 Hz.
+    /// The given noise, plus motion that the wheels do not notice, such as a push: 3 mm and 0.1
+    /// degrees after one second, so that a small push is accepted within 2 s at 15 Hz.
     pub(super) fn of(noise: &OdometryNoise) -> Self {
         let square = |value: f32| value * value;
         let radians = |angle: Angle| f32::from(angle.0) * RADIANS;
@@ -58,7 +59,7 @@ impl MotionNoise {
     }
 }
 
-/// Interpolates between two poses, `part` from 0 to 1, turning the short way.
+/// Interpolates between two poses, turning the short way; `part` is 0 to 1.
 pub(super) fn between(from: Pose, to: Pose, part: f32) -> Pose {
     let mix = |from: Millimetres, to: Millimetres| {
         from + Millimetres(round((to - from).0 as f32 * part) as i32)

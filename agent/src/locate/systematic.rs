@@ -1,9 +1,10 @@
 //! The systematic errors of odometry (Borenstein and Feng 1996: unequal wheel diameters, wrong
-//! wheelbase): learnt where cameras see the robot, and corrected everywhere.
+//! wheelbase). They are learnt where cameras see the robot, and corrected everywhere.
 //!
 //! Three parameters describe them: the scale error of distances, the scale error of turns, and the
-//! drift of the heading per distance driven straight. They dominate the error in blind ground:
-//! random errors grow with the root of the distance, these with the distance itself.
+//! drift of the heading per distance driven straight. They dominate the error where no camera sees
+//! the robot: random errors grow with the square root of the distance, systematic ones with the
+//! distance itself.
 
 use libm::sqrtf;
 use ubimap_protocol::{
@@ -15,8 +16,8 @@ use ubimap_protocol::{
 use super::odometry::{MotionNoise, OdometryNoise};
 use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 
-/// Requirements for the motion between two compared fixes: minimum distance in millimetres, with a
-/// maximum turn in radians; or a turn in this range; and a maximum time.
+/// What the motion between two compared fixes must be like: at least this distance in millimetres
+/// with at most this turn in radians, or a turn within this range; and at most this duration.
 const MIN_WAY: f32 = 1_000.0;
 const MAX_BEND: f32 = 0.17;
 const MIN_TURN: f32 = 0.5;
@@ -24,12 +25,13 @@ const MAX_TURN: f32 = 2.6;
 const MAX_MICROS: u32 = 20_000_000;
 /// Maximum standard deviations of a fix to learn from, in millimetres and binary angle units.
 const SURE: Certainty = Certainty { x: 20, y: 20, heading: 182 };
-/// Maximum scale error (20 %) and drift (6 degrees per metre): beyond, the robot is defective.
+/// Maximum scale error (20 %) and drift (6 degrees per metre); beyond these, the robot is
+/// defective.
 const MAX_SCALE: f32 = 0.2;
 const MAX_DRIFT: f32 = 1.0e-4;
-/// Maximum distance between two readings, in millimetres: a greater one is a jump, not a motion.
+/// Distance between two readings from which on it counts as a jump, not a motion, in millimetres.
 const JUMP: f32 = 1_000.0;
-/// Share of the variance restored with each lesson, to allow for wear.
+/// Fraction of the initial variance restored with each lesson, to allow for wear.
 const DOUBT: f32 = 1.0e-3;
 
 /// A learnt parameter and its variance.
@@ -40,13 +42,13 @@ struct Learnt {
 }
 
 impl Learnt {
-    /// Half of the configured noise is systematic, the other half random.
+    /// The initial variance: half of the configured noise is systematic, the other half random.
     fn of(deviation: f32) -> Self {
         Self { value: 0.0, variance: 0.5 * deviation * deviation }
     }
 
-    /// Updates it by a measured error `off` with this variance. Outliers, such as a spinning wheel,
-    /// are ignored.
+    /// Updates the parameter by a measured error `off` with this variance. Outliers, for example
+    /// from a spinning wheel, are ignored.
     fn learn(&mut self, off: f32, variance: f32, most: f32) {
         let sum = self.variance + variance;
         if off * off > 9.0 * sum {
@@ -58,10 +60,10 @@ impl Learnt {
     }
 }
 
-/// A fix, and the odometry at its time.
+/// A fix, and the odometry at the same time.
 #[derive(Clone, Copy, Debug)]
 struct Anchor {
-    /// The lower word of its time, in microseconds.
+    /// The lower word of the fix's time, in microseconds.
     moment: u32,
     fix: Pose,
     odometry: Pose,
@@ -79,7 +81,8 @@ pub(super) struct SystematicErrors {
     turn: Learnt,
     /// Drift of the heading: radians per mm driven straight.
     drift: Learnt,
-    /// The last reading and its corrected pose, with the fraction of a millimetre that is left.
+    /// The last reading and its corrected pose, with the fraction of a millimetre that rounding
+    /// left.
     last: Option<(Pose, Pose)>,
     rest: (f32, f32),
     /// The correction applied to the heading, in radians.
@@ -88,7 +91,7 @@ pub(super) struct SystematicErrors {
 }
 
 impl SystematicErrors {
-    /// Without errors, with the variances that the noise implies.
+    /// No errors yet, with the variances that the noise implies.
     pub(super) fn new(noise: &OdometryNoise) -> Self {
         let angle = |angle: Angle| f32::from(angle.0) * RADIANS;
         Self {
@@ -102,7 +105,7 @@ impl SystematicErrors {
         }
     }
 
-    /// A reading corrected for the known errors: `base_link` in a corrected `odom`.
+    /// Corrects a reading for the known errors: returns `base_link` in a corrected `odom`.
     pub(super) fn corrected(&mut self, reading: Pose) -> Pose {
         let Some((last, mut pose)) = self.last else {
             self.last = Some((reading, reading));
@@ -128,7 +131,7 @@ impl SystematicErrors {
         pose
     }
 
-    /// Compares an accepted fix with the corrected odometry of the same time.
+    /// Learns from an accepted fix and the corrected odometry of the same time.
     pub(super) fn learn(
         &mut self,
         moment: Instant,
@@ -143,7 +146,7 @@ impl SystematicErrors {
             return;
         }
         let new = Anchor { moment: moment.0 as u32, fix, odometry, position, heading };
-        // For an older fix the difference wraps to more than half of the range.
+        // For a fix older than the last one, the difference wraps to more than half of the range.
         let age = |last: &Anchor| new.moment.wrapping_sub(last.moment);
         let Some(last) =
             self.anchor.filter(|last| age(last) <= MAX_MICROS || age(last) > u32::MAX / 2)
@@ -164,7 +167,7 @@ impl SystematicErrors {
         let square = |value: f32| value * value;
         let both = |one: u16, other: u16| square(f32::from(one)) + square(f32::from(other));
         let heading = both(heading, last.heading) * RADIANS * RADIANS;
-        // Half of the noise is random.
+        // The random half of the noise.
         let chance = 0.5 * (noise.heading_by_way * way + noise.heading_by_turn * turned);
         let seen = radians(fix.heading - last.fix.heading);
         let off = radians(crate::trigonometry::angle(seen - turn));
@@ -186,7 +189,7 @@ fn distance(from: Pose, to: Pose) -> f32 {
     sqrtf(dx * dx + dy * dy)
 }
 
-/// The fraction of a binary unit in an angle.
+/// The fraction of a binary angle unit in an angle.
 fn fraction(angle: f32) -> f32 {
     let units = angle / RADIANS;
     (units - round(units)) * RADIANS

@@ -27,9 +27,9 @@ const ROUNDING: f64 = 0.03;
 /// A measurement with its time.
 type Timed<T> = (u64, T);
 
-/// The textbook filter in double precision: the state is (x, y, heading), the motion is in the
-/// robot's frame, a fix is processed with one matrix inverse, and everything is computed from the
-/// first measurement on.
+/// The textbook filter in double precision. Its state is (x, y, heading), the motion is in the
+/// robot's frame, a fix takes one matrix inverse, and everything is computed again from the first
+/// measurement.
 #[derive(Clone, Copy)]
 struct Textbook {
     mean: Vector3<f64>,
@@ -40,8 +40,8 @@ struct Textbook {
 struct Run {
     end: Option<Textbook>,
     outcomes: Vec<FixOutcome>,
-    /// The first time at which a distance came too near the gate, or a variance too near being
-    /// lost.
+    /// The first time at which rounding may decide: a fix is too near the gate, or a variance too
+    /// near its limit.
     doubt: Option<u64>,
 }
 
@@ -80,7 +80,7 @@ impl Textbook {
         p.m11 + p.m22 > 1.0e8 || p.m33 > 1.0
     }
 
-    /// Processes a fix, unless it is beyond the gate. Returns the squared distance.
+    /// Processes a fix unless it is beyond the gate. Returns the squared Mahalanobis distance.
     fn take(&mut self, fix: &Fix) -> f64 {
         let noise = Matrix3::from_diagonal(&variances(fix));
         let mut innovation = state(fix.pose) - self.mean;
@@ -256,7 +256,7 @@ fn drive() -> impl Strategy<Value = Drive> {
 }
 
 impl Drive {
-    /// Cut before the point where rounding might decide.
+    /// Cuts the drive before the point where rounding might decide.
     fn beyond_doubt(mut self) -> Self {
         while let Some(doubt) = Textbook::run(&self.readings, &self.fixes, u64::MAX).doubt {
             self.readings.retain(|(moment, _)| *moment < doubt);
@@ -271,7 +271,7 @@ fn filter() -> Filter {
 }
 
 proptest! {
-    /// Measurements arrive late, yet the result is that of all in order.
+    /// Measurements arrive late, yet the result is that of processing all of them in order.
     #[test]
     fn late_fixes_end_where_a_batch_of_all_ends(drive in drive()) {
         let Drive { readings, fixes, lateness } = &drive;
@@ -323,7 +323,7 @@ proptest! {
         let (mut readings, mut newest) = (drive.readings.iter(), 0);
         let mut outcomes = Vec::new();
         for (moment, fix) in &drive.fixes {
-            // The reading after it has arrived, too.
+            // The reading after the fix has arrived, too.
             while newest < *moment && let Some((reading, pose)) = readings.next() {
                 filter.odometry(Instant(*reading), *pose);
                 newest = *reading;

@@ -9,7 +9,7 @@ const SAMPLES: usize = 80;
 /// camera's noise is below both (2 % of the range).
 const MIN_CHANGE: u16 = 60;
 
-/// The last mapped scan, in samples.
+/// Samples of the last mapped scan.
 #[derive(Clone, Debug)]
 pub(super) struct LastScan {
     samples: [u16; SAMPLES],
@@ -18,10 +18,10 @@ pub(super) struct LastScan {
 }
 
 impl LastScan {
-    /// No scan.
+    /// No scan is remembered.
     pub(super) const NONE: Self = Self { samples: [0; SAMPLES], step: 0 };
 
-    /// Remembers a scan, or its readings `part`.
+    /// Remembers the readings of a scan whose indices are in `part`.
     pub(super) fn remember(&mut self, readings: &[u16], part: Range<usize>) {
         self.step = readings.len().div_ceil(SAMPLES).max(1);
         let samples = self.samples.iter_mut().zip(readings.iter().step_by(self.step));
@@ -31,8 +31,9 @@ impl LastScan {
         }
     }
 
-    /// The smallest range of readings with all changes. Two adjacent samples must have changed, or
-    /// one if every reading is a sample. `None` without a change.
+    /// The smallest range of readings that contains every change since the remembered scan; `None`
+    /// if nothing changed. A changed sample counts only if an adjacent one changed too, unless
+    /// every reading is a sample.
     pub(super) fn changed(&self, readings: &[u16]) -> Option<Range<usize>> {
         if self.step == 0 {
             return Some(0..readings.len());

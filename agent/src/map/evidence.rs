@@ -56,8 +56,8 @@ impl Evidence {
     /// All cells unknown.
     pub const NONE: Self = Self { rows: [[0; 3]; TILE_SIDE] };
 
-    /// Adds a scan's observations of rows from `first` on. Returns whether a hit was new: in a cell
-    /// that was not at its maximum yet.
+    /// Adds a scan's observations of the rows from `first` on. Returns whether any hit raised the
+    /// counter of its cell.
     pub fn add(&mut self, first: usize, sightings: impl Iterator<Item = RowSighting>) -> bool {
         let (_, rows) = self.rows.split_at_mut(first % TILE_SIDE);
         let mut news = 0;
@@ -69,8 +69,9 @@ impl Evidence {
         news != 0
     }
 
-    /// The same for a tile that is also in the server's map, which may contain the hit as well. A
-    /// separate function, as each loop needs all registers.
+    /// Like [`Evidence::add`], for a tile that is also in the server's map (`known`): drops the
+    /// observations that agree with it. A separate function, because each of the two loops needs
+    /// all registers.
     #[inline(never)]
     pub fn add_beside(
         &mut self,
@@ -87,8 +88,8 @@ impl Evidence {
         news != 0
     }
 
-    /// Adds near hits in rows from `first` on. They count twice: here, and with the rest of the
-    /// scan, which must follow.
+    /// Adds near hits in rows from `first` on. Near hits count twice: once here, and once with the
+    /// whole scan, which must be added afterwards.
     pub fn add_near(
         &mut self,
         first: usize,
@@ -105,9 +106,9 @@ impl Evidence {
         }
     }
 
-    /// Resets the cells that are free in the server's map, and that this robot has not sent
-    /// (`told`), to the map's state. The contrary evidence was insufficient: hits minutes apart are
-    /// noise at the edge of a surface, not a change.
+    /// Resets the evidence against free cells of the server's map (`known`) to the map's state,
+    /// unless this robot has already published the cell (`told`). Hits minutes apart are noise at
+    /// the edge of a surface, not a change.
     pub(crate) fn settle(&mut self, known: &Tile, told: &Tile) {
         let known = known.low.iter().zip(&known.high);
         let told = told.low.iter().zip(&told.high);
@@ -118,7 +119,7 @@ impl Evidence {
         }
     }
 
-    /// The certain cells, for each pair of rows from the south.
+    /// The cells with certain states, combined for each pair of rows, from south to north.
     pub(super) fn certain(&self) -> impl Iterator<Item = Certain> {
         let certain = |[low, middle, high]: [u32; 3]| {
             let (occupied, free) = (low & middle & high, low & !middle & !high);
@@ -159,7 +160,7 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     let [low, middle, high] = *row;
     let RowSighting { free, hit } = sighting;
     if hit != 0 && (low | middle | high) & (free | hit) == 0 {
-        // A shortcut for new ground.
+        // The shortcut for a row of which nothing is known.
         *row = [low | hit | free, middle | free, high | hit];
         return hit;
     }
@@ -171,7 +172,7 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     if hit == 0 {
         return 0;
     }
-    // The crossings have not changed the cells that were hit.
+    // A cell is in at most one of `free` and `hit`, so the crossings have not changed these.
     let both = low & middle;
     let up = hit & !(both & high);
     // An unknown cell counts to 1, then is set to 5.
@@ -198,7 +199,7 @@ mod tests {
     use proptest::prelude::*;
     use ubimap_protocol::tile::Cell;
 
-    /// Reference for one cell.
+    /// Reference implementation for one cell.
     fn plainly(value: u8, bit: usize, sighting: RowSighting, near: u32, known: Row) -> u8 {
         let is = |mask: u32| mask >> bit & 1 != 0;
         let up = |value: u8| if value == 0 { 5 } else { (value + 1).min(7) };
@@ -271,7 +272,7 @@ mod tests {
             let before = evidence.clone();
             evidence.settle(&known, &told);
             if (known_as, told_as) == (Cell::Free, Cell::Unknown) {
-                // Those with 2 and 3 are 1 now.
+                // The cells at 2 and 3 have been reset to 1.
                 assert_eq!(evidence.rows[5], [0xAE, 0xC0, 0xF0]);
             } else {
                 assert_eq!(evidence, before, "{known_as:?} {told_as:?}");

@@ -19,7 +19,8 @@ impl Default for Gate {
 }
 
 impl Gate {
-    /// Whether `now` is far enough from the pose of the last mapped scan.
+    /// Whether the robot, now at `now`, has moved far enough since its last mapped scan, taken at
+    /// `mapped`.
     pub fn opens(&self, mapped: Option<Pose>, now: Pose) -> bool {
         let Some(mapped) = mapped else { return true };
         let square = |value: i32| i64::from(value) * i64::from(value);

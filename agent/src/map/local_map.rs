@@ -24,7 +24,8 @@ use crate::{
 /// Maximum mapped range, in cells.
 pub const MAX_RADIUS: usize = 1000;
 
-/// Number of scratch words for scans of this range: 340 (2.7 kB) for 4 m with cells of 5 cm.
+/// Number of scratch words for scans of `max_range` millimetres: 340 (2.7 kB) for 4 m with cells of
+/// 5 cm.
 pub const fn scratch_words(max_range: u16, resolution: Millimetres) -> usize {
     let side = if resolution.0 > 0 { resolution.0 as usize } else { 1 };
     words_of((max_range as usize).div_ceil(side))
@@ -37,7 +38,7 @@ pub struct MappingConfig {
     pub resolution: Millimetres,
     /// Maximum radial range that is mapped, in millimetres.
     pub max_range: u16,
-    /// Hits within this distance along `map`'s x and y count twice, in millimetres.
+    /// Hits at most this far from the sensor along `map`'s x and y count twice, in millimetres.
     pub near: u16,
     /// The sensor in `base_link`.
     pub mounting: Pose,
@@ -63,7 +64,7 @@ impl Near {
         }
     }
 
-    /// Its part in a tile.
+    /// The part of the square that lies in a tile.
     fn within(&self, id: TileId) -> NearCells {
         let (x, y) = id.first_cell();
         let side = TILE_SIDE as i32;
@@ -73,24 +74,24 @@ impl Near {
     }
 }
 
-/// The cells of a tile in which hits are near.
+/// The cells of one tile in which hits are near.
 struct NearCells {
-    /// Their rows.
+    /// The rows of these cells.
     rows: Range<usize>,
-    /// Their columns in each of these rows.
+    /// The columns of these cells, the same in every row.
     columns: u32,
 }
 
 /// The result of mapping a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mapped {
-    /// Counts of its readings.
+    /// Counts of the scan's readings.
     pub pixels: PixelCounts,
     /// Cells dropped because the tile pool was full.
     pub cells_refused: u32,
 }
 
-/// The surroundings of a scan in one tile.
+/// What must be known about one tile to map a scan into it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surround<'m> {
     /// The server's map, if held.
@@ -98,12 +99,12 @@ pub struct Surround<'m> {
     /// The cells covered by cameras, which the robot does not map, a word per row; `None` if there
     /// are none.
     pub covered: Option<&'m [u32; TILE_SIDE]>,
-    /// The cells occupied by other robots, in the same form.
+    /// The cells occupied by other robots, a word per row; `None` if there are none.
     pub masked: Option<[u32; TILE_SIDE]>,
 }
 
 impl<'m> Surround<'m> {
-    /// The cells to leave out.
+    /// The cells that are not mapped, a word per row; `None` if there are none.
     #[inline(always)]
     fn left_out(&mut self) -> Option<&[u32; TILE_SIDE]> {
         let Some(masked) = &mut self.masked else { return self.covered };
@@ -121,7 +122,7 @@ pub struct LocalMap<'b> {
     mounting: Pose,
     policy: Policy,
     grain: Grain,
-    /// Holds no observation between two scans.
+    /// Holds no observation between calls.
     scratch: &'b mut [RowSighting],
     /// The tiles.
     pub pool: Pool<'b>,
@@ -131,7 +132,7 @@ pub struct LocalMap<'b> {
 }
 
 impl<'b> LocalMap<'b> {
-    /// An empty map for one sensor. `scratch` must have [`scratch_words`].
+    /// An empty map for one sensor. `scratch` must have at least [`scratch_words`] words.
     pub fn new(
         config: MappingConfig,
         beams: &[Beam],
@@ -189,10 +190,10 @@ impl<'b> LocalMap<'b> {
         let grain = shorter.as_ref().unwrap_or(&self.grain);
         let projection = Projection::new(pose, mounting, resolution);
         let mut mapped = Mapped::default();
-        // Whether there were new hits.
+        // Whether any hit was new.
         let mut news = false;
         let count = beams.len().min(readings.len());
-        // The whole scan, or in parts that fit the scratch memory.
+        // The whole scan at once, or in parts that fit the scratch memory.
         let (mut start, mut end) = (0, count);
         while start < count {
             let part = beams.get(start..end)?;
@@ -211,7 +212,7 @@ impl<'b> LocalMap<'b> {
             let part = Part { beams: part, readings, is_continued: start > 0 };
             let projection = projection.within(window.corner());
             let nearest = trace(&mut window, &projection, grain, part, &mut mapped.pixels);
-            // The corners of the square are at most this far away.
+            // The corners of the square of near cells are at most this far from the sensor.
             let near_cells = (nearest <= u32::from(near) * 91 / 64)
                 .then(|| Near::new(&projection, near, resolution));
             let Self { pool, scans, .. } = self;
@@ -225,7 +226,8 @@ impl<'b> LocalMap<'b> {
             if end == count {
                 break;
             }
-            // The space between the last beam and the next one belongs to the next part.
+            // The next part starts with the last beam of this one, so that the space between the
+            // two is drawn.
             (start, end) = (end - 1, count);
         }
         if policy == Policy::Full && !news {
@@ -269,7 +271,7 @@ fn weigh(
     Ok(count(tile, piece, merged))
 }
 
-/// Counts the near hits of a piece a second time.
+/// Counts the near hits of a piece for the first of two times.
 #[inline(always)]
 fn weigh_near(tile: &mut OwnTile, piece: &Piece<'_>, near: &NearCells, merged: Option<&Tile>) {
     let first = piece.first_row;
@@ -279,7 +281,8 @@ fn weigh_near(tile: &mut OwnTile, piece: &Piece<'_>, near: &NearCells, merged: O
     tile.evidence.add_near(rows.start, hits.map(|hit| hit & near.columns), merged);
 }
 
-/// Counts a piece. Not inlined, so that the loop over its rows has all registers.
+/// Adds the observations of a piece to the evidence. Not inlined, so that the loop over its rows
+/// has all registers.
 #[inline(never)]
 fn count(tile: &mut OwnTile, piece: Piece<'_>, merged: Option<&Tile>) -> bool {
     let first = piece.first_row;
@@ -370,9 +373,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(40))]
 
-        /// Compares each cell with the beams: free cells were crossed, or lie between two adjacent
-        /// beams that both reached farther; and cells crossed by the centre lines between two such
-        /// beams are free.
+        /// Compares each cell with the beams. A free cell was crossed by a beam, or lies between
+        /// two adjacent beams that both reached farther; a cell on the centre line between two such
+        /// beams is free.
         #[test]
         fn the_polygon_covers_the_cells_that_beams_crossed(
             ranges in proptest::collection::vec(prop_oneof![3 => 300u16..4_000, 1 => Just(0u16)], 4..24),
@@ -455,7 +458,7 @@ mod tests {
 
     #[test]
     fn a_wall_briefly_in_range_is_drawn() {
-        // Whichever beams are sampled.
+        // The wall must be drawn whichever beams are sampled.
         for shift in 0..70u8 {
             let mut beams = [Beam::default(); 640];
             let camera = SensorModel::Pinhole { focal: 343.1, centre: 319.5 + f32::from(shift) };

@@ -6,10 +6,10 @@
 //! | `policy`, `selection`, `omission` | which of a scan's readings are mapped |
 //! | `peers` | readings of other robots, which are left out |
 //! | `projection`, `scan_window`, `trace` | a scan as free and occupied cells of a window |
-//! | `evidence` | the evidence of these cells in each cell |
+//! | `evidence` | a counter per cell that accumulates the observations |
 //! | `movable` | cells whose occupant is likely to move again |
 //! | `own_tile` | the robot's tiles and the pool that holds them |
-//! | `local_map` | all of it joined: a scan and its pose go in |
+//! | `local_map` | the stages joined: takes a scan and its pose |
 
 mod change;
 mod evidence;

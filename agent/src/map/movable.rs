@@ -26,8 +26,8 @@ use ubimap_protocol::{
 use super::evidence::Evidence;
 use crate::timing::CALM;
 
-/// The western cell of each block in a word of two rows, which holds the low bit of its state; the
-/// high bit is next to it.
+/// The low bit of each block's state in a word of two rows, at the block's western cell; the high
+/// bit is next to it.
 const BLOCKS: u32 = 0x5555_5555;
 
 /// The history of changes in a tile.
@@ -70,7 +70,7 @@ impl Changes {
         }
     }
 
-    /// Marks the occupied cells that are movable.
+    /// Marks as movable the occupied cells of blocks that change repeatedly.
     pub(super) fn mark(&self, tile: &mut Tile) {
         let pairs = tile.low.as_chunks_mut::<2>().0.iter_mut().zip(tile.high.as_chunks::<2>().0);
         for (states, (low, high)) in self.states.iter().zip(pairs) {
@@ -105,8 +105,8 @@ mod tests {
             Self { evidence: Evidence::NONE, changes: Changes::NONE, now: 5_000 }
         }
 
-        /// Adds scans of two rows, and evaluates. Returns the published state of the cell at (4,
-        /// 0).
+        /// Adds `scans` scans of two rows, and evaluates the evidence. Returns the published state
+        /// of the cell at (4, 0).
         fn see(&mut self, scans: usize, sightings: [RowSighting; 2]) -> Cell {
             for _ in 0..scans {
                 self.evidence.add(0, sightings.into_iter());
@@ -120,7 +120,7 @@ mod tests {
     }
 
     const FREE: [RowSighting; 2] = [RowSighting { free: 0xF0, hit: 0 }; 2];
-    /// Hits in the cell at (4, 0), and in one of another block.
+    /// A hit in the cell at (4, 0), and one in another block.
     const STANDS: [RowSighting; 2] =
         [RowSighting { free: 0, hit: 0x10 }, RowSighting { free: 0x30, hit: 0x40 }];
 
@@ -140,7 +140,7 @@ mod tests {
     fn a_door_is_movable_until_it_has_stayed_closed() {
         let mut watched = Watched::new();
         assert_eq!(watched.see(6, STANDS), Cell::Occupied);
-        // Its edge is missed for a while: that does not vacate the block.
+        // Beams miss the door's edge for a while: that does not vacate the block.
         assert_eq!(watched.see(3, FREE), Cell::Occupied);
         assert_eq!(watched.see(6, STANDS), Cell::Occupied);
         assert_eq!(watched.see(6, FREE), Cell::Free);
@@ -151,7 +151,7 @@ mod tests {
         assert_eq!(watched.see(6, STANDS), Cell::Movable);
         watched.now += 3;
         assert_eq!(watched.see(6, STANDS), Cell::Occupied);
-        // Again.
+        // The door opens again.
         assert_eq!(watched.see(6, FREE), Cell::Free);
         assert_eq!(watched.see(6, STANDS), Cell::Movable);
     }

@@ -23,7 +23,7 @@ impl Sweep {
         let first = beams.iter().position(|beam| *beam != Beam::NONE);
         let last = beams.iter().rposition(|beam| *beam != Beam::NONE);
         let pairs = beams.iter().filter(used).zip(beams.iter().filter(used).skip(1));
-        // Summed up, as the outermost beams may be more than half a turn apart.
+        // Added up pair by pair, as the outermost beams may be more than half a turn apart.
         let turn = pairs.map(|(a, b)| {
             let turn = bearing(b) - bearing(a);
             let whole = 2.0 * core::f32::consts::PI;
@@ -33,8 +33,8 @@ impl Sweep {
         Self { step: turn.sum::<f32>() / steps.max(1) as f32 }
     }
 
-    /// The readings, of `count`, that came into view when the robot turned from one heading to
-    /// another: the paper's start and end pixel; all of them if it did not turn.
+    /// The indices of the readings, out of `count`, that came into view when the robot turned from
+    /// heading `before` to `now` (the paper's start and end pixel); all indices if it did not turn.
     ///
     /// Corrects two misprints. The paper's sense of rotation is opposite to REP-103, where a turn
     /// to the left increases the yaw and brings new pixels into view on the left. And its second

@@ -17,13 +17,13 @@ pub struct OwnTile {
     /// The evidence for its cells.
     pub(crate) evidence: Evidence,
     changes: Changes,
-    /// The part of it that the server has.
+    /// The state of the tile that the server has received.
     pub(crate) publication: Publication,
     /// The newest version that the server has on disk, if it stores tiles.
     pub(crate) stored: Version,
     /// Whether the evidence may contain unpublished changes.
     pub(crate) dirty: bool,
-    /// The number of the last scan that observed it.
+    /// The number of the last scan that observed this tile.
     pub(crate) touched: u32,
 }
 
@@ -65,12 +65,12 @@ impl OwnTile {
         self.dirty
     }
 
-    /// Updates the history of changes, before the tile is published.
+    /// Updates the history of movable blocks; called before the tile is published.
     pub(crate) fn look(&mut self, now: Instant) {
         self.changes.look(&self.evidence, now);
     }
 
-    /// The cells to publish.
+    /// The cells to publish, with movable marks.
     pub fn cells(&self) -> Tile {
         let mut cells = self.evidence.cells();
         self.changes.mark(&mut cells);
@@ -82,7 +82,8 @@ impl OwnTile {
         self.evidence.row(y)
     }
 
-    /// Whether the tile can be evicted without losing anything.
+    /// Whether evicting the tile loses nothing: the server has all of it, on disk if the server
+    /// stores tiles.
     fn is_safe(&self, server_stores: bool) -> bool {
         let stored = !server_stores || self.stored == self.publication.version();
         !self.dirty && self.publication.is_acknowledged() && stored
@@ -92,13 +93,13 @@ impl OwnTile {
 /// The fixed pool of the robot's own tiles, in the caller's memory.
 #[derive(Debug)]
 pub struct Pool<'b> {
-    /// First the tiles in use, then the free places.
+    /// The tiles in use, followed by the free places.
     places: &'b mut [OwnTile],
     kept: usize,
     /// The epoch of new tiles: increases by one with each eviction.
     epoch: Epoch,
     evicted: u32,
-    /// The place after the last one looked up.
+    /// Where the next search starts: after the place found last.
     next: usize,
     /// Whether the server reports when a tile is on disk.
     server_stores: bool,
@@ -116,8 +117,8 @@ impl<'b> Pool<'b> {
         self.evicted
     }
 
-    /// Starts a session. `server_stores`: tiles may be evicted only when the server has them on
-    /// disk. Reports of an earlier server do not count.
+    /// Starts a session. If `server_stores`, tiles may be evicted only once the server has them on
+    /// disk. Unless `same_server`, earlier reports of tiles on disk are void.
     pub(crate) fn begin_session(&mut self, server_stores: bool, same_server: bool) {
         self.server_stores = server_stores;
         if !same_server {
@@ -133,8 +134,9 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// Starts new tiles at this epoch or later: earlier epochs were used before a reboot. If the
-    /// epochs are too far ahead, because the server has lost its memory, all tiles get this epoch.
+    /// Starts new tiles at `epoch` or later: earlier epochs may have been used before a reboot. If
+    /// this robot's epoch is more than `EPOCHS_AHEAD` above it, the server has lost its memory, and
+    /// all tiles are moved to `epoch`.
     pub fn start_epochs_at(&mut self, epoch: Epoch) {
         let is_too_far = self.epoch.0 > epoch.0.saturating_add(EPOCHS_AHEAD);
         self.epoch = if is_too_far { epoch } else { self.epoch.max(epoch) };
@@ -145,7 +147,7 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// Discards all tiles, published or not; later ones have at least this epoch.
+    /// Discards all tiles, published or not. Later tiles have at least this epoch.
     pub(crate) fn begin_anew(&mut self, epoch: Epoch) {
         self.places.fill(OwnTile::FREE);
         (self.kept, self.next) = (0, 0);
@@ -157,8 +159,9 @@ impl<'b> Pool<'b> {
         self.places.iter().find(|tile| tile.id == Some(id))
     }
 
-    /// The tile with this id, created if necessary. `None` if the pool is full: every tile has
-    /// changes that the server has not stored, or was observed by scan `scan` itself.
+    /// The tile with this id, created if necessary. `None` if the pool is full and no tile can be
+    /// evicted: each has changes that the server has not stored, or was observed by this same scan
+    /// (number `scan`).
     pub fn find_or_begin(&mut self, id: TileId, scan: u32) -> Option<&mut OwnTile> {
         // Scans visit the same few tiles in the same order.
         let kept = self.places.get(..self.kept)?;
@@ -181,8 +184,7 @@ impl<'b> Pool<'b> {
         Some(tile)
     }
 
-    /// A free place, or that of the least recently observed tile among those that are safe to
-    /// evict.
+    /// A free place, or the place of the least recently observed tile that is safe to evict.
     fn place_for_new(&mut self, scan: u32) -> Option<usize> {
         if self.kept < self.places.len() {
             self.kept += 1;

@@ -1,8 +1,9 @@
 //! Masks for the other robots, which are not mapped (Ahmed 2.2, the "window around other robots").
 //!
-//! Ahmed leaves out a square around each. Robots are not square: the ends of his robots appear in
-//! his maps, and a square large enough for any heading hides walls beside a long robot. Here the
-//! mask is the robot's footprint at its heading, with a margin for all uncertainties; where the
+//! Ahmed leaves out a square around each. But robots are not square: the ends of his appear in his
+//! maps, and a square that fits any heading hides walls beside a long robot. Here the mask is the
+//! robot's footprint at its heading, with a margin for all uncertainties. If the heading is
+//! unknown, the margin grows until the mask covers the square.
 //! heading is unknown, that grows to the size of the square.
 
 use heapless::Vec;
@@ -24,17 +25,18 @@ use crate::{
 /// The shape of the mask around another robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PeerMask {
-    /// Its footprint, at its heading.
+    /// The other robot's footprint, at its heading.
     #[default]
     Footprint,
-    /// A square along the axes of `map` that contains its footprint at any heading (Ahmed 2.2).
+    /// A square along the axes of `map` that contains the other robot's footprint at any heading
+    /// (Ahmed 2.2).
     Square,
 }
 
 /// Maximum speed and turn rate assumed since the last report, in mm/s and rad/s.
 const SPEED: f32 = 500.0;
 const TURN: f32 = 1.0;
-/// The distance driven at that speed until the robot is lost, in mm.
+/// Distance driven at that speed after which the robot's position counts as unknown, in mm.
 const MAX_WAY: u32 = 1_500;
 /// Variance of a position measured by cameras (30 mm), and twice the deviation of a heading, in
 /// rad.
@@ -50,7 +52,7 @@ const READING: f32 = 1.0 / 4_096.0;
 pub(crate) struct ScanContext {
     /// `base_link` in `map` when the scan was taken.
     pub(crate) pose: Pose,
-    /// When that was, by the server's clock.
+    /// When the scan was taken, by the server's clock.
     pub(crate) moment: Instant,
     /// Maximum range that is mapped, in millimetres.
     pub(crate) range: u16,
@@ -69,7 +71,8 @@ pub(crate) struct PeerMasks {
 }
 
 impl PeerMasks {
-    /// The masks of the robots that may be in view. `unsure`: the variances of the scan's pose.
+    /// The masks of the robots that may be in view. `unsure` holds the variances of the scan's
+    /// pose.
     pub(crate) fn new(peers: Option<&Peers>, scan: &ScanContext, unsure: Variances) -> Self {
         let mut near = Self { masks: Vec::new(), side: scan.resolution.0.clamp(1, 1 << 16) };
         for (peers, peer) in
@@ -116,9 +119,9 @@ impl PeerMasks {
 #[derive(Clone, Copy, Debug)]
 struct Mask {
     centre: (Millimetres, Millimetres),
-    /// Cosine and sine of its heading.
+    /// Cosine and sine of the robot's heading.
     turn: (f32, f32),
-    /// Half its length and half its width, in mm.
+    /// Half the rectangle's length and half its width, in mm.
     length: f32,
     width: f32,
 }
@@ -171,7 +174,8 @@ impl Mask {
     }
 }
 
-/// Avoids values near zero, which have no inverse: changes angles by at most a quarter of a degree.
+/// Replaces values near zero, so that they have an inverse. An angle changes by at most a quarter
+/// of a degree.
 fn away_from_zero(value: f32) -> f32 {
     const MIN: f32 = 0.002;
     if value.abs() < MIN { MIN } else { value }
@@ -182,7 +186,7 @@ fn least(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The first column whose centre is beyond a coordinate, 0 to 32.
+/// The first column whose centre is beyond the coordinate `at`, 0 to 32.
 fn column(at: f32, first: f32, side: f32) -> u32 {
     // The cast rounds positive values down, and saturates.
     let cells = ((at - first) / side + 64.0) as i32;

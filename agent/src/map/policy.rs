@@ -1,19 +1,19 @@
 //! Which part of the sensor's data is mapped: the methods compared by the paper, and their
 //! extension (Aluckal III.A).
 
-/// From the simplest to the most economical.
+/// From mapping everything to mapping least.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Policy {
-    /// Every scan, entirely.
+    /// Maps every scan as a whole.
     Pilot,
-    /// A scan after each motion, entirely ("thresholding").
+    /// Maps a whole scan after each motion ("thresholding").
     Threshold,
-    /// The same, without the readings already in view before the robot turned ("selective
+    /// Like `Threshold`, without the readings that were in view before the robot turned ("selective
     /// omission", for rotations, as printed).
     Omission,
-    /// A scan after each motion, or where the view has changed; without readings that are redundant
-    /// given the adjacent readings, the robot's own map, or the server's map. Works for any motion,
-    /// the paper's future work.
+    /// Maps a scan after each motion, or where the view has changed, without the readings that are
+    /// redundant: implied by adjacent readings, by the robot's own map or by the server's. Handles
+    /// any motion, which the paper leaves to future work.
     #[default]
     Full,
 }

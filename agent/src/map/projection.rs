@@ -18,11 +18,11 @@ pub(super) const CELL: i32 = 1 << FRACTION;
 /// A position: x and y in 1/65,536 cells.
 pub(super) type Point = (i32, i32);
 
-/// A corner of the polygon: the same, relative to a cell's centre, so that its integer part is the
-/// first row and column whose centres are at or beyond it.
+/// A corner of the polygon: x and y in 1/65,536 cells, relative to a cell's centre, so that the
+/// integer part is the first row and column whose centres are at or beyond it.
 pub(super) type Corner = (i32, i32);
 
-/// From the centre of a cell to its end towards the next one.
+/// From the centre of a cell to its end towards the next one, in 1/65,536 cells.
 const TO_MIDDLE: i32 = CELL / 2 - 1;
 
 /// Additional fractional bits of a [`Direction`].
@@ -37,18 +37,18 @@ pub(super) struct Direction(pub(super) i32, pub(super) i32);
 pub(super) struct Projection {
     /// The cell that contains the sensor.
     cell: (i32, i32),
-    /// The sensor, relative to the corner of the current grid.
+    /// The sensor's position, relative to the corner of the current grid.
     origin: Point,
     /// Cosine and sine of the heading, in 1/524,288 cells per millimetre.
     turn: (i32, i32),
-    /// One millimetre, in the same unit.
+    /// One millimetre, in 1/524,288 cells.
     millimetre: i32,
 }
 
 impl Projection {
-    /// For a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in `base_link`
-    /// (its heading is in the table of beams) and cells of at least [`MIN_RESOLUTION`]. Positions
-    /// are relative to the corner of the sensor's cell.
+    /// For a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in `base_link` and
+    /// cells of at least [`MIN_RESOLUTION`]. The heading of `mounting` is ignored: the table of
+    /// beams includes it. Positions are relative to the corner of the sensor's cell.
     pub(super) fn new(pose: Pose, mounting: Pose, resolution: Millimetres) -> Self {
         let one = (1 << DIRECTION_BITS) as f32;
         let (sin, cos) = sin_cos(radians(pose.heading));
@@ -77,7 +77,7 @@ impl Projection {
         self.cell
     }
 
-    /// The same with positions relative to a cell at most 1,000 cells away.
+    /// The same projection with positions relative to another cell, at most 1,000 cells away.
     pub(super) fn within(self, (x, y): (i32, i32)) -> Self {
         let shifted = |origin: i32, cell: i32, corner: i32| {
             origin.wrapping_add(cell.wrapping_sub(corner) << FRACTION)
@@ -98,7 +98,7 @@ impl Projection {
         (self.origin.0.wrapping_add(TO_MIDDLE), self.origin.1.wrapping_add(TO_MIDDLE))
     }
 
-    /// A length in 1/65,536 cells.
+    /// Converts millimetres to 1/65,536 cells.
     pub(super) fn length(&self, millimetres: u16) -> i32 {
         self.millimetre.wrapping_mul(millimetres.into()) >> EXTRA
     }
@@ -114,13 +114,13 @@ impl Projection {
         )
     }
 
-    /// The end of a beam in this direction, for a reading of at most 1,000 cells.
+    /// The end of a beam in this direction, for a reading that spans at most 1,000 cells.
     #[inline(always)]
     pub(super) fn point(&self, direction: Direction, reading: u32) -> Point {
         direction.from(self.origin, reading)
     }
 
-    /// The same as a corner of the polygon.
+    /// The end of a beam as a corner of the polygon.
     #[inline(always)]
     pub(super) fn corner(&self, direction: Direction, reading: u32) -> Corner {
         direction.from(self.sensor(), reading)

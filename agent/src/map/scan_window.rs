@@ -22,11 +22,11 @@ const COLUMN: u32 = FRACTION + TILE_SIDE.ilog2();
 /// Edges that cross fewer rows are drawn faster row by row.
 const FEW_ROWS: i32 = 8;
 
-/// Number of arcs into which a part of a scan is divided to bound its extent.
+/// Number of arcs into which a part of a scan is divided to find its extent.
 const ARCS: usize = 4;
 
-/// Window size for any eighth of a turn of a scan with a radius in cells: 340 words of two planes
-/// (2.7 kB) for 80.
+/// Number of words of a window for any eighth of a turn of a scan with this radius in cells: 340
+/// (2.7 kB, two planes) for 80.
 pub(super) const fn words_of(radius: usize) -> usize {
     let across = radius + 2 * RIM as usize + 1;
     across * ((across + TILE_SIDE - 2) / TILE_SIDE + 1)
@@ -37,17 +37,17 @@ pub(super) const fn words_of(radius: usize) -> usize {
 pub(super) struct ScanWindow<'s> {
     /// Words of cells, one column of tiles after another from the west, each from south to north.
     cells: &'s mut [RowSighting],
-    /// The western column of tiles, and their number.
+    /// The westernmost column of tiles, and the number of columns.
     west: i32,
     width: usize,
-    /// The southern row of cells, and their number.
+    /// The southernmost row of cells, and the number of rows.
     south: i32,
     rows: usize,
 }
 
 impl<'s> ScanWindow<'s> {
     /// A window around everything that these beams can reach within a range (millimetres). `memory`
-    /// must hold no observation. `None` if it is too short.
+    /// must hold no observation. `None` if `memory` is too small.
     pub(super) fn over(
         beams: &[Beam],
         range: u16,
@@ -72,7 +72,7 @@ impl<'s> ScanWindow<'s> {
         (self.west << TILE_SIDE.ilog2(), self.south)
     }
 
-    /// Whether all of it is within the map's coordinates.
+    /// Whether the whole window is within the map's coordinates.
     pub(super) fn is_on_the_map(&self) -> bool {
         let (x, y) = self.corner();
         let far = |from: i32, cells: usize| i32::try_from(cells).ok()?.checked_add(from);
@@ -81,8 +81,8 @@ impl<'s> ScanWindow<'s> {
         near.is_some() && far.is_some_and(|(x, y)| TileId::of_cell(x, y).is_some())
     }
 
-    /// Marks the cells of a surface as hit, from one point to another that is `beams` beams
-    /// further. Points are relative to the corner.
+    /// Marks as hit the cells of a surface between two points, which are `beams` beams apart.
+    /// Points are relative to the corner.
     #[inline(always)]
     pub(super) fn surface(&mut self, from: Point, to: Point, beams: i32) {
         let (run, rise) = (to.0 - from.0, to.1 - from.1);
@@ -92,7 +92,7 @@ impl<'s> ScanWindow<'s> {
         }
     }
 
-    /// Marks `cells` cells as hit, from a point on, one step each.
+    /// Marks `cells` cells as hit, starting at a point and advancing by `step` each time.
     #[inline(never)]
     fn surface_of(&mut self, (mut x, mut y): Point, (step_x, step_y): Point, cells: i32) {
         for _ in 0..cells {
@@ -124,8 +124,8 @@ impl<'s> ScanWindow<'s> {
         self.cells.get_mut(index)
     }
 
-    /// In every row whose centre line the edge crosses, flips the first cell whose centre is not
-    /// west of the crossing.
+    /// For every row whose centre line the edge crosses, flips the first cell whose centre is at
+    /// the crossing or east of it.
     #[inline(always)]
     pub(super) fn edge(&mut self, a: Corner, b: Corner) {
         if (a.1 ^ b.1) >> FRACTION != 0 {
@@ -137,7 +137,7 @@ impl<'s> ScanWindow<'s> {
     fn cross(&mut self, a: Corner, b: Corner) {
         let (low, high) = if a.1 <= b.1 { (a, b) } else { (b, a) };
         let (first, last) = (low.1 >> FRACTION, high.1 >> FRACTION);
-        // Up to the first crossing, and from one to the next.
+        // The distances north to the first crossing, and from one crossing to the next.
         let up = !low.1 & ((1 << FRACTION) - 1);
         let (run, rise) = (high.0 - low.0, (high.1 - low.1) as u32);
         let part = (run >> 6).wrapping_mul(up >> 6) / ((rise >> 6) as i32 + 1);
@@ -146,8 +146,8 @@ impl<'s> ScanWindow<'s> {
             return self.flip(first as usize, (x >> FRACTION) as u32);
         }
         let step = (((run >> 8) << 12) / (rise >> 8).max(1) as i32) << 4;
-        // Counted from the east, the column is the distance by which its bit is rotated from the
-        // last one.
+        // The column counted from the east is the number of positions by which its bit is rotated
+        // from the last bit.
         let mut from_east = !x;
         if last - first < FEW_ROWS {
             for row in first..last {
@@ -173,9 +173,9 @@ impl<'s> ScanWindow<'s> {
         }
     }
 
-    /// The observations of the tiles, one column of tiles after another from the west, each from
-    /// south to north. Each piece must be read before the next is requested: an interior that
-    /// reaches its eastern side continues there.
+    /// Calls `take` with the observations of each tile: one column of tiles after another from the
+    /// west, each from south to north. A call must read its piece completely: an interior that
+    /// reaches the eastern side of a piece continues in the next column.
     pub(super) fn for_each_piece(&mut self, mut take: impl FnMut(Piece<'_>)) {
         let Self { west, south, rows, .. } = *self;
         let mut beyond = [RowSighting::default(); TILE_SIDE];
@@ -200,11 +200,11 @@ impl<'s> ScanWindow<'s> {
     }
 }
 
-/// The extent of some beams.
+/// The extent of a group of beams.
 struct Sector<'p> {
     projection: &'p Projection,
     range: u16,
-    /// The south-western and north-eastern corner of everything seen so far.
+    /// The south-western and north-eastern corner of all beams added so far.
     low: Point,
     high: Point,
     /// The direction of the last beam.
@@ -233,7 +233,7 @@ impl<'p> Sector<'p> {
         sector
     }
 
-    /// Starts or ends with a beam.
+    /// Adds the first or the last beam of the sector.
     #[inline(never)]
     fn end(&mut self, beam: Beam) {
         let Self { projection, low, high, .. } = self;
@@ -243,8 +243,8 @@ impl<'p> Sector<'p> {
         *high = (high.0.max(x), high.1.max(y));
     }
 
-    /// Extends the sector to a beam less than half a turn away. The extremes are where it crosses
-    /// an axis.
+    /// Extends the sector to a beam less than half a turn away. Between two beams, the extremes are
+    /// where the arc crosses an axis.
     #[inline(never)]
     fn turn(&mut self, beam: Beam) {
         let to = self.projection.direction(beam);
@@ -272,7 +272,7 @@ pub(super) struct Piece<'w> {
     /// The first row of the tile.
     pub(super) first_row: usize,
     rows: &'w mut [RowSighting],
-    /// The rows to the east of them.
+    /// The rows of the next tile to the east.
     east: &'w mut [RowSighting],
 }
 
@@ -282,7 +282,7 @@ impl<'w> Piece<'w> {
         self.rows.len()
     }
 
-    /// Whether no row has any observation.
+    /// Whether the piece has no observation.
     pub(super) fn says_nothing(&self) -> bool {
         let (fours, rest) = self.rows.as_chunks();
         let silent =
@@ -290,7 +290,7 @@ impl<'w> Piece<'w> {
         fours.iter().all(silent) && rest.iter().all(|row| row.known() == 0)
     }
 
-    /// The piece without some cells of its tile, written into `rows`.
+    /// A copy of the piece, stored in `memory`, without the given cells of its tile.
     pub(super) fn without<'r>(
         self,
         cells: &[u32; TILE_SIDE],
@@ -302,7 +302,7 @@ impl<'w> Piece<'w> {
         let left = self.fill().zip(cells.iter().skip(first_row));
         for (row, (sighting, cells)) in rows.iter_mut().zip(left) {
             let free = sighting.free & !cells;
-            // Flips where the interior changes, for the running XOR.
+            // Marks where the interior begins and ends, the form that the running XOR expects.
             *row = RowSighting { free: free ^ free << 1, hit: sighting.hit & !cells };
             len += 1;
         }
@@ -314,7 +314,8 @@ impl<'w> Piece<'w> {
         self.rows.get(rows).unwrap_or_default().iter().map(|row| row.hit)
     }
 
-    /// The observations of the rows: the flipped cells turned into the interior, minus the hits.
+    /// The observations of the rows: turns the flipped cells into the interior, and subtracts the
+    /// hits.
     #[inline(always)]
     pub(super) fn fill(self) -> impl Iterator<Item = RowSighting> + use<'w> {
         self.rows.iter_mut().zip(self.east).map(|(row, east)| {

@@ -15,21 +15,21 @@ const REPEATS: u8 = 6;
 /// The readings to map, and why.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selected {
-    /// None: the robot stands still and its view is unchanged.
+    /// No readings: the robot stands still and its view is unchanged.
     Nothing,
-    /// The robot has moved.
+    /// These readings: the robot has moved.
     Moved(Range<usize>),
-    /// The robot stands still, but its view has changed.
+    /// These readings: the robot stands still, but its view has changed.
     Changed(Range<usize>),
 }
 
-/// Selects from scan to scan.
+/// Decides for each scan, from the scans before it.
 #[derive(Debug)]
 pub struct Selection {
     policy: Policy,
     sweep: Sweep,
     mapped_at: Option<Pose>,
-    /// The odometry then: `base_link` in `odom`.
+    /// The odometry at the last mapped scan: `base_link` in `odom`.
     odometry_then: Option<Pose>,
     last: LastScan,
     /// Number of further scans in which the current change is mapped.
@@ -54,9 +54,9 @@ impl Selection {
         self.mapped_at = None;
     }
 
-    /// Whether a scan is redundant, without its pose: the robot stands where it mapped last, by its
-    /// odometry and by the newest known pose, and its view is unchanged. `odometry` is `None` if
-    /// the robot moves.
+    /// Whether a scan can be skipped before its pose is known: by its odometry and its newest known
+    /// pose the robot stands where it last mapped, and its view is unchanged. `odometry` is `None`
+    /// if the robot moves.
     pub fn stands(
         &self,
         gate: Gate,
@@ -88,7 +88,7 @@ impl Selection {
             Policy::Full => {
                 self.last.changed(readings).map_or(Selected::Nothing, Selected::Changed)
             }
-            // As in the paper's listing: a standing robot maps nothing.
+            // As in the paper's listing, a robot at standstill maps nothing.
             _ => Selected::Nothing,
         }
     }

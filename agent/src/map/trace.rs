@@ -1,13 +1,15 @@
 //! Draws the outline of a scan's free space on a window.
 //!
 //! The ends of the beams, in order of bearing, and the sensor form a polygon; its interior, minus
-//! the hits, is free. Free space ends half a cell before a hit (`Grain::margin`). Invalid beams break the polygon where the gap is wide enough for a cell, and
-//! where the range jumps between two beams only the nearer range is used between them: no cell is
+//! the hits, is free. Free space ends half a cell before a hit (`Grain::margin`). Invalid beams
+//! break the polygon where the gap is wide enough for a cell. Where the range jumps between two
+//! beams, the space between them is free only up to the nearer of the two ranges: no cell becomes
 //! free that no beam crossed.
 //!
-//! Where several beams fall into a cell, most of them end on a surface that others have already
-//! shown. After each drawn beam, beams are skipped while they end on the continuation of its
-//! surface, within a cell, for up to [`SPAN`] cells; the surface in between is drawn as a line.
+//! Where several beams fall into a cell, most of them hit a surface that other beams already show.
+//! After each drawn beam, beams are skipped while they end within a cell of the straight
+//! continuation of its surface, for up to [`SPAN`] cells; the surface in between is drawn as a
+//! line.
 
 use core::ops::AddAssign;
 
@@ -20,7 +22,8 @@ use super::{
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
-/// Minimum difference of two adjacent readings at an edge, in millimetres.
+/// Difference of two adjacent readings from which on they belong to different surfaces, in
+/// millimetres.
 const JUMP: u32 = 150;
 
 /// Counts of a scan's readings.
@@ -55,11 +58,11 @@ pub(super) struct Grain {
     tolerance: u32,
     /// Reading (mm) times number of beams that spans [`SPAN`] cells sideways.
     spread: u32,
-    /// Maximum range of the mapping.
+    /// Range limit of the mapping.
     reach: Reach,
     /// Reading (mm) times number of beams that spans half a cell.
     bridge: u32,
-    /// Valid readings: the first, and the length of the interval.
+    /// The first valid reading, and the length of the interval of valid readings.
     counting: (u32, u32),
     /// Maximum difference to the previous reading for which no further check is needed; negative if
     /// it is always needed.
@@ -80,10 +83,10 @@ struct Reach {
 }
 
 impl Reach {
-    /// The same, but at most `range`.
+    /// The same limits for a shorter range; the range is at most `range`.
     fn within(self, range: u16) -> Self {
         let scale = f32::from(range) / f32::from(self.range);
-        // With an error below one.
+        // Rounds down, with an error below one.
         let part = |reading: u32| (reading as f32 * scale) as u32;
         Self {
             range,
@@ -152,7 +155,8 @@ impl Grain {
         }
     }
 
-    /// The same for scans that are mapped up to a shorter `range`; `None` if it is not shorter.
+    /// The same parameters for a scan that is mapped up to a shorter `range`; `None` if `range` is
+    /// not shorter.
     pub(super) fn within(&self, range: u16) -> Option<Self> {
         (range < self.reach.range).then(|| Self { reach: self.reach.within(range), ..*self })
     }
@@ -162,7 +166,7 @@ impl Grain {
         self.reach.range
     }
 
-    /// Whether a reading is valid, and beyond the margin.
+    /// Whether a reading is valid.
     #[inline(always)]
     fn counts(&self, readings: &[u16], index: usize, reading: u16) -> bool {
         let (first, more) = self.counting;
@@ -179,9 +183,9 @@ impl Grain {
         2 * SPAN * self.margin
     }
 
-    /// The last beam, at most `end`, up to which a surface continues in a line from the beam `from`
-    /// on it. Checks every `stride`th beam, then those after the last one found. The first step
-    /// gives the line's slope, if the point halfway is on the line, too.
+    /// The last beam, at most `end`, up to which the surface that beam `from` hits continues in a
+    /// straight line. Checks every `stride`th beam, then each beam after the last match. The first
+    /// step gives the line's slope, provided that the beam halfway is on the line.
     #[inline(always)]
     fn surface_up_to(
         &self,
@@ -210,9 +214,9 @@ impl Grain {
         last + rest.iter().take(stride).take_while(is_next).count()
     }
 
-    /// The last beam within the range on a surface that leaves it, starting from a beam within it.
-    /// Bisects steps of `stride` beams, at which the surface must be seen; the beams in between may
-    /// see something else.
+    /// The last beam within the range on a surface that leaves the range; the search starts at a
+    /// beam within it. Bisects in steps of `stride` beams. The beams in between are not checked and
+    /// may see something else.
     #[inline(never)]
     fn last_within(
         &self,
@@ -236,9 +240,9 @@ impl Grain {
         last + (last + 1..last + stride).take_while(is_next).count()
     }
 
-    /// The last beam before `end` up to which nothing is in range, starting from one out of range,
-    /// or the next one if a surface enters the range within a cell. Checks every
-    /// `stride`th beam, then those after the last one found.
+    /// Starting from a beam out of range, the last beam before `end` up to which every beam is out
+    /// of range; or the next beam, if the surface enters the range within a cell. Checks every
+    /// `stride`th beam, then each beam after the last match.
     #[inline(never)]
     fn nothing_up_to(
         &self,
@@ -293,9 +297,9 @@ pub(super) fn trace(
     let sensor = projection.sensor();
     let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
     let mut is_first_invalid = false;
-    // As if an end at the sensor itself came before.
+    // The outline starts at the sensor.
     let mut last = End { index: 0, reach: 0, at: sensor, hit: None };
-    // Whether there is an invalid beam behind the last end.
+    // Whether an invalid beam followed the last end.
     let mut is_broken = true;
     let near = grain.near();
     let mut index = 0;
@@ -315,8 +319,8 @@ pub(super) fn trace(
         kept += 1;
         let direction = projection.direction(beam);
         let at = projection.corner(direction, reach);
-        // Joins the ends. Like the passing over below, this is no function of its own: both together
-        // would cost 5 % of a row's instructions.
+        // Joins the ends. Neither this nor the skipping below is a function of its own: together,
+        // the calls would cost 5 % of a row's instructions.
         let passed = index - last.index;
         let least = last.reach.min(reach);
         let mut from = sensor;
@@ -328,7 +332,7 @@ pub(super) fn trace(
         } else {
             from = last.at;
             if (is_broken || passed == 1) && last.reach.abs_diff(reach) > JUMP {
-                // Only the nearer range is claimed between them.
+                // Between the two beams, space is free only up to the nearer range.
                 let mut step = direction;
                 if last.reach >= reach
                     && let Some(&beam) = beams.get(last.index)
@@ -355,7 +359,7 @@ pub(super) fn trace(
         }
         is_broken = false;
         last = End { index, reach, at, hit };
-        // Passes over beams that end on the same surface, or are out of range as this one is.
+        // Skips beams that end on the same surface, or that are out of range like this one.
         let here = index;
         index += 1;
         let ahead = grain.spread.checked_div(reach.max(near)).unwrap_or(0) as usize;
@@ -369,7 +373,7 @@ pub(super) fn trace(
             if let Some((&beam, &reading)) = beams.get(end).zip(readings.get(end))
                 && !grain.reach.has(beam, reading.into())
             {
-                // A surface that leaves the range.
+                // The surface may leave the range.
                 let way = (here, stride, (end - here) / stride);
                 let end = grain.last_within((beams, readings), way);
                 if let Some(((&beam, &reading), from)) =

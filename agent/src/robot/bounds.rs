@@ -14,12 +14,13 @@ use crate::{
 pub struct Bounds {
     /// Readings per scan.
     pub readings: usize,
-    /// Scans that can wait for their poses, 1 to 8.
+    /// Scans that can wait for their poses at the same time, 1 to 8.
     pub waiting: usize,
-    /// Tiles in the pool of the robot's own layer. A scan of 4 m touches at most 21 tiles of 5 cm
-    /// cells.
+    /// Tiles in the pool of the robot's own layer. A scan with 4 m of range touches at most 21
+    /// tiles of 5 cm cells.
     pub own_tiles: usize,
-    /// Tiles of the server's map; the largest square that fits is the window around the robot.
+    /// Tiles of the server's map that the robot holds: the largest square of tiles around the robot
+    /// that fits into this number.
     pub fused_tiles: usize,
     /// The maximum mapped range, in millimetres.
     pub max_range: u16,
@@ -38,8 +39,8 @@ impl Bounds {
         resolution: Millimetres(50),
     };
 
-    /// The firmware of the reference board: a row of 100 pixels, a window of 4 x 4 tiles, and the
-    /// maximum range for which eight own tiles suffice.
+    /// The bounds of the reference board's firmware: a row of 100 pixels, a window of 4 x 4 tiles,
+    /// and the maximum range for which eight own tiles suffice.
     pub const REFERENCE: Self =
         Self { readings: 100, own_tiles: 8, fused_tiles: 16, max_range: 2_000, ..Self::DEFAULT };
 
@@ -52,7 +53,7 @@ impl Bounds {
         scratch_words(self.max_range, self.resolution)
     }
 
-    /// Size of the tiles, in bytes.
+    /// Size of both pools of tiles, in bytes.
     pub const fn tile_bytes(&self) -> usize {
         self.own_tiles * size_of::<OwnTile>() + self.fused_tiles * size_of::<FusedTile>()
     }
@@ -65,7 +66,7 @@ impl Bounds {
     }
 }
 
-// The same on every 32-bit machine.
+// These sizes are the same on every 32-bit machine.
 #[cfg(target_pointer_width = "32")]
 const _: () = {
     assert!(size_of::<OwnTile>() <= 768);

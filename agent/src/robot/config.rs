@@ -17,19 +17,19 @@ use crate::{
     timing::SCAN_LATE,
 };
 
-/// The configuration of a robot. The server can change some of it
+/// The configuration of a robot. The server can change part of it at run time
 /// ([`Parameter`](crate::Parameter)).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config<D = NoDrive> {
     /// The robot's id, unique in a deployment.
     pub robot: RobotId,
-    /// A number that should differ from boot to boot.
+    /// A number that should be different at each boot.
     pub boot_nonce: u32,
     /// Memory sizes, and the map's range and resolution.
     pub bounds: Bounds,
-    /// Hits within this distance along `map`'s x and y count twice, in millimetres:
-    /// [`ScaleCurve::near`](crate::sense::ScaleCurve::near) for a grey camera. `None`: a quarter of
-    /// the range, within which beams are closer together than cells.
+    /// Hits at most this far from the sensor along `map`'s x and y count twice, in millimetres. For
+    /// a grey camera use [`ScaleCurve::near`](crate::sense::ScaleCurve::near). `None` stands for a
+    /// quarter of the range, within which beams are closer together than cells.
     pub near: Option<NonZero<u16>>,
     /// The sensor's geometry.
     pub sensor: SensorModel,
@@ -38,10 +38,10 @@ pub struct Config<D = NoDrive> {
     /// Which readings are valid.
     pub validity: Validity,
     /// Brightness of the pixels whose depths are valid, for sensors with an intensity image. The
-    /// caller masks each row by it before passing it to the robot ([`Exposure::mask`]).
+    /// caller applies it to each row ([`Exposure::mask`]) before it passes the row to the robot.
     pub exposure: Exposure,
-    /// Readings that are never mapped. The server can set the last two
-    /// ([`Parameter`](crate::Parameter)): pixels and bearings.
+    /// Readings that are never mapped. The server can set the last two entries, pixels and bearings
+    /// ([`Parameter`](crate::Parameter)).
     pub removed: [Option<Removal>; 4],
     /// Maximum turn rate and acceleration for a scan to be mapped.
     pub steady: SteadyLimits,
@@ -55,11 +55,11 @@ pub struct Config<D = NoDrive> {
     pub gate: Gate,
     /// Which part of a scan is mapped.
     pub policy: Policy,
-    /// Which readings are ignored because of other robots.
+    /// The shape of the masks that keep other robots out of the map.
     pub peer_mask: PeerMask,
     /// How long a scan waits for its pose.
     pub scan_deadline: Duration,
-    /// How long changes of the map are collected before they are sent.
+    /// How long changes of the map are collected before they are sent to the server.
     pub hold: Duration,
     /// Minimum time between two distance vectors while the robot moves. At standstill it sends at
     /// most one per minute, and without a recent fix one per second.
@@ -71,7 +71,7 @@ pub struct Config<D = NoDrive> {
 }
 
 impl Config {
-    /// A robot that only maps: a scan waits 1.5 s for its pose, changes are collected for 1 s, and
+    /// A robot that only maps. A scan waits 1.5 s for its pose, changes are collected for 1 s, and
     /// a distance vector is sent every 5 s.
     pub fn new(robot: RobotId, sensor: SensorModel, bounds: Bounds) -> Self {
         Self {
@@ -101,7 +101,7 @@ impl Config {
 }
 
 impl<D> Config<D> {
-    /// The same configuration with another drive.
+    /// This configuration with another drive.
     pub fn with_drive<E>(self, drive: E) -> Config<E> {
         Config {
             drive,
@@ -128,7 +128,7 @@ impl<D> Config<D> {
         }
     }
 
-    /// Checks everything that does not depend on the memory.
+    /// Checks everything that does not depend on the memory's sizes.
     pub(super) fn check(&self) -> Result<(), ConfigError> {
         let Bounds { resolution, max_range, .. } = self.bounds;
         if resolution < MIN_RESOLUTION {
@@ -142,7 +142,7 @@ impl<D> Config<D> {
     }
 }
 
-/// A part of a [`Memory`](crate::Memory).
+/// One of the parts of a [`Memory`](crate::Memory).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     /// The table of beams, one per reading.
@@ -178,7 +178,7 @@ pub enum ConfigError {
     Range,
     /// A part of the memory is empty, or smaller than the configuration's bounds.
     Memory {
-        /// Which part.
+        /// The part that is too small.
         part: Part,
         /// Number of elements required.
         needed: usize,
@@ -234,7 +234,7 @@ mod tests {
         assert_eq!(made(Bounds { fused_tiles: 16, ..BOUNDS }), small(Part::FusedTiles, 16, 12));
         let far = Bounds { max_range: 4_000, ..BOUNDS };
         assert_eq!(made(far), small(Part::Scratch, far.scratch(), BOUNDS.scratch()));
-        // Excess memory is harmless; an empty part is an error.
+        // Excess memory is allowed; an empty part is an error.
         assert_eq!(made(Bounds { readings: 9, fused_tiles: 0, own_tiles: 1, ..BOUNDS }), Ok(()));
         assert_eq!(made(Bounds { readings: 0, ..BOUNDS }), small(Part::Beams, 1, 0));
         assert_eq!(made(Bounds { waiting: 0, ..BOUNDS }), small(Part::Waiting, 1, 0));
@@ -255,7 +255,7 @@ mod tests {
         }
     }
 
-    /// Storage sized at run time.
+    /// A storage whose size is set at run time.
     struct Grown;
 
     impl Storage for Grown {

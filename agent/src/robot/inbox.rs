@@ -17,11 +17,11 @@ use super::{
 use crate::locate::{FixError, FixOutcome};
 
 impl Mapper<'_> {
-    /// Starts a session, with the last one's server or another.
+    /// Starts a session, either with the same server as before or with another one.
     pub(super) fn begin_session(&mut self, welcome: &Welcome, same_server: bool, now: Instant) {
         self.statistics.sessions = self.statistics.sessions.wrapping_add(1);
         if !same_server {
-            // A restarted server has another clock: times by the old one are void.
+            // A restarted server has another clock, so times by the old clock are void.
             self.clock = ClockSync::default();
             self.commands.forget();
             self.latest_pose = None;
@@ -51,8 +51,8 @@ impl Mapper<'_> {
         }
     }
 
-    /// Processes a message; a command about parameters is executed after the rest of the frame.
-    /// Returns `None` if the message is malformed.
+    /// Processes a message. A command about parameters is stored, and executed after the rest of
+    /// the frame. Returns `None` if the message is malformed.
     fn take_one(
         &mut self,
         message: ToRobotMessage<'_>,
@@ -81,12 +81,12 @@ impl Mapper<'_> {
             ToRobotMessage::Digests(digests) => self.compare(digests, now)?,
             ToRobotMessage::Freshness(freshness) => {
                 let freshness = freshness.decode().ok()?;
-                // Without synchronised clocks its age is unknown.
+                // Without synchronised clocks the age of the message is unknown.
                 if let Some(moment) = self.clock.to_local(freshness.time) {
                     self.fused.confirm(&freshness, moment);
                 }
             }
-            // Allowed in handshake frames only.
+            // These are allowed in handshake frames only.
             ToRobotMessage::Welcome(_) | ToRobotMessage::Refusal(_) | ToRobotMessage::Reset(_) => {
                 return None;
             }
@@ -157,7 +157,7 @@ impl Mapper<'_> {
         }
     }
 
-    /// Executes a command about parameters.
+    /// Executes a command that reads or changes parameters.
     fn configure(&mut self, command: &ParameterCommand) {
         let first_epoch = self.settings.first_epoch;
         self.outbox.answer = Some(carry_out(command, &mut self.settings));

@@ -11,7 +11,7 @@ use ubimap_protocol::{
 use super::{mapper::Mapper, outbox::Token};
 use crate::timing::RESET_SILENCE;
 
-/// Maximum number of reliable frames in flight.
+/// Maximum number of reliable frames in flight; the memory for them is the link's largest part.
 const WINDOW: usize = 3;
 
 /// Size of the link's part of a [`Robot`](crate::Robot): the frames in flight, the receive and
@@ -59,7 +59,7 @@ impl Link {
         self.refusal
     }
 
-    /// When the last frame of a session arrived, if ever.
+    /// When the last frame of a session arrived; `None` if there has been no session.
     pub(super) fn heard(&self) -> Option<Instant> {
         self.server_epoch.map(|_| self.heard)
     }
@@ -68,7 +68,7 @@ impl Link {
         self.endpoint.counters()
     }
 
-    /// Space for messages in a frame, in bytes.
+    /// Space for messages in a frame of this session, in bytes.
     pub(super) fn room(&self) -> usize {
         self.endpoint.room()
     }
@@ -82,7 +82,8 @@ impl Link {
         self.endpoint.poll_timeout().map_or(due, |resend| resend.min(due))
     }
 
-    /// Processes the bytes of the next frame. Returns `false` if they end before the frame does.
+    /// Processes bytes up to the end of the next frame. Returns `false` if they end before the
+    /// frame does.
     #[inline(never)]
     pub(super) fn receive_frame(
         &mut self,
@@ -109,7 +110,7 @@ impl Link {
         true
     }
 
-    /// Processes the acknowledged frames.
+    /// Passes the acknowledged frames to the mapper.
     pub(super) fn settle(&mut self, mapper: &mut Mapper<'_>, now: Instant) {
         while let Some(token) = self.endpoint.poll_acknowledged() {
             mapper.acknowledged(token, now);
@@ -136,7 +137,7 @@ impl Link {
         }
     }
 
-    /// The server has no session with this robot.
+    /// Ends the session, because the server reports that it has none with this robot.
     fn reset(&mut self, now: Instant) {
         if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
             self.endpoint.end();
@@ -181,7 +182,7 @@ impl Link {
     }
 }
 
-/// A message of the handshake.
+/// A message of the handshake, as the server sends it.
 enum Knock {
     Welcome(Welcome),
     Refusal(Refusal),

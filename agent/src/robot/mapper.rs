@@ -11,7 +11,7 @@ use crate::{
     share::{Commands, FusedMap, FusedTile},
 };
 
-/// The state that messages and scans work on. Its type does not depend on the [`Drive`].
+/// The state that messages and scans change. Its type does not depend on the [`Drive`].
 #[derive(Debug)]
 pub(super) struct Mapper<'b> {
     pub(super) settings: Settings,
@@ -22,7 +22,7 @@ pub(super) struct Mapper<'b> {
     /// The server's clock, once synchronised.
     pub(super) clock: ClockSync,
     pub(super) latest_pose: Option<(Instant, Pose)>,
-    /// Whether the newest scans have no pose.
+    /// Whether the newest scans could not be given a pose.
     pub(super) lost: bool,
     pub(super) map: LocalMap<'b>,
     pub(super) fused: FusedMap<'b>,
@@ -61,7 +61,7 @@ impl<'b> Mapper<'b> {
         }
     }
 
-    /// Ages the map's evidence if that is due.
+    /// Resets weak evidence in the map if that is due.
     pub(super) fn age(&mut self, now: Instant) {
         self.map.timeout(now, |id| self.fused.tile(id));
     }

@@ -27,8 +27,8 @@ pub trait Storage {
     type Fused: AsMut<[FusedTile]>;
 }
 
-/// Storage of fixed size, for a `static`. The parameters are lengths; [`memory!`](crate::memory)
-/// computes them from [`Bounds`].
+/// Arrays of fixed size, for a `static`. The const parameters are their lengths, which
+/// [`memory!`](crate::memory) computes from [`Bounds`].
 #[derive(Debug)]
 pub struct Arrays<
     const READINGS: usize,
@@ -102,7 +102,7 @@ macro_rules! memory {
 impl<D: Drive, const R: usize, const W: usize, const S: usize, const O: usize, const F: usize>
     Memory<Arrays<R, W, S, O, F>, D>
 {
-    /// Unused memory.
+    /// The initial state of the memory.
     pub const EMPTY: Self = Self {
         beams: [Beam::NONE; R],
         waiting: [0; W],
@@ -124,7 +124,7 @@ where
         >,
     D: Drive,
 {
-    /// Memory with these bounds, in growable containers.
+    /// Memory for these bounds, in growable containers.
     pub fn new(bounds: &Bounds) -> Self {
         fn of<T: Clone, C: FromIterator<T>>(element: T, count: usize) -> C {
             core::iter::repeat_n(element, count).collect()
@@ -141,7 +141,7 @@ where
 }
 
 impl<S: Storage, D: Drive> Memory<S, D> {
-    /// The memory as slices, for code that runs a single stage.
+    /// The parts of the memory as slices, for code that runs a single stage.
     pub fn slices(&mut self) -> Slices<'_, D> {
         Slices {
             beams: self.beams.as_mut(),
@@ -177,7 +177,7 @@ impl<D: Drive> fmt::Debug for Slices<'_, D> {
 }
 
 impl<D: Drive> Slices<'_, D> {
-    /// Truncates each part to the bounds.
+    /// Shortens each part to the bounds.
     ///
     /// # Errors
     /// [`ConfigError::Memory`] for the first part that is too small.
@@ -196,7 +196,8 @@ impl<D: Drive> Slices<'_, D> {
 
 /// The first `bound` elements.
 fn cut<T>(slice: &mut [T], bound: usize, part: Part) -> Result<&mut [T], ConfigError> {
-    // The server's map is optional; every other part is required.
+    // The server's map is optional, so its pool may be empty; every other part needs at least one
+    // element.
     let least = usize::from(part != Part::FusedTiles);
     if bound < least {
         return Err(ConfigError::Memory { part, needed: least, found: bound });

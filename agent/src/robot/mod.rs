@@ -1,9 +1,9 @@
 //! The robot: readings of the sensor and the wheels and bytes from the link go in, frames and wheel
 //! commands come out.
 //!
-//! [`Robot`] is the interface. `scans` takes a scan into the map; `link` holds the session with the
-//! server, `inbox` handles its messages, and `writing` writes the messages pending in the `outbox`;
-//! `surroundings` collects the inputs of the drive. All of them work on the `mapper`.
+//! [`Robot`] is the interface. `scans` turns scans into the map; `link` holds the session with the
+//! server, `inbox` handles the server's messages, and `writing` writes the messages that wait in
+//! the `outbox`; `surroundings` collects the inputs of the drive. All of them work on the `mapper`.
 
 mod bounds;
 mod config;
@@ -44,10 +44,10 @@ use crate::{
 use link::Link;
 use mapper::Mapper;
 
-/// A robot that maps, shares its map with the server, and drives if it has a drive.
+/// A robot that maps, shares its map with the server, and optionally drives.
 ///
-/// It owns no clock and no port: time is an argument, and the board's inputs and outputs pass
-/// through these methods. All times are by the robot's own clock, with any zero.
+/// It owns no clock and no port: time is an argument, and all input and output passes through these
+/// methods. All times are by the robot's own clock, which may start at any value.
 ///
 /// **The driving law**: after every input ([`receive`](Self::receive),
 /// [`odometry`](Self::odometry), [`scan`](Self::scan), [`timeout`](Self::timeout)) drain
@@ -175,7 +175,7 @@ pub struct Robot<'b, D: Drive = NoDrive> {
 }
 
 impl<'b, D: Drive> Robot<'b, D> {
-    /// A freshly booted robot. It is built in place, with less extra stack than later calls need.
+    /// A freshly booted robot. It is built in place, and needs no more stack than later calls.
     ///
     /// # Errors
     /// [`ConfigError`]: the configuration is invalid, or the memory is too small for it.
@@ -202,7 +202,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         }
     }
 
-    /// Processes bytes from the server, split in any way.
+    /// Processes bytes from the server; frames may be split anywhere between calls.
     pub fn receive(&mut self, mut bytes: &[u8], now: Instant) {
         let Self { mapper, scans, link, .. } = self;
         while link.receive_frame(mapper, &mut bytes, now) {
@@ -219,10 +219,11 @@ impl<'b, D: Drive> Robot<'b, D> {
     }
 
     /// Processes a scan taken at `taken`: readings in millimetres, 0 for no return. The drive uses
-    /// it at once; it is mapped when its pose is known.
+    /// it at once; it is mapped as soon as its pose is known.
     ///
     /// # Errors
-    /// [`ScanError`]: the scan is not mapped. The drive still uses one that finds the queue full.
+    /// [`ScanError`]: the scan is not mapped. If the queue was full ([`ScanError::Full`]), the
+    /// drive still uses the scan.
     pub fn scan(
         &mut self,
         taken: Instant,
@@ -257,8 +258,8 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.mapper.steadiness.jolt(moment);
     }
 
-    /// Does the work due at `now`: gives up expired scans, ages the map's evidence, steps the
-    /// drive.
+    /// Does the work that is due at `now`: drops expired scans, ages the map's evidence, and steps
+    /// the drive.
     pub fn timeout(&mut self, now: Instant) {
         let Self { mapper, scans, link, drive } = self;
         mapper.age(now);
@@ -315,15 +316,15 @@ impl<'b, D: Drive> Robot<'b, D> {
         &self.mapper.fused
     }
 
-    /// The newest known pose and its time by the server's clock (by the robot's, if it came from
-    /// odometry before the clocks were synchronised).
+    /// The newest known pose and its time. The time is by the server's clock, or by the robot's if
+    /// the pose came from odometry before the clocks were synchronised.
     pub fn pose(&self) -> Option<(Instant, Pose)> {
         self.mapper.latest_pose
     }
 
-    /// `base_link` in `map` at a time of the robot's clock, by what is known now, and the standard
-    /// deviation of the position in millimetres. Extrapolates up to a third of a second beyond the
-    /// newest odometry. At most 13,000 instructions.
+    /// `base_link` in `map` at a time of the robot's clock, as far as it is known now, and the
+    /// standard deviation of the position in millimetres. Extrapolates up to a third of a second
+    /// beyond the newest odometry. At most 13,000 instructions.
     pub fn pose_at(&self, moment: Instant) -> Option<(Pose, f32)> {
         self.mapper.pose_at(moment)
     }
@@ -333,7 +334,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.mapper.beams
     }
 
-    /// The settings in force: the configuration with the server's changes.
+    /// The settings in force: the configuration, with the changes that the server has made.
     pub fn settings(&self) -> &Settings {
         &self.mapper.settings
     }
@@ -348,17 +349,17 @@ impl<'b, D: Drive> Robot<'b, D> {
         &self.mapper.commands
     }
 
-    /// Why the server refuses a session, if it does.
+    /// Why the server refuses a session; `None` if it does not.
     pub fn refusal(&self) -> Option<RefusalReason> {
         self.link.refusal()
     }
 
-    /// The epoch of the last session's server.
+    /// The epoch of the server in the last session.
     pub fn server_epoch(&self) -> Option<Epoch> {
         self.link.server_epoch()
     }
 
-    /// Whether there is a session.
+    /// Whether a session with the server is open.
     pub fn is_connected(&self) -> bool {
         self.link.is_connected()
     }

@@ -12,7 +12,7 @@ use crate::{
     timing::HURRY,
 };
 
-/// The content of a reliable frame, returned when it is acknowledged.
+/// The content of a reliable frame in flight; the link returns it when the frame is acknowledged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Token {
     Tiles(u16),
@@ -20,7 +20,7 @@ pub(super) enum Token {
     Other,
 }
 
-/// Messages to be sent, except the requests of the map and the clock.
+/// The messages to be sent, except requests for tiles and for the time.
 #[derive(Debug)]
 pub(super) struct Outbox {
     pub(super) publisher: Publisher,
@@ -28,12 +28,12 @@ pub(super) struct Outbox {
     pub(super) events: Events,
     /// The reply to the newest command about parameters.
     pub(super) answer: Option<Answer>,
-    /// When the robot's state is due.
+    /// When the next state message is due.
     pub(super) next_state: Instant,
 }
 
 impl Outbox {
-    /// Empty.
+    /// An empty outbox.
     pub(super) fn new(hold: Duration, vector_interval: Duration) -> Self {
         Self {
             publisher: Publisher::new(hold),
@@ -61,8 +61,8 @@ impl Outbox {
         self.next_state = now;
     }
 
-    /// Reports an event that may require a decision of the server. The robot's state follows at
-    /// once, and the changes of the map soon.
+    /// Reports an event after which the server may have to decide something. So the robot's state
+    /// follows at once, and changes of the map soon.
     pub(super) fn raise(&mut self, code: EventCode, now: Instant) {
         self.next_state = now;
         self.publisher.hurry(now + HURRY);

@@ -18,33 +18,35 @@ use crate::sense::{Exposure, Removal};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Parameter {
-    /// The sensor in `base_link`: forward, in millimetres, at most 2 m either way.
+    /// The sensor's position in `base_link`: forward, in millimetres, -2,000 to 2,000.
     MountingX = 1,
-    /// The sensor in `base_link`: left, in millimetres, at most 2 m either way.
+    /// The sensor's position in `base_link`: left, in millimetres, -2,000 to 2,000.
     MountingY = 2,
-    /// The sensor in `base_link`: its heading, in binary angle units, -32,768 to 65,535.
+    /// The sensor's heading in `base_link`, in binary angle units, -32,768 to 65,535.
     MountingHeading = 3,
     /// How far the robot must move before it maps again, in millimetres, 0 to 10,000.
     GateDistance = 4,
     /// How far it must turn before it maps again, in binary angle units, 0 to 32,767.
     GateTurn = 5,
-    /// How long changes are collected before they are sent, in milliseconds, 0 to 60,000.
+    /// How long changes of the map are collected before they are sent, in milliseconds, 0 to
+    /// 60,000.
     Hold = 6,
     /// How long a scan waits for its pose, in milliseconds, 0 to 60,000.
     ScanDeadline = 7,
     /// The minimum epoch of new tiles, 0 to 1,073,741,824. A change discards all of the robot's own
-    /// tiles: the server has corrected its pose or mounting.
+    /// tiles: the server sets it after it has corrected the robot's pose or mounting.
     FirstEpoch = 8,
-    /// Readings that are never mapped, by index: the first in the value's upper half, the last in
-    /// the lower. -1 means none, also for bearings.
+    /// Readings that are never mapped, by index: the first index in the value's upper half, the
+    /// last in the lower. -1 removes none; the same holds for bearings.
     RemovedPixels = 9,
-    /// Readings that are never mapped, by bearing in `base_link`: counter-clockwise from one
-    /// bearing to another, in binary angle units.
+    /// Readings that are never mapped, by bearing in `base_link`: counter-clockwise from the
+    /// bearing in the value's upper half to the one in the lower, in binary angle units.
     RemovedBearings = 10,
-    /// Readings that are never mapped, by distance: from minimum to maximum, in millimetres; 0
-    /// means none.
+    /// Readings that are never mapped, by distance: the minimum in the value's upper half, the
+    /// maximum in the lower, in millimetres; 0 removes none.
     RemovedDistances = 11,
-    /// Minimum and maximum brightness of a pixel whose depth is valid.
+    /// The minimum and the maximum brightness of a pixel whose depth is valid, in the value's upper
+    /// and lower half.
     Exposure = 12,
 }
 
@@ -58,7 +60,7 @@ fn halves(value: i32) -> (u16, u16) {
     ((value >> 16) as u16, value as u16)
 }
 
-/// The value for no removal.
+/// The value that stands for no removal.
 const NONE: i32 = -1;
 
 impl Parameter {
@@ -153,7 +155,7 @@ impl Parameter {
     }
 }
 
-/// The reply to a command, with the parameters not reported yet.
+/// The reply to a command: the parameters that are still to be reported.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Answer {
     number: u16,
@@ -189,7 +191,7 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
 
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 
-/// Reports the part of a reply that fits into a frame; the rest stays for the next one. Returns
+/// Writes the part of a reply that fits into a frame; the rest stays for the next frame. Returns
 /// `false` if there is nothing to report.
 pub(crate) fn push_report(
     answer: &mut Option<Answer>,
@@ -200,7 +202,7 @@ pub(crate) fn push_report(
     let told = writer.push_longest(0..=untold.len(), |count| {
         let mut values = Vec::new();
         for parameter in untold.iter().take(count) {
-            // Their number is checked at compile time, above.
+            // The number of parameters is checked against the capacity at compile time, above.
             let _ = values.push(parameter.value(settings));
         }
         ParameterReport { number: *number, outcome: *outcome, values }

@@ -1,4 +1,5 @@
-//! The path of a scan: it waits for its pose, is mapped, and yields a distance vector.
+//! The way of a scan through the robot: it waits for its pose, is mapped, and yields a distance
+//! vector.
 
 use core::ops::Range;
 
@@ -21,13 +22,13 @@ use crate::{
 struct PlacedScan {
     /// When it was taken, by the robot's clock.
     taken: Instant,
-    /// The same by the server's clock, once the clocks are synchronised.
+    /// The time by the server's clock, once the clocks are synchronised.
     server_moment: Option<Instant>,
     /// `base_link` in `map`.
     pose: Pose,
-    /// Its variances; `None` if they exceed the limit.
+    /// The variances of the pose; `None` if they exceed the limit for mapping.
     variances: Option<Variances>,
-    /// Whether fixes were missing.
+    /// Whether there was no recent fix: no camera saw the robot.
     is_blind: bool,
 }
 
@@ -43,13 +44,13 @@ impl Mapper<'_> {
     ) -> Result<(), ScanError> {
         let speaks = link.is_connected() && self.outbox.vectors.is_due(taken, false, false);
         let pose = self.latest_pose.map(|(_, pose)| pose);
-        // Odometry from before the scan gives its pose only if the robot stands.
+        // Odometry read before the scan gives the scan's pose only if the robot stands.
         let odometry = self.locator.standing_odometry();
         if !speaks
             && scans.check(taken, readings).is_ok()
             && self.selection.stands(self.settings.gate, pose, odometry, readings)
         {
-            // Nothing needs the pose of this scan.
+            // The scan would add nothing, so its pose is not needed.
             self.statistics.scans = self.statistics.scans.wrapping_add(1);
             self.statistics.gated = self.statistics.gated.wrapping_add(1);
             return Ok(());
@@ -88,7 +89,7 @@ impl Mapper<'_> {
         scans.oldest().map(|taken| taken + self.settings.scan_deadline)
     }
 
-    /// Maps the scans whose poses are known, and gives up the expired ones.
+    /// Maps the scans whose poses are known, and drops the expired ones.
     #[inline(never)]
     pub(super) fn map_waiting(&mut self, scans: &mut WaitingScans<'_>, link: &Link, now: Instant) {
         while let Some(taken) = scans.oldest() {
@@ -104,7 +105,7 @@ impl Mapper<'_> {
         }
     }
 
-    /// Records the pose of a scan. Returns `None` if the scan is not to be processed.
+    /// Evaluates the pose of a scan. Returns `None` if the scan must wait, or is dropped.
     fn place(&mut self, taken: Instant, located: Located, now: Instant) -> Option<PlacedScan> {
         let (pose, variances) = match located {
             Located::At(pose, variances) => (pose, Some(variances)),
@@ -131,7 +132,7 @@ impl Mapper<'_> {
         (!is_shaken).then_some(PlacedScan { taken, server_moment, pose, variances, is_blind })
     }
 
-    /// Stores the newest pose; the window of the server's tiles follows it.
+    /// Stores the newest pose, and moves the window of the server's tiles with it.
     fn keep_pose(&mut self, moment: Instant, pose: Pose) {
         let is_newer = |(newest, _): (Instant, Pose)| {
             newest < moment || newest.since(moment) > CLOCKS_DISAGREE
@@ -142,7 +143,7 @@ impl Mapper<'_> {
         self.fused.follow(pose, self.settings.resolution);
     }
 
-    /// Maps the new part of a scan, and queues its distance vector if one is due.
+    /// Maps the new part of a scan, and queues the scan's distance vector if one is due.
     fn take_in(&mut self, scan: &PlacedScan, readings: &mut [u16], link: &Link, now: Instant) {
         let is_sure = scan.variances.is_some();
         // With an uncertain pose the scan is not mapped, but its distance vector may help the
@@ -157,7 +158,7 @@ impl Mapper<'_> {
             let vectors = &self.outbox.vectors;
             link.is_connected() && vectors.is_due(scan.taken, moves, scan.is_blind)
         });
-        // The next scan is compared with the raw readings.
+        // The next scan is compared with these readings, before they are cleaned.
         let odometry = self.locator.newest_odometry();
         self.selection.mapped(scan.pose, odometry, readings, &selected);
         self.clean(readings, vector_time.is_some());
@@ -176,29 +177,31 @@ impl Mapper<'_> {
         }
     }
 
-    /// Sets invalid readings to 0. Mapping checks validity itself where needed, so only removals
-    /// are applied here, unless `wholly`.
+    /// Sets invalid readings to 0. If not `wholly`, only removed readings: mapping checks the other
+    /// rules itself where it needs them.
     fn clean(&self, readings: &mut [u16], wholly: bool) {
         if wholly || self.settings.validity.removes() {
             self.settings.validity.clean(readings);
         }
         if self.settings.removed.iter().any(Option::is_some) {
-            // Within a surface the mapping does not look at the beam.
+            // Mapping does not look at every beam of a surface, so removed beams must be cleared in
+            // the readings.
             let beams = readings.iter_mut().zip(&*self.beams);
             beams.filter(|(_, beam)| **beam == Beam::NONE).for_each(|(reading, _)| *reading = 0);
         }
     }
 
-    /// Draws part of a scan into the robot's tiles.
+    /// Draws a part of a scan into the robot's tiles.
     fn draw(&mut self, scan: &PlacedScan, readings: &[u16], part: Range<usize>, now: Instant) {
         let &PlacedScan { taken, server_moment, pose, .. } = scan;
         let (mask, variances) = (self.settings.peer_mask, scan.variances.unwrap_or_default());
         let (resolution, max_range) = (self.settings.resolution, self.settings.max_range);
-        // Without fixes, an error of one cell would draw every wall twice.
+        // Without fixes the pose drifts, and points that are off by a cell would draw every wall
+        // twice. So only the range within which the heading is accurate enough is mapped.
         let range = if scan.is_blind { variances.reach(resolution, max_range) } else { max_range };
         let moment = server_moment.unwrap_or(taken);
         let view = ScanContext { pose, moment, range, resolution, mask };
-        // Peers' times are by the server's clock.
+        // The times of the other robots' reports are by the server's clock.
         let peers = self.commands.peers().filter(|_| server_moment.is_some());
         let peers = PeerMasks::new(peers, &view, variances);
         let fused = &self.fused;
@@ -220,7 +223,8 @@ impl Mapper<'_> {
     }
 }
 
-/// Queues the distance vector of a scan. Separate from mapping, which needs the stack.
+/// Queues the distance vector of a scan. Separate from mapping, so that the stack of the two does
+/// not add up.
 #[inline(never)]
 fn tell(
     vectors: &mut DistanceVectors,

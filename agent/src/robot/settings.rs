@@ -14,8 +14,8 @@ use crate::{
     sense::{Exposure, Removal, SensorModel, Validity},
 };
 
-/// The part of a robot's [`Config`] in force at run time, with the server's changes. The fields
-/// have the same meaning.
+/// The part of a robot's [`Config`] that applies at run time, with the server's changes. The fields
+/// have the same meaning as there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// The robot's id.
@@ -24,7 +24,7 @@ pub struct Settings {
     pub resolution: Millimetres,
     /// The maximum mapped range, in millimetres.
     pub max_range: u16,
-    /// Hits within this distance count twice, in millimetres.
+    /// Hits at most this far from the sensor along `map`'s x and y count twice, in millimetres.
     pub near: Option<NonZero<u16>>,
     /// The sensor's geometry.
     pub sensor: SensorModel,
@@ -32,7 +32,7 @@ pub struct Settings {
     pub mounting: Pose,
     /// Which readings are valid.
     pub validity: Validity,
-    /// Brightness of the pixels whose depths are valid: the caller masks rows by it
+    /// Brightness of the pixels whose depths are valid. The caller applies it to each row
     /// ([`Exposure::mask`]).
     pub exposure: Exposure,
     /// Readings that are never mapped.
@@ -41,7 +41,7 @@ pub struct Settings {
     pub gate: Gate,
     /// Which part of a scan is mapped.
     pub policy: Policy,
-    /// Which readings are ignored because of other robots.
+    /// The shape of the masks that keep other robots out of the map.
     pub peer_mask: PeerMask,
     /// How long a scan waits for its pose.
     pub scan_deadline: Duration,

@@ -2,14 +2,14 @@
 
 use crate::map::PixelCounts;
 
-/// A robot's counters since boot; they wrap.
+/// A robot's counters since boot; they wrap at their maximum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Statistics {
     /// Scans accepted.
     pub scans: u32,
     /// Scans mapped.
     pub mapped: u32,
-    /// Scans skipped by the gate.
+    /// Scans skipped because the robot had neither moved enough nor seen a change.
     pub gated: u32,
     /// Scans not mapped because the robot was shaken.
     pub shaken: u32,
@@ -29,7 +29,7 @@ pub struct Statistics {
     pub fixes_rejected: u32,
     /// Pose fixes accepted after several consistent ones had been rejected: the robot was carried.
     pub moves: u32,
-    /// Pose fixes from the future, from an unknown time, or older than the history.
+    /// Pose fixes from the future, from a time that can't be converted, or older than the history.
     pub fixes_untimely: u32,
     /// Odometry readings older than their predecessor.
     pub odometry_backwards: u32,

@@ -14,7 +14,7 @@ use super::{
 use crate::timing::STATE_INTERVAL;
 
 impl Mapper<'_> {
-    /// When the next frame of a session is due, tiles only if reliable frames can be sent.
+    /// When the next frame of a session is due. Tiles count only if reliable frames can be sent.
     pub(super) fn poll_transmit_timeout(&self, can_send_reliable: bool) -> Instant {
         let Outbox { publisher, next_state, .. } = &self.outbox;
         let due = self.clock.poll_timeout().min(publisher.digest_timeout()).min(*next_state);
@@ -22,7 +22,7 @@ impl Mapper<'_> {
         tiles.map_or(due, |tiles| tiles.min(due))
     }
 
-    /// Processes an acknowledged frame.
+    /// Processes the acknowledgement of a frame.
     pub(super) fn acknowledged(&mut self, token: Token, now: Instant) {
         let Outbox { publisher, events, .. } = &mut self.outbox;
         match token {
@@ -35,7 +35,7 @@ impl Mapper<'_> {
     }
 
     /// Writes the messages of a frame, if any are due. Messages that would be stale when
-    /// retransmitted go into other frames than those that must arrive.
+    /// retransmitted go into datagrams, apart from those that must arrive.
     pub(super) fn write(
         &mut self,
         writer: &mut Writer<'_, ToServer>,
@@ -59,7 +59,7 @@ impl Mapper<'_> {
         }
         if self.outbox.next_state <= now {
             self.outbox.next_state = now + STATE_INTERVAL;
-            // The smallest frames have no room for both poses.
+            // The smallest frames have no room for both poses, so one or both may be left out.
             let _ = writer.push_longest(0..=2, |poses| State {
                 time: self.latest_pose.map(|(moment, _)| moment),
                 pose: self.latest_pose.map(|(_, pose)| pose).filter(|_| poses > 0),
@@ -84,7 +84,7 @@ impl Mapper<'_> {
         if let Some(interest) = fused.untold()
             && writer.push(&interest)
         {
-            // Counts as sent for the window: the link takes care of retransmission.
+            // From here on the link is responsible: it retransmits the message until it arrives.
             fused.told(interest.number);
             return Some(Token::Other);
         }

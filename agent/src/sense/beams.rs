@@ -7,7 +7,7 @@ use crate::trigonometry::{angle, radians, round, sin_cos};
 
 use super::camera::{Camera, Rays};
 
-/// The geometry of a sensor's readings. Beam 0 is the first reading of a scan.
+/// The geometry of a sensor's readings. Beam 0 belongs to the first reading of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SensorModel {
     /// Readings are distances along the beams, at bearings of `first + index * step` (radians,
@@ -26,30 +26,30 @@ pub enum SensorModel {
         /// The column of the optical axis.
         centre: f32,
     },
-    /// Readings are depths of one row of a camera's image, one per column, with the paper's pixel
-    /// model, lens distortion or a tilt. The points of a row that is not level differ in height;
-    /// the table gives their positions projected to the floor.
+    /// Readings are depths of one row of a camera's image, one per column. Supports the paper's
+    /// pixel model, lens distortion and a tilt. In a row that is not level the points differ in
+    /// height; the table contains their directions projected to the floor.
     Row {
         /// The camera.
         camera: Camera,
-        /// The row; may lie between two rows.
+        /// The row; it may lie between two rows of pixels.
         row: f32,
     },
 }
 
 /// Readings that are never mapped: the paper's selective removal of pixels (Aluckal III.D).
-/// [`Validity`](super::Validity) removes by distance.
+/// [`Validity`](super::Validity) removes readings by distance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Removal {
-    /// By index in a scan, inclusive.
+    /// By index in a scan, both ends included.
     Pixels {
-        /// The first.
+        /// The first index.
         first: u16,
-        /// The last.
+        /// The last index.
         last: u16,
     },
-    /// By bearing in `base_link`, counter-clockwise from one to another: for example the robot's
-    /// own mast.
+    /// By bearing in `base_link`, counter-clockwise from one bearing to the other: for example the
+    /// robot's own mast.
     Bearings {
         /// The clockwise end.
         from: Angle,
@@ -74,22 +74,25 @@ impl Beam {
     /// A removed beam: its readings are never mapped.
     pub const NONE: Self = Self { forward: 0, left: 0 };
 
-    /// The squared length of a reading of one millimetre, in 2^-28 mm^2; 0 for [`Beam::NONE`].
+    /// The squared distance in the plane for a reading of one millimetre, in 2^-28 mm^2; 0 for
+    /// [`Beam::NONE`].
     #[inline(always)]
     pub(crate) fn square(self) -> u32 {
         let (forward, left) = (i32::from(self.forward), i32::from(self.left));
         (forward * forward) as u32 + (left * left) as u32
     }
 
-    /// The reading for a distance of `range` millimetres from the sensor, accurate to 1 mm plus
-    /// 1/3,000. Computes a square root in 30 instructions.
+    /// The reading at which the beam ends `range` millimetres from the sensor, accurate to 1 mm
+    /// plus 1/3,000. Takes 30 instructions.
     #[inline(never)]
     pub(crate) fn reading_at(self, range: u16) -> u32 {
         let square = self.square().max(1);
-        // Normalised to [1/4, 1) in units of 1/2^16, by a shift with a whole root.
+        // Normalised to [1/4, 1) in units of 1/2^16 by an even shift, whose square root is a whole
+        // shift.
         let shift = square.leading_zeros() & !1;
         let part = square << shift >> 16;
-        // The inverse root in 1/2^14: a linear estimate with an error of 10 %, then Newton steps.
+        // The inverse square root in 1/2^14: a linear estimate with an error of 10 %, then Newton
+        // steps.
         let mut inverse = 34_900 - part * 39 / 131;
         for _ in 0..2 {
             let one = (part * ((inverse * inverse) >> 14)) >> 16;
@@ -99,11 +102,11 @@ impl Beam {
     }
 }
 
-/// Fills the table of a sensor mounted at `mounting` in `base_link` (only the heading matters
-/// here).
+/// Fills the table of a sensor mounted at `mounting` in `base_link`, whose heading is included in
+/// the table; its position is ignored.
 ///
-/// Columns that look more than 63 degrees sideways do not fit the number format, and those beyond
-/// the lens's view have no direction; they become [`Beam::NONE`].
+/// Beams whose direction does not fit the number format (more than 63 degrees off a pinhole's
+/// axis), and columns beyond the lens's view, become [`Beam::NONE`].
 pub fn fill_beams(beams: &mut [Beam], model: SensorModel, mounting: Pose) {
     let row_of = |camera, row| Some((Rays::new(camera, beams.len()), row));
     let rays = match model {
@@ -208,7 +211,7 @@ mod tests {
         let mut beams = [Beam::default(); 640];
         let camera = Camera { pitch: 0.3, ..Camera::new((343.1, 343.1), (319.5, 239.5)) };
         let forward = |beam: Beam| f64::from(beam.forward) / f64::from(1 << DIRECTION_BITS);
-        // The row on the optical axis: Z cos(pitch). The level row: Z / cos(pitch).
+        // The row on the optical axis gives Z cos(pitch), the level row Z / cos(pitch).
         for (row, expected) in
             [(239.5, 0.3f64.cos()), (239.5 - 343.1 * 0.3f32.tan(), 1.0 / 0.3f64.cos())]
         {
@@ -231,7 +234,7 @@ mod tests {
         };
         let is_out = left_out(Removal::Pixels { first: 3, last: 7 });
         assert!((0..61).all(|index| is_out(index) == (3..=7).contains(&index)));
-        // Across the back, where bearings jump from pi to -pi.
+        // A range of bearings across the back, where they jump from pi to -pi.
         let (from, to) = (Angle::from_radians(2.95), Angle::from_radians(-2.35));
         let is_out = left_out(Removal::Bearings { from, to });
         for index in 0..61 {

@@ -9,9 +9,10 @@ use crate::trigonometry::sin_cos;
 pub enum PixelModel {
     /// `tan(theta) = (centre - column) / focal`: a lens without distortion.
     Pinhole,
-    /// The paper's: all columns have the same angular width, `theta = field / 2 * (n / 2 - column)
-    /// / (n / 2)` for `n` columns (Aluckal, equation 2; 0.134 degrees each with 86 degrees over 640
-    /// columns). There its error is up to 3.6 degrees, halfway between the axis and the edge.
+    /// The paper's model: all columns have the same angular width, `theta = field / 2 * (n / 2 -
+    /// column) / (n / 2)` for `n` columns (Aluckal, equation 2; 0.134 degrees per column with 86
+    /// degrees over 640 columns). Its error there is up to 3.6 degrees, halfway between the axis
+    /// and the edge.
     LinearAngle {
         /// The angle between the outermost columns, in radians.
         field: f32,
@@ -61,8 +62,8 @@ impl Camera {
         Self { focal, centre, distortion, pixels: PixelModel::Pinhole, pitch: 0.0, roll: 0.0 }
     }
 
-    /// The row that looks level in the centre column: at any distance it sees points at the height
-    /// of the camera. `None` if the camera has no such row.
+    /// The row that looks level in the centre column: points seen in it are at the height of the
+    /// camera, at any distance. `None` if the camera has no such row.
     pub fn level_row(&self) -> Option<f32> {
         let (sin, cos) = sin_cos(self.roll);
         let (pitch_sin, pitch_cos) = sin_cos(self.pitch);
@@ -73,7 +74,7 @@ impl Camera {
     }
 }
 
-/// The direction of a pixel: its point at a depth of one, in level axes.
+/// The direction of a pixel: the position of its point at a depth of one, in level axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
     /// Forward, parallel to the floor.
@@ -122,26 +123,26 @@ impl Rays {
         Some(Ray { forward: cos - below * sin, left: -right, down: sin + below * cos })
     }
 
-    /// The column in which a level pinhole camera with the same focal length and position sees a
-    /// point on a ray.
+    /// The column in which a level pinhole camera, with the same focal length and position, sees
+    /// the points of a ray.
     pub fn level_column(&self, ray: &Ray) -> f32 {
         self.camera.centre.0 - ray.left / ray.forward * self.camera.focal.0
     }
 }
 
 impl Distortion {
-    /// Iterations for the undistorted point; strong lenses take about 20 at the edge.
+    /// Maximum number of iterations of `remove`; strong lenses take about 20 at the edge.
     const STEPS: usize = 40;
     /// Convergence tolerance, in focal lengths: 1/200 pixel at a focal length of 500.
     const CLOSE: f32 = 1e-5;
 
-    /// Where the lens shows the point that a pinhole shows at `x`, `y` (in focal lengths).
+    /// Where the lens shows the point that a pinhole camera shows at `x`, `y` (in focal lengths).
     fn apply(&self, x: f32, y: f32) -> (f32, f32) {
         let (radial, aside, below) = self.parts(x, y);
         (x * radial + aside, y * radial + below)
     }
 
-    /// The radial factor and the tangential offsets.
+    /// The radial factor, and the tangential offsets in x and y.
     fn parts(&self, x: f32, y: f32) -> (f32, f32, f32) {
         let Self { k1, k2, p1, p2, k3 } = *self;
         let r2 = x * x + y * y;
@@ -181,7 +182,7 @@ mod tests {
             let ray = rays.at(column, 239.5).unwrap();
             f64::from(ray.left).atan2(f64::from(ray.forward)).to_degrees()
         };
-        // theta_k = 43 * (320 - k) / 320 (Aluckal II.D).
+        // The formula as printed: theta_k = 43 * (320 - k) / 320 (Aluckal II.D).
         for k in 0..=640 {
             let printed = 43.0 * f64::from(320 - k) / 320.0;
             assert!((degrees(k as f32) - printed).abs() < 1e-4, "{k}");
@@ -218,8 +219,8 @@ mod tests {
     }
 
     proptest! {
-        /// A point in level axes, rotated into the camera's frame by matrices and projected through
-        /// the lens, equals the ray of its pixel times its depth.
+        /// Takes a point in level axes, rotates it into the camera's frame by matrices and projects
+        /// it through the lens: it must equal the ray of its pixel times its depth.
         #[test]
         fn a_ray_leads_back_to_the_point(
             pitch in -0.5f64..0.9, roll in -0.4f64..0.4,
@@ -282,7 +283,7 @@ mod tests {
         for (pitch, roll) in [(0.3, 0.0), (-0.2, 0.1), (0.5, -0.2)] {
             let camera = Camera { pitch, roll, distortion, ..level };
             let row = camera.level_row().unwrap();
-            // In the column that looks straight ahead.
+            // Checked in the column that looks straight ahead.
             let rays = Rays::new(camera, 640);
             let ahead = (0..640)
                 .filter_map(|column| rays.at(column as f32, row))

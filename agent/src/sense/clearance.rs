@@ -2,17 +2,17 @@
 
 use super::floor::COLUMNS;
 
-/// How much free floor the robot needs. The paper gives no values.
+/// The amount of free floor that the robot needs. The paper gives no values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GroundClearance {
     /// Number of columns at the centre of the image that must be free.
     pub columns: usize,
-    /// Free floor required in each of them, in pixels.
+    /// Free floor required in each of these columns, in pixels.
     pub pixels: u8,
 }
 
 impl Default for GroundClearance {
-    /// The middle half of the image, and 62 pixels, the near end of table 1: the camera can't
+    /// The middle half of the image, and 62 pixels: the near end of table 1, as the camera can't
     /// measure smaller distances.
     fn default() -> Self {
         Self { columns: COLUMNS / 2, pixels: 62 }
@@ -20,7 +20,8 @@ impl Default for GroundClearance {
 }
 
 impl GroundClearance {
-    /// Whether the floor ahead is free, by the [`distances`](super::Floor::distances) of an image.
+    /// Whether the floor ahead is free, according to the [`distances`](super::Floor::distances) of
+    /// an image.
     pub fn is_clear(&self, distances: &[u8; COLUMNS]) -> bool {
         let aside = COLUMNS.saturating_sub(self.columns) / 2;
         distances.iter().skip(aside).take(self.columns).all(|&pixels| pixels >= self.pixels)

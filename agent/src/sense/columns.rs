@@ -13,7 +13,7 @@ use super::beams::{Beam, DIRECTION_BITS};
 
 /// The unit of distances, in millimetres.
 const UNIT: f32 = 20.0;
-/// Width of a single beam's column, in binary angle units: 5 degrees.
+/// Width of the column of a lone beam, in binary angle units: 5 degrees.
 const ALONE: i32 = 910;
 
 /// The columns of a [`DistanceVector`](ubimap_protocol::message::DistanceVector).
@@ -23,15 +23,16 @@ pub struct Columns {
     pub first: Angle,
     /// Angle from one column to the next, in binary angle units.
     pub step: i16,
-    /// The nearest reading in each column, in units of 2 cm; 0 for none, 255 for 5.1 m and more.
+    /// The nearest reading in each column, in units of 2 cm; 0 if there is none, 255 for 5.1 m and
+    /// more.
     pub distances: Vec<u8, MAX_COLUMNS>,
 }
 
 impl Columns {
-    /// The nearest readings of a scan, in at most `most` columns (and at most one per beam) that
-    /// divide the field of view evenly, relative to `base_link`. The sensor is mounted at
-    /// `mounting`; its heading is already in the beams, which must be ordered by bearing, in either
-    /// direction. `None` if there is no reading, or `most` is 0. About 320 instructions per beam.
+    /// The nearest readings of a scan relative to `base_link`, in columns that divide the field of
+    /// view evenly: at most `most`, and at most one per beam. The sensor is mounted at `mounting`;
+    /// its heading is already in the beams, which must be ordered by bearing, in either direction.
+    /// `None` if there is no reading, or if `most` is 0. About 320 instructions per beam.
     pub fn of_scan(beams: &[Beam], readings: &[u16], mounting: Pose, most: usize) -> Option<Self> {
         let usable = beams.iter().filter(|beam| **beam != Beam::NONE);
         let mut bearings = usable.map(|beam| bearing(beam.left.into(), beam.forward.into()));
@@ -47,7 +48,7 @@ impl Columns {
         }
         let mut distances = Vec::new();
         for _ in 0..=gaps.min(most as i32 - 1) {
-            // Bounded by the message's capacity.
+            // Columns beyond the capacity of a message are dropped.
             let _ = distances.push(0);
         }
         // Each beam is as wide as the gap to the next.
@@ -112,12 +113,13 @@ mod tests {
         let mut seen = 0;
         for (bearing, &units) in bearings.iter().zip(&columns.distances) {
             let wall = 1_500.0 / bearing.to_radians().cos();
-            // The nearest reading in a column: half a column off-centre it is up to 20 mm nearer.
+            // The nearest reading of a column may be half a column off its centre, and so up to 20
+            // mm nearer.
             let off = f64::from(units) * 20.0 - wall;
             assert!(units == 0 || (-32.0..=10.5).contains(&off), "{bearing}: {units} {off}");
             seen += u32::from(units != 0);
         }
-        // Columns that the mounted sensor can't see are unknown.
+        // Columns that the mounted sensor can't see have no reading.
         assert!((58..64).contains(&seen), "{seen}");
     }
 

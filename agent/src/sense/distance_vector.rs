@@ -5,19 +5,21 @@ use nalgebra::Point2;
 use super::{floor::COLUMNS, scale_curve::ScaleCurve};
 
 /// Converts a distance vector to a scan: the distance to the boundary in each column (equation 2),
-/// in millimetres if the curve is in millimetres; 0, no reading, outside the curve's range.
+/// in the unit of the curve, which should be millimetres; 0 (no reading) outside the curve's range.
 ///
-/// The sensor model determines the geometry. A line of the image has a constant depth, not a
-/// constant range: with [`Pinhole`](super::SensorModel::Pinhole) the boundary lies where the camera
-/// saw it. The paper takes the distances as ranges along bearings spread evenly over its 90 degrees
-/// ([`Radial`](super::SensorModel::Radial)), which is correct only at the centre of the image: at
-/// its sides a boundary is mapped at 0.71 of its distance. About 100 instructions per column.
+/// The sensor model decides where the boundary is drawn. A line of the image has a constant depth,
+/// not a constant range: with [`Pinhole`](super::SensorModel::Pinhole) the boundary lies where the
+/// camera saw it. The paper takes the distances as ranges along bearings spread evenly over its 90
+/// degrees ([`Radial`](super::SensorModel::Radial)), which is correct only at the centre of the
+/// image: at the sides a boundary is mapped at 0.71 of its distance. About 100 instructions per
+/// column.
 pub fn floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; COLUMNS] {
     distances.map(|pixels| curve.distance(pixels).map_or(0, |it| libm::roundf(it) as u16))
 }
 
 /// The position of a boundary (equations 3 to 5): at `distance` from the robot, in the direction of
-/// another point on the ray of its column. `None` if that point gives no direction.
+/// `towards`, another point on the ray of the boundary's column. `None` if that point is the
+/// robot's own.
 ///
 /// Equation 5 as printed uses the slope of the ray (equation 4), which is the same for the opposite
 /// ray: everything to the left of the robot (smaller x) is mirrored to its right, and a ray along
@@ -83,7 +85,7 @@ mod tests {
             let off = (f64::from(seen) - f64::from(bearing)).sin();
             prop_assert!(off.abs() < 1e-3 && (seen - bearing).cos() > 0.9, "{seen} {bearing}");
             prop_assert!(((found - robot).norm() - distance).abs() < 0.01);
-            // The printed equation holds to the right of the robot; to the left it gives the
+            // The printed equation is correct to the right of the robot; to the left it gives the
             // opposite point.
             prop_assume!(bearing.cos().abs() > 0.01);
             let printed = printed(robot, towards, distance);

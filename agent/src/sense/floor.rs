@@ -3,12 +3,13 @@
 //!
 //! The paper segments the image and takes the region at the middle of its bottom; it does not
 //! describe the segmentation. Here the floor grows from that region: along the bottom line to both
-//! sides, then up each column while pixels stay near the level of those below. The level follows
-//! the pixels slowly, so gradients of light do not end the floor; and only several differing pixels
-//! in a row end it, so noise and joints between tiles do not either.
+//! sides, then up each column while each pixel's grey level is near that of the pixels below. The
+//! reference level follows the pixels slowly, so that gradients of light do not end the floor.
+//! Several differing pixels in a row are needed to end it, so that noise and joints between tiles
+//! do not end it either.
 //!
-//! The middle of the bottom is assumed to be floor. A robot right in front of a wall takes the wall
-//! for floor: a bumper must detect that.
+//! The middle of the bottom line is assumed to be floor. If the robot stands right in front of a
+//! wall, the wall passes for floor: a bumper must detect that.
 
 use core::fmt;
 
@@ -23,24 +24,24 @@ const SEED: usize = 32;
 const CONFIRMED: u8 = 3;
 /// Fractional bits of a level.
 const FRACTION: u32 = 7;
-/// The level of a column whose floor has ended: no pixel is within any tolerance of it.
+/// Marks a column whose floor has ended: no pixel is within any tolerance of this level.
 const ENDED: u16 = u16::MAX;
-/// The level follows a pixel by 1/8 of the difference.
+/// The level moves towards each pixel by 1/8 of the difference (a shift by 3).
 const FOLLOW: u32 = 3;
 
 /// Parameters of the segmentation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FloorConfig {
-    /// Maximum difference of a pixel from the level of the floor below it, in grey levels.
+    /// Maximum difference between a pixel and the level of the floor below it, in grey levels.
     pub tolerance: u8,
-    /// Number of lines processed, from the bottom: at most up to the horizon, as there is no floor
-    /// above. The cost is proportional to it.
+    /// Number of lines processed, from the bottom. It should end at the horizon, as there is no
+    /// floor above. The cost is proportional to it.
     pub lines: u8,
 }
 
 impl Default for FloorConfig {
-    /// 20 grey levels, several times the noise of a cheap camera; 124 lines, the minimum to detect
-    /// a boundary at the end of table 1 (121 pixels).
+    /// 20 grey levels, several times the noise of a cheap camera; 124 lines, the smallest number
+    /// that detects a boundary at the far end of table 1 (121 pixels).
     fn default() -> Self {
         Self { tolerance: 20, lines: 121 + CONFIRMED }
     }
@@ -53,7 +54,7 @@ impl FloorConfig {
     }
 }
 
-/// The size of an image or a line is wrong.
+/// The number of pixels of an image or a line is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageSizeError {
     /// Number of pixels required.
@@ -95,7 +96,7 @@ impl Floor {
         Self { config, columns: [column; COLUMNS], lines: 0 }
     }
 
-    /// Whether further lines are needed.
+    /// Whether this image needs further lines.
     pub fn wants_more(&self) -> bool {
         self.lines < self.config.lines
     }
@@ -119,9 +120,9 @@ impl Floor {
         Ok(())
     }
 
-    /// The height of the floor in each column, in pixels from the bottom: 0 without floor, the
-    /// number of lines processed where it does not end. Boundaries narrower than three columns are
-    /// filtered out (median of five).
+    /// The height of the floor in each column, in pixels from the bottom: 0 where there is no
+    /// floor, the number of lines processed where the floor does not end. Boundaries narrower than
+    /// three columns are filtered out (median of five).
     pub fn distances(&self) -> [u8; COLUMNS] {
         let raw = self.columns.each_ref().map(|column| column.distance);
         let mut distances = raw;
@@ -153,8 +154,8 @@ impl Floor {
     }
 }
 
-/// The floor of a whole image of [`COLUMNS`] x [`LINES`] pixels, top line first: its
-/// [`Floor::distances`].
+/// The floor of a whole image of [`COLUMNS`] x [`LINES`] pixels, top line first, as
+/// [`Floor::distances`] returns it.
 ///
 /// # Errors
 /// [`ImageSizeError`].
@@ -172,7 +173,7 @@ pub fn floor_distances(image: &[u8], config: FloorConfig) -> Result<[u8; COLUMNS
     Ok(floor.distances())
 }
 
-/// Grows the floor by one line. A separate function, to keep the whole loop in registers.
+/// Grows the floor by one line. A separate function, so that the whole loop stays in registers.
 #[inline(never)]
 fn grow(columns: &mut [Column; COLUMNS], line: &[u8; COLUMNS], band: u32, lines: u8) {
     for (column, &pixel) in columns.iter_mut().zip(line) {
@@ -184,8 +185,8 @@ fn grow(columns: &mut [Column; COLUMNS], line: &[u8; COLUMNS], band: u32, lines:
     }
 }
 
-/// The level of the floor after a pixel; `None` if they differ by more than half of `band`, so that
-/// the pixel is not floor.
+/// The level of the floor after a pixel. `None` if level and pixel differ by more than half of
+/// `band`: the pixel is not floor.
 fn followed(level: u16, pixel: u8, band: u32) -> Option<u16> {
     let off = (i32::from(pixel) << FRACTION) - i32::from(level);
     let near = off.wrapping_add((band / 2) as i32) as u32 <= band;

@@ -14,19 +14,20 @@ const STRIDE: usize = 32;
 const RAY_BITS: u32 = 14;
 const RAY_ONE: i32 = 1 << RAY_BITS;
 
-/// The columns of a level camera: the depth at which each meets a height, and with what error.
+/// The readings of a level camera at a certain height: for each column, the depth of the pixel
+/// nearest to the height, and how far it is from the height.
 pub(super) struct LevelRow<'b> {
-    /// In millimetres; 0 for none.
+    /// Depths in millimetres; 0 if there is none.
     pub(super) readings: &'b mut [u16],
-    /// Vertical distance of each reading from the height, in millimetres; only better pixels
-    /// replace it.
+    /// Vertical distance of each reading from the height, in millimetres. A pixel replaces a
+    /// reading only if its distance is smaller.
     pub(super) misses: &'b mut [u16],
 }
 
 impl LevelRow<'_> {
-    /// Compares the pixels of a line with a height `below` millimetres below the camera, within
-    /// `tolerance`. Rays are computed for every 32nd pixel and interpolated in between, with an
-    /// error below a fifth of a pixel.
+    /// Compares the pixels of a line with a height `below` millimetres below the camera. Skips
+    /// pixels that are farther than `tolerance` from it. Rays are computed for every 32nd pixel and
+    /// interpolated in between, with an error below a fifth of a pixel.
     pub(super) fn hold(
         &mut self,
         (rays, row): (&Rays, u16),
@@ -49,7 +50,7 @@ impl LevelRow<'_> {
         }
     }
 
-    /// Processes the pixels between two exact rays.
+    /// Compares the pixels between two exact rays.
     fn follow(&mut self, mut walk: Walk, depths: &[u16], below: i32, validity: &Validity) {
         let beyond = walk.beyond.min(self.readings.len()).min(self.misses.len());
         let columns = walk.first..beyond;
@@ -73,7 +74,7 @@ impl LevelRow<'_> {
 /// A pixel of a line with its exact ray.
 struct Knot {
     pixel: f32,
-    /// The level camera's column in which it appears.
+    /// The level camera's column that sees the points of this ray.
     column: f32,
     ray: Ray,
 }
@@ -82,7 +83,7 @@ impl Knot {
     fn new(rays: &Rays, pixel: usize, row: u16) -> Option<Self> {
         let pixel = pixel as f32;
         let ray = rays.at(pixel, f32::from(row))?;
-        // Steeper rays meet heights only right below the camera, and would overflow the arithmetic.
+        // Steeper rays meet heights only right below the camera, and would overflow the integers.
         let is_flat = ray.forward > 0.1 && ray.forward < 1.9 && ray.down.abs() < 1.9;
         is_flat.then(|| Self { pixel, column: rays.level_column(&ray), ray })
     }
@@ -96,7 +97,7 @@ impl Knot {
     }
 }
 
-/// The path through the level camera's columns from knot to knot.
+/// A walk through the level camera's columns from one knot to the next.
 struct Walk {
     first: usize,
     beyond: usize,
@@ -105,7 +106,7 @@ struct Walk {
     down: Ramp,
 }
 
-/// A value interpolated linearly from column to column, in 1/16,384.
+/// A value that changes linearly from column to column, in 1/16,384.
 struct Ramp {
     here: i32,
     step: i32,
@@ -118,8 +119,8 @@ impl Ramp {
 }
 
 impl Walk {
-    /// From a knot to the next one, exclusive unless that is the last. `None` where the columns do
-    /// not increase.
+    /// From one knot to the next, which is included only if it is the last. `None` if the columns
+    /// do not increase.
     fn between(start: &Knot, end: &Knot, is_last: bool) -> Option<Self> {
         let span = end.column - start.column;
         let first = roundf(start.column).max(0.0);

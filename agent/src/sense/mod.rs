@@ -1,8 +1,8 @@
 //! From a depth frame or a sensor's readings to a range scan that waits for its pose.
 //!
-//! A [`Slicer`] reduces a frame to one reading per column; a table of [`Beam`]s, computed once,
-//! gives the direction of each reading; [`Validity`] decides which readings are valid,
-//! [`Steadiness`] which scans are sharp.
+//! A [`Slicer`] reduces a frame to one reading per column. A table of [`Beam`]s, computed once,
+//! gives the direction of each reading. [`Validity`] decides which readings are valid, and
+//! [`Steadiness`] which scans were taken while the robot moved smoothly.
 
 mod beams;
 mod camera;

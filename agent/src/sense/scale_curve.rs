@@ -22,14 +22,15 @@ pub const TABLE_1: [(u8, f32); 10] = [
 ];
 
 /// The scale factor alpha as a function of the pixels of free floor in a column, within the
-/// measured range. Outside it there is no value: a polynomial diverges from its data there.
+/// measured range. Outside that range it is undefined, because a polynomial diverges from its data
+/// there.
 ///
 /// The polynomial is in a basis `p_0 = 1`, `p_(k+1) = (x - shift_k) p_k - damping_k p_(k-1)`. With
-/// all shifts and dampings zero these are the powers of x; [`ScaleCurve::fit`] chooses them so that
-/// the p_k are orthogonal over the table, so that `f32` suffices.
+/// all shifts and dampings zero these are the powers of x. [`ScaleCurve::fit`] chooses them so that
+/// the p_k are orthogonal over the table, for which the precision of `f32` is enough.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScaleCurve {
-    /// The pixels at which x is zero, and the pixels by which x grows by one.
+    /// The number of pixels at which x is zero, and the number of pixels by which x grows by one.
     centre: f32,
     spread: f32,
     terms: [Term; TERMS],
@@ -38,7 +39,7 @@ pub struct ScaleCurve {
     last: u8,
 }
 
-/// One p_k of the basis.
+/// The recurrence and the coefficient of one p_k.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Term {
     coefficient: f32,
@@ -57,7 +58,7 @@ impl Term {
 pub enum ScaleError {
     /// The table has fewer than five rows, one for each coefficient.
     TooShort,
-    /// The row at this index is not beyond the one before it, or is not a distance.
+    /// The row at this index does not exceed the row before it, or its distance is not finite.
     Row(usize),
     /// The fitted curve is not monotonic: at this number of pixels more free floor would give a
     /// shorter distance.
@@ -133,8 +134,8 @@ impl ScaleCurve {
         };
         let mut norm_before = 1.0;
         for degree in 0..TERMS {
-            // The inner products of p_k with itself, with x p_k, and with the residual of the
-            // previous terms.
+            // The inner products of p_k with itself, with x p_k, and with the residual that the
+            // previous terms left.
             let (mut norm, mut moment, mut rest) = (0.0, 0.0, 0.0);
             for &(pixels, distance) in table {
                 let (Some(x), Some(alpha)) = (curve.x(pixels), curve.alpha(pixels)) else {
@@ -181,22 +182,22 @@ impl ScaleCurve {
         Some(self.alpha(pixels)? * f32::from(pixels))
     }
 
-    /// The derivative of the distance by pixels: alpha + d_r d(alpha)/d(d_r).
+    /// The derivative of the distance with respect to pixels: alpha + d_r d(alpha)/d(d_r).
     pub fn reach(&self, pixels: u8) -> Option<f32> {
         let x = self.x(pixels)?;
         let slope: f32 = self.basis(x).map(|(term, _, slope)| term.coefficient * slope).sum();
         Some(self.alpha(pixels)? + f32::from(pixels) * slope / self.spread)
     }
 
-    /// The weight of a boundary at `pixels`, 0 to 1: an error of one pixel moves it by
-    /// [`ScaleCurve::reach`], and the weight is inverse to that, with 1 at the near end of the
-    /// curve. `None` outside the measured range.
+    /// The weight of a boundary at `pixels`, 0 to 1: the inverse of [`ScaleCurve::reach`], the
+    /// distance by which an error of one pixel moves the boundary, scaled to 1 at the near end of
+    /// the curve. `None` outside the measured range.
     pub fn weight(&self, pixels: u8) -> Option<f32> {
         Some((self.reach(self.first)? / self.reach(pixels)?).min(1.0))
     }
 
-    /// The distance up to which the weight is at least 0.5, in the table's unit: beyond, one pixel
-    /// changes the distance more than twice as much as at the near end of the curve.
+    /// The distance up to which the weight is at least 0.5, in the table's unit. Beyond it, one
+    /// pixel changes the distance more than twice as much as at the near end of the curve.
     pub fn near(&self) -> f32 {
         let is_near = |&pixels: &u8| self.weight(pixels).is_some_and(|weight| weight >= 0.5);
         let near = (self.first..=self.last).take_while(is_near);
@@ -208,7 +209,7 @@ impl ScaleCurve {
         measured.then(|| (f32::from(pixels) - self.centre) / self.spread)
     }
 
-    /// Each term with the value and the slope of its p_k at x.
+    /// Each term, with the value and the slope of its p_k at x.
     fn basis(&self, x: f32) -> impl Iterator<Item = (Term, f32, f32)> {
         let (mut p, mut slope) = (1.0, 0.0);
         let (mut p_before, mut slope_before) = (0.0, 0.0);
@@ -251,7 +252,7 @@ mod tests {
         for error in errors(&ScaleCurve::EQUATION_1) {
             assert!((-0.0897..=-0.0413).contains(&error), "{error}");
         }
-        // An independent evaluation of equation 1, in the order of its terms.
+        // Evaluates equation 1 independently, in the order of its terms.
         for d in 62..=121u8 {
             let r = f64::from(d);
             let printed =
@@ -277,7 +278,7 @@ mod tests {
             assert_eq!(curve.weight(62), Some(1.0));
             assert!(curve.weight(121).unwrap() < 0.25);
             for pixels in 63..=120 {
-                // The slope by differences, in f64 for precision.
+                // The slope by finite differences, in f64 for precision.
                 let at = |pixels| f64::from(curve.distance(pixels).unwrap());
                 let slope = (at(pixels + 1) - at(pixels - 1)) / 2.0;
                 let reach = f64::from(curve.reach(pixels).unwrap());

@@ -14,32 +14,32 @@ use super::{
 /// Maximum number of rows for a median.
 const MEDIAN_ROWS: usize = 5;
 
-/// Which part of a frame is used.
+/// The part of a frame that becomes the readings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slice {
     /// One row, as in the paper. On a tilted camera only [`Camera::level_row`] is a level slice.
     Row(u16),
-    /// Several rows, with one reading per column. The points are assigned to the direction of the
-    /// middle row.
+    /// Several rows, combined to one reading per column. The points count as if they lay in the
+    /// direction of the middle row.
     Band {
         /// The uppermost row.
         first: u16,
         /// Number of rows.
         rows: u16,
-        /// Which reading of each column.
+        /// Which reading of each column to use.
         pick: Pick,
     },
-    /// The pixels at a given height, for a camera with any tilt. Their row depends on the depth: a
-    /// point at a depth of `Z` lies `Z * (sin pitch + cos pitch * (row - cy) / fy)` below the
-    /// camera. So every pixel is compared with the height, and each column keeps the closest. As
-    /// the columns of a tilted image are not vertical, pixels are assigned to the columns of a
-    /// level camera at the same place. The result is what a lidar at that height would see, except
-    /// for what is occluded.
+    /// The pixels at a given height, for a camera with any tilt. The row in which a height appears
+    /// depends on the depth: a point at depth `Z` lies `Z * (sin pitch + cos pitch * (row - cy) /
+    /// fy)` below the camera. So every pixel is compared with the height, and each column keeps the
+    /// closest pixel. As the columns of a tilted image are not vertical, pixels are assigned to the
+    /// columns of a level camera at the same place. The result is what a lidar at that height would
+    /// see, except for occlusions.
     Height {
         /// Depth of the height below the camera; negative above it.
         below: Millimetres,
-        /// Maximum vertical distance of a point from the height. At least half the width of a row
-        /// at the maximum depth (`Z / fy / 2`), or surfaces fall between two rows.
+        /// Maximum vertical distance of a point from the height. It must be at least half the
+        /// height of a row at the maximum depth (`Z / fy / 2`), or surfaces fall between two rows.
         tolerance: Millimetres,
     },
 }
@@ -47,9 +47,9 @@ pub enum Slice {
 /// Which of several readings in a column to use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pick {
-    /// The nearest: the first thing that a robot as high as the band would touch.
+    /// The nearest: the first obstacle that a robot as high as the band would touch.
     Nearest,
-    /// The median (of two, the nearer) of at most five rows: less noise.
+    /// The median of at most five rows (of two: the nearer), which reduces noise.
     Median,
 }
 
@@ -121,7 +121,7 @@ impl Slice {
         }
     }
 
-    /// First row and number of rows required; for a height all rows.
+    /// The first row and the number of rows required; all rows for a height.
     fn rows(self) -> (u16, u16) {
         match self {
             Self::Row(row) => (row, 1),
@@ -148,7 +148,7 @@ impl Slice {
 /// # Ok::<(), ubimap_agent::sense::SliceError>(())
 /// ```
 ///
-/// A row of a frame in memory needs no slicer: pass it to `Robot::scan` directly.
+/// A single row of a frame in memory needs no slicer: pass it to `Robot::scan` directly.
 #[derive(Debug)]
 pub struct Slicer<'b> {
     slice: Slice,
@@ -156,7 +156,7 @@ pub struct Slicer<'b> {
     width: usize,
     validity: Validity,
     buffer: &'b mut [u16],
-    /// The minimum index of the next row; `None` before the first row of a frame.
+    /// The smallest row index that may come next; `None` before the first row of a frame.
     next: Option<u16>,
     /// Number of rows of the slice received.
     taken: u16,
@@ -185,9 +185,9 @@ impl<'b> Slicer<'b> {
         Ok(Self { slice, rays, width, validity, buffer, next: None, taken: 0 })
     }
 
-    /// Processes a line of the frame: depths in millimetres, 0 for none. Lines come from the top;
-    /// lines outside the slice may be skipped. Cost on a Cortex-M4: about 25 instructions per pixel
-    /// for the nearest, 55 for a median, 65 for a height.
+    /// Processes a line of the frame: depths in millimetres, 0 for no return. Lines come from top
+    /// to bottom; lines outside the slice may be left out. Cost on a Cortex-M4: about 25
+    /// instructions per pixel for the nearest, 55 for a median, 65 for a height.
     ///
     /// # Errors
     /// [`SliceError::Width`], [`SliceError::Order`]; the line is ignored.
@@ -215,7 +215,7 @@ impl<'b> Slicer<'b> {
             (Slice::Row(_), Some(_)) => copy(self.buffer, readings),
             (Slice::Band { pick: Pick::Nearest, .. }, Some(_)) => {
                 for (nearest, &reading) in self.buffer.iter_mut().zip(readings) {
-                    // The wrapping makes 0, no reading, the farthest.
+                    // The wrapping subtraction makes 0 (no reading) the farthest.
                     if self.validity.counts(reading) && reading <= nearest.wrapping_sub(1) {
                         *nearest = reading;
                     }
@@ -243,8 +243,8 @@ impl<'b> Slicer<'b> {
         self.finish()
     }
 
-    /// The readings of the finished frame, one per column; the next line begins another frame.
-    /// [`Validity`] has not been applied to them yet; the robot does that.
+    /// The readings of the finished frame, one per column. The next line begins another frame.
+    /// [`Validity`] has not been applied to the readings as a row yet; the robot does that.
     ///
     /// # Errors
     /// [`SliceError::Incomplete`]
@@ -289,7 +289,7 @@ impl<'b> Slicer<'b> {
     }
 }
 
-/// Sorts five readings by the shortest sorting network.
+/// Sorts five readings with the shortest sorting network.
 fn sorted([a, b, c, d, e]: [u16; MEDIAN_ROWS]) -> [u16; MEDIAN_ROWS] {
     let order = |a: u16, b: u16| (a.min(b), a.max(b));
     let ((a, b), (d, e)) = (order(a, b), order(d, e));
@@ -372,7 +372,7 @@ mod tests {
 
     #[test]
     fn the_sorting_network_sorts() {
-        // A network that sorts every sequence of zeros and ones sorts everything.
+        // A network that sorts every sequence of zeros and ones sorts every sequence.
         for bits in 0..32u16 {
             let row = [0, 1, 2, 3, 4].map(|place| bits >> place & 1);
             let mut expected = row;
@@ -424,7 +424,7 @@ mod tests {
                 let aside = (319.5 - column as f64) / 343.1;
                 let facing = bearing.cos() + aside * bearing.sin();
                 let truth = distance / facing;
-                // Tolerance: rounding, and one pixel of a wall seen at a slant.
+                // The tolerance covers rounding, and one pixel on a wall seen at a slant.
                 let pixel = truth * (bearing.sin() / facing).abs() / 343.1;
                 prop_assert!(
                     (f64::from(reading) - truth).abs() < 3.0 + 1.2 * pixel,
@@ -475,7 +475,7 @@ mod tests {
         let readings = slice(height, tilted, 100, &depths);
         // At this height the outermost columns of the level camera lie outside the image.
         assert!(readings[1..99].iter().all(|&it| it.abs_diff(1_500) <= 2), "{readings:?}");
-        // The row on the optical axis meets the floor instead.
+        // On the optical axis the row sees the floor instead of the wall.
         let axis = slice(Slice::Row(50), tilted, 100, &depths);
         assert!(axis.iter().all(|&reading| reading < 900));
     }

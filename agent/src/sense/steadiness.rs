@@ -1,4 +1,4 @@
-//! Whether the robot was steady when a scan was taken.
+//! Whether the robot moved smoothly when a scan was taken.
 
 use heapless::Deque;
 use ubimap_protocol::{
@@ -6,19 +6,19 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
-/// Minimum interval of odometry to measure the turn rate.
+/// Minimum interval of odometry for measuring the turn rate.
 const MIN_TURN_SPAN: Duration = Duration::from_millis(20);
-/// Minimum interval of odometry to measure the speed: its unit is a millimetre.
+/// Minimum interval of odometry for measuring the speed, as positions are rounded to millimetres.
 const MIN_SPEED_SPAN: Duration = Duration::from_millis(100);
-/// Maximum interval of odometry: beyond, the motion in between is unknown.
+/// Maximum interval of odometry; if it is longer, the motion within it is unknown.
 const MAX_SPAN: Duration = Duration::from_secs(1);
-/// Duration for which a jolt spoils frames, before and after it.
+/// Duration before and after a jolt within which frames are not mapped.
 const RINGING: Duration = Duration::from_millis(50);
 /// Number of shaken intervals remembered: scans wait a second or two for their poses.
 const REMEMBERED: usize = 8;
 
-/// Limits beyond which a frame is not mapped: it is smeared, and its time is not known exactly
-/// enough to give its direction (a limit stated by the paper, Aluckal III.C).
+/// Limits beyond which a frame is not mapped: it is smeared, and its time stamp is not precise
+/// enough to know its heading (a limit that the paper states, Aluckal III.C).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SteadyLimits {
     /// Maximum turn rate, as the angle in one second in either direction; less than a whole turn.
@@ -28,21 +28,23 @@ pub struct SteadyLimits {
 }
 
 impl Default for SteadyLimits {
-    /// 90 degrees/s, which smears a frame of 10 ms by one degree; and 3 m/s^2, which wheels exceed
-    /// only in a collision.
+    /// 90 degrees/s, which smears a frame exposed for 10 ms by one degree; and 3 m/s^2, which
+    /// wheels exceed only in a collision.
     fn default() -> Self {
         Self { turn: Angle(16_384), acceleration: Millimetres(3_000) }
     }
 }
 
-/// When the robot was shaken recently: detected by its odometry, and by a gyroscope if it has one.
+/// When the robot was shaken recently, as detected by its odometry, and by a gyroscope if it has
+/// one.
 ///
-/// Odometry in whole millimetres detects a jolt 0.1 s late. A scan whose pose is known at once, by
-/// odometry alone, may be mapped before that; a gyroscope or an accelerometer detects it in time.
+/// Odometry in whole millimetres detects a jolt 0.1 s late. If the pose of a scan is known at once,
+/// by odometry alone, the scan may be mapped before that; a gyroscope or an accelerometer detects
+/// the jolt in time.
 #[derive(Debug)]
 pub struct Steadiness {
     limits: SteadyLimits,
-    /// The last odometry evaluated, and the speed then: mm/s along x and y of `odom`.
+    /// The last odometry used, and the speed at that time: mm/s along x and y of `odom`.
     last: Option<(Instant, Pose)>,
     speed: Option<(i64, i64)>,
     /// Start and end of each shaken interval, oldest first.
@@ -50,7 +52,7 @@ pub struct Steadiness {
 }
 
 impl Steadiness {
-    /// At standstill.
+    /// A robot at standstill.
     pub fn new(limits: SteadyLimits) -> Self {
         Self { limits, last: None, speed: None, shaken: Deque::new() }
     }
@@ -116,7 +118,7 @@ impl Steadiness {
         if self.shaken.is_full() {
             self.shaken.pop_front();
         }
-        // A place was freed above.
+        // A place was freed above, so the push succeeds.
         let _ = self.shaken.push_back((from, to));
     }
 }

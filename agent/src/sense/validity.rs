@@ -5,35 +5,36 @@ use core::mem;
 use super::beams::SensorModel;
 
 /// Which readings of a row are valid, in the sensor's own measure: depth for a camera, distance for
-/// a lidar. All others are treated as no return.
+/// a lidar. Invalid readings are treated as no return.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Validity {
     /// Minimum reading, in millimetres.
     pub nearest: u16,
     /// Maximum reading, in millimetres: the limit of the sensor. (Valid readings beyond the map's
-    /// range still show free space.)
+    /// range still show that the space before them is free.)
     pub farthest: u16,
     /// Readings in this range, inclusive, are never mapped: the paper's selective removal (Aluckal
     /// III.D) by distance. `(0, 0)` removes none.
     pub removed: (u16, u16),
-    /// Flying pixels: at the edge of a near surface a camera reports depths between it and the
-    /// surface behind. A reading between its two neighbours that differs from each by more than
-    /// this distance, in millimetres, is one. 0 disables the check: for lidars, and for sensors
-    /// with few pixels, where slanted walls have steps of the same size.
+    /// Threshold for flying pixels, in millimetres. At the edge of a near surface a camera reports
+    /// depths between that surface and the one behind it. A reading that lies between its two
+    /// neighbours, and differs from each by more than the threshold, counts as a flying pixel. 0
+    /// disables the check: for lidars, and for sensors with few pixels, where slanted walls have
+    /// steps of the same size.
     pub flying: u16,
 }
 
 impl Default for Validity {
-    /// All but 0 (no return) and 65,535 (saturated).
+    /// All readings except 0 (no return) and 65,535 (saturated) are valid.
     fn default() -> Self {
         Self { nearest: 1, farthest: u16::MAX - 1, removed: (0, 0), flying: 0 }
     }
 }
 
 impl Validity {
-    /// The default for a sensor. For cameras it removes flying pixels: those that differ from both
-    /// neighbours by more than 150 mm, or by more than the step between columns on a wall at 4 m
-    /// seen at 7 degrees.
+    /// The default for a sensor. For cameras it removes flying pixels: readings that differ from
+    /// both neighbours by more than 150 mm, or, if that is larger, by more than the step between
+    /// two columns on a wall at 4 m seen at 7 degrees.
     pub fn of(sensor: SensorModel) -> Self {
         let focal = match sensor {
             SensorModel::Radial { .. } => return Self::default(),
@@ -45,11 +46,11 @@ impl Validity {
 
     /// Sets invalid readings to 0, in one pass.
     ///
-    /// Readings close to the last one checked in detail need no check of their own: they cost 2.5
-    /// instructions each on a Cortex-M4, others a hundred.
+    /// Readings close to the last reading that was fully checked need no check of their own: they
+    /// cost 2.5 instructions each on a Cortex-M4, others a hundred.
     pub fn clean(&self, readings: &mut [u16]) {
         let mut window = ReadingWindow::NO_RETURN;
-        // An interval of valid readings around the last valid one.
+        // The interval of valid readings that contains the last valid one.
         let mut interval = (1, 0);
         // The previous reading, before cleaning; 0 if invalid.
         let mut before = 0;
@@ -62,7 +63,7 @@ impl Validity {
             before = inside.last().map_or(before, |&last| last);
             let (here, after) = (*reading, later.first());
             if here == 0 {
-                // Missing returns often come in runs.
+                // Missing returns often come in long runs.
                 let gap = later.iter().take_while(|&&reading| reading == 0).count();
                 (before, rest) = (0, later.get_mut(gap..).unwrap_or_default());
                 continue;
@@ -93,7 +94,7 @@ impl Validity {
         is_in_range && (reading < from || reading > to)
     }
 
-    /// The widest interval of valid readings around a reading; `None` if it is invalid.
+    /// The widest interval of valid readings that contains `reading`; `None` if it is invalid.
     fn counted(&self, reading: u16) -> Option<(u16, u16)> {
         let Self { nearest, farthest, removed: (from, to), .. } = *self;
         let nearest = nearest.max(1);
@@ -106,13 +107,13 @@ impl Validity {
         })
     }
 
-    /// Whether readings are removed by distance.
+    /// Whether any readings are removed by distance.
     pub(crate) fn removes(&self) -> bool {
         self.removed.1 >= self.removed.0.max(1)
     }
 
-    /// Whether the reading at `index` is valid, by the rules of [`Validity::clean`]: for rows that
-    /// are not cleaned as a whole.
+    /// Whether the reading at `index` is valid, by the same rules as [`Validity::clean`]; for rows
+    /// that are not cleaned as a whole.
     #[inline]
     pub(crate) fn counts_at(&self, readings: &[u16], index: usize, reading: u16) -> bool {
         if !self.counts(reading) {
@@ -133,15 +134,15 @@ impl Validity {
     }
 }
 
-/// An interval of valid readings, any two of which count as adjacent. Its length is a power of two,
-/// so that two readings can be compared in one word: a borrow from the upper one does no harm, as
-/// the lower one is then outside itself.
+/// An interval of valid readings, any two of which are close enough to need no further check. Its
+/// length is a power of two, so that two readings can be compared in one word. A borrow into the
+/// upper half can only come from a lower reading that is outside, and is then detected there.
 #[derive(Clone, Copy)]
 struct ReadingWindow {
-    /// Its minimum, in both halves of the word.
+    /// The interval's minimum, in both halves of the word.
     low: u32,
-    /// The bits that are set in the difference to `low` only if a reading is outside, in both
-    /// halves.
+    /// The bits that the difference between a reading and `low` has only if the reading is outside,
+    /// in both halves.
     outside: u32,
     last: u16,
 }
@@ -152,13 +153,13 @@ fn pair(first: u16, second: u16) -> u32 {
 }
 
 impl ReadingWindow {
-    /// Readings checked at once.
+    /// Number of readings compared at once.
     const LOOK: usize = 8;
 
-    /// Contains only 0.
+    /// The window that contains only 0.
     const NO_RETURN: Self = Self { low: 0, outside: u32::MAX, last: 0 };
 
-    /// As long as fits into the interval, and at most `touch` unless that is 0.
+    /// The longest window that fits into the interval; at most `touch` long, unless that is 0.
     fn within((nearest, farthest): (u16, u16), touch: u16) -> Self {
         let touch = if touch == 0 { u16::MAX } else { touch };
         let room = farthest.saturating_sub(nearest).saturating_add(1);
@@ -166,8 +167,9 @@ impl ReadingWindow {
         Self { low: 0, outside: pair(!last, !last), last }
     }
 
-    /// Moves it around a reading of the interval. On a slanted wall the readings continue in the
-    /// direction in which they left the window: three quarters of it are placed on that side.
+    /// Moves the window so that it contains `reading`. On a slanted wall the readings continue in
+    /// the direction in which they left the window, so three quarters of it are placed on that
+    /// side.
     fn follow(&mut self, reading: u16, (nearest, farthest): (u16, u16)) {
         let quarter = self.last / 4;
         let behind = if reading < self.low as u16 { self.last - quarter } else { quarter };
@@ -203,7 +205,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Reference: the definition, reading by reading.
+    /// Reference implementation: the definition, reading by reading.
     fn plain(validity: Validity, readings: &[u16]) -> Vec<u16> {
         let Validity { nearest, farthest, removed: (from, to), flying } = validity;
         let valid = |reading: u16| {
@@ -236,7 +238,7 @@ mod tests {
         let row = [1_200, 1_205, 1_700, 2_400, 3_000, 3_000, 1_500, 3_010, 0, 2_000, 2_500, 2_990];
         let expected = [1_200, 1_205, 0, 0, 3_000, 3_000, 1_500, 3_010, 0, 2_000, 0, 2_990];
         assert_eq!(clean(validity, &row), expected);
-        // A lidar has no such check.
+        // For a lidar the check is disabled.
         assert_eq!(clean(Validity::default(), &row), row);
     }
 

@@ -5,7 +5,7 @@ use core::fmt;
 use heapless::Deque;
 use ubimap_protocol::time::Instant;
 
-/// Maximum number of waiting scans, whatever the memory.
+/// Maximum number of waiting scans, however much memory there is.
 const MAX_WAITING: usize = 8;
 
 /// Why a scan was refused.
@@ -20,7 +20,7 @@ pub enum ScanError {
     },
     /// The queue is full: too many scans wait for their poses.
     Full,
-    /// It was taken before the previous scan.
+    /// The scan was taken before the previous one.
     Backwards,
 }
 
@@ -44,20 +44,20 @@ pub struct WaitingScans<'b> {
     readings: &'b mut [u16],
     width: usize,
     slots: usize,
-    /// The slot of the oldest.
+    /// The slot of the oldest scan.
     first: usize,
     taken: Deque<Instant, MAX_WAITING>,
     newest: Instant,
 }
 
 impl<'b> WaitingScans<'b> {
-    /// A queue for as many scans of `width` readings as fit into `readings`, at most 8.
+    /// A queue for scans of `width` readings: as many as fit into `readings`, at most 8.
     pub fn new(readings: &'b mut [u16], width: usize) -> Self {
         let slots = (readings.len() / width.max(1)).min(MAX_WAITING);
         Self { readings, width, slots, first: 0, taken: Deque::new(), newest: Instant(0) }
     }
 
-    /// Checks a scan, except for whether the queue is full.
+    /// Checks a scan, but not whether the queue is full.
     ///
     /// # Errors
     /// Every [`ScanError`] except [`ScanError::Full`].
@@ -107,7 +107,7 @@ impl<'b> WaitingScans<'b> {
     }
 }
 
-/// Copies readings, four at a time: half the instructions of the plain copy at opt-level "s".
+/// Copies readings, four at a time: half the instructions of `copy_from_slice` at opt-level "s".
 fn copy(to: &mut [u16], from: &[u16]) {
     let ((to, to_rest), (from, rest)) = (to.as_chunks_mut::<4>(), from.as_chunks::<4>());
     let ((to, to_fours), (from, fours)) = (to.as_chunks_mut::<4>(), from.as_chunks::<4>());

@@ -13,10 +13,9 @@ pub struct Commands {
 }
 
 impl Commands {
-    /// Processes a message of these kinds; superseded ones are ignored. Returns `None` if it is
-    /// malformed or of another kind.
-    // Not inlined: these are the longest messages, and would enlarge the stack frame of every
-    // other.
+    /// Processes a message of one of these kinds; superseded messages are ignored. Returns `None`
+    /// if the message is malformed or of another kind.
+    // Not inlined: these are the longest messages, and would enlarge the stack frame of all others.
     #[inline(never)]
     pub(crate) fn take(&mut self, message: ToRobotMessage<'_>) -> Option<()> {
         match message {

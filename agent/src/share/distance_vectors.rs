@@ -1,5 +1,5 @@
-//! Distance vectors, sent to the server from time to time: it measures the error of the robot's
-//! pose from them.
+//! Distance vectors, sent to the server from time to time, which measures the error of the robot's
+//! pose with them.
 
 use ubimap_protocol::{
     message::{DistanceVector, ToServer, Writer},
@@ -16,7 +16,7 @@ const FIRST: u8 = 24;
 #[derive(Debug)]
 pub(crate) struct DistanceVectors {
     interval: Duration,
-    /// When the last one's scan was taken (robot's clock).
+    /// When the scan of the last vector was taken (robot's clock).
     last: Option<Instant>,
     /// Number of initial vectors still to be sent.
     first: u8,
@@ -24,17 +24,17 @@ pub(crate) struct DistanceVectors {
 }
 
 impl DistanceVectors {
-    /// Sends at most one per `interval`.
+    /// Sends at most one vector per `interval`.
     pub(crate) fn new(interval: Duration) -> Self {
         Self { interval, last: None, first: FIRST, waiting: None }
     }
 
-    /// Starts a session: the server has no vectors yet.
+    /// Starts a session: the server has no vectors of this robot yet.
     pub(crate) fn begin_session(&mut self) {
         (self.last, self.first, self.waiting) = (None, FIRST, None);
     }
 
-    /// Whether one is due from a scan taken at `taken` (robot's clock).
+    /// Whether a vector of a scan taken at `taken` (robot's clock) is due.
     pub(crate) fn is_due(&self, taken: Instant, moves: bool, blind: bool) -> bool {
         let wait = match (moves, blind) {
             (false, _) => self.interval.max(STANDING_VECTOR_INTERVAL),
@@ -44,7 +44,8 @@ impl DistanceVectors {
         self.last.is_none_or(|last| taken >= last + wait)
     }
 
-    /// Stores the vector that was due, if its scan yielded one; it replaces one not sent yet.
+    /// Stores the vector that was due, if the scan yielded one. It replaces a vector that has not
+    /// been sent yet.
     pub(crate) fn take(&mut self, taken: Instant, vector: Option<DistanceVector>) {
         self.last = Some(taken);
         self.first = self.first.saturating_sub(1);

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 
 use crate::timing::EVENT_INTERVAL;
 
-/// One per event code that a robot raises.
+/// Number of event codes that a robot raises: one event is stored for each.
 const MAX_EVENTS: usize = 10;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,21 +21,21 @@ enum Progress {
 #[derive(Clone, Copy, Debug)]
 struct Raised {
     code: EventCode,
-    /// By the robot's clock.
+    /// When the event happened, by the robot's clock.
     at: Instant,
     progress: Progress,
 }
 
-/// The newest event of each code. Each is sent until it is acknowledged, across sessions.
+/// The newest event of each code. Each event is sent until it is acknowledged, across sessions.
 #[derive(Debug, Default)]
 pub struct Events {
     raised: Vec<Raised, MAX_EVENTS>,
 }
 
 impl Events {
-    /// Records an event at `at` (robot's clock). It is ignored if the last event of this code is
-    /// unacknowledged or recent; but the end of a path, and a blocked path, are always new, as the
-    /// server waits for them.
+    /// Records an event at `at` (robot's clock). An event is ignored if the last one with the same
+    /// code is recent or not acknowledged yet. The exceptions are the end of a path and a blocked
+    /// path, because the server waits for these.
     pub fn raise(&mut self, code: EventCode, at: Instant) {
         let new = Raised { code, at, progress: Progress::Waiting };
         match self.raised.iter_mut().find(|raised| raised.code == code) {
@@ -52,8 +52,9 @@ impl Events {
         }
     }
 
-    /// Sends an event: `push` writes the message and returns whether it fitted. `to_server`
-    /// converts its time to the server's clock. Returns the event's code, if one was sent.
+    /// Sends an event: `push` writes the message and returns whether it fitted; `to_server`
+    /// converts the event's time to the server's clock. Returns the code of the event, if one was
+    /// sent.
     pub fn send(
         &mut self,
         to_server: impl FnOnce(Instant) -> Option<Instant>,
@@ -72,12 +73,12 @@ impl Events {
         })
     }
 
-    /// The frame of an event was acknowledged.
+    /// Processes the acknowledgement of an event's frame.
     pub fn acknowledged(&mut self, code: EventCode) {
         self.pass(Progress::UnderWay, Progress::Arrived, |raised| raised.code == code);
     }
 
-    /// Starts a session: events in flight are lost and sent again.
+    /// Starts a session: events in flight are lost, so they are sent again.
     pub fn begin_session(&mut self) {
         self.pass(Progress::UnderWay, Progress::Waiting, |_| true);
     }

@@ -1,4 +1,4 @@
-//! From the robot's own layer to tile updates.
+//! Turns changes of the robot's own layer into tile updates.
 
 use heapless::Vec;
 use ubimap_protocol::{
@@ -57,8 +57,8 @@ impl Publisher {
         self.hurries_until = until;
     }
 
-    /// Adds the digests of the next few tiles that the server should hold, if they are due. Those
-    /// that do not fit are left for the next frame, unless this one is otherwise empty.
+    /// Adds the digests of the next few tiles that the server should hold, if they are due. Digests
+    /// that do not fit are left to the next frame, unless this frame is otherwise empty.
     pub fn push_digests(
         &mut self,
         pool: &Pool<'_>,
@@ -111,8 +111,8 @@ impl Publisher {
         Some(if since < self.hurries_until { since } else { since + self.hold })
     }
 
-    /// Adds an update with as many tiles as fit, if it is due. Returns the frame's number, which
-    /// identifies the tiles when it is acknowledged.
+    /// Adds an update with as many tiles as fit, if it is due. Returns the number of the frame,
+    /// which is needed when the frame is acknowledged.
     pub fn fill(
         &mut self,
         pool: &mut Pool<'_>,
@@ -128,7 +128,7 @@ impl Publisher {
         let mut blocked = false;
         let written = writer.push_with(&head, |coded| {
             let mut encoder = TileEncoder::new(coded);
-            // In order of their ids, which takes only a few bits per id.
+            // In order of their ids, so that each id takes only a few bits.
             let mut done = None;
             while let Some(tile) = next_tile(pool, done) {
                 let Some(id) = tile.id else { break };
@@ -141,7 +141,8 @@ impl Publisher {
                 }
                 let version = Version(tile.publication.version().0.wrapping_add(1));
                 let epoch: Epoch = tile.epoch;
-                // Still dirty: the part in flight may be lost, or be only the first part.
+                // The tile stays dirty: the part in flight may be lost, or there may be further
+                // parts.
                 blocked |=
                     !tile.publication.push(&mut encoder, id, epoch, version, &mut cells, frame);
             }
@@ -151,15 +152,15 @@ impl Publisher {
             self.frame = frame;
             return Some(frame);
         }
-        // Nothing is left to send except what is in flight; its acknowledgement sets this again.
-        // What did not fit beside other messages is tried again in the next frame.
+        // Nothing is left to send except what is in flight; its acknowledgement sets this time
+        // again. Tiles that did not fit beside other messages are tried again in the next frame.
         if !blocked {
             self.waiting_since = None;
         }
         None
     }
 
-    /// A frame with tiles was acknowledged.
+    /// Processes the acknowledgement of a frame with tiles.
     pub fn acknowledged(
         &mut self,
         pool: &mut Pool<'_>,
@@ -171,7 +172,7 @@ impl Publisher {
             if !tile.publication.acknowledge(frame) {
                 continue;
             }
-            // If it has no more news, its place may be reused at once.
+            // If the tile has nothing else to send, its place may be reused at once.
             let merged = tile.id.and_then(|id| merged.tile(id));
             tile.dirty = tile.dirty && tile.publication.differs(&news(tile, merged));
             if tile.dirty {
@@ -182,8 +183,8 @@ impl Publisher {
         }
     }
 
-    /// The server could not decode an update of a tile (of all tiles, if `None`): it is sent whole,
-    /// and so are all tiles of the same frame.
+    /// Handles the server's request for a tile that it could not decode (for all tiles, if `None`):
+    /// it is sent whole, and so are all tiles that were in the same frame.
     pub fn requested(&mut self, pool: &mut Pool<'_>, id: Option<TileId>, now: Instant) {
         let one = id.and_then(|id| Some(pool.find(id)?.publication.clone()));
         for tile in pool.tiles_mut() {
@@ -200,10 +201,11 @@ impl Publisher {
         }
     }
 
-    /// Starts a session. `same_server`: the server is the one that sent the acknowledgements.
+    /// Starts a session. `same_server`: the acknowledgements so far came from this server.
     pub fn begin_session(&mut self, pool: &mut Pool<'_>, same_server: bool, now: Instant) {
         if !same_server {
-            // That time is by another clock: tiles sent again count as older than all new ones.
+            // That time is by another clock. With 0, tiles that are sent again count as older than
+            // all new ones.
             self.newest_scan = 0;
         }
         for tile in pool.tiles_mut() {
@@ -220,14 +222,15 @@ impl Publisher {
     }
 }
 
-/// A tile's news: the cells sent in this epoch, and those that differ from the server's map.
+/// The cells of a tile to be sent: those sent in this epoch before, and those that differ from the
+/// server's map.
 fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
     let mut cells = tile.cells();
     let Some(merged) = merged else { return cells };
     let sent = tile.publication.sent();
     for y in 0..TILE_SIDE {
         let (own, known) = (cells.row(y), merged.row(y));
-        // The lack of an own observation of a movable object does not contradict the map.
+        // If the robot has not observed an object to be movable, that does not contradict the map.
         let same = !(own.high ^ known.high | own.low & !known.low);
         let told = sent.row(y).known();
         let tell = told | !same;

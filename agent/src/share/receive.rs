@@ -58,7 +58,7 @@ impl FusedTile {
         }
     }
 
-    /// Discards one layer: its cells are void.
+    /// Discards one layer of the tile: its cells are void.
     fn give_up(&mut self, layer: Layer) {
         if layer == Layer::Coverage {
             self.covered = [0; TILE_SIDE];
@@ -85,8 +85,8 @@ impl FusedTile {
     }
 }
 
-/// Time in units of 1.024 ms, never 0. Wraps after 51 days: a tile unconfirmed for exactly that
-/// long counts as fresh for a second.
+/// Time in units of 1.024 ms, never 0. Wraps after 51 days: coverage that was last confirmed
+/// exactly then counts as fresh for a second.
 fn ticks(moment: Instant) -> u32 {
     ((moment.micros() >> 10) as u32).max(1)
 }
@@ -97,13 +97,13 @@ const FRESH: u32 = (COVERAGE_STALE.0 >> 10) as u32;
 /// The robot's copy of the server's tiles, in the caller's memory.
 #[derive(Debug)]
 pub struct FusedMap<'b> {
-    /// Tile (x, y) of the window is at (x, y) modulo `side`, row by row.
+    /// Tile (x, y) of the window is stored at (x, y) modulo `side`, row by row.
     places: &'b mut [FusedTile],
     /// Tiles along a side of the window.
     side: u8,
     epoch: Epoch,
     interest: Option<Interest>,
-    /// The number of the last interest sent to the server.
+    /// The number of the last window (interest) that was sent to the server.
     told: u32,
     missing: [Missing; 2],
 }
@@ -113,7 +113,7 @@ pub struct FusedMap<'b> {
 struct Missing {
     layer: Layer,
     tiles: Vec<TileId, MAX_REQUESTS>,
-    /// Too many to list: all tiles are requested.
+    /// Whether there are too many tiles to list, so that all tiles are requested.
     all: bool,
 }
 
@@ -130,7 +130,8 @@ impl Missing {
         }
     }
 
-    /// Requests as many as fit, once each. Returns `false` if there are none.
+    /// Requests as many tiles as fit, each of them once. Returns `false` if there are none to
+    /// request.
     fn push(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         if self.all {
             let request = Request { layer: self.layer, tiles: Vec::new() };
@@ -183,8 +184,8 @@ impl<'b> FusedMap<'b> {
         (place.fused_version.0 != 0 && place.fused_next == 0).then_some(&place.cells)
     }
 
-    /// The server's knowledge of a tile: the merged map, and the cells covered by cameras, a word
-    /// per row, while that is fresh.
+    /// What the server knows about a tile: the merged map, and the cells covered by cameras (a word
+    /// per row) as long as that is fresh.
     pub fn around(&self, id: TileId, now: Instant) -> Surround<'_> {
         let fresh = |place: &&FusedTile| {
             let confirmed = place.confirmed != 0 && place.coverage_next == 0;
@@ -247,18 +248,19 @@ impl<'b> FusedMap<'b> {
         self.interest.filter(|interest| interest.number > self.told)
     }
 
-    /// A window was sent to the server.
+    /// Records that a window was sent to the server.
     pub fn told(&mut self, number: u32) {
         self.told = self.told.max(number);
     }
 
-    /// Requests as many of the missing tiles as fit, once each. Returns `false` if there are none.
+    /// Requests as many of the missing tiles as fit, each of them once. Returns `false` if none is
+    /// missing.
     pub fn push_request(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         self.missing.iter_mut().any(|missing| missing.push(writer))
     }
 
-    /// Starts a session with a server in this epoch, which knows no window. Tiles of another epoch
-    /// are void.
+    /// Starts a session with a server in this epoch. The server does not know the window yet, and
+    /// tiles of other epochs are void.
     pub fn begin_session(&mut self, epoch: Epoch) {
         self.told = 0;
         self.missing = [Missing::of(Layer::Fused), Missing::of(Layer::Coverage)];
@@ -279,9 +281,9 @@ impl<'b> FusedMap<'b> {
         let mut decoder = TileDecoder::new(coded);
         let epoch = self.epoch;
         while let Some(header) = decoder.header()? {
-            // A tile outside the window was sent before the window moved. It is skipped if
-            // complete; otherwise the rest of the message is lost, and requesting the tile brings
-            // it back.
+            // A tile outside the window was sent before the window moved. If it is a whole tile, it
+            // is skipped. Otherwise the rest of the message can't be decoded and is lost;
+            // requesting the tile brings it back.
             let place = self.place(header.id).filter(|_| header.stamp.epoch == epoch);
             let mut replica = place.map_or(Replica::NOTHING, |place| place.replica(layer, epoch));
             let is_held = place.is_some();
@@ -306,7 +308,8 @@ impl<'b> FusedMap<'b> {
             let Some(place) = self.place_mut(digest.id) else { continue };
             let replica = place.replica(layer, epoch);
             if replica.stamp() != digest.stamp || tile_hash(replica.tile()) != digest.hash {
-                // Dropped: an update to the same or an older version would be ignored as old.
+                // The tile is dropped, because an update to the same or an older version would be
+                // ignored as stale.
                 place.give_up(layer);
                 self.request(layer, digest.id);
                 dropped(digest.id);
@@ -388,8 +391,8 @@ mod tests {
         assert_eq!((asked(8), asked(9), asked(3)), (8, 0, 3));
     }
 
-    /// A server may restart in the epoch of an earlier life, and reach the same versions with other
-    /// cells.
+    /// A restarted server may use the epoch of an earlier run again, and reach the same versions
+    /// with other cells.
     #[test]
     fn a_tile_in_any_other_state_than_the_servers_is_replaced() {
         let (old, new) = (Tile::UNKNOWN, Tile { low: [5; TILE_SIDE], ..Tile::UNKNOWN });
@@ -402,7 +405,7 @@ mod tests {
             map.begin_session(Epoch(7));
             map.follow(Pose::default(), Millimetres(50));
             whole_version(layer, id, 7, &old, &mut map);
-            // The robot takes a lower version for a late one.
+            // The robot would ignore a lower version as stale.
             let stamp = Stamp { epoch: Epoch(7), version: Version(version) };
             let digest = TileDigest { id, stamp, hash: tile_hash(&new) };
             map.compare(&Digests { layer, tiles: core::iter::once(digest).collect() }, |_| ());

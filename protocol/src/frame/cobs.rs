@@ -30,7 +30,7 @@ pub fn encode(parts: [&[u8]; 2], out: &mut [u8]) -> Option<usize> {
             *out.get_mut(len)? = byte;
             len += 1;
             code += 1;
-            // A full block needs another one after it only if bytes remain.
+            // After a full block, another one follows only if bytes remain.
             if code == 0xFF && bytes.peek().is_some() {
                 *out.get_mut(code_at)? = code;
                 code_at = len;

@@ -29,9 +29,9 @@ pub const DEFAULT_FRAME: usize = 250;
 /// The largest frame size that two sides may agree on, in bytes on the wire.
 pub const MAX_FRAME: usize = 1024;
 
-/// Bytes of messages that fit in a frame of `frame` bytes on the wire.
+/// Number of bytes for messages in a frame of `frame` bytes on the wire.
 pub const fn payload_capacity(frame: usize) -> usize {
-    // Stuffing takes one byte for each 254 begun; the delimiter takes one.
+    // Stuffing takes one byte for each 254 bytes or part of them; the delimiter takes one.
     let raw = frame.saturating_sub(2);
     let raw = raw - raw / 255;
     raw.saturating_sub(HEADER_LEN + SEAL_LEN)
@@ -43,7 +43,7 @@ pub const SEQUENCE_MODULUS: u16 = 1 << 11;
 /// How a frame is delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameKind {
-    /// Outside any session: Hello, Welcome, Refusal, Reset.
+    /// Sent outside of any session: Hello, Welcome, Refusal, Reset.
     Handshake,
     /// Retransmitted until it is acknowledged.
     Reliable,

@@ -1,7 +1,8 @@
-//! The seal of a frame: distinguishes good frames of this session from everything else.
+//! The seal of a frame: a checksum that accepts undamaged frames of this session only.
 //!
 //! It is a CRC-32, which is enough on a trusted wire. It also covers the session and the direction,
-//! which are not transmitted: frames of other sessions and a sender's own echo fail the check.
+//! which are not transmitted, so that frames of other sessions and a sender's own echo fail the
+//! check.
 
 use crate::{checksum::CRC, message::Direction, units::SessionId};
 
@@ -20,7 +21,7 @@ pub fn seal(session: SessionId, direction: Direction, contents: &[u8]) -> [u8; S
 /// The header and payload of `frame` if its seal is good, otherwise `None`.
 pub fn open(session: SessionId, direction: Direction, frame: &[u8]) -> Option<&[u8]> {
     let (contents, found) = frame.split_at_checked(frame.len().checked_sub(SEAL_LEN)?)?;
-    // Without this a fuzzer would spend its time on checksums.
+    // A fuzzer would otherwise spend its time on guessing checksums.
     let good = seal(session, direction, contents) == found || cfg!(fuzzing);
     good.then_some(contents)
 }

@@ -1,5 +1,5 @@
-//! Which frames have arrived: the receiver records it and reports it, and the sender retransmits the
-//! missing ones.
+//! Which frames have arrived: the receiver records and reports it, and the sender retransmits the
+//! others.
 
 use heapless::Vec;
 
@@ -9,7 +9,8 @@ use super::{
 };
 use crate::{frame::SEQUENCE_MODULUS, message::Ack, time::Instant};
 
-/// How far a sender may run ahead of the oldest missing frame: the range of an [`Ack`].
+/// Number of frames by which a sender may run ahead of the oldest missing one: the range of an
+/// [`Ack`].
 const SPAN: u16 = 33;
 /// Number of frames after a sign of loss during which acknowledgements are repeated.
 const FRAMES_AFTER_LOSS: u8 = 32;
@@ -29,7 +30,7 @@ pub(super) enum Arrival {
     Refused,
 }
 
-/// The receiver's side.
+/// The receiver's side of acknowledgements.
 #[derive(Debug, Default)]
 pub(super) struct ReceiveWindow {
     ack: Ack,
@@ -70,17 +71,17 @@ impl ReceiveWindow {
         arrival
     }
 
-    /// The latest time at which an acknowledgement must leave.
+    /// The latest time at which a pending acknowledgement must be sent.
     pub(super) fn due(&self) -> Option<Instant> {
         self.due
     }
 
-    /// The acknowledgement to put into a frame that leaves now, if one is pending.
+    /// The acknowledgement to put into a frame that is sent now, if one is pending.
     pub(super) fn owed(&self) -> Option<Ack> {
         self.due.map(|_| self.ack)
     }
 
-    /// Notes that the acknowledgement has left.
+    /// Records that the acknowledgement was sent.
     pub(super) fn acknowledged(&mut self, now: Instant) {
         let repeat = ACK_REPEATS.len().checked_sub(self.repeats_left);
         self.due = repeat.and_then(|repeat| ACK_REPEATS.get(repeat)).map(|&wait| now + wait);
@@ -98,8 +99,8 @@ struct Outstanding<T, const CONTENTS: usize> {
     contents: Vec<u8, CONTENTS>,
 }
 
-/// The sender's side: holds up to `WINDOW` frames in flight, each of `CONTENTS` bytes (header and
-/// payload).
+/// The sender's side of acknowledgements: holds up to `WINDOW` frames in flight, each of `CONTENTS`
+/// bytes (header and payload).
 #[derive(Debug)]
 pub(super) struct SendWindow<T, const WINDOW: usize, const CONTENTS: usize> {
     next: u16,
@@ -170,7 +171,7 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
                 self.round_trip.sample(now.since(last_sent));
             }
             self.newest_acknowledged = self.newest_acknowledged.max(Some(last_sent));
-            // Cannot fail: each frame is either outstanding or here.
+            // The push can't fail: each frame is either outstanding or here.
             let _ = self.acknowledged.push(token);
         }
     }

@@ -1,7 +1,7 @@
 //! The server's time on a robot, from requests and replies with four time stamps.
 //!
-//! The way there takes `received - sent` by the two clocks, the way back `arrived - replied`. Queueing
-//! only ever adds to either, so the recent minimum of each is the best estimate: the clock offset is
+//! A request takes `received - sent` by the two clocks, and its reply `arrived - replied`. Queueing
+//! can only increase these, so the recent minimum of each is the best estimate. The clock offset is
 //! half the difference of the two minima.
 
 use super::timing::{FIRST_TIME_INTERVAL, TIME_INTERVAL, TIME_REPLY_LOST};
@@ -18,8 +18,8 @@ const DRIFT_SHIFT: u32 = 16;
 /// Exchanges until the first minima are good; requests are sent more often before.
 const FIRST_EXCHANGES: u8 = 64;
 
-/// The minimum times of the way there and the way back over some exchanges, in microseconds by the two
-/// clocks.
+/// The minimum times of requests and of replies over some exchanges, in microseconds; each is the
+/// difference between the two clocks.
 #[derive(Clone, Copy, Debug)]
 struct Fastest {
     there: i64,
@@ -49,7 +49,7 @@ pub struct ClockSync {
     pending: Option<(u16, Instant)>,
     next_nonce: u16,
     next_request: Instant,
-    /// The latest server time that was returned: time never steps back.
+    /// The latest server time that was returned, so that time never steps back.
     latest: u64,
 }
 
@@ -194,7 +194,8 @@ mod tests {
     #[test]
     fn the_first_minima_do_not_age_by_the_time_before_the_first_exchange() {
         let mut clock = ClockSync::default();
-        // The robot said hello for a day: the first exchange is the fastest, all later ones are slow.
+        // The robot sent Hellos for a day before the first exchange. That exchange is the fastest;
+        // all later ones are slow.
         let day = 86_400_000_000;
         for exchange in 0..9 {
             let now = clock.poll_timeout().0.max(day);

@@ -1,8 +1,8 @@
-//! Hello and welcome: the two sides agree on their parameters before anything else.
+//! The handshake, Hello and Welcome: both sides agree on their parameters before anything else.
 //!
-//! The robot says hello until it is answered, with increasing intervals. A server that receives frames
-//! of an unknown session answers with a reset, and the robot says hello at once: either side notices
-//! the reboot of the other with the first frame that arrives.
+//! The robot sends a Hello until it is answered, at increasing intervals. A server that receives
+//! frames of an unknown session answers with a Reset, after which the robot sends a Hello at once.
+//! So either side notices a reboot of the other with the first frame that arrives.
 
 use super::timing::{HELLO_WAIT, REFUSED_WAIT};
 use crate::{
@@ -12,14 +12,14 @@ use crate::{
     units::{Millimetres, SessionId},
 };
 
-/// How often the interval between hellos doubles.
+/// Number of times that the interval between Hellos doubles.
 const DOUBLINGS: u32 = 4;
 
-/// The robot's side: decides when to say hello.
+/// The robot's side: decides when to send a Hello.
 #[derive(Debug)]
 pub struct Knocking {
     boot_nonce: u32,
-    /// Sessions begun or reset since boot; part of the nonce.
+    /// Number of sessions started or reset since boot; part of the nonce.
     attempts: u32,
     hellos: u32,
     next: Instant,

@@ -1,7 +1,8 @@
 //! The link: sessions, reliable delivery, and the server's time on the robot.
 //!
 //! It has no clock, port or thread. The rule for this module and everything built on it: **after
-//! every input, drain the outputs until none is left, then come back at `poll_timeout`.**
+//! every input, drain the outputs until none is left, and call again at `poll_timeout` at the
+//! latest.**
 
 mod acknowledgement;
 mod clock;

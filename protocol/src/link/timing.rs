@@ -2,18 +2,19 @@
 
 use crate::time::Duration;
 
-/// Maximum delay of an acknowledgement that waits for a frame to travel in.
+/// Maximum time that an acknowledgement waits for a frame to travel in.
 pub(super) const ACK_DELAY: Duration = Duration::from_millis(5);
-/// Delays of an acknowledgement's repetitions on a lossy link, each after the one before. An
-/// acknowledgement is short; losing it costs the retransmission of a whole frame.
+/// Delays after which an acknowledgement is repeated on a lossy link, each counted from the one
+/// before. Repeating is cheap: an acknowledgement is short, and losing it costs the retransmission
+/// of a whole frame.
 pub(super) const ACK_REPEATS: [Duration; 2] =
     [Duration::from_millis(40), Duration::from_millis(70)];
 
-/// Retransmission timeout before the first round-trip sample: half of RFC 6298's second, because these
-/// links are short.
+/// Retransmission timeout before the first round-trip sample: half of the one second in RFC 6298,
+/// because these links are short.
 pub(super) const FIRST_TIMEOUT: Duration = Duration::from_millis(500);
-/// Minimum retransmission timeout: leaves time for an acknowledgement that was delayed, or lost once
-/// and repeated.
+/// Minimum retransmission timeout. It leaves time for an acknowledgement that is delayed, or that
+/// is lost once and repeated.
 pub(super) const MIN_TIMEOUT: Duration = Duration::from_millis(150);
 /// Maximum retransmission timeout, however often a frame was sent: the link may have recovered.
 pub(super) const MAX_TIMEOUT: Duration = Duration::from_secs(3);
@@ -29,5 +30,5 @@ pub(super) const REFUSED_WAIT: Duration = Duration::from_secs(10);
 pub(super) const FIRST_TIME_INTERVAL: Duration = Duration::from_millis(125);
 /// Interval of time requests after that: clocks drift apart by less than 0.1 ms in between (15 ppm).
 pub(super) const TIME_INTERVAL: Duration = Duration::from_secs(5);
-/// Timeout of a time reply: one that takes longer adds little accuracy.
+/// Timeout of a time reply: a reply that takes longer adds little accuracy.
 pub(super) const TIME_REPLY_LOST: Duration = Duration::from_secs(2);

@@ -1,5 +1,5 @@
-//! A postcard deserializer that has the code for each primitive type in the firmware once, instead of
-//! once for every field of every message. This halves the code size of reading.
+//! A postcard deserializer for small firmware: the code for each primitive type exists once,
+//! instead of once for every field of every message. This halves the code size of reading.
 
 use postcard::{Deserializer, Error, de_flavors::Slice};
 use serde::{

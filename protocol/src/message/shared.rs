@@ -11,7 +11,7 @@ use crate::tile::{Layer, Stamp, TileId};
 pub struct Ack {
     /// All reliable frames before this sequence number have arrived.
     pub next: u16,
-    /// Bit `i` set: the frame `next + 1 + i` has arrived as well.
+    /// If bit `i` is set, the frame `next + 1 + i` has also arrived.
     pub later: u32,
 }
 

@@ -144,7 +144,7 @@ pub struct Certainty {
     pub heading: u16,
 }
 
-/// How a fix was measured.
+/// The method by which a fix was measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FixSource {
     /// A camera saw the robot's marker.
@@ -315,9 +315,9 @@ pub struct Path {
 /// A point of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Waypoint {
-    /// In `map`.
+    /// Coordinate along `map`'s x axis.
     pub x: Millimetres,
-    /// In `map`.
+    /// Coordinate along `map`'s y axis.
     pub y: Millimetres,
 }
 
@@ -345,9 +345,9 @@ pub struct ParameterCommand {
 pub enum ParameterAction {
     /// Report all of them.
     List,
-    /// Report this one.
+    /// Report the parameter with this number.
     Get(u16),
-    /// Set one, and report it.
+    /// Set a parameter, and report it.
     Set(ParameterValue),
 }
 

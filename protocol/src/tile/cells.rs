@@ -1,9 +1,9 @@
 //! Codes the cells of one part of a tile: an unchanged row in one decision, other rows cell by cell.
 //!
-//! A cell's context depends on the planes of its row and of the row to the south. Transposing these
-//! planes gives one byte for each cell of the row; the byte and the state of the cell to the west
-//! index a small table. A run of equal bytes shares its context, so the decisions of a run need no
-//! further lookups: a cell that stays unknown costs nine instructions.
+//! The context of a cell depends on the planes of its row and of the row to the south. Transposing
+//! these planes gives one byte for each cell of the row; this byte and the state of the cell to the
+//! west are the index into a small table. Equal bytes in a run share a context, so the decisions of
+//! a run need no further look-ups: a cell that stays unknown costs nine instructions.
 
 use super::{
     Row, TILE_SIDE, Tile,
@@ -56,8 +56,8 @@ pub(super) fn put(
 }
 
 // The models of a run's shared contexts are held by value until the run ends. Rare cases are in
-// functions of their own that take the coder by value and return it: a reference to the coder would
-// keep its state out of registers everywhere.
+// separate functions that take the coder by value and return it, because a reference to the coder
+// would keep its state out of registers everywhere.
 
 /// Codes a row and returns the column after the last cell that fitted, `None` if none did.
 #[inline(always)]
@@ -74,7 +74,7 @@ fn put_row<'a>(
     while x < columns.to {
         let cell = cells.at(x);
         let now = cell.seen_from_east();
-        // The first cell of a run may have another west neighbour than the rest.
+        // The first cell of a run may have a different western neighbour from the others.
         let count = if now == west { cells.alike(x, columns) } else { 1 };
         let at = cell.context(west);
         match cell.change() {
@@ -162,7 +162,8 @@ fn take_row<'a>(
     while x < columns.to {
         let cell = cells.at(x);
         let at = cell.context(west);
-        // The context stays the same while the cells read equal the one to the west of the first.
+        // The context stays the same as long as the cells turn out equal to the one west of the
+        // first.
         let alike = x + cells.alike(x, columns);
         let mut changed = models[usize::from(at)];
         let same = West::of(cell.before(), false);
@@ -263,7 +264,7 @@ fn others(cell: Cell) -> (usize, [u8; 3]) {
     }
 }
 
-/// The cells that differ, as a mask.
+/// The cells that differ between two rows, as a mask.
 fn changes(was: Row, is: Row) -> u32 {
     was.low ^ is.low | was.high ^ is.high
 }
@@ -362,8 +363,8 @@ enum Change {
     Other,
 }
 
-/// The cell to the west: 0 for unknown, 1 for free, 2 for occupied or movable, plus 4 if it has
-/// changed.
+/// The state of the cell to the west: 0 for unknown, 1 for free, 2 for occupied or movable, plus 4
+/// if it has changed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct West(u8);
 
@@ -409,7 +410,7 @@ impl TileHeader {
     }
 }
 
-/// The cells of one row.
+/// The cells of a row, one byte each.
 struct Cells {
     /// Cell `x` is byte `x / 8` of word `x % 8`.
     words: [u32; 8],

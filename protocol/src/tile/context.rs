@@ -27,7 +27,7 @@ pub(super) const CHANGED: usize = MOVABLE + 1;
 pub(super) const USUAL: usize = CHANGED + 36;
 /// Contexts of "a changed cell took the second likeliest of its other codes", by its old code.
 pub(super) const SECOND: usize = USUAL + 3;
-/// Number of contexts.
+/// Total number of contexts.
 pub(super) const CONTEXTS: usize = SECOND + 3;
 
 /// The models of all contexts, padded to 256 so that any byte is a valid index.

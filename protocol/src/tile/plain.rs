@@ -38,7 +38,7 @@ impl CodedPart<'_> {
     }
 
     fn row_context(&self, y: usize) -> usize {
-        // South of a part's first row everything counts as unchanged.
+        // The row south of a part's first row counts as unchanged.
         let first = usize::from(self.part.start) / TILE_SIDE;
         context::ROW + usize::from(y > first && (0..TILE_SIDE).any(|x| self.has_changed(x, y - 1)))
     }

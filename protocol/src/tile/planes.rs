@@ -74,7 +74,7 @@ pub fn cell_of(coordinate: Millimetres, resolution: Millimetres) -> i32 {
     coordinate.0.div_euclid(resolution.0.max(1))
 }
 
-/// Which map a tile belongs to.
+/// The map that a tile belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Layer {

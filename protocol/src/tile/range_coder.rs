@@ -1,7 +1,7 @@
 //! An adaptive binary range coder: 32 bits of range, probabilities of 12 bits, integers only.
 //!
-//! The encoder omits trailing zero bytes; the decoder reads zeros past the end of its input. So any
-//! input decodes to something, and the caller decides when to stop. Only numbers of more than 32 bits
+//! The encoder omits trailing zero bytes, and the decoder reads zeros past the end of its input. So
+//! any input can be decoded, and the caller decides when to stop. Only numbers of more than 32 bits
 //! are refused.
 //!
 //! A decision takes about twenty instructions when it is inlined into a loop over cells that holds the
@@ -32,7 +32,7 @@ impl Model {
     }
 }
 
-/// The number of plain bits that carry `value` in an Exp-Golomb code of order `order`.
+/// The number of bits, without a model, that hold `value` in an Exp-Golomb code of order `order`.
 fn golomb_bits(value: u32, order: u32) -> u32 {
     ((u64::from(value) >> order) + 1).ilog2()
 }
@@ -216,7 +216,7 @@ fn carry_into(number: &mut [u8]) {
     }
 }
 
-/// Reads decisions. Any input yields decisions; reading never runs on by itself.
+/// Reads decisions. Any input yields decisions, and each call reads exactly one.
 #[derive(Clone, Debug)]
 pub(super) struct Decoder<'a> {
     rest: slice::Iter<'a, u8>,

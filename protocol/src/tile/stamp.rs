@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 )]
 pub struct Epoch(pub u32);
 
-/// How far the epochs of a robot may run ahead of the `first_epoch` that the server would grant it
-/// now: twice the margin of a cure. The server refuses later ones.
+/// How far a robot's epochs may exceed the `first_epoch` that the server would grant it now: twice
+/// the margin that the server uses when it corrects a robot. The server refuses later epochs.
 pub const EPOCHS_AHEAD: u32 = 8_192;
 
 /// The version of a tile within an epoch: raised by its writer at each published change. Zero means
@@ -24,9 +24,9 @@ pub struct Version(pub u32);
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 pub struct Stamp {
-    /// Compared first.
+    /// The epoch, which is compared first.
     pub epoch: Epoch,
-    /// Compared within an epoch.
+    /// The version, which is compared between stamps of the same epoch.
     pub version: Version,
 }
 

@@ -4,8 +4,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{depth_noise::DepthNoise, error::CalibrationError};
 
-/// The intrinsics of a sensor: a pinhole with radial-tangential distortion. Pixel (0, 0) has its centre
-/// at (0, 0).
+/// The intrinsics of a sensor: a pinhole camera with radial and tangential distortion. The centre
+/// of the first pixel is at (0, 0).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Width of the image in pixels.
@@ -42,7 +42,7 @@ pub struct Calibration {
     pub picture: Option<Lens>,
 }
 
-/// Iterations of the fixed-point inversion of the distortion.
+/// Number of iterations of the fixed-point inversion of the distortion.
 const STEPS: usize = 20;
 
 impl Intrinsics {
@@ -108,7 +108,8 @@ impl Intrinsics {
         if !near(cx, width) || !near(cy, height) {
             return Err(CalibrationError::Axis(cx, cy));
         }
-        // The pixel's ray must project back onto it; large distortions fail in the corners first.
+        // The ray of a pixel must project back onto the pixel; strong distortions fail in the
+        // corners first.
         let unfolds = |[column, row]: [f64; 2]| {
             let back = self.project(&self.direction([column, row]));
             back.is_some_and(|[c, r]| (c - column).abs() < 0.01 && (r - row).abs() < 0.01)
@@ -157,7 +158,7 @@ impl Lens {
         self.intrinsics.project(&self.pose.inverse_transform_point(point).coords)
     }
 
-    /// The ray of a pixel in `map`, for a depth of one metre: the point at a depth is the optical centre
+    /// The ray of a pixel in `map`, for a depth of one metre: the point seen is the optical centre
     /// plus the depth times this vector.
     pub fn direction(&self, pixel: [f64; 2]) -> Vector3<f64> {
         self.pose.rotation * self.intrinsics.direction(pixel)

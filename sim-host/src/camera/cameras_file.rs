@@ -1,8 +1,8 @@
-//! `cameras.toml`: where a room's cameras hang and what they are like.
+//! `cameras.toml`: the poses and fields of view of a room's cameras.
 //!
-//! One form for all: `ubimap place` writes it, its `[[cameras]]` can be copied into a scenario of
-//! `ubimap simulate`, and `ubimap watch` takes from it the pose of each camera folder of that name
-//! that has no `pose.txt`.
+//! All commands use the same form: `ubimap place` writes it; its `[[cameras]]` can be copied into a
+//! scenario of `ubimap simulate`; and `ubimap watch` takes from it the pose of each camera whose
+//! folder has no `pose.txt`, by the folder's name.
 //!
 //! ```toml
 //! [[cameras]]
@@ -15,15 +15,15 @@
 //! range_m = 8.0
 //! ```
 //!
-//! In place of heading and tilt, `look_at_m` may name the point in the middle of the image. Other keys
-//! of a scenario's cameras may be there, and are kept.
+//! Instead of heading and tilt, `look_at_m` can give the point in the centre of the image. Other
+//! keys of a scenario's cameras are allowed, and are kept.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::Intrinsics;
 
-/// The name of such a file in the folder of a recording.
+/// The name of the file in the folder of a recording.
 pub const CAMERAS_FILE: &str = "cameras.toml";
 
 /// The cameras of a room.
@@ -33,43 +33,42 @@ pub struct CamerasFile {
     pub cameras: Vec<MountedCamera>,
 }
 
-/// A camera in its place.
+/// A camera at its place.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 pub struct MountedCamera {
-    /// What it is called: the name of its folder in a recording.
+    /// The name, which is also that of the camera's folder in a recording.
     #[serde(default)]
     pub name: String,
     /// The optical centre of the depth sensor in `map`, in metres.
     pub position_m: [f64; 3],
-    /// The point in the middle of its image, in `map`, in metres.
+    /// The point in the centre of the image, in `map`, in metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub look_at_m: Option<[f64; 3]>,
-    /// Where it faces, counter-clockwise from x, in degrees. The top of the image of a camera that
-    /// looks straight down is on this side.
+    /// Direction in which it faces, counter-clockwise from x, in degrees. For a camera that looks
+    /// straight down, the top of the image is on this side.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heading_deg: Option<f64>,
-    /// How far it looks down, in degrees: 0 level, 90 straight down.
+    /// Downward tilt in degrees: 0 is level, 90 straight down.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt_deg: Option<f64>,
-    /// From the left to the right edge of the depth image, in degrees.
+    /// Angle from the left to the right edge of the depth image, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub horizontal_fov_deg: Option<f64>,
-    /// From the upper to the lower edge of the depth image, in degrees.
+    /// Angle from the upper to the lower edge of the depth image, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vertical_fov_deg: Option<f64>,
-    /// How far it sees, in metres.
+    /// Maximum range, in metres.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_m: Option<f64>,
-    /// What else is said of it.
+    /// All other keys.
     #[serde(flatten)]
     pub rest: toml::Table,
 }
 
 impl CamerasFile {
-    /// The cameras that a text names.
+    /// Parses the text of a file.
     ///
-    /// # Errors
-    /// What is wrong with the text, on one line.
+    /// # Errors The problem with the text, on one line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let file: Self =
             toml::from_str(text).map_err(|error| error.message().replace('\n', ", "))?;
@@ -84,7 +83,7 @@ impl CamerasFile {
 
     /// The cameras as a text that [`CamerasFile::parse`] reads.
     pub fn to_toml(&self) -> String {
-        // Plain tables with string keys: there is nothing that could fail.
+        // Plain tables with string keys, so serialising them can't fail.
         toml::to_string(self).unwrap_or_default()
     }
 
@@ -95,8 +94,8 @@ impl CamerasFile {
 }
 
 impl MountedCamera {
-    /// The optical frame (x to the right, y down, z forward) in `map`, in metres. Its x is level.
-    /// `None` if no direction is stated, or two are.
+    /// The pose of the optical frame (x right, y down, z forward) in `map`, in metres. Its x axis
+    /// is level. `None` if no direction is stated, or two.
     pub fn pose(&self) -> Option<Isometry3<f64>> {
         let [heading, tilt] = self.direction()?;
         let (sin, cos) = (libm::sin(heading), libm::cos(heading));
@@ -146,7 +145,7 @@ mod tests {
     fn a_camera_looks_where_it_is_said_to() {
         let stated = "horizontal_fov_deg = 90.0\nvertical_fov_deg = 60.0\n";
         for (text, middle, above) in [
-            // The top of the image of one that looks down is towards its heading.
+            // If a camera looks straight down, the top of its image is towards its heading.
             ("heading_deg = 90.0\ntilt_deg = 90.0", [1.0, 2.0, 0.0], [1.0, 2.5, 0.0]),
             ("heading_deg = 0.0\ntilt_deg = 45.0", [4.0, 2.0, 0.0], [4.5, 2.0, 0.0]),
             ("look_at_m = [1.0, -1.0, 0.0]", [1.0, -1.0, 0.0], [1.0, -1.5, 0.0]),
@@ -159,7 +158,7 @@ mod tests {
             let [column, row] = lens.project(&above.into()).unwrap();
             assert!((column - 319.5).abs() < 1e-6 && row < 239.0, "{text}: {row}");
         }
-        // Half of the field of view reaches the edges.
+        // The edges of the image are at half the field of view.
         let intrinsics = camera(&format!("look_at_m = [0.0, 0.0, 0.0]\n{stated}"));
         let intrinsics = intrinsics.intrinsics(640, 480).unwrap();
         assert!((intrinsics.fx - 320.0).abs() < 1e-9);

@@ -82,8 +82,7 @@ impl DepthNoise {
 }
 
 impl Default for DepthNoise {
-    /// A D435: the most common of the sensors that are cheap enough for a ceiling, and one of the
-    /// noisiest.
+    /// A D435: the most common sensor that is cheap enough for a ceiling, and one of the noisiest.
     fn default() -> Self {
         Self::D435
     }

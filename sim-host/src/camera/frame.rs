@@ -20,7 +20,7 @@ pub enum Picture {
 /// The images that one camera captured at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// The camera's index, from zero: that of its [`Calibration`] in [`FrameSource::cameras`].
+    /// The camera's index, from zero, in [`FrameSource::cameras`].
     pub camera: usize,
     /// When it was captured, in the server's clock.
     pub captured: Instant,

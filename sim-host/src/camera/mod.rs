@@ -34,8 +34,8 @@ pub struct Observation {
     pub captured: Instant,
     /// The robots localised in the frame.
     pub robots: Vec<Sighting>,
-    /// The observed cells, by grid coordinates (cells from the origin of `map`): free, occupied,
-    /// movable, or unknown where an earlier observation is taken back. Occluded cells are not listed.
+    /// The observed cells by grid coordinates (cells from the origin of `map`): free, occupied,
+    /// movable, or unknown if an earlier observation is revoked. Occluded cells are not listed.
     pub cells: Vec<((i32, i32), Cell)>,
     /// Objects that are not part of the empty room. Their cells are also in [`Observation::cells`], as
     /// movable.
@@ -54,7 +54,7 @@ pub struct Sighting {
 }
 
 impl Sighting {
-    /// A sighting with standard deviations of two centimetres and a degree.
+    /// A sighting with standard deviations of two centimetres and one degree.
     pub fn usual(robot: RobotId, pose: Pose) -> Self {
         Self { robot, pose, certainty: Certainty { x: 20, y: 20, heading: 182 } }
     }

@@ -21,9 +21,9 @@ const MAX_FLIPS: u32 = 8;
 pub struct Faults {
     /// Probability that a frame is lost, in the long-run average.
     pub loss: f64,
-    /// Mean number of consecutive lost frames (a Gilbert-Elliott channel whose bad state loses
-    /// everything). Independent losses have a mean run of 1 / (1 - loss); values up to that,
-    /// including 1, mean independent losses.
+    /// Mean number of consecutive lost frames (a Gilbert-Elliott channel that loses everything in
+    /// its bad state). Independent losses have a mean run of 1 / (1 - loss); values up to that, for
+    /// example 1, give independent losses.
     pub burst: f64,
     /// Probability that a frame that is not lost arrives twice.
     pub duplicate: f64,
@@ -167,9 +167,9 @@ struct Losses {
 impl Losses {
     fn new(loss: f64, burst: f64, rng: &mut impl Rng) -> Self {
         let loss = if loss.is_nan() { 0.0 } else { loss.clamp(0.0, 1.0) };
-        // The share of bad frames is good_to_bad / (good_to_bad + bad_to_good) = loss, and the mean
-        // run of bad frames is 1 / bad_to_good. The shortest run for that share has good_to_bad = 1
-        // - bad_to_good = loss: independent losses.
+        // The fraction of bad frames is good_to_bad / (good_to_bad + bad_to_good) = loss, and the
+        // mean run of bad frames is 1 / bad_to_good. The shortest runs for a given loss are those
+        // of independent losses: good_to_bad = 1 - bad_to_good = loss.
         let bad_to_good = (1.0 - loss).min(1.0 / burst.max(1.0));
         let good_to_bad = if loss < 1.0 { loss / (1.0 - loss) * bad_to_good } else { 1.0 };
         Self { bad: happens(rng, loss), good_to_bad, bad_to_good }
@@ -184,7 +184,8 @@ impl Losses {
     }
 }
 
-/// A random event: never for a probability below 0 or NaN, always for one above 1.
+/// A random event that never happens for a probability that is NaN or below 0, and always for one
+/// above 1.
 fn happens(rng: &mut impl Rng, probability: f64) -> bool {
     rng.random::<f64>() < probability
 }

@@ -1,7 +1,7 @@
 //! A serial port or a pseudo-terminal.
 //!
-//! Reading and writing never block. A stalled peer can block a `write` to the operating system
-//! regardless of its timeout, so a separate thread writes from a bounded queue.
+//! Reading and writing never block. A peer that accepts no data can block a `write` to the
+//! operating system beyond its timeout, so a separate thread writes from a bounded queue.
 
 use std::{
     io::{self, ErrorKind, Read, Write},
@@ -18,17 +18,18 @@ use std::{
 /// Capacity of the write queue, in writes of at most 250 bytes each.
 const QUEUED_WRITES: usize = 64;
 
-/// Bytes per write to the operating system: small enough to be accepted whole if it reports room.
+/// Bytes per write to the operating system: small enough that all of them are accepted if there is
+/// room at all.
 const WRITE_CHUNK: usize = 64;
 
-/// Write timeout: how often the writer checks whether the port was dropped while its peer is
-/// stalled, and how long a dropped port waits for queued bytes.
+/// Write timeout. It decides how often the writer checks whether the port was dropped while its
+/// peer accepts no data, and how long a dropped port waits for queued bytes.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Errors of a serial port.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
-    /// It could not be opened.
+    /// The port could not be opened.
     #[error("{}: {reason}", path.display())]
     Open {
         /// The port.
@@ -42,7 +43,7 @@ pub enum SerialError {
         /// The port.
         path: PathBuf,
     },
-    /// The peer accepts nothing and the queue is full; these bytes were not queued.
+    /// The peer accepts no data and the queue is full; these bytes were not queued.
     #[error("{}: the peer accepts no data", path.display())]
     Stalled {
         /// The port.
@@ -66,7 +67,7 @@ pub struct SerialPort {
     /// `Some` until the port is dropped.
     writes: Option<mpsc::SyncSender<Vec<u8>>>,
     closing: Arc<AtomicBool>,
-    /// Disconnected when the writer thread ends.
+    /// Becomes disconnected when the writer thread ends.
     writer: mpsc::Receiver<()>,
 }
 
@@ -124,8 +125,8 @@ impl SerialPort {
         }
     }
 
-    /// Queues bytes for writing: all of them or, on error, none. Dropping the port still writes
-    /// what is queued if the peer accepts it immediately.
+    /// Queues bytes for writing: all of them or, on error, none. When the port is dropped, queued
+    /// bytes are still written if the peer accepts them at once.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
         let Some(writes) = &self.writes else { return Err(self.hung_up()) };
         writes.try_send(bytes.to_vec()).map_err(|error| match error {
@@ -143,7 +144,8 @@ impl Drop for SerialPort {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::Relaxed);
         self.writes = None;
-        // Not joined: a writer blocked in the operating system must not block its owner.
+        // The thread is not joined: a writer that is blocked in the operating system must not block
+        // the owner of the port.
         let _ = self.writer.recv_timeout(WRITE_TIMEOUT);
     }
 }

@@ -16,7 +16,7 @@ pub enum Event {
 }
 
 impl Event {
-    /// The level at which to log it.
+    /// The level at which to log the event.
     pub fn level(&self) -> log::Level {
         match self {
             Self::Observed(_) => log::Level::Trace,

@@ -162,7 +162,8 @@ impl Registry {
                 return Err(BadRegistry(format!("robot {} is registered twice", robot.id)));
             }
         }
-        // Whether markers can be told apart does not depend on the cameras.
+        // The registry can be checked without cameras: whether markers are unique does not depend
+        // on them.
         match registry.observer(&[], Survey::default().side) {
             Ok(_) => Ok(registry),
             Err(error @ RegistryError::Twice(..)) => {
@@ -192,7 +193,7 @@ impl Registry {
             .clone()
             .map(|robot| (robot.identifier(), robot.mount(), robot.footprint()))
             .collect();
-        // Obstacles above the tallest robot can't be in a robot's way.
+        // Obstacles higher than the tallest robot do not block robots.
         let tallest_m = robots.map(|robot| robot.height_m).reduce(f64::max);
         let robot_height = Millimetres::from_metres(tallest_m.unwrap_or(USUAL_HEIGHT_M));
         Observer::new(cameras, &known, Survey { side, robot_height, ..Survey::default() })

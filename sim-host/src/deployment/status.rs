@@ -21,7 +21,7 @@ pub struct Status {
 pub struct CameraStatus {
     /// Frames and observations received.
     pub observations: u64,
-    /// Those that reported the state of cells.
+    /// Number of frames and observations that reported the state of cells.
     pub looks: u64,
 }
 
@@ -35,7 +35,7 @@ impl CameraStatus {
 /// State and counters of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PortStatus {
-    /// Which port.
+    /// The port's handle.
     pub port: PortId,
     /// The robot that has a session there.
     pub robot: Option<RobotId>,

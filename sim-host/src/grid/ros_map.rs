@@ -397,7 +397,8 @@ mod tests {
     #[test]
     fn public_ros_maps_are_read() {
         let Some(maps) = shared_data("maps") else { return };
-        // Counted from the bytes of the images, by shade. By Depot's thresholds, its grey is free.
+        // Counted from the bytes of the images, by shade. By the thresholds of Depot, its grey
+        // counts as free.
         for (file, size, counts) in [
             ("depot/depot.yaml", (604, 307), (179_481, 5_947)),
             ("tb3_sandbox/tb3_sandbox.yaml", (384, 384), (7_903, 870)),

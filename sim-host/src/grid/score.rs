@@ -5,25 +5,25 @@ use ubimap_protocol::tile::Cell;
 
 use super::occupancy::OccupancyGrid;
 
-/// Added to the tolerance, so that rounding does not separate cells at exactly that distance.
+/// Added to the tolerance, so that rounding does not exclude cells at exactly that distance.
 const ROUNDING_M: f64 = 1e-6;
 
-/// The agreement of a map with a reference. Shares are from 0 to 1.
+/// The agreement of a map with a reference. Fractions are from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Scores {
     /// Maximum distance between the centres of two matching occupied cells, in metres.
     pub tolerance_m: f64,
-    /// The share of the map's occupied cells with an occupied cell of the reference within the
-    /// tolerance; 1 if the map has none.
+    /// The fraction of the map's occupied cells that have an occupied cell of the reference within
+    /// the tolerance; 1 if the map has none.
     pub precision: f64,
-    /// The share of the reference's occupied cells with an occupied cell of the map within the
-    /// tolerance; 1 if the reference has none.
+    /// The fraction of the reference's occupied cells that have an occupied cell of the map within
+    /// the tolerance; 1 if the reference has none.
     pub recall: f64,
     /// The harmonic mean of precision and recall: 1 if neither map has occupied cells, 0 if only
-    /// one has.
+    /// one map has.
     pub f1: f64,
-    /// The share of the cells known in both maps that are free in both or occupied in both. If no
-    /// cell is known in both: 1 if neither map has a known cell, else 0.
+    /// Among the cells known in both maps, the fraction that is free in both or occupied in both.
+    /// If no cell is known in both: 1 if neither map has a known cell, otherwise 0.
     pub agreement_known: f64,
     /// Known cells of the map whose centres lie in known cells of the reference.
     pub known_in_both: usize,
@@ -36,7 +36,7 @@ pub struct Scores {
 impl Scores {
     /// The scores as indented JSON with a trailing line break.
     pub fn to_json_pretty(&self) -> String {
-        // A plain struct of numbers: serialising it can't fail.
+        // A plain struct of numbers, so serialising it can't fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }
@@ -70,7 +70,7 @@ pub fn compare(map: &OccupancyGrid, reference: &OccupancyGrid, tolerance_m: Opti
     }
 }
 
-/// The share of the cells of `from` with a cell of `to` within the tolerance.
+/// The fraction of the cells of `from` that have a cell of `to` within the tolerance.
 fn share_matched(from: &OccupiedIndex<'_>, to: &OccupiedIndex<'_>, tolerance_m: f64) -> f64 {
     if from.columns.is_empty() {
         return 1.0;
@@ -83,7 +83,8 @@ fn share_matched(from: &OccupiedIndex<'_>, to: &OccupiedIndex<'_>, tolerance_m: 
     matched as f64 / from.columns.len() as f64
 }
 
-/// The share of agreeing cells among those known in both, and the number of the latter.
+/// The fraction of agreeing cells among those known in both maps, and the number of cells known in
+/// both.
 fn agreement(map: &OccupancyGrid, reference: &OccupancyGrid) -> (f64, usize) {
     let mut known_in_both = 0;
     let mut agreeing = 0;

@@ -1,9 +1,9 @@
-//! How well each robot agrees with the others, and the weight of its claims that follows.
+//! How well each robot's claims agree with the others', and the weight that follows from it.
 //!
-//! Counted per cell. A claim that a cell is occupied contradicts a claim that it and all its
-//! neighbours are free, and agrees with a claim that it or a neighbour is occupied. Where cameras
-//! know a cell, they are right. Elsewhere a robot is wrong if the robots that contradict it
-//! outnumber those that agree, itself included: one claim against another decides nothing.
+//! Claims are counted per cell. A claim that a cell is occupied is contradicted by a claim that the
+//! cell and all its neighbours are free, and confirmed by a claim that the cell or a neighbour is
+//! occupied. Where cameras know a cell, they are right. Elsewhere a robot is wrong if more robots
+//! contradict it than agree, itself included: one claim against another decides nothing.
 
 use std::collections::BTreeMap;
 
@@ -17,15 +17,16 @@ use super::mask::Mask;
 /// Minimum number of contradictions for a loss of weight: people, other robots and pose errors cause
 /// fewer.
 const MIN_CONTRADICTIONS: u32 = 64;
-/// Each of these shares of contradictions, in sixteenths, costs one grade of weight. They start at
-/// one half because robots also see people, and table legs that cameras only see from above.
+/// Contradictions as a fraction of all claims, in sixteenths: each value that is exceeded costs one
+/// grade of weight. The first is one half, because robots also see people, and table legs that
+/// cameras see only from above.
 const SHARES: [u32; Weight::FULL.0 as usize] = [8, 10, 12, 14];
-/// Number of points of distance vectors that count; older ones fade out.
+/// Maximum number of points of distance vectors that count; older ones fade out.
 const POINTS: u32 = 1_024;
 /// Minimum number of robots that contradict a claim for it to be wrong.
 const VOTES: u8 = 2;
 
-/// The weight of a robot's claims: none, or one of four grades.
+/// The weight of a robot's claims: zero, or one of four grades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Weight(pub(super) u8);
 
@@ -103,7 +104,7 @@ impl Agreements {
                 counts.contradict +=
                     (there & camera.free[y] | clear & camera.occupied[y]).count_ones();
                 for x in ones(there & !known) {
-                    // `near` includes the robot's own claim.
+                    // `near` includes the robot's own claim, too.
                     counts.settle(near.of(x, y), free.of(x, y));
                 }
                 for x in ones(clear & !known).filter(|&x| occupied.of(x, y) >= VOTES) {
@@ -118,8 +119,8 @@ impl Agreements {
         }
     }
 
-    /// Adds a distance vector of a robot: the number of points on surfaces that the cameras see,
-    /// and of those in ground that they see free.
+    /// Adds a distance vector of a robot: the number of its points on surfaces that the cameras
+    /// see, and the number in ground that they see as free.
     pub fn looked(&mut self, robot: RobotId, agree: u32, contradict: u32) {
         let sum = self.points.entry(robot).or_default();
         sum.agree += agree.min(POINTS);
@@ -129,7 +130,8 @@ impl Agreements {
         }
     }
 
-    /// The weight of a robot's claims: the lower of those by its layer and by its distance vectors.
+    /// The weight of a robot's claims: the lower of the weights by its layer and by its distance
+    /// vectors.
     pub fn weight(&self, robot: RobotId) -> Weight {
         let of =
             |counts: &BTreeMap<RobotId, Counts>| counts.get(&robot).copied().unwrap_or_default();
@@ -138,9 +140,9 @@ impl Agreements {
 }
 
 impl Counts {
-    /// Counts a cell out of the cameras' view that the robot claims to be occupied: `with` robots
-    /// claim that it or a neighbour is occupied (including this one), `against` that it and all its
-    /// neighbours are free.
+    /// Counts a cell that no camera knows and that the robot claims to be occupied. `with` robots
+    /// (including this one) claim that the cell or a neighbour is occupied; `against` robots claim
+    /// that it and all its neighbours are free.
     fn settle(&mut self, with: u8, against: u8) {
         if against >= VOTES && against > with {
             self.contradict += 1;
@@ -150,7 +152,7 @@ impl Counts {
     }
 }
 
-/// Definite claims of a tile.
+/// The certain claims about the cells of a tile.
 struct Claims {
     /// The cell is occupied by something fixed.
     occupied: Mask,

@@ -2,14 +2,14 @@
 //! best, and its covariance.
 //!
 //! First, all poses around the predicted one are scored in steps of one cell and 1.4 degrees, with
-//! integer table look-ups: this finds the global optimum, and rivals that are nearly as good. Then
-//! the best one is refined by least squares over the distances between points and lines along
+//! integer table look-ups: this finds the global optimum, and rivals that fit nearly as well. Then
+//! the best pose is refined by least squares over the distances between points and lines along
 //! surfaces (Censi's PL-ICP, ICRA 2008). The normal equations give the uncertainty of x, y and
 //! heading; in a corridor, the position along it is unconstrained.
 //!
-//! Where the map is unknown, the surfaces that the robot has recently seen itself are used instead:
-//! each pose is found relative to previous ones, and errors grow with the surfaces that come into
-//! view instead of with the distance driven.
+//! Where the map is unknown, the surfaces that the robot itself has recently seen (its trail) are
+//! used instead: each pose is found relative to earlier ones, and errors grow with the number of
+//! new surfaces instead of with the distance driven.
 
 mod geometry;
 mod points;

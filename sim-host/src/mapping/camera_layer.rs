@@ -1,5 +1,5 @@
-//! What the cameras have seen: the last state of each cell without moving things, and what is
-//! moving now.
+//! What the cameras have seen: for each cell its last state without moving objects, and the objects
+//! that are moving now.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +18,7 @@ use crate::{
 #[derive(Clone, Debug, Default)]
 pub struct CameraLayer {
     still: BTreeMap<TileId, Still>,
-    /// Moving things in the newest frame of each camera. The next frame replaces them, so that a
+    /// Moving objects in the newest frame of each camera. The next frame replaces them, so that a
     /// person who walks out of view leaves no trace.
     moving: BTreeMap<usize, (Instant, BTreeMap<TileId, Tile>)>,
     newest: Instant,
@@ -30,7 +30,7 @@ struct Still {
     tile: Tile,
     /// For each cell, row by row: the capture time of the frame that set it, and its camera.
     seen: Box<[(Instant, usize); TILE_CELLS as usize]>,
-    /// Whether it was observed since it was last taken for storage.
+    /// Whether the tile was observed since it was last taken for storage.
     is_unkept: bool,
 }
 
@@ -81,7 +81,7 @@ impl CameraLayer {
         changed
     }
 
-    /// Takes all tiles observed since the last call, without moving things.
+    /// Takes all tiles observed since the last call, without moving objects.
     pub fn take_unkept(&mut self) -> Vec<CameraTile> {
         let unkept = self.still.iter_mut().filter(|(_, still)| still.is_unkept);
         let tiles = unkept.map(|(&id, still)| {
@@ -163,8 +163,8 @@ impl Default for Still {
 }
 
 impl Still {
-    /// Sets a cell as a camera reports it: free, occupied or no longer known. Returns whether this
-    /// changes it, or it was out of view for a while.
+    /// Sets a cell as a camera reports it: free, occupied or no longer known. Returns whether its
+    /// state changes, or it had been out of view for a while.
     fn take(&mut self, x: usize, y: usize, cell: Cell, camera: usize, captured: Instant) -> bool {
         let known = self.tile.cell(x, y);
         let seen = &mut self.seen[y * TILE_SIDE + x];
@@ -215,7 +215,7 @@ mod tests {
         layer.observe(&frame(0, 10, &[(-1, Cell::Free), (-2, Cell::Movable)]));
         layer.observe(&frame(0, 20, &[(-1, Cell::Movable), (-2, Cell::Free)]));
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Movable);
-        // The person's shadow hides the previous position.
+        // The person's shadow hides the previous position of the person.
         assert!(layer.observe(&frame(0, 30, &[(-2, Cell::Free)])).contains(&ID));
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Free);
         // A frame without cells has no effect.
@@ -242,7 +242,7 @@ mod tests {
             assert!(layer.observe(&frame(1, turn * 200_000, &[(-1, Cell::Free)])).is_empty());
             layer.observe(&frame(0, turn * 200_000 + 50_000, &[(-1, Cell::Occupied)]));
         }
-        // The wall is removed: immediately if its camera reports it, else after a second.
+        // The wall is removed: its own camera removes it at once, another camera after a second.
         let mut other = layer.clone();
         assert!(layer.observe(&frame(0, 2_000_000, &[(-1, Cell::Free)])).contains(&ID));
         assert!(other.observe(&frame(1, 2_850_000, &[(-1, Cell::Free)])).is_empty());

@@ -1,6 +1,6 @@
-//! Separates a robot's two constant errors: an identifier mounted askew appears as a difference
-//! between the heading seen by cameras and the course over ground; a remaining rotation of the
-//! robot's distance vectors against the map is a sensor mounted askew.
+//! Separates two constant errors of a robot. If the heading seen by cameras differs from the course
+//! over ground, the identifier is mounted askew. If the robot's distance vectors are still rotated
+//! against the map, the sensor is mounted askew.
 
 use std::collections::VecDeque;
 
@@ -15,8 +15,8 @@ use ubimap_protocol::{
 
 use crate::timing::FIX_GAP;
 
-/// Minimum length of a stretch for its course to be measured, in metres; the measurement is
-/// repeated at each multiple.
+/// Length of a stretch after which its course is measured, in metres. The measurement is repeated
+/// at each multiple.
 const STRETCH_M: f64 = 0.6;
 /// Maximum duration of a stretch.
 const STRETCH_TIME: Duration = Duration::from_secs(8);
@@ -26,27 +26,29 @@ const MIN_FIXES: usize = 6;
 const TURN_DEG: f64 = 5.0;
 /// Maximum difference between the mean headings of a stretch's two halves, in degrees.
 const BEND_DEG: f64 = 1.5;
-/// Above this, in degrees, the robot moves sideways; its identifier is not that far askew.
+/// Difference between heading and course above which the robot must be moving sideways, in degrees:
+/// no identifier is mounted that far askew.
 const MAX_DEG: f64 = 15.0;
-/// Standard deviation of the error that all fixes on one `STRETCH_M` share, in degrees: the
+/// Standard deviation of the error that all fixes along one `STRETCH_M` share, in degrees: the
 /// accuracy of the cameras' calibration.
 const STRETCH_DEVIATION_DEG: f64 = 0.25;
 /// Maximum number of measurements that are kept; the oldest is dropped.
 const MAX_MEASUREMENTS: usize = 30;
 /// Minimum number of measurements for an estimate.
 const MIN_MEASUREMENTS: usize = 3;
-/// Minimum error that is cured, in degrees.
+/// Minimum error that is corrected, in degrees.
 const MIN_CURE_DEG: f64 = 0.4;
-/// Minimum error that is cured, in standard deviations.
+/// Minimum error that is corrected, in standard deviations.
 const CURE_DEVIATIONS: f64 = 3.0;
-/// Maximum standard deviation for a cure, in degrees: the error is then known to half a degree.
+/// Maximum standard deviation for a correction, in degrees: the error is then known to half a
+/// degree.
 const SURE_DEG: f64 = 0.5 / CURE_DEVIATIONS;
-/// Tukey's biweight ignores measurements beyond this many deviations from the mean: 95 % efficiency
-/// on normal ones.
+/// Number of deviations from the mean beyond which Tukey's biweight ignores a measurement: for
+/// normally distributed ones, it has an efficiency of 95 %.
 const BIWEIGHT: f64 = 4.685;
 /// Number of iterations of the biweight.
 const ROUNDS: usize = 10;
-/// Ratio of the standard deviation to the median absolute deviation of normal errors.
+/// Ratio of the standard deviation to the median absolute deviation of a normal distribution.
 const NORMAL: f64 = 1.4826;
 
 /// An estimated angle.
@@ -65,16 +67,16 @@ impl Estimated {
     }
 }
 
-/// The corrections that are applied for a robot's constant errors.
+/// The corrections applied for a robot's constant errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cured {
-    /// The identifier's error, which is subtracted from fixes, in degrees.
+    /// The identifier's error in degrees, which is subtracted from fixes.
     pub taken_out: f64,
-    /// The angle that the robot adds to its sensor's heading, in degrees.
+    /// The angle in degrees that the robot adds to its sensor's heading.
     pub added: f64,
 }
 
-/// Progress of a robot's cure, as stored on disk.
+/// Progress of correcting a robot's errors (its cure), as stored on disk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CureRecord {
     /// The robot.
@@ -83,7 +85,7 @@ pub struct CureRecord {
     pub cured: Cured,
     /// The robot's tiles of epochs below this one are void.
     pub first_epoch: Epoch,
-    /// Whether the cure is complete; if not, everything drawn so far will become void as well.
+    /// Whether the cure is complete; if not, everything drawn up to now will become void, too.
     pub is_over: bool,
 }
 
@@ -91,12 +93,13 @@ pub struct CureRecord {
 #[derive(Clone, Debug, Default)]
 pub struct ConstantErrors {
     stretch: Stretch,
-    /// Heading minus course of each completed stretch, and its standard deviation, in degrees.
+    /// For each completed stretch, the heading minus the course and its standard deviation, in
+    /// degrees.
     askew: VecDeque<(f64, f64)>,
     /// Rotations of distance vectors against the map, relative to the uncorrected headings that
-    /// cameras see, and their standard deviations, in degrees.
+    /// cameras see, each with its standard deviation, in degrees.
     turned: VecDeque<(f64, f64)>,
-    /// Estimates from the two, updated with each measurement.
+    /// Estimates from these measurements, updated with each one.
     identifier: Option<Estimated>,
     turn: Option<Estimated>,
     cured: Cured,
@@ -121,8 +124,8 @@ impl ConstantErrors {
         Pose { heading: seen.heading - Angle::from_degrees(self.cured.taken_out), ..seen }
     }
 
-    /// Adds the measured rotation of a distance vector against the map, from a corrected pose, and
-    /// its standard deviation; in degrees.
+    /// Adds the rotation of a distance vector against the map, measured from a corrected pose, and
+    /// its standard deviation, in degrees.
     pub fn turned(&mut self, degrees: f64, deviation: f64) {
         push(&mut self.turned, (degrees - self.cured.taken_out, deviation));
         self.turn = estimate(self.turned.iter().copied().collect());
@@ -147,13 +150,13 @@ impl ConstantErrors {
         self.cured
     }
 
-    /// Starts without measurements, with known corrections.
+    /// Without measurements, and with these corrections already applied.
     pub fn of(cured: Cured) -> Self {
         Self { cured, ..Self::default() }
     }
 
     /// Starts to subtract the identifier's error from fixes, if the estimate is certain and differs
-    /// enough from the applied correction. Returns whether it did.
+    /// enough from the current correction. Returns whether it did.
     pub fn cure_identifier(&mut self) -> bool {
         let Some(found) = self.identifier() else { return false };
         let left = Estimated { degrees: found.degrees - self.cured.taken_out, ..found };
@@ -163,14 +166,14 @@ impl ConstantErrors {
         left.is_worth_a_cure()
     }
 
-    /// The angle to add to the sensor's mounting, if the estimate is certain and large enough.
-    /// Depends on the identifier's error, so cure that first.
+    /// The angle to add to the sensor's mounting, if the estimate is certain and large enough. It
+    /// depends on the identifier's error, so that must be corrected first.
     pub fn sensor_to_cure(&self) -> Option<Angle> {
         let found = self.sensor().filter(Estimated::is_worth_a_cure)?;
         Some(Angle::from_degrees(found.degrees))
     }
 
-    /// Call this when the robot has turned its sensor's mounting by this angle.
+    /// Records that the robot has turned its sensor's mounting by this angle.
     pub fn remounted(&mut self, turn: Angle) {
         self.turned.clear();
         self.turn = None;
@@ -185,9 +188,9 @@ fn push(measured: &mut VecDeque<(f64, f64)>, one: (f64, f64)) {
     measured.push_back(one);
 }
 
-/// Robust mean by Tukey's biweight, because there are places where the map misleads by several
-/// deviations on every visit. `None` if over a third of the measurements are outliers: then the
-/// majority is not reliable.
+/// Robust mean by Tukey's biweight: there are places where the map misleads by several deviations
+/// on every visit. `None` if more than a third of the measurements are outliers, as the majority is
+/// then not reliable.
 fn estimate(measured: Vec<(f64, f64)>) -> Option<Estimated> {
     let mut mean = median(measured.iter().map(|it| it.0).collect())?;
     let (mut shares, mut weights) = (Vec::new(), 0.0);
@@ -227,9 +230,9 @@ fn median(mut all: Vec<f64>) -> Option<f64> {
 struct Stretch {
     fixes: Vec<(Instant, Pose)>,
     /// Heading minus course and its standard deviation in degrees, once the stretch is long enough.
-    /// Twice the length gives about three times the accuracy.
+    /// A stretch of twice the length is about three times as accurate.
     measured: Option<(f64, f64)>,
-    /// Number of times it was measured.
+    /// Number of measurements of this stretch so far.
     parts: u32,
 }
 
@@ -280,7 +283,7 @@ impl Stretch {
         let (along, across) = ((xx + yy + spread) / 2.0, ((xx + yy - spread) / 2.0).max(0.0));
         let [x, y] = way_m(first, last);
         let mut course = 0.5 * atan2(2.0 * xy, xx - yy);
-        // Of the line's two directions, the direction of travel.
+        // A line has two directions; this is the direction of travel.
         let forward = atan2(y, x) - course;
         if libm::cos(forward) < 0.0 {
             course += PI;
@@ -383,7 +386,7 @@ mod tests {
                 }
             };
             vectors(&mut errors);
-            // Neither is known before the robot has driven.
+            // Neither error is known before the robot has driven.
             assert!(!errors.cure_identifier() && errors.sensor_to_cure().is_none());
             drive(&mut errors, identifier, 30, || 0.0);
             assert_eq!(errors.cure_identifier(), identifier > 1.0);
@@ -410,8 +413,8 @@ mod tests {
         let halves = estimate(usual(15).chain(about(0.5, 15)).collect());
         assert!(halves.is_none_or(|it| !it.is_worth_a_cure()), "{halves:?}");
         assert_eq!(estimate(usual(2).collect()), None);
-        // The deviation comes from the measurements' own deviations or from their scatter, if
-        // larger.
+        // The deviation follows from the measurements' own deviations, or from their scatter if
+        // that is larger.
         let apart = estimate(usual(16).collect()).unwrap().deviation;
         assert!((0.1..0.11).contains(&apart), "{apart}");
         let scattered = usual(16).map(|(degrees, _)| (3.0 + 10.0 * (degrees - 3.0), 0.4));
@@ -432,7 +435,7 @@ mod tests {
         deviations.dedup();
         let [first, second, .., last] = deviations[..] else { panic!("{deviations:?}") };
         assert!(second < 0.55 * first && last < 0.25 * first, "{deviations:?}");
-        // It is still one stretch, and its measurement is kept when it ends.
+        // It is still one stretch; its measurement is stored when it ends.
         assert_eq!(errors.askew, []);
         errors.fix(Instant(6_200_000), Pose::from_metres(2.7, 0.0, 1.0));
         assert_eq!(errors.askew.len(), 1);

@@ -10,12 +10,12 @@ use ubimap_protocol::{
 use super::{mask::Mask, runs::runs, served_layer::ServedLayer};
 use crate::{camera::Observation, timing::COVERAGE_HOLDS};
 
-/// Interval at which the layer is recomputed, so that a dead camera's cells become uncovered within
-/// a second.
+/// Interval at which the layer is recomputed, so that the cells of a failed camera become uncovered
+/// within a second.
 const INTERVAL: Duration = Duration::from_millis(250);
 
-/// The coverage layer: covered cells are free, all others unknown. Frames already exclude what no
-/// camera sees, such as shadows and the floor below a robot.
+/// The coverage layer: covered cells are free, all others unknown. Frames already exclude the cells
+/// that the camera does not see, such as shadows and the floor below a robot.
 #[derive(Clone, Debug, Default)]
 pub struct CoverageLayer {
     /// Cells seen by recent frames, in order of arrival.
@@ -132,12 +132,13 @@ mod tests {
                 layer.observe(&frame(1, millis, 2..6));
             }
             let expected = if millis < 2_900 { 0..6 } else { 0..4 };
-            // In between both results are valid: the layer is recomputed four times per second.
+            // Between these times both results are valid, because the layer is recomputed four
+            // times per second.
             if !(2_700..3_000).contains(&millis) && millis > 0 {
                 assert_eq!(covered(&mut layer, millis), expected.collect::<Vec<_>>(), "{millis}");
             }
         }
-        // A frame delayed by a second does not count.
+        // A frame that arrives a second late does not count.
         layer.observe(&frame(1, 2_900, 2..6));
         assert_eq!(covered(&mut layer, 4_100), [0, 1, 2, 3]);
     }

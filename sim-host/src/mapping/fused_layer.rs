@@ -9,17 +9,17 @@ use super::{agreement::Weight, mask::Mask, robot_layer::SeenTile};
 
 /// Step of the map's time in seconds.
 const STEP_S: u32 = 10;
-/// A camera's claim overrides a robot's claim that is newer by at most this many seconds: cameras
-/// see a cell twice per second, and frames may be late.
+/// A camera's claim overrides a robot's claim that is newer by at most this number of seconds:
+/// cameras see a cell twice per second, and frames may be late.
 const HOLDS_S: u32 = 2;
-/// Seconds by which a robot's claim counts as older, per grade that its weight is below the full
-/// one.
+/// Seconds by which a robot's claim counts as older for each grade that its weight is below the
+/// full weight.
 const GRADE_S: u32 = 60;
 /// Age in seconds at which a robot's movable cell is forgotten. Fixed cells never are, because a
 /// robot that agrees with the map is silent.
 const MOVABLE_S: u32 = 300;
-/// Number of alternations between free and occupied, among the last claims of all observers in
-/// order of time, from which a cell counts as movable.
+/// Number of alternations between free and occupied from which a cell counts as movable, among the
+/// last claims of all observers in order of time.
 const CHANGES: usize = 3;
 
 /// The time by which the map ages: seconds of the server's clock, in steps of ten.
@@ -45,8 +45,8 @@ impl MapTime {
 }
 
 /// A claim about a cell: its effective second (negative if before the clock's start), whether it is
-/// the cameras', and the cell's code. In the same second the cameras' claim wins, and then occupied
-/// over free.
+/// from the cameras, and the cell's code. Within the same second the cameras' claim wins, and among
+/// robots occupied wins over free.
 type Claim = (i64, bool, u8);
 
 /// Fuses one tile from the cameras' and the robots' observations, the latter with their weights, in
@@ -63,7 +63,7 @@ type Claim = (i64, bool, u8);
 /// | never | movable, at least five minutes ago by the map's time | unknown |
 /// | have seen it, or never | occupied, after three alternations with free | movable |
 ///
-/// A robot that agrees with the map is silent, so the newest claim is the valid one. Cost: some
+/// A robot that agrees with the map is silent, so the newest claim is the valid one. Cost: a few
 /// nanoseconds per cell and robot.
 pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -> Tile {
     let mut fused = Tile::UNKNOWN;
@@ -93,7 +93,7 @@ pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -
                 claims.push((i64::from(second) - later, false, code.code()));
             }
         }
-        // In the order of codes, free precedes occupied.
+        // The order of codes puts free before occupied.
         let Some(&(_, by_cameras, code)) = claims.iter().max() else { continue };
         let mut code = Cell::from_code(code);
         if code == Cell::Occupied && !by_cameras && keeps_changing(&mut claims) {
@@ -166,20 +166,20 @@ mod tests {
             (never, &[(Free, 3), (Occupied, 3)], Occupied),
             (never, &[(Free, 4), (Occupied, 3)], Free),
             (never, &[(Free, 4), (Occupied, 3), (Movable, 4)], Movable),
-            // In view, or out of view without newer claims.
+            // The cell is in view, or out of view without newer claims.
             ((Free, 4), &[(Occupied, 3), (Occupied, 4)], Free),
             ((Free, 4), &[(Occupied, 6)], Free),
             ((Movable, 4), &[(Free, 3)], Movable),
             ((Occupied, 4), &[(Free, 3), (Unknown, 40)], Occupied),
-            // Out of view, and a robot was there later.
+            // The cell is out of view, and a robot claimed it later.
             ((Free, 4), &[(Occupied, 7)], Occupied),
             ((Occupied, 4), &[(Free, 7), (Occupied, 3)], Free),
-            // Revoked by the cameras.
+            // The cameras have revoked their claim.
             ((Unknown, 4), &[(Free, 4)], Unknown),
             ((Unknown, 4), &[(Free, 5)], Free),
             ((Unknown, 4), &[(Free, 3), (Occupied, 2)], Occupied),
             ((Unknown, 4), &[(Free, 3), (Movable, 4)], Movable),
-            // Alternating.
+            // The claims alternate.
             (never, &[(Free, 3), (Occupied, 13), (Free, 23), (Occupied, 33)], Movable),
             (never, &[(Occupied, 3), (Free, 13), (Occupied, 23), (Free, 33)], Free),
             (never, &[(Free, 3), (Occupied, 13), (Occupied, 23), (Occupied, 33)], Occupied),

@@ -1,14 +1,14 @@
-//! Publishes only the surfaces of fixed things: of a wall or a cupboard, only the cells that can
+//! Publishes only the surfaces of fixed objects: of a wall or a cupboard, only those cells that can
 //! have been seen.
 
 use ubimap_protocol::tile::{Cell, TILE_CELLS, TILE_SIDE, Tile};
 
 use super::{fused_layer::MapTime, mask::Mask, robot_layer::SeenTile};
 
-/// Maximum distance of a surface from a free cell, in cells. Nothing deeper can have been seen: it
+/// Maximum distance of a surface from a free cell, in cells. A deeper cell can't have been seen: it
 /// comes from the noise of distant readings behind a wall, or was seen from above.
 const MAX_DEPTH: usize = 3;
-/// The same limit where all cells up to the free one are fixed. Isolated cells may be deeper: a
+/// Maximum distance if all cells up to the free one are fixed. Isolated cells may be deeper: a
 /// lidar with few beams draws distant walls without free cells next to them.
 const SOLID_DEPTH: usize = 2;
 
@@ -25,7 +25,7 @@ pub struct Sight {
 }
 
 impl Sight {
-    /// The sight of a tile that was fused from the given camera observations.
+    /// The sight of a tile that was fused from these camera observations.
     pub fn of(fused: &Tile, cameras: &SeenTile, time: MapTime) -> Self {
         let mut sight = Self::default();
         for cell in 0..usize::from(TILE_CELLS) {
@@ -43,23 +43,23 @@ impl Sight {
         sight
     }
 
-    /// Whether there is nothing that can go out of view later.
+    /// Whether no cell can go out of view later.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 }
 
-/// Removes the fixed cells of a fused tile that are too deep inside something to be seen.
+/// Removes the fixed cells of a fused tile that are too deep inside an object to be seen.
 /// `beside(east, north)` returns the fused neighbour at that offset in tiles, with its sight. The
 /// border of free ground does not change. A fixed cell stays if it is
 ///
 /// 1. next to a free cell;
-/// 2. one cell behind such a cell, except where cameras see the free ground up to its edge: they
-///    locate the surface, and cells behind it are noise of other sensors;
+/// 2. one cell behind such a cell, except where cameras see the free ground up to the object's
+///    edge: there the cameras locate the surface, and cells behind it are noise of other sensors;
 /// 3. up to three cells from a free cell, with nothing fixed in between.
 ///
 /// For fixed cells that cameras see, free cells that are out of view do not count: they were seen
-/// before the thing came, and are below or behind it. Works on whole words; some dozens of
+/// before the object came, and are below or behind it. Works on whole words, with a few dozen
 /// operations per row.
 pub fn hollow<'t>(
     tile: &mut Tile,
@@ -86,7 +86,7 @@ pub fn hollow<'t>(
         first[at] = within(at, 1);
         bounded[at] = first[at] & spread(&bounds[at - 1..=at + 1], 1);
     }
-    // The second layer, behind cells of the first one, and the cells of both that stay.
+    // The second layer (cells behind the first one), and the cells of both layers that stay.
     let (mut second, mut kept) = ([0; ROWS], [0; ROWS]);
     for at in 2..ROWS - 2 {
         let behind = |open: fn(u64, u64) -> u64| {
@@ -140,7 +140,7 @@ mod tests {
 
     const SIDE: i32 = TILE_SIDE as i32;
 
-    /// The tile at this offset in tiles, filled by `code`.
+    /// The tile at this offset in tiles; `code` returns the state of each cell.
     fn tile(east: i32, north: i32, code: impl Fn(i32, i32) -> Cell) -> Tile {
         let mut tile = Tile::UNKNOWN;
         for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
@@ -162,7 +162,7 @@ mod tests {
         in_sight: bool,
     }
 
-    /// The rules, cell by cell.
+    /// The rules, applied cell by cell.
     fn stays(of: impl Fn(i32, i32) -> Said, x: i32, y: i32) -> bool {
         let is_fixed = |x, y| of(x, y).code == Occupied;
         let is_seen = |x, y| of(x, y).by_cameras && of(x, y).in_sight;
@@ -240,8 +240,8 @@ mod tests {
         }
     }
 
-    /// Hollows a tile with these columns, from the west, in all robots' layers, and camera columns
-    /// with the second at which they were seen.
+    /// The published states of columns, counted from the west, for these columns in all robots'
+    /// layers and these camera columns with the second at which they were seen.
     fn columns(robots: &[Cell], cameras: &[(Cell, u32)]) -> Vec<Cell> {
         let of = |x: i32| cameras.get(x as usize).copied().unwrap_or((Unknown, 0));
         let mut seen = SeenTile { tile: tile(0, 0, |x, _| of(x).0), ..SeenTile::NOTHING };

@@ -20,14 +20,14 @@ const EPOCH_MEMORY: usize = 640;
 #[derive(Clone, Debug, Default)]
 struct Held {
     replica: Replica,
-    /// What the replica held before it was restarted within its epoch. Cells that an epoch has
+    /// The cells of the replica before it was restarted within its epoch. Cells that an epoch has
     /// known stay known.
     before: Option<Tile>,
     /// The version on disk.
     kept: Version,
 }
 
-/// The cells of a tile, and for each the second of the server's clock in which a robot last
+/// The cells of a tile, and for each cell the second of the server's clock in which a robot last
 /// reported a change of it, or cameras last saw it; row by row from the south-west.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SeenTile {
@@ -100,11 +100,10 @@ pub struct Updated {
 }
 
 impl RobotLayer {
-    /// Applies the coded tiles of an update whose newest scan was taken at `seconds`.
+    /// Applies the coded tiles of an update whose newest scan was taken at `seconds`. The first
+    /// value describes what was applied.
     ///
-    /// # Errors
-    /// On a [`TileError`] the rest is not decoded; the first value describes what was decoded
-    /// before.
+    /// # Errors On a [`TileError`] the rest of the update is not decoded.
     pub fn update(&mut self, coded: &[u8], seconds: u32) -> (Updated, Result<(), TileError>) {
         let mut updated = Updated::default();
         let mut decoder = TileDecoder::new(coded);
@@ -116,11 +115,12 @@ impl RobotLayer {
             };
             let epoch = header.stamp.epoch;
             if epoch.0 > self.next_epoch().0.saturating_add(EPOCHS_AHEAD) || epoch.0 == u32::MAX {
-                // Never granted. Accepting it would leave no epochs for the robot's next lives.
+                // This epoch was never granted. Accepting it would leave no epochs for the robot's
+                // reboots.
                 return (updated, Err(TileError::Malformed));
             }
             if epoch < self.first_epoch {
-                // The robot has discarded everything in this update.
+                // The robot itself has discarded all tiles in this update.
                 return (updated, Ok(()));
             }
             let known = self.tiles.get(&header.id);
@@ -259,8 +259,9 @@ impl RobotLayer {
         is_complete.then(|| (stamp, held.replica.tile()))
     }
 
-    /// Discards this state of a tile, if it is held: its cells differ from the robot's. Then the
-    /// same version, sent whole, replaces it; until then its cells stay in the map.
+    /// Discards this state of a tile, if it is held, because its cells differ from the robot's. The
+    /// robot then sends the same version again as a whole, which replaces it; until then its cells
+    /// stay in the map.
     pub fn discard(&mut self, id: TileId, stamp: Stamp) {
         let held = self.tiles.get_mut(&id).and_then(|epochs| epochs.get_mut(&stamp.epoch));
         if let Some(held) = held.filter(|held| held.replica.stamp() == stamp) {
@@ -305,7 +306,7 @@ impl RobotLayer {
     }
 
     /// Restores a stored epoch of a tile, with the times of the newest record of the tile. A state
-    /// that is not newer than the present one is ignored. Returns whether the tile has changed.
+    /// that is not newer than the current one is ignored. Returns whether the tile has changed.
     pub fn restore(&mut self, record: &TileRecord) -> bool {
         let epochs = self.tiles.entry(record.id).or_default();
         self.epochs += usize::from(!epochs.contains_key(&record.stamp.epoch));
@@ -320,7 +321,7 @@ impl RobotLayer {
         self.join(record.id, |cell| record.seconds[cell])
     }
 
-    /// The first epoch that the robot has not used.
+    /// The lowest epoch that the robot has not used.
     pub fn next_epoch(&self) -> Epoch {
         Epoch(self.newest.0.saturating_add(1)).max(self.first_epoch)
     }
@@ -381,7 +382,7 @@ mod tests {
         assert!(restarted.restore(&record));
         assert!(!restarted.restore(&record));
         assert_eq!(restarted.on_disk(ID, Epoch(3)), Some(record.stamp));
-        // Including the time of each cell.
+        // The time of each cell is restored, too.
         assert_eq!(restarted.seen(ID), layer.seen(ID));
         assert_eq!(restarted.next_epoch(), Epoch(4));
         let second = tile(&[(0, Cell::Occupied), (1, Cell::Occupied)]);
@@ -421,7 +422,7 @@ mod tests {
         assert_eq!(layer.epochs, 1);
     }
 
-    /// One frame must not use up the epochs of a robot's next lives.
+    /// One frame must not use up the epochs that the robot needs for its reboots.
     #[test]
     fn epochs_that_were_never_granted_are_refused() {
         let mut layer = RobotLayer::default();
@@ -433,12 +434,12 @@ mod tests {
         assert_eq!((layer.next_epoch(), layer.tiles().count()), (Epoch(1), 0));
         assert_eq!(layer.update(&update(EPOCHS_AHEAD, 1, None, &cells), 5).1, Ok(()));
         assert_eq!(layer.next_epoch(), Epoch(EPOCHS_AHEAD + 1));
-        // A cure grants epochs further ahead.
+        // A cure (a correction of the robot's constant errors) grants epochs further ahead.
         layer.retire(Epoch(1 << 20));
         assert_eq!(layer.update(&update((1 << 20) + 1, 1, None, &cells), 5).1, Ok(()));
     }
 
-    /// A sender may answer a Request with the version that it has sent before.
+    /// A sender may answer a Request with a version that it has sent before.
     #[test]
     fn a_discarded_state_is_replaced_by_the_same_version() {
         let mut layer = RobotLayer::default();
@@ -462,7 +463,7 @@ mod tests {
         let base = tile(&[(0, Cell::Free)]);
         let coded = update(1, 2, Some((1, &base)), &tile(&[(0, Cell::Occupied)]));
         let mut layer = RobotLayer::default();
-        // An epoch without known cells is held all the same.
+        // An epoch is held even if it knows no cells.
         assert_eq!(layer.update(&update(0, 1, None, &Tile::UNKNOWN), 5).1, Ok(()));
         let (updated, result) = layer.update(&coded, 5);
         assert_eq!((updated.missing, result), (Some(ID), Ok(())));

@@ -1,39 +1,40 @@
 //! The background of a camera: what each pixel sees in the empty room. It is learnt in the first
 //! seconds, and learnt again where the room changes permanently.
 //!
-//! A pixel agrees with its background if its depth is within a learnt window. It then counts for the
-//! cell of the *learnt* point, so that noise does not smear static objects; that cell is updated from
-//! time to time. The learnt depth is the mean of all depths that agreed. It is used once its standard
-//! error is below half a cell: a single depth at 5 m has a noise of two cells, the mean of `n` depths
-//! has 1/sqrt(n) of that, so the range of view grows with time. A floor pixel whose recent depths agree
-//! one by one, but not in their mean, counts for nothing: an object closer to the floor than the noise
-//! may stand there. Learning also absorbs calibration errors: a floor that is a centimetre off, a
-//! threshold, a carpet.
+//! A pixel agrees with its background if its depth is within a learnt window. It then counts for
+//! the cell of the *learnt* point, so that noise does not smear static objects; that cell is
+//! updated from time to time. The learnt depth is the mean of all depths that agreed. It is used
+//! once its standard error is below half a cell. A single depth at 5 m has a noise of two cells,
+//! and the mean of `n` depths has 1/sqrt(n) of that, so the range of view grows with time. If the
+//! recent depths of a floor pixel agree one by one, but their mean does not, an object closer to
+//! the floor than the noise may stand there: the pixel then counts for nothing. Learning also
+//! absorbs calibration errors: a floor that is a centimetre off, a threshold, a carpet.
 
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::ray_table::{Allowance, RayTable, Survey, Zone};
 
-/// Number of depths per pixel from which the background is learnt.
+/// Number of depths per pixel after which the background is learnt.
 const SAMPLES: usize = 15;
 /// Interval between these depths.
 const SAMPLE_INTERVAL: Duration = Duration::from_millis(300);
 /// Minimum number of measurements: a pixel with fewer has no background.
 const MIN_SAMPLES: usize = 8;
-/// The room is at the depth that 1/TRIM of the samples exceed, so that a person who is in front of it most
-/// of the time leaves no trace.
+/// The background is the depth that 1/TRIM of the samples exceed, so that a person who stands in
+/// front of it most of the time leaves no trace.
 const TRIM: usize = 5;
 /// Half the width of a pixel's window, in thousandths of sigma: 99 % of the background's depths lie
 /// inside. A wider window would hide what stands just in front of the floor.
 const WINDOW: i64 = 2_576;
 /// Margin for quantisation in millimetres, added to the window.
 const SLACK_MM: i64 = 4;
-/// Each frame, one row in this number is checked for permanent changes.
+/// Per frame, one in this number of rows is checked for permanent changes.
 const ROWS_BETWEEN: u32 = 8;
-/// Number of looks and seconds without a change until an object in front of the background, or where
-/// there was no background, becomes background. Long, because it may be a person.
+/// Number of checks and seconds without a change after which an object in front of the background,
+/// or where there was no background, becomes background. Long, because it may be a person.
 const STAY: (u8, u32) = (6, 10);
-/// The same for floor, and for anything behind the background: shorter, because it was only hidden.
+/// Like `STAY`, for floor and for anything behind the background. Shorter, because it was only
+/// hidden.
 const UNCOVERED: (u8, u32) = (2, 1);
 /// When this number of depths have agreed, half of them are forgotten, so that drift is followed.
 const MAX_AGREED: u32 = 256;
@@ -43,10 +44,10 @@ const MAX_AGREED: u32 = 256;
 struct Candidate {
     depth: u16,
     looks: u8,
-    /// Whether the present background replaced the one learnt first.
+    /// Whether the current background replaced the one learnt first.
     has_come: bool,
-    /// Whether the depths that agreed recently may be of another object: the pixel then counts for
-    /// nothing.
+    /// Whether the depths that agreed recently may belong to another object: the pixel then counts
+    /// for nothing.
     is_doubtful: bool,
     since_s: u32,
 }
@@ -74,7 +75,7 @@ impl Agreed {
 /// The background of one camera.
 #[derive(Clone, Debug)]
 pub struct Background {
-    /// In millimetres; zero until its standard error is below half a cell.
+    /// Depths in millimetres; zero until the standard error is below half a cell.
     depth: Vec<u16>,
     agreed: Vec<Agreed>,
     /// Depths that agreed since the pixel's row was last checked.
@@ -83,9 +84,10 @@ pub struct Background {
     low: Vec<u16>,
     /// The width of each pixel's window.
     span: Vec<u16>,
-    /// For each pixel its index in `totals` when it agrees: twice the cell, plus one for an obstacle.
+    /// For each pixel, its index in `totals` if it agrees: twice the cell, plus one for an
+    /// obstacle.
     home: Vec<u32>,
-    /// The evidence if all pixels agreed.
+    /// The evidence that results if all pixels agree.
     totals: Vec<u32>,
     candidates: Vec<Candidate>,
     /// The samples, image by image; `None` once the background is learnt.
@@ -181,7 +183,7 @@ impl Background {
             _ if candidate.is_doubtful => self.totals.len() - 1,
             Zone::Floor(cell) => 2 * cell as usize,
             Zone::Band(cell, _) => 2 * cell as usize + 1,
-            // A new object stands on the floor; one that was always there may hang.
+            // A new object stands on the floor; an object that was always there may hang.
             Zone::Above(cell, _) if candidate.has_come => 2 * cell as usize + 1,
             Zone::Above(..) | Zone::Nowhere => self.totals.len() - 1,
         };
@@ -223,10 +225,10 @@ impl Background {
         self.span[pixel] = 2 * margin;
         let Survey { side, reach, .. } = rays.survey();
         let (noise, side) = (rays.sigma_mm(mean), i64::from(side.0));
-        // A sensor without depths beyond its reach cuts off part of the noise, which would bias the mean
-        // towards the camera.
+        // If a sensor reports no depths beyond its reach, part of the noise is cut off, which would
+        // bias the mean towards the camera.
         let is_good = i64::from(mean) + i64::from(margin) <= i64::from(reach.0)
-            // 92 % of such means (1.73 sigmas) are within a cell's side.
+            // 92 % of such means (1.73 sigmas) are within the side of a cell.
             && 3 * noise * noise <= side * side * i64::from(agreed.count);
         self.depth[pixel] = if is_good { mean } else { 0 };
         self.totals[self.home[pixel] as usize] -= 1;
@@ -282,8 +284,8 @@ impl Background {
         }
     }
 
-    /// The depths that agreed since the last check, if their mean shows that they are of something other
-    /// than the background.
+    /// The depths that agreed since the last check, if their mean shows that they belong to
+    /// something other than the background.
     fn other_of_late(&self, rays: &RayTable, pixel: usize) -> Option<Agreed> {
         let fresh = self.fresh[pixel];
         is_other(rays, fresh, self.agreed[pixel]).then_some(fresh)
@@ -307,10 +309,10 @@ impl Background {
         })
     }
 
-    /// What a pixel sees if it is not the background. Either the depths that agreed recently, if their
-    /// mean is off; they then no longer count as agreeing. Or the depth itself, if it is outside the
-    /// window, or closer to the candidate than to the background: noise makes an object just in front of
-    /// the background agree now and then.
+    /// What a pixel sees, if that is not the background. Either the mean of the depths that agreed
+    /// recently, if it is off; these depths then no longer count as agreeing. Or the depth itself,
+    /// if it is outside the window, or closer to the candidate than to the background: because of
+    /// noise, an object just in front of the background agrees now and then.
     fn sees_other(&mut self, rays: &RayTable, pixel: usize, depth: u16) -> Option<Agreed> {
         if let Some(other) = self.other_of_late(rays, pixel) {
             self.fresh[pixel] = Agreed::default();
@@ -328,9 +330,9 @@ impl Background {
         is_nearer.then_some(one)
     }
 
-    /// Whether agreeing depths uncover what an obstacle hid: a person who stood in view during learning,
-    /// so close to the floor that its depth is within the window, has left. Floor hides nothing, so the
-    /// background must be an obstacle.
+    /// Whether agreeing depths show that something left which had hidden the background: a person
+    /// who stood in view during learning, so close to the floor that the depth is within the
+    /// window. Floor hides nothing, so the background must be an obstacle.
     fn uncovers(&self, rays: &RayTable, pixel: usize, seen: Agreed) -> bool {
         let is_farther = self.agreed[pixel].mean() < seen.mean();
         let home = self.home[pixel] as usize;
@@ -369,8 +371,9 @@ impl Background {
     }
 }
 
-/// Whether the mean of `depths` is farther from that of `agreed` than 99 % of such means would be. With two
-/// objects in one window (the floor and the feet of people), neither can bias the mean of the other.
+/// Whether the mean of `depths` is farther from that of `agreed` than 99 % of such means would be.
+/// If two objects are in one window (the floor and people's feet), neither then biases the mean of
+/// the other.
 fn is_other(rays: &RayTable, depths: Agreed, agreed: Agreed) -> bool {
     let Some((mean, before)) = depths.mean().zip(agreed.mean()) else { return false };
     let off = u64::from(mean.abs_diff(before));
@@ -422,7 +425,7 @@ mod tests {
         let (rays, floor, legs) = floor_and_legs();
         let taken = vec![false; rays.cells()];
         let mut background = Background::new(&rays);
-        // Five images a second; somebody stands there for two of every six seconds.
+        // Five images a second; a person stands there for two of every six seconds.
         for frame in 0..450 {
             let is_there = frame % 30 < 10;
             let image = noisy(if is_there { &legs } else { &floor }, &DepthNoise::D435, frame, 980);

@@ -7,12 +7,13 @@ use super::{evidence::Evidence, ray_table::RayTable};
 /// Minimum number of pixels as evidence: a mixed pixel at an object's edge lies anywhere between the edge
 /// and the surface behind, but there are seldom several over one cell.
 pub(super) const MIN_EVIDENCE: u32 = 4;
-/// Number of cells behind an obstacle that are assumed to be in its shadow: that of an obstacle 10 cm
-/// high and 5 m away, seen from a ceiling.
+/// Number of cells behind an obstacle that are assumed to be in its shadow: the shadow of an
+/// obstacle 10 cm high and 5 m away, seen from a ceiling.
 const SHADOW: i32 = 3;
 
-/// The cells that an image shows, row by row from the south-west. `movable` marks the cells of foreground
-/// objects; cells `under` a robot are left out. `said` is the last published code of each cell.
+/// Classifies the cells that an image shows, row by row from the south-west. `movable` marks the
+/// cells of foreground objects; cells `under` a robot are left out. `said` is the last published
+/// code of each cell.
 ///
 /// Let `F` be the number of pixels that have learnt the cell's floor, `B` the number that have learnt an
 /// obstacle over it, `f` and `b` the numbers that see these now, and `e` the number that would see the
@@ -92,8 +93,8 @@ pub(super) fn cells(
     (0..rays.cells()).filter_map(|cell| Some((rays.in_map(cell), code(cell)?))).collect()
 }
 
-/// Whether nothing has been learnt of a neighbouring cell although its floor would be visible without
-/// the obstacle in this cell: a wall seen edge on, with floor in front.
+/// Whether nothing has been learnt about a neighbouring cell although its floor would be visible
+/// without the obstacle in this cell: a wall seen edge on, with floor in front.
 fn is_edge(rays: &RayTable, totals: &[u32], cell: usize) -> bool {
     let (x, y) = rays.in_map(cell);
     [(1, 0), (0, 1), (-1, 0), (0, -1)]
@@ -104,8 +105,8 @@ fn is_edge(rays: &RayTable, totals: &[u32], cell: usize) -> bool {
         })
 }
 
-/// Whether none of the two cells before and the two behind on the line of sight has more than three times
-/// the pixels of this cell.
+/// Whether none of the two cells before and the two behind on the line of sight has more than three
+/// times as many pixels as this cell.
 fn is_ridge(rays: &RayTable, pixels: impl Fn(usize) -> u32, foot: (i32, i32), cell: usize) -> bool {
     let most = 3 * pixels(cell);
     [-2, -1, 1, 2]
@@ -113,7 +114,8 @@ fn is_ridge(rays: &RayTable, pixels: impl Fn(usize) -> u32, foot: (i32, i32), ce
         .all(|steps| on_sight(rays, foot, cell, steps).is_none_or(|beside| pixels(beside) <= most))
 }
 
-/// The cell `steps` cells behind another one on the line of sight; in front of it if negative.
+/// The cell that is `steps` cells behind another one on the line of sight; in front of it if
+/// negative.
 fn on_sight(rays: &RayTable, foot: (i32, i32), cell: usize, steps: i32) -> Option<usize> {
     let (x, y) = rays.in_map(cell);
     let way = (x - foot.0, y - foot.1);

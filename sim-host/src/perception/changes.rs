@@ -35,9 +35,9 @@ pub(super) struct Word {
 }
 
 impl Changes {
-    /// Compares the depths of an image `width` pixels wide with the background. Passes to `blank`, block
-    /// by block, the pixels outside their window that are on neither side: they have no measurement, or
-    /// no background.
+    /// Compares the depths of an image `width` pixels wide with the background. Pixels outside
+    /// their window that are neither nearer nor farther have no measurement or no background; they
+    /// are passed to `blank`, block by block.
     pub(super) fn of(
         background: &Background,
         depths: &[u16],
@@ -57,7 +57,7 @@ impl Changes {
         let (mut codes, mut pixels) = ([0; BLOCK], [0; BLOCK]);
         let blocks = depths.chunks(BLOCK).zip(low.chunks(BLOCK)).zip(span.chunks(BLOCK));
         for (block, ((depths, low), span)) in (0..).step_by(BLOCK).zip(blocks) {
-            // The last block may be shorter: clear the previous block's codes.
+            // The last block may be shorter, so the rest of the previous block's codes is cleared.
             codes[depths.len()..].fill(0);
             compare(depths, low, span, &mut codes);
             let mut count = 0;

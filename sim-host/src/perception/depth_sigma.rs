@@ -8,9 +8,9 @@ const SHIFT: u32 = 32;
 /// [`DepthNoise`] in integers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DepthSigma {
-    /// In 2^-32 mm.
+    /// The constant term, in 2^-32 mm.
     constant: i64,
-    /// In 2^-32 per mm.
+    /// The quadratic term, in 2^-32 per mm.
     quadratic: i64,
 }
 
@@ -23,7 +23,7 @@ impl DepthSigma {
         }
     }
 
-    /// The standard deviation at a depth, both in millimetres: 1 to 65,535, to the nearest.
+    /// The standard deviation at a depth, both in millimetres, rounded: 1 to 65,535.
     #[inline]
     pub(super) fn mm(self, depth: u16) -> i64 {
         let depth = i64::from(depth);
@@ -45,7 +45,8 @@ mod tests {
             for depth in (0..=u16::MAX).step_by(37).chain([u16::MAX]) {
                 let exact_mm = noise.sigma_m(f64::from(depth) / 1000.0) * 1000.0;
                 let expected = exact_mm.clamp(1.0, 65_535.0);
-                // The coefficients have 32 fraction bits: half a millimetre in all at 65 m.
+                // With 32 fraction bits per coefficient, the total error is below half a millimetre
+                // up to 65 m.
                 assert!((sigma.mm(depth) as f64 - expected).abs() < 1.01, "{noise:?} at {depth}");
             }
         }

@@ -1,10 +1,10 @@
 //! The evidence of one depth image: for each cell the number of pixels that see its floor, an obstacle,
 //! or a new object (one that is not in the background).
 //!
-//! Most pixels of a fixed camera see their background. [`Evidence::fuse`] therefore starts with the totals
-//! of the background, compares pixels with their windows, 64 at a time, and corrects the counts for
-//! those outside their windows. [`Evidence::scatter`] computes the same evidence pixel by pixel: the
-//! oracle in tests and the baseline in benchmarks.
+//! Most pixels of a fixed camera see their background. [`Evidence::fuse`] therefore starts with the
+//! totals of the background, compares pixels with their windows, 64 at a time, and corrects the
+//! counts for the pixels outside. [`Evidence::scatter`] computes the same evidence pixel by pixel,
+//! as an oracle in tests and a baseline in benchmarks.
 
 use crate::camera::LAYERS;
 
@@ -22,9 +22,9 @@ pub(super) const LAYER_SHIFT: u32 = 7;
 pub struct Figure {
     /// Number of pixels.
     pub pixels: u32,
-    /// Height of the highest of them, in millimetres.
+    /// Height of the highest of these pixels, in millimetres.
     pub top: u16,
-    /// Number of them in each 128 mm layer.
+    /// Number of these pixels in each 128 mm layer.
     pub layers: [u16; LAYERS],
 }
 
@@ -35,7 +35,7 @@ pub struct Evidence {
     /// pixels outside all cells.
     counts: Vec<u32>,
     figures: Vec<Figure>,
-    /// The cells that have a figure, in the order of their first pixels.
+    /// The cells that have a figure, in the order in which they were found.
     touched: Vec<u32>,
 }
 
@@ -130,15 +130,15 @@ impl Evidence {
         }
     }
 
-    /// The number of pixels that count for no cell.
+    /// The counter of the pixels that count for no cell.
     fn nowhere(&mut self) -> &mut u32 {
         let last = self.counts.len() - 1;
         &mut self.counts[last]
     }
 }
 
-/// Whether a horizontal and a vertical neighbour are on the same side of their backgrounds. Isolated
-/// pixels are noise or mixed at an edge; pixels without a background have no side.
+/// Whether a horizontal and a vertical neighbour are on the same side of their backgrounds.
+/// Isolated pixels are noise, or mixed pixels at an edge; pixels without a background have no side.
 fn is_backed(rays: &RayTable, background: &Background, depths: &[u16], pixel: usize) -> bool {
     let width = rays.size().0 as usize;
     let side = |pixel: usize| background.side(pixel, depths.get(pixel).copied().unwrap_or(0));

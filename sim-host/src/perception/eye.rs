@@ -21,7 +21,7 @@ use crate::{
     timing::{CLOCK_TOLERANCE, FRAME_LATE},
 };
 
-/// Margin around a robot for pixels of its sides and for the error of its pose.
+/// Margin around a robot, for pixels that see its sides and for the error of its pose.
 const ROBOT_MARGIN: Millimetres = Millimetres(100);
 
 /// Why a frame is refused.
@@ -67,8 +67,8 @@ pub enum FrameError {
     },
 }
 
-/// One fixed camera with its learnt background of the empty room. Eyes are independent: each may run in a
-/// thread of its own.
+/// One fixed camera with its learnt background of the empty room. Eyes are independent, so each may
+/// run in a thread of its own.
 #[derive(Debug)]
 pub struct Eye {
     camera: usize,
@@ -77,7 +77,7 @@ pub struct Eye {
     evidence: Evidence,
     /// The last published code of each cell.
     said: Vec<Cell>,
-    /// The camera's own tracks: people who have walked are kept out of the background.
+    /// The camera's own tracks; they keep people who have walked out of the background.
     tracks: Tracks,
     /// Capture time of the newest frame.
     newest: Instant,
@@ -111,10 +111,10 @@ impl Eye {
         self.background.is_learnt()
     }
 
-    /// The observation of a frame that arrived at `now` (server's clock). `robots` are the footprints and
-    /// poses of the robots when the frame was captured: they are not objects, and the cells under them
-    /// are left out. Late and out-of-order frames give observations as well; the map layers ignore
-    /// what is superseded.
+    /// The observation of a frame that arrived at `now` (server's clock). `robots` are the
+    /// footprints and poses of the robots when the frame was captured: they are not reported as
+    /// objects, and the cells under them are left out. Late and out-of-order frames also give
+    /// observations; the map layers ignore those that are superseded.
     ///
     /// Costs about 3 ns per pixel until the background is learnt, and a fraction of that afterwards.
     ///
@@ -131,7 +131,8 @@ impl Eye {
 
         let side = self.rays.survey().side;
         let mut under = vec![false; self.rays.cells()];
-        // A cell counts if a robot covers any part of it: its corners are 0.7 sides from its centre.
+        // A cell is left out if a robot covers any part of it; its corners are 0.7 sides from its
+        // centre.
         self.mark(&mut under, robots, Millimetres(side.0 * 7 / 10));
         let mut taken = vec![false; self.rays.cells()];
         self.mark(&mut taken, robots, ROBOT_MARGIN);

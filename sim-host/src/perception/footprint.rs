@@ -2,12 +2,12 @@
 
 use ubimap_protocol::units::{Millimetres, Pose};
 
-/// The rectangle that a robot covers, along and across its heading.
+/// The rectangle that a robot covers, aligned with its heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Footprint {
-    /// Half its length, in millimetres.
+    /// Half the robot's length, in millimetres.
     pub half_length: u16,
-    /// Half its width, in millimetres.
+    /// Half the robot's width, in millimetres.
     pub half_width: u16,
 }
 

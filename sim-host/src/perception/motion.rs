@@ -2,8 +2,8 @@
 
 use ubimap_protocol::time::Duration;
 
-/// Standard deviation of an observed position in metres: a camera sees only one side of an object, so the
-/// observed centre is off.
+/// Standard deviation of an observed position in metres: a camera sees only one side of an object,
+/// so the observed centre is off.
 const POSITION_M: f64 = 0.08;
 /// Process noise: standard deviation of a person's change of velocity in one second, in m/s.
 const ACCELERATION: f64 = 1.5;
@@ -25,7 +25,7 @@ impl Motion {
         Self { position, velocity: [0.0; 2], covariance }
     }
 
-    /// The predicted position, `later` after the last observation.
+    /// The predicted position at `later` after the last observation.
     pub(super) fn position_at(&self, later: Duration) -> [f64; 2] {
         let seconds = later.micros() as f64 / 1e6;
         let ([x, y], [vx, vy]) = (self.position, self.velocity);
@@ -37,7 +37,7 @@ impl Motion {
         self.velocity
     }
 
-    /// Updates the filter with a position, observed `later` after the last observation.
+    /// Updates the filter with a position that was observed `later` after the last observation.
     pub(super) fn observe(&mut self, later: Duration, position: [f64; 2]) {
         let t = later.micros() as f64 / 1e6;
         let push = ACCELERATION * ACCELERATION * t;

@@ -19,7 +19,7 @@ use crate::{
     timing::SIGHTING_HOLDS,
 };
 
-/// Minimum interval between processed depth images of one camera: people move by 0.25 m meanwhile.
+/// Minimum interval between processed depth images of one camera: people walk 0.25 m in this time.
 const LOOK_INTERVAL: Duration = Duration::from_millis(190);
 
 /// Perception of all cameras.
@@ -36,13 +36,13 @@ pub struct Observer {
 struct Camera {
     eye: Eye,
     next_look: Instant,
-    /// The current fault of its frames, reported once.
+    /// The current fault of the camera's frames, once it has been reported.
     fault: Option<FrameError>,
 }
 
 impl Observer {
-    /// An observer for these cameras, and robots with their markers and footprints. Memory: 40 bytes for
-    /// each pixel of each depth sensor.
+    /// An observer for these cameras and robots, with the robots' markers and footprints. Memory:
+    /// 40 bytes for each pixel of each depth sensor.
     ///
     /// # Errors
     /// Every [`RegistryError`].
@@ -64,9 +64,9 @@ impl Observer {
         })
     }
 
-    /// Processes a frame that arrived at `now` (server's clock). Depth images are processed five times a
-    /// second. `told` are the poses that robots report themselves, for those that the cameras may not
-    /// see.
+    /// Processes a frame that arrived at `now` (server's clock). Depth images are processed at most
+    /// five times a second. `told` are the poses that robots report themselves; they are used for
+    /// robots that no camera sees.
     ///
     /// # Errors
     /// [`FrameError`], once for each fault of a camera's depth images. The observation returned with it

@@ -33,17 +33,17 @@ impl Default for Survey {
     }
 }
 
-/// The location of a pixel's point: a cell and a height zone. Cells are numbered row by row from the
-/// south-west.
+/// The location of a pixel's point: a cell and a height zone. Cells are numbered row by row from
+/// the south-west.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Zone {
-    /// No measurement: below the floor or beyond the reach.
+    /// No measurement, or a point below the floor or beyond the reach.
     Nowhere,
     /// On the floor of a cell.
     Floor(u32),
-    /// An obstacle, at a height in millimetres.
+    /// An obstacle at this height in millimetres, low enough to block robots.
     Band(u32, u16),
-    /// Higher than the robots.
+    /// A point higher than the robots, at this height in millimetres.
     Above(u32, u16),
 }
 
@@ -51,12 +51,13 @@ pub(super) enum Zone {
 /// below it.
 const FLOOR_NOISE: i64 = 1_720;
 
-/// How noisy a depth is. Points within the floor tolerance plus [`FLOOR_NOISE`] count as floor.
+/// The noise of a depth that is allowed for. Points within the floor tolerance plus [`FLOOR_NOISE`]
+/// count as floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Allowance {
-    /// No noise is allowed for.
+    /// No noise.
     None,
-    /// A mean good to half a cell.
+    /// A mean whose standard error is half a cell.
     Learnt,
     /// A single measurement.
     Measured,
@@ -81,17 +82,17 @@ pub struct RayTable {
     rays: Vec<Ray>,
     /// For each cell, the number of pixels whose rays meet the floor in it.
     expected: Vec<u32>,
-    /// The south-west cell, in the cells of `map`.
+    /// The grid coordinates in `map` of the south-western cell.
     first: (i32, i32),
     columns: u32,
     rows: u32,
-    /// The optical centre, from the corner of the south-west cell.
+    /// The optical centre, relative to the corner of the south-western cell.
     eye: (i64, i64),
     eye_height: i64,
 }
 
 impl RayTable {
-    /// The rays of a depth sensor. Costs some 50 ns per pixel, more if the lens distorts. Size: 12
+    /// The rays of a depth sensor. Costs about 50 ns per pixel, more if the lens distorts. Size: 12
     /// bytes per pixel.
     pub fn new(lens: &Lens, noise: &DepthNoise, survey: Survey) -> Self {
         let intrinsics = lens.intrinsics();
@@ -103,7 +104,7 @@ impl RayTable {
             .flat_map(|row| (0..size.0).map(move |column| [f64::from(column), f64::from(row)]))
             .map(|pixel| lens.direction(pixel))
             .collect();
-        // Each ray ends at the floor or at the reach; the eye is in the rectangle too.
+        // Each ray ends at the floor or at the reach. The camera itself is in the rectangle, too.
         let mut low = [eye_mm.x, eye_mm.y];
         let mut high = low;
         for direction in &directions {
@@ -233,7 +234,7 @@ impl RayTable {
     fn cell(&self, ray: Ray, depth: i64) -> Option<u32> {
         let x = (self.eye.0 + i64::from(ray.x) * depth) >> CELL_SHIFT;
         let y = (self.eye.1 + i64::from(ray.y) * depth) >> CELL_SHIFT;
-        // As unsigned numbers, negative coordinates are large.
+        // Negative coordinates become large as unsigned numbers.
         let is_inside = (x as u64) < u64::from(self.columns) && (y as u64) < u64::from(self.rows);
         is_inside.then(|| y as u32 * self.columns + x as u32)
     }

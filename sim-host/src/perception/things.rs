@@ -15,7 +15,7 @@ use crate::{
 const MIN_CELLS: usize = 3;
 /// Minimum number of pixels of an object.
 const MIN_PIXELS: u32 = 30;
-/// Maximum percentage of an object's pixels that may lie above its height: noise.
+/// Maximum percentage of an object's pixels that may lie above its height, as noise.
 const OUTLIERS: u32 = 2;
 
 /// The objects in the figures of an image: clusters of cells that touch by an edge or a corner.

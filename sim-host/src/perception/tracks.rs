@@ -14,12 +14,12 @@ use crate::{
     timing::THING_LOST,
 };
 
-/// Gate: maximum distance between an object and a track's predicted position, in metres.
+/// Maximum distance between an object and the predicted position of its track, in metres.
 const GATE_M: f64 = 0.8;
 /// Minimum speed of an object that counts as walking, in m/s.
 const WALKING_M_S: f64 = 0.3;
-/// Minimum distance from its first position for that, in metres: two cameras that see different sides of
-/// an object do not make it walk.
+/// Minimum distance from its first position of an object that counts as walking, in metres: two
+/// cameras that see different sides of an object do not make it walk.
 const WALKED_M: f64 = 0.4;
 /// Minimum height of a walking object that is classified as a person, in millimetres.
 const PERSON_MM: u16 = 1_000;
@@ -29,9 +29,9 @@ const FIXED_AFTER: Duration = Duration::from_secs(10);
 const STANDING_MM: u16 = 1_350;
 /// Minimum height of a sitting person, in millimetres; below it, the person lies.
 const SITTING_MM: u16 = 550;
-/// Minimum duration of lying until it is reported: excludes stooping.
+/// Minimum duration of lying before it is reported, so that stooping is not.
 const LYING_FOR: Duration = Duration::from_secs(1);
-/// A height is kept for this duration: a camera that sees only the legs does not shrink a person.
+/// Duration for which a height is kept: a camera that sees only the legs does not shrink a person.
 const HEIGHT_FOR: Duration = Duration::from_secs(1);
 
 /// The posture of a person, derived from the height.
@@ -70,11 +70,11 @@ pub struct Track {
     first: (Instant, [f64; 2]),
     /// The time when `top_mm` was last confirmed, and the maximum height ever.
     height: (Instant, u16),
-    /// The time since which the person has been lying, and whether it was reported.
+    /// The time since which the person has been lying, and whether that was reported.
     lies: Option<(Instant, bool)>,
 }
 
-/// A person is lying on the floor.
+/// A report that a person is lying on the floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lying {
     /// The number of the track.
@@ -223,7 +223,7 @@ impl Track {
         }
     }
 
-    /// Reports a person lying on the floor, once, as soon as it is certain.
+    /// Returns a report, once, as soon as it is certain that a person is lying on the floor.
     fn falls(&mut self) -> Option<Lying> {
         if self.posture() != Some(Posture::Lying) {
             self.lies = None;

@@ -1,8 +1,9 @@
-//! Simulated annealing over exchanges: for programmes in which not every cell must be covered.
+//! Simulated annealing by exchanges of cameras, for programmes in which not every cell must be
+//! covered.
 //!
-//! The number of cameras stays as it is; a candidate of a random short cell takes the place of a
-//! random chosen one. Rounds cool geometrically, each twice as long as the one before, and start from
-//! the best set so far.
+//! The number of cameras stays the same: a random chosen candidate is replaced by one that covers a
+//! random short cell (a cell that lacks cameras). Rounds cool geometrically; each is twice as long
+//! as the one before, and starts from the best set so far.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,8 +13,8 @@ use super::{
     selection::Selection,
 };
 
-/// The temperatures at which a round begins and ends, as shares of what a camera of the start
-/// covers on average.
+/// The temperatures at which a round begins and ends, as fractions of the average number of cells
+/// that a camera of the initial set covers.
 const HOT: f64 = 0.05;
 const COLD: f64 = 0.003;
 /// Exchanges of the first round.
@@ -21,14 +22,14 @@ const FIRST_ROUND: u64 = 20_000;
 /// Initial weight of a required cell, relative to an optional one of weight one.
 const REQUIRED: i64 = 4;
 
-/// An anytime search: it can be run in slices without end.
+/// An anytime search: it runs in slices, and has a best result after each.
 pub(super) struct Annealing<'p> {
     programme: &'p Programme,
     selection: Selection<'p>,
     dice: ChaCha8Rng,
     hot: f64,
     cold: f64,
-    /// Number of exchanges of the round, and the index of the next one.
+    /// Number of exchanges of the current round, and the index of the next one.
     round: u64,
     step: u64,
     best: Option<Vec<u32>>,
@@ -63,7 +64,7 @@ impl<'p> Annealing<'p> {
         self.best.as_deref()
     }
 
-    /// Tries this number of exchanges.
+    /// Tries `steps` exchanges.
     pub(super) fn run(&mut self, steps: usize) {
         for _ in 0..steps {
             if self.step == self.round {
@@ -78,7 +79,8 @@ impl<'p> Annealing<'p> {
 
     fn begin_round(&mut self) {
         (self.round, self.step) = (self.round * 2, 0);
-        // Constraints that are still violated at the end of a round weigh more in the next one.
+        // Constraints that are still violated at the end of a round get more weight in the next
+        // one.
         self.selection.weigh_violations();
         if let Some(best) = &self.best {
             self.selection.chosen().to_vec().into_iter().for_each(|it| self.selection.remove(it));
@@ -106,7 +108,7 @@ impl<'p> Annealing<'p> {
         (!chosen.is_empty()).then(|| chosen[self.dice.random_range(0..chosen.len())])
     }
 
-    /// A random candidate, not chosen, of a random short cell.
+    /// A random candidate that covers a random short cell and is not chosen.
     fn pick_new(&mut self) -> Option<u32> {
         let short = self.selection.short();
         if short.is_empty() {
@@ -121,8 +123,8 @@ impl<'p> Annealing<'p> {
         (!self.selection.is_chosen(new)).then_some(new)
     }
 
-    /// Records the current set if it is the best so far; for the fewest cameras, continues with one
-    /// fewer.
+    /// Records the current set if it is the best so far. If the goal is the fewest cameras, the
+    /// search goes on with one camera fewer.
     fn note(&mut self) {
         if !self.selection.is_feasible() {
             return;

@@ -1,20 +1,21 @@
-//! Branch and bound: whether a placement within a limit exists.
+//! Branch and bound: decides whether a placement within a limit exists.
 //!
-//! Depth first. Each node fixes what its decisions imply, bounds what is left by a few subgradient
-//! steps from the multipliers of the node before, and fixes the candidates whose reduced cost alone
-//! would break the limit. It branches on a candidate of the required cell with the fewest left to
-//! choose from; where no required cell is short, on the candidate with the least reduced cost.
+//! The search is depth first. Each node first fixes the candidates that its decisions imply. It
+//! then bounds the rest by a few subgradient steps, starting from the multipliers of the node
+//! before, and fixes the candidates whose reduced cost alone would break the limit. It branches on
+//! a candidate of the short required cell with the fewest free candidates; if no required cell is
+//! short, on the candidate with the smallest reduced cost.
 
 use super::{
     programme::{Goal, Programme},
     relaxation::{self, Fixed, Relaxation},
 };
 
-/// Maximum number of subgradient steps of a node, and their length.
+/// Maximum number of subgradient steps per node, and their length.
 const STEPS: u32 = 20;
 const STEP: f64 = 0.3;
 
-/// The state of a search.
+/// The result of a search so far.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// Not decided yet.
@@ -28,32 +29,33 @@ pub(super) enum Verdict {
 /// A decision on the way from the root to a node.
 struct Decision {
     candidate: u32,
-    /// Length of the trail before it.
+    /// Length of the trail before this decision.
     trail: usize,
-    /// Whether the candidate was tried as chosen already.
+    /// Whether this is the second side: the one with the candidate chosen has already been tried.
     is_second: bool,
 }
 
 /// A contradiction: no placement agrees with the decisions.
 struct Contradiction;
 
-/// A search that can be run in slices.
+/// A search that runs in slices.
 pub(super) struct Branching<'p> {
     programme: &'p Programme,
     relaxation: Relaxation<'p>,
-    /// For the fewest cameras: no placement with more counts. For the best coverage: none with less
-    /// optional weight.
+    /// For the fewest cameras: the maximum number of cameras of a placement. For the best coverage:
+    /// the minimum covered optional weight.
     limit: u64,
     fixed: Vec<Fixed>,
-    /// For each cell the fixed candidates that cover it, and those that are still free.
+    /// For each cell, the number of chosen candidates that cover it, and the number of those that
+    /// are still free.
     inside: Vec<u32>,
     free: Vec<u32>,
     /// Number of candidates fixed as chosen.
     chosen: usize,
-    /// Fixed candidates, the last one last.
+    /// The candidates fixed so far, in the order in which they were fixed.
     trail: Vec<u32>,
     decisions: Vec<Decision>,
-    /// Cells whose bounds may imply something.
+    /// Cells whose bounds may imply further decisions.
     pending: Vec<u32>,
     is_begun: bool,
     is_done: bool,
@@ -61,7 +63,7 @@ pub(super) struct Branching<'p> {
 
 impl<'p> Branching<'p> {
     /// A search for a placement with at most `limit` cameras, or with a covered optional weight of
-    /// at least `limit`. The relaxation is one of the same programme.
+    /// at least `limit`. `relaxation` must be of the same programme.
     pub(super) fn new(programme: &'p Programme, relaxation: Relaxation<'p>, limit: u64) -> Self {
         Self {
             programme,
@@ -89,17 +91,17 @@ impl<'p> Branching<'p> {
         self.relaxation.cost() * STEPS as usize
     }
 
-    /// Requires at least this weight; only for the best coverage.
+    /// Raises the minimum weight; only for the best coverage.
     pub(super) fn raise_limit(&mut self, weight: u64) {
         self.limit = self.limit.max(weight);
     }
 
-    /// Begins anew with another limit.
+    /// Restarts the search with another limit.
     pub(super) fn begin_again(self, limit: u64) -> Self {
         Self::new(self.programme, self.relaxation, limit)
     }
 
-    /// Looks at this number of nodes.
+    /// Visits at most `nodes` nodes.
     pub(super) fn run(&mut self, nodes: usize) -> Verdict {
         for _ in 0..nodes {
             if self.is_done {
@@ -117,15 +119,16 @@ impl<'p> Branching<'p> {
         if self.is_done { Verdict::Exhausted } else { Verdict::Unfinished }
     }
 
-    /// Implications, leaf test and bound of the present node; puts the next decision on the stack, or
-    /// gives the node up.
+    /// Handles the current node: implications, leaf test and bound. Pushes the next decision, or
+    /// backtracks. Returns a placement if the node is one.
     fn look_at_node(&mut self) -> Option<Vec<u32>> {
         if self.imply().is_err() || self.is_out_of_reach() {
             self.give_up();
             return None;
         }
         let mut found = self.take_leaf();
-        // Below a leaf there are only more cameras, which may cover more.
+        // For the fewest cameras nothing better lies below a leaf; for the best coverage, more
+        // cameras may cover more.
         let is_end = found.is_some() && matches!(self.programme.goal, Goal::Fewest { .. });
         if is_end || self.bound().is_err() || self.imply().is_err() {
             self.give_up();
@@ -137,7 +140,7 @@ impl<'p> Branching<'p> {
                 self.decisions.push(Decision { candidate, trail, is_second: false });
             }
             None => {
-                // The bound has decided all that was left.
+                // The bound has fixed all remaining candidates.
                 found = found.or_else(|| self.take_leaf());
                 self.give_up();
             }
@@ -145,7 +148,7 @@ impl<'p> Branching<'p> {
         found
     }
 
-    /// The present node as a placement, if it is one; lowers or raises the limit.
+    /// Returns the current node's placement, if it is one within the limit, and tightens the limit.
     fn take_leaf(&mut self) -> Option<Vec<u32>> {
         let found = self.leaf()?;
         self.limit = match self.programme.goal {
@@ -217,7 +220,7 @@ impl<'p> Branching<'p> {
         }
     }
 
-    /// Fixes the candidates that the bounds of the pending cells decide.
+    /// Fixes the candidates that the bounds of the pending cells imply.
     fn imply(&mut self) -> Result<(), Contradiction> {
         while let Some(cell) = self.pending.pop() {
             let demand = self.programme.demands[cell as usize];
@@ -250,9 +253,9 @@ impl<'p> Branching<'p> {
         Ok(())
     }
 
-    /// Whether the goal is out of reach with the remaining candidates and cameras.
+    /// Whether the remaining candidates and cameras can't reach the goal.
     fn is_out_of_reach(&self) -> bool {
-        // The limit may have fallen since these were chosen.
+        // The limit may have been lowered since the candidates were chosen.
         if self.chosen > self.most_cameras() {
             return true;
         }
@@ -269,7 +272,7 @@ impl<'p> Branching<'p> {
         self.optional_weight(reach) < least
     }
 
-    /// The weight of the optional cells that would be covered with this overlap.
+    /// The weight of the optional cells that are covered with this overlap.
     fn optional_weight(&self, overlap: impl Fn(usize) -> u32) -> u64 {
         let cells = self.programme.demands.iter().enumerate();
         let covered = cells.filter(|(cell, demand)| {
@@ -328,7 +331,7 @@ impl<'p> Branching<'p> {
         Ok(())
     }
 
-    /// Whether no placement with this value of the relaxation is within the limit.
+    /// Whether this value of the relaxation proves that no placement is within the limit.
     fn is_broken(&self, value: i64) -> bool {
         let bound = relaxation::round(self.programme.goal, value);
         match self.programme.goal {

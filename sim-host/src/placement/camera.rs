@@ -1,4 +1,4 @@
-//! The cameras of a placement, and what they would see of an empty floor.
+//! The cameras of a placement, and what each would see of an empty floor.
 //!
 //! | paper | here |
 //! |---|---|
@@ -9,45 +9,45 @@
 
 use libm::{cos, sin, tan};
 
-/// What all cameras of a placement have in common.
+/// The properties that all cameras of a placement share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraModel {
-    /// From the left to the right edge of the image, in degrees: the paper's alpha.
+    /// Angle from the left to the right edge of the image, in degrees: the paper's alpha.
     pub horizontal_fov_deg: f64,
-    /// From the upper to the lower edge of the image, in degrees: the paper's beta.
+    /// Angle from the upper to the lower edge of the image, in degrees: the paper's beta.
     pub vertical_fov_deg: f64,
-    /// How far it sees, from the optical centre, in metres.
+    /// Maximum distance at which a point is seen, from the optical centre, in metres.
     pub range_m: f64,
 }
 
-/// Which floor counts as seen by a camera.
+/// Which floor a camera sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Projection {
-    /// The paper's rectangle below a camera that looks straight down. Nothing hides any of it, and
-    /// the camera's range is not considered.
+    /// The paper's rectangle below a camera that looks straight down. Obstacles and the camera's
+    /// range are ignored.
     Paper,
-    /// The floor inside the pyramid of a pinhole's view, within its range, and not in the shadow of
-    /// a wall or of furniture.
+    /// The floor inside a pinhole camera's field of view and within its range, except where walls
+    /// or furniture hide it.
     Pinhole,
 }
 
-/// A place where a camera may hang and the way it looks there: a `c_i` of the paper's `C`.
+/// A possible pose of a camera: a `c_i` of the paper's `C`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// The optical centre in `map`, in metres; z is the height `h_i`.
     pub position_m: [f64; 3],
-    /// Where it faces, counter-clockwise from x, in degrees: the paper's theta. The top of the
-    /// image of a camera that looks straight down is on this side.
+    /// Direction in which it faces, counter-clockwise from x, in degrees: the paper's theta. For a
+    /// camera that looks straight down, the top of the image is on this side.
     pub heading_deg: f64,
-    /// How far it looks down, in degrees: 0 level, 90 straight down.
+    /// Downward tilt in degrees: 0 is level, 90 straight down.
     pub tilt_deg: f64,
 }
 
 impl CameraModel {
     /// The paper's `d_i` of a camera at a height, in metres.
     ///
-    /// The paper calls it the depth of the rectangle on the floor, from the camera forwards
-    /// (`y_i <= y <= y_i + d_i`), while `w_i` is the whole width. A camera that looks straight down
+    /// The paper calls it the depth of the rectangle on the floor, forwards from the camera (`y_i
+    /// <= y <= y_i + d_i`), while `w_i` is the whole width. But a camera that looks straight down
     /// sees as far behind as ahead, so `d_i` is half of the depth: [`Footprint`] takes
     /// `-d_i <= y <= d_i`.
     pub fn depth_m(&self, height_m: f64) -> f64 {
@@ -60,7 +60,7 @@ impl CameraModel {
     }
 }
 
-/// What a camera sees of a floor on which nothing stands.
+/// The part of an empty floor that a camera sees.
 #[derive(Clone, Copy, Debug)]
 pub struct Footprint {
     projection: Projection,
@@ -68,7 +68,7 @@ pub struct Footprint {
     forward: [f64; 3],
     right: [f64; 3],
     up: [f64; 3],
-    /// Half of the image's width and height: as tangents, or for the paper's rectangle in metres.
+    /// Half of the image's width and height, as tangents; for the paper's rectangle in metres.
     half: [f64; 2],
     range: f64,
 }
@@ -77,7 +77,7 @@ impl Footprint {
     /// The footprint of a camera. The paper's projection ignores the tilt.
     pub fn new(projection: Projection, model: &CameraModel, candidate: &Candidate) -> Self {
         let heading = candidate.heading_deg.to_radians();
-        // The sine of 90 degrees is one, but a cosine of 6e-17 would lean a little.
+        // At exactly 90 degrees, rounding errors of sine and cosine would tilt the camera a little.
         let (tilt_sin, tilt_cos) = match candidate.tilt_deg {
             90.0 => (1.0, 0.0),
             tilt => (sin(tilt.to_radians()), cos(tilt.to_radians())),
@@ -102,7 +102,7 @@ impl Footprint {
         }
     }
 
-    /// Whether it holds a point of the floor (`map`, metres).
+    /// Whether a point of the floor (`map`, metres) is in the footprint.
     pub fn contains(&self, [x, y]: [f64; 2]) -> bool {
         let way = [x - self.eye[0], y - self.eye[1], -self.eye[2]];
         let along = |axis: [f64; 3]| axis[0] * way[0] + axis[1] * way[1] + axis[2] * way[2];
@@ -123,7 +123,7 @@ impl Footprint {
         }
     }
 
-    /// No point of the floor farther than this from below the camera is in the footprint, in
+    /// The distance from the point below the camera beyond which no floor is in the footprint, in
     /// metres.
     pub fn reach_m(&self) -> f64 {
         match self.projection {
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn the_papers_lengths_are_its_formulas() {
-        // 3 tan(27.5 deg) and 6 tan(34.5 deg), by hand.
+        // Computed by hand: 3 tan(27.5 deg) and 6 tan(34.5 deg).
         assert!((MODEL.depth_m(3.0) - 1.561_70).abs() < 1e-5);
         assert!((MODEL.width_m(3.0) - 4.123_69).abs() < 1e-5);
         let flat = CameraModel { horizontal_fov_deg: 90.0, vertical_fov_deg: 90.0, range_m: 9.0 };
@@ -189,12 +189,13 @@ mod tests {
         let model = CameraModel { range_m: 6.0, ..MODEL };
         let tilted = Candidate { position_m: [0.0, 0.0, 3.0], heading_deg: 0.0, tilt_deg: 45.0 };
         let footprint = Footprint::new(Projection::Pinhole, &model, &tilted);
-        // Its rays go from 72.5 to 17.5 degrees down: 3 / tan(72.5 deg) = 0.946 m ahead, and the
-        // range ends at sqrt(36 - 9) = 5.196 m.
+        // Its rays point 72.5 to 17.5 degrees down: the view starts 3 / tan(72.5 deg) = 0.946 m
+        // ahead, and the range ends it at sqrt(36 - 9) = 5.196 m.
         assert!(footprint.contains([0.95, 0.0]) && !footprint.contains([0.94, 0.0]));
         assert!(footprint.contains([5.19, 0.0]) && !footprint.contains([5.20, 0.0]));
         assert!((footprint.reach_m() - 27f64.sqrt()).abs() < 1e-12);
-        // Along the axis, 3 m ahead and 3 sqrt(2) m away, half of the width is tan(34.5 deg) of it.
+        // On the axis, 3 m ahead and 3 sqrt(2) m away, the half width is tan(34.5 deg) of that
+        // distance.
         let half = 3.0 * 2f64.sqrt() * 34.5f64.to_radians().tan();
         assert!(footprint.contains([3.0, half - 0.01]) && !footprint.contains([3.0, half + 0.01]));
     }

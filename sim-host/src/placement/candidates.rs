@@ -1,4 +1,4 @@
-//! Where cameras may hang and how they may look: the paper's `C`.
+//! The possible places and orientations of cameras: the paper's `C`.
 
 use super::{
     camera::{CameraModel, Candidate, Footprint, Projection},
@@ -12,25 +12,25 @@ const MAX_CANDIDATES: usize = 400_000;
 /// Maximum default spacing of places, in metres.
 const COARSEST_M: f64 = 2.0;
 
-/// Which candidates there are.
+/// Parameters of the candidates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choices {
     /// Heights above the floor, in metres.
     pub heights_m: Vec<f64>,
     /// Tilts in degrees: 0 level, 90 straight down. The paper's projection is defined for 90 only.
     pub tilts_deg: Vec<f64>,
-    /// Headings around the circle, the first along x; a camera whose footprint is the same when it
-    /// is turned by half a circle needs half of them.
+    /// Number of headings around the circle, the first along x. If half a turn does not change the
+    /// footprint, only half of them are used.
     pub headings: usize,
-    /// Side of the squares with one place each, in metres. By default that of a cell, doubled
-    /// while that gives more than 60,000 candidates (2 m at most).
+    /// Distance between adjacent places, in metres. By default the side of a cell, doubled (up to 2
+    /// m) until there are at most 60,000 candidates.
     pub spacing_m: Option<f64>,
 }
 
-/// Why there are no candidates. Messages do not name the room.
+/// Why there are no candidates. The messages do not name the room.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CandidatesError {
-    /// Nothing hangs above the ceiling.
+    /// The camera would be above the ceiling.
     #[error("a camera at a height of {height_m} m would be above the ceiling ({ceiling_m} m)")]
     AboveCeiling {
         /// Height of the cameras, in metres.
@@ -38,13 +38,13 @@ pub enum CandidatesError {
         /// Height of the ceiling, in metres.
         ceiling_m: f64,
     },
-    /// Obstacles block every place.
+    /// Obstacles block every place at this height.
     #[error("there is no place for a camera at a height of {height_m} m")]
     NoPlace {
         /// Height of the cameras, in metres.
         height_m: f64,
     },
-    /// The floor is farther away than the camera sees.
+    /// The camera's range is smaller than its height.
     #[error(
         "a camera with a range of {range_m} m can't see the floor from a height of {height_m} m"
     )]
@@ -54,7 +54,7 @@ pub enum CandidatesError {
         /// Height of the cameras, in metres.
         height_m: f64,
     },
-    /// All rays go above the horizon, or reach the floor beyond the range.
+    /// The camera is too level: no ray meets the floor within the range.
     #[error(
         "a camera tilted by {tilt_deg} degrees can't see the floor from a height of {height_m} m: \
          its lower edge looks {lower_deg:.1} degrees down, and its range is {range_m} m"
@@ -69,7 +69,7 @@ pub enum CandidatesError {
         /// Range of the cameras, in metres.
         range_m: f64,
     },
-    /// The paper's cameras look straight down.
+    /// The paper's projection is defined only for cameras that look straight down.
     #[error(
         "the paper's projection is of cameras that look straight down, not by {tilt_deg} degrees"
     )]
@@ -77,7 +77,7 @@ pub enum CandidatesError {
         /// Tilt asked for, in degrees.
         tilt_deg: f64,
     },
-    /// More than can be handled.
+    /// There are more candidates than the solver can handle.
     #[error("{count} candidates are too many (at most {MAX_CANDIDATES}); give a larger spacing")]
     TooMany {
         /// Number of candidates.
@@ -85,8 +85,7 @@ pub enum CandidatesError {
     },
 }
 
-/// The candidates for a room, those at one place one after the other, and the spacing of the places
-/// in metres.
+/// The candidates for a room, grouped by place, and the distance between adjacent places in metres.
 ///
 /// # Errors
 /// Every [`CandidatesError`].
@@ -135,7 +134,7 @@ pub fn candidates(
     }
 }
 
-/// Headings and tilts.
+/// All combinations of headings and tilts.
 fn poses(projection: Projection, choices: &Choices) -> Vec<(f64, f64)> {
     let mut poses: Vec<(f64, f64)> = Vec::new();
     for &tilt in &choices.tilts_deg {
@@ -154,7 +153,7 @@ fn poses(projection: Projection, choices: &Choices) -> Vec<(f64, f64)> {
     poses
 }
 
-/// Whether a camera sees any of an endless empty floor.
+/// Checks that a camera at this height and tilt sees an unlimited empty floor at all.
 fn check_view(
     projection: Projection,
     model: &CameraModel,
@@ -170,8 +169,8 @@ fn check_view(
     }
     let candidate = Candidate { position_m: [0.0, 0.0, height_m], heading_deg: 0.0, tilt_deg };
     let footprint = Footprint::new(projection, model, &candidate);
-    // Seen from above the footprint is convex and symmetric about the x axis: a camera that sees
-    // nothing of the axis sees nothing at all.
+    // Seen from above, the footprint is convex and symmetric about the x axis: a camera that sees
+    // no point of the axis sees nothing at all.
     let reach = footprint.reach_m();
     let steps = 10_000;
     let sees = (-steps..=steps)

@@ -1,9 +1,9 @@
-//! Whether the cameras of a placement overlap so that they can be calibrated against each other, and how
-//! to connect them where they do not.
+//! Whether the views of a placement's cameras overlap enough to calibrate the cameras against each
+//! other, and how to connect them if they do not.
 //!
-//! Two cameras are neighbours if both see a number of cells, where landmarks can lie (UbiSLAM,
-//! section 5). The graph of neighbours falls into pieces; a camera of one piece can't be calibrated
-//! against one of another.
+//! Two cameras are neighbours if both see a minimum number of common cells, where landmarks can lie
+//! (UbiSLAM, section 5). The connected components of the graph of neighbours are called pieces:
+//! cameras of different pieces can't be calibrated against each other.
 
 use std::collections::VecDeque;
 
@@ -15,27 +15,27 @@ use super::{
     selection::Selection,
 };
 
-/// Penalty of one more piece in the first round, in cells.
+/// Penalty of an additional piece in the first round, in cells.
 const PIECE: f64 = 3.0;
-/// Maximum penalty. Where coverage is the goal, the penalty doubles with each round, so that no more
-/// coverage is given up than necessary.
+/// Maximum penalty of a piece. If coverage is the goal, the penalty doubles with each round, so
+/// that no more coverage is given up than necessary.
 const MOST_PIECE: f64 = 400.0;
 /// The temperatures at which a round begins and ends, in cells.
 const HOT: f64 = 2.0;
 const COLD: f64 = 0.15;
-/// Exchanges of a round.
+/// Number of exchanges per round.
 const ROUND: usize = 20_000;
 
-/// The piece of each chosen candidate, numbered from zero in their order; cameras that share at
-/// least `shared` cells are in one piece.
+/// The piece of each chosen candidate, numbered from zero in order of appearance. Cameras that
+/// share at least `shared` cells are in one piece.
 pub fn pieces(programme: &Programme, chosen: &[u32], shared: u16) -> Vec<usize> {
     let mut graph = Graph::new(programme, shared);
     chosen.iter().for_each(|&candidate| graph.add(candidate));
     graph.pieces(chosen)
 }
 
-/// The fewest pieces of any placement that covers every cell with a demand and a candidate: cells
-/// that no chain of candidates connects are not connected by any choice of them.
+/// The minimum number of pieces of any placement that covers every cell that has a demand and a
+/// candidate. It exceeds one if no chain of candidates connects some of these cells.
 pub fn fewest_pieces(programme: &Programme) -> usize {
     let mut is_seen = vec![false; programme.demands.len()];
     let mut is_done = vec![false; programme.candidates()];
@@ -64,7 +64,7 @@ pub fn fewest_pieces(programme: &Programme) -> usize {
     count
 }
 
-/// Chosen candidates and their neighbours.
+/// The chosen candidates and their neighbours.
 struct Graph<'p> {
     programme: &'p Programme,
     shared: u16,
@@ -72,7 +72,7 @@ struct Graph<'p> {
     coverers: Vec<Vec<u32>>,
     /// For each chosen candidate its neighbours.
     neighbours: Vec<Vec<u32>>,
-    /// Scratch: shared cells with each candidate, all zero between calls.
+    /// Scratch memory: the number of cells shared with each candidate; all zero between calls.
     common: Vec<u16>,
 }
 
@@ -87,7 +87,7 @@ impl<'p> Graph<'p> {
         }
     }
 
-    /// The chosen candidates that would be neighbours of a candidate.
+    /// The chosen candidates that would be neighbours of `candidate`.
     fn beside(&mut self, candidate: u32) -> Vec<u32> {
         let mut touched = Vec::new();
         for &cell in self.programme.covers.row(candidate as usize) {
@@ -126,7 +126,7 @@ impl<'p> Graph<'p> {
 
     /// The piece of each of these chosen candidates.
     fn pieces(&mut self, chosen: &[u32]) -> Vec<usize> {
-        // `common` holds the number of each piece plus one meanwhile.
+        // Meanwhile `common` holds the number of each candidate's piece, plus one.
         let mut count = 0;
         for &start in chosen {
             if self.common[start as usize] != 0 {
@@ -155,8 +155,8 @@ impl<'p> Graph<'p> {
     }
 }
 
-/// A search for a placement in fewer pieces, with the same number of cameras: simulated annealing
-/// over exchanges, in which a piece counts like some uncovered cells.
+/// A search for a placement in fewer pieces with the same number of cameras: simulated annealing by
+/// exchanges, in which an additional piece costs as much as a number of uncovered cells.
 pub(super) struct Connecting<'p> {
     programme: &'p Programme,
     selection: Selection<'p>,
@@ -165,15 +165,15 @@ pub(super) struct Connecting<'p> {
     pieces: usize,
     /// Penalty of one more piece, in cells.
     price: f64,
-    /// Optional weight that a placement must cover to be taken.
+    /// Minimum optional weight that an accepted placement must cover.
     least_weight: u64,
     best: Option<(usize, u64, Vec<u32>)>,
     step: usize,
 }
 
 impl<'p> Connecting<'p> {
-    /// A search from a placement, feasible or not. Placements that cover less optional weight than
-    /// `least_weight` are not taken.
+    /// A search that starts from a placement, feasible or not. Placements that cover less optional
+    /// weight than `least_weight` are not accepted.
     pub(super) fn new(
         programme: &'p Programme,
         start: &[u32],
@@ -198,12 +198,12 @@ impl<'p> Connecting<'p> {
         search
     }
 
-    /// The pieces of the best placement so far, and that placement, ascending.
+    /// The number of pieces of the best placement so far, and that placement, ascending.
     pub(super) fn best(&self) -> Option<(usize, &[u32])> {
         self.best.as_ref().map(|(pieces, _, chosen)| (*pieces, &chosen[..]))
     }
 
-    /// Tries this number of exchanges, or fewer if a placement in `enough` pieces is found.
+    /// Tries `steps` exchanges; stops early if a placement in at most `enough` pieces is found.
     pub(super) fn run(&mut self, steps: usize, enough: usize) {
         for _ in 0..steps {
             if self.best.as_ref().is_some_and(|(pieces, ..)| *pieces <= enough) {
@@ -212,7 +212,7 @@ impl<'p> Connecting<'p> {
             let done = (self.step % ROUND) as f64 / ROUND as f64;
             self.step += 1;
             if self.step.is_multiple_of(ROUND) {
-                // Constraints that stay violated weigh more.
+                // Constraints that stay violated get more weight.
                 self.selection.weigh_violations();
                 if matches!(self.programme.goal, Goal::Best { .. }) {
                     self.price = (2.0 * self.price).min(MOST_PIECE);
@@ -238,7 +238,7 @@ impl<'p> Connecting<'p> {
         self.selection.remove(old);
         let change = (self.selection.gain(new) - loss) as f64;
         self.selection.add(old);
-        // Fewer pieces may make up for it, but not for everything.
+        // Fewer pieces may compensate for lost coverage, but only up to a limit.
         let most = change + self.price * self.pieces.saturating_sub(1).min(4) as f64;
         let chance = self.dice.random::<f64>();
         if most < temperature * libm::log(chance) {
@@ -257,8 +257,8 @@ impl<'p> Connecting<'p> {
         }
     }
 
-    /// A random chosen candidate and another one for it: one that covers a random short cell, or a
-    /// cell that is seen already.
+    /// A random chosen candidate and its replacement: a candidate that covers a random short cell,
+    /// or any cell that is already seen.
     fn pick(&mut self) -> Option<(u32, u32)> {
         let chosen = self.selection.chosen();
         let short = self.selection.short();
@@ -298,9 +298,9 @@ impl<'p> Connecting<'p> {
     }
 }
 
-/// A placement with cameras added until its pieces are as few as `enough`, or until no camera can
-/// connect any more of them: the shortest chain of candidates between two pieces, again and again.
-/// Cameras that are no longer needed are then removed. Upper bounds are kept.
+/// Adds cameras to a placement until it has at most `enough` pieces, or no further pieces can be
+/// connected. Each time it adds the shortest chain of candidates between two pieces. Then it
+/// removes the cameras that are no longer needed. Upper bounds are kept.
 pub(super) fn bridge(programme: &Programme, start: &[u32], shared: u16, enough: usize) -> Vec<u32> {
     let mut selection = Selection::new(programme, 1);
     let mut graph = Graph::new(programme, shared);
@@ -311,7 +311,7 @@ pub(super) fn bridge(programme: &Programme, start: &[u32], shared: u16, enough: 
     while graph.count_pieces(selection.chosen()) > enough {
         let Some(chain) = chain(&selection, &mut graph) else { break };
         for candidate in chain {
-            // Those before it in the chain may have filled a cell.
+            // Earlier candidates of the chain may have filled up a cell.
             if selection.crowds(candidate) {
                 break;
             }
@@ -319,7 +319,7 @@ pub(super) fn bridge(programme: &Programme, start: &[u32], shared: u16, enough: 
             graph.add(candidate);
         }
     }
-    // In reverse order: later cameras may have made earlier ones unnecessary.
+    // In reverse order, because later cameras may have made earlier ones unnecessary.
     let pieces = graph.count_pieces(selection.chosen());
     for candidate in selection.sorted().into_iter().rev() {
         selection.remove(candidate);
@@ -332,7 +332,7 @@ pub(super) fn bridge(programme: &Programme, start: &[u32], shared: u16, enough: 
     selection.sorted()
 }
 
-/// The shortest chain of candidates from the smallest piece that can be connected to another one.
+/// The shortest chain of candidates from the smallest piece that can be connected to another piece.
 fn chain(selection: &Selection<'_>, graph: &mut Graph<'_>) -> Option<Vec<u32>> {
     let chosen = selection.chosen().to_vec();
     let pieces = graph.pieces(&chosen);
@@ -346,7 +346,8 @@ fn chain(selection: &Selection<'_>, graph: &mut Graph<'_>) -> Option<Vec<u32>> {
     })
 }
 
-/// The shortest chain of candidates, none chosen, from a piece to a chosen candidate of another one.
+/// The shortest chain of candidates, none of them chosen, from a piece to a chosen candidate of
+/// another piece.
 fn chain_from(
     piece: Vec<u32>,
     selection: &Selection<'_>,

@@ -1,4 +1,4 @@
-//! From candidates to the cells that each covers: the paper's `f : C -> 2^S`.
+//! The cells that each candidate covers: the paper's `f : C -> 2^S`.
 
 use super::{
     camera::{CameraModel, Candidate, Footprint, Projection},
@@ -9,8 +9,8 @@ use super::{
 
 /// For each candidate the cells of a floor that it covers, ascending.
 ///
-/// Candidates that hang at one point should follow one another: what is hidden from that point is
-/// then found once.
+/// Candidates at the same point should be adjacent in the list: the floor hidden from that point is
+/// then computed only once.
 pub fn coverage(
     plan: &FloorPlan,
     projection: Projection,

@@ -1,34 +1,33 @@
-//! The room to be covered: its floor as cells, and what stands on it.
+//! The room to be covered: its floor, divided into cells, and the obstacles in it.
 
 use ubimap_protocol::tile::Cell;
 
 use super::obstacle::Obstacle;
 use crate::grid::OccupancyGrid;
 
-/// Maximum number of cells of a lattice over a room: 500 x 500 m at 0.5 m.
+/// Maximum number of cells of a room's lattice, for example 500 x 500 m at 0.5 m.
 const MOST_CELLS: f64 = 1e6;
 
-/// Maximum number of samples along a side of a cell, which decide whether it is floor.
+/// Maximum number of sample points along a side of a cell; they decide whether the cell is floor.
 const MOST_SAMPLES: usize = 20;
 
-/// Distance between the samples of drawn rooms, in metres.
+/// Distance between sample points in rooms that are not read from a map, in metres.
 const SAMPLE_M: f64 = 0.05;
 
-/// Minimum number of connected floor cells; smaller pieces, such as speckles of a recorded map, are
+/// Minimum number of connected floor cells. Smaller pieces, such as specks of a recorded map, are
 /// left out.
 const LEAST_PIECE: usize = 4;
 
 /// What bounds the floor of a room.
 #[derive(Clone, Debug)]
 pub enum Enclosure {
-    /// A polygon, corner by corner, in metres.
+    /// A polygon given by its corners, in metres.
     Outline(Vec<[f64; 2]>),
-    /// A map without yaw: its free cells are floor; its occupied cells are walls that reach the
-    /// ceiling.
+    /// A map without yaw: its free cells are floor; its occupied cells are walls up to the ceiling.
     Map(OccupancyGrid),
 }
 
-/// Why a room has no floor plan. Messages do not name the room.
+/// Why a room has no floor plan. The messages do not name the room.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FloorPlanError {
     /// No cell is floor.
@@ -37,7 +36,7 @@ pub enum FloorPlanError {
         /// Side of a cell, in metres.
         side_m: f64,
     },
-    /// Too many cells.
+    /// The room has too many cells.
     #[error("has {columns} x {rows} cells of {side_m} m; use larger cells (at most {MOST_CELLS})")]
     TooLarge {
         /// Side of a cell, in metres.
@@ -74,16 +73,17 @@ pub struct FloorPlan {
     columns: usize,
     rows: usize,
     cells: Vec<FloorCell>,
-    /// For each square of the lattice the index of its cell plus one, or zero if it is not floor.
+    /// For each square of the lattice, the index of its cell plus one; zero if the square is not
+    /// floor.
     index: Vec<u32>,
     left_out: usize,
 }
 
 impl FloorPlan {
-    /// The plan of a room whose cells have sides of `side_m` metres.
+    /// The plan of a room, in cells with a side of `side_m` metres.
     ///
-    /// A cell counts as floor if at least half of its area is inside the enclosure and clear of
-    /// obstacles that begin below `robot_height_m`. Pieces of fewer than four cells are left out.
+    /// A cell is floor if at least half of its area is inside the enclosure and free of obstacles
+    /// lower than `robot_height_m`. Pieces of fewer than four cells are left out.
     ///
     /// # Errors
     /// Every [`FloorPlanError`].
@@ -94,7 +94,7 @@ impl FloorPlan {
         side_m: f64,
     ) -> Result<Self, FloorPlanError> {
         let [low, high] = enclosure.bounds();
-        // A corner within a micrometre of a multiple of the side counts as that multiple.
+        // A corner within a micrometre of a multiple of the side is taken as that multiple.
         let first = low.map(|it| (it / side_m + 1e-6).floor());
         let last = high.map(|it| (it / side_m - 1e-6).ceil());
         let size = [last[0] - first[0], last[1] - first[1]];
@@ -147,17 +147,17 @@ impl FloorPlan {
         self.ceiling_m
     }
 
-    /// What stands or hangs in the room, apart from the walls of a map.
+    /// The obstacles in the room, apart from the walls of a map.
     pub fn obstacles(&self) -> &[Obstacle] {
         &self.obstacles
     }
 
-    /// What bounds the floor.
+    /// The boundary of the floor.
     pub fn enclosure(&self) -> &Enclosure {
         &self.enclosure
     }
 
-    /// The cells of pieces of floor that are too small.
+    /// Number of floor cells left out because their piece is too small.
     pub fn left_out(&self) -> usize {
         self.left_out
     }
@@ -181,16 +181,16 @@ impl FloorPlan {
         rows.flat_map(move |row| columns.clone().filter_map(move |it| self.cell_at(it, row)))
     }
 
-    /// Whether a camera can hang at a point of `map` at a height, in metres: inside the room, and
-    /// not inside an obstacle.
+    /// Whether a camera can hang at a point of `map` at this height in metres: inside the room, and
+    /// outside of every obstacle.
     pub fn can_hold_camera(&self, point_m: [f64; 2], height_m: f64) -> bool {
         self.enclosure.is_inside(point_m)
             && height_m <= self.ceiling_m
             && !self.obstacles.iter().any(|it| it.spans(height_m) && it.contains(point_m))
     }
 
-    /// The points of `map` at which cameras may hang at a height, in metres: for each square of
-    /// this side the point nearest to its centre, if there is one.
+    /// The points of `map` at which cameras can hang at a height in metres: in each square with a
+    /// side of `spacing_m`, the possible point nearest to its centre, if there is one.
     pub fn mounts(&self, spacing_m: f64, height_m: f64) -> Vec<[f64; 2]> {
         let [low, high] = [
             self.origin_m,
@@ -285,8 +285,8 @@ impl FloorPlan {
         }
     }
 
-    /// The sample points of a square of this side, in metres from its corner: an odd number along
-    /// each side, those nearest to the centre first.
+    /// The sample points of a square with this side, in metres from its corner, nearest to the
+    /// centre first. Their number along each side is odd.
     fn offsets(&self, side_m: f64) -> Vec<[f64; 2]> {
         let pitch = match &self.enclosure {
             Enclosure::Outline(_) => SAMPLE_M,
@@ -306,7 +306,7 @@ impl FloorPlan {
 }
 
 impl Enclosure {
-    /// Whether a point of `map` is inside: within the outline, or free on the map.
+    /// Whether a point of `map` is inside the outline, or free on the map.
     fn is_inside(&self, point: [f64; 2]) -> bool {
         match self {
             Self::Outline(outline) => is_in_polygon(outline, point),
@@ -333,7 +333,8 @@ impl Enclosure {
     }
 }
 
-/// Whether a point is within a polygon: a ray to the right crosses its edges an odd number of times.
+/// Whether a point is inside a polygon: a ray to the right crosses its edges an odd number of
+/// times.
 fn is_in_polygon(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
     let next = corners.iter().cycle().skip(1);
     let crosses = corners.iter().zip(next).filter(|(from, to)| {

@@ -1,4 +1,4 @@
-//! The greedy start: always the candidate that helps most.
+//! The greedy initial placement: repeatedly adds the candidate with the greatest gain.
 
 use std::collections::BinaryHeap;
 
@@ -7,12 +7,13 @@ use super::{
     selection::Selection,
 };
 
-/// A placement to start from, ascending: it may miss the goal where upper bounds are in the way.
+/// An initial placement, ascending. It may miss the goal where upper bounds prevent it.
 ///
-/// The gain of a candidate only falls as others are chosen, so the last known gains are upper bounds
-/// and few candidates are evaluated again (Minoux, "Accelerated greedy algorithms", 1978).
+/// The gain of a candidate can only fall as others are chosen, so its last known gain is an upper
+/// bound, and few candidates must be evaluated again (Minoux, "Accelerated greedy algorithms",
+/// 1978).
 pub(super) fn greedy(programme: &Programme) -> Vec<u32> {
-    // Keeping an upper bound is worth more than covering any one cell.
+    // Violating an upper bound costs more than covering any cell gains.
     let cells = programme.demands.len() as i64;
     let mut selection = Selection::new(programme, cells.max(1));
     let most = match programme.goal {

@@ -1,15 +1,15 @@
 //! A sparse 0/1 matrix by rows.
 
-/// For each row the columns that hold a one, ascending.
+/// The matrix as lists: for each row the columns that contain a one, ascending.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Incidence {
-    /// Where each row begins in `columns`; one more entry than rows.
+    /// The index in `columns` at which each row begins; has one entry more than there are rows.
     starts: Vec<u32>,
     columns: Vec<u32>,
 }
 
 impl Incidence {
-    /// A matrix from its rows, each sorted and without repeats.
+    /// A matrix from its rows, each sorted and without duplicates.
     pub fn from_rows<R: AsRef<[u32]>>(rows: impl IntoIterator<Item = R>) -> Self {
         let mut matrix = Self { starts: vec![0], columns: Vec::new() };
         for row in rows {

@@ -1,10 +1,10 @@
-//! A set of small numbers whose members can be picked by position.
+//! A set of small integers with constant-time access to members by position.
 
 /// A subset of the numbers below a bound. Every operation takes constant time.
 #[derive(Clone, Debug)]
 pub(super) struct IndexSet {
     members: Vec<u32>,
-    /// For each number its place in `members`, plus one; zero for none.
+    /// For each integer its position in `members` plus one; zero if it is not a member.
     places: Vec<u32>,
 }
 
@@ -24,7 +24,7 @@ impl IndexSet {
         self.places[member as usize] != 0
     }
 
-    /// Adds a number; does nothing if it is a member.
+    /// Adds an integer; no effect if it is already a member.
     pub(super) fn insert(&mut self, member: u32) {
         if !self.contains(member) {
             self.members.push(member);
@@ -32,7 +32,7 @@ impl IndexSet {
         }
     }
 
-    /// Takes a number out; does nothing if it is no member.
+    /// Removes an integer; no effect if it is not a member.
     pub(super) fn remove(&mut self, member: u32) {
         let place = std::mem::take(&mut self.places[member as usize]) as usize;
         if place > 0 {

@@ -1,5 +1,5 @@
-//! The integer programme as it is written in the paper, through [`good_lp`]: for comparison with
-//! general solvers, and as a test oracle.
+//! The integer programme as written in the paper, for general solvers through [`good_lp`]: for
+//! comparison with the own solver, and as a test oracle.
 
 use good_lp::{
     Expression, ProblemVariables, ResolutionError, Solution as _, SolverModel, Variable,
@@ -22,16 +22,16 @@ pub enum MilpSolver {
     Highs,
 }
 
-/// How an integer programme is to be solved.
+/// How to solve an integer programme.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Milp {
     /// The solver.
     pub solver: MilpSolver,
-    /// Time limit in seconds of the wall clock.
+    /// Time limit in seconds of real time.
     pub seconds: f64,
 }
 
-/// Why a solver has no answer.
+/// Why a solver failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("the solver of integer programmes failed: {reason}")]
 pub struct MilpError {
@@ -39,7 +39,7 @@ pub struct MilpError {
     pub reason: String,
 }
 
-/// Improves or proves a known solution.
+/// Improves a known solution, or proves that it is optimal.
 ///
 /// # Errors
 /// If the solver fails. Running out of time is not a failure.
@@ -50,7 +50,7 @@ pub fn improve(programme: &Programme, known: Solution, milp: &Milp) -> Result<So
         .filter_map(|candidate| reduction.candidates.binary_search(candidate).ok())
         .map(|place| place as u32)
         .collect();
-    // The reductions may have replaced a candidate of the start.
+    // The reductions may have removed candidates of the initial solution.
     let start = Some(start).filter(|start| reduction.programme.is_feasible(start));
     let model = Model::new(&reduction.programme);
     let answer = match milp.solver {
@@ -63,7 +63,7 @@ pub fn improve(programme: &Programme, known: Solution, milp: &Milp) -> Result<So
         Err(ResolutionError::Infeasible) => {
             return Ok(Solution { is_infeasible: known.chosen.is_none(), ..known });
         }
-        // Out of time.
+        // The time limit is reached.
         Err(ResolutionError::Other(_)) => return Ok(known),
         Err(error) => {
             let reason = error.to_string().lines().collect::<Vec<_>>().join(" ");
@@ -90,13 +90,13 @@ pub fn improve(programme: &Programme, known: Solution, milp: &Milp) -> Result<So
     })
 }
 
-/// The programme in the terms of [`good_lp`].
+/// The programme's variables in [`good_lp`].
 struct Model<'p> {
     programme: &'p Programme,
     variables: ProblemVariables,
-    /// For each candidate whether it is chosen.
+    /// For each candidate, whether it is chosen.
     chosen: Vec<Variable>,
-    /// For each optional cell whether it counts as covered.
+    /// For each optional cell, whether it is covered.
     covered: Vec<Option<Variable>>,
 }
 
@@ -112,8 +112,8 @@ impl<'p> Model<'p> {
         Self { programme, variables, chosen, covered }
     }
 
-    /// The candidates that a solver chooses, ascending, and whether it has proved that no choice is
-    /// better.
+    /// Returns the candidates that a solver chooses, ascending, and whether the solver has proved
+    /// that choice to be optimal.
     fn solve<S: SolverModel<Error = ResolutionError> + WithTimeLimit + WithInitialSolution>(
         self,
         solver: impl FnOnce(good_lp::variable::UnsolvedProblem) -> S,

@@ -1,13 +1,13 @@
-//! What can hide floor from a camera: upright prisms.
+//! Obstacles that can hide the floor from a camera: upright prisms.
 
 /// A convex outline seen from above, in `map`, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outline {
     /// A circle.
     Disc {
-        /// Its centre.
+        /// The centre of the circle.
         centre_m: [f64; 2],
-        /// Its radius.
+        /// The radius of the circle.
         radius_m: f64,
     },
     /// A convex polygon by its corners, counter-clockwise.
@@ -26,22 +26,22 @@ pub struct Obstacle {
 }
 
 impl Obstacle {
-    /// Whether a level plane at this height, in metres, cuts it.
+    /// Whether a horizontal plane at this height, in metres, intersects the prism.
     pub fn spans(&self, height_m: f64) -> bool {
         self.bottom_m <= height_m && height_m < self.top_m
     }
 
-    /// Whether a point of `map` is under or over it.
+    /// Whether a point of `map` lies within the outline.
     pub fn contains(&self, point: [f64; 2]) -> bool {
-        // A segment without length.
+        // Clips a segment of length zero.
         self.outline.clip(point, [0.0, 0.0], [0.0, 1.0]).is_some()
     }
 
-    /// Whether it hides a point of the floor from an eye (both in `map`, metres; z up).
+    /// Whether the prism hides a point of the floor from an eye (both in `map`, metres; z up).
     ///
-    /// A point of the way is `eye + t (floor - eye)`. At `t` its height is `(1 - t) eye_z`, so the
-    /// way is at the prism's heights from `1 - top / eye_z` to `1 - bottom / eye_z`; the prism
-    /// hides the floor if that part of the way, seen from above, meets the outline.
+    /// The line of sight is `eye + t (floor - eye)`, whose height is `(1 - t) eye_z`. It is between
+    /// the prism's bottom and top from `t = 1 - top / eye_z` to `t = 1 - bottom / eye_z`. The prism
+    /// hides the floor if that section of the line, seen from above, meets the outline.
     pub fn hides(&self, eye: [f64; 3], floor: [f64; 2]) -> bool {
         let [x, y, z] = eye;
         let from = (1.0 - self.top_m / z).max(0.0);
@@ -66,7 +66,7 @@ impl Obstacle {
 }
 
 impl Outline {
-    /// The part of a way `start + t way` inside the shape, within a range of `t`.
+    /// The part of a line `start + t way` that lies inside the outline, within a range of `t`.
     fn clip(&self, start: [f64; 2], way: [f64; 2], [from, to]: [f64; 2]) -> Option<[f64; 2]> {
         match self {
             Self::Disc { centre_m, radius_m } => {

@@ -14,21 +14,23 @@ use super::{
 
 /// Weight of a critical cell under [`CriticalRule::Weighted`].
 const CRITICAL_WEIGHT: u32 = 5;
-/// Minimum overlap of a critical cell under [`CriticalRule::Twice`].
+/// Minimum number of cameras that must see a critical cell under [`CriticalRule::Twice`].
 const TWICE: u16 = 2;
 
-/// Minimum floor that two neighbouring cameras share, in square metres: room for landmarks.
+/// Minimum area of floor that two neighbouring cameras must share, in square metres: enough for
+/// landmarks.
 const SHARED_M2: f64 = 0.25;
 
-/// The share of the time after which a solution is taken as it is, so that the rest is left for its
-/// connection.
+/// Fraction of the time after which the solver must stop, so that the rest is left for connecting
+/// the cameras.
 const SOLVED: f64 = 0.8;
-/// The share of the time for finding out how many cameras the critical cells need.
+/// Fraction of the time for finding out how many cameras the critical cells need.
 const CHECKED: f64 = 0.2;
-/// Exchanges tried to connect a placement for free, and where it is asked for.
+/// Maximum number of exchanges for connecting a placement: without [`Request::connect`], and
+/// with it.
 const FREE_EXCHANGES: usize = 20_000;
 const MOST_EXCHANGES: usize = 1_000_000;
-/// Exchanges between two reports.
+/// Number of exchanges between two reports.
 const EXCHANGES: usize = 500;
 
 /// The demand of a cell that need not be covered.
@@ -39,21 +41,23 @@ const IGNORED: Demand = Demand { at_least: 0, at_most: ANY_OVERLAP, weight: 0, i
 pub struct Request {
     /// Which floor counts as seen.
     pub projection: Projection,
-    /// The cameras.
+    /// The cameras' properties.
     pub model: CameraModel,
-    /// Where they may hang and how they may look.
+    /// The possible places and orientations of the cameras.
     pub choices: Choices,
-    /// A cell counts as covered from this number of cameras on: the paper's `m`.
+    /// The minimum number of cameras that must see a cell for it to count as covered: the paper's
+    /// `m`.
     pub at_least: u16,
-    /// No more cameras may see a cell: the paper's `k`.
+    /// The maximum number of cameras that may see a cell: the paper's `k`.
     pub at_most: Option<u16>,
     /// The goal of the optimisation.
     pub aim: Aim,
     /// Cells that matter more, and how.
     pub critical: Option<Critical>,
-    /// Whether cameras may be added, or less be covered, to connect the overlap.
+    /// Whether cameras may be added, or coverage be given up, to connect the cameras' views.
     pub connect: bool,
-    /// Another solver for the integer programme, after the local search has had a fifth of the time.
+    /// Another solver for the integer programme, used after the local search has had a fifth of the
+    /// time.
     pub milp: Option<Milp>,
     /// Seed of all random numbers.
     pub seed: u64,
@@ -75,7 +79,7 @@ pub enum Aim {
 pub struct Critical {
     /// For each cell of the floor whether it is critical.
     pub cells: Vec<bool>,
-    /// How they are treated.
+    /// How these cells are treated.
     pub rule: CriticalRule,
 }
 
@@ -86,42 +90,53 @@ pub enum CriticalRule {
     Twice,
     /// They count five times.
     Weighted,
-    /// They alone are the paper's `S`; other floor is left out.
+    /// They alone must be covered (the paper's `S`); other floor is ignored.
     Only,
 }
 
-/// Why there is no placement. Each is one line, without the name of the room.
+/// Why there is no placement. Each message is one line, and does not name the room.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PlacementError {
     /// There are no candidates.
     #[error(transparent)]
     Candidates(#[from] CandidatesError),
-    /// m > k.
-    #[error("the minimum overlap exceeds the maximum: at least {at_least} and at most {at_most}")]
+    /// The minimum overlap exceeds the maximum (m > k).
+    #[error(
+        "the minimum overlap exceeds the maximum: at least {at_least} and at most {at_most}; raise --max-overlap or lower --min-overlap"
+    )]
     Bounds {
         /// The lower bound.
         at_least: u16,
         /// The upper bound.
         at_most: u16,
     },
-    /// Critical cells need two cameras, and may have one.
-    #[error("critical cells must be seen twice, but the maximum overlap is {at_most}")]
+    /// Critical cells must be seen twice, but the maximum overlap is below two.
+    #[error(
+        "critical cells must be seen twice, but the maximum overlap is {at_most}; raise --max-overlap or choose another --critical-rule"
+    )]
     CriticalBounds {
         /// The upper bound.
         at_most: u16,
     },
-    /// Connected cameras see some cells together.
-    #[error("connected cameras must overlap, but the maximum overlap is 1")]
+    /// Connected cameras see common cells, so the maximum overlap must be at least two.
+    #[error(
+        "connected cameras must overlap, but the maximum overlap is 1; raise --max-overlap or leave out --connect"
+    )]
     ConnectedBounds,
     /// No cell is critical.
-    #[error("no cell of the floor is critical")]
+    #[error(
+        "no cell of the floor is critical; in the image for --critical, mark floor with 50 % grey or lighter"
+    )]
     NothingCritical,
     /// No candidate sees any cell.
-    #[error("no candidate sees any of the floor")]
-    NothingSeen,
-    /// More is asked for than all candidates see together.
     #[error(
-        "{asked:.1} % of the floor requested, but all candidates together see only {seen:.1} %"
+        "no candidate sees any of the floor; change the heights, tilts or range of the cameras"
+    )]
+    NothingSeen,
+    /// The requested coverage exceeds what all candidates see together.
+    #[error(
+        "{asked:.1} % of the floor requested, but all candidates together see only {seen:.1} %; \
+         lower --coverage, or give more places, headings or tilts"
     )]
     Unreachable {
         /// Coverage asked for, in per cent.
@@ -129,21 +144,23 @@ pub enum PlacementError {
         /// Floor that any candidate sees, in per cent.
         seen: f64,
     },
-    /// The critical cells need more cameras than there are.
-    #[error("{cameras} cameras are too few: the critical cells need at least {least}")]
+    /// There are fewer cameras than the critical cells need.
+    #[error(
+        "{cameras} cameras are too few: the critical cells need at least {least}; raise --cameras"
+    )]
     TooFewCameras {
         /// Cameras asked for.
         cameras: usize,
         /// Cameras needed at least.
         least: u64,
     },
-    /// Proved to be infeasible.
+    /// It is proved that no placement exists.
     #[error("no placement keeps every overlap within its bounds; {advice}")]
     Infeasible {
         /// What to change.
         advice: &'static str,
     },
-    /// None found in time; infeasibility is not proved.
+    /// No placement was found in time; it is not proved that none exists.
     #[error("no placement was found in time that keeps every overlap within its bounds; {advice}")]
     NotFound {
         /// What to change.
@@ -164,7 +181,7 @@ pub enum Stage {
     },
     /// The integer programme is being solved.
     Solving(Interim),
-    /// The overlap is being connected.
+    /// The views of the cameras are being connected.
     Connecting {
         /// Cameras of the placement.
         cameras: usize,
@@ -180,35 +197,38 @@ pub struct Placement {
     pub cameras: Vec<Candidate>,
     /// For each cell of the floor the number of cameras that see it.
     pub overlap: Vec<u16>,
-    /// For each cell of the floor the number of candidates that see it: zero for a blind one.
+    /// For each cell of the floor, the number of candidates that see it; zero if no camera can see
+    /// it.
     pub seen_by: Vec<u32>,
     /// Number of candidates, and the spacing of their places in metres.
     pub candidates: usize,
     /// See [`Placement::candidates`].
     pub spacing_m: f64,
-    /// Cells that must be seen by more cameras than candidates see them, and are seen by fewer
-    /// therefore; without blind ones.
+    /// Number of cells for which the minimum overlap was lowered, because too few candidates see
+    /// them; without cells that no candidate sees.
     pub lowered: usize,
-    /// What has been optimised, by its value: cameras, or total weight of the covered cells.
+    /// The value of the goal: the number of cameras, or the total weight of the covered cells.
     pub value: u64,
-    /// No placement is better than this.
+    /// A proved bound: no placement has a better value.
     pub bound: u64,
-    /// Cameras that were added to connect the overlap; beyond [`Placement::value`].
+    /// Number of cameras added to connect the views; not included in [`Placement::value`].
     pub added: usize,
-    /// Pieces of the overlap graph: one if calibration can follow it everywhere.
+    /// Number of pieces of the overlap graph. If it is one, every camera can be calibrated against
+    /// every other.
     pub pieces: usize,
-    /// The fewest pieces that any choice of candidates has which covers all that they see.
+    /// The minimum number of pieces of any placement that covers everything the candidates see.
     pub fewest_pieces: usize,
 }
 
 impl Placement {
-    /// Whether no placement is better, apart from cameras added to connect the overlap: proved.
+    /// Whether it is proved that no placement has a better value.
     pub fn is_optimal(&self) -> bool {
         self.value == self.bound
     }
 
-    /// How far from optimal the value may be: the difference between it and the bound, by the value
-    /// for the fewest cameras and by the bound for the greatest coverage.
+    /// The relative difference between the value and the bound, an upper limit of how far the value
+    /// is from optimal: relative to the value for the fewest cameras, to the bound for the greatest
+    /// coverage.
     pub fn gap(&self) -> f64 {
         self.value.abs_diff(self.bound) as f64 / self.value.max(self.bound).max(1) as f64
     }
@@ -216,8 +236,8 @@ impl Placement {
 
 /// Places cameras in a room.
 ///
-/// `report` hears what goes on, every few milliseconds while a solution is searched for, and gives
-/// the share of the time that is spent; from 1 on the best placement so far is taken.
+/// `report` is called every few milliseconds with the current stage, and returns the fraction of
+/// the time that is spent; from 1 on, `place` ends with the best placement so far.
 ///
 /// # Errors
 /// Every [`PlacementError`].
@@ -293,12 +313,13 @@ fn check(request: &Request) -> Result<(), PlacementError> {
     Ok(())
 }
 
-/// The cells of a programme among those of the floor.
+/// The part of the floor that a programme covers.
 struct Area {
-    /// For each cell of the floor its number in the programme plus one; zero for none.
+    /// For each cell of the floor its index in the programme plus one; zero if it is not part of
+    /// it.
     numbers: Vec<u32>,
     demands: Vec<Demand>,
-    /// Total weight of the floor that is asked for, seen by any candidate or not.
+    /// Total weight of the requested floor, including cells that no candidate can see.
     weight: u64,
     lowered: usize,
 }
@@ -316,7 +337,7 @@ impl Area {
         for (cell, &seen_by) in seen_by.iter().enumerate() {
             let is_twice = is_critical(cell) && rule == Some(CriticalRule::Twice);
             if rule == Some(CriticalRule::Only) && !is_critical(cell) {
-                // Nothing is asked of it, but overlap there connects cameras.
+                // The cell need not be covered, but overlap in it connects cameras.
                 area.demands.push(IGNORED);
                 area.numbers[cell] = area.demands.len() as u32;
                 continue;
@@ -329,7 +350,7 @@ impl Area {
             }
             let wanted = request.at_least.max(if is_twice { TWICE } else { 1 });
             let is_required = request.aim == Aim::Cover || is_twice;
-            // A required cell can't demand more cameras than candidates see it.
+            // A cell can't require more cameras than there are candidates that see it.
             let most = u16::try_from(seen_by).unwrap_or(u16::MAX);
             let at_least = if is_required { wanted.min(most) } else { wanted };
             area.lowered += usize::from(at_least < wanted);
@@ -358,7 +379,8 @@ impl Area {
             Aim::Cover => Goal::Fewest { weight: 0 },
             Aim::Cameras(cameras) => Goal::Best { cameras },
             Aim::Share(share) => {
-                // A share of 0.9 of ten cells is nine, whatever the product is rounded to.
+                // Slightly less, so that rounding does not turn 0.9 of ten cells into more than
+                // nine.
                 let asked = (share * self.weight as f64 - 1e-9).ceil() as u64;
                 if asked > total(true) + total(false) {
                     let of_all = |weight: f64| 100.0 * weight / self.weight as f64;
@@ -374,7 +396,7 @@ impl Area {
     }
 }
 
-/// Whether the cells that must be seen don't need more cameras than there are.
+/// Checks that there are enough cameras for the cells that must be seen.
 fn check_camera_count(
     programme: &Programme,
     request: &Request,
@@ -400,7 +422,7 @@ fn check_camera_count(
     Ok(())
 }
 
-/// Solves the programme, first by the usual solver, then by the one that is asked for.
+/// Solves the programme with the own solver, then with the requested one.
 fn solve_all(
     programme: &Programme,
     request: &Request,
@@ -460,8 +482,8 @@ struct Connection<'a> {
 }
 
 impl Connection<'_> {
-    /// Makes a placement fall into as few pieces as possible: for free, or, if the request says so, at
-    /// the cost of cameras or of coverage. Returns the number of pieces.
+    /// Changes a placement so that it has as few pieces as possible. Cameras are added, or coverage
+    /// given up, only if the request allows it. Returns the number of pieces.
     fn mend(&mut self, chosen: &mut Vec<u32>, report: &mut dyn FnMut(Stage) -> f64) -> usize {
         let pieces = self.count(chosen);
         if pieces <= self.fewest_pieces || self.request.at_most == Some(1) {
@@ -488,8 +510,7 @@ impl Connection<'_> {
         pieces.into_iter().max().map_or(0, |last| last + 1)
     }
 
-    /// Exchanges cameras for others; takes what falls into fewer pieces, and returns how many there
-    /// are.
+    /// Exchanges cameras, and accepts placements with fewer pieces. Returns the number of pieces.
     fn anneal(
         &self,
         chosen: &mut Vec<u32>,
@@ -514,7 +535,8 @@ impl Connection<'_> {
         pieces
     }
 
-    /// Adds cameras until the pieces are connected, then looks for a placement with fewer of them.
+    /// Adds cameras until the pieces are connected, then looks for a connected placement with fewer
+    /// cameras.
     fn add_cameras(&self, chosen: &mut Vec<u32>, report: &mut dyn FnMut(Stage) -> f64) {
         let least = chosen.len();
         let before = self.count(chosen);
@@ -525,7 +547,7 @@ impl Connection<'_> {
         *chosen = bridged;
         let pieces = self.count(chosen);
         while chosen.len() > least + 1 {
-            // One camera fewer, whichever it is: the search finds the rest.
+            // Starts with an arbitrary camera removed: the search replaces the others as needed.
             let mut fewer = chosen[1..].to_vec();
             let spent = report(Stage::Connecting { cameras: fewer.len(), pieces });
             if spent >= 1.0

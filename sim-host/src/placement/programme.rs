@@ -9,22 +9,23 @@
 //! | `m <= sum proj_cov(s_j) <= k` | [`Demand::at_least`], [`Demand::at_most`] |
 //! | `f(C, S) = sum min(1, sum proj_cov)` | [`Tally::covered_weight`], with weights of one and `m` = 1 |
 //!
-//! The paper wants the constraint to hold at every cell. Here a cell is *required*, so that it must
-//! hold, or *optional*: it then counts as covered from `m` cameras on, and only `k` must hold.
+//! In the paper the constraint must hold at every cell. Here a cell is either *required*, so that
+//! the constraint must hold, or *optional*: then it counts as covered from `m` cameras on, and only
+//! the upper bound `k` must hold.
 
 use super::incidence::Incidence;
 
-/// No upper bound on the overlap of a cell.
+/// Stands for no upper bound on the overlap of a cell.
 pub const ANY_OVERLAP: u16 = u16::MAX;
 
-/// What a cell asks for.
+/// The requirements of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Demand {
     /// The cell counts as covered from this number of cameras on: the paper's `m`.
     pub at_least: u16,
     /// No more cameras than this may see the cell: the paper's `k`, or [`ANY_OVERLAP`].
     pub at_most: u16,
-    /// What the cell counts for once it is covered.
+    /// Weight of the cell in the coverage.
     pub weight: u32,
     /// Whether the cell must be covered.
     pub is_required: bool,
@@ -33,7 +34,7 @@ pub struct Demand {
 /// The goal of a placement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Goal {
-    /// As few cameras as possible that cover optional cells of at least this weight.
+    /// As few cameras as possible that cover at least this weight of optional cells.
     Fewest {
         /// Minimum total weight of the covered optional cells.
         weight: u64,
@@ -48,22 +49,22 @@ pub enum Goal {
 /// The integer programme: which candidates to choose.
 #[derive(Clone, Debug)]
 pub struct Programme {
-    /// What each cell asks for.
+    /// The requirements of each cell.
     pub demands: Vec<Demand>,
     /// For each candidate the cells that it covers.
     pub covers: Incidence,
     /// For each cell the candidates that cover it: the transpose of `covers`.
     pub covered_by: Incidence,
-    /// What is asked for.
+    /// The goal of the optimisation.
     pub goal: Goal,
 }
 
-/// The result of a set of candidates.
+/// What a set of candidates achieves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Total number of cameras that required cells lack.
+    /// Sum of the numbers of cameras that required cells lack.
     pub shortfall: u64,
-    /// Total number of cameras that cells have beyond `k`.
+    /// Sum of the numbers of cameras by which cells exceed `k`.
     pub excess: u64,
     /// Total weight of the covered cells, required or optional.
     pub covered_weight: u64,
@@ -72,7 +73,7 @@ pub struct Tally {
 }
 
 impl Programme {
-    /// A programme from what each cell asks for and what each candidate covers.
+    /// A programme from the requirements of each cell and the cells that each candidate covers.
     pub fn new(demands: Vec<Demand>, covers: Incidence, goal: Goal) -> Self {
         let covered_by = covers.transpose(demands.len());
         Self { demands, covers, covered_by, goal }
@@ -99,7 +100,7 @@ impl Programme {
         overlap
     }
 
-    /// What a set of candidates achieves.
+    /// Evaluates a set of candidates.
     pub fn tally(&self, chosen: &[u32]) -> Tally {
         let mut tally = Tally::default();
         for (demand, overlap) in self.demands.iter().zip(self.overlap(chosen)) {

@@ -1,8 +1,8 @@
-//! Smaller programmes that say the same, or that bound the one at hand.
+//! Reduces a programme to a smaller one with the same optimum, or with an optimum that bounds it.
 //!
 //! For a cell `s` let `C(s)` be the candidates that cover it; for a candidate `c` let `f(c)` be the
-//! cells that it covers; a placement `P` sees `s` with `|C(s) ∩ P|` cameras. `m_s` and `k_s` are the
-//! bounds of a cell. The rules, each of which keeps the optimum:
+//! cells that it covers. A placement `P` sees `s` with `|C(s) ∩ P|` cameras. `m_s` and `k_s` are
+//! the lower and upper bounds of a cell. Each of the following rules keeps the optimum:
 //!
 //! 1. **Loose upper bounds.** `k_s >= |C(s)|` can't be violated, and is dropped.
 //! 2. **Dominated cells.** Let `s` and `t` be required and `C(s) ⊆ C(t)`. Then `t` is seen by at

@@ -1,10 +1,10 @@
 //! Bounds by Lagrangian relaxation.
 //!
-//! Each cell `s` gets a multiplier `lambda_s`. A positive one is the price of a camera that the cell
-//! lacks below `m`, a negative one (only where there is a `k`) that of a camera beyond it. With the
-//! constraints priced instead of kept, each candidate decides for itself. For the fewest cameras,
-//! with `y_s` for "the optional cell `s` is covered" and `W` the weight asked for, every placement
-//! has at least
+//! Each cell `s` gets a multiplier `lambda_s`: if positive, the price of a camera that the cell
+//! lacks below `m`; if negative (only if there is a `k`), the price of a camera beyond `k`. With
+//! prices in place of the constraints, each candidate can be decided on its own. Let `y_s` mean
+//! "the optional cell `s` is covered" and let `W` be the requested weight. For the fewest cameras,
+//! every placement has at least
 //!
 //! ```text
 //! L(lambda) = sum_c min(0, 1 - sum_{s in f(c)} lambda_s)                 reduced costs
@@ -13,32 +13,33 @@
 //!           + max_{mu >= 0} mu W + sum_{optional s} min(0, m_s lambda_s - mu w_s)
 //! ```
 //!
-//! cameras; for the best coverage with `N` cameras, the covered optional weight is at most `-L` with
-//! `1` replaced by `0`, `mu` by 1, `W` by 0, and only the `N` least reduced costs counted. `L` is
-//! concave; its greatest value is that of the linear relaxation, and is approached by subgradient
-//! steps (Held, Wolfe and Crowder, "Validation of Subgradient Optimization", 1974). Every value on
-//! the way is a valid bound, and is computed in integers, so that no rounding makes it too good.
+//! cameras. For the best coverage with `N` cameras, the covered optional weight is at most `-L`,
+//! with `1` replaced by `0`, `mu` by 1, `W` by 0, and only the `N` smallest reduced costs counted.
+//! `L` is concave; its maximum is the value of the linear relaxation, and subgradient steps
+//! approach it (Held, Wolfe and Crowder, "Validation of Subgradient Optimization", 1974). Every
+//! value on the way is a valid bound. It is computed in integers, so that rounding can't make it
+//! too good.
 
 use super::programme::{ANY_OVERLAP, Demand, Goal, Programme};
 
 /// One camera, or one unit of weight, in the units of multipliers.
 pub(super) const ONE: i64 = 1 << 24;
 
-/// Steps without a better bound after which steps become shorter, by this factor.
+/// Number of steps without a better bound after which the steps become shorter, and the factor.
 const PATIENCE: u32 = 30;
 const SHORTER: f64 = 0.7;
-/// Weight of the previous direction in the next one.
+/// Weight of the previous direction in the next direction.
 const DEFLECTION: f64 = 0.7;
-/// The minimum step, as a share of the usual one; the bound has then converged.
+/// Minimum length of a step, relative to the usual one; below it the bound has converged.
 const SHORTEST: f64 = 1e-4;
 
-/// Maximum multiplier, so that no sum of them overflows: the price of 65,536 cameras.
+/// Maximum multiplier, the price of 65,536 cameras: no sum of multipliers overflows.
 const DEAREST: i64 = ONE << 16;
 
-/// The decision about a candidate.
+/// Whether a candidate has been fixed, and how.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Fixed {
-    /// Nothing.
+    /// It is free.
     #[default]
     Free,
     /// It is chosen.
@@ -53,9 +54,9 @@ pub(super) struct Relaxation<'p> {
     multipliers: Vec<i64>,
     /// The reduced cost of each candidate at the last evaluation.
     reduced_costs: Vec<i64>,
-    /// Of each cell: the cameras of the relaxed solution there.
+    /// For each cell, its number of cameras in the relaxed solution.
     overlap: Vec<i32>,
-    /// Of each optional cell: whether it counts as covered in the relaxed solution.
+    /// For each optional cell, whether it is covered in the relaxed solution.
     is_counted: Vec<bool>,
     direction: Vec<f64>,
     order: Vec<u32>,
@@ -66,7 +67,7 @@ pub(super) struct Relaxation<'p> {
 }
 
 impl<'p> Relaxation<'p> {
-    /// Starts with multipliers that leave no candidate a negative reduced cost: dual feasible.
+    /// Starts with multipliers for which no candidate has a negative reduced cost (dual feasible).
     pub(super) fn new(programme: &'p Programme) -> Self {
         let cells = programme.demands.len();
         let start = |cell: usize| {
@@ -97,14 +98,15 @@ impl<'p> Relaxation<'p> {
         }
     }
 
-    /// The best bound so far, rounded to what a placement can have: the fewest cameras, or the most
-    /// covered optional weight. `None` before the first step.
+    /// The best bound so far, rounded to a value that a placement can have: a lower bound of the
+    /// number of cameras, or an upper bound of the covered optional weight. `None` before the first
+    /// step.
     pub(super) fn bound(&self) -> Option<u64> {
         self.best.map(|value| round(self.programme.goal, value))
     }
 
-    /// Whether the bound is beyond what any placement can have, so that there is none: more cameras
-    /// than candidates, or less than no weight.
+    /// Whether the bound proves that no placement exists: it requires more cameras than there are
+    /// candidates, or a negative weight.
     pub(super) fn proves_infeasible(&self) -> bool {
         let most = match self.programme.goal {
             Goal::Fewest { .. } => self.programme.candidates() as i64 * ONE,
@@ -139,8 +141,9 @@ impl<'p> Relaxation<'p> {
         self.multipliers[cell]
     }
 
-    /// One subgradient step towards `target`, the value of the best placement known, with these
-    /// candidates fixed. Returns the bound with them fixed, in units of [`ONE`], before the step.
+    /// Makes a subgradient step towards `target`, the value of the best known placement, with some
+    /// candidates fixed. Returns the bound with these fixed, in units of [`ONE`], from before the
+    /// step.
     pub(super) fn step(&mut self, fixed: &[Fixed], target: u64) -> i64 {
         let value = self.evaluate(fixed);
         if self.best.is_none_or(|best| value > best + ONE / 10_000) {
@@ -163,19 +166,20 @@ impl<'p> Relaxation<'p> {
             Goal::Fewest { .. } => target as i64 * ONE,
             Goal::Best { .. } => -(target as i64 * ONE),
         };
-        // Aims slightly beyond the target, so that steps do not vanish as the bound approaches it.
+        // Aims slightly beyond the target, so that the steps do not vanish as the bound approaches
+        // it.
         self.move_multipliers((target - value).max(0) + ONE / 50);
         value
     }
 
-    /// Begins again with usual steps from the best multipliers so far, for another set of fixed
-    /// candidates.
+    /// Restarts with steps of length `step` from the best multipliers so far, for another set of
+    /// fixed candidates.
     pub(super) fn restart(&mut self, step: f64) {
         self.multipliers.copy_from_slice(&self.best_multipliers);
         self.forget(step);
     }
 
-    /// The same from the present multipliers.
+    /// Like `restart`, but from the current multipliers.
     pub(super) fn forget(&mut self, step: f64) {
         self.best = None;
         self.step = step;
@@ -183,7 +187,8 @@ impl<'p> Relaxation<'p> {
         self.direction.fill(0.0);
     }
 
-    /// `L` at the present multipliers; also the reduced costs and the relaxed solution.
+    /// Evaluates `L` at the current multipliers. Also updates the reduced costs and the relaxed
+    /// solution.
     pub(super) fn evaluate(&mut self, fixed: &[Fixed]) -> i64 {
         let mut value = 0;
         for (&multiplier, demand) in self.multipliers.iter().zip(&self.programme.demands) {
@@ -215,7 +220,8 @@ impl<'p> Relaxation<'p> {
             Goal::Best { .. } => ONE,
             Goal::Fewest { weight: 0 } => 0,
             Goal::Fewest { weight } => {
-                // The greatest is where the cheapest cells, by price and weight, reach the weight.
+                // The maximum is at the `mu` at which the cells that are cheapest per weight reach
+                // the requested weight.
                 let rate = |&cell: &u32| {
                     let demand = &demands[cell as usize];
                     price(cell as usize, demand) as f64 / f64::from(demand.weight.max(1))
@@ -229,7 +235,7 @@ impl<'p> Relaxation<'p> {
                     reached += u64::from(demands[cell as usize].weight);
                     reached >= weight
                 });
-                // Any other value would give a bound too, but for the rounding up that it may need.
+                // Any other `mu` would also give a valid bound.
                 last.or(self.order.last()).map_or(0, |cell| rate(cell).ceil() as i64)
             }
         };
@@ -245,7 +251,7 @@ impl<'p> Relaxation<'p> {
         value
     }
 
-    /// The candidates' part of `L`; notes the overlap of those that the relaxed solution chooses.
+    /// The candidates' part of `L`. Also updates the overlap in the relaxed solution.
     fn choose(&mut self, fixed: &[Fixed]) -> i64 {
         self.overlap.fill(0);
         let mut value = 0;
@@ -284,8 +290,8 @@ impl<'p> Relaxation<'p> {
         value
     }
 
-    /// Moves the multipliers along the deflected subgradient, as far as would close `gap` if `L` were
-    /// linear.
+    /// Moves the multipliers along the deflected subgradient, by a step that would close `gap` if
+    /// `L` were linear.
     fn move_multipliers(&mut self, gap: i64) {
         let mut squared = 0.0;
         for (cell, demand) in self.programme.demands.iter().enumerate() {
@@ -308,10 +314,11 @@ impl<'p> Relaxation<'p> {
         let length = self.step * gap as f64 / squared;
         for (cell, multiplier) in self.multipliers.iter_mut().enumerate() {
             let moved = multiplier.saturating_add((length * self.direction[cell]) as i64);
-            // If no placement exists, prices would rise without limit.
+            // Limits the multipliers: if no placement exists, they would rise forever.
             let moved = moved.clamp(-DEAREST, DEAREST);
             let has_bound = self.programme.demands[cell].at_most != ANY_OVERLAP;
-            // At zero the constraint that the price stands for changes from `m` to `k`: it stops there.
+            // At zero the multiplier changes from the constraint `m` to the constraint `k`, so it
+            // stops there for one step.
             *multiplier = match multiplier.signum() {
                 1 => moved.max(0),
                 -1 => moved.min(0),
@@ -322,7 +329,8 @@ impl<'p> Relaxation<'p> {
     }
 }
 
-/// A value of `L` as what a placement can have: at least so many cameras, or at most that weight.
+/// Rounds a value of `L` to a value that a placement can have: up for a number of cameras, down for
+/// a weight.
 pub(super) fn round(goal: Goal, value: i64) -> u64 {
     match goal {
         Goal::Fewest { .. } => (value.max(0) as u64).div_ceil(ONE as u64),

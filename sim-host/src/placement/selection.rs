@@ -1,28 +1,27 @@
-//! A set of chosen candidates that knows what adding or taking out one of them would change.
+//! A set of chosen candidates that keeps track of the effect of adding or removing one.
 
 use super::{
     index_set::IndexSet,
     programme::{Demand, Goal, Programme},
 };
 
-/// What a cell's violation or coverage weighs in a search, per camera.
+/// Weight of a cell's violation or coverage in a search, per camera.
 type Weight = i64;
 
 /// A set of chosen candidates of a programme.
 ///
-/// The *value* of a selection is the sum over its cells of their search weight times
-/// - minus the cameras that the cell lacks below `m`, and
-/// - minus the cameras that it has beyond `k`.
+/// The *value* of a selection is the negative sum, over all cells, of the cell's search weight
+/// times the number of cameras that it lacks below `m` or has beyond `k`.
 ///
-/// Adding or taking out a candidate costs one visit of each cell that it covers and of the few
-/// candidates chosen there.
+/// Adding or removing a candidate visits each cell that it covers, and the few candidates chosen
+/// there.
 pub(super) struct Selection<'p> {
     programme: &'p Programme,
     chosen: IndexSet,
     /// For each cell the chosen candidates that cover it.
     coverers: Vec<Vec<u32>>,
     weights: Vec<Weight>,
-    /// For each chosen candidate by how much the value falls without it.
+    /// For each chosen candidate, how much the value falls if it is removed.
     losses: Vec<Weight>,
     short: IndexSet,
     crowded: IndexSet,
@@ -31,8 +30,8 @@ pub(super) struct Selection<'p> {
 }
 
 impl<'p> Selection<'p> {
-    /// The selection of no candidate. A required cell weighs `required`, an optional one what the
-    /// programme says.
+    /// The empty selection. The search weight of a required cell is `required`; that of an optional
+    /// cell is its weight in the programme.
     pub(super) fn new(programme: &'p Programme, required: Weight) -> Self {
         let cells = programme.demands.len();
         let weight = |demand: &Demand| {
@@ -75,7 +74,7 @@ impl<'p> Selection<'p> {
         self.chosen.contains(candidate)
     }
 
-    /// Whether a candidate that is not chosen would break an upper bound.
+    /// Whether adding a candidate would violate an upper bound.
     pub(super) fn crowds(&self, candidate: u32) -> bool {
         self.programme.covers.row(candidate as usize).iter().any(|&cell| {
             let overlap = self.coverers[cell as usize].len() as u16;
@@ -107,7 +106,7 @@ impl<'p> Selection<'p> {
             }
     }
 
-    /// By how much the value would rise with a candidate that is not chosen.
+    /// How much the value rises if a candidate is added.
     pub(super) fn gain(&self, candidate: u32) -> Weight {
         let of_cell = |&cell: &u32| {
             let cell = cell as usize;
@@ -119,12 +118,12 @@ impl<'p> Selection<'p> {
         self.programme.covers.row(candidate as usize).iter().map(of_cell).sum()
     }
 
-    /// By how much the value would fall without a chosen candidate.
+    /// How much the value falls if a chosen candidate is removed.
     pub(super) fn loss(&self, candidate: u32) -> Weight {
         self.losses[candidate as usize]
     }
 
-    /// Chooses a candidate that is not chosen.
+    /// Adds a candidate, which must not be chosen.
     pub(super) fn add(&mut self, candidate: u32) {
         self.chosen.insert(candidate);
         let mut loss = 0;
@@ -145,7 +144,7 @@ impl<'p> Selection<'p> {
         self.losses[candidate as usize] = loss;
     }
 
-    /// Takes out a chosen candidate.
+    /// Removes a chosen candidate.
     pub(super) fn remove(&mut self, candidate: u32) {
         self.chosen.remove(candidate);
         let programme = self.programme;
@@ -185,8 +184,8 @@ impl<'p> Selection<'p> {
         }
     }
 
-    /// Changes the losses of those that cover a cell for another overlap; returns what the cell
-    /// adds to the loss of each of them.
+    /// Updates the losses of the candidates chosen at a cell for a change of its overlap. Returns
+    /// what the cell now contributes to the loss of each.
     fn change(&mut self, cell: u32, before: u16, after: u16) -> Weight {
         let Demand { at_least, at_most, .. } = self.programme.demands[cell as usize];
         let weight = self.weights[cell as usize];

@@ -1,4 +1,4 @@
-//! Which floor the walls and the furniture leave in sight of a point under the ceiling.
+//! Which floor is visible from a point under the ceiling, past walls and furniture.
 
 use ubimap_protocol::tile::Cell;
 
@@ -11,12 +11,12 @@ use super::{
 pub(super) struct Sight<'p> {
     plan: &'p FloorPlan,
     eye: [f64; 3],
-    /// The obstacles near enough to hide floor.
+    /// The obstacles that are near enough to hide floor.
     obstacles: Vec<&'p Obstacle>,
 }
 
 impl<'p> Sight<'p> {
-    /// The sight from a point of `map`, in metres, no farther than `reach_m` from below it.
+    /// The view from a point of `map`, in metres, up to a horizontal distance of `reach_m`.
     pub(super) fn new(plan: &'p FloorPlan, eye: [f64; 3], reach_m: f64) -> Self {
         let is_near = |obstacle: &&Obstacle| {
             let [low, high] = obstacle.bounds();
@@ -25,7 +25,7 @@ impl<'p> Sight<'p> {
         Self { plan, eye, obstacles: plan.obstacles().iter().filter(is_near).collect() }
     }
 
-    /// The cells within reach whose points of aim are in sight.
+    /// The cells within reach whose aim points are visible.
     pub(super) fn cells(&self, reach_m: f64) -> Vec<u32> {
         let [x, y, _] = self.eye;
         let within = self.plan.cells_within([x - reach_m, y - reach_m], [x + reach_m, y + reach_m]);
@@ -47,15 +47,15 @@ impl<'p> Sight<'p> {
     }
 }
 
-/// Whether no square of a grid on the straight way between two points is walled (Amanatides and
-/// Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing"). Lengths are in squares; no walls are
-/// outside of the grid.
+/// Whether the straight line between two points crosses no walled square of a grid (Amanatides and
+/// Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing"). Lengths are in squares; there are no
+/// walls outside of the grid.
 fn is_clear(from: [f64; 2], to: [f64; 2], walled: impl Fn(usize, usize) -> bool) -> bool {
     let way = [to[0] - from[0], to[1] - from[1]];
     let mut square = from.map(|it| it.floor() as i64);
     let last = to.map(|it| it.floor() as i64);
     let direction = way.map(|it| if it > 0.0 { 1 } else { -1 });
-    // The share of the segment between two borders, and before the next border.
+    // The fraction of the segment between two grid lines, and before the next grid line.
     let each = way.map(|it| if it == 0.0 { f64::INFINITY } else { 1.0 / it.abs() });
     let mut next = [0, 1].map(|axis| {
         let ahead = if way[axis] > 0.0 { 1.0 } else { 0.0 };

@@ -1,8 +1,8 @@
 //! The solver: reductions, a greedy start, local search and bounds in turns, branch and bound.
 //!
-//! It owns no clock and no thread. Between short slices of work it reports to the caller, who says
-//! which share of the time is spent; the same programme and seed give the same placement whenever
-//! the answer is proved before the time is over.
+//! It owns no clock and no thread. Between short slices of work it reports to the caller, which
+//! returns the fraction of the time that is spent. If the optimum is proved within the time, the
+//! same programme and seed give the same placement.
 
 use super::{
     annealing::Annealing,
@@ -14,22 +14,24 @@ use super::{
     weighting::RowWeighting,
 };
 
-/// Approximate number of matrix entries visited in a slice of work: some milliseconds.
+/// Approximate number of matrix entries visited per slice of work: a few milliseconds.
 const SLICE: usize = 1_000_000;
-/// After bounds have converged, one slice in this number goes to branch and bound; the others go on
-/// searching.
+/// After the bounds have converged, one slice in this number goes to branch and bound, and the
+/// others to the search.
 const BRANCHING: u64 = 2;
-/// No branch and bound in matrices with more ones than this: it would look at a few nodes.
+/// Maximum number of ones of a matrix for branch and bound: on a larger one it could visit only a
+/// few nodes.
 const MOST_ONES: usize = 1_000_000;
 
 /// The progress of a solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Interim {
-    /// Cameras of the best placement so far, if there is one.
+    /// Number of cameras of the best placement so far, if there is one.
     pub cameras: Option<usize>,
     /// Total weight of the optional cells that this placement covers.
     pub weight: u64,
-    /// No placement has fewer cameras, or more optional weight: whichever is the goal.
+    /// A proved bound: the minimum number of cameras, or the maximum optional weight, depending on
+    /// the goal.
     pub bound: Option<u64>,
 }
 
@@ -38,14 +40,15 @@ pub struct Interim {
 pub struct Solution {
     /// The best placement found, ascending; `None` if none was found that keeps all constraints.
     pub chosen: Option<Vec<u32>>,
-    /// No placement has fewer cameras, or more optional weight: whichever is the goal.
+    /// A proved bound: the minimum number of cameras, or the maximum optional weight, depending on
+    /// the goal.
     pub bound: u64,
-    /// Whether no placement keeps all constraints: proved.
+    /// Whether it is proved that no placement satisfies all constraints.
     pub is_infeasible: bool,
 }
 
-/// Solves a programme. `report` hears what is known and gives the share of the time that is spent;
-/// from 1 on the solver stops with what it has.
+/// Solves a programme. `report` is called with the progress and returns the fraction of the time
+/// that is spent; from 1 on, the solver stops with its best solution.
 pub fn solve(
     programme: &Programme,
     seed: u64,
@@ -75,10 +78,10 @@ pub fn solve(
 struct Solving<'p> {
     programme: &'p Programme,
     search: Search<'p>,
-    /// The relaxations that have not converged: of the programme, and, to be sharpened first, of the
-    /// one without upper bounds, which is much smaller.
+    /// The relaxations that have not converged: of the programme itself, and, improved first, of
+    /// the programme without upper bounds, which is much smaller.
     relaxations: Vec<Relaxation<'p>>,
-    /// Once all have converged.
+    /// Branch and bound, once all relaxations have converged.
     branching: Option<Branching<'p>>,
     free: Vec<Fixed>,
     best: Option<Vec<u32>>,
@@ -133,7 +136,7 @@ impl<'p> Solving<'p> {
         Interim { cameras, weight: self.weight, bound: self.bound }
     }
 
-    /// Whether the best placement is proved to be optimal, or that there is none.
+    /// Whether the best placement is proved to be optimal, or it is proved that there is none.
     fn is_done(&self) -> bool {
         if self.is_infeasible {
             return true;
@@ -145,7 +148,7 @@ impl<'p> Solving<'p> {
         }
     }
 
-    /// One slice of work on the placement, and one on the bound.
+    /// Does one slice of work on the placement, and one on the bound.
     fn work(&mut self) {
         self.slice += 1;
         if !self.relaxations.is_empty() {
@@ -160,7 +163,7 @@ impl<'p> Solving<'p> {
     }
 
     fn search(&mut self) {
-        // An exchange looks at the cells of these numbers of candidates, roughly.
+        // Approximate number of matrix entries that an exchange visits.
         let each = self.programme.covers.ones() / self.programme.candidates().max(1) + 10;
         match &mut self.search {
             Search::RowWeighting(search) => search.run(1 + SLICE / (each * 64)),
@@ -191,7 +194,7 @@ impl<'p> Solving<'p> {
         }
     }
 
-    /// Subgradient steps.
+    /// Makes subgradient steps.
     fn sharpen_bound(&mut self) {
         let target = match self.programme.goal {
             Goal::Fewest { .. } => self.best.as_ref().map_or(self.free.len(), Vec::len) as u64,
@@ -219,12 +222,13 @@ impl<'p> Solving<'p> {
         });
     }
 
-    /// What branch and bound looks for: for the fewest cameras a placement with as many as the bound,
-    /// to have it or to raise the bound by one; otherwise a better one than the best.
+    /// The limit for branch and bound. For the fewest cameras: as many as the bound, so that the
+    /// search either finds such a placement or raises the bound by one. Otherwise: better than the
+    /// best placement.
     fn limit(&self) -> u64 {
         match self.programme.goal {
             Goal::Best { .. } => self.best.as_ref().map_or(0, |_| self.weight + 1),
-            // With no placement found yet, the question is whether any exists.
+            // As long as there is no placement, the search must find out whether any exists.
             Goal::Fewest { .. } if self.best.is_none() => self.programme.candidates() as u64,
             Goal::Fewest { .. } => self.bound.unwrap_or(0),
         }
@@ -247,7 +251,7 @@ impl<'p> Solving<'p> {
         self.branching = Some(branching);
     }
 
-    /// Records that nothing better than a limit exists. Returns the next limit.
+    /// Handles the proof that nothing within `limit` exists. Returns the next limit.
     fn exhausted(&mut self, limit: u64) -> Option<u64> {
         match self.programme.goal {
             Goal::Best { .. } if self.best.is_none() => {

@@ -1,10 +1,10 @@
 //! Local search for the fewest cameras when every cell is required.
 //!
 //! After Gao, Weise and Li, "An Efficient Local Search Heuristic with Row Weighting for the Unicost
-//! Set Covering Problem" (EJOR 2015), with both sides of `m <= overlap <= k`: the longer a cell's
-//! constraint is violated, the more it weighs. Where that paper keeps the gain of every candidate up
-//! to date, here it is computed for a sample of the candidates of one cell at a time: a cell has
-//! hundreds of them when cameras may be tilted.
+//! Set Covering Problem" (EJOR 2015), extended to both sides of `m <= overlap <= k`: the longer a
+//! cell's constraint is violated, the greater its weight. The paper keeps the gain of every
+//! candidate up to date. Here gains are computed for a sample of the candidates of one cell at a
+//! time, because a cell has hundreds of candidates if cameras may be tilted.
 
 use std::cmp::Reverse;
 
@@ -13,16 +13,16 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{incidence::Incidence, programme::Programme, selection::Selection};
 
-/// Candidates looked at for one addition.
+/// Number of candidates evaluated for one addition.
 const SAMPLE: usize = 64;
-/// One addition in this number may be a candidate that the reductions have set aside.
+/// One addition in this number may use a candidate that the reductions have removed.
 const WILD: u32 = 4;
-/// Maximum number of steps for which a removed candidate stays out.
+/// Maximum number of steps during which a removed candidate can't be added again.
 const TENURE: u64 = 3;
-/// Steps without a first feasible set after which one camera more is allowed.
+/// Number of steps without any feasible set after which one more camera is allowed.
 const HOPELESS: u64 = 5_000;
 
-/// An anytime search: it can be run in slices without end.
+/// An anytime search: it runs in slices, and has a best result after each.
 pub(super) struct RowWeighting<'p> {
     programme: &'p Programme,
     /// For each cell the candidates worth trying first.
@@ -32,9 +32,9 @@ pub(super) struct RowWeighting<'p> {
     /// Number of candidates that the search uses at present.
     target: usize,
     step: u64,
-    /// For each candidate the step in which it was last added or taken out.
+    /// For each candidate the step in which it was last added or removed.
     changed: Vec<u64>,
-    /// For each candidate the step before which it stays as it is.
+    /// For each candidate the step before which it can't be changed.
     tabu_until: Vec<u64>,
     best: Option<Vec<u32>>,
 }
@@ -73,7 +73,7 @@ impl<'p> RowWeighting<'p> {
         self.best.as_deref()
     }
 
-    /// Makes this number of exchanges.
+    /// Makes `steps` exchanges.
     pub(super) fn run(&mut self, steps: usize) {
         for _ in 0..steps {
             self.exchange();
@@ -83,7 +83,7 @@ impl<'p> RowWeighting<'p> {
     fn exchange(&mut self) {
         self.step += 1;
         while self.selection.is_valid() {
-            // Go on with one camera fewer.
+            // Continues with one camera fewer.
             let Some(candidate) = self.pick_removed() else { return };
             self.remove(candidate);
             self.target = self.selection.chosen().len();
@@ -112,7 +112,7 @@ impl<'p> RowWeighting<'p> {
         self.changed[candidate as usize] = self.step;
     }
 
-    /// The least useful chosen candidate; among equals the one chosen first.
+    /// The chosen candidate with the smallest loss; among equals, the one that was changed first.
     fn pick_removed(&self) -> Option<u32> {
         let chosen = self.selection.chosen().iter().copied();
         let free = chosen.filter(|&it| self.tabu_until[it as usize] <= self.step);

@@ -59,12 +59,12 @@ pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), Lo
 }
 
 impl CameraPose {
-    /// A pose that no line of a file states.
+    /// A pose that is computed instead of read from a line.
     pub(super) fn mounted(position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
         Self { line: 0, stamp_s: None, position, rotation }
     }
 
-    /// `[time] x y z qx qy qz qw`.
+    /// A line `[time] x y z qx qy qz qw`.
     fn from_quaternion(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
         let (line, numbers) = &rows[0];
         let (stamp_s, pose) = match numbers.as_slice() {
@@ -82,7 +82,7 @@ impl CameraPose {
         Self::new(*line, stamp_s, [x, y, z], *rotation.matrix())
     }
 
-    /// Three numbers (frame indices), then a matrix of four rows.
+    /// A line of three numbers (frame indices), followed by a matrix of four rows.
     fn from_matrix(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
         let [_, matrix @ ..] = rows else { return Err(LineFault::NoRotation) };
         if let Some((_, row)) = matrix.iter().find(|(_, row)| row.len() != 4) {

@@ -57,7 +57,7 @@ pub enum LogError {
         /// "file" or "folder".
         expected: &'static str,
     },
-    /// The log contains no scan.
+    /// The file or folder lacks the records that it must contain.
     #[error("{path}: no {record} in it", path = path.display())]
     Empty {
         /// The file or folder.
@@ -73,7 +73,7 @@ pub enum LogError {
         /// The problem.
         fault: FrameFault,
     },
-    /// The numbers of images and poses differ.
+    /// The number of images differs from the number of poses.
     #[error("{path}: {images} depth images but {poses} poses", path = path.display())]
     Poses {
         /// The file of the poses.
@@ -83,7 +83,7 @@ pub enum LogError {
         /// Number of poses in the file.
         poses: usize,
     },
-    /// The mean up axis of the cameras is zero.
+    /// The up axes of the cameras cancel out, so their mean is zero.
     #[error("{path}: the up axes of the cameras cancel out, so that the floor cannot be located; name the up axis with --up",
         path = path.display())]
     NoPlane {

@@ -130,8 +130,8 @@ pub(super) fn missing(folder: &Path) -> LogError {
     LogError::Intrinsics { path: folder.join(INTRINSICS_FILE), reason: reason.to_owned() }
 }
 
-/// The intrinsics stated in a folder. Nothing is guessed: wrong intrinsics give a wrong map, and no
-/// error.
+/// The intrinsics stated in a folder. Nothing is guessed: wrong intrinsics would give a wrong map
+/// without an error.
 pub(super) fn required(folder: &Path) -> Result<IntrinsicsFile, LogError> {
     stated(folder)?.ok_or_else(|| missing(folder))
 }

@@ -10,10 +10,12 @@ use flate2::bufread::MultiGzDecoder;
 use super::error::{Field, LineFault, LogError};
 use crate::files;
 
-/// Maximum length of a line in bytes: a file with longer lines is not a log and is not read into memory.
+/// Maximum length of a line in bytes: a file with longer lines is not a log, and is not read into
+/// memory.
 const MAX_LINE: usize = 1 << 20;
 
-/// Maximum size of a log in bytes, as a file and unpacked: its readings take several times as much memory.
+/// Maximum size of a log in bytes, both as a file and unpacked: its readings take several times as
+/// much memory.
 const MAX_LOG: u64 = 256 << 20;
 
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];

@@ -8,9 +8,9 @@ use super::{summary::Report, watching::WatchReport};
 pub trait Brief {
     /// The quality of the map.
     fn quality(&self) -> String;
-    /// Which parties agree on it.
+    /// Whether the parties agree on the map.
     fn agreement(&self) -> String;
-    /// The time it took.
+    /// The durations of the run, simulated and real.
     fn time(&self) -> String;
 }
 

@@ -1,7 +1,8 @@
 //! Reports and pictures of a run.
 //!
-//! [`Report`] is `report.json`, [`ServeReport`] the same for serial ports and [`WatchReport`] for
-//! recorded cameras; [`render`] draws `map.png`, and [`OutputFolder`] writes all files or none.
+//! [`Report`] is `report.json` of a run, [`ServeReport`] that of a server on serial ports, and
+//! [`WatchReport`] that of recorded cameras. [`render`] draws `map.png`, and [`OutputFolder`]
+//! writes either all files or none.
 
 mod brief;
 mod comparison;

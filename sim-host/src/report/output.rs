@@ -1,12 +1,12 @@
 //! An output folder whose files appear all together, or not at all.
 //!
-//! The files are written into a staging folder beside it, `.NAME.PID.partial`, and then the two
-//! folders change places: in one step where the system can exchange names (Linux), otherwise by two
-//! renames. A kill between those two leaves no folder of that name, and the earlier results in the
-//! staging folder; the next run with the same output folder puts them back. Files that are not
-//! results are moved from the old folder to the new one right after the exchange; if a kill prevents
-//! that, the next run moves them. It also removes the staging folders of killed runs; a lock tells
-//! them from those of live ones.
+//! The files are written into a staging folder beside the output folder, `.NAME.PID.partial`. Then
+//! the two folders are exchanged: in one step where the system supports it (Linux), otherwise by
+//! two renames. If the process is killed between the two renames, the output folder is missing and
+//! the earlier results are in the staging folder; the next run with the same output folder puts
+//! them back. Files that are not results are moved from the old folder to the new one right after
+//! the exchange; if a kill prevents that, the next run moves them. The next run also removes the
+//! staging folders of killed runs; a lock distinguishes them from those of live ones.
 
 use std::{
     collections::BTreeSet,
@@ -30,8 +30,8 @@ pub struct OutputError {
 /// Results that only some commands write.
 const OPTIONAL: [&str; 4] = ["coverage.png", "error.png", "timelapse.png", "robots.csv"];
 
-/// An output folder that is being written. Dropped before [`OutputFolder::finish`], it leaves
-/// everything as it was.
+/// An output folder that is being written. If it is dropped before [`OutputFolder::finish`],
+/// everything stays as it was.
 #[derive(Debug)]
 pub struct OutputFolder {
     stage: Stage,
@@ -40,11 +40,12 @@ pub struct OutputFolder {
 }
 
 impl OutputFolder {
-    /// Prepares to write a folder that may exist, and repairs what a killed run left of it.
+    /// Prepares to write a folder, which may already exist, and repairs what a killed run left
+    /// behind.
     ///
     /// # Errors
-    /// If the folder can't be created or replaced: among others the working folder, which can't be
-    /// replaced under the shell that works in it.
+    /// If the folder can't be created or replaced. For example, a folder can't be replaced while it
+    /// is the working folder of the shell.
     pub fn create(path: &Path) -> Result<Self, OutputError> {
         let refuse = |error| OutputError { path: path.to_owned(), error };
         let parent = match path.parent() {
@@ -52,7 +53,7 @@ impl OutputFolder {
             _ => Path::new("."),
         };
         fs::create_dir_all(parent).map_err(refuse)?;
-        // A symbolic link stays one: the folder that it leads to is replaced.
+        // A symbolic link is kept: the folder that it points to is replaced.
         let target = match path.canonicalize() {
             Ok(path) => path,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -88,8 +89,9 @@ impl OutputFolder {
         written.map_err(|error| OutputError { path: self.stage.target.join(name), error })
     }
 
-    /// Replaces the folder's results with the new ones. Removes optional results of an earlier run
-    /// that this one lacks: they would be mistaken for its own. Keeps all other files.
+    /// Replaces the folder's results with the new ones. Optional results of an earlier run that
+    /// this run does not write are removed, as they would be mistaken for its own. All other files
+    /// are kept.
     pub fn finish(self) -> Result<(), OutputError> {
         for name in &self.pending {
             let path = self.stage.target.join(name);
@@ -111,14 +113,14 @@ impl OutputFolder {
     }
 }
 
-/// A staging folder. `new` in it holds the files to come and, after an exchange, the old folder;
-/// `old` is the old folder between two renames. `results` lists the names that are not moved from the
-/// old folder to the new one; it exists from the start of a swap to its end.
+/// A staging folder. Its subfolder `new` holds the new files and, after an exchange, the old
+/// folder; `old` holds the old folder between two renames. The file `results` lists the names that
+/// are not moved from the old folder to the new one; it exists while a swap is in progress.
 #[derive(Debug)]
 struct Stage {
     path: PathBuf,
     target: PathBuf,
-    /// Locked while the run lives.
+    /// Locked as long as the run lives.
     _lock: File,
 }
 
@@ -127,7 +129,7 @@ impl Stage {
         let path = target.with_file_name(stage_name(&target, std::process::id()));
         fs::create_dir(&path)?;
         let lock = File::create(path.join("lock"))?;
-        // Without locks, no staging folder counts as abandoned.
+        // Where locks are not supported, no staging folder counts as abandoned.
         let _ = lock.try_lock();
         fs::create_dir(path.join("new"))?;
         Ok(Self { path, target, _lock: lock })
@@ -137,7 +139,7 @@ impl Stage {
         self.path.join("new")
     }
 
-    /// Swaps `new` and the target, then moves what is not among the results to the target.
+    /// Exchanges `new` and the target, then moves all files that are not results to the target.
     fn swap(&self, results: &BTreeSet<String>) -> io::Result<()> {
         let (new, target) = (self.new_folder(), &self.target);
         if !target.exists() {
@@ -159,8 +161,8 @@ impl Stage {
 
 impl Drop for Stage {
     fn drop(&mut self) {
-        // Best effort: errors can't be reported from here. A folder that could not be settled is left
-        // for the next run.
+        // Best effort: errors can't be reported here. A folder that could not be settled is left to
+        // the next run.
         if settle(&self.path, &self.target).is_ok() {
             let _ = fs::remove_dir_all(&self.path);
         }
@@ -179,8 +181,8 @@ fn exchange(_: &Path, _: &Path) -> io::Result<()> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// Ends a swap that has begun: puts the old folder back if there is no new one, and moves what is
-/// not among the results to the target. Does nothing if none has begun.
+/// Completes a swap that has begun: puts the old folder back if there is no new one, and moves all
+/// files that are not results to the target. Does nothing if no swap has begun.
 fn settle(stage: &Path, target: &Path) -> io::Result<()> {
     let list = stage.join("results");
     let Ok(results) = fs::read_to_string(&list) else { return Ok(()) };
@@ -219,9 +221,10 @@ fn stage_name(target: &Path, run: u32) -> String {
     format!(".{}.{run}.partial", target.file_name().unwrap_or_default().to_string_lossy())
 }
 
-/// Whether no run holds the lock of a staging folder, nor is about to take it.
+/// Whether no run holds the lock of a staging folder, or is about to take it.
 fn is_abandoned(stage: &Path, run: u32) -> bool {
-    // Process numbers recur, in containers above all: a folder of this number is not of this run.
+    // Process numbers are reused, above all in containers, so a folder with this run's own number
+    // belongs to an earlier run.
     let may_be_starting =
         run != std::process::id() && Path::new("/proc").join(run.to_string()).exists();
     !may_be_starting && File::open(stage.join("lock")).is_ok_and(|lock| lock.try_lock().is_ok())
@@ -284,7 +287,7 @@ mod tests {
             output.add("report.json", b"{\n  \"schema\": \"ubimap-report\"\n}\n").unwrap();
             output.finish().unwrap();
         };
-        // Without a report of ours, the files belong to somebody else.
+        // Without a report of this program, the files belong to someone else.
         write();
         assert_eq!(names(folder.path()), ["coverage.png", "error.png", "notes.txt", "report.json"]);
         write();
@@ -310,7 +313,7 @@ mod tests {
         assert_eq!(names(folder.path()), ["file", "new"]);
     }
 
-    /// A staging folder as a run that was killed leaves it.
+    /// A staging folder as left by a run that was killed.
     fn abandoned(folder: &Folder, files: &[&str]) -> PathBuf {
         for file in [&["lock"], files].concat() {
             folder.file(&format!(".out.4294967295.partial/{file}"), b"stale");
@@ -324,19 +327,20 @@ mod tests {
         let out = folder.path().join("out");
         let read = |name: &str| fs::read_to_string(out.join(name)).unwrap();
 
-        // Killed while it wrote its files.
+        // The run was killed while it wrote its files.
         folder.file("out/map.pgm", b"before");
         let stage = abandoned(&folder, &["new/map.pgm"]);
         drop(OutputFolder::create(&out).unwrap());
         assert!(!stage.exists() && read("map.pgm") == "before");
 
-        // Killed after the exchange: a file of the user's is still in the old folder.
+        // The run was killed after the exchange: one of the user's files is still in the old
+        // folder.
         abandoned(&folder, &["new/map.pgm", "new/notes.txt"]);
         folder.file(".out.4294967295.partial/results", b"map.pgm\n");
         drop(OutputFolder::create(&out).unwrap());
         assert!(!stage.exists() && read("map.pgm") == "before" && read("notes.txt") == "stale");
 
-        // Killed between two renames.
+        // The run was killed between two renames.
         fs::remove_dir_all(&out).unwrap();
         abandoned(&folder, &["new/map.pgm", "old/map.pgm", "old/notes.txt"]);
         folder.file(".out.4294967295.partial/old/map.pgm", b"before");
@@ -368,7 +372,7 @@ mod tests {
         folder.file("out/frames/0.png", b"mine");
         let mut output = OutputFolder::create(&out).unwrap();
         output.add("map.pgm", b"new").unwrap();
-        // Nothing shows before the end.
+        // Nothing appears before the end.
         assert_eq!(names(&out), ["frames", "notes.txt"]);
         output.finish().unwrap();
         assert_eq!(names(&out), ["frames", "map.pgm", "notes.txt"]);

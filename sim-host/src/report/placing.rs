@@ -18,11 +18,11 @@ pub struct PlaceReport {
     pub room: String,
     /// "true" or "paper": which floor a camera sees.
     pub model: &'static str,
-    /// What was asked for, in words.
+    /// The goal of the optimisation, in words.
     pub goal: &'static str,
-    /// A cell counts as covered from this number of cameras on: UbiSLAM's `m`.
+    /// Minimum number of cameras that must see a cell for it to count as covered: UbiSLAM's `m`.
     pub min_overlap: u16,
-    /// The most cameras that may see a cell: UbiSLAM's `k`.
+    /// Maximum number of cameras that may see a cell: UbiSLAM's `k`.
     pub max_overlap: Option<u16>,
     /// The floor.
     pub floor: FloorSummary,
@@ -32,9 +32,9 @@ pub struct PlaceReport {
     pub cameras: Vec<PlacedCamera>,
     /// Whether Ctrl-C ended the search.
     pub was_interrupted: bool,
-    /// Seconds until the integer programme was solved or given up.
+    /// Time in seconds until the integer programme was solved or given up.
     pub solved_s: f64,
-    /// Seconds in all, of the wall clock.
+    /// Total time in seconds of real time.
     pub elapsed_s: f64,
 }
 
@@ -47,9 +47,10 @@ pub struct FloorSummary {
     pub cells: u64,
     /// Cells that no candidate sees.
     pub blind: u64,
-    /// Cells visible to fewer candidates than the required number of cameras: all of those must see them.
+    /// Cells that fewer candidates see than the required number of cameras; all of those candidates
+    /// are needed.
     pub lowered: u64,
-    /// Cells of pieces of floor under a square metre, at 0.5 m, which were left out.
+    /// Number of cells left out because they belong to a small piece of floor.
     pub left_out: u64,
 }
 
@@ -58,31 +59,32 @@ pub struct FloorSummary {
 pub struct PlacementSummary {
     /// Number of candidates: UbiSLAM's `C`.
     pub candidates: u64,
-    /// Side of the squares with one place for cameras each, in metres.
+    /// Distance between adjacent places for cameras, in metres.
     pub spacing_m: f64,
     /// Number of cameras.
     pub cameras: u64,
-    /// Number of cameras that were added to connect the overlap.
+    /// Number of cameras added to connect the views.
     pub added: u64,
-    /// Cells that `min_overlap` cameras or more see.
+    /// Number of cells that at least `min_overlap` cameras see.
     pub covered: u64,
-    /// Their share of all cells.
+    /// The fraction of all cells that are covered.
     pub coverage: f64,
-    /// Cells by the number of cameras that see them, from zero on.
+    /// Number of cells that no camera sees, one camera, two, and so on.
     pub by_overlap: Vec<u64>,
-    /// What was optimised: the number of cameras, without those added, or the weight of the covered
-    /// cells.
+    /// The value of the goal: the number of cameras, without those added, or the weight of the
+    /// covered cells.
     pub value: u64,
-    /// No placement has a better value.
+    /// A proved bound: no placement has a better value.
     pub bound: u64,
-    /// Maximum gap to the optimum: the difference to the bound, as a share of the greater of both.
+    /// Maximum gap to the optimum: the difference between value and bound, relative to the greater
+    /// of the two.
     pub gap: f64,
     /// Whether the value is proved to be optimal.
     pub is_optimal: bool,
-    /// Pieces into which the graph of overlapping cameras falls; one where calibration can follow it
-    /// everywhere.
+    /// Number of pieces of the graph of overlapping cameras. If it is one, every camera can be
+    /// calibrated against every other.
     pub pieces: u64,
-    /// The fewest pieces that are possible.
+    /// The minimum number of pieces that is possible.
     pub fewest_pieces: u64,
 }
 
@@ -93,19 +95,19 @@ pub struct PlacedCamera {
     pub name: String,
     /// The optical centre in `map`, in metres.
     pub position_m: [f64; 3],
-    /// Where it faces, counter-clockwise from x, in degrees.
+    /// Direction in which it faces, counter-clockwise from x, in degrees.
     pub heading_deg: f64,
-    /// How far it looks down, in degrees: 0 level, 90 straight down.
+    /// Downward tilt in degrees: 0 is level, 90 straight down.
     pub tilt_deg: f64,
 }
 
 impl PlaceReport {
-    /// What [`PlaceReport::schema`] says.
+    /// The value of [`PlaceReport::schema`].
     pub const SCHEMA: &'static str = "ubimap-place";
-    /// The version that is written.
+    /// The version written by this program.
     pub const VERSION: u32 = 1;
 
-    /// Whether calibration can follow the overlap wherever the room allows it.
+    /// Whether the cameras are as connected as the room allows.
     pub fn is_connected(&self) -> bool {
         self.placement.pieces <= self.placement.fewest_pieces
     }
@@ -153,8 +155,8 @@ impl fmt::Display for PlaceReport {
 }
 
 impl PlaceReport {
-    /// Coverage, overlap, optimality and candidates in words, one line each; neither times nor the
-    /// single cameras.
+    /// Coverage, overlap, optimality and candidates in words, one line each; without times and the
+    /// list of cameras.
     pub fn describe_placement(&self) -> String {
         let PlacementSummary { cameras, covered, coverage, candidates, spacing_m, .. } =
             &self.placement;

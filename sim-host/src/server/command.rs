@@ -2,7 +2,7 @@
 
 use ubimap_protocol::message::{ParameterCommand, Path, Stop, ToRobot, Writer};
 
-/// Parameter commands numbered from here on are the server's own; users' numbers are below.
+/// First number of the server's own parameter commands; users' commands have lower numbers.
 pub(super) const FIRST_OWN_NUMBER: u16 = 0xC000;
 
 /// Whether a parameter command's or report's number is one of the server's own.
@@ -23,12 +23,12 @@ pub enum Command {
 }
 
 impl Command {
-    /// Whether it is sent before retransmissions.
+    /// Whether the command is sent before retransmissions.
     pub(super) fn is_urgent(&self) -> bool {
         matches!(self, Self::Stop(_))
     }
 
-    /// Whether it stays in force until another command of its kind.
+    /// Whether the command stays in force until another command of its kind.
     pub(super) fn stands(&self) -> bool {
         matches!(self, Self::Stop(_) | Self::Path(_))
     }

@@ -52,8 +52,8 @@ impl Dispatch {
         self.coordinator.poll_timeout()
     }
 
-    /// Lets the coordinator decide if that is due, and returns whether it did; then drain its
-    /// commands and notices. `is_reachable` says which robots can be commanded.
+    /// Lets the coordinator decide if that is due. Returns whether it did; the caller must then
+    /// drain its commands and notices. `is_reachable` says which robots can be commanded.
     pub(super) fn tick(
         &mut self,
         snapshot: &Snapshot<'_>,

@@ -7,8 +7,8 @@ const BYTE: Duration = Duration::from_micros(25);
 /// Maximum charge: a burst of 80 kB.
 const BURST: Duration = Duration::from_secs(2);
 
-/// A leaky bucket. Excess bytes are dropped, as on a bad link, which bounds the share of work and
-/// memory that one port can claim.
+/// A leaky bucket. Excess bytes are dropped, as on a bad link. This bounds the work and memory that
+/// one port can claim.
 #[derive(Debug, Default)]
 pub(super) struct Inflow {
     /// When the charge is used up.
@@ -19,7 +19,7 @@ pub(super) struct Inflow {
 impl Inflow {
     /// Returns how many of the received bytes may be read.
     pub(super) fn admit(&mut self, bytes: usize, now: Instant) -> usize {
-        // It is further ahead only if the clock was set back.
+        // The charge is further ahead only if the clock was set back.
         let is_ahead = now < self.busy_until && self.busy_until <= now + BURST;
         let begin = if is_ahead { self.busy_until } else { now };
         self.floods &= begin > now;

@@ -51,8 +51,8 @@ impl Server {
         self.map.weight(robot)
     }
 
-    /// The cells of a tile below robots, as cameras last saw them. There the fused layer is not
-    /// occupied, whatever the layers contain.
+    /// The cells of a tile that are below robots, as cameras last saw the robots. The fused layer
+    /// is not occupied there, whatever the other layers contain.
     pub fn under(&self, id: TileId) -> Mask {
         self.map.under(id)
     }
@@ -100,8 +100,8 @@ impl Server {
         self.ports.session(robot).is_some_and(|session| session.is_level(&self.snapshot()))
     }
 
-    /// Number of messages waiting to be sent to a robot, without tiles, peers and obstacles: only
-    /// their newest state is sent when it is due.
+    /// Number of messages waiting to be sent to a robot. Tiles, peers and obstacles are not
+    /// counted: only their newest state is sent when it is due.
     pub fn waiting(&self, robot: RobotId) -> usize {
         self.ports.session(robot).map_or(0, Session::waiting)
     }
@@ -130,7 +130,7 @@ impl Server {
         (self.surroundings.obstacles_moment(), self.surroundings.all_obstacles())
     }
 
-    /// Sightings of robots that can't be a pose.
+    /// Sightings of robots that can't be correct.
     pub fn sighting_events(&self) -> &Tally<SightingEvent> {
         self.events.sightings()
     }

@@ -1,4 +1,4 @@
-//! The server's state that is common to all robots, at one time.
+//! The part of the server's state that all robots share, at one time.
 
 use ubimap_protocol::tile::{Epoch, Layer};
 

@@ -10,7 +10,7 @@ use ubimap_protocol::{
 use super::session::Session;
 use crate::mapping::{CureRecord, RobotLayer, TileRecord};
 
-/// Tiles and cures waiting to be written.
+/// Tiles and cures (corrections of robots' constant errors) waiting to be written.
 #[derive(Debug)]
 pub(super) struct Unsaved {
     /// Whether the server has a store.
@@ -26,7 +26,7 @@ impl Unsaved {
         Self { stores, changed: BTreeSet::new(), cures: VecDeque::new() }
     }
 
-    /// Records that complete states of these tiles and epochs have arrived; notifies the robot of
+    /// Records that complete states of these tiles and epochs have arrived. Notifies the robot of
     /// those that are already on disk.
     pub(super) fn came(
         &mut self,
@@ -66,7 +66,7 @@ impl Unsaved {
         self.cures.extend(self.stores.then_some(record));
     }
 
-    /// Whether the robot's cure must wait until its progress is on disk.
+    /// Whether the robot's correction must wait until its progress is on disk.
     pub(super) fn holds_up(&self, robot: RobotId) -> bool {
         self.cures.iter().any(|record| record.robot == robot)
     }

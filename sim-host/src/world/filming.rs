@@ -1,8 +1,8 @@
 //! Captures the frames of simulated cameras; they may arrive late, out of order, or not at all.
 //!
-//! A frame is rendered only when it is polled. Until then it holds the scene, which all cameras share
-//! at one time, and a seed of its own for the noise, so that the frames of several cameras can be rendered
-//! in parallel with the same result.
+//! A frame is rendered only when it is polled. Until then it holds the scene, which all cameras
+//! share at one time, and its own seed for the noise. So the frames of several cameras can be
+//! rendered in parallel with the same result.
 
 use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread};
 
@@ -94,7 +94,7 @@ impl Filming {
             if !shutter.times.is_due(now) {
                 continue;
             }
-            // Draw the same random numbers whether the frame is lost or not.
+            // The same random numbers are drawn whether the frame is lost or not.
             let (late, fate): (f64, f64) =
                 (Exp1.sample(&mut shutter.dice), shutter.dice.random_range(0.0..1.0));
             let seed = shutter.dice.random();

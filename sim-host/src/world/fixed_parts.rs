@@ -1,5 +1,5 @@
-//! What stands in a scenario's room, as plain geometry: for those who ask what hides what, and know
-//! nothing of the simulation.
+//! The walls and furniture of a scenario's room as plain geometry, for users that know nothing of
+//! the simulation and only ask what hides what.
 
 use super::{
     room::Room,
@@ -21,7 +21,7 @@ pub enum FixedOutline {
     Polygon(Vec<[f64; 2]>),
 }
 
-/// An upright prism: a wall, a shut door, a piece of furniture or a part of one.
+/// An upright prism: a wall, a closed door, or a piece of furniture or part of one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixedPart {
     /// Its shape from above.
@@ -33,7 +33,7 @@ pub struct FixedPart {
 }
 
 impl Scenario {
-    /// Walls, doors (shut) and furniture as they are at first, without the walls of a map.
+    /// Walls, closed doors and furniture in their initial places, without the walls of a map.
     ///
     /// # Errors
     /// [`ScenarioError::Invalid`] for furniture that has no area.

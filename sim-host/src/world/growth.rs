@@ -1,7 +1,7 @@
 //! Generates a scenario from a map: places cameras, robots and people on its free floor.
 //!
-//! They are placed as far apart as the map allows, on the largest connected piece of reachable floor.
-//! Each robot or person drives or walks to the place of the next one and back.
+//! Everything is placed as far apart as the map allows, on the largest connected piece of reachable
+//! floor. Each robot or person moves to the place of the next one and back.
 
 use std::collections::VecDeque;
 
@@ -17,8 +17,8 @@ const CLEARANCE: f64 = 0.35;
 const BELOW_CEILING: f64 = 0.15;
 
 impl Scenario {
-    /// Places what [`Scenario::grow`] asks for in a map; does nothing without it. `free` marks the cells
-    /// of the map that are known to be free.
+    /// Places what [`Scenario::grow`] asks for in a map; does nothing if that is `None`. `free`
+    /// marks the cells of the map that are known to be free.
     pub fn grow_in(&mut self, grid: &WallGrid, free: &[bool]) -> Result<(), ScenarioError> {
         let Some(grow) = self.grow.take() else { return Ok(()) };
         let floor = Floor::of(grid, free);
@@ -37,7 +37,7 @@ impl Scenario {
         for (index, &place) in places[..movers].iter().enumerate() {
             let there = places[(index + 1) % movers];
             let mut way = floor.way(place, there);
-            // There and back; the start itself is the last stop of any route.
+            // There and back; the start itself is the last stop of every route.
             way.extend(way.clone().into_iter().rev().skip(1));
             let stops: Vec<[f64; 2]> = way.into_iter().map(|cell| floor.metres(cell)).collect();
             let [x_m, y_m] = floor.metres(place);
@@ -64,7 +64,7 @@ impl<'g> Floor<'g> {
         let reach = (CLEARANCE / grid.resolution_m).ceil() as usize;
         let is_free =
             |index: usize| free.get(index).copied().unwrap_or_default() && !grid.occupied[index];
-        // A square is clear if its rows are: check along the row, then along the column.
+        // A square is clear if its rows are: checks along the row, then along the column.
         let along_rows: Vec<bool> = (0..grid.width * grid.height)
             .map(|index| {
                 let (column, row) = (index % grid.width, index / grid.width);
@@ -83,7 +83,7 @@ impl<'g> Floor<'g> {
             })
             .collect();
         let mut floor = Self { grid, is_clear };
-        // Find the largest connected piece.
+        // Finds the largest connected piece.
         let mut left = floor.is_clear.clone();
         let mut largest = Vec::new();
         for index in 0..left.len() {
@@ -102,7 +102,7 @@ impl<'g> Floor<'g> {
         floor
     }
 
-    /// The number of steps from each cell to the nearest of the cells `from`; `u32::MAX` for unreachable
+    /// The number of steps from each cell to the nearest cell of `from`; `u32::MAX` for unreachable
     /// cells.
     fn steps(&self, from: impl IntoIterator<Item = usize>) -> Vec<u32> {
         let mut steps = vec![u32::MAX; self.is_clear.len()];
@@ -160,7 +160,7 @@ impl<'g> Floor<'g> {
             cells.push(next);
             cell = next;
         }
-        // From each corner, go straight to the last cell in sight.
+        // From each corner, goes straight to the last cell in sight.
         let mut corners = Vec::new();
         let mut here = 0;
         while here + 1 < cells.len() {

@@ -1,7 +1,7 @@
 //! Ideal cameras: they see every cell and localise every robot in view.
 //!
-//! Occlusion by the room is computed once per room. Each frame considers only people and robots: their
-//! cells and their shadows.
+//! Occlusion by the room is computed once per room. Each frame considers only people and robots:
+//! the cells that they cover, and their shadows.
 
 use libm::tan;
 use parry2d_f64::{
@@ -134,7 +134,7 @@ impl IdealCamera {
         let mut localised = Vec::new();
         let mut frame = IdealFrame::default();
         for (index, robot) in robots.iter().enumerate() {
-            // Draw the same random numbers whether the robot is in view or not.
+            // The same random numbers are drawn whether the robot is in view or not.
             let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
             let (x, y, turn) = (noise(), noise(), noise());
             let top = robot.body.centre.extend(robot.body.height);
@@ -314,7 +314,7 @@ fn seen_part(
             if height >= field.position.z || !square.contains_local_point(aim) {
                 return None;
             }
-            // Slightly beyond the aim, which may lie exactly on the edge.
+            // Slightly beyond the aim point, which may lie exactly on the edge.
             let way = aim.extend(height) - field.position;
             let (hit, at) = room.first_hit(field.position, way, 1.0 + 1e-6)?;
             let point = field.position + way * at;

@@ -203,14 +203,15 @@ impl World {
         &self.robots
     }
 
-    /// Drives a robot at a speed in m/s and a turn rate in rad/s from now on; it leaves its route.
+    /// Drives a robot at a speed in m/s and a turn rate in rad/s from now on; the robot leaves its
+    /// route.
     pub fn tell_wheels(&mut self, robot: usize, speed_m_s: f64, turn_rad_s: f64) {
         if let Some(robot) = self.robots.get_mut(robot) {
             robot.tell_wheels(speed_m_s, turn_rad_s);
         }
     }
 
-    /// The contacts to date of robots that are driven by commands.
+    /// The contacts so far of robots that are driven by commands.
     pub fn contacts(&self) -> Contacts {
         self.contacts
     }
@@ -239,7 +240,7 @@ impl World {
         waiting.or_else(|| self.scanners.iter().map(|(cadence, _)| cadence.due()).min())
     }
 
-    /// The cells that a camera sees without people and robots: the ground outside its blind spots.
+    /// The cells that a camera sees without people and robots.
     pub fn covered(&self, camera: usize) -> Vec<(i32, i32)> {
         self.cameras.visible(camera).collect()
     }
@@ -262,7 +263,7 @@ impl World {
         self.passed.cells(self.cells)
     }
 
-    /// Advances by a step. Everybody moves in turn, so that each knows where the others are.
+    /// Advances by a step. People and robots move in turn, so that each knows where the others are.
     fn step(&mut self) {
         let seconds = STEP.micros() as f64 / 1e6;
         if let Some(room) = self.changes.make(self.now, &self.bodies(None, None)) {

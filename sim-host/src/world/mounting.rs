@@ -12,7 +12,7 @@ use crate::camera::{CalibrationError, Intrinsics, Lens};
 pub(super) struct Mounting {
     pub(super) position: DVec3,
     pub(super) forward: DVec3,
-    /// Horizontal.
+    /// The horizontal axis, to the right in the image.
     pub(super) right: DVec3,
     pub(super) up: DVec3,
 }

@@ -1,4 +1,4 @@
-//! People who walk from stop to stop, pause there, and wait for anybody in their way.
+//! People who walk from stop to stop, pause there, and wait for anyone in their way.
 
 use parry2d_f64::glamx::DVec2;
 use rand::RngExt;

@@ -1,5 +1,5 @@
-//! Robots that drive along their routes (turn in place, drive straight, wait for anybody ahead), or by
-//! commanded speeds.
+//! Robots that drive along their routes (turn in place, drive straight, wait for anyone ahead), or
+//! by commanded speeds.
 
 use std::f64::consts::{PI, TAU};
 

@@ -84,8 +84,8 @@ fn lose_edges(row: &[f32], above: &[f32], added: &mut [f32]) {
     }
 }
 
-/// Removes the pixels that are occluded for the right imager. It sees a pixel farther left by its disparity,
-/// where something to the right of it may be in front.
+/// Removes the pixels that are occluded for the right imager. In its image, each pixel is shifted
+/// to the left by its disparity, where a nearer object further right may hide it.
 fn lose_shadows(row: &[f32], added: &mut [f32]) {
     let mut nearest = f32::INFINITY;
     for (column, (disparity, added)) in row.iter().zip(added).enumerate().rev() {

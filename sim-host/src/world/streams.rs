@@ -15,7 +15,7 @@ pub(super) enum Stream {
 }
 
 impl Stream {
-    /// The stream with a number, from its beginning.
+    /// The random numbers of this user with this number, from the beginning.
     pub(super) fn rng(self, seed: u64, number: usize) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream((self as u64) << 32 | number as u64);

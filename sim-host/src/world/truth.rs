@@ -23,9 +23,9 @@ pub struct Truth {
     pub free: Vec<(i32, i32)>,
 }
 
-/// The truth as seen from the starts and from the cells that were free `before` the room changed: a closet
-/// that was open once stays known when its door closes. Without starts, as seen from anywhere in the
-/// room.
+/// The truth as seen from the starts, and from the cells that were free `before` the room changed:
+/// a closet that was open once stays known when its door closes. Without starts, as seen from
+/// anywhere in the room.
 pub(super) fn truth(
     room: &Room,
     cells: CellGrid,

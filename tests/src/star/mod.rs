@@ -1,5 +1,5 @@
-//! Robots around one server in virtual time, over wires with arbitrary faults. The state of all is
-//! checked after every event.
+//! Robots around one server in virtual time, over wires with arbitrary faults. The complete state
+//! is checked after every event.
 
 mod checks;
 mod way;
@@ -27,19 +27,19 @@ pub use way::Way;
 
 use crate::disk::{Disk, Held};
 
-/// Maximum rounds of input and output at one time, beyond which time counts as stuck.
+/// Maximum number of rounds of input and output at one point in time; more mean that time is stuck.
 const MAX_ROUNDS: u32 = 2_000;
 
-/// One robot, across its reboots.
+/// A robot, across its reboots.
 #[derive(Debug)]
 pub struct Member<'b> {
-    /// Its id.
+    /// The robot's id.
     pub id: RobotId,
-    /// Its port at the server.
+    /// The robot's port at the server.
     pub port: usize,
-    /// To the server.
+    /// The direction to the server.
     pub up: Way,
-    /// To the robot.
+    /// The direction to the robot.
     pub down: Way,
     robot: Option<Robot<'b>>,
     /// When it booted or its clock jumped last, and what its clock showed then.
@@ -48,7 +48,7 @@ pub struct Member<'b> {
     drift_ppm: i64,
     bytes_at_boot: u64,
     last: (Statistics, Counters),
-    /// The state of its own tiles, if the server stores any on disk.
+    /// The versions of the robot's own tiles, if the server stores tiles on disk.
     own: Held,
 }
 
@@ -122,8 +122,8 @@ struct Checked {
 }
 
 impl<'b> Star<'b> {
-    /// A server without robots, with a disk if `terms` enable storing. The seed is for garbage,
-    /// clocks and the disk.
+    /// A server without robots; it has a disk if `terms` enable storing. The seed determines
+    /// garbage, clocks and the disk.
     pub fn new(terms: Terms, ports: usize, seed: u64) -> Self {
         Self {
             server: Server::new(terms, ports),
@@ -269,7 +269,7 @@ impl<'b> Star<'b> {
         if let Some(pose) = pose {
             robot.odometry(local, pose, local);
         }
-        // The robot counts full queues.
+        // The robot itself counts scans for which the queue was full.
         let _ = robot.scan(local, readings, local);
         self.drain();
     }
@@ -328,7 +328,7 @@ impl<'b> Star<'b> {
         robots.chain(ports).flatten().chain(write).min()
     }
 
-    /// For messages: the next deadlines.
+    /// The next deadlines, for messages.
     fn who_is_due(&self) -> String {
         let server_now = self.server_now();
         let robots = self.members.iter().map(|member| {

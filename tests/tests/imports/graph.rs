@@ -23,7 +23,7 @@ pub(super) struct Graph {
 
 /// The contents of one file.
 struct Source {
-    /// Relative to the crate's `src`.
+    /// Path of the file relative to the crate's `src`.
     file: PathBuf,
     /// Names imported by `use`, with the paths that they stand for.
     names: BTreeMap<String, Module>,
@@ -66,7 +66,8 @@ impl Graph {
         self.modules.keys().filter_map(|module| module.first()).map(String::as_str).collect()
     }
 
-    /// All pairs of modules where the first one's file uses something of the second one's.
+    /// All pairs of modules in which the file of the first uses something defined in the file of
+    /// the second.
     pub(super) fn uses(&self) -> BTreeSet<(&Module, &Module)> {
         let uses = self.modules.iter().flat_map(|(module, source)| {
             let found = source.used.iter().filter_map(|path| self.definer(module, path, 0));
@@ -94,11 +95,11 @@ impl Graph {
                 _ if self.modules.contains_key(&child) => at = child,
                 _ => {
                     let Some(target) = self.modules.get(&at)?.names.get(name) else {
-                        // Defined here, in the language or in another crate.
+                        // The name is defined here, in the language, or in another crate.
                         return if index == 0 { None } else { self.key(&at) };
                     };
                     if target.first() == Some(name) {
-                        // Another crate.
+                        // The name belongs to another crate.
                         return None;
                     }
                     let path = [target, &path[index + 1..]].concat();
@@ -113,7 +114,7 @@ impl Graph {
         self.modules.get_key_value(module).map(|(module, _)| module)
     }
 
-    /// Groups of files that use each other, directly or indirectly, each sorted by name.
+    /// Groups of files that use each other, directly or indirectly; each group is sorted by name.
     pub(super) fn circles(&self) -> Vec<Vec<&Module>> {
         let mut reached: BTreeMap<&Module, BTreeSet<&Module>> = BTreeMap::new();
         let uses = self.uses();
@@ -148,7 +149,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// Adds the names of a `use`. A re-export defines a name without using it.
+    /// Adds the names of a `use`. A re-export defines a name, but does not use it.
     fn take(&mut self, tree: &UseTree, path: &[String], is_reexport: bool) {
         let with = |name: &syn::Ident| [path, &[name.to_string()]].concat();
         let (name, target) = match tree {

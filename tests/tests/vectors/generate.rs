@@ -85,7 +85,7 @@ fn message<D: Traffic>(body: &impl Body<D>) -> Vec<u8> {
     written::<D>(|writer| writer.push(body))
 }
 
-/// The same for a message whose body starts with `head`.
+/// An encoded message whose body starts with `head`, followed by `rest`.
 fn message_with<D: Traffic>(head: &impl Body<D>, rest: &[u8]) -> Vec<u8> {
     written::<D>(|writer| {
         writer.push_with(head, |space| {
@@ -556,7 +556,7 @@ fn room() -> Tile {
     tile
 }
 
-/// The same later: a chair was removed, a door opened, a box added.
+/// The same corner later: a chair was removed, a door opened, and a box added.
 fn room_later() -> Tile {
     let mut tile = room();
     for (x, y) in [(20, 15), (21, 15), (20, 16), (25, 6), (26, 6), (27, 6)] {

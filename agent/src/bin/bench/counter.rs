@@ -13,7 +13,7 @@ const INSTRUCTIONS_PER_SECOND: u64 = 1_000_000_000;
 /// SysTick's maximum period: 99.8 million instructions.
 const PERIOD: u32 = 1 << 24;
 
-/// Number of instructions in a number of ticks.
+/// Converts ticks to instructions.
 pub(crate) fn instructions(ticks: u64) -> u64 {
     ticks * INSTRUCTIONS_PER_SECOND / CORE_HZ
 }
@@ -32,21 +32,21 @@ impl Bench {
         systick.set_reload(PERIOD - 1);
         systick.clear_current();
         systick.enable_counter();
-        // From zero it reloads.
+        // SysTick starts at zero and reloads.
         while SYST::get_current() == 0 {}
         let mut bench = Self { systick, overhead: 0 };
         bench.overhead = bench.ticks(|| ()).1.unwrap_or(0);
         bench
     }
 
-    /// Runs a stage once. Returns its result and its ticks, of six instructions each; `None` if
-    /// they may exceed a period.
+    /// Runs a stage once. Returns its result and its duration in ticks of six instructions; `None`
+    /// instead of the duration if it may exceed SysTick's period.
     pub(crate) fn count<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
         let (result, ticks) = self.ticks(stage);
         (result, ticks.map(|ticks| ticks.saturating_sub(self.overhead)))
     }
 
-    /// The same, including the overhead.
+    /// Like `count`, including the overhead of measuring.
     fn ticks<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
         // SysTick counts down, and wraps at most once within a period.
         self.systick.has_wrapped();

@@ -75,8 +75,8 @@ impl Scene {
     }
 }
 
-/// Plans across each scene and to a frontier, then makes a step. `None` if one of them has a wrong
-/// result.
+/// Plans across each scene and to a frontier, then makes a step along a path. `None` if any result
+/// is wrong.
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let planner = singleton!(: Planner = Planner::EMPTY)?;
@@ -121,7 +121,7 @@ fn fill(scene: Scene, window: &mut PlanningWindow) {
     window.fill(&view, |column, row| scene.row(column, row));
 }
 
-/// Number of points of the path.
+/// Plans a path. Returns the number of its points.
 fn plan(
     planner: &mut Planner,
     window: &mut PlanningWindow,

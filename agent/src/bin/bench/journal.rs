@@ -22,7 +22,7 @@ use port::Port;
 use ubimap_agent::{Memory, Robot, drive::Driving, memory};
 use ubimap_protocol::frame::DEFAULT_FRAME;
 
-/// Maximum length of a line: a frame, two digits per byte.
+/// Maximum length of a line: a frame, in two hexadecimal digits per byte.
 const LINE: usize = 2 * DEFAULT_FRAME + 8;
 
 #[entry]

@@ -13,8 +13,8 @@ use ubimap_protocol::{
 
 use super::counter::Bench;
 
-/// A robot drives a curve with odometry at 20 Hz and fixes at 15 Hz; one fix is 100 ms late, or as
-/// late as possible; then the pose of a scan is requested.
+/// A robot drives along a curve, with odometry at 20 Hz and fixes at 15 Hz. One fix is 100 ms late,
+/// or as late as the filter accepts. Then the pose of a scan is requested.
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let at = |millis: i32| Pose {

@@ -26,7 +26,7 @@ use cortex_m_semihosting::hprintln;
 use counter::Bench;
 use ending::end;
 use planes::{BOUNDS, PIXELS, POSE, local_map, rows};
-// Links its interrupt vectors.
+// Links the interrupt vectors of the chip.
 use stm32f4xx_hal as _;
 use ubimap_agent::{
     Config, Memory, Robot, Slices, Storage,
@@ -96,7 +96,8 @@ fn sensor() -> SensorModel {
     SensorModel::Pinhole { focal: FOCAL, centre: (PIXELS - 1) as f32 / 2.0 }
 }
 
-/// Writes the first message with the scene's tiles, as many as fit a frame. Returns its length.
+/// Writes the first message with the scene's tiles, as many as fit a frame. Returns its length in
+/// bytes.
 fn publish(
     bench: &mut Bench,
     memory: Slices<'_>,
@@ -115,7 +116,8 @@ fn publish(
     Some(writer.len())
 }
 
-/// Receives a frame with a pose fix and its three predecessors, from bytes to the robot's pose.
+/// Measures the reception of a frame with a pose fix and its three predecessors, from bytes to the
+/// robot's pose.
 #[inline(never)]
 fn receive(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     let mut robot = Robot::new(Config::new(RobotId(1), sensor(), BOUNDS), memory).ok()?;
@@ -139,13 +141,14 @@ fn receive(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     robot.receive(frame.get(..len)?, now);
     server.begin(welcome.session, DEFAULT_FRAME);
 
-    // Synchronises the clocks: the first request has the nonce 0.
+    // The reply answers the robot's first time request, which has nonce 0.
     robot.poll_transmit(now, &mut frame)?;
     let reply = TimeReply { nonce: 0, received: now, held_micros: 0 };
     let len = datagram(&mut server, &reply, &mut frame, now)?;
     robot.receive(frame.get(..len)?, now);
 
-    // Three of the four fixes are known each time, as at 15 Hz without losses.
+    // Each message repeats the last three fixes, so after the first four messages the robot knows
+    // three of four, as at 15 Hz without losses.
     for count in 1..=5u64 {
         now = Instant(count * 66_667);
         let before = (1..count).rev().map(|fix| (Instant(fix * 66_667), POSE));

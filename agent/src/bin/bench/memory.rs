@@ -1,4 +1,4 @@
-//! Memory of a robot in bytes, by its bounds: the same on every 32-bit machine.
+//! Sizes of a robot's memory in bytes, by its bounds: the same on every 32-bit machine.
 
 use cortex_m_semihosting::hprintln;
 use ubimap_agent::{Bounds, LINK_STATE, Robot, map::OwnTile, share::FusedTile};

@@ -15,16 +15,17 @@ const DEPTH: usize = 32 * 1_024;
 #[inline(never)]
 pub(crate) fn paint() {
     words().for_each(|word| {
-        // SAFETY: it lies below the stack pointer, above the static memory, and no interrupt comes.
+        // SAFETY: the word lies below the stack pointer and above the static memory, and no
+        // interrupt is enabled.
         unsafe { write_volatile(word, PAINT) }
     });
 }
 
-/// Depth of the deepest word written since painting, in bytes.
+/// Depth of the deepest word written since the stack was painted, in bytes.
 #[inline(never)]
 pub(crate) fn depth() -> usize {
     let written = |word: &*mut u32| {
-        // SAFETY: as above.
+        // SAFETY: as in `paint`.
         unsafe { read_volatile(*word) != PAINT }
     };
     let deepest = words().find(written).map_or(msp::read() as usize, |word| word.addr());

@@ -1,4 +1,4 @@
-//! Instruction counts from a row of a depth frame to evidence planes.
+//! Instruction counts from a row of a depth frame to the bit planes of the evidence.
 
 use core::hint::black_box;
 
@@ -16,7 +16,7 @@ use crate::counter::Bench;
 
 /// Pixels per depth row (Aluckal II.D).
 pub(crate) const PIXELS: usize = 640;
-/// More tiles than a row touches.
+/// Bounds with more tiles than a row touches.
 pub(crate) const BOUNDS: Bounds =
     Bounds { readings: PIXELS, waiting: 1, own_tiles: 12, fused_tiles: 9, ..Bounds::DEFAULT };
 /// The pose at which the rows are taken, not aligned with the axes.
@@ -32,14 +32,14 @@ pub(crate) fn local_map<'m>(
 ) -> LocalMap<'m> {
     let (resolution, max_range, mounting) = (BOUNDS.resolution, BOUNDS.max_range, Pose::default());
     let (validity, policy) = (Validity::of(sensor), Policy::default());
-    // A quarter of the range.
+    // The value that a robot with these bounds uses, in millimetres.
     let near = 703;
     let config = MappingConfig { resolution, max_range, near, mounting, validity, policy };
     LocalMap::new(config, beams, scratch, Pool::new(own))
 }
 
-/// Takes a row of a frame to evidence planes as a robot does: copied, cleaned, drawn, counted; then
-/// the same row again.
+/// Takes a row of a frame through the stages of a robot: it is copied, cleaned and drawn, and the
+/// evidence is counted. Then does the same with the same row again.
 pub(crate) fn rows(
     bench: &mut Bench,
     memory: Slices<'_>,

@@ -1,12 +1,12 @@
 //! A robot that replays a journal, identically on a microcontroller and on a PC.
 //!
-//! A journal is a sequence of entries, all numbers little-endian:
+//! A journal is a sequence of entries; all numbers are little-endian:
 //!
 //! | what | bytes |
 //! |---|---|
 //! | the kind of the entry | 1 |
-//! | when, by the robot's clock, in microseconds | 8 |
-//! | [`RECEIVED`]: how many bytes, and these | 2, any |
+//! | the time by the robot's clock, in microseconds | 8 |
+//! | [`RECEIVED`]: the number of bytes, then the bytes | 2, any |
 //! | [`ODOMETRY`]: x and y in millimetres, the heading in binary units | 4, 4, 2 |
 //! | [`SCAN`]: the readings in millimetres | 200 |
 //! | [`TIMEOUT`], [`TRANSMIT`], [`END`]: nothing | 0 |

@@ -1,5 +1,5 @@
-//! The server for measurements of a robot's stack. It has its own transmit buffer, and none of it
-//! is inlined, so that its stack does not count as the robot's.
+//! The scripted server for measurements of a robot's stack. It has its own transmit buffer, and no
+//! function is inlined, so that its stack does not count as the robot's.
 
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, SessionId},
@@ -17,7 +17,7 @@ use ubimap_protocol::{
 
 use super::{BOUNDS, INTERVAL, pose};
 
-/// One in this number of frames to the server is lost.
+/// Every 11th frame to the server is lost.
 const LOST: u32 = 11;
 
 /// The server's side of one link.
@@ -25,12 +25,12 @@ pub(super) struct Server {
     link: Endpoint<ToRobot, (), 3, DEFAULT_FRAME>,
     frame: [u8; DEFAULT_FRAME],
     heard: u32,
-    /// Unanswered messages.
+    /// The messages that are still to be answered.
     hello: Option<Hello>,
     request: Option<TimeRequest>,
     /// The server's epoch.
     epoch: u32,
-    /// Number of tiles sent in this epoch, and the next cell of the current one.
+    /// Number of tiles sent in this epoch, and the next cell to send of the current tile.
     sent: u32,
     next: u16,
 }
@@ -59,7 +59,7 @@ impl Server {
         (self.sent, self.next) = (0, 0);
     }
 
-    /// Sends a reset if there is no session.
+    /// Sends a reset if a frame arrived while there was no session.
     #[inline(never)]
     pub(super) fn reset(&mut self) -> Option<&[u8]> {
         if self.link.session() != SessionId::NONE {
@@ -117,7 +117,7 @@ impl Server {
         self.send(&reply, now)
     }
 
-    /// A message of this kind after `count` scans of the robot.
+    /// A message of this kind, to be sent after the robot's scan number `count`.
     #[inline(never)]
     pub(super) fn say(
         &mut self,
@@ -189,7 +189,7 @@ impl Server {
                 self.send(&Path { number, waypoints }, now)
             }
             ToRobotKind::Parameter => {
-                // The sensor's mounting, or all parameters.
+                // Sets the sensor's mounting, or asks for all parameters.
                 let set = ParameterAction::Set(ParameterValue { parameter: 1, value: 10 });
                 let action = if count.is_multiple_of(2) { set } else { ParameterAction::List };
                 self.send(&ParameterCommand { number: count as u16, action }, now)
@@ -199,7 +199,7 @@ impl Server {
         }
     }
 
-    /// The newest fix and its three predecessors; sometimes a fix that is half a second old.
+    /// A fix with its three predecessors; sometimes one that is half a second old.
     #[inline(never)]
     fn fix(&mut self, count: u64, now: Instant) -> Option<&[u8]> {
         let newest = if count.is_multiple_of(10) { count.saturating_sub(7) } else { count };
@@ -210,7 +210,7 @@ impl Server {
         self.send(&fix, now)
     }
 
-    /// A part of a tile with half noise: of the fused layer, then of the coverage layer.
+    /// A part of a tile, half of it noise: of the fused layer, then of the coverage layer.
     #[inline(never)]
     fn tile(&mut self, id: TileId, now: Instant) -> Option<&[u8]> {
         let mut tile = Tile::UNKNOWN;

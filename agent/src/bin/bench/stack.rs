@@ -1,7 +1,8 @@
-//! Stack of a robot in bytes, including the robot itself: `cargo stack`, and on a Cortex-M0+ `cargo
-//! stack-m0`. The stack is painted before each stage of a drive with a scripted server.
+//! Depth of a robot's stack in bytes, including the robot itself: `cargo stack`, and for a
+//! Cortex-M0+ `cargo stack-m0`. The stack is painted before each stage of a drive with a scripted
+//! server.
 //!
-//! Nothing is formatted here, so that the image holds no panics except the robot's.
+//! Nothing is formatted here, so that the only panics in the image are the robot's.
 #![no_std]
 #![no_main]
 
@@ -14,7 +15,7 @@ use cortex_m_semihosting::hio;
 use ending::end;
 use paint::{depth, paint};
 use server::Server;
-// Links its interrupt vectors.
+// Links the interrupt vectors of the chip.
 #[cfg(feature = "firmware")]
 use stm32f4xx_hal as _;
 use ubimap_agent::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
@@ -26,13 +27,13 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose, RobotId},
 };
 
-/// The firmware's; the smallest on a core with less memory.
+/// The firmware's bounds; the smallest ones on a core with less memory.
 const BOUNDS: Bounds = if cfg!(feature = "firmware") { Bounds::REFERENCE } else { Bounds::SMALL };
 
 /// Time between two scans.
 const INTERVAL: Duration = Duration(66_667);
 
-/// Scans of the drive: after 12 m the pool is full, and tiles are evicted.
+/// Number of scans of the drive. It is 12 m long, which fills the pool, so that tiles are evicted.
 const SCANS: u64 = 200;
 
 /// The stages measured.
@@ -100,7 +101,7 @@ impl Depths {
         result
     }
 
-    /// Records the depth of a stage; the stack was painted before it.
+    /// Records the depth of a stage; the stack must have been painted before it.
     fn note(&mut self, stage: Stage) {
         if let Some(deepest) = self.0.get_mut(stage.index()) {
             *deepest = depth().max(*deepest);
@@ -118,7 +119,7 @@ impl Depths {
 #[entry]
 fn main() -> ! {
     static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
-    // The measuring equipment, which must not be measured.
+    // The server is a static, so that it does not lie on the measured stack.
     static mut SERVER: Option<Server> = None;
     static mut DEPTHS: Depths = Depths([0; _]);
 
@@ -155,7 +156,7 @@ fn drive(robot: &mut Robot<'_>, server: &mut Server, depths: &mut Depths) -> Opt
         look(&mut readings, count);
         depths.measure(Stage::Mapped, || {
             robot.odometry(now, pose, now);
-            // Without a session scans wait in vain, and the queue overflows.
+            // Without a session there are no poses, and the queue of scans overflows.
             let _ = robot.scan(now, &readings, now);
         });
         for kind in told(count) {
@@ -208,14 +209,14 @@ fn told(count: u64) -> [ToRobotKind; 3] {
     [other, ToRobotKind::TileUpdate, ToRobotKind::PoseFix]
 }
 
-/// The pose along the hall, turning.
+/// The pose along the hall; the robot turns as it drives.
 fn pose(count: u64) -> Pose {
     let along = 60 * count as i32;
     let heading = Angle((count * 700) as u16);
     Pose { x: Millimetres(along), y: Millimetres(along / 7), heading }
 }
 
-/// Walls, boxes, noise, missing returns, and sometimes an unchanged view.
+/// A scan with walls, boxes, noise and missing returns; sometimes it repeats the last one.
 fn look(readings: &mut [u16], count: u64) {
     if count.is_multiple_of(8) {
         return;

@@ -1,5 +1,5 @@
-//! Instruction counts of a robot at standstill with an unchanged view: the whole robot, from the
-//! readings on.
+//! Instruction counts of a robot at standstill with an unchanged view: the whole robot, from a
+//! scan's readings on.
 
 use core::hint::black_box;
 
@@ -11,7 +11,7 @@ use ubimap_protocol::{
 
 use super::{counter::Bench, planes::BOUNDS};
 
-/// The first scan is mapped; the following ones, with their odometry, are not. `None` otherwise.
+/// Measures a scan that is not mapped, after one that was. `None` if either is not as expected.
 ///
 /// Not inlined, like the other stages with a robot: their stack frames would add up.
 #[inline(never)]

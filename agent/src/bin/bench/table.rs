@@ -7,7 +7,7 @@ use cortex_m_semihosting::hprintln;
 use crate::counter::{Bench, instructions};
 
 impl Bench {
-    /// Runs a stage once and prints its line, accurate to one tick: six instructions.
+    /// Runs a stage once and prints its line; its instructions are accurate to one tick of six.
     pub(crate) fn measure<T>(&mut self, name: impl Display, stage: impl FnOnce() -> T) -> T {
         let (result, ticks) = self.count(stage);
         match ticks {

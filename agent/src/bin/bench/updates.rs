@@ -5,14 +5,15 @@
 //!
 //! | what | bytes |
 //! |---|---|
-//! | for each update: which way it went, 0 to the server, 1 to a robot | 1 |
-//! | bytes that there were for it | 2 |
-//! | its length | 2 |
-//! | itself | any |
-//! | for each tile: the rows that its receiver holds anything of (a bit for each) | 4 |
-//! | for each of these: the words of its low and its high plane | 8 |
-//! | the rows in which the whole new tile is another than after this part | 4 |
-//! | for each of these: its words | 8 |
+//! | for each update: its direction, 0 to the server, 1 to a robot | 1 |
+//! | the space available for it, in bytes | 2 |
+//! | its length in bytes | 2 |
+//! | its bytes | any |
+//! | for each tile of it: the rows in which the receiver knows any cell (a bit per row) | 4 |
+//! | for each of these rows: the words of its low and its high plane | 8 |
+//! | the rows in which the complete new tile differs from the receiver's after this update (a bit
+//! per row) | 4 |
+//! | for each of these rows: its words | 8 |
 //! | at the end: 255 | 1 |
 #![no_std]
 #![no_main]
@@ -41,7 +42,7 @@ fn main() -> ! {
     end(core.and_then(|core| run(&mut Bench::new(core.SYST), &mut Port::open()?)))
 }
 
-/// Prints the table. `None` if an update was not coded as in the log.
+/// Prints the table. `None` if an update was not coded exactly as in the log.
 fn run(bench: &mut Bench, port: &mut Port) -> Option<()> {
     // Bytes sent before the port is open are lost: the sender waits for this line.
     hprintln!("{:>12}  stage", "instructions");
@@ -61,7 +62,7 @@ fn run(bench: &mut Bench, port: &mut Port) -> Option<()> {
     Some(())
 }
 
-/// Decodes an update and encodes it again.
+/// Decodes an update and encodes it again, and checks that the bytes are the same.
 fn update(
     bench: &mut Bench,
     port: &mut Port,
@@ -105,7 +106,7 @@ struct Counts {
     decoded: Count,
 }
 
-/// Total and maximum of ticks per tile.
+/// Number of tiles, total and maximum of their ticks.
 #[derive(Clone, Copy, Default)]
 struct Count {
     tiles: u64,

@@ -8,12 +8,12 @@ use ubimap_protocol::{message::MAX_COLUMNS, units::Pose};
 
 use super::counter::Bench;
 
-/// Lines of floor before the wall, and before the box in front of it; the box's columns.
+/// Lines of floor before the wall, and before the box in front of the wall; the box's columns.
 const WALL: usize = 110;
 const BOX: usize = 70;
 const BOX_COLUMNS: core::ops::Range<usize> = 90..150;
 
-/// From a row to the columns of a message. `None` if they are not all filled.
+/// Measures the step from a row to the columns of a message. `None` if any column is empty.
 pub(super) fn of_row(bench: &mut Bench, beams: &[Beam], readings: &[u16]) -> Option<()> {
     let name = format_args!("a row of {} to a distance vector", readings.len());
     let columns = bench.measure(name, || {
@@ -22,7 +22,8 @@ pub(super) fn of_row(bench: &mut Bench, beams: &[Beam], readings: &[u16]) -> Opt
     (columns.distances.iter().filter(|&&units| units > 0).count() == MAX_COLUMNS).then_some(())
 }
 
-/// From images with walls, and with floor only, to distances. `None` if they are wrong.
+/// Measures the step from an image to distances, for images with walls and with floor only. `None`
+/// if the distances are wrong.
 pub(super) fn of_image(bench: &mut Bench) -> Option<()> {
     let image = singleton!(: [u8; COLUMNS * LINES] = [0; COLUMNS * LINES])?;
     let mut distances = |name, image: &[u8]| {
@@ -39,7 +40,7 @@ pub(super) fn of_image(bench: &mut Bench) -> Option<()> {
     found.iter().all(|&distance| distance == FloorConfig::default().lines).then_some(())
 }
 
-/// Floor that darkens upwards and ends after some lines in each column, with noise.
+/// Draws floor that darkens upwards and ends after some lines in each column, with noise.
 fn draw(image: &mut [u8], floor: impl Fn(usize) -> usize) {
     let mut noise = 1u32;
     for (line, pixels) in image.chunks_exact_mut(COLUMNS).rev().enumerate() {

@@ -18,14 +18,14 @@ use crate::sense::{Beam, SensorModel, Validity, fill_beams};
 const CELL: f64 = 50.0;
 /// Cells per letter of the drawing.
 const LETTER: usize = 4;
-/// Rows of the map, and tiles per row: larger than any room here.
+/// Rows of the map, and tiles per row; larger than any room here.
 const ROWS: usize = 320;
 const COLUMNS: usize = ROWS / 32;
-/// Cells of the map beyond the room.
+/// Cells of the map beyond the room on each side.
 const EDGE: i32 = 64;
 /// Duration of a step, in seconds.
 const STEP: f64 = 0.05;
-/// The robot's radius; `Motion::default()` adds a margin.
+/// The robot's radius in millimetres; `Motion::default()` adds a margin.
 const RADIUS: f64 = 150.0;
 const BEAMS: usize = 192;
 const RANGE: f64 = 4_000.0;
@@ -126,7 +126,7 @@ enum Wheels {
 struct Simulation {
     room: DrawnRoom,
     people: Vec<Person>,
-    /// Whether cameras report the people.
+    /// Whether cameras report the people to the robot.
     is_told: bool,
     wheels: Wheels,
     /// The sensor's field of view, in radians.
@@ -135,7 +135,7 @@ struct Simulation {
     sees: bool,
     stop: bool,
     unsure: f32,
-    /// In millimetres and radians.
+    /// The robot's true pose, in millimetres and radians.
     at: (f64, f64, f64),
     odometry: (f64, f64, f64),
     command: DriveCommand,
@@ -154,7 +154,7 @@ fn config() -> Driving {
     Driving { motion, explore_covered: true, ..Driving::default() }
 }
 
-/// A driver that lives until the test ends.
+/// A driver whose memory is leaked, so that it lives until the test ends.
 fn driver() -> Box<Driver<'static>> {
     let workspace = Box::leak(Box::new(Workspace::EMPTY));
     Box::new(Driver::new(config(), Millimetres(CELL as i32), workspace))
@@ -188,7 +188,7 @@ impl Simulation {
         it
     }
 
-    /// With a complete map of the room.
+    /// Gives the robot a complete map of the room.
     fn with_map(mut self) -> Self {
         for y in 0..ROWS as i32 - EDGE {
             for x in 0..ROWS as i32 - EDGE {
@@ -222,7 +222,7 @@ impl Simulation {
         Pose::from_metres(x / 1_000.0, y / 1_000.0, heading)
     }
 
-    /// Takes a scan, and draws onto the map what is not a person.
+    /// Takes a scan, and draws everything in it except people onto the map.
     fn look(&mut self) {
         let model = SensorModel::Radial {
             first: (-self.view / 2.0) as f32,
@@ -346,7 +346,8 @@ impl Simulation {
         self.driver.set_task(Task::Go(point(x, y)));
     }
 
-    /// The number of cells that the robot's centre can really reach, and how many of them it knows.
+    /// The number of cells that the robot's centre can reach in truth, and how many of them the
+    /// robot has mapped.
     fn reachable(&self) -> (usize, usize) {
         let start = ((self.at.0 / CELL) as i32, (self.at.1 / CELL) as i32);
         let mut seen = vec![false; ROWS * ROWS];

@@ -237,7 +237,7 @@ fn it_follows_a_boundary_around_a_room_by_the_distance_vector() {
     for _ in 0..4_000 {
         let (x, y, heading) = it.at;
         let distances: [u8; COLUMNS] = core::array::from_fn(|column| {
-            // 90 degrees, from left to right.
+            // The columns cover 90 degrees, from left to right.
             let bearing = heading + TAU / 8.0 - TAU / 4.0 * column as f64 / COLUMNS as f64;
             let (sin, cos) = bearing.sin_cos();
             let wall = (1..600).map(|step| f64::from(step) * 5.0).find(|way| {
@@ -247,7 +247,7 @@ fn it_follows_a_boundary_around_a_room_by_the_distance_vector() {
             let pixels = wall.and_then(|way| {
                 (62..=121u8).find(|&it| curve.distance(it).is_some_and(|far| f64::from(far) >= way))
             });
-            // Outside the range of the scale curve.
+            // Distances outside the range of the scale curve.
             if wall.is_some_and(|way| way < 185.0) { 50 } else { pixels.unwrap_or(124) }
         });
         let command = follower.step(&distances, STEP as f32);

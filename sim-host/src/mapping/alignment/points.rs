@@ -7,10 +7,10 @@ use ubimap_protocol::message::{DistanceVector, MAX_COLUMNS};
 
 /// The points of a distance vector, in millimetres in `base_link`.
 ///
-/// A column that merges several beams holds the nearest of their readings, which lies towards the
-/// side of the column where the surface is nearer. Sensors with more beams than columns are assumed
-/// to have a few per column: the point is moved to that side by 0.3 of a column (0.45 would be
-/// right for very many beams, 0.3 for 2.5).
+/// A column that merges several beams holds their nearest reading, which comes from the side of the
+/// column where the surface is nearer. So the point is moved to that side by 0.3 of a column, which
+/// is right for 2.5 beams per column (for very many beams it would be 0.45). Sensors with more
+/// beams than columns are assumed to have a few per column.
 pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
     let merged = vector.distances.len() == MAX_COLUMNS;
     let reading = |column: usize| match vector.distances.get(column) {
@@ -20,11 +20,12 @@ pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
     let columns = 0..vector.distances.len();
     let found = columns.filter_map(|column| {
         let here = reading(column)?;
-        // Across a jump in distance there is no neighbour. If one is missing, as at the end of the
-        // range, the other one is extrapolated.
+        // A jump in distance separates surfaces, so the column beyond it does not count as a
+        // neighbour. If one neighbour is missing, as at the end of the range, the other one is
+        // extrapolated.
         let beside = |column: usize| reading(column).filter(|it| (it - here).abs() < 15);
         let (before, after) = (column.checked_sub(1).and_then(beside), beside(column + 1));
-        // In units of 2 cm per two columns.
+        // The slope in units of 2 cm per two columns.
         let slope = match (before, after) {
             (Some(before), Some(after)) => after - before,
             (Some(before), None) => 2 * (here - before),

@@ -14,16 +14,16 @@ use super::{
 const ELSEWHERE: f64 = 21.1;
 /// Maximum distance of a point from its surface in the first rounds, in millimetres.
 const FIRST_REACH_MM: f64 = 250.0;
-/// The same in the other rounds, when the pose is nearly right.
+/// Maximum distance in the other rounds, when the pose is nearly right.
 const LAST_REACH_MM: f64 = 100.0;
 /// Number of refinement rounds.
 const ROUNDS: usize = 14;
 /// Number of rounds with the first reach.
 const FIRST_ROUNDS: usize = 6;
-/// Systematic position error of cells as surfaces, in millimetres: it does not average out over the
-/// points.
+/// Systematic position error of surfaces drawn in cells, in millimetres: it does not average out
+/// over the points.
 pub(super) const CELL_DEVIATION_MM: f64 = 15.0;
-/// Systematic heading error of cells as surfaces, in radians.
+/// Systematic heading error of surfaces drawn in cells, in radians.
 pub(super) const CELL_DEVIATION: f64 = 0.004;
 
 /// The prior that holds a match to the predicted pose.
@@ -31,7 +31,7 @@ pub(super) const CELL_DEVIATION: f64 = 0.004;
 pub(super) struct Hold {
     at: Vector2<f64>,
     heading: f64,
-    /// Information of x, y and heading, for deviations of a millimetre.
+    /// Information of x, y and heading, scaled for deviations of a millimetre.
     information: Vector3<f64>,
     /// Whether the prior contributes to the result's certainty.
     counts: bool,
@@ -41,7 +41,7 @@ pub(super) struct Hold {
 pub(super) struct Refined {
     pub(super) at: Vector2<f64>,
     pub(super) heading: f64,
-    /// Matrix of the normal equations, for deviations of a millimetre.
+    /// Matrix of the normal equations, scaled for deviations of a millimetre.
     pub(super) information: Matrix3<f64>,
     pub(super) points: usize,
     /// Mean squared distance of the points, in square millimetres.
@@ -70,8 +70,8 @@ impl Hold {
 }
 
 impl Refined {
-    /// Whether this is a different pose from `best`, which has the given covariance, and fits
-    /// nearly as well.
+    /// Whether this is a different pose from `best`, whose covariance is given, and fits nearly as
+    /// well.
     pub(super) fn is_elsewhere_and_as_good(&self, best: &Self, covariance: &Matrix3<f64>) -> bool {
         let (dx, dy) = (self.at.x - best.at.x, self.at.y - best.at.y);
         let off = Vector3::new(dx, dy, self.heading - best.heading);

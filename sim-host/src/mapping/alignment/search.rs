@@ -36,12 +36,13 @@ pub struct Search {
 /// The certainty of a predicted pose, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Prior {
-    /// Unknown: the pose only centres the search.
+    /// Unknown: the pose is only the centre of the search.
     Nothing,
-    /// Of x and y. The prediction is an independent measurement that adds to the match's certainty.
+    /// Deviation of x and y. The prediction is an independent measurement that adds to the match's
+    /// certainty.
     Measured(Millimetres),
-    /// Of x and y, and of the heading. The match's receiver already knows this information, so it
-    /// does not add to the match's certainty.
+    /// Deviation of x and y, and of the heading. Whoever uses the match already knows this
+    /// information, so it does not add to the match's certainty.
     Carried(Millimetres, Angle),
 }
 
@@ -56,8 +57,8 @@ pub(super) struct Candidate {
 }
 
 impl Search {
-    /// Standard deviations about the predicted pose: of x and y in millimetres, and of the heading
-    /// in binary angle units. A quarter of the search range where not given.
+    /// Standard deviations of the predicted pose: of x and y in millimetres, and of the heading in
+    /// binary angle units. A quarter of the search range if they are not given.
     pub(super) fn deviations(&self) -> (f64, f64) {
         let position = match self.prior {
             Prior::Measured(deviation) => deviation.0.into(),
@@ -66,8 +67,8 @@ impl Search {
         (position.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))
     }
 
-    /// Whether a pose is within the search range or at most a step outside; a refinement that ends
-    /// elsewhere has diverged.
+    /// Whether a pose is within the search range, or at most one step outside. A refinement that
+    /// ends elsewhere has diverged.
     pub(super) fn covers(
         &self,
         step: f64,
@@ -132,7 +133,7 @@ pub(super) fn candidates(
     all
 }
 
-/// The best candidate of each other place.
+/// The best candidate of each place other than that of `best`.
 pub(super) fn rivals(candidates: &[Candidate], best: &Candidate) -> Vec<Candidate> {
     let good = candidates.iter().filter(|it| it.score * 100 >= best.score * RIVAL_SCORE);
     let mut good: Vec<Candidate> = good.copied().collect();

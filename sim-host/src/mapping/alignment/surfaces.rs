@@ -13,11 +13,11 @@ use super::{
 
 /// Maximum distance between a point and the surface that it shows, in cells.
 const REACH: i32 = 8;
-/// The same for a surface of the trail.
+/// The same maximum for a surface of the trail, in cells.
 const TRAIL_REACH: i32 = 4;
-/// A surface of the trail is ignored within this distance of a drawn surface, in cells.
+/// A surface of the trail is ignored within this distance of a surface on the map, in cells.
 const BESIDE: i32 = 2;
-/// Distance, in cells, of the surface cells to which a line is fitted.
+/// Maximum distance, in cells, of the surface cells to which a line is fitted.
 const LINE_REACH: i32 = 4;
 /// Minimum number of surface cells for a line.
 const LINE_CELLS: usize = 5;
@@ -31,7 +31,7 @@ pub(super) struct Surface {
     pub(super) normal: Option<Vector2<f64>>,
 }
 
-/// The nearest surface to a cell.
+/// The surface nearest to a cell.
 #[derive(Clone, Copy, Debug)]
 struct Nearest {
     /// Squared distance in cells.
@@ -39,8 +39,8 @@ struct Nearest {
     surface: u32,
 }
 
-/// The surfaces visible when looking into one quadrant: a view to the north-east shows the western
-/// and southern sides of things. A wall known from one side does not match a view of its other
+/// The surfaces visible in views towards one quadrant: a view to the north-east shows the western
+/// and southern sides of objects. A wall known from one side does not match a view of its other
 /// side, however thin it is.
 #[derive(Clone, Debug, Default)]
 struct Facing {
@@ -62,8 +62,9 @@ pub struct Surfaces {
 }
 
 impl Surfaces {
-    /// The surfaces within `reach` of a pose along x and y. `tile` returns the map's tiles, and
-    /// `trail` fills in where they are unknown. Cost: about a millisecond for 5 m of 5 cm cells.
+    /// The surfaces within `reach` of a pose along x and y. `tile` returns the tiles of the map;
+    /// where they are unknown, the surfaces of `trail` are used. Cost: about a millisecond for 5 m
+    /// of 5 cm cells.
     pub fn about(
         pose: Pose,
         reach: Millimetres,
@@ -170,9 +171,9 @@ impl Surfaces {
         }
     }
 
-    /// Whether a surface may continue from a cell into unseen ground: it has an unknown neighbour
-    /// that is next to a free cell. The end of such a surface does not constrain the position along
-    /// it.
+    /// Whether the surface at a cell may continue into unseen ground: the cell has an unknown
+    /// neighbour next to a free cell. The end of such a surface does not constrain the position
+    /// along it.
     fn is_where_knowledge_ends(&self, (x, y): (i32, i32)) -> bool {
         let is = |cell: (i32, i32), code| self.code(cell) == code;
         square(1).map(|(dx, dy)| (x + dx, y + dy)).any(|(x, y)| {
@@ -197,8 +198,8 @@ impl Surfaces {
         }
     }
 
-    /// Number of points that lie on surfaces when seen from a pose, and of those in free ground,
-    /// with more than three cells to anything else.
+    /// The number of points that lie on surfaces when seen from a pose, and the number that lie in
+    /// free ground, more than three cells from anything else.
     pub fn agreement(&self, points: &[[f64; 2]], pose: Pose) -> (u32, u32) {
         let at = position(pose);
         let (mut agree, mut contradict) = (0, 0);

@@ -12,8 +12,8 @@ use ubimap_protocol::{
 
 const RESOLUTION: Millimetres = Millimetres(50);
 
-/// Walls as line segments, in metres. They are drawn into cells by stepping along them and seen by
-/// intersecting rays, so what is seen does not depend on the map.
+/// Walls as line segments, in metres. The map is drawn by stepping along them, but views are
+/// computed by intersecting rays, so that they do not depend on the map.
 struct WalledRoom {
     walls: Vec<[[f64; 2]; 2]>,
     tiles: BTreeMap<TileId, Tile>,
@@ -102,7 +102,7 @@ fn furnished() -> WalledRoom {
     WalledRoom::new(walls, [[0.05, 0.05], [6.0, 4.0]])
 }
 
-/// With too little in view there may be no match, but matches must be within their claimed
+/// If too little is in view, there may be no match, but a match must be within its claimed
 /// deviations.
 #[test]
 fn matches_are_within_their_claimed_deviations() {
@@ -156,7 +156,7 @@ fn matches_are_within_the_search_range() {
         found += 1;
         let off = [match_.pose.x - predicted.x, match_.pose.y - predicted.y];
         let turned = (match_.pose.heading - predicted.heading).degrees().abs();
-        // The range plus one step: a cell and 1.4 degrees.
+        // Up to one step beyond the range: a cell and 1.4 degrees.
         assert!(off.iter().all(|off| off.0.abs() <= 151) && turned <= 15.8, "{match_:?}");
     }
     assert!(found > 5, "{found}");
@@ -200,7 +200,7 @@ fn a_thin_wall_is_not_taken_for_its_other_side() {
     let found = room.find(truth, truth, WIDE).expect("heading and y are known");
     let [x, y, _] = found.deviations();
     assert!(x > 1_000.0 && y < 60.0, "{x} {y}");
-    // Add the visible face.
+    // Now the map also has the face that the robot sees.
     (1..40).for_each(|y| room.set((60, y), Cell::Occupied));
     let found = room.find(truth, truth, WIDE).expect("all three are known");
     assert!((found.pose.x - truth.x).0.abs() < 40, "{found:?}");
@@ -259,7 +259,8 @@ fn hall(more: &[[[f64; 2]; 2]]) -> WalledRoom {
 
 #[test]
 fn points_at_the_end_of_the_range_are_on_their_surface() {
-    // Walls on both sides beyond the range; the last column of each has one neighbour.
+    // The walls on both sides extend beyond the range, so the last column of each has only one
+    // neighbour.
     let room = hall(&[]);
     for degrees in [-3.0f64, 0.0, 3.0] {
         let pose = Pose::from_metres(0.0, 1.0, degrees.to_radians());
@@ -271,8 +272,8 @@ fn points_at_the_end_of_the_range_are_on_their_surface() {
     }
 }
 
-/// Drives 10 m through an unmapped hall with odometry that turns 20 % too far, plus an error of up
-/// to 1 degree per look.
+/// Drives 10 m through an unmapped hall. The odometry turns 20 % too far, with an additional error
+/// of up to 1 degree per scan.
 #[test]
 fn a_trail_bounds_the_drift_in_unmapped_ground() {
     let room = hall(&[

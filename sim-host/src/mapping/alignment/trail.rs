@@ -12,23 +12,23 @@ use super::geometry::{cell_at, line, position, quarter, rotated};
 
 /// Neighbouring points farther apart than this, in millimetres, belong to two surfaces.
 const GAP_MM: f64 = 200.0;
-/// Maximum number of remembered cells per quadrant: about 400 kB in all, and 200 m of walls.
+/// Maximum number of cells remembered per quadrant: about 400 kB in total, for 200 m of walls.
 const MAX_CELLS: usize = 4_096;
 
 /// Sums over all observations of a surface in a cell.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     middle: Vector2<f64>,
-    /// Points towards the observer.
+    /// Sum of the normals, which point towards the observer.
     normal: Vector2<f64>,
     count: u32,
 }
 
-/// The surfaces that a robot has seen on its way, relative to its poses as corrected by the server:
-/// finer than the cells that it draws, and without its own pose error.
+/// The surfaces that a robot has seen on its way, placed by its poses as corrected by the server.
+/// They are finer than the cells that the robot draws, and do not include its pose error.
 #[derive(Clone, Debug, Default)]
 pub struct Trail {
-    /// By viewing quadrant and cell.
+    /// The surfaces, by viewing quadrant and cell.
     seen: [BTreeMap<(i32, i32), Seen>; 4],
     tiles: BTreeSet<TileId>,
 }

@@ -17,10 +17,10 @@ const COLOURED: u8 = 50;
 const MIN_PIXELS: usize = 12;
 /// Maximum ratio of the numbers of pixels of head and tail, which are of equal size.
 const MAX_SIZE_RATIO: usize = 2;
-/// Distance between the centres of head and tail, in diameters of a disc of the larger one's area. It is
-/// nominally 1.25, and less where the marker is seen at an angle.
+/// Distance between the centres of head and tail, divided by the diameter of a disc with the area
+/// of the larger blob. It is nominally 1.25, and less where the marker is seen at an angle.
 const APART: core::ops::Range<f64> = 0.6..2.2;
-/// Minimum brightness of the cover between them, in each channel.
+/// Minimum brightness of the cover between head and tail, in each channel.
 const LIGHT: u8 = 120;
 /// Standard deviation of the coordinates of a disc's centre, in pixels.
 const MIDDLE_NOISE_PX: f64 = 0.15;
@@ -32,8 +32,8 @@ struct Blob {
     middle: [f64; 2],
 }
 
-/// The colour markers in a region of a picture. May include pairs of blobs that are no markers;
-/// [`locate`](super::locate) refuses those of the wrong size.
+/// The colour markers in a region of a picture. The result may include pairs of blobs that are not
+/// markers; [`locate`](super::locate) refuses those with a wrong size.
 pub fn detect_colours(picture: &RgbImage, region: ImageRegion) -> Vec<Marker> {
     let blobs = blobs(picture, region);
     let mut markers = Vec::new();
@@ -101,7 +101,7 @@ fn blobs(picture: &RgbImage, region: ImageRegion) -> Vec<Blob> {
     blobs
 }
 
-/// The centre of a blob; its faint rim has less weight.
+/// The centre of a blob. Its rim is faint and has less weight.
 fn middle(picture: &RgbImage, pixels: &[(u32, u32)]) -> [f64; 2] {
     let mut sums = [0.0; 3];
     for &(row, column) in pixels {
@@ -128,7 +128,7 @@ fn hue([red, green, blue]: [u8; 3]) -> Option<Hue> {
     if most - least < COLOURED {
         return None;
     }
-    // A channel is lit if it is above the middle of the pixel's range.
+    // A channel is lit if its value is above the middle of the pixel's range.
     let is_lit = |channel: u8| channel - least > (most - least) / 2;
     Some(match [is_lit(red), is_lit(green), is_lit(blue)] {
         [true, false, false] => Hue::Red,

@@ -22,7 +22,7 @@ impl ImageRegion {
         Self { left: 0, top: 0, width, height }
     }
 
-    /// The pixels within `reach` columns and rows of a centre; `None` if they all lie outside the
+    /// The pixels within `reach` columns and rows of a centre; `None` if they are all outside the
     /// picture.
     pub fn about([column, row]: [f64; 2], reach: f64, picture: &Picture) -> Option<Self> {
         let (width, height) = size(picture);

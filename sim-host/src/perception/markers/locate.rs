@@ -13,8 +13,8 @@ const STEPS: usize = 10;
 const SETTLED: f64 = 1e-9;
 /// Step of the numerical derivative of the projection, in metres.
 const STEP_M: f64 = 1e-4;
-/// Maximum reduced chi-squared of the residuals. With five degrees of freedom, noise exceeds it for one
-/// tag in two million.
+/// Maximum reduced chi-squared of the residuals. With five degrees of freedom, noise exceeds it for
+/// one tag in two million.
 const MAX_CHI_SQUARED: f64 = 7.5;
 /// Weight of the prior noise estimate, as a number of residuals.
 const PRIOR_WEIGHT: f64 = 10.0;
@@ -36,8 +36,8 @@ pub enum NotThere {
     /// No pose explains the points.
     #[error("no pose of the marker explains its points")]
     NoPose,
-    /// The residuals of the best pose, in pixels, are larger than noise: the marker is not level, or not at
-    /// the registered height or of the registered size.
+    /// The residuals of the best pose, in pixels, are larger than noise: the marker is not level,
+    /// or its registered height or size is wrong.
     #[error("residuals of {0:.2} pixels: the marker is not level, or its height or size is wrong")]
     Residual(f64),
 }

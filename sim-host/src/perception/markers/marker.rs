@@ -23,16 +23,16 @@ pub enum Identifier {
 pub struct Marker {
     /// Its identifier.
     pub identifier: Identifier,
-    /// Pixels (column, row); the centre of the first pixel is (0, 0). For a tag the corners of the black
-    /// square: rear left, rear right, front right, front left, where the upper edge is the front. For a
-    /// colour marker the centres of head and tail.
+    /// Positions in pixels (column, row); the centre of the first pixel is (0, 0). For a tag, the
+    /// corners of the black square in the order rear left, rear right, front right, front left; its
+    /// upper edge is the front. For a colour marker, the centres of head and tail.
     pub points: Vec<[f64; 2]>,
     /// Standard deviation of each coordinate of a point, in pixels.
     pub noise_px: f64,
 }
 
 impl Marker {
-    /// The mean of its points.
+    /// The mean of the points.
     pub fn middle(&self) -> [f64; 2] {
         let mean = |axis: usize| {
             self.points.iter().map(|point| point[axis]).sum::<f64>() / self.points.len() as f64

@@ -17,7 +17,7 @@ pub struct Mount {
     pub side_m: f64,
     /// Height above the floor, in metres.
     pub height_m: f64,
-    /// Position of its centre in `base_link`, in metres.
+    /// Position of the marker's centre in `base_link`, in metres.
     pub offset_m: [f64; 2],
     /// Rotation from the robot's heading to the marker's front, counter-clockwise in radians.
     pub turn_rad: f64,

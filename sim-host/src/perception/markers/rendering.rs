@@ -10,7 +10,8 @@ use rand_distr::{Distribution, Normal};
 use super::{image_region::ImageRegion, locate::on_plane, marker::Hue};
 use crate::camera::{Intrinsics, Lens, Picture};
 
-/// The first tags of the family, row by row from the upper left, as published by its authors.
+/// The codes of the family's first tags, row by row from the upper left, as published by its
+/// authors.
 const TAGS: [u64; 12] = [
     0xd_5d62_8584,
     0xd_97f1_8b49,
@@ -42,14 +43,14 @@ pub(in crate::perception) enum Paint {
     Colours(Hue, Hue),
 }
 
-/// A square plate with a marker, level unless it has a rise.
+/// A square plate with a marker; level unless `rise_m` is non-zero.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::perception) struct Plate {
     pub(in crate::perception) paint: Paint,
     /// Side of the marker without its margin, in metres.
     pub(in crate::perception) side_m: f64,
     pub(in crate::perception) height_m: f64,
-    /// Position of its centre in `map` in metres, and its heading in radians.
+    /// Position of the centre in `map` in metres, and the heading in radians.
     pub(in crate::perception) pose: [f64; 3],
     /// Height of the front edge above the centre, in metres.
     pub(in crate::perception) rise_m: f64,
@@ -65,7 +66,8 @@ impl Plate {
         Self { paint, side_m, height_m, pose, rise_m: 0.0 }
     }
 
-    /// The colour at a point, in sides ahead and to the left of the centre; `None` off the plate.
+    /// The colour at a point, given in sides ahead and to the left of the centre; `None` outside of
+    /// the plate.
     fn colour(&self, ahead: f64, left: f64) -> Option<[f64; 3]> {
         let within = |half: f64| ahead.abs() <= half && left.abs() <= half;
         match self.paint {
@@ -191,7 +193,7 @@ fn draw(lens: &Lens, plate: &Plate, canvas: &mut [[f32; 3]]) {
 
 /// The point where a pixel's ray meets a plate, in metres ahead and to the left of its centre.
 fn meet(lens: &Lens, plate: &Plate, pixel: [f64; 2], [sine, cosine]: [f64; 2]) -> Option<[f64; 2]> {
-    // Height gained per metre ahead.
+    // Height gained per metre of distance ahead.
     let slope = plate.rise_m / (plate.side_m / 2.0);
     let mut height = plate.height_m;
     let mut met = [0.0; 2];
@@ -200,7 +202,7 @@ fn meet(lens: &Lens, plate: &Plate, pixel: [f64; 2], [sine, cosine]: [f64; 2]) -
         met = [cosine * place.x + sine * place.y, cosine * place.y - sine * place.x];
         height = plate.height_m + slope * met[0];
     }
-    // Convert the horizontal distance to one along the slope.
+    // Converts the horizontal distance to the distance along the slope.
     Some([met[0] * (1.0 + slope * slope).sqrt(), met[1]])
 }
 

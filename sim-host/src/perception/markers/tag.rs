@@ -10,16 +10,18 @@ use super::{
 };
 use crate::camera::Picture;
 
-/// Maximum number of corrected modules. Tags of the family differ in at least eleven, so more would be
-/// possible, but each additional one lets twenty times as many random patterns pass as tags.
+/// Maximum number of corrected modules. Tags of the family differ in at least eleven modules, so
+/// more would be possible, but each additional one makes a random pattern twenty times as likely to
+/// pass as a tag.
 const CORRECTED: usize = 1;
-/// Standard deviation of a corner's coordinates, in pixels. Rendered pictures show half of it; a real lens
-/// and print add the rest.
+/// Standard deviation of a corner's coordinates, in pixels. Rendered pictures show half of it; the
+/// rest allows for a real lens and print.
 const CORNER_NOISE_PX: f64 = 0.15;
 /// Minimum contrast between black and white. The library's default of 5 finds edges everywhere in a
 /// sensor's noise, and a frame of 1280 x 720 then takes ten times as long.
 const CONTRAST: u8 = 30;
-/// Minimum side of an image in pixels: that of a tag's eight modules. The library fails on one or two rows.
+/// Minimum side of an image in pixels, larger than the eight modules of a tag: the library fails on
+/// one or two rows.
 const MIN_SIDE_PX: u32 = 12;
 /// Alignment of rows in the detector's images, in bytes.
 const ALIGNMENT: usize = 96;
@@ -34,7 +36,7 @@ impl Default for TagDetector {
     fn default() -> Self {
         let builder = DetectorBuilder::new().add_family_bits(Family::tag_36h11(), CORRECTED);
         let mut detector = builder.build().expect("a detector that has a family");
-        // No downsampling: tags are small in the picture of a ceiling camera.
+        // No downsampling, because tags are small in the picture of a ceiling camera.
         detector.set_decimation(1.0);
         detector.set_refine_edges(true);
         detector.set_thread_number(1);
@@ -79,7 +81,7 @@ fn thresholds() -> QuadThresholds {
         min_cluster_pixels: 5,
         max_maxima_number: 10,
         min_angle: Angle::from_radians(angle),
-        // The bindings pass this value on as the cosine.
+        // The bindings pass this value on as the cosine itself.
         min_opposite_angle: Angle::from_radians(libm::cos(angle)),
         max_mse: r32(10.0),
         min_white_black_diff: CONTRAST,
@@ -104,7 +106,7 @@ fn grey(picture: &Picture, region: ImageRegion) -> Option<Image> {
                 let first = 3 * (row * colour.width() as usize + region.left as usize);
                 let pixels = colour.as_raw().get(first..first + 3 * width)?.chunks_exact(3);
                 for (to, pixel) in line.iter_mut().zip(pixels) {
-                    // BT.601 weights in 1/256.
+                    // Luma by ITU-R BT.601, with weights in 1/256.
                     let [red, green, blue] = [pixel[0], pixel[1], pixel[2]].map(u32::from);
                     *to = ((77 * red + 150 * green + 29 * blue) >> 8) as u8;
                 }
@@ -122,7 +124,7 @@ mod tests {
 
     #[test]
     fn regions_of_any_size_can_be_searched() {
-        // Noise gives edges everywhere.
+        // Noise has edges everywhere.
         let noise =
             |x: u32, y: u32| (x.wrapping_mul(0x9E37_79B9) ^ y.wrapping_mul(0x85EB_CA6B)) >> 13;
         let picture =

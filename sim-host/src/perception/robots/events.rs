@@ -11,11 +11,11 @@ use crate::perception::markers::Identifier;
 pub enum SightingEvent {
     /// A marker that is not registered.
     Unregistered(Identifier),
-    /// An identifier is in two places at once: two robots carry it, or two cameras disagree.
+    /// An identifier is seen in two places at once: two robots carry it, or two cameras disagree.
     SeenTwice(RobotId),
     /// A robot moved faster than it can drive since it was last seen.
     Jumped(RobotId),
-    /// A marker is not level, or not at the registered height or of the registered size.
+    /// A marker is not level, or its registered height or size is wrong.
     NotLevel(RobotId),
     /// A camera's frames have capture times in the future.
     ClockAhead {

@@ -16,9 +16,9 @@ const SPEED_LIMIT_M_S: f64 = 3.0;
 const TURN_LIMIT_RAD_S: f64 = 10.0;
 /// Maximum difference between simultaneous sightings of one robot, in metres.
 const TOLERANCE_M: f64 = 0.15;
-/// Maximum difference between their headings, in radians.
+/// Maximum difference between the headings of simultaneous sightings, in radians.
 const TOLERANCE_RAD: f64 = 0.35;
-/// The velocity is estimated over this time.
+/// Time span over which the velocity is estimated.
 const BASELINE: Duration = Duration::from_millis(250);
 /// Minimum time for an estimate of the velocity: one frame.
 const MIN_BASELINE: Duration = Duration::from_millis(50);
@@ -28,9 +28,9 @@ const VELOCITY_DOUBT: [f64; 3] = [0.1, 0.1, 0.3];
 /// Why an identifier has no pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Trouble {
-    /// It moved faster than a robot can.
+    /// The identifier moved faster than a robot can drive.
     Jump,
-    /// It is in two places at once.
+    /// The identifier is in two places at once.
     Twice,
 }
 
@@ -43,7 +43,7 @@ pub(super) struct IdentifierTrack {
     is_told: bool,
 }
 
-/// Sightings that a robot can have driven between.
+/// Consecutive sightings between which a robot can have driven.
 #[derive(Debug)]
 struct Place {
     /// The newest sighting of each camera.
@@ -102,7 +102,7 @@ impl IdentifierTrack {
         self.places.retain(|place| newest.since(place.last) <= MARKER_PLACE_LOST || before == 1);
         self.judge();
         let (index, placement) = joined?;
-        // A single sighting elsewhere that is not repeated is not the robot.
+        // A single sighting elsewhere that is not repeated is taken for a false detection.
         let others = || self.places.iter().skip(1);
         let is_sure = self.trouble != Some(Trouble::Twice)
             && (self.places.len() == 1 || index == 0 && others().all(|place| place.times == 1));
@@ -124,8 +124,8 @@ impl IdentifierTrack {
         })
     }
 
-    /// Marks a place where the identifier is seen again although it has since been seen elsewhere more
-    /// than once.
+    /// Marks a place as a twin if the identifier is seen there again although it has meanwhile been
+    /// seen elsewhere more than once.
     fn meet_twins(&mut self, index: usize, captured: Instant) {
         let seen = self.places[index].first;
         let others = self.places.iter_mut().enumerate().filter(|(other, _)| *other != index);
@@ -175,10 +175,10 @@ impl Place {
             && turn <= TURN_LIMIT_RAD_S * seconds + TOLERANCE_RAD
     }
 
-    /// Adds a sighting. If it is the newest, returns the robot's pose: the average of the sightings by all
-    /// cameras at about that time, weighted by information. A sighting enters as many such poses as there
-    /// are cameras, so each pose carries only that fraction of the information: a filter that takes all
-    /// poses counts nothing twice.
+    /// Adds a sighting. If it is the newest, returns the robot's pose: the average of the sightings
+    /// by all cameras at about that time, weighted by information. A sighting is used in as many
+    /// poses as there are cameras, so each pose carries only that fraction of its information: a
+    /// filter that processes all poses counts nothing twice.
     fn join(
         &mut self,
         camera: usize,

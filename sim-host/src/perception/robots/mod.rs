@@ -26,8 +26,8 @@ use crate::{
     timing::{STRANGER_AWAY, STRANGER_CONFIRMED},
 };
 
-/// A marker that fits no pose of its robot in this number of consecutive views is reported as not level;
-/// a blurred or partly hidden one soon fits again.
+/// Number of consecutive views in which a marker fits no pose of its robot before it is reported as
+/// not level. A blurred or partly hidden marker soon fits again.
 const NOT_LEVEL: u32 = 4;
 
 /// Why the markers of a deployment are refused.
@@ -52,9 +52,10 @@ pub struct Localiser {
     mounts: BTreeMap<Identifier, Mount>,
     search: Search,
     tracks: BTreeMap<Identifier, IdentifierTrack>,
-    /// For each marker that fits no pose of its robot, the number of consecutive such views.
+    /// For each marker that currently fits no pose of its robot, the number of consecutive such
+    /// views.
     not_there: BTreeMap<Identifier, u32>,
-    /// For each unregistered identifier the time of its last sighting, and whether it was reported.
+    /// For each unregistered identifier, the time of its last sighting and whether it was reported.
     strangers: BTreeMap<Identifier, (Instant, bool)>,
     /// Cameras whose last frame had a capture time in the future.
     ahead: BTreeSet<usize>,
@@ -82,7 +83,7 @@ impl Localiser {
                 if head == tail {
                     return Err(RegistryError::OneColour(robot));
                 }
-                // Which colour is the head is ambiguous, so the swapped pair must be unique too.
+                // Head and tail can't be told apart, so the swapped pair must be unique, too.
                 same.push(Identifier::Colours { head: tail, tail: head });
             }
             if let Some(other) = same.iter().find_map(|it| mounts.get(it)) {
@@ -104,9 +105,9 @@ impl Localiser {
         })
     }
 
-    /// The poses of the robots when `frame` was captured, each fused with the sightings by other cameras
-    /// at about that time. A frame that arrives after newer ones of other cameras contributes to the next
-    /// pose; one that is too old, or captured after `now`, is ignored.
+    /// The poses of the robots when `frame` was captured, each fused with the sightings by other
+    /// cameras at about that time. A frame that arrives after newer ones of other cameras
+    /// contributes to the next pose. A frame that is too old, or captured after `now`, is ignored.
     pub fn observe(&mut self, frame: &Frame, now: Instant) -> Vec<Sighting> {
         let Some(&Some(lens)) = self.lenses.get(frame.camera) else { return Vec::new() };
         let Some(picture) = &frame.picture else { return Vec::new() };
@@ -143,8 +144,8 @@ impl Localiser {
         sightings
     }
 
-    /// The next problem, and the capture time of the frame that shows it. Each is reported once until it
-    /// has ended.
+    /// The next problem, and the capture time of the frame that shows it. A problem is reported
+    /// once, and again only after it has ended.
     pub fn poll_event(&mut self) -> Option<(Instant, SightingEvent)> {
         self.events.pop_front()
     }
@@ -154,7 +155,8 @@ impl Localiser {
         let identifier = marker.identifier;
         let is_tag = matches!(identifier, Identifier::Tag(_));
         let Some(mount) = self.mounts.get(&identifier) else {
-            // Any two adjacent colours might be a marker, so only tags are reported as unregistered.
+            // Any two adjacent colours may look like a marker, so only tags are reported as
+            // unregistered.
             if is_tag {
                 self.meet_stranger(identifier, captured);
             }

@@ -10,13 +10,13 @@ use crate::{
     timing::MARKER_LOST,
 };
 
-/// Interval between searches of a camera's whole picture.
+/// Interval at which a camera's whole picture is searched.
 const EVERYWHERE: Duration = Duration::from_millis(500);
 /// Radius of the search around a marker's expected position, in metres.
 const REACH_M: f64 = 0.03;
 /// Growth of that radius since the marker was last seen, in m/s.
 const REACH_M_S: f64 = 1.0;
-/// Maximum distance between two detections of one marker, in pixels.
+/// Maximum distance between two detections of the same marker, in pixels.
 const SAME_PX: f64 = 2.0;
 /// Half the diagonal of a tag with its margin, in units of its side.
 const HALF_DIAGONAL: f64 = 0.9;
@@ -26,7 +26,7 @@ const HALF_DIAGONAL: f64 = 0.9;
 pub(super) struct Expected {
     pub(super) mount: Mount,
     pub(super) placement: Placement,
-    /// Time since it was last seen.
+    /// Time since the marker was last seen.
     pub(super) unseen: Duration,
 }
 
@@ -49,8 +49,8 @@ impl Search {
         }
     }
 
-    /// The markers found in a picture: around their expected positions, or anywhere if the whole picture is
-    /// due.
+    /// The markers found in a picture: near their expected positions, or anywhere if a search of
+    /// the whole picture is due.
     pub(super) fn markers(
         &mut self,
         camera: usize,
@@ -104,7 +104,7 @@ fn merged(mut regions: Vec<ImageRegion>) -> Vec<ImageRegion> {
         let saves =
             |other: &ImageRegion| other.with(&region).pixels() <= other.pixels() + region.pixels();
         match merged.iter().position(saves) {
-            // The merged region may overlap others.
+            // The merged region may overlap others, so it is checked again.
             Some(index) => regions.push(merged.swap_remove(index).with(&region)),
             None => merged.push(region),
         }
@@ -112,7 +112,7 @@ fn merged(mut regions: Vec<ImageRegion>) -> Vec<ImageRegion> {
     merged
 }
 
-/// Removes the repeated detections of markers that lie in two regions.
+/// Removes duplicates of markers that lie in two regions.
 fn without_repeats(markers: Vec<Marker>) -> Vec<Marker> {
     let mut once: Vec<Marker> = Vec::with_capacity(markers.len());
     for marker in markers {

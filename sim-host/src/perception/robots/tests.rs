@@ -34,7 +34,7 @@ fn events(localiser: &mut Localiser) -> Vec<SightingEvent> {
     core::iter::from_fn(|| localiser.poll_event()).map(|(_, event)| event).collect()
 }
 
-/// The pose at a frame of a robot that drives in a circle at 0.5 m/s.
+/// The pose, at the given frame, of a robot that drives in a circle at 0.5 m/s.
 fn circling(number: f64, radius: f64) -> [f64; 3] {
     let angle = 0.5 * number * FRAME.micros() as f64 / 1e6 / radius;
     let heading = angle + core::f64::consts::FRAC_PI_2;
@@ -123,7 +123,7 @@ fn a_robot_that_was_carried_away_is_accepted_after_a_second() {
     for number in 0..4 {
         assert_eq!(at(number, Some(here)), (1, vec![]));
     }
-    // Occluded for a while.
+    // The robot is occluded for a while.
     for number in 4..9 {
         assert_eq!(at(number, None), (0, vec![]));
     }

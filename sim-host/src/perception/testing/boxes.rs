@@ -1,5 +1,5 @@
-//! A room of boxes on a floor, rendered for a depth camera: a small simulator for the tests and the
-//! benchmark of this folder.
+//! A room with boxes on a floor, rendered for a depth camera: a small simulator for the tests and
+//! the benchmark of this folder.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -45,7 +45,7 @@ pub(crate) fn render(lens: &Lens, floor_m: f64, boxes: &[Cuboid]) -> DepthImage 
     })
 }
 
-/// Adds noise and dropouts, drawn from a seed: `good` of 1,000 pixels measure.
+/// Adds noise and dropouts, drawn from a seed: `good` of 1,000 pixels have a measurement.
 pub(crate) fn noisy(image: &DepthImage, noise: &DepthNoise, seed: u64, good: u64) -> DepthImage {
     let mut state = seed.wrapping_mul(2).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let mut dice = move || {

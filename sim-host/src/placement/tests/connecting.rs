@@ -1,4 +1,4 @@
-//! The graph of overlapping cameras, against finding it pair by pair.
+//! Compares the graph of overlapping cameras with a pairwise computation.
 
 use super::{
     super::{
@@ -9,7 +9,7 @@ use super::{
     programmes::{kinds, random},
 };
 
-/// Pieces of a placement, by joining pairs until nothing changes.
+/// The pieces of a placement, computed by joining pairs until nothing changes.
 fn plain_pieces(programme: &Programme, chosen: &[u32], shared: u16) -> usize {
     let mut pieces: Vec<usize> = (0..chosen.len()).collect();
     loop {
@@ -52,8 +52,8 @@ fn pieces_are_those_found_pair_by_pair() {
     }
 }
 
-/// A corridor of cells, all required, with a candidate for each run of four of them, covering no cell
-/// more often than `at_most`.
+/// A corridor of required cells, each of which may be seen at most `at_most` times. There is a
+/// candidate for each run of four cells.
 fn corridor(cells: u32, at_most: u16) -> Programme {
     let rows = (0..=cells - 4).map(|first| (first..first + 4).collect::<Vec<u32>>());
     let demand = Demand { at_least: 1, at_most, weight: 1, is_required: true };
@@ -63,8 +63,8 @@ fn corridor(cells: u32, at_most: u16) -> Programme {
 
 #[test]
 fn cameras_are_moved_if_that_connects_them() {
-    // Five cameras for 18 cells: 0-3, 4-7, 8-11, 12-15, 14-17 cover them in four pieces; moved so
-    // that each shares a cell with the next, they reach 17 cells only; but two pieces are possible.
+    // Five cameras cover 18 cells in four pieces: 0-3, 4-7, 8-11, 12-15, 14-17. If each shared a
+    // cell with the next, they would reach only 17 cells; but two pieces are possible.
     let programme = corridor(18, 3);
     let start = [0, 4, 8, 12, 14];
     assert_eq!(plain_pieces(&programme, &start, 1), 4);
@@ -73,7 +73,7 @@ fn cameras_are_moved_if_that_connects_them() {
     let (pieces, chosen) = search.best().unwrap();
     assert_eq!((pieces, plain_pieces(&programme, chosen, 1)), (3, 3));
     assert!(programme.is_feasible(chosen) && chosen.len() == 5);
-    // With 16 cells there is room for all.
+    // Over 16 cells one piece is possible.
     let programme = corridor(16, 3);
     let mut search = Connecting::new(&programme, &[0, 4, 8, 11, 12], 1, 0, 1);
     search.run(50_000, 1);
@@ -93,7 +93,7 @@ fn cameras_are_added_if_moving_is_not_enough() {
         assert!(programme.is_feasible(&bridged), "{bridged:?}");
         assert!(bridged.len() <= 7, "{bridged:?}");
     }
-    // Nothing may overlap: nothing can be done, and nothing is broken.
+    // If no overlap is allowed, nothing can be connected, and the placement stays as it is.
     let programme = corridor(16, 1);
     assert_eq!(bridge(&programme, &[0, 4, 8, 12], 1, 1), [0, 4, 8, 12]);
 }
@@ -104,7 +104,7 @@ fn separate_rooms_stay_separate() {
     let demand = Demand { at_least: 1, at_most: ANY_OVERLAP, weight: 1, is_required: true };
     let programme =
         Programme::new(vec![demand; 6], Incidence::from_rows(rows), Goal::Fewest { weight: 0 });
-    // Cells 0 to 2, and 3 and 4; nobody sees cell 5.
+    // Cells 0 to 2 form one room, 3 and 4 another; no candidate sees cell 5.
     assert_eq!(connection::fewest_pieces(&programme), 2);
     let bridged = bridge(&programme, &[0, 1, 3], 1, 1);
     assert_eq!(plain_pieces(&programme, &bridged, 1), 2);

@@ -1,4 +1,4 @@
-//! Tests of several files at once.
+//! Tests that span several files.
 
 mod connecting;
 mod placing;

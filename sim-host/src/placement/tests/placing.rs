@@ -1,4 +1,4 @@
-//! Whole placements: the instances of the README's table, and what is asked for in all its forms.
+//! Whole placements: the instances of the README's table, and requests of all kinds.
 
 use super::super::{
     camera::{CameraModel, Projection},
@@ -12,7 +12,7 @@ fn room(width: f64, depth: f64) -> FloorPlan {
     FloorPlan::new(Enclosure::Outline(outline), vec![], [3.0, 0.3], 0.5).unwrap()
 }
 
-/// The paper's programme of the table.
+/// The request for the paper's programme, as in the table.
 fn request(spacing_m: f64) -> Request {
     Request {
         projection: Projection::Paper,
@@ -33,7 +33,7 @@ fn request(spacing_m: f64) -> Request {
     }
 }
 
-/// A placement by a number of reports in place of a time.
+/// Computes a placement; the time is a number of reports instead of seconds.
 fn place_within(
     plan: &FloorPlan,
     request: &Request,
@@ -77,7 +77,7 @@ fn a_number_of_cameras_covers_as_much_as_it_can() {
         let covered = placement.overlap.iter().filter(|overlap| **overlap > 0).count();
         assert_eq!(placement.value, covered as u64);
         assert!(placement.value <= placement.bound);
-        // 63 cells each, and there is room for three without an overlap.
+        // Each camera sees 63 cells, and three fit without overlap.
         assert!(covered >= 63 * cameras.min(3) && placement.cameras.len() <= cameras);
         assert_eq!(covered == 320, cameras >= 6);
     }
@@ -116,11 +116,11 @@ fn critical_cells_follow_each_rule() {
     let twice = placed(CriticalRule::Twice, Aim::Cover);
     assert_eq!((least(&twice, true), least(&twice, false)), (Some(2), Some(1)));
     assert!(twice.cameras.len() > 6);
-    // 16 rows take two cameras across, and four to see them twice.
+    // Across the 16 rows it takes two cameras, and four to see every cell twice.
     let only = placed(CriticalRule::Only, Aim::Cover);
     assert_eq!((only.cameras.len(), least(&only, true)), (2, Some(1)));
     assert!(only.is_optimal());
-    // Six columns, six rows and more: the critical ones come first.
+    // A camera sees more than six columns and rows; the critical cells come first.
     let weighted = placed(CriticalRule::Weighted, Aim::Cameras(2));
     assert_eq!(least(&weighted, true), Some(1));
     let few = placed(CriticalRule::Twice, Aim::Cameras(4));
@@ -154,11 +154,11 @@ fn coverage_is_given_up_to_connect_a_number_of_cameras() {
     let plan = room(20.0, 15.0);
     let four = Request { aim: Aim::Cameras(4), ..request(0.5) };
     let plain = place_within(&plan, &four, 3_000).unwrap();
-    // There is room for four without any overlap.
+    // Four cameras fit without any overlap.
     assert_eq!((plain.value, plain.pieces), (4 * 63, 4));
     let connected = place_within(&plan, &Request { connect: true, ..four }, 3_000).unwrap();
     assert_eq!((connected.cameras.len(), connected.pieces), (4, 1));
-    // Three shared cells at least join four cameras.
+    // Connecting four cameras takes at least three shared cells.
     assert!((220..=4 * 63 - 3).contains(&connected.value), "{} cells", connected.value);
 }
 
@@ -186,7 +186,7 @@ fn impossible_requests_are_refused_in_one_line() {
         assert!(error.contains(expected), "{error} does not say {expected}");
         assert_eq!(error.lines().count(), 1);
     }
-    // From places 2 m apart, the floor can't be covered without seeing any of it twice.
+    // With places 2 m apart, the floor can't be covered without overlap.
     let once = Request { at_most: Some(1), ..request(2.0) };
     let error = place_within(&plan, &once, 500).expect_err("once");
     assert!(matches!(error, PlacementError::Infeasible { .. }), "{error}");

@@ -1,4 +1,4 @@
-//! Small random programmes, and what is true of them, by trying every placement.
+//! Small random programmes, and their optima by exhaustive search.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -62,7 +62,7 @@ pub(super) fn random(kind: Kind, seed: u64) -> Programme {
     Programme::new(demands, covers, goal)
 }
 
-/// The best value of a placement, by trying all: cameras, or covered optional weight.
+/// The optimal value by exhaustive search: the number of cameras, or the covered optional weight.
 pub(super) fn optimum(programme: &Programme) -> Option<u64> {
     let all = 0..1u32 << programme.candidates();
     let values = all.filter_map(|bits| {
@@ -76,7 +76,7 @@ pub(super) fn optimum(programme: &Programme) -> Option<u64> {
     }
 }
 
-/// What counts of a placement.
+/// The value of a placement for the programme's goal.
 pub(super) fn value(programme: &Programme, chosen: &[u32]) -> u64 {
     match programme.goal {
         Goal::Fewest { .. } => chosen.len() as u64,

@@ -1,4 +1,4 @@
-//! What cameras see, against a plain ray for each cell.
+//! Compares what cameras see with a step-by-step ray to each cell.
 
 use std::f64::consts::TAU;
 
@@ -82,8 +82,8 @@ fn cameras(plan: &FloorPlan, height: f64, seed: u64) -> Vec<Candidate> {
         .collect()
 }
 
-/// Where a point of the floor lies in the image of a camera, as multiples of half its width and
-/// height; found by turning the way to it, and not by projecting on axes.
+/// The position of a floor point in the image of a camera, as multiples of half the width and
+/// height. Computed by rotating the line of sight, not by projecting it onto axes.
 fn in_image(camera: &Candidate, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
     let [from_x, from_y, height] = camera.position_m;
     let (dx, dy) = (x - from_x, y - from_y);
@@ -100,8 +100,8 @@ fn in_image(camera: &Candidate, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
     })
 }
 
-/// Whether a camera sees a point of the floor, if a hair's breadth makes no difference.
-/// `is_solid` says of a point in space whether something is there, made larger by a margin.
+/// Whether a camera sees a point of the floor. `is_solid` says whether a point in space is inside
+/// an obstacle that is enlarged by a margin. `None` if a small margin changes the answer.
 fn sees(
     camera: &Candidate,
     floor: [f64; 2],
@@ -129,7 +129,7 @@ fn sees(
     (thin == thick).then_some(!thick)
 }
 
-/// Whether a point is within an obstacle that is larger by a margin on all sides.
+/// Whether a point is within an obstacle that is enlarged by a margin on all sides.
 fn is_in(obstacle: &Obstacle, [x, y, z]: [f64; 3], margin: f64) -> bool {
     if z < obstacle.bottom_m - margin || z > obstacle.top_m + margin {
         return false;
@@ -139,7 +139,7 @@ fn is_in(obstacle: &Obstacle, [x, y, z]: [f64; 3], margin: f64) -> bool {
             (x - centre_m[0]).hypot(y - centre_m[1]) < radius_m + margin
         }
         Outline::Polygon(corners) => {
-            // On the inner side of each edge, by its distance from it.
+            // Signed distances from the edges; inside of all edges they are positive.
             let next = corners.iter().cycle().skip(1);
             corners.iter().zip(next).all(|(from, to)| {
                 let (along_x, along_y) = (to[0] - from[0], to[1] - from[1]);
@@ -150,8 +150,8 @@ fn is_in(obstacle: &Obstacle, [x, y, z]: [f64; 3], margin: f64) -> bool {
     }
 }
 
-/// Compares the coverage of cameras with that of plain rays; returns how many cells are seen, hidden,
-/// and too close to call.
+/// Compares the coverage of cameras with that of step-by-step rays. Returns the numbers of cells
+/// that are seen, hidden, and too close to decide.
 fn compare(
     plan: &FloorPlan,
     cameras: &[Candidate],
@@ -251,7 +251,7 @@ fn the_floor_is_free_and_inside_the_outline() {
     assert_eq!((empty.cells().len(), empty.size()), (320, [20, 16]));
     assert_eq!(empty.cells()[21].aim_m, [0.75, 0.75]);
     assert_eq!(empty.cell_at(1, 1), Some(21));
-    // A chest of 1 x 2 m stands on eight cells; a table stands over them.
+    // A chest of 1 x 2 m covers eight cells; a table over the same cells leaves them floor.
     assert_eq!(
         plan(vec![obstacle(rectangle(2.0, 2.0, 3.0, 4.0), 0.0)]).unwrap().cells().len(),
         312
@@ -260,7 +260,7 @@ fn the_floor_is_free_and_inside_the_outline() {
         plan(vec![obstacle(rectangle(2.0, 2.0, 3.0, 4.0), 0.7)]).unwrap().cells().len(),
         320
     );
-    // Half a cell is enough, and is looked at where it is free.
+    // A cell that is half free is floor, and its aim point is in the free half.
     let half = plan(vec![obstacle(rectangle(2.0, 2.0, 2.24, 2.5), 0.0)]).unwrap();
     assert_eq!(half.cells().len(), 320);
     let aim = half.cells()[half.cell_at(4, 4).unwrap()].aim_m;

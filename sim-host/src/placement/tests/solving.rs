@@ -1,4 +1,4 @@
-//! The solver and its parts against trying every placement.
+//! Compares the solver and its parts with exhaustive search.
 
 use super::{
     super::{

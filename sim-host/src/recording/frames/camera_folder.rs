@@ -123,7 +123,7 @@ impl CameraFolder {
         Ok(Self { path, calibrations, depth, picture, frames, lost, has_clock, notes })
     }
 
-    /// The camera's name; with the frame if each frame has a calibration of its own.
+    /// The camera's name, followed by the frame's number if each frame has its own calibration.
     pub(super) fn name(&self, calibration: usize) -> String {
         let name = self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy();
         if self.calibrations.len() == 1 { name.into() } else { format!("{name}#{calibration}") }
@@ -135,7 +135,7 @@ impl SensorFiles {
     fn of_depth(folder: &Path, frames: usize, images: &[PathBuf]) -> Result<Self, FramesError> {
         let poses = poses(folder, frames)?;
         let stated = match intrinsics::stated(folder)? {
-            // A camera that moves is not the one that `cameras.toml` describes.
+            // `cameras.toml` describes only fixed cameras.
             None if poses.len() == 1 => mounted_intrinsics(folder, &images[0])?,
             stated => stated,
         };
@@ -143,7 +143,7 @@ impl SensorFiles {
         Ok(Self { intrinsics, poses })
     }
 
-    /// The files of the picture sensor. Missing ones are taken from the depth sensor.
+    /// The files of the picture sensor. Those that are missing are taken from the depth sensor.
     fn of_pictures(
         folder: &Path,
         frames: usize,
@@ -298,7 +298,8 @@ fn frames(
     images.into_iter().enumerate().map(frame).collect()
 }
 
-/// The intrinsics that a `cameras.toml` states for this folder, for depth images like this one.
+/// The intrinsics that a `cameras.toml` states for this folder, scaled to depth images of this
+/// size.
 fn mounted_intrinsics(folder: &Path, image: &Path) -> Result<Option<IntrinsicsFile>, FramesError> {
     let Some(camera) = mounted(folder)? else { return Ok(None) };
     let ((width, height), _) = raster::look(image)

@@ -13,9 +13,10 @@ use crate::recording::{
 /// The name of the file of times.
 pub(super) const TIMES_FILE: &str = "times.txt";
 
-/// Maximum time stamp in seconds: a larger one is in milliseconds or less.
+/// Maximum time stamp in seconds: a larger one is probably in milliseconds or a smaller unit.
 const MAX_TIME_S: f64 = 1e11;
-/// Maximum span of a recording in seconds: a larger one means that a clock differs or was set.
+/// Maximum span of a recording in seconds: a larger one means that clocks differ, or that a clock
+/// was set.
 pub(super) const MAX_SPAN_S: f64 = 86_400.0;
 
 /// The times of a frame, in seconds of the recording's clock.
@@ -104,8 +105,8 @@ fn seconds(word: &str) -> Result<f64, String> {
     }
 }
 
-/// Default times of frames without a file of times, and a note for the user: those of the poses if each
-/// has one, otherwise one second apart.
+/// Times of frames without a file of times, and a note for the user: the times of the poses if each
+/// pose has one, otherwise one second apart.
 pub(super) fn by_rule(
     frames: impl ExactSizeIterator<Item = u128>,
     stamps: Option<Vec<f64>>,

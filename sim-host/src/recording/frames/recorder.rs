@@ -81,8 +81,9 @@ impl CameraWriter {
             format!("{}.{:06}", micros / 1_000_000, micros % 1_000_000)
         };
         let [captured, arrived] = [frame.captured, now].map(seconds);
-        // Write the line first and flush it. If the recording is interrupted, a line without images is a
-        // lost frame, whereas an image without a time would make the folder unreadable.
+        // The line is written and flushed first. If the recording is interrupted, a line without
+        // images means a lost frame, whereas an image without a time would make the folder
+        // unreadable.
         let line = format!("{number:012} {captured} {arrived}\n");
         self.times
             .write_all(line.as_bytes())

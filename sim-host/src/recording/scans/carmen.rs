@@ -6,10 +6,10 @@
 //!
 //! Metres, radians, seconds; a scan covers half a turn, beam 0 to the right. Other records are ignored.
 //!
-//! Corrected logs store one trajectory in both triples: the corrected pose of the laser. Raw logs do the
-//! same with odometry. The records alone cannot distinguish the two, so a single trajectory is taken as
-//! poses unless a comment in the file mentions dead reckoning and the file contains no output of a
-//! corrector (`NEFF`).
+//! Corrected logs store one trajectory in both triples: the corrected pose of the laser. Raw logs
+//! do the same with odometry. The records alone do not show which of the two it is, so a single
+//! trajectory is taken as poses, unless a comment in the file mentions dead reckoning and the file
+//! contains no output of a corrector (`NEFF`).
 
 use std::{f64::consts::PI, path::Path};
 
@@ -25,8 +25,9 @@ use crate::recording::{
     time_stamps,
 };
 
-/// Ranges of readings in metres that mean "no return": SICK in centimetres (81.83, 81.91), 50 to 51.2 of
-/// other scanners, and 15 bits of millimetres (32.76). Tolerances for rounding are included.
+/// Ranges of readings in metres that mean "no return": SICK in centimetres (81.83, 81.91), other
+/// scanners at 50 to 51.2, and 15 bits of millimetres (32.76). Tolerances for rounding are
+/// included.
 const NO_RETURN_M: [(f64, f64); 3] = [(81.8, f64::MAX), (49.9995, 51.2005), (32.755, 32.7705)];
 
 /// "No return" of a SICK in millimetres, 13 bits. Applies only to logs without a greater reading.
@@ -158,7 +159,8 @@ impl Content {
     }
 
     fn trajectories(&self) -> Trajectories {
-        // The laser's offset on the robot is unknown; if it is constant, there is only one trajectory.
+        // The laser's offset on the robot is unknown, but constant: if poses and odometry differ by
+        // a constant only, there is only one trajectory.
         let offsets = || self.records.iter().map(|record| relative(record.odometry, record.laser));
         let is_one = is_still(offsets());
         if is_one && self.speaks_of_dead_reckoning && !self.has_corrector_records {

@@ -15,27 +15,27 @@ use super::{
 const BEAMS: usize = 361;
 /// A range that means no return, as SICK's scanners write it.
 const NO_RETURN: &str = "81.83";
-/// Between the last scan of one robot and the first of the next.
+/// Time between the last scan of one robot and the first of the next, in seconds.
 const PAUSE_S: f64 = 10.0;
 
-/// Writes the scans of several robots, each with its poses and odometry, as `FLASER` records of one
-/// carrier: robot after robot, as if the carrier were taken from where one has ended to where the
-/// next begins. A log has one kind of scan only, so scans are resampled to 361 beams over half a
-/// turn, each the reading whose direction is nearest; directions that the sensor does not see have
-/// no return. Scans without pose or odometry are left out.
+/// Writes the scans of several robots as `FLASER` records, each with its pose and odometry. The log
+/// looks like that of a single robot that is carried from the end of one robot's scans to the start
+/// of the next one's. As a log has only one kind of scan, scans are resampled to 361 beams over
+/// half a turn: each beam gets the reading with the nearest direction, or no return where the
+/// sensor does not see. Scans without pose or odometry are left out.
 ///
 /// # Errors
-/// What the writer says.
+/// Every error of the writer.
 pub fn write_carmen(out: &mut dyn Write, robots: &[(Sensor, Vec<LoggedScan>)]) -> io::Result<()> {
     writeln!(out, "# Simulated scans. Poses are the true ones of the sensor; odometry drifts.")?;
     writeln!(out, "# FLASER n ranges.. x y theta odom_x odom_y odom_theta time host time")?;
     let mut end_s = 0.0;
-    // The newest pose and odometry that were written.
+    // The last pose and odometry that were written.
     let mut last: Option<[[f64; 3]; 2]> = None;
     for (robot, (sensor, scans)) in robots.iter().enumerate() {
         let beams = nearest_readings(sensor);
         let start_s = if robot == 0 { 0.0 } else { end_s + PAUSE_S };
-        // The odometry of the carrier where the robot's own is zero.
+        // The single robot's odometry at the origin of the current robot's odometry.
         let mut origin = None;
         for scan in scans {
             let (Some(pose), Some(odometry)) = (scan.pose, scan.odometry) else { continue };
@@ -73,7 +73,7 @@ fn write_range(
     }
 }
 
-/// For each beam the reading in its direction, and how much longer the range is than the reading;
+/// For each beam the index of the reading in its direction, and the ratio of range to reading;
 /// `None` outside the sensor's view.
 fn nearest_readings(sensor: &Sensor) -> Vec<Option<(usize, f64)>> {
     let beams = (0..BEAMS).map(|beam| {
@@ -124,7 +124,7 @@ mod tests {
             beams: 3,
         };
         let first = [scan(0, [1.0, 1.0, 0.0], [0.0; 3]), scan(2, [2.0, 1.0, 0.0], [1.1, 0.0, 0.0])];
-        // Looks along y; its wheels say that it went 1 m ahead.
+        // The second robot looks along y; its odometry says that it drove 1 m ahead.
         let second = [
             scan(0, [2.0, 5.0, PI / 2.0], [7.0, 0.0, 0.0]),
             scan(1, [2.0, 6.0, PI / 2.0], [8.0, 0.0, 0.0]),
@@ -139,7 +139,7 @@ mod tests {
         let poses: Vec<_> = log.scans.iter().map(|it| it.pose.unwrap()).collect();
         assert_eq!(poses[1], [2.0, 1.0, 0.0]);
         assert!((poses[3][1] - 6.0).abs() < 1e-4 && (poses[3][2] - PI / 2.0).abs() < 1e-4);
-        // The carrier went 4 m to the left and turned there, then 1 m along y.
+        // The single robot was carried 4 m to the left and turned there; then it drove 1 m along y.
         for (index, expected) in [[0.0, 0.0], [1.1, 0.0], [1.1, 4.0], [1.1, 5.0]].iter().enumerate()
         {
             let odometry = log.scans[index].odometry.unwrap();
@@ -149,7 +149,8 @@ mod tests {
 
         let reading =
             |scan: usize, degrees: i32| log.scans[scan].readings_mm[((degrees + 90) * 2) as usize];
-        // The leftmost column is 1 m deep, so 1.414 m away; the rightmost twice that.
+        // The leftmost column has a depth of 1 m, which is a range of 1.414 m; the rightmost has
+        // twice that.
         assert_eq!([reading(0, 45), reading(0, 0), reading(0, -45)], [1_414, 0, 2_828]);
         assert_eq!([reading(0, 80), reading(0, -80)], [0, 0]);
         assert_eq!(

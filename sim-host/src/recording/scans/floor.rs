@@ -1,4 +1,4 @@
-//! The floor in depth images, to check the stated up axis against.
+//! Finds the floor in depth images, to check the stated up axis.
 
 use std::path::PathBuf;
 
@@ -8,22 +8,23 @@ use crate::recording::{
     camera_poses::CameraPose, depth_image::depths_mm, error::LogError, intrinsics::IntrinsicsFile,
 };
 
-/// Maximum number of frames that are looked at.
+/// Maximum number of frames that are evaluated.
 const FRAMES: usize = 8;
 /// Number of samples across an image.
 const SAMPLES: u32 = 80;
-/// cos(65 degrees): normals farther from the image's up axis are walls.
+/// cos(65 degrees): surfaces whose normal is farther from the image's up axis are walls.
 const MIN_UP_COS: f64 = 0.42;
-/// cos(6 degrees): normals of one plane, with the noise of the depths.
+/// cos(6 degrees): maximum angle between normals of the same plane, which allows for the noise of
+/// the depths.
 const SAME_COS: f64 = 0.9945;
-/// Minimum number of samples on the floor, and their minimum share of all.
+/// Minimum number of samples on the floor, and their minimum fraction of all samples.
 const MIN_SAMPLES: usize = 100;
 const MIN_SHARE: f64 = 0.05;
 /// Maximum number of normals that are tried as the floor's.
 const TRIED: usize = 200;
 
-/// The normal of the floor in the world: the most frequent direction of surfaces that face up in the
-/// images. `None` if too little of the images has one direction. Reads up to eight images.
+/// The normal of the floor in the world: the most frequent direction among surfaces that face up.
+/// `None` if too few surfaces share a direction. Reads up to eight images.
 pub(super) fn normal(
     images: &[PathBuf],
     poses: &[CameraPose],
@@ -53,7 +54,7 @@ pub(super) fn normal(
     Ok(is_enough.then_some(axis))
 }
 
-/// The normals of the surfaces in an image in the world, towards the camera.
+/// The normals of the surfaces in an image, in world coordinates, pointing towards the camera.
 fn normals(depths: &[u16], intrinsics: &IntrinsicsFile, pose: &CameraPose) -> Vec<Vector3<f64>> {
     let IntrinsicsFile { width, height, fx, fy, cx, cy, .. } = *intrinsics;
     let step = (width / SAMPLES).max(1);
@@ -67,7 +68,7 @@ fn normals(depths: &[u16], intrinsics: &IntrinsicsFile, pose: &CameraPose) -> Ve
     let normal = |column: u32, row: u32| {
         let at = point(column, row)?;
         let [right, below] = [point(column + step, row)?, point(column, row + step)?];
-        // Across an edge there is no surface.
+        // Neighbouring samples across an edge do not belong to one surface.
         let is_edge = |other: &Vector3<f64>| (other.norm() - at.norm()).abs() > 0.1 * at.norm();
         if is_edge(&right) || is_edge(&below) {
             return None;

@@ -10,8 +10,8 @@ use super::{
 };
 use crate::recording::error::LogError;
 
-/// Joins logs of one sensor; the paths are used in errors. Each log continues the time and the odometry of
-/// the previous one, because their `odom` frames are unrelated.
+/// Joins logs of one sensor; the paths are used in errors. The time and the odometry of each log
+/// continue those of the previous one, because the logs' `odom` frames are unrelated.
 ///
 /// # Errors
 /// [`LogError::Mixed`] for different sensors or kinds of poses, [`LogError::Empty`] without any log.

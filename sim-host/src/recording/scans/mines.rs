@@ -31,7 +31,7 @@ const WHEEL_RADIUS_M: f64 = 0.077;
 const HALF_AXLE_M: f64 = 0.165;
 const TICKS_A_TURN: f64 = 2_000.0;
 
-/// Maximum speed of a wheel in m/s: beyond it, the counter wrapped or was reset.
+/// Maximum speed of a wheel in m/s; above it, the counter must have wrapped or been reset.
 const MAX_SPEED_M_S: f64 = 10.0;
 
 /// Reads a log of the mine robot, plain or gzipped. Odometry starts at the origin of `odom`.
@@ -172,7 +172,8 @@ mod tests {
     #[test]
     fn wheel_ticks_give_odometry() {
         let folder = Folder::new("mines-wheels");
-        // Turn a quarter on the spot, then drive a metre along y; the right counter wraps.
+        // The robot turns by a quarter on the spot, then drives a metre along y; the right counter
+        // wraps.
         let quarter =
             (HALF_AXLE_M * PI / 2.0 / (2.0 * PI * WHEEL_RADIUS_M) * 2000.0).round() as i64;
         let metre = (1.0 / (2.0 * PI * WHEEL_RADIUS_M) * 2000.0).round() as i64;

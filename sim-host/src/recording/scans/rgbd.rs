@@ -9,11 +9,12 @@
 //! *.json                or Open3D's camera file, with depths in millimetres
 //! ```
 //!
-//! Images are ordered by the numbers in their names, and there must be one pose for each. Poses are camera
-//! to world, with the camera's x to the right and z forward; y points down, or up if `fy` is negative. The
-//! up axis of the world is z unless [`Slicing::up`] says otherwise; a warning says so if the floor in the images
-//! contradicts it. A scan's pose in `map` is the camera's position and forward axis seen from above; the x axis of `map` is the world's x
-//! (or its y, if x is closer to the vertical).
+//! Images are ordered by the numbers in their names, and there must be one pose for each. Poses are
+//! camera to world, with the camera's x to the right and z forward; y points down, or up if `fy` is
+//! negative. The up axis of the world is z unless [`Slicing::up`] says otherwise; a warning is
+//! issued if the floor in the images contradicts it. A scan's pose in `map` is the camera's
+//! position and forward axis seen from above. The x axis of `map` is the world's x (or its y, if x
+//! is closer to the vertical).
 
 use std::path::{Path, PathBuf};
 
@@ -36,10 +37,11 @@ use crate::recording::{
 /// Maximum tilt of a camera in degrees: a steeper one is refused.
 const MAX_TILT_DEG: f64 = 75.0;
 
-/// Tilt in degrees from which a note warns that a row is not a level slice.
+/// Tilt in degrees above which a note says that a row is not a level slice.
 const TILTED_DEG: f64 = 10.0;
 
-/// Angle in degrees between the floor in the images and the up axis from which a line warns.
+/// Angle in degrees between the up axis and the normal of the floor in the images above which a
+/// warning is issued.
 const FLOOR_DEG: f64 = 5.0;
 
 /// Reads a folder of depth images.
@@ -107,9 +109,9 @@ struct Plane {
 }
 
 impl Plane {
-    /// The horizontal plane; `None` if the mean of the cameras' up axes is asked for and they cancel
-    /// out. `down_sign` is 1 if the camera's y points down and -1 if it points up, which mirrors the
-    /// world.
+    /// The horizontal plane. `None` if the mean of the cameras' up axes is requested and the axes
+    /// cancel out. `down_sign` is 1 if the camera's y points down; it is -1 if y points up, which
+    /// mirrors the world.
     fn under(poses: &[CameraPose], down_sign: f64, up: UpAxis) -> Option<Self> {
         let up = match up {
             UpAxis::X => Vector3::x(),
@@ -154,7 +156,7 @@ impl Plane {
         self.up.dot(&pose.forward()).clamp(-1.0, 1.0).asin().to_degrees().abs()
     }
 
-    /// The stance of each camera, with heights relative to their mean.
+    /// The attitude and height of each camera; heights are relative to their mean.
     fn stances(&self, poses: &[CameraPose]) -> Vec<Stance> {
         let height = |pose: &CameraPose| self.up.dot(&pose.position);
         let mean = poses.iter().map(height).sum::<f64>() / poses.len().max(1) as f64;
@@ -201,7 +203,8 @@ mod tests {
         depth_png(&folder, "depth/10.png", [5; 12]);
         depth_png(&folder, "depth/9.png", [1, 1, 1, 1, 0, 1_000, 2_000, 65_535, 3, 3, 3, 3]);
         folder.file("intrinsics.toml", INTRINSICS.as_bytes());
-        // The camera's z is along the world's x and its y along -z; then it turns left by a quarter.
+        // The camera's z points along the world's x, and its y along -z; then it turns left by a
+        // quarter.
         folder.file("pose.txt", b"1 2 0.5 -0.5 0.5 -0.5 0.5\n3 4 0.5 -0.70710678 0 0 0.70710678\n");
         folder
     }

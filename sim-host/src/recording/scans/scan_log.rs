@@ -16,7 +16,7 @@ pub struct LoggedScan {
     pub pose: Option<[f64; 3]>,
     /// Pose of the robot in `odom`: x and y in metres, heading in radians.
     pub odometry: Option<[f64; 3]>,
-    /// The line in its file, or the number of the frame; both from 1.
+    /// The line in the file, or the number of the frame; both from 1.
     pub line: usize,
 }
 

@@ -15,8 +15,8 @@ pub(super) const MARGIN: usize = 4;
 const SIDE: usize = 1200;
 const SCALES: std::ops::RangeInclusive<usize> = 2..=8;
 
-/// Above this number of cells a cell is one pixel, and no lines separate similar colours: a line would
-/// look like a wall.
+/// Number of cells above which a cell is drawn as one pixel, without lines between similar colours:
+/// a line would look like a wall.
 const MOST_SCALED_CELLS: usize = 1 << 22;
 
 /// A picture of a grid with a margin.
@@ -37,14 +37,15 @@ pub(super) fn scale_of(grid: &OccupancyGrid) -> usize {
 }
 
 impl<'g> Canvas<'g> {
-    /// Draws a grid. `colour` gives the colour of each cell, including those of the margin.
+    /// Draws a grid. `colour` returns the colour of each cell, including those of the margin.
     pub(super) fn new(
         grid: &'g OccupancyGrid,
         scale: usize,
         colour: impl Fn(usize, usize) -> Rgb<u8>,
     ) -> Self {
         let (columns, rows) = (grid.width() + 2 * MARGIN, grid.height() + 2 * MARGIN);
-        // From the upper left. West and south of the grid the subtraction wraps: outside.
+        // From the upper left. For cells west and south of the grid the subtraction wraps, so they
+        // are outside, too.
         let cells = (0..columns * rows).map(|index| {
             let (column, row) = (index % columns, rows - 1 - index / columns);
             colour(column.wrapping_sub(MARGIN), row.wrapping_sub(MARGIN))
@@ -98,8 +99,8 @@ impl Cells {
             .then(|| self.colours[row * self.columns + column])
     }
 
-    /// The colour of a pixel: that of its cell, or black on the border to a cell of too similar a
-    /// colour. Only one of the two cells has the line.
+    /// The colour of a pixel: that of its cell, or black along the border to a cell of too similar
+    /// a colour. The line is drawn in only one of the two cells.
     fn pixel(
         &self,
         [x, y]: [usize; 2],
@@ -108,7 +109,7 @@ impl Cells {
     ) -> Rgb<u8> {
         let (column, row) = (x / scale, y / scale);
         let Some(own) = self.get(column, row) else { return UNKNOWN };
-        // Which neighbours the pixel touches, by steps of a cell.
+        // The neighbouring cells that the pixel touches, as index offsets.
         let steps = |at: usize| -> &[isize] {
             match at % scale {
                 _ if scale == 1 => &[0],
@@ -131,8 +132,8 @@ impl Cells {
     }
 }
 
-/// Which of two cells gives up pixels for a line between them: the unknown one, so that a single
-/// known cell keeps its size.
+/// Whether the first of two cells gives up its pixels for a line between them. The unknown cell
+/// does, so that a single known cell keeps its size.
 fn yields(own: Rgb<u8>, other: Rgb<u8>) -> bool {
     own != other && (own == UNKNOWN || other != UNKNOWN && own.0 < other.0)
 }

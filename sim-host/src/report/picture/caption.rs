@@ -15,7 +15,7 @@ const GAP: u32 = 10;
 const LINE: u32 = 24;
 /// Side of a sample in the legend, in pixels.
 const SAMPLE: u32 = 16;
-/// Minimum width of a caption in pixels; otherwise it is as wide as its picture.
+/// Minimum width of a caption in pixels; it is as wide as its picture if that is wider.
 const LEAST_WIDTH: u32 = 480;
 /// Maximum length of the scale bar in pixels.
 const LONGEST_BAR: f64 = 200.0;
@@ -23,11 +23,11 @@ const LONGEST_BAR: f64 = 200.0;
 /// The source and the time of a picture.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Caption {
-    /// The scenario, log or recording.
+    /// The name of the scenario, log or recording.
     pub subject: String,
-    /// The seed of the run, if it had one.
+    /// The seed of the run, if there was one.
     pub seed: Option<u64>,
-    /// The time shown, in seconds since the run began, if there was a run.
+    /// The time shown, in seconds since the start of the run, if there was a run.
     pub time_s: Option<f64>,
 }
 
@@ -48,7 +48,7 @@ impl fmt::Display for Caption {
 /// An entry of a legend: a sample and what it stands for.
 pub(super) type Entry = (Sample, &'static str);
 
-/// The sample of an entry of a legend.
+/// The symbol or colour in front of an entry of a legend.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sample {
     /// A cell of this colour.
@@ -138,7 +138,7 @@ fn draw_sample(image: &mut RgbImage, sample: Sample, [left, top]: [u32; 2]) {
     }
 }
 
-/// Draws a scale bar of a round length at the right, with its text to the left of it.
+/// Draws a scale bar of a round length at the right, with its text on the left.
 fn scale_bar(image: &mut RgbImage, pixels_per_m: f64, top: u32) {
     let Some(length_m) = round_length(LONGEST_BAR / pixels_per_m) else { return };
     let length = (length_m * pixels_per_m).round() as u32;
@@ -159,7 +159,7 @@ fn round_length(most_m: f64) -> Option<f64> {
         return None;
     }
     let power = most_m.log10().floor() as i32;
-    // Divides for negative powers: powers of 0.1 are not exact.
+    // Divides for negative powers, because powers of 0.1 are not exact.
     let scaled = |digit: f64| {
         if power < 0 { digit / 10_f64.powi(-power) } else { digit * 10_f64.powi(power) }
     };
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn a_scale_bar_is_as_long_as_it_says() {
-        // 160 pixels of a metre, as in a room: the bar is one metre.
+        // At 160 pixels per metre, as in a room, the bar is one metre long.
         let picture = RgbImage::from_pixel(600, 10, INK);
         let image = with_caption(&picture, 160.0, "", &[]);
         let is_ink = |x: &u32| *image.get_pixel(*x, 10 + GAP + 9) == INK;

@@ -16,7 +16,7 @@ const CAMERA_RADIUS: f64 = 11.0;
 /// Half the width of a path, and of the edge of a view, in pixels.
 const PATH: f64 = 1.3;
 const VIEW: f64 = 0.8;
-/// Step along the edge of a view, and the maximum length of a side, in metres.
+/// Step along the edge of a view, and the maximum length of a piece, in metres.
 const STEP_M: f64 = 0.05;
 const LONGEST_SIDE_M: f64 = 1e3;
 
@@ -40,7 +40,7 @@ pub struct Marker {
     pub x_m: f64,
     /// Along `map`'s y, in metres.
     pub y_m: f64,
-    /// Where it looks, in radians, counter-clockwise from `map`'s x.
+    /// Heading in radians, counter-clockwise from `map`'s x.
     pub heading_rad: f64,
     /// What it is.
     pub kind: MarkerKind,
@@ -97,7 +97,7 @@ fn radius(canvas: &Canvas<'_>, marker: &Marker) -> f64 {
     }
 }
 
-/// The edge of a view in pixels, in pieces: parts beyond the map or behind walls are left out.
+/// The edge of a view in pixels, in pieces: the parts outside the map or behind walls are left out.
 fn edge_on_map(canvas: &Canvas<'_>, view: &[[f64; 2]]) -> Vec<Vec<[f64; 2]>> {
     let (mut pieces, mut piece) = (Vec::new(), Vec::new());
     let sides = view.iter().zip(view.iter().cycle().skip(1));

@@ -9,8 +9,8 @@
 //! | `caption` | title, scale bar and legend below a picture |
 //! | `views` | the pictures themselves |
 //!
-//! Colours that touch have a contrast of 3:1 or more, for colour-blind eyes too. Luminance allows
-//! only three such levels, so a black line separates cells of the same level, and everything drawn
+//! Colours that touch have a contrast of at least 3:1, for colour-blind eyes too. Only three levels
+//! of luminance fit that, so a black line separates cells of the same level, and everything drawn
 //! over the cells has a black edge.
 
 mod canvas;
@@ -29,7 +29,7 @@ pub use caption::Caption;
 pub use marker::{Marker, MarkerKind};
 pub use views::{Moment, render, render_coverage, render_error, render_frames, render_overlap};
 
-/// A picture as the bytes of a PNG file. Flat colours compress best without filters.
+/// Encodes a picture as PNG. Flat colours compress best without filters.
 pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
     let mut bytes = Vec::new();
     let encoder =

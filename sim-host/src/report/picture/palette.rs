@@ -1,7 +1,8 @@
 //! The colours of pictures, and the contrast between them.
 //!
-//! Contrast is that of WCAG 2 (relative luminance), the minimum over four kinds of vision: normal and,
-//! after Machado, Oliveira and Fernandes (2009, severity 1), without red, green or blue cones.
+//! Contrast is defined as in WCAG 2 (by relative luminance), as the minimum over four kinds of
+//! vision: normal, and without red, green or blue cones (after Machado, Oliveira and Fernandes,
+//! 2009, severity 1).
 
 use image::Rgb;
 
@@ -22,12 +23,12 @@ pub(super) const MOVABLE: Rgb<u8> = Rgb([200, 88, 0]);
 pub(super) const COVERED: Rgb<u8> = Rgb([200, 235, 250]);
 /// Known floor that no camera sees now.
 pub(super) const BLIND: Rgb<u8> = Rgb([140, 90, 190]);
-/// Floor that one camera sees, two, three, and more.
+/// Floor seen by one camera, two, three, and more.
 pub(super) const SEEN_BY: [Rgb<u8>; 4] =
     [Rgb([206, 226, 246]), Rgb([150, 192, 232]), Rgb([92, 148, 208]), Rgb([44, 104, 176])];
 /// Floor that no camera sees.
 pub(super) const UNSEEN: Rgb<u8> = Rgb([240, 170, 165]);
-/// Floor that no camera could see.
+/// Floor that no camera could see from any place.
 pub(super) const HIDDEN: Rgb<u8> = Rgb([160, 90, 130]);
 /// Occupied on the map but not in the room.
 pub(super) const EXTRA: Rgb<u8> = Rgb([200, 40, 150]);
@@ -41,7 +42,7 @@ pub(super) const PERSON: Rgb<u8> = Rgb([200, 150, 255]);
 /// Cameras and the edge of their view.
 pub(super) const CAMERA: Rgb<u8> = Rgb([250, 205, 0]);
 
-/// Minimum contrast between adjacent graphics (WCAG 2.2, 1.4.11).
+/// Minimum contrast between adjacent graphics (WCAG 2.2, criterion 1.4.11).
 const LEAST_CONTRAST: f64 = 3.0;
 
 /// A kind of vision, as a matrix on linear red, green and blue.

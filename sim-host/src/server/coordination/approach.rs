@@ -12,10 +12,10 @@ use super::{
 pub(super) struct Approach<'a> {
     pub(super) ground: &'a Ground,
     pub(super) terrain: Terrain<'a>,
-    /// Its start position, and its heading in radians.
+    /// The robot's start position, and its heading in radians.
     pub(super) from: Point,
     pub(super) heading: f64,
-    /// For each cell, whether the robot would be in the way of another one there.
+    /// For each cell, whether the robot would be in another one's way there.
     pub(super) in_the_way: Vec<bool>,
     /// Viewpoints that have failed.
     pub(super) tried: &'a [Disc],
@@ -27,20 +27,20 @@ pub(super) struct Approach<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Viewpoint {
     pub(super) place: Point,
-    /// Cost of the way there, including turning and waiting, in metres.
+    /// Cost of the way there, in metres of driving; includes turning and waiting.
     pub(super) cost_m: f64,
 }
 
 impl Approach<'_> {
     /// For each frontier the last suitable viewpoint on the shortest way to it, without failed
-    /// ones: the robot sees the frontier as it drives by and need not stop. Cost: one search.
+    /// ones: the robot can see the frontier in passing, and need not stop. Cost: one search.
     pub(super) fn views(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         frontiers.iter().map(|frontier| self.view(frontier, ways.as_ref()?)).collect()
     }
 
-    /// For each frontier the nearest reachable place, to check again what blocks the way. Excludes
-    /// failed viewpoints and places near the robot. Cost: one search.
+    /// For each frontier the nearest reachable place, from which the robot checks again what blocks
+    /// the way. Excludes failed viewpoints and places near the robot. Cost: one search.
     pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         let view = |at| {
@@ -115,12 +115,13 @@ mod tests {
         };
         let nowhere = |_| false;
         let best = view(0.0, &[], &nowhere).unwrap();
-        // It need not be opposite the middle: the frontier extends a metre to both sides.
+        // The viewpoint need not be opposite the middle: the frontier extends a metre to both
+        // sides.
         let away = (best.place - middle.place).norm();
         assert!((nearest_m..nearest_m + 1.0).contains(&away), "{best:?}");
         let straight = (middle.place - from).norm();
         assert!(best.cost_m < straight && best.cost_m + nearest_m > 0.95 * straight, "{best:?}");
-        // Turning round first takes time, and so does waiting for others.
+        // Turning round first takes time, as does waiting for others.
         let turned = view(core::f64::consts::PI, &[], &nowhere).unwrap();
         assert!((turned.cost_m - best.cost_m - turn_m * core::f64::consts::PI).abs() < 0.1);
         let near = |place: Point| (place - best.place).norm() < 0.3;

@@ -3,12 +3,12 @@
 /// The cost of a pair that must not be assigned.
 pub(super) const NEVER: i64 = 1 << 40;
 
-/// Assigns each row a column of its own with the minimum total cost, by the Hungarian method with
+/// Assigns each row a different column at minimum total cost, by the Hungarian method with
 /// potentials (Kuhn 1955; Jonker and Volgenant 1987). The result is exact and takes far less than a
-/// millisecond for twenty robots and a hundred frontiers, so an auction or a greedy choice has no
-/// advantage. A row stays without a column if every column costs [`NEVER`].
+/// millisecond for twenty robots and a hundred frontiers, so an auction or a greedy choice would
+/// have no advantage. A row gets no column if every column costs [`NEVER`].
 ///
-/// All rows of `costs` have the same length, and each cost is at most [`NEVER`].
+/// All rows of `costs` must have the same length, and each cost must be at most [`NEVER`].
 pub(super) fn assign(costs: &[Vec<i64>]) -> Vec<Option<usize>> {
     let rows = costs.len();
     let columns = costs.first().map_or(0, Vec::len);
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The minimum cost of assigning the rows from `row` on to columns that are not taken.
+    /// The minimum cost of assigning columns that are not taken to the rows from `row` on.
     fn least(costs: &[Vec<i64>], row: usize, taken: &mut Vec<bool>) -> i64 {
         if row == costs.len() {
             return 0;

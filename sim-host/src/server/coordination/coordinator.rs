@@ -1,4 +1,5 @@
-//! The sans-IO core: takes the state of the room, returns commands.
+//! The core of the coordination, without input or output: takes the state of the room, returns
+//! commands.
 
 use std::collections::VecDeque;
 
@@ -30,7 +31,7 @@ use crate::server::command::Command;
 pub struct Coordinator {
     pub(super) settings: Settings,
     next_path: u32,
-    /// In order of id; `reservations` has the same order.
+    /// The robots in order of id; `reservations` has the same order.
     pub(super) members: Vec<Member>,
     pub(super) reservations: Reservations,
     pub(super) ground: Option<Ground>,
@@ -39,7 +40,7 @@ pub struct Coordinator {
     pub(super) tried: Vec<Tried>,
     surveyed: Instant,
     pub(super) passers: Vec<Passer>,
-    /// Where robots were held up, and until when these places are avoided.
+    /// Places where robots were held up, and until when each is avoided.
     pub(super) held_up: Vec<(Disc, Instant)>,
     /// Rotating index of the robot that is granted ground first.
     pub(super) turn: usize,
@@ -69,7 +70,7 @@ impl Coordinator {
         }
     }
 
-    /// Sends a robot to a position in `map`, in metres; replaces its present goal or target.
+    /// Sends a robot to a position in `map`, in metres; replaces its current goal or target.
     ///
     /// # Errors
     /// Every [`GoalError`], which is also a notice; the robot then continues as before.
@@ -133,7 +134,7 @@ impl Coordinator {
     pub fn tick(&mut self, situation: &Situation<'_>, now: Instant) {
         self.next_tick = now + self.settings.rates.tick;
         self.see(situation, now);
-        // A robot that has looked at its frontier does not wait for the next survey.
+        // A robot that has looked at its frontier need not wait for the next survey.
         let arrives = self.settings.following.tiles_arrive;
         let is_heard_of =
             |member: &Member| member.target.is_some_and(|it| it.is_heard_of(arrives, now));
@@ -209,8 +210,8 @@ impl Coordinator {
         let Situation { fused, coverage, .. } = situation;
         self.ground = Ground::survey(fused, coverage, &trodden, &self.settings);
         let Some(ground) = &self.ground else { return };
-        // Routes are planned with a larger clearance than the robot's radius, and kept until that
-        // radius is violated.
+        // Routes are planned with some clearance, but kept until an obstacle is within the
+        // robot's own radius.
         for (index, member) in self.members.iter().enumerate() {
             let ahead = self.reservations.claim(index).ahead();
             if !ahead.iter().all(|place| ground.has_room(*place, member.radius_m)) {
@@ -234,7 +235,7 @@ impl Coordinator {
         let mut waypoints = heapless::Vec::new();
         for place in path {
             let [x, y] = [place.x, place.y].map(Millimetres::from_metres);
-            // A claim never has more corners than a path has waypoints.
+            // A path has room for all corners of a claim.
             let _ = waypoints.push(Waypoint { x, y });
         }
         let member = &mut self.members[index];

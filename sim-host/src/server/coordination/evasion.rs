@@ -9,10 +9,12 @@ use super::{
 /// Every third point of a route is checked, with a correspondingly larger radius.
 const STRIDE: usize = 3;
 
-/// Gives a robot its route, by its corners, and sends the standing robots on it aside, each to the
-/// nearest place that is in nobody's way. All or nothing; returns whether it succeeded.
+/// Gives a robot its route, by its corners, and sends standing robots on the route aside, each to
+/// the nearest place that is in nobody's way. Either all of this succeeds or nothing changes;
+/// returns whether it succeeded.
 ///
-/// `may_yield` says which robots can be sent aside, and `terrain` is the ground for a robot. Cost:
+/// `may_yield` says which robots can be sent aside, and `terrain` returns the ground as a robot can
+/// cross it. Cost: one search per robot sent aside.
 /// one search per robot sent aside.
 pub(super) fn make_way<'a>(
     reservations: &mut Reservations,
@@ -37,7 +39,7 @@ pub(super) fn make_way<'a>(
     if standing.is_empty() || !standing.iter().all(|&(_, other)| may_yield(other)) {
         return false;
     }
-    // The one farthest along goes first: the others may have to follow it.
+    // The robot farthest along the route is sent aside first: the others may have to follow it.
     standing.sort_unstable_by(|a, b| b.cmp(a));
     let mut routes = Vec::new();
     for (_, other) in standing {

@@ -25,7 +25,8 @@ impl Coordinator {
         self.ground = Some(ground);
     }
 
-    /// Drops targets that have been explored, or that can't be seen from the chosen viewpoint.
+    /// Drops targets that have been explored, or that turn out to be invisible from the chosen
+    /// viewpoint.
     fn drop_targets(&mut self, now: Instant) {
         let (look, rules) = (self.settings.look, self.settings.exploration);
         let arrives = self.settings.following.tiles_arrive;
@@ -100,7 +101,7 @@ impl Coordinator {
             idle.iter().map(|&index| self.approach(ground, index, tried).views(open)).collect();
         let cost = |((view, frontier), crowded_m): ((&Option<Viewpoint>, &&Frontier), &f64)| {
             let worth_m = self.settings.exploration.worth_m * frontier.gain_m2;
-            // In millimetres.
+            // Costs in millimetres.
             view.map_or(NEVER, |view| ((view.cost_m + crowded_m - worth_m) * 1000.0) as i64)
         };
         let costs: Vec<Vec<i64>> = views
@@ -160,7 +161,8 @@ impl Coordinator {
         crowding
     }
 
-    /// The inputs for choosing a robot's viewpoints, starting at the end of the route granted to it.
+    /// The inputs for choosing a robot's viewpoints; the search starts at the end of its granted
+    /// route.
     fn approach<'a>(&'a self, ground: &'a Ground, index: usize, tried: &'a [Disc]) -> Approach<'a> {
         let me = self.reservations.claim(index);
         let mut in_the_way = vec![false; ground.len()];

@@ -12,7 +12,7 @@ use super::{
 };
 
 impl Coordinator {
-    /// Takes the positions of robots and obstacles.
+    /// Takes over the positions of robots and obstacles.
     pub(super) fn see(&mut self, situation: &Situation<'_>, now: Instant) {
         let margin_m = self.settings.clearances.route_m;
         for robot in situation.robots {
@@ -66,7 +66,7 @@ impl Coordinator {
         }
     }
 
-    /// A robot that can't be commanded stops by itself.
+    /// Handles a robot that can't be commanded: it stops by itself.
     fn follow_lost(&mut self, index: usize, now: Instant) {
         let lost_for = self.members[index].lost.map(|lost| now.since(lost));
         let claim = self.reservations.claim_mut(index);
@@ -75,7 +75,7 @@ impl Coordinator {
         }
     }
 
-    /// A robot that was told to stop gets another route once it stands.
+    /// Handles a robot that was told to stop: once it stands, it gets another route.
     fn follow_halted(&mut self, index: usize, now: Instant) {
         let (rules, member) = (&self.settings.following, &mut self.members[index]);
         let Some(halted) = member.halted.map(|halted| now.since(halted)) else { return };
@@ -114,8 +114,8 @@ impl Coordinator {
         }
     }
 
-    /// Handles a robot that can't continue on its path: it is stopped, and gets another route from
-    /// there.
+    /// Handles a robot that can't continue on its path: stops it, and gives it another route from
+    /// where it stands.
     pub(super) fn blocked(&mut self, index: usize, now: Instant) {
         let (costs, member) = (&self.settings.costs, &self.members[index]);
         let before_m = member.radius_m + costs.held_up_m / 2.0;

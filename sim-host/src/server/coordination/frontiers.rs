@@ -1,4 +1,4 @@
-//! The edges of known ground that no camera sees (frontiers: Yamauchi 1997).
+//! Frontiers: edges of the known ground beyond which no camera sees (Yamauchi 1997).
 
 use ubimap_protocol::tile::Cell;
 
@@ -8,7 +8,7 @@ use super::{
     settings::Settings,
 };
 
-/// Number of rays for visibility.
+/// Number of rays that are cast from a cell.
 const RAYS: usize = 32;
 
 /// Connected unknown, blind cells next to free ones.
@@ -33,7 +33,7 @@ pub(super) struct Vantage {
 }
 
 impl Frontier {
-    /// Cost of the way to the nearest place from which it is visible, in metres.
+    /// Cost of the way to the nearest place from which the frontier is visible, in metres.
     pub(super) fn metres(&self, ways: &Ways<'_>) -> Option<f64> {
         self.vantages.iter().filter_map(|it| ways.metres(it.at)).min_by(f64::total_cmp)
     }
@@ -82,7 +82,8 @@ pub(super) fn frontiers(ground: &Ground, settings: &Settings) -> Vec<Frontier> {
     frontiers.filter(|it| it.gain_m2 >= rules.least_gain_m2).collect()
 }
 
-/// Takes the cells of one piece of a frontier: connected cells within `piece_m` of the first.
+/// Removes the cells of one piece of a frontier from `open`, and returns them: connected cells
+/// within `piece_m` of the first.
 fn piece(ground: &Ground, open: &mut [bool], first: usize, piece_m: f64) -> Vec<usize> {
     let width = ground.width() as isize;
     let mut piece = vec![first];
@@ -123,7 +124,7 @@ impl<'a> Rays<'a> {
         self.long_ray(from, direction, self.settings.view_m)
     }
 
-    /// The same up to a distance of `metres`.
+    /// Like `ray`, up to a distance of `metres`.
     fn long_ray(
         &self,
         from: usize,
@@ -139,8 +140,8 @@ impl<'a> Rays<'a> {
         (1..=steps).map_while(at)
     }
 
-    /// Unknown ground visible from a cell, in square metres, assuming that unknown cells are free;
-    /// and its weighted direction.
+    /// Area of the unknown ground visible from a cell, in square metres, if unknown cells were
+    /// free; and the mean direction to that ground, weighted by area.
     fn gain(&self, from: usize) -> (f64, nalgebra::Vector2<f64>) {
         let side_m = self.ground.side_m();
         let ring = core::f64::consts::TAU / RAYS as f64 * side_m;
@@ -159,9 +160,9 @@ impl<'a> Rays<'a> {
         )
     }
 
-    /// Whether a sensor with `reach_m` beyond a cell would see a wall behind it. `None` if known
-    /// ground extends to the end of that range: a beam without an echo leaves everything before it
-    /// unknown, as along an aisle longer than the sensor's range.
+    /// Whether a sensor that sees `reach_m` beyond a cell would see a wall behind it. `None` if
+    /// known ground extends to the end of that range: a beam without an echo leaves everything
+    /// before it unknown, for example along an aisle that is longer than the sensor's range.
     fn is_backed(&self, from: usize, direction: usize, reach_m: f64) -> Option<bool> {
         let mut last = None;
         for (_, at) in self.long_ray(from, direction, reach_m) {
@@ -174,8 +175,8 @@ impl<'a> Rays<'a> {
     }
 
     /// The known free cells from which the frontier cell `from` is visible across free ground, with
-    /// the unknown ground ahead; and whether each has a wall behind the frontier within sensor
-    /// range.
+    /// the unknown ground ahead; for each, whether there is a wall behind the frontier within
+    /// sensor range.
     fn vantages(&self, from: usize, towards: nalgebra::Vector2<f64>) -> Vec<Vantage> {
         let Settings { range_m, frontiers, .. } = self.settings;
         let ahead = |direction: &usize| {
@@ -186,7 +187,7 @@ impl<'a> Rays<'a> {
             .flat_map(|direction| {
                 let ray = self.ray(from, direction);
                 let free = ray.take_while(|(metres, at)| {
-                    // Next to the cell the frontier may continue.
+                    // Close to the cell, the frontier itself may continue.
                     let near = *metres < frontiers.nearest_m && self.ground.is_blind(*at);
                     near || self.ground.cell(*at) == Cell::Free
                 });
@@ -213,7 +214,7 @@ mod tests {
     #[test]
     fn every_frontier_is_found_and_long_ones_are_divided() {
         let plan = Plan::room(8.0, 6.0);
-        // Unknown: the eastern quarter, and a small pocket.
+        // The eastern quarter and a small pocket are unknown.
         let hidden = |x: f64, y: f64| x > 6.0 || (x - 1.0).hypot(y - 1.0) < 0.08;
         let ground = drawn(&plan, hidden);
         let found = frontiers(&ground, &Settings { view_m: 2.0, ..Settings::default() });

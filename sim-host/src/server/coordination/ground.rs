@@ -103,7 +103,7 @@ impl Ground {
         for disc in trodden {
             self.within(disc, |at| is_wall[at] &= self.cells[at] != Cell::Unknown);
         }
-        // The border stays closed, so that searches need no bounds check.
+        // The border stays impassable, so that searches need no bounds check.
         for (at, is_wall) in is_wall.iter_mut().enumerate() {
             *is_wall |= self.is_border(at);
         }
@@ -212,8 +212,8 @@ struct Extent {
 }
 
 impl Extent {
-    /// The known tiles within `reach` of the middle tile, plus one more on each side, from where
-    /// robots may look at them.
+    /// The known tiles within `reach` of the middle tile, plus one tile more on each side, where
+    /// robots may stand to look at them.
     fn of(fused: &ServedLayer, middle: (i32, i32), reach: i32) -> Option<Self> {
         let near = |id: &TileId| {
             (i32::from(id.x) - middle.0).abs() <= reach
@@ -234,7 +234,8 @@ impl Extent {
     }
 }
 
-/// The tile in the middle of the robots: the median, because a robot may report a nonsensical pose.
+/// The tile in the middle of the robots. It is the median, because a robot may report an absurd
+/// pose.
 fn middle(trodden: &[Disc], side_m: f64) -> (i32, i32) {
     let tile_m = side_m * TILE_SIDE as f64;
     let median = |along: fn(&Disc) -> f64| {
@@ -260,7 +261,8 @@ fn squared_distances(marked: &[bool], width: usize) -> Vec<u32> {
         along_y[at] = along_y[at].min(along_y[at + width] + 1);
     }
     let mut squared = vec![0; marked.len()];
-    // The lower envelope of the row's parabolas: each with the column from which it is the lowest.
+    // The lower envelope of the parabolas of a row: each parabola with the column from which it is
+    // the lowest.
     let mut lowest: Vec<(i64, i64)> = Vec::with_capacity(width);
     for (row, out) in along_y.chunks(width).zip(squared.chunks_mut(width)) {
         let height_at = |x: i64, column: i64| {

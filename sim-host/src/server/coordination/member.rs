@@ -13,23 +13,23 @@ pub(super) struct Member {
     pub(super) id: RobotId,
     /// Circumscribed radius in metres.
     pub(super) radius_m: f64,
-    /// Since when it has been unreachable.
+    /// Since when the robot has been unreachable.
     pub(super) lost: Option<Instant>,
-    /// Whether it explores while it has no goal.
+    /// Whether the robot explores while it has no goal.
     pub(super) explores: bool,
     /// The goal given by a user; it takes precedence over frontiers.
     pub(super) goal: Option<Point>,
     pub(super) target: Option<Target>,
-    /// When it was told to stop, to get another route from there.
+    /// When the robot was told to stop, to get another route from there.
     pub(super) halted: Option<Instant>,
-    /// Since when a person has stood in its way.
+    /// Since when a person has stood in the robot's way.
     pub(super) held_up: Option<Instant>,
-    /// Since when it has waited for a route, and when the search is repeated.
+    /// Since when the robot has waited for a route, and when the search is repeated.
     pub(super) waits_since: Option<Instant>,
     pub(super) retry: Instant,
-    /// Whether [`Notice::NoWay`](super::situation::Notice::NoWay) was issued for its goal.
+    /// Whether [`Notice::NoWay`](super::situation::Notice::NoWay) was issued for the current goal.
     pub(super) is_told: bool,
-    /// When it was last sent a path.
+    /// When the robot was last sent a path.
     pub(super) sent: Instant,
     /// Heading in radians in `map`.
     pub(super) heading: f64,
@@ -60,7 +60,8 @@ impl Member {
         }
     }
 
-    /// Updates it from a sighting or report. Returns whether it has become reachable again.
+    /// Updates the state from a sighting or a report. Returns whether the robot has become
+    /// reachable again.
     pub(super) fn see(
         &mut self,
         robot: &Whereabouts,
@@ -78,28 +79,28 @@ impl Member {
         was_lost && robot.has_session
     }
 
-    /// How long it has been seen standing still.
+    /// How long the robot has been seen standing still.
     pub(super) fn still_for(&self) -> Duration {
         self.seen.since(self.still_since)
     }
 
-    /// How long no motion has been reported. Out of view, a standing robot does not repeat its
-    /// pose, and a driving one reports it every 2 s.
+    /// How long no motion of the robot has been reported. Out of the cameras' view, a standing
+    /// robot does not repeat its pose, and a driving one reports it every 2 s.
     pub(super) fn unmoved_for(&self, now: Instant) -> Duration {
         now.since(self.still_since)
     }
 
-    /// Its goal, or the viewpoint of its target.
+    /// The robot's goal, or the viewpoint of its target.
     pub(super) fn destination(&self) -> Option<Point> {
         self.goal.or(self.target.map(|target| target.view))
     }
 
-    /// Whether a place is near enough to its destination.
+    /// Whether a place is close enough to the robot's destination.
     pub(super) fn is_there(&self, place: Point, rules: &FollowingRules) -> bool {
         self.destination().is_some_and(|it| (it - place).norm() <= rules.arrived_m)
     }
 
-    /// Whether it can be told to drive.
+    /// Whether the robot can be commanded to drive.
     pub(super) fn can_drive(&self) -> bool {
         self.lost.is_none() && self.halted.is_none()
     }

@@ -2,13 +2,14 @@
 //! and they never all wait for each other.
 //!
 //! A robot states its whole route in advance and is granted it piece by piece. It holds the discs
-//! around the granted points that it has not passed. By the banker's algorithm (Dijkstra 1965; for
-//! vehicles Reveliotis 2000) a piece is granted if the resulting state is safe: there is an order
-//! in which each robot in turn can drive its whole route, while those after it stay on the ground
-//! that they hold and those before it stand at their ends. This follows from pairs of robots:
+//! around the granted points that it has not passed yet. By the banker's algorithm (Dijkstra 1965;
+//! for vehicles Reveliotis 2000) a piece is granted only if the resulting state is safe: the robots
+//! can be ordered so that each in turn can drive its whole route, while those later in the order
+//! stay on the ground that they hold, and those earlier stand at the ends of their routes. This
+//! follows from two rules for pairs of robots:
 //!
-//! - if a route crosses ground that another robot holds, the other one goes first;
-//! - if a route crosses the end of another one's route, its robot goes first.
+//! - if a route crosses ground that another robot holds, the other robot goes first;
+//! - if a route crosses the end of another robot's route, the robot that crosses goes first.
 //!
 //! Such an order exists exactly if these precedences have no cycle, and the first robot in it can
 //! be granted its whole route.
@@ -17,7 +18,7 @@ use ubimap_protocol::message::MAX_WAYPOINTS;
 
 use super::{ground::Point, route::SPACING_M, settings::GrantingRules};
 
-/// Number of points ahead of its last position among which a robot is located on its route. Limited
+/// A robot is located on its route among this number of points after its last position. Limited
 /// because a route may cross itself.
 const SEARCHED_POINTS: usize = 8;
 
@@ -26,9 +27,9 @@ const SEARCHED_POINTS: usize = 8;
 pub(super) struct Claim {
     /// The robot's last known position.
     position: Point,
-    /// Radius of the discs that it holds, in metres.
+    /// Radius of the discs that the robot holds, in metres.
     disc_m: f64,
-    /// The part of `disc_m` beyond the robot's radius, while it has a destination, in metres.
+    /// The part of `disc_m` beyond the robot's radius while the robot has a destination, in metres.
     margin_m: f64,
     /// The route; never empty. Points are at most [`SPACING_M`] apart.
     points: Vec<Point>,
@@ -42,8 +43,8 @@ pub(super) struct Claim {
 }
 
 impl Claim {
-    /// A standing robot of this radius, with a tolerance of `margin_m` for driving beside its
-    /// route; in metres.
+    /// The claim of a standing robot with this radius. `margin_m` is the tolerance for driving
+    /// beside the route. Both in metres.
     pub(super) fn standing(position: Point, radius_m: f64, margin_m: f64) -> Self {
         let disc_m = radius_m + margin_m;
         let (points, corners) = (vec![position], vec![0]);
@@ -63,27 +64,27 @@ impl Claim {
         self.disc_m
     }
 
-    /// The end of the granted part of its route.
+    /// The end of the granted part of the route.
     pub(super) fn granted_end(&self) -> Point {
         self.points[self.granted]
     }
 
-    /// The end of its route.
+    /// The end of the route.
     pub(super) fn end(&self) -> Point {
         self.points[self.points.len() - 1]
     }
 
-    /// Whether its whole route is granted.
+    /// Whether the whole route is granted.
     pub(super) fn is_all_granted(&self) -> bool {
         self.granted + 1 == self.points.len()
     }
 
-    /// Whether it has driven its whole route.
+    /// Whether the robot has driven the whole route.
     pub(super) fn is_at_end(&self) -> bool {
         self.is_all_granted() && self.is_at_grant()
     }
 
-    /// Whether it is at the end of the granted part.
+    /// Whether the robot is at the end of the granted part.
     pub(super) fn is_at_grant(&self) -> bool {
         self.tail == self.granted
     }
@@ -93,20 +94,20 @@ impl Claim {
         (self.granted_end() - self.position).norm()
     }
 
-    /// Length of the granted part ahead of it, in metres.
+    /// Length of the granted part ahead of the robot, in metres.
     fn granted_m(&self) -> f64 {
         (self.granted - self.tail) as f64 * SPACING_M
     }
 
-    /// The points that it holds: those granted and not passed, and its position if that is off the
-    /// route.
+    /// The points that the robot holds: the granted points that it has not passed, and its position
+    /// if it is off the route.
     pub(super) fn held(&self) -> impl Iterator<Item = Point> {
         let is_beside = self.off_m() > self.margin_m;
         let beside = is_beside.then_some(self.position);
         self.points[self.tail..=self.granted].iter().copied().chain(beside)
     }
 
-    /// Distance from its route in metres.
+    /// Distance of the robot from its route in metres.
     pub(super) fn off_m(&self) -> f64 {
         (self.points[self.tail] - self.position).norm()
     }
@@ -116,15 +117,16 @@ impl Claim {
         &self.points[self.granted + 1..]
     }
 
-    /// The point of the route at a distance ahead of the robot in metres, or the end of the route.
+    /// The point of the route at this distance ahead of the robot, in metres, or the end of the
+    /// route.
     pub(super) fn point_before(&self, metres: f64) -> Point {
         let at = self.tail + (metres / SPACING_M) as usize;
         self.points[at.min(self.points.len() - 1)]
     }
 
-    /// The corners of the granted part with its last point, if they should be sent: enough more was
-    /// granted than the robot knows, and it approaches the end of what it knows. At most
-    /// [`MAX_WAYPOINTS`].
+    /// The corners of the granted part with its last point, if it is time to send them: enough
+    /// ground was granted that the robot does not know of, and it approaches the end of the part
+    /// that it knows. At most [`MAX_WAYPOINTS`].
     pub(super) fn poll_path(&mut self, rules: &GrantingRules) -> Option<Vec<Point>> {
         let known = self.sent.saturating_sub(self.tail);
         let more = self.granted.saturating_sub(self.sent);
@@ -144,8 +146,8 @@ impl Claim {
         self.sent = self.tail;
     }
 
-    /// Updates the robot's position and releases what it has passed. A robot that has finished
-    /// beside its end holds its position instead.
+    /// Updates the robot's position and releases the ground that it has passed. A robot that has
+    /// finished beside its end holds its position instead of the end.
     pub(super) fn advance(&mut self, position: Point) {
         self.position = position;
         let off = |at: &usize| (self.points[*at] - position).norm();
@@ -203,7 +205,7 @@ pub(super) struct Reservations {
 /// Why a robot's grant was not extended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Held {
-    /// It was extended as requested.
+    /// The grant was extended as requested.
     NotAtAll,
     /// Another robot holds the next place, or must go there first.
     ByRobots,
@@ -332,7 +334,7 @@ impl Reservations {
     }
 }
 
-/// Whether any point of a route is nearer than `reach` to one of the places.
+/// Whether any point of a route is closer than `reach` to one of the places.
 pub(super) fn is_crossed(
     route: &[Point],
     places: impl IntoIterator<Item = Point>,

@@ -5,10 +5,10 @@ use super::{
     settings::Settings,
 };
 
-/// Cost factor of open ground. Those of other ground are in
+/// Cost factor of open ground. The factors of other ground are in
 /// [`CrossingCosts`](super::settings::CrossingCosts).
 const ROOMY: u8 = 2;
-/// Cost factor of a cell that can be left but not entered.
+/// Marks a cell that can be left but not entered.
 const SHUT: u8 = 0;
 /// Cost factor for leaving ground with too little clearance.
 const LEAVING: u32 = 16;
@@ -50,7 +50,8 @@ impl<'a> Terrain<'a> {
     /// The ground for a robot that needs `room_m` around its centre, in metres.
     pub(super) fn new(ground: &'a Ground, room_m: f64, settings: &Settings) -> Self {
         let costs = &settings.costs;
-        // From the centre of a cell to the centre of an occupied one, half of which is occupied.
+        // From the centre of a cell to the centre of an occupied one. The nearer half of the
+        // occupied cell counts as wall.
         let squared = |metres: f64| {
             let cells = metres / ground.side_m() + 0.5;
             (cells * cells).ceil() as u32
@@ -66,7 +67,7 @@ impl<'a> Terrain<'a> {
         Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT) }
     }
 
-    /// Raises the cost factor in a disc, up to [`MAX_WEIGHT`].
+    /// Raises the cost factor in a disc to `weight`, at most to [`MAX_WEIGHT`].
     pub(super) fn make_dear(&mut self, disc: &Disc, weight: u8) {
         let Self { ground, weights, .. } = self;
         ground.within(disc, |at| {
@@ -76,7 +77,7 @@ impl<'a> Terrain<'a> {
         });
     }
 
-    /// Closes a disc, shrunk if necessary so that `start` stays outside.
+    /// Makes a disc impassable; shrinks it if necessary so that `start` stays outside.
     pub(super) fn shut(&mut self, disc: &Disc, start: Point) {
         let Self { ground, weights, .. } = self;
         let radius = disc.radius.min((start - disc.centre).norm() - ground.side_m());
@@ -145,7 +146,7 @@ impl<'a> Terrain<'a> {
             let at = at as usize;
             let cost = costs[at];
             if cost + estimate(at) != total {
-                // It was reached at a lower cost since it was queued.
+                // The cell was reached at a lower cost since it was queued.
                 continue;
             }
             if will_do(at) {
@@ -308,7 +309,7 @@ mod tests {
         terrain.make_dear(&somebody, standing);
         let around = terrain.route(from, to).unwrap();
         assert!(length(&around) > 4.1 && length(&around) < 4.5, "{}", length(&around));
-        // Without a way around it, it is crossed.
+        // If there is no way around the disc, it is crossed.
         let across = Disc { centre: Point::new(3.0, 2.0), radius: 2.2 };
         terrain.make_dear(&across, standing);
         assert!(terrain.route(from, to).is_some());

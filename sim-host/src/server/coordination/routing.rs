@@ -12,8 +12,8 @@ use super::{
 };
 
 impl Coordinator {
-    /// Drops the routes of robots that wait for each other in a cycle, after one of them has lost
-    /// its route or stopped in the way of others. They get new ones.
+    /// Drops the routes of robots that wait for each other in a cycle, so that they get new ones. A
+    /// cycle can arise after a robot has lost its route or stopped in the way of others.
     pub(super) fn untangle(&mut self) {
         let mut order: Vec<usize> = (0..self.members.len()).rev().collect();
         order.sort_by_key(|&index| self.members[index].goal.is_some());
@@ -85,7 +85,7 @@ impl Coordinator {
             self.reservations = changed;
             return Outcome::Admitted;
         }
-        // Around all standing robots, at any cost.
+        // The route must avoid all standing robots, at any cost.
         for (_, claim) in self.standing(index) {
             let radius = claim.disc_m() + self.reservations.claim(index).disc_m();
             terrain.shut(&Disc { centre: claim.end(), radius }, from);

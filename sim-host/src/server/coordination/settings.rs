@@ -172,12 +172,13 @@ pub struct GrantingRules {
     pub ahead_m: f64,
     /// How long a robot waits behind a person before it takes another way.
     pub patience: Duration,
-    /// A robot that knows at most this many points ahead is sent more ...
+    /// Number of points ahead that a robot knows, at or below which it is sent more.
     pub low_points: usize,
-    /// ... if there are at least this many, or the rest of its route: fewer are not worth a
-    /// message.
+    /// Minimum number of points to send, unless they are the rest of the route: fewer are not worth
+    /// a message.
     pub least_points: usize,
-    /// At this many points or fewer it is sent any that there are, because it would have to brake.
+    /// Number of points ahead that a robot knows, at or below which it is sent whatever is granted,
+    /// because it would have to brake.
     pub urgent_points: usize,
 }
 
@@ -196,17 +197,17 @@ impl Default for GrantingRules {
 /// Cost factors of ground, relative to 2 for open ground; at most 63.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CrossingCosts {
-    /// Ground with little clearance: 1.5 times open ground.
+    /// Cost of ground with little clearance: 1.5 times that of open ground.
     pub tight: u8,
-    /// Ground last seen occupied by something movable.
+    /// Cost of ground last seen occupied by something movable.
     pub movable: u8,
-    /// Where a robot or a person stands: worth a detour of up to 6 m.
+    /// Cost where a robot or a person stands: worth a detour of up to 6 m.
     pub standing: u8,
-    /// Where a robot reported that it could not pass: worth a detour of some 20 m.
+    /// Cost where a robot reported that it could not pass: worth a detour of about 20 m.
     pub held_up: u8,
-    /// The radius of that place, in metres.
+    /// Radius around a place where a robot could not pass, in metres.
     pub held_up_m: f64,
-    /// How long that place is avoided: the obstacle may leave.
+    /// Time for which that place is avoided: the obstacle may leave.
     pub held_up_for: Duration,
 }
 
@@ -310,15 +311,16 @@ pub struct ExplorationRules {
     pub neighbours_cost: f64,
     /// Maximum distance between positions of the same frontier, in metres.
     pub same_m: f64,
-    /// Radius around a failed viewpoint, in metres, that is not tried again ...
+    /// Radius around a failed viewpoint within which no viewpoint is tried for `tried_for`, in
+    /// metres.
     pub tried_m: f64,
-    /// ... for this long.
+    /// Time for which the surroundings of a failed viewpoint are not tried.
     pub tried_for: Duration,
     /// Number of failed looks after which a frontier is given up: it can't be seen.
     pub most_looks: usize,
-    /// A robot gives up a frontier if other robots block the way for this long ...
+    /// Time for which other robots may block the way before a robot gives up a frontier.
     pub patience: Duration,
-    /// ... and does not try it again for this long.
+    /// Time for which the robot does not try that frontier again.
     pub put_off: Duration,
 }
 

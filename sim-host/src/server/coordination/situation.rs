@@ -36,7 +36,7 @@ pub struct Whereabouts {
     pub pose: Pose,
     /// The robot's footprint.
     pub footprint: Footprint,
-    /// Whether it can be commanded.
+    /// Whether the robot has a session, so that it can be commanded.
     pub has_session: bool,
 }
 
@@ -60,7 +60,8 @@ pub enum GoalError {
     Unreachable,
 }
 
-/// Progress or the end of a robot's drive. Its text continues a sentence that begins with the robot.
+/// Progress or the end of a robot's drive. The text continues a sentence that starts with the
+/// robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Notice {
     /// The robot has reached its goal.
@@ -100,7 +101,7 @@ impl Whereabouts {
 /// A person or a moving thing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Passer {
-    /// The occupied ground now, in half a second and in a second.
+    /// The ground that it occupies now, in half a second and in a second.
     pub(super) discs: [Disc; 3],
 }
 

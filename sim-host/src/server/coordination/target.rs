@@ -13,7 +13,7 @@ pub(super) struct Target {
     pub(super) view: Point,
     /// When the robot arrived there.
     pub(super) reached: Option<Instant>,
-    /// When it reported that it had looked around.
+    /// When the robot reported that it had looked around.
     pub(super) looked: Option<Instant>,
 }
 
@@ -23,7 +23,8 @@ impl Target {
         Self { frontier, view, reached: None, looked: None }
     }
 
-    /// Whether the robot has looked at it at least `arrives` ago, so that its tiles have arrived.
+    /// Whether the robot has looked at the frontier at least `arrives` ago, so that its tiles have
+    /// arrived.
     pub(super) fn is_heard_of(&self, arrives: Duration, now: Instant) -> bool {
         self.looked.is_some_and(|looked| now.since(looked) >= arrives)
     }
@@ -43,12 +44,12 @@ impl Tried {
         Self { frontier: target.frontier, view: target.view, until }
     }
 
-    /// Whether it is the frontier at this position, within a radius in metres.
+    /// Whether this is the frontier at this position, within a radius in metres.
     pub(super) fn is_of(&self, frontier: Point, radius_m: f64) -> bool {
         (self.frontier - frontier).norm() <= radius_m
     }
 
-    /// The disc of viewpoints that count as the failed one, with a radius in metres.
+    /// The disc of viewpoints that count as equal to the failed one; its radius is in metres.
     pub(super) fn views(&self, radius_m: f64) -> Disc {
         Disc { centre: self.view, radius: radius_m }
     }

@@ -11,36 +11,36 @@ use crate::{
     server::shared_map::SharedMap,
 };
 
-/// Minimum age in seconds of a robot's own cells that are used to localise it: newer ones can only
-/// agree with its current estimate.
+/// Minimum age in seconds of the robot's own cells that are used to localise it: newer cells can
+/// only agree with its current estimate.
 const OWN_AGE: u32 = 30;
-/// Odometry drift per square root of a metre or radian: standard deviations in millimetres and
+/// Odometry drift per square root of a metre or a radian: standard deviations in millimetres and
 /// radians.
 const STRAYS: (f64, f64) = (20.0, 0.0175);
 /// Maximum distance in metres that a robot is assumed to have driven, at 1 m/s, before its first
 /// report from blind ground.
 const UNHEARD_M: f64 = 6.0;
 
-/// A robot's time out of view.
+/// The time that a robot spends out of the cameras' view.
 #[derive(Debug)]
 pub(super) struct BlindTrip {
-    /// The surfaces that it has seen since.
+    /// The surfaces that the robot has seen in this time.
     trail: Trail,
-    /// The pose that it last reported.
+    /// The pose that the robot last reported.
     last: Pose,
-    /// Distance and turn since its pose was last known.
+    /// Distance driven and angle turned since the robot's pose was last known.
     way_mm: f64,
     turned: f64,
 }
 
 impl BlindTrip {
-    /// Starts for a robot at `last` that has been out of view for `unseen`.
+    /// Starts for a robot that was last at `last` and has been out of view for `unseen`.
     pub(super) fn after(unseen: Duration, last: Pose) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
         Self { trail: Trail::default(), last, way_mm: 1_000.0 * metres, turned: 0.0 }
     }
 
-    /// Adds to the trail while the robot has just left the view and its pose is still accurate.
+    /// Adds to the trail if the robot has only just left the view and its pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
         self.trail.add(pose, points, resolution);
     }

@@ -1,5 +1,5 @@
-//! The cure of a robot's constant errors in steps: first its fixes or its sensor's mounting are
-//! corrected, then its earlier tiles are retired.
+//! The correction ("cure") of a robot's constant errors, in steps: first its fixes or its sensor's
+//! mounting are corrected, then its earlier tiles are retired.
 
 use ubimap_agent::Parameter;
 use ubimap_protocol::{
@@ -15,8 +15,8 @@ use crate::{mapping::ConstantErrors, server::command::FIRST_OWN_NUMBER};
 
 /// Time for a robot's filter to follow a correction of its fixes.
 const SETTLING: Duration = Duration::from_secs(3);
-/// Margin for the epochs that a robot has used but the server has not seen: it starts one with each
-/// tile that leaves its pool.
+/// Margin for epochs that a robot has used without the server's knowledge: the robot starts an
+/// epoch with each tile that leaves its pool.
 const EPOCHS_AHEAD: u32 = 4_096;
 /// Maximum first epoch that a robot is given.
 const LAST_EPOCH: u32 = 1 << 30;
@@ -26,11 +26,12 @@ const LAST_EPOCH: u32 = 1 << 30;
 pub(super) enum Cure {
     #[default]
     None,
-    /// An earlier life of the server ended before the robot's older epochs were retired.
+    /// The server was restarted before the robot's older epochs were retired.
     LeftOff,
-    /// Fixes are corrected; the robot's older epochs are retired when its filter has followed.
+    /// Fixes are corrected; the robot's older epochs are retired once its filter has followed the
+    /// correction.
     Settling(Instant),
-    /// The sensor's error is known; `turn` is to be added to its mounting.
+    /// The sensor's error is known; `turn` must be added to its mounting.
     Found { turn: Angle },
     /// The robot was asked for its sensor's mounting.
     Asking { number: u16, turn: Angle },
@@ -48,15 +49,15 @@ pub(super) enum CureStep {
     IdentifierCorrected,
     /// The sensor's error was found or corrected; store the progress.
     SensorCorrected,
-    /// The cure ended without effect.
+    /// The cure has ended without an effect.
     GiveUp,
     /// The cure is complete: tiles of epochs below this one are void.
     Retire(Epoch),
 }
 
 impl Cure {
-    /// The next step, if one is due. `next` is the first epoch that the robot is not known to have
-    /// used.
+    /// The next step, if one is due. `next` is the lowest epoch that the robot has not used as far
+    /// as the server knows.
     pub(super) fn poll(
         &mut self,
         errors: &mut ConstantErrors,
@@ -125,7 +126,7 @@ impl Cure {
         }
     }
 
-    /// The robot refuses the parameter: starts again.
+    /// Starts again after the robot has refused the parameter.
     fn give_up(&mut self, errors: &mut ConstantErrors) -> CureStep {
         *self = Self::None;
         errors.remounted(Angle(0));

@@ -32,7 +32,8 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 pub(super) enum Finding {
     /// A unique match with the map in blind ground.
     Fix(PoseFix),
-    /// In view: the number of points on surfaces that cameras see, and of those in free ground.
+    /// The robot is in view: the number of its points on surfaces that cameras see, and the number
+    /// in free ground.
     Agreement(u32, u32),
 }
 
@@ -41,7 +42,7 @@ pub(super) enum Finding {
 pub(super) struct RobotCorrection {
     errors: ConstantErrors,
     cure: Cure,
-    /// Distance vectors up to this time were taken before the last correction.
+    /// Distance vectors up to this time were taken before the last correction, and are ignored.
     corrected: Instant,
     /// Recent camera fixes, corrected; newest last.
     fixes: VecDeque<(Instant, Pose)>,
@@ -122,7 +123,8 @@ impl RobotCorrection {
     }
 
     /// Matches a distance vector from a known pose with what the cameras see. The rotation is a
-    /// measurement of the constant errors; the remaining difference decides how well they agree.
+    /// measurement of the constant errors. The difference that remains decides how well robot and
+    /// cameras agree.
     fn compare(
         &mut self,
         points: &[[f64; 2]],
@@ -144,7 +146,8 @@ impl RobotCorrection {
         Finding::Agreement(agree, contradict)
     }
 
-    /// The next step of a cure. `next` is the first epoch that the robot is not known to have used.
+    /// The next step of a correction. `next` is the lowest epoch that the robot has not used as far
+    /// as the server knows.
     pub(super) fn poll_cure(&mut self, next: Epoch, now: Instant) -> Option<CureStep> {
         let step = self.cure.poll(&mut self.errors, next, now);
         if matches!(step, Some(CureStep::IdentifierCorrected)) {
@@ -164,7 +167,8 @@ impl RobotCorrection {
     }
 }
 
-/// Converts a map match to a fix. Omits the correlations, so the deviations are conservative.
+/// Converts a match with the map to a fix. A fix has no correlations, so its deviations are
+/// conservative.
 fn fix_of(found: &Match, time: Instant) -> PoseFix {
     let [x, y, heading] = found.deviations();
     // The casts saturate.

@@ -7,7 +7,7 @@ use ubimap_protocol::{
 
 use crate::camera::Sighting;
 
-/// Minimum interval between messages with fixes, however many cameras see the robot: each message
+/// Minimum interval between messages with fixes, however many cameras see the robot; each message
 /// also carries earlier fixes.
 const INTERVAL: Duration = Duration::from_millis(60);
 
@@ -23,7 +23,7 @@ pub(super) struct Fixes {
 }
 
 impl Fixes {
-    /// Adds a camera fix. Ignores one that is not newer than all before.
+    /// Adds a camera fix, unless it is older than another one.
     pub(super) fn add(&mut self, moment: Instant, sighting: Sighting) {
         if self.newest_first.first().is_some_and(|&(newest, _)| newest >= moment) {
             return;
@@ -75,7 +75,7 @@ impl Fixes {
     }
 }
 
-/// The lowest certainty of several fixes.
+/// The certainty of the least certain of several fixes.
 fn least_certain(fixes: &[(Instant, Sighting)]) -> Certainty {
     fixes.iter().fold(Certainty::default(), |least, (_, Sighting { certainty, .. })| Certainty {
         x: least.x.max(certainty.x),

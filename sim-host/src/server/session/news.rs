@@ -21,7 +21,7 @@ const BYTES_PER_SECOND: u64 = 600;
 pub(super) struct News {
     peers: Told,
     obstacles: Told,
-    /// When the lists sent so far are within that rate.
+    /// When the lists sent so far are within the average rate.
     ready_at: Instant,
     left_out: u64,
 }
@@ -29,11 +29,11 @@ pub(super) struct News {
 /// The last list of a kind that was sent.
 #[derive(Debug, Default)]
 struct Told {
-    /// The time of its positions.
+    /// The time of the positions in the list.
     moment: Option<Instant>,
-    /// Whether it had any elements.
+    /// Whether the list had any elements.
     any: bool,
-    /// The earliest time for the next one.
+    /// The earliest time for the next list.
     next: Instant,
 }
 
@@ -95,9 +95,9 @@ impl Told {
         moment.filter(|moment| Some(*moment) > self.moment).map(|_| self.next)
     }
 
-    /// Sends a list of up to `longest` elements, truncated to fit if `alone`; an empty one only
-    /// after one with elements. `push` tries the given lengths and returns the one that fits.
-    /// Returns the number of elements sent; `None` if the list waits for a frame to itself.
+    /// Sends a list of up to `longest` elements, truncated to fit if `alone`. An empty list is sent
+    /// only after one with elements. `push` tries the given lengths and returns the one that fits.
+    /// Returns the number of elements sent; `None` if the list must wait for a frame of its own.
     fn tell(
         &mut self,
         moment: Instant,
@@ -158,7 +158,7 @@ mod tests {
             None,
             "with other messages in the frame"
         );
-        // All within 8 m, by distance.
+        // All of them are within 8 m, in order of distance.
         let near = vec![2, 3, 4, 5, 6, 7, 8, 9];
         assert_eq!(told(&mut news, &about, second(1), 242, true), Some(near));
         assert_eq!(news.left_out(), 0);
@@ -185,7 +185,7 @@ mod tests {
         assert_eq!(due, Instant(1_200_000));
         assert_eq!(tell(&mut news, &about, 1_200), Some(vec![2, 3]));
         assert_eq!(news.poll_timeout(&about, ME), None);
-        // Robot 9 is far away, and the others' poses are stale.
+        // Robot 9 is far away, and the poses of the others are stale.
         let far = Pose::from_metres(0.0, 0.0, 0.0);
         about.robot(RobotId(9), second(5), far);
         assert_eq!(tell(&mut news, &about, 5_000), Some(vec![]));

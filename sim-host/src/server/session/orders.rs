@@ -6,19 +6,20 @@ use ubimap_protocol::message::{ParameterCommand, ToRobot, Writer};
 
 use crate::server::command::Command;
 
-/// Waiting commands, those in force, and the one waiting for its answer.
+/// The waiting commands, the commands in force, and the command that waits for its answer.
 #[derive(Debug, Default)]
 pub(super) struct Orders {
     /// Commands that have not been sent, in order.
     waiting: VecDeque<Command>,
-    /// The newest command of each kind that stays in force: a new session repeats them.
+    /// The newest command of each kind that stays in force; each is repeated in a new session.
     standing: Vec<Command>,
-    /// The parameter command in progress. A robot answers only the newest one, so the next waits.
+    /// The parameter command in progress. A robot answers only its newest one, so the next command
+    /// waits.
     asked: Option<ParameterCommand>,
 }
 
 impl Orders {
-    /// Adds a command. Replaces an unsent one of its kind.
+    /// Adds a command. It replaces a command of its kind that has not been sent yet.
     pub(super) fn add(&mut self, command: Command) {
         self.waiting.retain(|waiting| !waiting.is_replaced_by(&command));
         if command.stands() {
@@ -32,8 +33,8 @@ impl Orders {
         }
     }
 
-    /// Takes over from an earlier session of the robot: commands in force, unanswered and unsent
-    /// ones.
+    /// Takes over the commands of an earlier session of the robot: those in force, those unanswered
+    /// and those not sent.
     pub(super) fn continue_from(&mut self, earlier: Self) {
         let asked = earlier.asked.map(Command::Parameter);
         for command in earlier.standing.into_iter().chain(asked).chain(earlier.waiting) {
@@ -51,7 +52,7 @@ impl Orders {
         self.waiting.front().is_some_and(Command::is_urgent)
     }
 
-    /// Adds an urgent command to a frame. Returns whether it did.
+    /// Adds an urgent command to a frame. Returns whether there was one.
     pub(super) fn write_urgent(&mut self, writer: &mut Writer<'_, ToRobot>) -> bool {
         let is_written = self.is_urgent() && self.waiting[0].write(writer);
         if is_written {
@@ -60,7 +61,7 @@ impl Orders {
         is_written
     }
 
-    /// Adds the next command to a frame. Returns whether it did.
+    /// Adds the next command to a frame. Returns whether there was one.
     pub(super) fn write(&mut self, writer: &mut Writer<'_, ToRobot>) -> bool {
         let Some(index) = self.next().filter(|&index| self.waiting[index].write(writer)) else {
             return false;

@@ -24,7 +24,7 @@ pub(crate) struct Said {
 }
 
 impl Said {
-    /// Takes over from an earlier session of the robot.
+    /// Takes over the reports from an earlier session of the robot.
     pub(super) fn continue_from(&mut self, earlier: Self) {
         self.parameters = earlier.parameters;
         self.events = earlier.events;
@@ -50,7 +50,7 @@ impl Said {
         }
     }
 
-    /// Adds a distance vector; they may arrive out of order.
+    /// Adds a distance vector; vectors may arrive out of order.
     pub(super) fn add_vector(&mut self, vector: DistanceVector) {
         self.vectors = self.vectors.saturating_add(1);
         self.new_vector = Some(vector.clone());

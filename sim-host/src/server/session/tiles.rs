@@ -12,9 +12,9 @@ use crate::server::snapshot::Snapshot;
 
 /// The token of frames without tiles.
 pub(super) const NO_TILES: u16 = 0;
-/// Changes of a fused tile are gathered for this long, so that one message carries many.
+/// Time for which changes of a fused tile are gathered, so that one message carries many.
 pub(super) const FUSED_HOLD: Duration = Duration::from_secs(1);
-/// Changes of a coverage tile are gathered for this long; shorter, because robots depend on it
+/// Time for which changes of a coverage tile are gathered; shorter, because robots need them
 /// sooner.
 const COVERAGE_HOLD: Duration = Duration::from_millis(500);
 /// Interval between bursts of frames with tiles: the robot must acknowledge each frame.
@@ -52,7 +52,7 @@ impl Tiles {
         if !newer || interest.tiles() > u32::from(self.capacity) {
             return;
         }
-        // If a window in between was lost, the robot may have dropped more tiles for it.
+        // If a window in between was lost, the robot may have dropped further tiles for it.
         let next = self.interest.is_none_or(|now| now.number.wrapping_add(1) == interest.number);
         self.fused.retain(|id: TileId| next && interest.contains(id));
         self.coverage.retain(|id: TileId| next && interest.contains(id));
@@ -86,7 +86,8 @@ impl Tiles {
         }
     }
 
-    /// Adds due tiles to an empty frame, or else digests. The layers alternate in going first.
+    /// Adds due tiles to an empty frame; otherwise adds digests. The two layers take turns in going
+    /// first.
     pub(super) fn write(
         &mut self,
         snapshot: &Snapshot<'_>,

@@ -44,7 +44,7 @@ struct Drawing {
     room: Arc<Room>,
     /// The room's picture after the lens blur.
     still: Vec<u8>,
-    /// The same; moving parts are added while a frame is captured.
+    /// The blurred picture of the room, to which moving parts are added while a frame is captured.
     soft: Vec<u8>,
 }
 

@@ -1,7 +1,7 @@
 //! Sensor noise: disparity errors of a stereo camera, and noise of a picture.
 //!
-//! The noise is drawn once, into a long field; each row of each frame reads it from a random position. This
-//! costs far less than drawing it for each pixel, and looks equally random.
+//! The noise is drawn once, into a long field, and each row of each frame reads it from a random
+//! position. This costs far less than drawing it for each pixel, and looks as random.
 
 use image::{ImageBuffer, Luma};
 use rand::RngExt;
@@ -74,7 +74,7 @@ fn image_of(width: usize, height: usize, pixels: Vec<u16>) -> DepthImage {
 
 /// The noise of a picture.
 pub(super) struct PictureNoise {
-    /// In grey levels, offset by 128.
+    /// Noise in grey levels, offset by 128.
     field: Vec<u8>,
 }
 

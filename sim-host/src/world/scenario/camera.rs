@@ -6,12 +6,12 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraConfig {
-    /// Its name, for people; the simulation numbers its cameras.
+    /// The camera's name, for people; the simulation numbers its cameras.
     #[serde(default)]
     pub name: String,
-    /// Position of its optical centre.
+    /// Position of the optical centre.
     pub position_m: [f64; 3],
-    /// The point in the centre of its picture.
+    /// The point that appears in the centre of the picture.
     pub look_at_m: Option<[f64; 3]>,
     /// Heading, counter-clockwise from x; with `tilt_deg`, instead of `look_at_m`.
     pub heading_deg: Option<f64>,

@@ -42,7 +42,7 @@ impl Scenario {
         Ok(())
     }
 
-    /// Refuses more of anything than the memory of a usual computer holds.
+    /// Refuses counts for which the memory of a usual computer is too small.
     fn check_counts(&self) -> Result<(), ScenarioError> {
         for (key, count, most) in [
             ("cameras", self.cameras.len(), 256),
@@ -358,8 +358,8 @@ fn is_convex(points: &[[f64; 2]]) -> bool {
         let ([ax, ay], [bx, by], [cx, cy]) = (corner(index), corner(index + 1), corner(index + 2));
         (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
     };
-    // All corners turn the same way, and no corner lies beyond any edge. The first condition alone also
-    // holds for a star, which goes round twice.
+    // In a convex polygon all corners turn the same way, and no corner lies beyond any edge. The
+    // first condition alone also holds for a star, which goes round twice.
     let beyond = |index: usize, other: usize| {
         let ([ax, ay], [bx, by], [cx, cy]) = (corner(index), corner(index + 1), corner(other));
         (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)

@@ -31,7 +31,8 @@ pub const NAMED: [(&str, &str); 5] = [
     ("ahmed-2013", include_str!("../../../scenarios/ahmed-2013.toml")),
 ];
 
-/// Why a scenario cannot be simulated. Each error is one line that names the file and the line or key.
+/// Why a scenario can't be simulated. Each error is one line that names the file, and the line or
+/// key.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
     /// The file cannot be read.
@@ -70,9 +71,10 @@ pub enum ScenarioError {
     },
 }
 
-/// Asks for the built-in scenario whose name is most like this one, if any is, and begins the list of all.
+/// The text that suggests the built-in scenario with the most similar name, if there is a similar
+/// one, and introduces the list of all.
 fn meant(name: &str) -> String {
-    /// From 0 for nothing in common to 1 for the same.
+    /// Minimum similarity for a suggestion, from 0 (nothing in common) to 1 (equal).
     const LIKE: f64 = 0.5;
     let likeness = |known: &str| strsim::normalized_damerau_levenshtein(name, known);
     let known = NAMED.iter().map(|&(known, _)| (likeness(known), known));
@@ -366,7 +368,8 @@ impl Scenario {
             *map = folder.join(&map);
         }
         if let Some(map) = map {
-            // What does not fit the map is no fault of the scenario's file.
+            // A problem that concerns the map is not the fault of the scenario's file alone, so the
+            // message names both.
             scenario.file = format!("{} with --map {}", scenario.file, map.display());
             scenario.room.map = Some(map.to_owned());
         }

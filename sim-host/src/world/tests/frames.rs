@@ -60,7 +60,8 @@ fn depths_agree_with_ray_casting() {
         for _ in 0..5_000 {
             let (column, row) = (throw.random_range(0..640), throw.random_range(0..480));
             let found = f64::from(depth[row * 640 + column]);
-            // At an outline rounding decides: accept the depth of a ray a fiftieth of a pixel beside.
+            // At an outline, rounding decides what a ray hits: the depth of a ray a fiftieth of a
+            // pixel beside it is accepted, too.
             let beside = [(0.0, 0.0), (-0.02, 0.0), (0.02, 0.0), (0.0, -0.02), (0.0, 0.02)];
             let mut near = beside.iter().map(|&(right, down)| {
                 let way = lens.direction([column as f64 + right, row as f64 + down]);

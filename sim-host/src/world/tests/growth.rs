@@ -1,4 +1,5 @@
-//! Scenarios generated from a map: everybody stands on free floor and can reach its stops.
+//! Scenarios generated from a map: every robot and person stands on free floor and can reach its
+//! stops.
 
 use super::{RESOLUTION, seconds};
 use crate::world::{Scenario, WallGrid, World};
@@ -37,7 +38,7 @@ fn cameras_robots_and_people_are_placed_in_both_rooms() {
     assert!(scenario.cameras.iter().all(|camera| column(camera.position_m[0]) < 130.0));
     assert!(scenario.cameras.iter().any(|camera| in_west(camera.position_m[0])));
     assert!(scenario.cameras.iter().any(|camera| !in_west(camera.position_m[0])));
-    // Somebody moves from one room to the other.
+    // A robot or person moves from one room to the other.
     let side = |world: &World| -> Vec<bool> {
         world.robots().iter().map(|robot| in_west(robot.truth().x.metres())).collect()
     };

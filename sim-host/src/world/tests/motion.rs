@@ -100,7 +100,7 @@ proptest! {
         )
         .people;
         let (robot, person) = (scenario.robots.remove(0), scenario.people.remove(0));
-        // Everybody starts in a corner or at a side of the room and goes anywhere.
+        // Each starts in a corner or at a side of the room and goes to random places.
         for (index, ([x_m, y_m], ways)) in
             [[0.3, 0.3], [3.7, 0.3], [0.3, 2.7]].into_iter().zip(stops.chunks(2)).enumerate()
         {

@@ -19,7 +19,7 @@ fn readings(preset: &str, more: &str) -> Vec<u16> {
 fn a_depth_row_measures_the_depth_of_the_wall_in_every_column() {
     let row = readings("depth_row", "");
     assert_eq!(row.len(), 640);
-    // With a focal length of 337 pixels the corners of the wall, 2 m to each side, are out of view.
+    // With a focal length of 337 pixels, the ends of the wall, 2 m to each side, are out of view.
     let (focal, baseline, depth) = (320.0 / 43.5_f64.to_radians().tan(), 0.05, 1.9);
     let errors: Vec<f64> = row
         .iter()

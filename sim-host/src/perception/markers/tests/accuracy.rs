@@ -16,7 +16,8 @@ const SIDE_M: f64 = 0.1;
 struct Errors {
     position: Vec<f64>,
     heading_deg: Vec<f64>,
-    /// Squared errors over their covariance (NEES): three on average if the covariance is right.
+    /// Squared errors normalised by their covariance (NEES): three on average if the covariance is
+    /// correct.
     normalised: Vec<f64>,
 }
 
@@ -36,17 +37,17 @@ impl Errors {
         (values.iter().map(|it| it * it).sum::<f64>() / values.len() as f64).sqrt()
     }
 
-    /// RMSE in metres and in degrees, and the mean normalised error.
+    /// Root mean square errors in metres and in degrees, and the mean normalised error.
     fn summary(&self) -> (f64, f64, f64) {
         let mean = self.normalised.iter().sum::<f64>() / self.normalised.len() as f64;
         (Self::rms(&self.position), Self::rms(&self.heading_deg), mean)
     }
 }
 
-/// A sequence of poses in a disc, each close to the one before.
+/// Poses in a disc, spread over positions and headings.
 fn drive(middle: [f64; 2], radius: f64, poses: usize) -> impl Iterator<Item = [f64; 3]> {
     (0..poses).map(move |index| {
-        // The golden angle covers the disc and all headings.
+        // Steps by the golden angle cover the disc and all headings.
         let turn = 2.399_963 * index as f64;
         let distance = radius * ((index as f64 + 0.5) / poses as f64).sqrt();
         let heading = (turn * 3.7).rem_euclid(std::f64::consts::TAU);

@@ -35,7 +35,7 @@ pub(super) struct Body {
     /// Since when a person has stood in its way.
     blocked_since: Option<Instant>,
     pub(super) has_session: bool,
-    /// Paths in flight, and its pose reports in flight.
+    /// Paths on their way to the robot, and pose reports on their way from it.
     mail: VecDeque<(Instant, Vec<Point>)>,
     reports: VecDeque<(Instant, Instant, Point)>,
     reported: (Instant, Point),
@@ -111,7 +111,7 @@ impl Floor {
             paths: 0,
             rng,
         };
-        // So that all robots are known.
+        // One tick, after which all robots are known.
         floor.tick();
         floor
     }
