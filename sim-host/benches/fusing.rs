@@ -1,4 +1,4 @@
-//! Fusing depth images into evidence: by windows of sixteen pixels, and pixel by pixel.
+//! Fusing depth images into evidence: many pixels at a time, and pixel by pixel.
 //!
 //! `cargo bench -p ubimap-sim-host --bench fusing` prints the throughput of both in pixels per
 //! second, and their ratio; `cargo camera-server` prints only the ratio.
@@ -15,7 +15,7 @@ use ubimap_sim_host::{
 #[path = "../src/perception/testing/boxes.rs"]
 mod boxes;
 
-/// Number of repetitions; the fastest counts.
+/// Number of repetitions; the time of the fastest is reported.
 const ROUNDS: usize = 200;
 
 /// A corner of a room with a cupboard and a table, and a person unless `is_empty`.
@@ -58,7 +58,7 @@ fn fusing(criterion: &mut Criterion) {
             bencher.iter(|| evidence.scatter(&rays, &background, turn.next().map_or(&[], |it| it)));
         });
         group.finish();
-        // Alternating, so that both run under the same load.
+        // The two alternate, so that both run under the same load.
         let [mut windows, mut pixels] = [Duration::MAX; 2];
         for image in images.iter().cycle().take(ROUNDS) {
             windows = windows.min(time(|| evidence.fuse(&rays, &background, image)));

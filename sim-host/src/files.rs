@@ -11,7 +11,8 @@ use std::{
 /// Maximum size of a file of settings in bytes: a scenario, intrinsics, the header of a map.
 pub(crate) const MAX_SETTINGS: u64 = 4 << 20;
 
-/// Opens a regular file of at most `limit` bytes. A file that grows later is not cut off here.
+/// Opens a regular file of at most `limit` bytes. The limit does not apply to bytes that are added
+/// to the file later.
 pub(crate) fn open(path: &Path, limit: u64) -> io::Result<File> {
     let metadata = fs::metadata(path)?;
     if metadata.is_dir() {
@@ -29,7 +30,7 @@ pub(crate) fn open(path: &Path, limit: u64) -> io::Result<File> {
 /// The content of a regular file of at most `limit` bytes.
 pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    // Some files have more than their size says.
+    // Some files, such as those in `/proc`, contain more than their size says.
     open(path, limit)?.take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit { Err(too_large(limit)) } else { Ok(bytes) }
 }
@@ -60,7 +61,7 @@ mod tests {
         assert!(error(folder.path()).contains("is a folder"));
         if cfg!(target_os = "linux") {
             assert!(error(Path::new("/dev/zero")).contains("a device or a pipe"));
-            // Their size is said to be zero.
+            // The size of such files is reported as zero.
             assert!(error(Path::new("/proc/self/smaps")).contains("larger than"));
         }
         assert_eq!(

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// A number with four decimals at most, and with an exponent where plain digits would make it long.
+/// A number with at most four decimals, and with an exponent if plain digits would be long.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rounded(pub(crate) f64);
 

@@ -11,7 +11,7 @@
 
 use ubimap_protocol::time::Duration;
 
-// Frames and what is seen in them.
+// Frames, and the objects and robots in them.
 
 /// Tolerance for capture times ahead of the server's clock. Cameras' clocks are synchronised to
 /// within this; a frame further ahead is refused.

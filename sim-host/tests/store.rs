@@ -210,7 +210,7 @@ fn a_killed_server_loses_no_confirmed_tile() {
             layers[&robot.id].tiles().map(|(id, seen)| (id, seen.tile)).collect();
         assert!(kept == told, "robot {}", robot.id.0);
         assert!(robot.promises.len() > kept.len() + 10, "evictions begin tiles anew");
-        // Its copy of the server's map equals the fusion of the layers in the file.
+        // The robot's copy of the server's map equals the fusion of the layers in the file.
         let held: Vec<_> = robot.robot.fused_tiles().tiles(Layer::Fused).collect();
         assert!(!held.is_empty());
         for (id, replica) in held {

@@ -100,7 +100,7 @@ impl Fan {
         self.angle / (self.beams - 1) as f64
     }
 
-    /// The same sensor for the robot.
+    /// The robot's model of this sensor.
     pub fn model(self) -> SensorModel {
         SensorModel::Radial { first: self.first() as f32, step: self.step() as f32 }
     }

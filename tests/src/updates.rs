@@ -31,7 +31,7 @@ pub struct Update {
     pub room: usize,
     /// The coded update.
     pub coded: Vec<u8>,
-    /// Its tiles.
+    /// The tiles of the update.
     pub tiles: Vec<TileChange>,
 }
 

@@ -35,7 +35,7 @@ fn at(millis: u64) -> Instant {
     Instant(millis * 1_000)
 }
 
-/// Free, except for walls in every `apart`-th column starting at `first`.
+/// A tile of free cells, with walls in every `apart`-th column from `first` on.
 fn walls(first: usize, apart: usize) -> Tile {
     let mut tile = Tile { low: [u32::MAX; TILE_SIDE], high: [0; TILE_SIDE] };
     for x in (first..TILE_SIDE).step_by(apart) {
@@ -105,7 +105,7 @@ fn a_robot_that_contradicts_the_cameras_loses_its_weight_everywhere() {
     assert_eq!(events(&server), [(RobotEvent::Disagrees(LIAR), 1)]);
     let weights = [1, 2, 3].map(|id| server.weight(RobotId(id)));
     assert_eq!(weights, [Weight::FULL, Weight::FULL, Weight::NONE]);
-    // In view of the cameras, the lies cause no traffic to the others at any time.
+    // If cameras see the tile, the lies never cause traffic to the other robots.
     let (map, sent, _) = with_lies(true, &[SEEN]);
     assert_eq!((map, sent[..2].to_vec()), (truth, undisturbed[..2].to_vec()));
 }
@@ -121,7 +121,7 @@ fn in_blind_ground_a_lie_lasts_one_map_step_against_two_witnesses() {
     assert_eq!([1, 2].map(|id| server.weight(RobotId(id))), [Weight::FULL; 2]);
 }
 
-/// Its distance vector: a reading of `metres` in every direction.
+/// The liar's distance vector, with a reading of `metres` in every direction.
 fn sees(time: Instant, pose: Pose, metres: f64) -> DistanceVector {
     let distances = (0..64).map(|_| (metres * 50.0) as u8).collect();
     DistanceVector { time, pose, first: Angle(0), step: 1_024, distances }
@@ -185,7 +185,7 @@ fn a_flood_is_dropped_without_effect_on_others() {
     assert!((1_000..6_000).contains(&read), "{read} of 7,800");
 }
 
-/// A robot that claims future observations must not be believed for longer than the others.
+/// A robot whose observations are in the future must not be believed longer than the others.
 #[test]
 fn observations_from_the_future_count_as_now() {
     let mut server = server();

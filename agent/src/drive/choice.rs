@@ -18,11 +18,11 @@ use crate::{
 /// and stops, all by the map. [`NoDrive`] takes no flash, RAM or stack. With an `Option` of a drive
 /// the choice is made at run time.
 pub trait Drive {
-    /// Its working memory, part of the robot's [`Memory`](crate::Memory).
+    /// The drive's working memory, part of the robot's [`Memory`](crate::Memory).
     type Memory;
     /// The initial state of the memory: all zero bits.
     const EMPTY: Self::Memory;
-    /// Its state while it drives.
+    /// The drive's state at run time.
     type State<'b>: Drives;
 
     /// Starts the drive of a robot whose map has cells of side `resolution`.

@@ -29,9 +29,9 @@ pub struct GroundRow {
 /// A round object that is not on the map, or moves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mover {
-    /// Its centre, in `map`.
+    /// The object's centre: its x in `map`.
     pub x: Millimetres,
-    /// Its centre, in `map`.
+    /// The object's centre: its y in `map`.
     pub y: Millimetres,
     /// Along `map`'s x, in mm/s.
     pub velocity_x: i16,
@@ -54,7 +54,7 @@ impl Mover {
     }
 }
 
-/// What a straight line crosses.
+/// What a straight line between two cells crosses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Line {
     /// Only free cells.

@@ -36,9 +36,9 @@ const MAX_GIVEN_UP: usize = 48;
 pub(super) enum End {
     /// To the goal.
     Goal,
-    /// To a frontier: its point, and the level of its window.
+    /// The route ends at a frontier: its point, and the level of the window in which it was found.
     Frontier(Waypoint, u32),
-    /// To an intermediate point: from there another route is needed.
+    /// The route ends at an intermediate point, from which another route is needed.
     OnTheWay,
 }
 

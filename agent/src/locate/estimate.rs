@@ -95,8 +95,8 @@ impl Variances {
 
 /// An estimated pose and its covariance.
 ///
-/// In single precision, with identical bits on a Cortex-M4F and on a PC: it uses only the four
-/// operations, and `libm`'s square root and arc tangent.
+/// Computed in single precision, with identical bits on a Cortex-M4F and on a PC: it uses only the
+/// four operations, and `libm`'s square root and arc tangent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Estimate {
     /// The position rounded to whole millimetres. Integers keep the precision independent of the

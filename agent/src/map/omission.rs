@@ -15,8 +15,8 @@ pub(super) struct Sweep {
 }
 
 impl Sweep {
-    /// From a sensor's table: the angle between the outermost beams, divided by their number (the
-    /// paper's 86 / 640 = 0.134 degrees per pixel).
+    /// Computes the mean angle from a sensor's table: the angle between the outermost beams,
+    /// divided by their number (the paper's 86 / 640 = 0.134 degrees per pixel).
     pub(super) fn of(beams: &[Beam]) -> Self {
         let used = |beam: &&Beam| **beam != Beam::NONE;
         let bearing = |beam: &Beam| atan2f(f32::from(beam.left), f32::from(beam.forward));

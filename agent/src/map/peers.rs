@@ -272,7 +272,7 @@ mod tests {
         let (square, footprint) =
             (count(PeerMask::Square, 10_000_000), count(PeerMask::Footprint, 10_000_000));
         assert!(2 * footprint < square, "{footprint} of {square}");
-        // It grows with age, up to the square plus the distance possibly driven.
+        // The mask grows with age, up to the square plus the distance possibly driven.
         let mut last = footprint;
         for age in [100_000, 500_000, 1_000_000, 3_000_000] {
             let older = count(PeerMask::Footprint, 10_000_000 + age);

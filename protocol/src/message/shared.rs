@@ -48,7 +48,7 @@ pub struct Digests {
 pub struct TileDigest {
     /// The tile.
     pub id: TileId,
-    /// Its state.
+    /// The state of the tile.
     pub stamp: Stamp,
     /// The hash of its cells ([`tile_hash`](crate::tile::tile_hash)).
     pub hash: u32,
@@ -74,6 +74,6 @@ pub const MAX_PARAMETERS: usize = 16;
 pub struct ParameterValue {
     /// The parameter's number.
     pub parameter: u16,
-    /// Its value, in the parameter's unit.
+    /// The value, in the parameter's unit.
     pub value: i32,
 }

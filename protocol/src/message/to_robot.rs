@@ -125,7 +125,7 @@ pub struct PoseFix {
     pub time: Instant,
     /// `base_link` in `map` at that moment.
     pub pose: Pose,
-    /// Its standard deviations.
+    /// The standard deviations of the pose.
     pub certainty: Certainty,
     /// How it was measured.
     pub source: FixSource,
@@ -136,11 +136,11 @@ pub struct PoseFix {
 /// The standard deviations of a fix, for a diagonal covariance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Certainty {
-    /// Of x, in millimetres.
+    /// Standard deviation of x, in millimetres.
     pub x: u16,
-    /// Of y, in millimetres.
+    /// Standard deviation of y, in millimetres.
     pub y: u16,
-    /// Of the heading, in binary angle units.
+    /// Standard deviation of the heading, in binary angle units.
     pub heading: u16,
 }
 
@@ -159,11 +159,11 @@ pub enum FixSource {
 pub struct EarlierFix {
     /// Time from this fix to its successor, in microseconds.
     pub before_micros: u32,
-    /// Its successor's x minus its own, in millimetres.
+    /// The successor's x minus this fix's, in millimetres.
     pub dx: i32,
-    /// Its successor's y minus its own, in millimetres.
+    /// The successor's y minus this fix's, in millimetres.
     pub dy: i32,
-    /// Its successor's heading minus its own, in binary angle units.
+    /// The successor's heading minus this fix's, in binary angle units.
     pub turn: i16,
 }
 
@@ -228,7 +228,7 @@ pub struct Peers {
 /// One of the other robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Peer {
-    /// Which one.
+    /// The other robot's number.
     pub robot: RobotId,
     /// `base_link` in `map`.
     pub pose: Pose,
@@ -257,7 +257,7 @@ pub struct Obstacles {
 pub struct Obstacle {
     /// Identifies the obstacle while it is tracked.
     pub number: u16,
-    /// Its class.
+    /// The class of the obstacle.
     pub class: ObstacleClass,
     /// The x of its centre in `map`.
     pub x: Millimetres,

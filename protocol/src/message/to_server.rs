@@ -214,7 +214,7 @@ pub const MAX_DETAIL: usize = 32;
 pub struct Event {
     /// When it happened, in the server's clock; `None` before the clocks are synchronised.
     pub time: Option<Instant>,
-    /// Its severity.
+    /// The severity of the event.
     pub severity: Severity,
     /// The number of an [`EventCode`], or a code that this version does not know.
     pub code: u16,

@@ -76,7 +76,7 @@ fn decode<T: DeserializeOwned>(reader: &mut Reader<'_>) -> Result<T, MalformedMe
 pub struct Message<'a, D> {
     /// The number of its kind, which may be unknown.
     pub number: u8,
-    /// Its encoded body.
+    /// The encoded body of the message.
     pub body: &'a [u8],
     direction: PhantomData<D>,
 }
@@ -87,7 +87,7 @@ impl<'a, D: Traffic> Message<'a, D> {
         Self { number, body, direction: PhantomData }
     }
 
-    /// Its kind, or `None` if this version does not know it.
+    /// The kind of the message, or `None` if this version does not know it.
     pub fn kind(self) -> Option<D::Kind> {
         D::kind(self.number)
     }

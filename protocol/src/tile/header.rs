@@ -7,7 +7,7 @@ use super::{Stamp, TILE_SIDE, TileId, Version};
 /// Number of cells in a tile.
 pub const TILE_CELLS: u16 = (TILE_SIDE * TILE_SIDE) as u16;
 
-/// What precedes the cells of a tile in an update.
+/// The header of a tile, which precedes its cells in an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TileHeader {
     /// Which tile.

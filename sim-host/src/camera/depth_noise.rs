@@ -56,7 +56,7 @@ impl DepthNoise {
     /// standard deviation of its disparities in pixels.
     ///
     /// # Errors
-    /// As [`DepthNoise::new`].
+    /// Every error of [`DepthNoise::new`].
     pub fn stereo(
         focal_px: f64,
         baseline_m: f64,

@@ -8,7 +8,7 @@ pub const LAYERS: usize = 16;
 pub struct Thing {
     /// The cells that it covers, by grid coordinates: at least one, all connected.
     pub cells: Vec<(i32, i32)>,
-    /// Its height in millimetres; zero if the source does not know it.
+    /// The object's height in millimetres; zero if the source does not know it.
     pub top_mm: u16,
     /// Number of its pixels in each 128 mm layer above the floor.
     pub layers: [u32; LAYERS],

@@ -39,7 +39,7 @@ pub enum MapError {
     Yaml {
         /// The YAML file.
         path: PathBuf,
-        /// What is wrong, on one line.
+        /// The problem, on one line.
         reason: String,
     },
     /// A key has an invalid value.
@@ -49,7 +49,7 @@ pub enum MapError {
         path: PathBuf,
         /// The key.
         key: &'static str,
-        /// What is wrong with its value.
+        /// The problem with the value.
         reason: String,
     },
     /// The image can't be read.
@@ -60,7 +60,7 @@ pub enum MapError {
         yaml: PathBuf,
         /// The image file.
         image: PathBuf,
-        /// What is wrong with it.
+        /// The problem with the image.
         error: RasterError,
     },
     /// The size, resolution or origin is invalid.

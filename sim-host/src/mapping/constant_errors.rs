@@ -54,7 +54,7 @@ const NORMAL: f64 = 1.4826;
 /// An estimated angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimated {
-    /// In degrees, counter-clockwise.
+    /// The angle in degrees, counter-clockwise.
     pub degrees: f64,
     /// Standard deviation in degrees.
     pub deviation: f64,

@@ -2,13 +2,12 @@
 //! seconds, and learnt again where the room changes permanently.
 //!
 //! A pixel agrees with its background if its depth is within a learnt window. It then counts for
-//! the cell of the *learnt* point, so that noise does not smear static objects; that cell is
-//! updated from time to time. The learnt depth is the mean of all depths that agreed. It is used
-//! once its standard error is below half a cell. A single depth at 5 m has a noise of two cells,
-//! and the mean of `n` depths has 1/sqrt(n) of that, so the range of view grows with time. If the
-//! recent depths of a floor pixel agree one by one, but their mean does not, an object closer to
-//! the floor than the noise may stand there: the pixel then counts for nothing. Learning also
-//! absorbs calibration errors: a floor that is a centimetre off, a threshold, a carpet.
+//! the cell of the *learnt* point, so that noise does not smear static objects. The learnt depth is
+//! the mean of all depths that agreed, and is used once its standard error is below half a cell. A
+//! single depth at 5 m has a noise of two cells, the mean of `n` depths 1/sqrt(n) of that, so the
+//! range of view grows with time. If the recent depths of a floor pixel agree one by one, but their
+//! mean does not, an object closer to the floor than the noise may stand there: the pixel then
+//! counts for nothing. Learning also absorbs calibration errors, such as a floor 1 cm off.
 
 use ubimap_protocol::time::{Duration, Instant};
 
@@ -33,8 +32,7 @@ const ROWS_BETWEEN: u32 = 8;
 /// Number of checks and seconds without a change after which an object in front of the background,
 /// or where there was no background, becomes background. Long, because it may be a person.
 const STAY: (u8, u32) = (6, 10);
-/// Like `STAY`, for floor and for anything behind the background. Shorter, because it was only
-/// hidden.
+/// Like `STAY`, for floor and for anything behind the background. Shorter: it was only hidden.
 const UNCOVERED: (u8, u32) = (2, 1);
 /// When this number of depths have agreed, half of them are forgotten, so that drift is followed.
 const MAX_AGREED: u32 = 256;
@@ -372,8 +370,7 @@ impl Background {
 }
 
 /// Whether the mean of `depths` is farther from that of `agreed` than 99 % of such means would be.
-/// If two objects are in one window (the floor and people's feet), neither then biases the mean of
-/// the other.
+/// So of two objects in one window (the floor and feet), neither biases the mean of the other.
 fn is_other(rays: &RayTable, depths: Agreed, agreed: Agreed) -> bool {
     let Some((mean, before)) = depths.mean().zip(agreed.mean()) else { return false };
     let off = u64::from(mean.abs_diff(before));

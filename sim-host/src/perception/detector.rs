@@ -13,7 +13,7 @@ pub trait Detector: Debug + Send {
 /// An object detected in a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
-    /// Its class, such as "person".
+    /// The class of the object, such as "person".
     pub label: String,
     /// The upper left corner (column, row) of its bounding box.
     pub from: [f64; 2],

@@ -189,8 +189,8 @@ mod tests {
         let model = CameraModel { range_m: 6.0, ..MODEL };
         let tilted = Candidate { position_m: [0.0, 0.0, 3.0], heading_deg: 0.0, tilt_deg: 45.0 };
         let footprint = Footprint::new(Projection::Pinhole, &model, &tilted);
-        // Its rays point 72.5 to 17.5 degrees down: the view starts 3 / tan(72.5 deg) = 0.946 m
-        // ahead, and the range ends it at sqrt(36 - 9) = 5.196 m.
+        // The camera's rays point 72.5 to 17.5 degrees down: the view starts 3 / tan(72.5 deg) =
+        // 0.946 m ahead, and the range ends it at sqrt(36 - 9) = 5.196 m.
         assert!(footprint.contains([0.95, 0.0]) && !footprint.contains([0.94, 0.0]));
         assert!(footprint.contains([5.19, 0.0]) && !footprint.contains([5.20, 0.0]));
         assert!((footprint.reach_m() - 27f64.sqrt()).abs() < 1e-12);

@@ -18,7 +18,7 @@ const SAMPLE_M: f64 = 0.05;
 /// left out.
 const LEAST_PIECE: usize = 4;
 
-/// What bounds the floor of a room.
+/// The boundary of a room's floor.
 #[derive(Clone, Debug)]
 pub enum Enclosure {
     /// A polygon given by its corners, in metres.

@@ -17,7 +17,7 @@ pub enum Outline {
 /// An upright prism: a wall, a piece of furniture, or a part of one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Obstacle {
-    /// Its shape from above.
+    /// The shape seen from above.
     pub outline: Outline,
     /// Height of its lower side above the floor, in metres.
     pub bottom_m: f64,

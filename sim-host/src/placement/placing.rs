@@ -88,9 +88,9 @@ pub struct Critical {
 pub enum CriticalRule {
     /// At least two cameras must see them.
     Twice,
-    /// They count five times.
+    /// Critical cells count five times.
     Weighted,
-    /// They alone must be covered (the paper's `S`); other floor is ignored.
+    /// Only critical cells must be covered (the paper's `S`); other floor is ignored.
     Only,
 }
 
@@ -157,13 +157,13 @@ pub enum PlacementError {
     /// It is proved that no placement exists.
     #[error("no placement keeps every overlap within its bounds; {advice}")]
     Infeasible {
-        /// What to change.
+        /// What the user can change.
         advice: &'static str,
     },
     /// No placement was found in time; it is not proved that none exists.
     #[error("no placement was found in time that keeps every overlap within its bounds; {advice}")]
     NotFound {
-        /// What to change.
+        /// What the user can change.
         advice: &'static str,
     },
     /// The other solver failed.

@@ -76,7 +76,7 @@ struct Reducer<'p> {
     demands: Vec<Demand>,
     has_cell: Vec<bool>,
     has_candidate: Vec<bool>,
-    /// Without the cells and candidates that are gone.
+    /// The cells covered by each candidate, without the removed cells and candidates.
     covers: Incidence,
     covered_by: Incidence,
 }

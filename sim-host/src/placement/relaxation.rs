@@ -39,12 +39,12 @@ const DEAREST: i64 = ONE << 16;
 /// Whether a candidate has been fixed, and how.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Fixed {
-    /// It is free.
+    /// The candidate is free.
     #[default]
     Free,
-    /// It is chosen.
+    /// The candidate is chosen.
     In,
-    /// It is not chosen.
+    /// The candidate is not chosen.
     Out,
 }
 

@@ -29,15 +29,15 @@ const DISTANCES: u64 = 72;
 pub struct Comparison {
     /// Updates published by all robots.
     pub updates: u64,
-    /// As one ROS 2 `map_msgs/OccupancyGridUpdate` per update, serialised: the smallest rectangle
-    /// around its changed cells, one byte per cell.
+    /// Cost as one ROS 2 `map_msgs/OccupancyGridUpdate` per update, serialised: the smallest
+    /// rectangle around its changed cells, one byte per cell.
     pub occupancy_grid_update_bytes: u64,
-    /// As `OBSTACLE_DISTANCE` messages of MAVLink 2: every beam of the mapped scans, 72 per
+    /// Cost as `OBSTACLE_DISTANCE` messages of MAVLink 2: every beam of the mapped scans, 72 per
     /// message, in whole centimetres.
     pub obstacle_distance_bytes: u64,
-    /// As one zlib stream per update (`flate2` at its best compression; the C library's streams are
-    /// 1.5 % shorter on the Intel log): for every changed tile its id (4 bytes) and its two planes
-    /// (256).
+    /// Cost as one zlib stream per update (`flate2` at its best compression; the C library's
+    /// streams are 1.5 % shorter on the Intel log): for every changed tile its id (4 bytes) and its
+    /// two planes (256).
     pub zlib_tiles_bytes: u64,
 }
 

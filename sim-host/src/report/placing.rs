@@ -91,7 +91,7 @@ pub struct PlacementSummary {
 /// A camera of the placement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PlacedCamera {
-    /// Its name.
+    /// The camera's name.
     pub name: String,
     /// The optical centre in `map`, in metres.
     pub position_m: [f64; 3],
@@ -196,10 +196,13 @@ impl PlaceReport {
             "proved optimal".to_owned()
         } else {
             let side = if value > bound { "least" } else { "most" };
-            format!("{value}, at {side} {bound}: within {:.1} % of optimal", 100.0 * gap)
+            format!(
+                "{value}; the optimum is at {side} {bound}, at most {:.1} % better",
+                100.0 * gap
+            )
         }];
         if added > 0 {
-            lines.push(format!("{added} of the cameras were added to connect the overlap"));
+            lines.push(format!("{added} of the cameras were added to connect the views"));
         }
         lines
     }
@@ -207,13 +210,15 @@ impl PlaceReport {
     fn describe_overlap_graph(&self) -> String {
         let PlacementSummary { pieces, fewest_pieces, .. } = self.placement;
         match (pieces, fewest_pieces) {
-            (0 | 1, _) => "the overlap connects all cameras".to_owned(),
+            (0 | 1, _) => "overlapping views connect all cameras".to_owned(),
             (pieces, fewest) if pieces <= fewest => {
-                format!("the overlap falls into {pieces} pieces, as the floor does")
+                format!(
+                    "overlapping views connect the cameras in {pieces} groups; the floor allows no fewer"
+                )
             }
             (pieces, fewest) => format!(
-                "the overlap falls into {pieces} pieces ({fewest} are possible): calibration can't \
-                 follow it everywhere; --connect adds cameras"
+                "overlapping views connect the cameras only in {pieces} groups ({fewest} possible), \
+                 which can't be calibrated against each other; --connect adds cameras"
             ),
         }
     }

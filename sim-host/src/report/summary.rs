@@ -90,7 +90,7 @@ pub struct Pixels {
     pub kept: u64,
     /// Skipped because the map already had them.
     pub omitted: u64,
-    /// Without a usable reading.
+    /// Readings without a usable value.
     pub invalid: u64,
 }
 

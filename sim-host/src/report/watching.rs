@@ -64,11 +64,11 @@ pub struct SeenRobot {
 pub struct SeenThing {
     /// "person", "movable" or "fixed", by height and motion.
     pub class: &'static str,
-    /// Its centre in `map`, in metres.
+    /// The centre in `map`, in metres.
     pub position_m: [f64; 2],
-    /// Its velocity in `map`, in metres per second.
+    /// The velocity in `map`, in metres per second.
     pub velocity_m_s: [f64; 2],
-    /// Radius of the circle about its centre that contains all of it, in metres.
+    /// Radius of the circle about the centre that contains the whole person or thing, in metres.
     pub radius_m: f64,
 }
 
@@ -77,7 +77,7 @@ pub struct SeenThing {
 pub struct PassedEvent {
     /// A description of the event.
     pub what: String,
-    /// Number of times that it began.
+    /// Number of times that the event began.
     pub count: u64,
     /// Time at which it last began.
     pub last_s: f64,

@@ -143,7 +143,7 @@ impl<'b> Fleet<'b> {
         &self.deployment
     }
 
-    /// Its server.
+    /// The server of the deployment.
     pub fn server(&self) -> &Server {
         self.deployment.server()
     }

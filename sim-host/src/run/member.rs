@@ -83,12 +83,12 @@ pub struct Member<'b> {
     robot: Robot<'b, Option<Driving>>,
     up: FaultWire,
     down: FaultWire,
-    /// Its last drive command.
+    /// The robot's last drive command.
     commanded: DriveCommand,
     journal: Option<Journal<'b>>,
     path: Vec<(Instant, Pose)>,
     published: Published,
-    /// Its map traffic in bytes when `published` was last updated.
+    /// The robot's map traffic in bytes when `published` was last updated.
     bytes_noted: u64,
 }
 
@@ -119,12 +119,12 @@ impl<'b> Member<'b> {
         })
     }
 
-    /// Its identifier.
+    /// The robot's identifier.
     pub fn id(&self) -> RobotId {
         self.robot.settings().robot
     }
 
-    /// Its port of the deployment.
+    /// The robot's port at the deployment.
     pub fn port(&self) -> PortId {
         self.port
     }
@@ -178,7 +178,7 @@ impl<'b> Member<'b> {
         let local = self.clock.local(now);
         self.note(local, Entry::Scan(readings));
         if let Err(error) = self.robot.scan(local, readings, local) {
-            // Its statistics count dropped scans.
+            // The robot's statistics count dropped scans.
             log::debug!("robot {}: scan dropped: {error}", self.id().0);
         }
     }
@@ -253,7 +253,7 @@ impl<'b> Member<'b> {
         comparison
     }
 
-    /// Its estimated poses, with their times since the start of the run.
+    /// The robot's estimated poses, with their times since the start of the run.
     pub fn path(&self) -> &[(Instant, Pose)] {
         &self.path
     }

@@ -38,7 +38,7 @@ pub fn run(options: &ReplayOptions) -> Result<Outcome, RunError> {
     run_tapped(options, Box::new(|_, _, _| {}))
 }
 
-/// As [`run`], with a tap on every frame.
+/// Like [`run`], with a tap on every frame.
 pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let log =

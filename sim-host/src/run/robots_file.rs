@@ -22,11 +22,11 @@ pub(super) fn read(path: &Path) -> Result<Registry, RunError> {
         .map_err(|fault| RunError::Robots { path: path.to_owned(), reason: fault.to_string() })
 }
 
-/// Reads the file of a recording: the one named, or the only one in its folders. Without a file the
-/// registry is empty.
+/// Reads the registry of a recording: from the file `named`, or from the only such file in its
+/// folders. If there is no file, the registry is empty.
 ///
 /// # Errors
-/// As [`read`].
+/// Every error of [`read`].
 pub(super) fn find(named: Option<&Path>, folders: &[PathBuf]) -> Result<Registry, RunError> {
     let there = folders.iter().map(|folder| folder.join(FILE)).filter(|path| path.is_file());
     let there: Vec<PathBuf> = there.collect();

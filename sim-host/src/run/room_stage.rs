@@ -47,8 +47,8 @@ pub struct RoomStage {
 }
 
 impl RoomStage {
-    /// The events of a world until `end`, with ideal cameras: these observe their view without
-    /// rendered frames.
+    /// The events of a world until `end`, with ideal cameras, which observe without rendered
+    /// frames.
     pub fn new(world: World, end: Instant) -> Self {
         let robots = world.robots().len();
         Self {
@@ -64,7 +64,7 @@ impl RoomStage {
         }
     }
 
-    /// The same with rendered frames of RGB-D cameras.
+    /// The events of a world until `end`, with rendered frames of RGB-D cameras.
     pub fn filmed(world: World, end: Instant) -> Self {
         Self { is_filmed: true, ..Self::new(world, end) }
     }

@@ -12,9 +12,9 @@ use super::{
 pub enum FixedOutline {
     /// A circle.
     Disc {
-        /// Its centre.
+        /// The centre of the circle.
         centre_m: [f64; 2],
-        /// Its radius.
+        /// The radius of the circle.
         radius_m: f64,
     },
     /// A convex polygon by its corners, counter-clockwise.
@@ -24,7 +24,7 @@ pub enum FixedOutline {
 /// An upright prism: a wall, a closed door, or a piece of furniture or part of one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixedPart {
-    /// Its shape from above.
+    /// The shape seen from above.
     pub outline: FixedOutline,
     /// Height of its lower side above the floor, in metres.
     pub bottom_m: f64,

@@ -84,7 +84,7 @@ pub struct SimRobot {
 }
 
 impl SimRobot {
-    /// Its number.
+    /// The robot's number.
     pub fn id(&self) -> RobotId {
         self.id
     }
@@ -99,7 +99,7 @@ impl SimRobot {
         self.odometry.quantised()
     }
 
-    /// Its range sensor.
+    /// The robot's range sensor.
     pub fn sensor(&self) -> &RangeSensor {
         &self.sensor
     }
@@ -119,7 +119,7 @@ impl SimRobot {
         self.radius
     }
 
-    /// Its height, in metres.
+    /// The robot's height, in metres.
     pub fn height_m(&self) -> f64 {
         self.height
     }
@@ -165,7 +165,7 @@ impl SimRobot {
         PlanePose { position, heading: heading + self.askew }
     }
 
-    /// Its visible part.
+    /// The visible part of the robot.
     pub(super) fn part(&self) -> Part {
         let PlanePose { position, heading } = self.truth;
         let footprint = match self.sides {

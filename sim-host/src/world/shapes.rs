@@ -25,9 +25,9 @@ enum Outline {
 pub(super) enum Rim {
     /// A circle.
     Disc {
-        /// Its centre.
+        /// The centre of the circle.
         centre: DVec2,
-        /// Its radius.
+        /// The radius of the circle.
         radius: f64,
     },
     /// A polygon's corners, counter-clockwise.
@@ -60,7 +60,7 @@ impl Footprint {
         Some(Self { outline: Outline::Polygon(polygon), place: Pose2::identity() })
     }
 
-    /// Its boundary.
+    /// The boundary of the footprint.
     pub(super) fn rim(&self) -> Rim {
         let corners = match &self.outline {
             Outline::Disc(ball) => {

@@ -21,7 +21,7 @@ pub enum Identifier {
 /// A marker in a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Marker {
-    /// Its identifier.
+    /// The identifier that the marker shows.
     pub identifier: Identifier,
     /// Positions in pixels (column, row); the centre of the first pixel is (0, 0). For a tag, the
     /// corners of the black square in the order rear left, rear right, front right, front left; its

@@ -8,7 +8,7 @@ use super::super::{
     programme::{ANY_OVERLAP, Demand, Goal, Programme},
 };
 
-/// What a random programme may contain.
+/// The features that a random programme may have.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kind {
     pub(super) has_optional: bool,

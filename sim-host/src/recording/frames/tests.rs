@@ -71,7 +71,7 @@ fn a_camera_without_a_pose_is_looked_for_among_those_that_were_placed() {
     let floor = lens.centre() + lens.direction([1.5, 0.5]) * 3.0 * 2f64.sqrt();
     assert!((floor - nalgebra::Point3::new(1.0, 5.0, 0.0)).norm() < 1e-9, "{floor}");
     assert!((lens.intrinsics().fx - 2.0).abs() < 1e-9);
-    // What the folder says itself comes first.
+    // A pose in the folder itself takes precedence.
     folder.file("camera-01/pose.txt", b"0 0 3 1 0 0 0\n");
     folder.file(
         "camera-01/intrinsics.toml",

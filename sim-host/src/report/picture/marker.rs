@@ -20,7 +20,7 @@ const VIEW: f64 = 0.8;
 const STEP_M: f64 = 0.05;
 const LONGEST_SIDE_M: f64 = 1e3;
 
-/// What a marker stands for.
+/// The kinds of markers, and how each is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MarkerKind {
     /// A robot: a green disc.
@@ -42,13 +42,13 @@ pub struct Marker {
     pub y_m: f64,
     /// Heading in radians, counter-clockwise from `map`'s x.
     pub heading_rad: f64,
-    /// What it is.
+    /// The kind of marker.
     pub kind: MarkerKind,
     /// Radius of a robot or a person, in metres.
     pub radius_m: f64,
     /// The text beside it; may be empty.
     pub label: String,
-    /// Its path, in `map`, metres; may be empty.
+    /// The path driven or walked, in `map`, metres; may be empty.
     pub path: Vec<[f64; 2]>,
     /// The outline of the floor in its view, in `map`, metres; may be empty.
     pub view: Vec<[f64; 2]>,

@@ -25,7 +25,7 @@ const EDGE: f64 = 1.2;
 /// Length of a dash, and of a dash with its gap, in pixels.
 const DASH: f64 = 6.0;
 const DASH_AND_GAP: f64 = 16.0;
-/// Maximum length of a dashed line in pixels; longer ones can't be part of a picture.
+/// Maximum length of a dashed line in pixels: a longer one can't be part of a picture.
 const LONGEST: f64 = 1e5;
 
 /// Draws a stroke with round ends and a blended edge. A stroke of zero length is a disc.
@@ -39,7 +39,7 @@ pub(super) fn stroke(
     let range = |axis: usize, end: u32| {
         let least = from[axis].min(to[axis]) - reach;
         let most = from[axis].max(to[axis]) + reach;
-        // NaN becomes zero: an empty or a one-pixel range, and nothing is drawn there.
+        // NaN becomes zero, which gives an empty or a one-pixel range, in which nothing is drawn.
         least.clamp(0.0, f64::from(end)) as u32..most.ceil().clamp(0.0, f64::from(end)) as u32
     };
     let (columns, rows) = (range(0, image.width()), range(1, image.height()));
@@ -64,7 +64,7 @@ pub(super) fn edged_line(
     half_width: f64,
     colour: Rgb<u8>,
 ) {
-    // The whole edge first, so that it does not cover the line.
+    // Draws the whole edge first, so that it does not cover the line.
     for (half_width, colour) in [(half_width + EDGE, INK), (half_width, colour)] {
         for step in points.windows(2) {
             stroke(image, [step[0], step[1]], half_width, colour);

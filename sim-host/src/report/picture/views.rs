@@ -1,4 +1,4 @@
-//! The pictures: a map, how it grew, what cameras see of it, and where it is wrong.
+//! The pictures: a map, its growth, its coverage by cameras, and its errors.
 
 use image::{Rgb, RgbImage};
 use ubimap_protocol::tile::Cell;
@@ -19,7 +19,7 @@ const ABREAST: usize = 3;
 /// Space between frames, in pixels.
 const GAP: u32 = 4;
 
-/// The cells of a map.
+/// The legend entries of a map's cells.
 const MAP: [Entry; 4] = [
     (Sample::Cell(FREE), "free"),
     (Sample::Cell(WALL), "occupied"),
@@ -30,11 +30,11 @@ const MAP: [Entry; 4] = [
 /// A map at a time of a run, with its markers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moment {
-    /// Seconds since the run began.
+    /// Seconds since the start of the run.
     pub time_s: f64,
     /// The map.
     pub grid: OccupancyGrid,
-    /// The markers on it.
+    /// The markers on the map.
     pub markers: Vec<Marker>,
 }
 
@@ -47,7 +47,7 @@ pub fn render(grid: &OccupancyGrid, markers: &[Marker], caption: &Caption) -> Rg
 
 /// Draws a map at several times, side by side in rows; all frames are as large as the last map.
 pub fn render_frames(map: &OccupancyGrid, frames: &[Moment], caption: &Caption) -> RgbImage {
-    // Half the size of a single picture, but at least two pixels per cell, which edges need.
+    // Half the scale of a single picture, but at least two pixels per cell, which edges need.
     let scale = (scale_of(map) / 2).max(2);
     let mut pixels_per_m = 1.0;
     let drawn = frames.iter().map(|Moment { time_s, grid, markers }| {
@@ -102,10 +102,10 @@ pub fn render_coverage(
     finish(canvas, markers, caption, &cells)
 }
 
-/// Draws the floor by the number of cameras that see it, and the cameras. `floor` gives that number
-/// for a point of `map` in metres, and whether any camera could see it; `None` outside the floor.
-/// Occupied cells of the map are drawn over it: black, or as dots (movable) where something hangs
-/// above the floor.
+/// Draws the floor, coloured by the number of cameras that see it, and the cameras. For a point of
+/// `map` in metres, `floor` returns that number, and whether any camera could see the point; `None`
+/// outside the floor. Occupied cells of the map are drawn over it: in black, or as dots (movable)
+/// where something hangs above the floor.
 pub fn render_overlap(
     map: &OccupancyGrid,
     cameras: &[Marker],
@@ -136,8 +136,8 @@ pub fn render_overlap(
     finish(canvas, cameras, caption, &cells)
 }
 
-/// Compares a map with the truth: correct surfaces (within one cell) are black, false ones magenta,
-/// and missing ones blue, where the cell has been `seen`.
+/// Compares a map with the truth. Correct surfaces (within one cell) are black and false ones
+/// magenta; missing ones are blue, but only in cells that have been `seen`.
 pub fn render_error(
     map: &OccupancyGrid,
     truth: &OccupancyGrid,
@@ -266,7 +266,7 @@ mod tests {
         assert_eq!(cell(50, 57), MOVABLE);
         assert_eq!(cell(50, 2), FREE);
         assert_eq!(*picture.get_pixel(0, 0), UNKNOWN);
-        // The robot at (0, 3) m is in the cell (20, 20); its disc reaches three cells to the west.
+        // The robot at (0, 3) m is in cell (20, 20); its disc reaches three cells to the west.
         assert_eq!(cell(17, 20), ROBOT);
         assert_eq!(cell(14, 20), FREE);
         assert_eq!(cell(50, 30), ROBOT);
@@ -311,7 +311,8 @@ mod tests {
         assert_eq!([cell(0, 17, 20), cell(1, 17, 20)], [UNKNOWN, ROBOT]);
     }
 
-    /// Every pair of colours that touch anywhere on pictures of cells in every order and of markers.
+    /// Draws pictures of cells in every order and of markers, and checks every pair of colours that
+    /// touch.
     #[test]
     fn colours_that_touch_can_be_told_apart() {
         let kinds = [Cell::Unknown, Cell::Free, Cell::Occupied, Cell::Movable];
@@ -330,7 +331,7 @@ mod tests {
         for (index, kind) in
             [MarkerKind::Person, MarkerKind::Camera, MarkerKind::CameraDown].into_iter().enumerate()
         {
-            // They overlap.
+            // The markers overlap.
             let mut marker = Marker::new(kind, [1.1 + 0.2 * index as f64, 1.1], 1.0);
             marker.view = vec![[0.1, 0.1], [2.5, 0.4], [2.0, 1.9]];
             markers.push(marker);
@@ -354,8 +355,8 @@ mod tests {
                 ),
             ] {
                 let mut pairs = pairs(&picture);
-                // A stroke's edge is blended: black over free floor may be as grey as what is
-                // unknown, but no blend has the colour of a marker.
+                // The edge of a stroke is blended: black over free floor may become as grey as
+                // unknown cells. But no blend has the colour of a marker.
                 pairs.retain(|(a, b)| {
                     markers.is_empty() || [a, b].iter().any(|it| OF_MARKERS.contains(&Rgb(**it)))
                 });

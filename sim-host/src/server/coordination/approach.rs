@@ -8,7 +8,7 @@ use super::{
     settings::ViewpointCosts,
 };
 
-/// What determines a robot's viewpoints.
+/// The inputs for choosing a robot's viewpoints.
 pub(super) struct Approach<'a> {
     pub(super) ground: &'a Ground,
     pub(super) terrain: Terrain<'a>,

@@ -129,8 +129,8 @@ pub struct FollowingRules {
     /// A robot that should drive but was seen standing for this long is stuck. Drivers wait 3 s for
     /// their way to clear before they try another one.
     pub stalled: Duration,
-    /// The same out of the cameras' view: pose reports come every 2 s, so seven in a row showed no
-    /// motion or were lost.
+    /// Like `stalled`, for a robot out of the cameras' view. Pose reports come every 2 s, so seven
+    /// in a row showed no motion or were lost.
     pub unmoved: Duration,
     /// Time for a robot to receive a stop over a lossy link and to brake.
     pub halting: Duration,

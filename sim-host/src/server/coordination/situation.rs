@@ -66,12 +66,12 @@ pub enum GoalError {
 pub enum Notice {
     /// The robot has reached its goal.
     Reached,
-    /// Its goal was refused.
+    /// The robot's goal was refused.
     Refused(GoalError),
     /// There is no longer a route to its goal. The search is repeated from time to time, without
     /// another notice.
     NoWay,
-    /// It can't continue on its path, and will get another one.
+    /// The robot can't continue on its path, and will get another one.
     Blocked,
 }
 

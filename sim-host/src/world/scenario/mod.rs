@@ -172,7 +172,7 @@ pub struct FurnitureConfig {
     /// A description for readers of the file.
     #[serde(default)]
     pub name: String,
-    /// Its footprint.
+    /// The footprint of the piece.
     pub footprint: FootprintConfig,
     /// Height of its underside; above zero it overhangs the floor.
     #[serde(default)]
@@ -232,9 +232,9 @@ pub struct DoorConfig {
 pub enum FootprintConfig {
     /// A rectangle.
     Box {
-        /// Its centre.
+        /// The centre of the rectangle.
         centre_m: [f64; 2],
-        /// Its sides along x and y before rotation.
+        /// The sides along x and y before rotation.
         size_m: [f64; 2],
         /// Rotation about its centre, counter-clockwise.
         #[serde(default)]
@@ -242,14 +242,14 @@ pub enum FootprintConfig {
     },
     /// A disc.
     Disc {
-        /// Its centre.
+        /// The centre of the disc.
         centre_m: [f64; 2],
-        /// Its radius.
+        /// The radius of the disc.
         radius_m: f64,
     },
     /// A convex polygon.
     Polygon {
-        /// Its corners, clockwise or counter-clockwise.
+        /// The corners, clockwise or counter-clockwise.
         points_m: Vec<[f64; 2]>,
     },
 }

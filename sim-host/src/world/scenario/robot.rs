@@ -6,7 +6,7 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
-    /// Its number, unique in the scenario.
+    /// The robot's number, unique in the scenario.
     pub id: u16,
     /// Pose at the start; also the last stop of its route.
     pub start: StartConfig,

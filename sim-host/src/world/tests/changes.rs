@@ -1,4 +1,4 @@
-//! Moved furniture, opening and closing doors, and who waits for whom.
+//! Moved furniture, doors that open and close, and who waits for whom.
 
 use parry2d_f64::glamx::DVec2;
 
@@ -49,7 +49,7 @@ fn furniture_waits_until_its_place_is_free() {
         }
     }
     let (time, x) = moved_at.expect("the furniture is moved eventually");
-    // Until the robot is past the corner, it is too close.
+    // As long as the robot has not passed the corner, it is too close.
     assert!(time > 0.5 && x > 0.8, "moved at {time} s with the robot at {x}");
 }
 

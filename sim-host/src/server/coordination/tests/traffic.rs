@@ -158,7 +158,7 @@ fn a_dead_robot_in_the_door_causes_one_notice_per_robot() {
     floor.bodies[0].has_session = false;
     assert!(!floor.run(120, |floor| floor.count(Notice::Reached) > 0));
     assert_eq!(floor.count(Notice::NoWay), 2, "{:?}", floor.notices);
-    // It comes back, and all continue.
+    // The robot comes back, and all continue.
     floor.bodies[0].has_session = true;
     assert!(floor.run(120, |floor| floor.count(Notice::Reached) == 3), "{:?}", floor.notices);
     assert!(!floor.is_blocked());
