@@ -10,7 +10,7 @@ use ubimap_sim_host::{
     run::{options::SimulateOptions, simulate},
     world::NAMED,
 };
-use ubimap_tests::seeds::seeds;
+use ubimap_tests::{data, seeds::seeds};
 
 #[derive(Parser)]
 struct CommandLine {
@@ -25,12 +25,19 @@ fn robots_that_drive_themselves_never_collide() {
     let cameras: &[&str] = if is_filmed { &[] } else { &["--ideal-cameras"] };
     println!("| scenario | seed | collisions | contacts with people |\n|---|---|---|---|");
     let mut collisions = 0;
+    // The office's walls come from a map.
+    let plan = data::file("maps/ipa/lab_e.yaml").map(|path| path.display().to_string());
     for (scenario, seed) in
         NAMED.iter().flat_map(|(name, _)| seeds(2).map(move |seed| (name, seed)))
     {
         let number = seed.to_string();
-        let fixed = ["simulate", scenario, "--seed", &number];
-        let options = CommandLine::parse_from(fixed.iter().chain(cameras)).options;
+        let mut line = vec!["simulate", scenario, "--seed", &number];
+        line.extend(cameras);
+        if *scenario == "office" {
+            let Some(plan) = &plan else { continue };
+            line.extend(["--map", plan]);
+        }
+        let options = CommandLine::parse_from(line).options;
         let report = simulate::run(&options).unwrap().report;
         let driving = report.driving.unwrap();
         println!("| {} | {seed} | {} | {} |", scenario, driving.collisions, driving.touches);
