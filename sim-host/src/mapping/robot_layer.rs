@@ -92,8 +92,9 @@ pub struct Updated {
     pub tiles: BTreeSet<TileId>,
     /// The tiles and epochs with a complete state in this update, whether new or already held.
     pub complete: BTreeSet<(TileId, Epoch)>,
-    /// The tile that could not be decoded because its base is missing. The rest of the update was
-    /// skipped as well; requesting this tile restores all of it.
+    /// The tile that was not taken, because its base is missing or the robot exceeds its limits.
+    /// The rest of the update was skipped as well; requesting this tile restores all of it, or
+    /// keeps the robot from evicting it.
     pub missing: Option<TileId>,
     /// The limit because of which a tile, and the rest of the update, was refused.
     pub refused: Option<Limit>,
@@ -127,6 +128,8 @@ impl RobotLayer {
             let is_new = !known.is_some_and(|epochs| epochs.contains_key(&epoch));
             updated.refused = self.refuses(known.is_none(), is_new);
             if updated.refused.is_some() {
+                // The frame is acknowledged, but the robot must not take the tile for held.
+                updated.missing = Some(header.id);
                 return (updated, Ok(()));
             }
             self.epochs += usize::from(is_new);
@@ -420,6 +423,19 @@ mod tests {
         // Voided epochs do not count.
         layer.retire(Epoch(2));
         assert_eq!(layer.epochs, 1);
+    }
+
+    #[test]
+    fn a_tile_beyond_the_limit_is_requested() {
+        let mut layer = RobotLayer::default();
+        for index in 0..MAX_TILES {
+            let id = TileId { x: 100 + (index % 100) as i16, y: (index / 100) as i16 };
+            layer.tiles.insert(id, BTreeMap::new());
+        }
+        let (updated, result) = layer.update(&update(1, 1, None, &tile(&[(0, Cell::Free)])), 5);
+        assert_eq!(result, Ok(()));
+        assert!(updated.refused.is_some() && updated.complete.is_empty());
+        assert_eq!(updated.missing, Some(ID));
     }
 
     /// One frame must not use up the epochs that the robot needs for its reboots.
