@@ -38,7 +38,7 @@ pub(super) enum Cure {
     /// The new mounting was sent to the robot.
     Mounting { number: u16, turn: Angle },
     /// The robot was told to restart its tiles.
-    Retiring { number: u16 },
+    Retiring { number: u16, epoch: i32 },
 }
 
 /// A step of a cure.
@@ -83,9 +83,9 @@ impl Cure {
             }
             Self::Settling(until) if until <= now => {
                 let number = FIRST_OWN_NUMBER + 2;
-                *self = Self::Retiring { number };
-                let epoch = next.0.saturating_add(EPOCHS_AHEAD).min(LAST_EPOCH);
-                (number, set(Parameter::FirstEpoch, epoch as i32))
+                let epoch = next.0.saturating_add(EPOCHS_AHEAD).min(LAST_EPOCH) as i32;
+                *self = Self::Retiring { number, epoch };
+                (number, set(Parameter::FirstEpoch, epoch))
             }
             _ => return None,
         };
@@ -118,9 +118,10 @@ impl Cure {
                 *self = Self::Settling(now);
                 Some(CureStep::SensorCorrected)
             }
-            Self::Retiring { number } if number == report.number => {
+            Self::Retiring { number, epoch } if number == report.number => {
                 *self = Self::None;
-                Some(CureStep::Retire(Epoch(u32::try_from(value?).ok()?)))
+                // A robot that names another epoch would void tiles to come.
+                (value == Some(epoch)).then_some(CureStep::Retire(Epoch(epoch as u32)))
             }
             _ => None,
         }
@@ -142,6 +143,29 @@ fn set(parameter: Parameter, value: i32) -> ParameterAction {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_the_epoch_that_the_robot_was_given_is_retired() {
+        let retired = |value| {
+            let (mut cure, mut errors) = (Cure::Settling(Instant(0)), ConstantErrors::default());
+            let step = cure.poll(&mut errors, Epoch(5), Instant(0));
+            let Some(CureStep::Tell(command)) = step else { panic!() };
+            let value = ParameterValue { parameter: Parameter::FirstEpoch as u16, value };
+            let report = ParameterReport {
+                number: command.number,
+                outcome: ParameterOutcome::Done,
+                values: core::iter::once(value).collect(),
+            };
+            match cure.reported(&mut errors, &report, Instant(0)) {
+                Some(CureStep::Retire(epoch)) => Some(epoch),
+                _ => None,
+            }
+        };
+        assert_eq!(retired(5 + EPOCHS_AHEAD as i32), Some(Epoch(4_101)));
+        for value in [0, -1, 4_100, LAST_EPOCH as i32] {
+            assert_eq!(retired(value), None);
+        }
+    }
 
     #[test]
     fn a_robot_that_refuses_parameters_ends_the_cure() {
