@@ -25,7 +25,8 @@ pub struct RawRobot {
 impl RawRobot {
     /// Opens a session at a port.
     ///
-    /// # Panics If the server does not send a Welcome.
+    /// # Panics
+    /// If the server does not send a Welcome.
     pub fn connect(server: &mut Server, port: usize, id: RobotId, now: Instant) -> Self {
         Self::try_connect(server, port, id, now).expect("a welcome")
     }
@@ -41,18 +42,8 @@ impl RawRobot {
         now: Instant,
     ) -> Option<Self> {
         let mut link = Endpoint::new();
-        let hello = Hello {
-            version: VERSION,
-            min_version: MIN_VERSION,
-            robot: id,
-            nonce: 7,
-            frame: DEFAULT_FRAME as u16,
-            resolution: Millimetres(50),
-            fused_tiles: 64,
-        };
         let mut out = [0; MAX_FRAME];
-        let len = link.handshake(&hello, &mut out);
-        server.receive(port, &out[..len.expect("a hello fits")], now).expect("the port is open");
+        server.receive(port, &Self::hello(id, 7), now).expect("the port is open");
         let session = loop {
             let len = server.poll_transmit(port, now, &mut out)?;
             // Frames of the port's last session may come first.
@@ -62,6 +53,25 @@ impl RawRobot {
         };
         link.begin(session, DEFAULT_FRAME);
         Some(Self { id, port, link, versions: BTreeMap::new() })
+    }
+
+    /// The frame of a Hello.
+    ///
+    /// # Panics
+    /// Never: a Hello fits a frame.
+    pub fn hello(id: RobotId, nonce: u32) -> Vec<u8> {
+        let hello = Hello {
+            version: VERSION,
+            min_version: MIN_VERSION,
+            robot: id,
+            nonce,
+            frame: DEFAULT_FRAME as u16,
+            resolution: Millimetres(50),
+            fused_tiles: 64,
+        };
+        let mut out = [0; MAX_FRAME];
+        let len = Endpoint::<ToServer, (), 1, MAX_FRAME>::new().handshake(&hello, &mut out);
+        out[..len.expect("a hello fits")].to_vec()
     }
 
     /// The next frame, filled by `fill`.
@@ -79,6 +89,25 @@ impl RawRobot {
             Fill::Datagram
         });
         out[..sent.expect("a frame").len].to_vec()
+    }
+
+    /// Reads all frames that are due on its port. Returns the kinds of the session's messages.
+    ///
+    /// # Panics
+    /// If a frame is bad.
+    pub fn hear(&mut self, server: &mut Server, now: Instant) -> Vec<u8> {
+        let mut out = [0; MAX_FRAME];
+        let mut kinds = Vec::new();
+        while let Some(len) = server.poll_transmit(self.port, now, &mut out) {
+            match self.link.receive(&mut &out[..len], now) {
+                Some(Received::Session(messages)) => {
+                    kinds.extend(messages.filter_map(Result::ok).map(|message| message.number));
+                }
+                Some(Received::Handshake(_)) => {}
+                other => panic!("{other:?}"),
+            }
+        }
+        kinds
     }
 
     /// Sends a message.

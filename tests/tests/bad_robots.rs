@@ -4,7 +4,7 @@
 use ubimap_protocol::{
     frame::MAX_FRAME,
     link::Terms,
-    message::{DistanceVector, Interest},
+    message::{DistanceVector, Interest, ToRobotKind},
     tile::{Cell, Digest, TILE_SIDE, Tile, TileId},
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
@@ -13,7 +13,7 @@ use ubimap_sim_host::{
     camera::{Observation, Sighting},
     mapping::Weight,
     perception::robots::SightingEvent,
-    server::{RobotEvent, Server},
+    server::{Event, RobotEvent, Server},
 };
 use ubimap_tests::raw_robot::RawRobot;
 
@@ -264,4 +264,44 @@ fn cells_below_a_robot_are_not_occupied() {
         drain(&mut server, at(9_000) + Duration::from_secs(10 * step));
     }
     assert_eq!(code(&server), Cell::Occupied);
+}
+
+/// A robot draws and is seen for 40 s, while old Hellos with its number arrive every second if
+/// `replayed`. Returns the map, and the number of messages of each kind that the robot got.
+fn with_old_hellos(replayed: bool) -> (Digest, [usize; 2], u32, usize) {
+    let mut server = server();
+    let mut robot = RawRobot::connect(&mut server, 0, RobotId(1), at(0));
+    robot.say(&mut server, at(0), &Interest { number: 1, from: SEEN, to: BLIND });
+    let mut heard = [0; 2];
+    for step in 1..400_u64 {
+        let now = at(step * 100);
+        if replayed && step % 10 == 5 {
+            // Two Hellos of earlier boots in turn, and new ones.
+            let nonce = if step % 20 == 5 { 1 } else { 100 + step as u32 };
+            server.receive(0, &RawRobot::hello(RobotId(1), nonce), now).unwrap();
+        }
+        if step % 5 == 0 {
+            let apart = 3 + step as usize / 5 % 7;
+            robot.draw(&mut server, now, if step % 2 == 0 { BLIND } else { NEW }, &walls(2, apart));
+            let pose = Pose { x: Millimetres(step as i32), ..Pose::default() };
+            server.observe(&look(now, vec![Sighting::usual(RobotId(1), pose)]));
+        }
+        server.timeout(now);
+        let kinds = robot.hear(&mut server, now);
+        let count = |kind: ToRobotKind| kinds.iter().filter(|&&it| it == u8::from(kind)).count();
+        heard[0] += count(ToRobotKind::PoseFix);
+        heard[1] += count(ToRobotKind::TileUpdate).min(1);
+    }
+    let joined = std::iter::from_fn(|| server.poll_event());
+    let joined = joined.filter(|(_, event)| matches!(event, Event::Joined(..))).count();
+    (server.fused().digest(), heard, server.link_counters(0).bad, joined)
+}
+
+#[test]
+fn old_hellos_do_not_disturb_a_connected_robot() {
+    let undisturbed = with_old_hellos(false);
+    let (_, heard, bad, joined) = undisturbed;
+    assert!(heard[0] >= 70 && heard[1] > 0, "{heard:?}");
+    assert_eq!((bad, joined), (0, 1));
+    assert_eq!(with_old_hellos(true), undisturbed);
 }

@@ -199,3 +199,81 @@ impl Knock {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{boxed::Box, vec::Vec};
+
+    use ubimap_protocol::{
+        frame::MAX_FRAME,
+        link::{Answer, Terms, answer},
+        message::{Body, Reset},
+        time::Duration,
+        units::RobotId,
+    };
+
+    use super::*;
+    use crate::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
+
+    type Server = Endpoint<ToRobot, (), 1, MAX_FRAME>;
+
+    fn handshake(message: &impl Body<ToRobot>) -> Vec<u8> {
+        let mut out = [0; MAX_FRAME];
+        let len = Server::new().handshake(message, &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    /// The next frame of the robot, if it is a Hello.
+    fn hello(robot: &mut Robot<'_>, now: Instant) -> Option<Hello> {
+        let mut out = [0; MAX_FRAME];
+        let len = robot.poll_transmit(now, &mut out)?;
+        match Server::new().receive(&mut &out[..len], now) {
+            Some(Received::Handshake(message)) => message.decode().ok(),
+            _ => None,
+        }
+    }
+
+    fn welcome(hello: &Hello, session: u32) -> Vec<u8> {
+        let resolution = hello.resolution;
+        let terms = Terms { resolution, frame: 250, server_epoch: 1, stores: false };
+        match answer(hello, &terms, SessionId(session), 1) {
+            Answer::Welcome(welcome) => handshake(&welcome),
+            Answer::Refusal(refusal) => panic!("{refusal:?}"),
+        }
+    }
+
+    #[test]
+    fn answers_to_earlier_hellos_are_ignored() {
+        const BOUNDS: Bounds = Bounds::SMALL;
+        let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
+        let config = Config::new(RobotId(1), sensor, BOUNDS);
+        let mut robot = Robot::new(config, &mut memory).unwrap();
+        let at = |millis| Instant(0) + Duration::from_millis(millis);
+        let first = hello(&mut robot, at(0)).unwrap();
+        let earlier = Hello { nonce: first.nonce ^ 1, ..first };
+        robot.receive(&welcome(&earlier, 5), at(1));
+        assert!(!robot.is_connected());
+        let reason = RefusalReason::NumberInUse;
+        let refusal = handshake(&Refusal { nonce: first.nonce, reason });
+        robot.receive(&refusal, at(1));
+        assert_eq!(robot.refusal(), Some(reason));
+        assert_eq!(hello(&mut robot, at(9_000)), None, "the robot waits after a refusal");
+        assert_eq!(hello(&mut robot, at(10_001)), Some(first));
+        robot.receive(&welcome(&first, 7), at(10_002));
+        assert!(robot.is_connected() && robot.refusal().is_none());
+
+        // Repeated answers change nothing, neither in the session nor after it.
+        robot.receive(&welcome(&first, 8), at(10_003));
+        robot.receive(&refusal, at(10_003));
+        assert_eq!((robot.statistics().sessions, robot.refusal()), (1, None));
+        robot.receive(&handshake(&Reset), at(11_000));
+        assert!(!robot.is_connected());
+        robot.receive(&welcome(&first, 7), at(11_001));
+        robot.receive(&refusal, at(11_001));
+        assert!(!robot.is_connected() && robot.refusal().is_none());
+        let second = hello(&mut robot, at(11_002)).unwrap();
+        robot.receive(&welcome(&second, 9), at(11_003));
+        assert!(robot.is_connected());
+    }
+}

@@ -1090,7 +1090,7 @@ fn refused_messages() -> Value {
             2,
             &[0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x02, 0],
         ),
-        ("refusal, a reason that there is not", TO_ROBOT, 5, &[99, 3, 0]),
+        ("refusal, a reason that there is not", TO_ROBOT, 5, &[99, 4, 0]),
         ("pose fix, too many earlier ones", TO_ROBOT, 4, &{
             let mut body = [0; 9 + 16];
             body[8] = 4;
