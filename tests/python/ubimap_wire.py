@@ -443,12 +443,11 @@ def tile_hash(cells):
     return zlib.crc32(to_planes(cells))
 
 
-def base_check(cells):
-    """The 16 bits by which an update names the cells that it builds upon (8.3)."""
-    check = 0
+def base_check(cells, check):
+    """The sum over the bases of an update, whose upper 16 bits end it (8.3)."""
     for (row,) in struct.iter_unpack("<I", to_planes(cells)):
         check = ((check << 5 | check >> 27) ^ row) * 0x9E3779B9 & 0xFFFFFFFF
-    return check >> 16
+    return check
 
 
 def digest(tiles):
@@ -637,7 +636,7 @@ class Update:
     """Reads an update, a header at a time; the cells of each must be read before the next."""
 
     def __init__(self, coded):
-        self.coder, self.before, self.count = Decoder(coded, MODELS), None, 0
+        self.coder, self.before, self.count, self.check = Decoder(coded, MODELS), None, 0, None
 
     def header(self):
         coder = self.coder
@@ -646,6 +645,8 @@ class Update:
             epoch = None
         else:
             if not coder.bit(MORE):
+                if self.check is not None and coder.plain(16) != self.check >> 16:
+                    raise Refused("wrong base")
                 if coder.at < len(coder.data):
                     raise Refused("malformed")
                 return None
@@ -669,21 +670,21 @@ class Update:
         end = 1024 if coder.bit(TO_END) else coder.plain(10)
         if start >= end or not from_start and start == 0:
             raise Refused("malformed")
-        check = coder.plain(16) if has_base and from_start else None
         self.count += 1
         self.before = {
-            "x": x, "y": y, "epoch": epoch, "version": version, "base": base, "check": check,
-            "start": start, "end": end,
+            "x": x, "y": y, "epoch": epoch, "version": version, "base": base, "start": start, "end": end,
         }  # fmt: skip
         return self.before
 
     def cells(self, header, was):
+        if header["base"] is not None and header["start"] == 0:
+            self.check = base_check(was, self.check or 0)
         return code_cells(self.coder, header["start"], header["end"], was, None)
 
 
 def write_update(tiles):
     """The update of these headers, each with its cells `was` and `new`."""
-    coder, before = Encoder(MODELS), None
+    coder, before, check = Encoder(MODELS), None, None
     for header, was, new in tiles:
         if before is None:
             coder.signed(header["x"], 3)
@@ -709,10 +710,12 @@ def write_update(tiles):
         if header["end"] != 1024:
             coder.plain(header["end"], 10)
         if base is not None and header["start"] == 0:
-            coder.plain(base_check(was), 16)
+            check = base_check(was, check or 0)
         code_cells(coder, header["start"], header["end"], was, new)
         before = header
     coder.bit(MORE, 0)
+    if check is not None:
+        coder.plain(check >> 16, 16)
     return coder.finish()
 
 
@@ -737,12 +740,18 @@ class Replica:
             self.cells[start:end] = part[start:end]
             return "complete"
         elif start == 0:
-            is_held = held == (header["epoch"], header["base"]) and not self.next
-            if not is_held or header["check"] != base_check(self.cells):
+            if held != (header["epoch"], header["base"]) or self.next:
                 return "base missing"
         elif held != stamp or self.next != start:
             return "base missing"
-        self.cells = update.cells(header, self.cells)
+        cells = update.cells(header, self.cells)
+        if start == 0 and not whole:
+            # The end of an update of one tile tells whether the base was the right one.
+            try:
+                update.header()
+            except Refused:
+                return "wrong base"
+        self.cells = cells
         self.epoch, self.version = stamp
         self.next = end % 1024
         return "partial" if self.next else "complete"

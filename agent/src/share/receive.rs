@@ -280,7 +280,15 @@ impl<'b> FusedMap<'b> {
     pub fn update(&mut self, layer: Layer, coded: &[u8]) -> Result<(), TileError> {
         let mut decoder = TileDecoder::new(coded);
         let epoch = self.epoch;
-        while let Some(header) = decoder.header()? {
+        // Whether a tile builds upon cells that the end of the update has yet to confirm.
+        let mut is_unconfirmed = false;
+        loop {
+            let header = match decoder.header() {
+                Ok(Some(header)) => header,
+                Ok(None) => return Ok(()),
+                Err(_) if is_unconfirmed => break,
+                Err(error) => return Err(error),
+            };
             // A tile outside the window was sent before the window moved. If it is a whole tile, it
             // is skipped. Otherwise the rest of the message can't be decoded and is lost;
             // requesting the tile brings it back.
@@ -288,13 +296,20 @@ impl<'b> FusedMap<'b> {
             let mut replica = place.map_or(Replica::NOTHING, |place| place.replica(layer, epoch));
             let is_held = place.is_some();
             if replica.apply(&header, &mut decoder) == Err(BaseMissing) {
+                if is_unconfirmed {
+                    break;
+                }
                 self.request(layer, header.id);
                 return Ok(());
             }
+            is_unconfirmed |= header.names_base();
             if let Some(place) = self.place_mut(header.id).filter(|_| is_held) {
                 place.keep(layer, &replica);
             }
         }
+        // The update builds upon other cells than those held here, so that any tile may be wrong now.
+        self.places.iter_mut().for_each(|place| place.give_up(layer));
+        self.missing.iter_mut().filter(|it| it.layer == layer).for_each(|it| it.all = true);
         Ok(())
     }
 

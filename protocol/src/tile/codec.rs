@@ -6,7 +6,7 @@
 use core::fmt;
 
 use super::{
-    Epoch, Stamp, TILE_SIDE, Tile, TileId, Version, base_check, cells,
+    BaseCheck, Epoch, Stamp, TILE_SIDE, Tile, TileId, Version, cells,
     context::{self, Models},
     header::{TILE_CELLS, TileHeader},
     range_coder::{Decoder, Encoder},
@@ -30,12 +30,19 @@ pub struct TileEncoder<'a> {
     models: Models,
     previous: Option<(TileId, Epoch)>,
     tiles: usize,
+    check: BaseCheck,
 }
 
 impl<'a> TileEncoder<'a> {
     /// Writes to `out` from its start.
     pub fn new(out: &'a mut [u8]) -> Self {
-        Self { coder: Encoder::new(out), models: context::models(), previous: None, tiles: 0 }
+        Self {
+            coder: Encoder::new(out),
+            models: context::models(),
+            previous: None,
+            tiles: 0,
+            check: BaseCheck::default(),
+        }
     }
 
     /// Number of tiles in the update.
@@ -68,15 +75,17 @@ impl<'a> TileEncoder<'a> {
         if base == Some(Version(0)) || stamp.version <= min {
             return None;
         }
-        let check = if base.is_some() && start == 0 { base_check(old) } else { 0 };
         let (before, models) = (self.coder.checkpoint(), self.models);
         let mut end = TILE_CELLS;
         loop {
-            let header = TileHeader { id, stamp, base, check, start, end };
+            let header = TileHeader { id, stamp, base, start, end };
             let fitted = self.try_push(&header, old, new);
             if fitted >= end {
                 self.previous = Some((id, stamp.epoch));
                 self.tiles += 1;
+                if header.names_base() {
+                    self.check.add(old);
+                }
                 return Some(end);
             }
             self.coder.rewind(before);
@@ -96,6 +105,9 @@ impl<'a> TileEncoder<'a> {
         }
         let (mut coder, mut models) = (self.coder, self.models);
         coder.bit(&mut models[context::MORE], false);
+        if let Some(check) = self.check.value() {
+            coder.plain(check, 16);
+        }
         coder.finish()
     }
 
@@ -140,9 +152,6 @@ impl<'a> TileEncoder<'a> {
         if !to_end {
             coder.plain(u32::from(header.end), 10);
         }
-        if header.base.is_some() && from_start {
-            coder.plain(u32::from(header.check), 16);
-        }
     }
 }
 
@@ -153,12 +162,16 @@ pub enum TileError {
     Malformed,
     /// More than [`MAX_TILES_PER_UPDATE`] tiles.
     TooManyTiles,
+    /// The tiles that the update builds upon have other cells here: what was read is wrong. Request them
+    /// whole.
+    WrongBase,
 }
 
 impl fmt::Display for TileError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Malformed => f.write_str("the tile update is malformed"),
+            Self::WrongBase => f.write_str("the tile update builds upon other cells"),
             Self::TooManyTiles => {
                 write!(f, "the tile update has more than {MAX_TILES_PER_UPDATE} tiles")
             }
@@ -175,18 +188,25 @@ pub struct TileDecoder<'a> {
     models: Models,
     previous: Option<(TileId, Epoch)>,
     tiles: usize,
+    check: BaseCheck,
 }
 
 impl<'a> TileDecoder<'a> {
     /// Reads an update written by a [`TileEncoder`].
     pub fn new(coded: &'a [u8]) -> Self {
-        Self { coder: Decoder::new(coded), models: context::models(), previous: None, tiles: 0 }
+        Self {
+            coder: Decoder::new(coded),
+            models: context::models(),
+            previous: None,
+            tiles: 0,
+            check: BaseCheck::default(),
+        }
     }
 
     /// The header of the next tile, `None` after the last. Call [`TileDecoder::cells`] for its cells
     /// before asking for the next header.
     pub fn header(&mut self) -> Result<Option<TileHeader>, TileError> {
-        let Self { coder, models, previous, tiles } = self;
+        let Self { coder, models, previous, tiles, .. } = self;
         let (id, epoch) = match *previous {
             None => (
                 tile_id(coder.signed(FIRST_ID_ORDER), coder.signed(FIRST_ID_ORDER))?,
@@ -194,6 +214,9 @@ impl<'a> TileDecoder<'a> {
             ),
             Some((id, epoch)) => {
                 if !coder.bit(&mut models[context::MORE]) {
+                    if self.check.value().is_some_and(|check| coder.plain(16) != check) {
+                        return Err(TileError::WrongBase);
+                    }
                     let whole = coder.is_exhausted();
                     return if whole { Ok(None) } else { Err(TileError::Malformed) };
                 }
@@ -224,18 +247,20 @@ impl<'a> TileDecoder<'a> {
         let start = if from_start { 0 } else { coder.plain(10) as u16 };
         let to_end = coder.bit(&mut models[context::TO_END]);
         let end = if to_end { TILE_CELLS } else { coder.plain(10) as u16 };
-        let check = if has_base && from_start { coder.plain(16) as u16 } else { 0 };
         if start >= end || from_start == (start != 0) {
             return Err(TileError::Malformed);
         }
         *previous = Some((id, epoch));
         *tiles += 1;
-        Ok(Some(TileHeader { id, stamp: Stamp { epoch, version }, base, check, start, end }))
+        Ok(Some(TileHeader { id, stamp: Stamp { epoch, version }, base, start, end }))
     }
 
     /// Reads the cells of the part described by `header` into `tile`. From `header.start` on, `tile`
     /// must hold the base (or unknown cells without one), and before it the new cells.
     pub fn cells(&mut self, header: &TileHeader, tile: &mut Tile) {
+        if header.names_base() {
+            self.check.add(tile);
+        }
         cells::take(&mut self.coder, &mut self.models, header, tile);
     }
 }

@@ -13,19 +13,28 @@ pub fn tile_hash(tile: &Tile) -> u32 {
     crc32(&[&bytes])
 }
 
-/// The check of a base's cells in 16 bits, by which an update names what it builds upon (SPEC 8.3): from
-/// 0, for each row of the low plane, then of the high plane, rotate the sum left by 5 bits, exclusive-or
-/// the row, and multiply by 2,654,435,769, modulo 2^32; then the upper 16 bits. Some 200 instructions on
-/// a Cortex-M4.
-#[inline(never)]
-pub fn base_check(tile: &Tile) -> u16 {
-    let mut sum = 0u32;
-    for plane in [&tile.low, &tile.high] {
-        for row in plane {
-            sum = (sum.rotate_left(5) ^ row).wrapping_mul(0x9E37_79B9);
+/// The check of the cells that an update builds upon, in 16 bits: two sides may hold different cells
+/// under one stamp (SPEC 8.3). Some 200 instructions for each base on a Cortex-M4.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct BaseCheck(Option<u32>);
+
+impl BaseCheck {
+    /// Adds the cells of a base.
+    #[inline(never)]
+    pub(super) fn add(&mut self, base: &Tile) {
+        let mut sum = self.0.unwrap_or(0);
+        for plane in [&base.low, &base.high] {
+            for row in plane {
+                sum = (sum.rotate_left(5) ^ row).wrapping_mul(0x9E37_79B9);
+            }
         }
+        self.0 = Some(sum);
     }
-    (sum >> 16) as u16
+
+    /// The check; `None` if nothing was added.
+    pub(super) fn value(self) -> Option<u32> {
+        self.0.map(|sum| sum >> 16)
+    }
 }
 
 /// The digest of a set of tiles, independent of their order: the wrapping sum of the CRC-32 of each

@@ -16,9 +16,6 @@ pub struct TileHeader {
     pub stamp: Stamp,
     /// The version (of the same epoch) that the update builds upon; `None` for a whole tile.
     pub base: Option<Version>,
-    /// The [`base_check`](super::base_check) of the base's cells, in the first part of an update with a
-    /// base; otherwise 0.
-    pub check: u16,
     /// The first cell of this part; cells are numbered row by row from the south-west.
     pub start: u16,
     /// The cell after the last of this part; 1,024 in the last part.
@@ -26,6 +23,11 @@ pub struct TileHeader {
 }
 
 impl TileHeader {
+    /// Whether its cells build upon a base: only the first part of an update names one's cells.
+    pub fn names_base(&self) -> bool {
+        self.base.is_some() && self.start == 0
+    }
+
     /// Whether this is the tile's last part.
     pub(super) fn ends_tile(&self) -> bool {
         self.end == TILE_CELLS

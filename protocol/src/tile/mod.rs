@@ -13,7 +13,8 @@ mod replica;
 mod stamp;
 
 pub use codec::{MAX_TILES_PER_UPDATE, TileDecoder, TileEncoder, TileError};
-pub use digest::{Digest, base_check, tile_hash};
+use digest::BaseCheck;
+pub use digest::{Digest, tile_hash};
 pub use header::{TILE_CELLS, TileHeader};
 pub use planes::{Cell, Layer, Row, TILE_SIDE, Tile, TileId, cell_of};
 pub use replica::{Applied, BaseMissing, Publication, Replica};

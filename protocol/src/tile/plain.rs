@@ -243,7 +243,6 @@ fn part() -> impl Strategy<Value = TileHeader> {
         id: TileId::default(),
         stamp: Stamp { epoch: Epoch(1), version: Version(2) },
         base: Some(Version(1)),
-        check: 0,
         start,
         end: if end > start { end } else { TILE_CELLS },
     })

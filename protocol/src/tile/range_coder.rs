@@ -72,8 +72,8 @@ pub(super) struct Checkpoint {
 }
 
 impl<'a> Encoder<'a> {
-    /// Maximum number of bytes that one more decision and [`Encoder::finish`] write.
-    const TAIL: usize = 4;
+    /// Maximum number of bytes that one more decision, 16 bits and [`Encoder::finish`] write.
+    const TAIL: usize = 6;
 
     /// Writes to `out` from its start.
     pub(super) fn new(out: &'a mut [u8]) -> Self {

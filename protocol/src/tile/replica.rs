@@ -7,7 +7,7 @@ use core::fmt;
 
 use super::{
     Epoch, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder, TileEncoder, TileHeader, TileId,
-    Version, base_check,
+    Version,
 };
 
 /// A tile at its receiver.
@@ -29,7 +29,7 @@ pub enum Applied {
     Old,
 }
 
-/// The replica does not hold the base of the update, or holds other cells in its place. The cells of the update, and everything after it
+/// The replica does not hold the base of the update. The cells of the update, and everything after it
 /// in the same message, cannot be read: request the whole tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BaseMissing;
@@ -98,8 +98,7 @@ impl Replica {
             (0, None) => self.tile = Tile::UNKNOWN,
             (0, Some(base)) => {
                 let base = Stamp { version: base, ..header.stamp };
-                let is_held = self.stamp == base && !self.is_partial();
-                if !is_held || base_check(&self.tile) != header.check {
+                if self.stamp != base || self.is_partial() {
                     return Err(BaseMissing);
                 }
             }

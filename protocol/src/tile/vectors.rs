@@ -126,7 +126,6 @@ fn refused() -> Vec<Value> {
         id: TileId { x: 1, y: -1 },
         stamp: Stamp { epoch: Epoch(2), version: Version(5) },
         base: Some(Version(4)),
-        check: 0,
         start: 0,
         end: TILE_CELLS,
     };
@@ -250,6 +249,7 @@ fn the_coder_reads_and_writes_its_vectors() {
                 Ok(None) => panic!("not refused: {}", case["name"]),
                 Err(TileError::Malformed) => break "malformed",
                 Err(TileError::TooManyTiles) => break "too many tiles",
+                Err(TileError::WrongBase) => break "wrong base",
             }
         };
         assert_eq!(error, case["error"].as_str().unwrap(), "{}", case["name"]);

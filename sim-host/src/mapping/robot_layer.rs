@@ -107,6 +107,10 @@ impl RobotLayer {
     /// # Errors On a [`TileError`] the rest of the update is not decoded.
     pub fn update(&mut self, coded: &[u8], seconds: u32) -> (Updated, Result<(), TileError>) {
         let mut updated = Updated::default();
+        updated.missing = self.wrong_base(coded);
+        if updated.missing.is_some() {
+            return (updated, Ok(()));
+        }
         let mut decoder = TileDecoder::new(coded);
         loop {
             let header = match decoder.header() {
@@ -183,6 +187,30 @@ impl RobotLayer {
     /// Sets the maximum memory in bytes. What is there is kept and can be updated; more is refused.
     pub fn set_limit(&mut self, bytes: usize) {
         self.limit = Some(bytes);
+    }
+
+    /// A tile of an update that builds upon other cells than those held here. Decodes the update on
+    /// copies, since only its end tells.
+    fn wrong_base(&self, coded: &[u8]) -> Option<TileId> {
+        let mut copies = BTreeMap::<(TileId, Epoch), Replica>::new();
+        let mut decoder = TileDecoder::new(coded);
+        let mut unconfirmed = None;
+        loop {
+            let header = match decoder.header() {
+                Ok(Some(header)) => header,
+                Ok(None) => return None,
+                Err(_) => return unconfirmed,
+            };
+            let (id, epoch) = (header.id, header.stamp.epoch);
+            let held = || self.tiles.get(&id)?.get(&epoch).map(|held| held.replica.clone());
+            let copy = copies.entry((id, epoch)).or_insert_with(|| held().unwrap_or_default());
+            if copy.apply(&header, &mut decoder).is_err() {
+                return unconfirmed;
+            }
+            if header.names_base() {
+                unconfirmed = unconfirmed.or(Some(id));
+            }
+        }
     }
 
     /// Joins the epochs of a tile again; changed cells get the time `seconds`. Returns whether any
