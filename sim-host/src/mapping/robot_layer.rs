@@ -106,8 +106,7 @@ impl RobotLayer {
     ///
     /// # Errors On a [`TileError`] the rest of the update is not decoded.
     pub fn update(&mut self, coded: &[u8], seconds: u32) -> (Updated, Result<(), TileError>) {
-        let mut updated = Updated::default();
-        updated.missing = self.wrong_base(coded);
+        let mut updated = Updated { missing: self.wrong_base(coded), ..Updated::default() };
         if updated.missing.is_some() {
             return (updated, Ok(()));
         }
