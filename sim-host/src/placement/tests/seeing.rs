@@ -174,6 +174,7 @@ fn compare(
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn furniture_hides_what_is_behind_it() {
     let mut all = [0; 3];
     for seed in 0..6 {

@@ -135,6 +135,7 @@ fn a_flipped_bit_anywhere_is_noticed_or_harmless() {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn garbage_anywhere_is_noticed_or_harmless() {
     let noticed = count_noticed("store-garbage", 200, |file, random| {
         let at = below(random, file.len() - 16);
@@ -145,6 +146,7 @@ fn garbage_anywhere_is_noticed_or_harmless() {
 
 /// The first page has the header and the tables' definitions.
 #[test]
+#[ignore = "long: cargo thorough"]
 fn damage_of_the_first_page_is_noticed_or_harmless() {
     let noticed = count_noticed("store-header", 1500, |file, random| {
         let at = below(random, 4_096);

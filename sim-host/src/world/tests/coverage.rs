@@ -10,6 +10,7 @@ use super::{super::room::CellGrid, built_in, seconds};
 use crate::{camera::Source, world::Scenario};
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn cameras_and_robots_together_see_the_room() {
     let scenario = Scenario::built_in().unwrap();
     let mut world = built_in(1);

@@ -65,6 +65,7 @@ fn each_robot_has_noise_of_its_own() {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn nobody_runs_into_anything() {
     for seed in 1..=3 {
         let mut world = built_in(seed);

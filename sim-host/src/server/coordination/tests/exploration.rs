@@ -98,6 +98,7 @@ fn a_maze_is_explored_completely() {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn three_robots_share_rooms() {
     let starts = [Point::new(1.0, 4.0), Point::new(2.0, 4.0), Point::new(3.0, 4.0)];
     let mut times = Vec::new();
