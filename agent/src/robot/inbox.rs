@@ -69,7 +69,10 @@ impl Mapper<'_> {
                 if head.layer == Layer::Robot {
                     return None;
                 }
-                self.fused.update(head.layer, coded).ok()?;
+                let (publisher, pool) = (&mut self.outbox.publisher, &mut self.map.pool);
+                // Cells that agreed with a wrong tile of the server's map are news after all.
+                let dropped = |id| publisher.requested(pool, id, now);
+                self.fused.update(head.layer, coded, dropped).ok()?;
             }
             ToRobotMessage::Request(request) => self.requested(&request.decode().ok()?, now),
             ToRobotMessage::Peers(_)

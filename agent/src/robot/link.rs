@@ -47,8 +47,12 @@ impl Link {
         }
     }
 
+    pub(super) fn session(&self) -> Option<SessionId> {
+        Some(self.endpoint.session()).filter(|&session| session != SessionId::NONE)
+    }
+
     pub(super) fn is_connected(&self) -> bool {
-        self.endpoint.session() != SessionId::NONE
+        self.session().is_some()
     }
 
     pub(super) fn server_epoch(&self) -> Option<Epoch> {
@@ -133,7 +137,7 @@ impl Link {
     fn refused(&mut self, refusal: &Refusal, now: Instant) {
         if refusal.nonce == self.knocking.nonce() && !self.is_connected() {
             self.refusal = Some(refusal.reason);
-            self.knocking.refused(now);
+            self.knocking.refused(refusal.reason, now);
         }
     }
 
@@ -258,22 +262,26 @@ mod tests {
         let refusal = handshake(&Refusal { nonce: first.nonce, reason });
         robot.receive(&refusal, at(1));
         assert_eq!(robot.refusal(), Some(reason));
-        assert_eq!(hello(&mut robot, at(9_000)), None, "the robot waits after a refusal");
-        assert_eq!(hello(&mut robot, at(10_001)), Some(first));
-        robot.receive(&welcome(&first, 7), at(10_002));
+        assert_eq!(hello(&mut robot, at(2_900)), None, "the robot waits after a refusal");
+        assert_eq!(hello(&mut robot, at(3_002)), Some(first));
+        let reason = RefusalReason::Frame(64);
+        robot.receive(&handshake(&Refusal { nonce: first.nonce, reason }), at(3_003));
+        assert_eq!(hello(&mut robot, at(9_900)), None, "the server must be configured first");
+        assert_eq!(hello(&mut robot, at(13_004)), Some(first));
+        robot.receive(&welcome(&first, 7), at(14_002));
         assert!(robot.is_connected() && robot.refusal().is_none());
 
         // Repeated answers change nothing, neither in the session nor after it.
-        robot.receive(&welcome(&first, 8), at(10_003));
-        robot.receive(&refusal, at(10_003));
+        robot.receive(&welcome(&first, 8), at(14_003));
+        robot.receive(&refusal, at(14_003));
         assert_eq!((robot.statistics().sessions, robot.refusal()), (1, None));
-        robot.receive(&handshake(&Reset), at(11_000));
+        robot.receive(&handshake(&Reset), at(15_000));
         assert!(!robot.is_connected());
-        robot.receive(&welcome(&first, 7), at(11_001));
-        robot.receive(&refusal, at(11_001));
+        robot.receive(&welcome(&first, 7), at(15_001));
+        robot.receive(&refusal, at(15_001));
         assert!(!robot.is_connected() && robot.refusal().is_none());
-        let second = hello(&mut robot, at(11_002)).unwrap();
-        robot.receive(&welcome(&second, 9), at(11_003));
+        let second = hello(&mut robot, at(15_002)).unwrap();
+        robot.receive(&welcome(&second, 9), at(15_003));
         assert!(robot.is_connected());
     }
 }

@@ -20,6 +20,7 @@ mod surroundings;
 mod writing;
 
 use ubimap_protocol::{
+    frame::SessionId,
     link::Counters,
     message::RefusalReason,
     tile::Epoch,
@@ -357,6 +358,11 @@ impl<'b, D: Drive> Robot<'b, D> {
     /// The epoch of the server in the last session.
     pub fn server_epoch(&self) -> Option<Epoch> {
         self.link.server_epoch()
+    }
+
+    /// The session with the server, if one is open.
+    pub fn session(&self) -> Option<SessionId> {
+        self.link.session()
     }
 
     /// Whether a session with the server is open.

@@ -355,7 +355,7 @@ mod tests {
         let stamp = Stamp { epoch: Epoch(7), version: Version(1) };
         encoder.push(id, stamp, None, 0, &Tile::UNKNOWN, &free).unwrap();
         let len = encoder.finish().unwrap();
-        assert_eq!(merged.update(Layer::Fused, &out[..len]), Ok(()));
+        assert_eq!(merged.update(Layer::Fused, &out[..len], |_| ()), Ok(()));
 
         let mut places = [OwnTile::FREE; 1];
         let config = MappingConfig {

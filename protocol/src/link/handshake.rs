@@ -4,7 +4,7 @@
 //! frames of an unknown session answers with a Reset, after which the robot sends a Hello at once.
 //! So either side notices a reboot of the other with the first frame that arrives.
 
-use super::timing::{HELLO_WAIT, REFUSED_WAIT};
+use super::timing::{HELLO_WAIT, NUMBER_WAIT, REFUSED_WAIT};
 use crate::{
     frame::{MAX_FRAME, MIN_FRAME, MIN_VERSION, VERSION},
     message::{Hello, Refusal, RefusalReason, Welcome},
@@ -59,9 +59,10 @@ impl Knocking {
         self.next = now;
     }
 
-    /// Postpones the next hello after a refusal: the server may be reconfigured meanwhile.
-    pub fn refused(&mut self, now: Instant) {
-        self.next = now + REFUSED_WAIT;
+    /// Postpones the next hello after a refusal.
+    pub fn refused(&mut self, reason: RefusalReason, now: Instant) {
+        let is_brief = reason == RefusalReason::NumberInUse;
+        self.next = now + if is_brief { NUMBER_WAIT } else { REFUSED_WAIT };
     }
 }
 

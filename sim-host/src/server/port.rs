@@ -202,6 +202,10 @@ impl Port {
         self.session.as_ref()
     }
 
+    pub(super) fn session_id(&self) -> Option<SessionId> {
+        self.session.as_ref().map(|_| self.link.session())
+    }
+
     pub(super) fn session_mut(&mut self) -> Option<&mut Session> {
         self.session.as_mut()
     }

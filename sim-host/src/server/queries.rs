@@ -1,6 +1,7 @@
 //! Read access to the server's state.
 
 use ubimap_protocol::{
+    frame::SessionId,
     link::Counters,
     message::{DistanceVector, Obstacle, ParameterReport, State},
     tile::{Epoch, TileId},
@@ -161,6 +162,11 @@ impl Server {
     /// The robot with a session on a port.
     pub fn robot_at(&self, port: usize) -> Option<RobotId> {
         self.ports.get(port).ok()?.robot()
+    }
+
+    /// The session on a port.
+    pub fn session_at(&self, port: usize) -> Option<SessionId> {
+        self.ports.get(port).ok()?.session_id()
     }
 
     /// Bytes sent at a port, including framing and retransmissions.

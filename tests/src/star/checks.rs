@@ -33,8 +33,10 @@ impl<'b> Star<'b> {
                 self.server.robot_at(member.port)
             ));
         }
+        if robot.session() != self.server.session_at(member.port) {
+            return Some("it uses another session than the server".into());
+        }
         if self.server.state(member.id).is_none() {
-            // An old hello may have opened the session: the robot then uses another one.
             return Some("the server has heard nothing of it in this session".into());
         }
         if !robot.is_idle() {
