@@ -37,7 +37,9 @@ impl Damaged {
     pub(super) fn joined(&mut self, session: &mut Session, now: Instant) {
         if let Some(awaited) = self.robots.get_mut(&session.robot()) {
             awaited.until = Some(now + RESEND_TIME);
-            awaited.tiles.iter().for_each(|&(id, _)| session.ask_for(id));
+            for &(id, _) in &awaited.tiles {
+                session.ask_for(id);
+            }
         }
     }
 

@@ -9,6 +9,7 @@
 //! | `correction` | constant errors of robots, and pose fixes in blind ground |
 //! | [`coordination`], `dispatch` | decides who drives where |
 //! | `unsaved`, `records`, `damaged` | state to be stored on disk, and what was damaged there |
+//! | `voided` | tiles that have lost a robot's observations |
 //! | `events`, `queries` | events, and read access |
 
 mod command;
@@ -28,6 +29,7 @@ mod shared_map;
 mod snapshot;
 mod surroundings;
 mod unsaved;
+mod voided;
 
 use std::collections::BTreeSet;
 
@@ -52,6 +54,7 @@ use self::{
     snapshot::Snapshot,
     surroundings::Surroundings,
     unsaved::Unsaved,
+    voided::Voided,
 };
 use crate::{
     camera::{Observation, Sighting},
@@ -85,6 +88,7 @@ pub struct Server {
     exceeded: BTreeSet<(RobotId, Limit)>,
     unsaved: Unsaved,
     damaged: Damaged,
+    voided: Voided,
 }
 
 impl Server {
@@ -102,6 +106,7 @@ impl Server {
             exceeded: BTreeSet::new(),
             unsaved: Unsaved::new(terms.stores),
             damaged: Damaged::default(),
+            voided: Voided::default(),
         };
         for _ in 0..ports {
             server.open_port();
@@ -190,6 +195,7 @@ impl Server {
                     self.corrections.forget(robot);
                     self.surroundings.forget(robot);
                     self.ports.forget(robot);
+                    self.voided.forget(robot);
                 }
             }
         }
@@ -215,10 +221,17 @@ impl Server {
         for event in taken.events {
             self.events.add_from(port, now, Event::Reported(robot, event));
         }
+        let must_ask = self.voided.concerns(robot) && self.is_level(robot);
         let Some(session) = self.ports.session_mut(robot) else { return };
+        if must_ask {
+            self.voided.ask(session);
+        }
         let is_held_up = self.unsaved.holds_up(robot);
         if let Some(record) = self.corrections.advance(session, &self.map, is_held_up, now) {
-            self.map.retire(robot, record.first_epoch);
+            let void = self.map.retire(robot, record.first_epoch);
+            if !void.is_empty() {
+                self.voided.add(robot, &void);
+            }
             self.unsaved.add_cure(record);
         }
     }

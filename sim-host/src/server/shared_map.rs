@@ -145,10 +145,11 @@ impl SharedMap {
         self.cameras.observe(observation)
     }
 
-    /// Voids a robot's tiles of epochs below this one.
-    pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) {
+    /// Voids a robot's tiles of epochs below this one. Returns the changed tiles.
+    pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) -> BTreeSet<TileId> {
         let void = self.layer_mut(robot).retire(first_epoch);
         self.changed(&void);
+        void
     }
 
     /// Marks a robot's tile as stored on disk.

@@ -173,9 +173,9 @@ impl Session {
         self.replies.stored(id, stamp);
     }
 
-    /// Requests one of the robot's tiles.
-    pub(super) fn ask_for(&mut self, id: TileId) {
-        self.replies.missing(id);
+    /// Requests one of the robot's tiles. Returns false if too many requests wait.
+    pub(super) fn ask_for(&mut self, id: TileId) -> bool {
+        self.replies.missing(id)
     }
 
     /// Whether a message waits that goes before retransmissions: a fix or a Stop.

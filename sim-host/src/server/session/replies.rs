@@ -52,12 +52,17 @@ impl Replies {
         self.newest_stored.insert(id, stamp);
     }
 
-    /// Queues a request for a robot's tile that is missing or differs. Excess requests are dropped;
-    /// the robot's digests cause them again.
-    pub(super) fn missing(&mut self, id: TileId) {
-        if self.missing.len() < MAX_WAITING && !self.missing.contains(&id) {
+    /// Queues a request for a robot's tile that is missing or differs. Returns false if there are too
+    /// many; the robot's digests cause them again.
+    pub(super) fn missing(&mut self, id: TileId) -> bool {
+        if self.missing.contains(&id) {
+            return true;
+        }
+        let has_room = self.missing.len() < MAX_WAITING;
+        if has_room {
             self.missing.push(id);
         }
+        has_room
     }
 
     /// Adds the answers to time requests to a frame.
