@@ -11,7 +11,10 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::RobotId,
 };
-use ubimap_sim_host::{mapping::TileRecord, server::Server};
+use ubimap_sim_host::{
+    mapping::{CureRecord, TileRecord},
+    server::Server,
+};
 
 /// Maximum duration of a write in microseconds, as on a busy disk.
 const SLOWEST: u64 = 1_500_000;
@@ -22,11 +25,19 @@ const FAILING: f64 = 0.1;
 /// A robot's own tiles, with the version of each that it published last.
 pub type Held = BTreeMap<(TileId, Epoch), Version>;
 
+/// What is written.
+#[derive(Clone, Debug, Default)]
+struct Contents {
+    tiles: BTreeMap<(RobotId, TileId, Epoch), TileRecord>,
+    seconds: BTreeMap<(RobotId, TileId), [u32; TILE_CELLS as usize]>,
+    cures: BTreeMap<RobotId, CureRecord>,
+}
+
 /// The disk.
 #[derive(Debug, Default)]
 pub struct Disk {
-    tiles: BTreeMap<(RobotId, TileId, Epoch), TileRecord>,
-    seconds: BTreeMap<(RobotId, TileId), [u32; TILE_CELLS as usize]>,
+    contents: Contents,
+    backup: Contents,
     /// Writes in progress, with the time at which each will be confirmed.
     writes: VecDeque<(Instant, RobotId, TileRecord)>,
 }
@@ -48,6 +59,39 @@ impl Disk {
             server.stored(robot, &record);
             self.write(robot, record);
         }
+        let cures: Vec<CureRecord> = server.unsaved_cures().copied().collect();
+        for record in cures {
+            if rng.random_bool(FAILING) {
+                break;
+            }
+            self.write_cure(record);
+            server.cure_stored(&record);
+        }
+    }
+
+    /// Writes the progress of a cure, and deletes the robot's void tiles.
+    pub fn write_cure(&mut self, record: CureRecord) {
+        let is_void = |robot, epoch| robot == record.robot && epoch < record.first_epoch;
+        self.contents.tiles.retain(|&(robot, _, epoch), _| !is_void(robot, epoch));
+        self.writes.retain(|(_, robot, tile)| !is_void(*robot, tile.stamp.epoch));
+        self.contents.cures.insert(record.robot, record);
+    }
+
+    /// The robots whose cures are not over.
+    pub fn curing(&self) -> impl Iterator<Item = RobotId> {
+        let cures = self.contents.cures.values().filter(|record| !record.is_over);
+        cures.map(|record| record.robot)
+    }
+
+    /// Copies what is written.
+    pub fn back_up(&mut self) {
+        self.backup = self.contents.clone();
+    }
+
+    /// Replaces what is written by the last copy, of an empty disk if there is none.
+    pub fn revert(&mut self) {
+        self.contents = self.backup.clone();
+        self.writes.clear();
     }
 
     /// When the next write will be confirmed.
@@ -64,8 +108,11 @@ impl Disk {
 
     /// Restores the stored records into a new server.
     pub fn restore(&self, server: &mut Server) {
-        for (&(robot, id, _), record) in &self.tiles {
-            let seconds = self.seconds[&(robot, id)];
+        for record in self.contents.cures.values() {
+            server.restore_cured(record);
+        }
+        for (&(robot, id, _), record) in &self.contents.tiles {
+            let seconds = self.contents.seconds[&(robot, id)];
             server.restore(robot, &TileRecord { seconds, ..record.clone() });
         }
     }
@@ -74,7 +121,7 @@ impl Disk {
     ///
     /// # Panics If a stored cell is lost.
     pub fn check_server(&self, server: &Server) {
-        for (&(robot, id, _), record) in &self.tiles {
+        for (&(robot, id, _), record) in &self.contents.tiles {
             let seen = server.layer(robot).and_then(|layer| layer.seen(id));
             let known = |tile: &Tile, y: usize| tile.row(y).known();
             let kept = seen.is_some_and(|seen| {
@@ -85,19 +132,26 @@ impl Disk {
     }
 
     /// Checks that each tile is stored that a robot believes to be stored, or that it has discarded
-    /// since `before`.
+    /// since `before`; not of a robot that `is_excused`.
     ///
     /// # Panics If such a tile is not stored.
-    pub fn check_robot(&self, robot: RobotId, pool: &Pool<'_>, before: &mut Held) {
+    pub fn check_robot(
+        &self,
+        robot: RobotId,
+        pool: &Pool<'_>,
+        before: &mut Held,
+        is_excused: bool,
+    ) {
         let mut held = Held::new();
         for tile in pool.tiles() {
             let Some(id) = tile.id() else { continue };
             held.insert((id, tile.epoch()), tile.publication().version());
-            let stored = tile.stored() == Version(0) || self.has(robot, id, tile);
+            let stored = is_excused || tile.stored() == Version(0) || self.has(robot, id, tile);
             assert!(stored, "robot {} believes that {id:?} {:?} is stored", robot.0, tile.stored());
         }
-        for (&(id, epoch), &version) in before.iter().filter(|(key, _)| !held.contains_key(key)) {
-            let there = self.tiles.get(&(robot, id, epoch));
+        let gone = before.iter().filter(|(key, _)| !is_excused && !held.contains_key(key));
+        for (&(id, epoch), &version) in gone {
+            let there = self.contents.tiles.get(&(robot, id, epoch));
             let stored = there.is_some_and(|record| record.stamp.version >= version);
             assert!(
                 stored || version == Version(0),
@@ -111,14 +165,16 @@ impl Disk {
     /// Whether the version that a robot believes to be stored is on disk. If it is the robot's
     /// newest version, the cells must be equal, too.
     fn has(&self, robot: RobotId, id: TileId, tile: &OwnTile) -> bool {
-        let Some(record) = self.tiles.get(&(robot, id, tile.epoch())) else { return false };
+        let Some(record) = self.contents.tiles.get(&(robot, id, tile.epoch())) else {
+            return false;
+        };
         let sent = tile.publication();
         let same = sent.is_acknowledged() && sent.version() == record.stamp.version;
         record.stamp.version >= tile.stored() && (!same || record.cells == *sent.sent())
     }
 
     fn write(&mut self, robot: RobotId, record: TileRecord) {
-        self.seconds.insert((robot, record.id), record.seconds);
-        self.tiles.insert((robot, record.id, record.stamp.epoch), record);
+        self.contents.seconds.insert((robot, record.id), record.seconds);
+        self.contents.tiles.insert((robot, record.id, record.stamp.epoch), record);
     }
 }

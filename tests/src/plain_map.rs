@@ -1,7 +1,7 @@
 //! The server's map of robots' layers, cell by cell: an independent version of what the server
-//! computes with whole words. No camera has seen any cell.
+//! computes with whole words. Cameras have seen only free ground beyond the robots' reach.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, Tile, TileId},
@@ -22,18 +22,24 @@ const GRADE_S: i64 = 60;
 pub struct PlainMap<'s> {
     server: &'s Server,
     layers: Vec<(Weight, BTreeMap<TileId, &'s SeenTile>)>,
+    /// The cells that cameras have seen free.
+    free: &'s BTreeSet<(i32, i32)>,
     now_s: i64,
 }
 
 impl<'s> PlainMap<'s> {
-    /// The map of a server with these robots.
-    pub fn of(server: &'s Server, robots: impl Iterator<Item = RobotId>) -> Self {
-        let layers = robots.filter_map(|robot| {
+    /// The map of a server with these robots, whose cameras have seen these cells free.
+    pub fn of(
+        server: &'s Server,
+        robots: &BTreeSet<RobotId>,
+        free: &'s BTreeSet<(i32, i32)>,
+    ) -> Self {
+        let layers = robots.iter().filter_map(|&robot| {
             Some((server.weight(robot), server.layer(robot)?.tiles().collect()))
         });
         // The time is a multiple of ten seconds.
         let now_s = server.map_time().next().micros() as i64 / 1_000_000 - 10;
-        Self { server, layers: layers.collect(), now_s }
+        Self { server, layers: layers.collect(), free, now_s }
     }
 
     /// What a fused tile must contain.
@@ -57,6 +63,9 @@ impl<'s> PlainMap<'s> {
 
     /// What the robots claim of a cell of the grid.
     fn claimed(&self, (x, y): (i32, i32)) -> Cell {
+        if self.free.contains(&(x, y)) {
+            return Cell::Free;
+        }
         let id = TileId { x: x.div_euclid(SIDE) as i16, y: y.div_euclid(SIDE) as i16 };
         let (x, y) = (x.rem_euclid(SIDE) as usize, y.rem_euclid(SIDE) as usize);
         let mut claims: Vec<(i64, Cell)> = Vec::new();

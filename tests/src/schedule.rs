@@ -2,16 +2,17 @@
 //! schedule, once the links are restored and nothing new is mapped, all maps must converge within a
 //! time limit.
 
+mod newcomer;
+
 use std::fmt;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource};
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction},
+    frame::Direction,
     link::Terms,
-    message::Stop,
-    tile::Layer,
+    message::{ParameterAction, ParameterCommand, Stop},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -21,9 +22,11 @@ use ubimap_sim_host::{
     server::Command,
 };
 
+pub use newcomer::{Level, Newcomer};
+
 use crate::{
     boxes::{Boxes, Fan, Walk},
-    star::{Member, Star},
+    star::{Finds, Member, Star},
 };
 
 /// Interval of the robots' motion.
@@ -32,8 +35,6 @@ const STEP: Duration = Duration::from_millis(100);
 /// handshake retry after a long cut (3.2 s), a session opened by an old Hello, the tiles of a
 /// window at the downlink's bandwidth, and a slightly faulty link.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// Time resolution for a newcomer.
-const TICK: Duration = Duration::from_millis(1);
 /// Time limit until all tiles have been compared by their digests: in the smallest frames one of at
 /// most 36 tiles every ten seconds. As one digest in ten is lost, five rounds are allowed. So long a
 /// robot may take to learn that its last tile is stored, and robots and a server with the epoch of an
@@ -51,15 +52,21 @@ enum Happening {
     Cut { robot: usize, only: Option<Direction>, length: Duration },
     /// Its clock jumps forward, and runs fast or slow from then on.
     Clock { robot: usize, drift_ppm: i64, jump: Duration },
-    /// The server commands it to stop or to drive on.
-    Stop { robot: usize, number: u32 },
+    /// The server commands it to stop, to drive on, or to report its parameters.
+    Command { robot: usize, number: u32 },
     /// The faults of its link change.
     Weather { robot: usize, up: Faults, down: Faults },
     /// It moves to another port.
     Move { robot: usize, port: usize },
     /// The server is killed and restarted: from its disk if it has one, otherwise empty, and with
     /// frames of another size. The robots keep their state.
-    Restart { frame: u16 },
+    Restart { frame: u16, finds: Finds },
+    /// The server's disk is copied.
+    BackUp,
+    /// For a while a camera sees free ground beyond a wall of the room.
+    Look { side: usize, length: Duration },
+    /// Another robot with the number of one is switched on, at a port of its own, or off.
+    Twin { is_on: bool },
     /// Random bytes.
     Garbage { robot: usize, direction: Direction },
     /// An earlier frame, perhaps of an earlier session; or an earlier Hello, Welcome or Reset.
@@ -82,6 +89,8 @@ pub struct Schedule {
     world: Boxes,
     sensor: Fan,
     plans: Vec<Plan>,
+    /// A robot with the number of another, which is switched on at times.
+    twin: Option<Plan>,
     ports: usize,
     frame: u16,
     /// Whether the server has a disk.
@@ -105,39 +114,6 @@ pub struct Ending {
     pub evicted: u32,
     /// Number of known cells in the final map.
     pub known: u32,
-}
-
-/// How a robot comes to hold none of the server's tiles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Newcomer {
-    /// The robot is new.
-    Joins,
-    /// The robot has rebooted.
-    Reboots,
-}
-
-/// How long a newcomer took to hold its window.
-#[derive(Clone, Copy, Debug)]
-pub struct Level {
-    /// Time since its boot.
-    pub took: Duration,
-    /// Round-trip time of a frame.
-    pub round_trip: Duration,
-    /// Number of tiles in the robot's window.
-    pub tiles: usize,
-    /// Total bytes that the server sent to the robot meanwhile.
-    pub bytes: u64,
-}
-
-impl Level {
-    /// Time limit: two round trips (Hello and Welcome, Interest and tiles), plus the time to send
-    /// all bytes at 2 kB/s except one second's worth and one frame, as the rate limiter counts
-    /// whole frames. The server's delay of changes (up to 1 s) does not matter, as nothing changes.
-    pub fn bound(&self) -> Duration {
-        let paced = self.bytes.saturating_sub(2_000) * 1_000_000 / 2_000;
-        let frame = DEFAULT_FRAME as u64 * 1_000_000 / 2_000;
-        Duration(2 * self.round_trip.0 + TICK.0 + paced + if paced > 0 { frame } else { 0 })
-    }
 }
 
 impl fmt::Display for Ending {
@@ -171,7 +147,7 @@ impl Schedule {
         for moment in moments {
             let robot = rng.random_range(0..robots);
             let direction = if rng.random() { Direction::ToServer } else { Direction::ToRobot };
-            let happening = match rng.random_range(0..24) {
+            let happening = match rng.random_range(0..30) {
                 0..3 => Happening::Boot { robot },
                 3..6 => {
                     let only = rng.random_bool(0.4).then_some(direction);
@@ -183,7 +159,7 @@ impl Schedule {
                     drift_ppm: rng.random_range(-2_000..=2_000),
                     jump: Duration(rng.random_range(0..3_000_000)),
                 },
-                21 => Happening::Stop { robot, number: moment as u32 },
+                21 => Happening::Command { robot, number: moment as u32 },
                 6..9 => weather(rng, robot),
                 9..11 => {
                     let port = rng.random_range(0..schedule.ports);
@@ -193,7 +169,30 @@ impl Schedule {
                     ports[robot] = port;
                     Happening::Move { robot, port }
                 }
-                11..13 => Happening::Restart { frame: rng.random_range(32..300) },
+                11..13 => {
+                    let finds = match rng.random_range(0..10) {
+                        0..2 => Finds::Backup,
+                        2..4 => Finds::Cure(robot),
+                        _ => Finds::Disk,
+                    };
+                    Happening::Restart { frame: rng.random_range(32..300), finds }
+                }
+                22 => Happening::BackUp,
+                23..25 => {
+                    let length = Duration(rng.random_range(100_000..6_000_000));
+                    Happening::Look { side: rng.random_range(0..4), length }
+                }
+                25 if schedule.twin.is_none() => {
+                    schedule.twin = Some(plan(
+                        rng,
+                        &schedule.world,
+                        schedule.sensor,
+                        RobotId(robot as u16 + 1),
+                    ));
+                    let off = Instant(rng.random_range(moment..calm.0));
+                    schedule.happenings.push((off, Happening::Twin { is_on: false }));
+                    Happening::Twin { is_on: true }
+                }
                 13..15 => Happening::Garbage { robot, direction },
                 _ => Happening::Replay { robot, direction, handshakes_only: rng.random_bool(0.4) },
             };
@@ -202,7 +201,9 @@ impl Schedule {
         // All robots boot at once, as after a power failure.
         if rng.random_bool(0.1) {
             let moment = Instant(rng.random_range(0..calm.0));
-            schedule.happenings.push((moment, Happening::Restart { frame: schedule.frame }));
+            schedule
+                .happenings
+                .push((moment, Happening::Restart { frame: schedule.frame, finds: Finds::Disk }));
             let boots = (0..robots).map(|robot| (moment, Happening::Boot { robot }));
             schedule.happenings.extend(boots);
         }
@@ -225,79 +226,6 @@ impl Schedule {
             .map(|happening| (Instant(0), happening))
             .collect();
         schedule
-    }
-
-    /// A schedule on a clean link, for [`Self::level_after`]: two robots, the second of which is
-    /// the newcomer.
-    pub fn newcomer(seed: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(20_000_000));
-        for plan in &mut schedule.plans {
-            plan.config.pose_source = PoseSource::Odometry(Pose::default());
-            let bounds = &mut plan.config.bounds;
-            (bounds.own_tiles, bounds.fused_tiles, bounds.max_range) = (128, 100, 4_000);
-            plan.scan_every = 3;
-        }
-        schedule.frame = DEFAULT_FRAME as u16;
-        schedule.calm_faults =
-            Faults { latency: schedule.calm_faults.latency, ..Faults::default() };
-        schedule
-    }
-
-    /// The first robot maps. When everything has settled, the second one boots, knows its pose and
-    /// sees nothing. Measures how long the second robot takes to hold its window.
-    ///
-    /// # Panics If it never holds its window.
-    pub fn level_after(&self, who: Newcomer) -> Level {
-        let plans = [&self.plans[0], &self.plans[1], &self.plans[1]];
-        let mut lives = plans.map(|plan| Memory::new(&plan.config.bounds));
-        let [first, second, third] = &mut lives;
-        let terms = self.terms();
-        let mut star = Star::new(terms, self.ports, self.seed);
-        let ids = self.plans.iter().enumerate();
-        star.members = ids.map(|(port, plan)| Member::new(plan.config.robot, port)).collect();
-        let (up, down) = (self.calm_faults, self.calm_faults);
-        for robot in 0..2 {
-            self.happen(&mut star, Instant(0), Happening::Weather { robot, up, down });
-        }
-        star.boot(0, self.plans[0].config, first);
-        if who == Newcomer::Reboots {
-            star.boot(1, self.plans[1].config, second);
-        }
-        // Some of the worlds are full of rubble, so that the encoded tiles are long.
-        let mut rubble = ChaCha8Rng::seed_from_u64(self.seed);
-        let density = if self.seed.is_multiple_of(2) { 0.0 } else { 0.9 };
-        let mut step = 0;
-        while Instant(step * STEP.0) < self.calm {
-            star.run_until(Instant(step * STEP.0));
-            if rubble.random_bool(density) {
-                let readings = (0..self.sensor.beams).map(|_| rubble.random_range(300..4_000));
-                let pose = self.plans[0].walk.pose(star.now());
-                star.scan(0, Some(pose), &readings.collect::<Vec<u16>>());
-            } else {
-                self.step(&mut star, step);
-            }
-            step += 1;
-        }
-        star.run_until(self.calm + Duration::from_secs(20));
-        assert_eq!(star.behind(), None);
-
-        let booted = star.now();
-        let before = star.members[1].down.bytes();
-        star.boot(1, Config { boot_nonce: 99, ..self.plans[1].config }, third);
-        star.scan(1, Some(self.plans[1].walk.pose(booted)), &vec![0; self.sensor.beams]);
-        while star.holds_its_window(1) != Some(true) {
-            assert!(star.now() < booted + PATIENCE, "the newcomer never holds its window");
-            star.run_until(star.now() + TICK);
-        }
-        let fused =
-            star.members[1].robot().map(|robot| robot.fused_tiles().tiles(Layer::Fused).count());
-        Level {
-            took: star.now().since(booted),
-            round_trip: Duration(2 * self.calm_faults.latency.0),
-            tiles: fused.unwrap_or(0),
-            bytes: star.members[1].down.bytes() - before,
-        }
     }
 
     fn terms(&self) -> Terms {
@@ -327,6 +255,7 @@ impl Schedule {
             world,
             sensor,
             plans,
+            twin: None,
             ports: robots + 2,
             frame: if rng.random() { 250 } else { rng.random_range(32..300) },
             stores: false,
@@ -344,14 +273,17 @@ impl Schedule {
     pub fn run(&self) -> Ending {
         let terms = self.terms();
         let boots = self.happenings.iter().filter_map(|(_, happening)| match happening {
-            Happening::Boot { robot } => Some(*robot),
+            Happening::Boot { robot } => Some(&self.plans[*robot]),
+            Happening::Twin { is_on: true } => self.twin.as_ref(),
             _ => None,
         });
         let mut lives: Vec<Memory<Heap>> =
-            boots.map(|robot| Memory::new(&self.plans[robot].config.bounds)).collect();
+            boots.map(|plan| Memory::new(&plan.config.bounds)).collect();
         let mut lives = lives.iter_mut();
-        let mut star = Star::new(terms, self.ports, self.seed);
-        let robots = self.plans.iter().enumerate();
+        // The last port is the twin's.
+        let mut star = Star::new(terms, self.ports + 1, self.seed);
+        let robots =
+            self.plans.iter().enumerate().chain(self.twin.iter().map(|it| (self.ports, it)));
         star.members = robots.map(|(port, plan)| Member::new(plan.config.robot, port)).collect();
         if self.drop_repeats {
             star.members.iter_mut().for_each(|robot| robot.up.drop_repeats());
@@ -364,11 +296,18 @@ impl Schedule {
             while let Some((moment, happening)) = happenings.next_if(|(moment, _)| *moment <= next)
             {
                 star.run_until(*moment);
+                let booting = match *happening {
+                    Happening::Boot { robot } => Some((robot, &self.plans[robot])),
+                    Happening::Twin { is_on: true } => {
+                        self.twin.as_ref().map(|twin| (self.plans.len(), twin))
+                    }
+                    _ => None,
+                };
                 match *happening {
-                    Happening::Boot { robot } => {
+                    _ if let Some((robot, plan)) = booting => {
                         let life = lives.next().expect("there is one for each boot");
                         let nonce = (moment.0 as u32).wrapping_mul(2_654_435_761) ^ robot as u32;
-                        let config = Config { boot_nonce: nonce, ..self.plans[robot].config };
+                        let config = Config { boot_nonce: nonce, ..plan.config };
                         star.boot(robot, config, life);
                     }
                     happening => self.happen(&mut star, *moment, happening),
@@ -377,6 +316,9 @@ impl Schedule {
             star.run_until(next);
             self.step(&mut star, step);
             step += 1;
+        }
+        if self.twin.is_some() {
+            star.switch_off(self.plans.len());
         }
         let (up, down) = (self.calm_faults, self.calm_faults);
         for robot in 0..self.plans.len() {
@@ -399,9 +341,16 @@ impl Schedule {
                 }
             }
             Happening::Clock { robot, drift_ppm, jump } => star.set_clock(robot, drift_ppm, jump),
-            Happening::Stop { robot, number } => {
-                // Without a session there is nobody to stop.
-                let _ = star.command(robot, Command::Stop(Stop { number, stop: number % 2 == 0 }));
+            Happening::Command { robot, number } => {
+                let command = match number % 3 {
+                    0 => Command::Parameter(ParameterCommand {
+                        number: number as u16 >> 2,
+                        action: ParameterAction::List,
+                    }),
+                    kind => Command::Stop(Stop { number, stop: kind == 1 }),
+                };
+                // Without a session there is nobody to command.
+                let _ = star.command(robot, command);
             }
             Happening::Weather { robot, up, down } => {
                 let seed = self.seed.wrapping_mul(0x1_0001) ^ moment.0 << 8 ^ (robot as u64) << 1;
@@ -409,7 +358,11 @@ impl Schedule {
                 star.members[robot].down.weather(down, seed ^ 1);
             }
             Happening::Move { robot, port } => star.move_to_port(robot, port),
-            Happening::Restart { frame } => star.restart_server(frame),
+            Happening::Restart { frame, finds } => star.restart_server(frame, finds),
+            Happening::BackUp => star.back_up(),
+            // What cameras see is reported with each step.
+            Happening::Look { .. } => {}
+            Happening::Twin { .. } => star.switch_off(self.plans.len()),
             Happening::Garbage { robot, direction } => star.garbage(robot, direction),
             Happening::Replay { robot, direction, handshakes_only } => {
                 star.replay(robot, direction, handshakes_only);
@@ -420,7 +373,14 @@ impl Schedule {
     /// Moves the robots by one step; some of them scan.
     fn step(&self, star: &mut Star<'_>, step: u64) {
         let now = star.now();
-        for (robot, plan) in self.plans.iter().enumerate() {
+        for &(begins, happening) in &self.happenings {
+            if let Happening::Look { side, length } = happening
+                && (begins..begins + length).contains(&now)
+            {
+                star.look(self.world.beyond(side));
+            }
+        }
+        for (robot, plan) in self.plans.iter().chain(&self.twin).enumerate() {
             let pose = plan.walk.pose(now);
             let seen_by_cameras = plan.config.pose_source == PoseSource::Fixes;
             if seen_by_cameras {

@@ -9,6 +9,7 @@ use ubimap_agent::Robot;
 use ubimap_protocol::{
     link::Counters,
     tile::{Cell, Layer, Stamp, TILE_SIDE, Tile, TileId, tile_hash},
+    units::RobotId,
 };
 use ubimap_sim_host::mapping::{SeenTile, Sight, clear, fuse, hollow};
 
@@ -61,12 +62,23 @@ impl<'b> Star<'b> {
                 ));
             }
         }
-        if let Some(why) = self.untold_by(member, robot) {
-            return Some(why);
+        if self.curing.contains(&member.id) {
+            return Some("its cure is not over".into());
         }
+        let own = self.untold_by(member, robot);
+        own.or_else(|| self.missing_at(robot, Layer::Fused))
+            .or_else(|| self.missing_at(robot, Layer::Coverage))
+    }
+
+    /// A tile of the server that a robot holds in another state, or lacks in its window.
+    fn missing_at(&self, robot: &Robot<'b>, layer: Layer) -> Option<String> {
+        let served = match layer {
+            Layer::Coverage => self.server.coverage(),
+            _ => self.server.fused(),
+        };
         let epoch = self.server.epoch();
-        for (id, replica) in robot.fused_tiles().tiles(Layer::Fused) {
-            let newest = self.server.fused().get(id);
+        for (id, replica) in robot.fused_tiles().tiles(layer) {
+            let newest = served.get(id);
             let same = newest.is_some_and(|(version, cells)| {
                 replica.stamp() == Stamp { epoch, version }
                     && tile_hash(replica.tile()) == tile_hash(cells)
@@ -74,13 +86,16 @@ impl<'b> Star<'b> {
             if !same || replica.is_partial() {
                 let newest = newest.map(|(version, _)| version);
                 return Some(format!(
-                    "of the fused {id:?} at {newest:?} it holds {:?}, partial {}",
+                    "of {id:?} of the {layer:?} layer at {newest:?} it holds {:?}, partial {}",
                     replica.stamp(),
                     replica.is_partial()
                 ));
             }
         }
-        self.missing_at(robot).map(|id| format!("it lacks the fused {id:?}"))
+        let window = robot.fused_tiles().interest()?;
+        let mut wanted = served.within(&window).map(|(id, ..)| id);
+        let lacks = |id: &TileId| !robot.fused_tiles().tiles(layer).any(|(held, _)| held == *id);
+        wanted.find(lacks).map(|id| format!("it lacks {id:?} of the {layer:?} layer"))
     }
 
     /// A cell that a robot knows and the server does not: it has not been told of it, nor has any other
@@ -112,15 +127,6 @@ impl<'b> Star<'b> {
             }
         }
         None
-    }
-
-    /// A fused tile in a robot's window that it does not hold.
-    fn missing_at(&self, robot: &Robot<'b>) -> Option<TileId> {
-        let window = robot.fused_tiles().interest()?;
-        let mut wanted = self.server.fused().within(&window);
-        wanted.find_map(|(id, ..)| {
-            (!robot.fused_tiles().tiles(Layer::Fused).any(|(held, _)| held == id)).then_some(id)
-        })
     }
 
     /// A robot's own tile that is acknowledged but, as far as the robot knows, not stored.
@@ -174,10 +180,17 @@ impl<'b> Star<'b> {
     fn check_layers(&mut self) {
         let seconds = (self.server_now().micros() / 1_000_000) as u32 + 1;
         let mut changed = BTreeSet::new();
-        for member in &self.members {
-            let Some(layer) = self.server.layer(member.id) else { continue };
+        for robot in self.robots() {
+            let Some(layer) = self.server.layer(robot) else { continue };
+            if self.checked.first_epochs.insert(robot, layer.first_epoch())
+                != Some(layer.first_epoch())
+            {
+                // Its earlier tiles have become void.
+                self.checked.layers.retain(|(owner, _), _| *owner != robot);
+                changed.extend(layer.tiles().map(|(id, _)| id));
+            }
             for (id, seen) in layer.tiles() {
-                let before = self.checked.layers.entry((member.id, id));
+                let before = self.checked.layers.entry((robot, id));
                 let before = before.or_insert(SeenTile::NOTHING);
                 if before.tile == seen.tile {
                     assert!(before.seconds == seen.seconds, "a time without a change: {id:?}");
@@ -188,7 +201,7 @@ impl<'b> Star<'b> {
                 let known = |tile: &Tile, y: usize| tile.row(y).known();
                 let kept =
                     (0..TILE_SIDE).all(|y| known(&before.tile, y) & !known(&seen.tile, y) == 0);
-                assert!(kept, "{:?} of robot {} has forgotten cells", id, member.id.0);
+                assert!(kept, "{id:?} of robot {} has forgotten cells", robot.0);
                 *before = seen.clone();
                 changed.insert(id);
             }
@@ -212,22 +225,36 @@ impl<'b> Star<'b> {
         assert!(found == Some(&expected), "{id:?} is not what the layers make");
     }
 
-    /// The fusion of all robots' layers in a tile. The cameras of these runs see robots, but no
-    /// cells.
+    /// The fusion of all robots' layers in a tile, and the free ground that cameras have seen where no
+    /// robot has.
     fn whole(&self, id: TileId) -> Tile {
         let server = &self.server;
-        let layers = self.members.iter().filter_map(|member| {
-            Some((server.weight(member.id), server.layer(member.id)?.seen(id)?))
-        });
+        let robots = self.robots();
+        let layers = robots
+            .iter()
+            .filter_map(|&robot| Some((server.weight(robot), server.layer(robot)?.seen(id)?)));
         let layers: Vec<_> = layers.collect();
-        fuse(&SeenTile::NOTHING, &layers, server.map_time())
+        let mut whole = fuse(&SeenTile::NOTHING, &layers, server.map_time());
+        let side = TILE_SIDE as i32;
+        for (x, y) in &self.seen_free {
+            if (x.div_euclid(side), y.div_euclid(side)) == (i32::from(id.x), i32::from(id.y)) {
+                whole.set(x.rem_euclid(side) as usize, y.rem_euclid(side) as usize, Cell::Free);
+            }
+        }
+        whole
+    }
+
+    /// The robots, each once: two may have one number.
+    fn robots(&self) -> BTreeSet<RobotId> {
+        self.members.iter().map(|member| member.id).collect()
     }
 
     /// Checks that the layers match the disk, and that the fused layer is what a plain fusion makes
     /// of the layers, cell by cell.
     pub fn check_all(&self) {
         self.disk.iter().for_each(|disk| disk.check_server(&self.server));
-        let plain = PlainMap::of(&self.server, self.members.iter().map(|member| member.id));
+        let robots = self.robots();
+        let plain = PlainMap::of(&self.server, &robots, &self.seen_free);
         for (id, _, tile) in self.server.fused().tiles() {
             assert!(*tile == plain.fused(id), "{id:?} is not what a plain fusion makes");
         }
@@ -272,7 +299,10 @@ impl<'b> Star<'b> {
         for member in &mut self.members {
             let Some(robot) = &member.robot else { continue };
             if let Some(disk) = &self.disk {
-                disk.check_robot(member.id, robot.own_tiles(), &mut member.own);
+                // It has dropped what was drawn wrongly, or does not know yet what its server lost.
+                let is_excused = self.curing.contains(&member.id)
+                    || robot.server_epoch() != Some(self.server.epoch());
+                disk.check_robot(member.id, robot.own_tiles(), &mut member.own, is_excused);
             }
             let (now, link) = (robot.statistics(), robot.link_counters());
             let (before, link_before) = mem::replace(&mut member.last, (now, link));

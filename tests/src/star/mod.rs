@@ -12,13 +12,13 @@ use ubimap_agent::{Config, Memory, Robot, Statistics};
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, Direction, MAX_FRAME},
     link::{Counters, Terms},
-    tile::TileId,
+    tile::{Cell, Epoch, TileId},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
-    mapping::SeenTile,
+    mapping::{CureRecord, Cured, RobotLayer, SeenTile},
     run::heap::Heap,
     server::{Command, CommandError, Server},
 };
@@ -91,6 +91,17 @@ impl<'b> Member<'b> {
     }
 }
 
+/// What a restarted server finds on its disk, if it has one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Finds {
+    /// What was there when it was killed.
+    Disk,
+    /// An earlier copy.
+    Backup,
+    /// The same as before, and the beginning of a cure of this member.
+    Cure(usize),
+}
+
 /// The robots and their server.
 #[derive(Debug)]
 pub struct Star<'b> {
@@ -105,6 +116,10 @@ pub struct Star<'b> {
     /// may believe for a while that it holds what it does not.
     used_epochs: BTreeSet<u32>,
     repeats_epoch: bool,
+    /// The robots whose cures are not over.
+    curing: BTreeSet<RobotId>,
+    /// The cells that cameras have seen free in this life of the server.
+    seen_free: BTreeSet<(i32, i32)>,
     /// The robots.
     pub members: Vec<Member<'b>>,
     now: Instant,
@@ -118,6 +133,7 @@ pub struct Star<'b> {
 #[derive(Debug, Default)]
 struct Checked {
     layers: BTreeMap<(RobotId, TileId), SeenTile>,
+    first_epochs: BTreeMap<RobotId, Epoch>,
     ports: BTreeMap<usize, Counters>,
 }
 
@@ -133,6 +149,8 @@ impl<'b> Star<'b> {
             started: (Instant(0), 0),
             used_epochs: BTreeSet::new(),
             repeats_epoch: false,
+            curing: BTreeSet::new(),
+            seen_free: BTreeSet::new(),
             members: Vec::new(),
             now: Instant(0),
             frame: vec![0; MAX_FRAME],
@@ -187,22 +205,26 @@ impl<'b> Star<'b> {
 
     /// Kills the server and restarts it: from its disk, with its previous clock, or with an empty map
     /// and another clock. Its epoch is drawn from few, so that lives without a disk may share one;
-    /// a disk excludes only that of the life before.
-    pub fn restart_server(&mut self, frame: u16) {
-        let last = self.terms.server_epoch;
-        self.terms.server_epoch = self.rng.random_range(1..=4);
-        if self.disk.is_some() && self.terms.server_epoch == last {
-            self.terms.server_epoch += 1;
-        }
-        self.used_epochs.insert(last);
-        self.repeats_epoch = self.used_epochs.contains(&self.terms.server_epoch);
+    /// a disk excludes only that of the life before, and a backup all.
+    pub fn restart_server(&mut self, frame: u16, finds: Finds) {
+        self.draw_epoch(finds);
         self.terms.frame = frame;
+        let begun = self.cure_record(finds);
         self.server = Server::new(self.terms, self.ports);
+        self.curing.clear();
+        self.seen_free.clear();
         let clock = match &mut self.disk {
             Some(disk) => {
                 disk.survive(&mut self.rng);
+                if finds == Finds::Backup {
+                    disk.revert();
+                }
+                if let Some(record) = begun {
+                    disk.write_cure(record);
+                }
                 disk.restore(&mut self.server);
                 disk.check_server(&self.server);
+                self.curing.extend(disk.curing());
                 self.server_now().0 + self.rng.random_range(0..5_000_000)
             }
             None => self.rng.random_range(0..600_000_000),
@@ -210,6 +232,52 @@ impl<'b> Star<'b> {
         self.started = (self.now, clock);
         self.checked = Checked::default();
         self.server_changed = true;
+    }
+
+    fn draw_epoch(&mut self, finds: Finds) {
+        let last = self.terms.server_epoch;
+        self.used_epochs.insert(last);
+        self.terms.server_epoch = self.rng.random_range(1..=4);
+        if self.disk.is_some() && self.terms.server_epoch == last {
+            self.terms.server_epoch += 1;
+        }
+        if finds == Finds::Backup {
+            self.terms.server_epoch = 10 + self.used_epochs.len() as u32;
+        }
+        self.repeats_epoch = self.used_epochs.contains(&self.terms.server_epoch);
+    }
+
+    /// The record of a cure that has begun.
+    fn cure_record(&self, finds: Finds) -> Option<CureRecord> {
+        let Finds::Cure(member) = finds else { return None };
+        let robot = self.members[member].id;
+        let first_epoch = self.server.layer(robot).map_or(Epoch(0), RobotLayer::first_epoch);
+        Some(CureRecord { robot, cured: Cured::default(), first_epoch, is_over: false })
+    }
+
+    /// Copies the server's disk.
+    pub fn back_up(&mut self) {
+        self.disk.iter_mut().for_each(Disk::back_up);
+    }
+
+    /// Switches a robot off.
+    pub fn switch_off(&mut self, member: usize) {
+        let member = &mut self.members[member];
+        member.robot = None;
+        member.up.lose_all();
+        member.down.lose_all();
+    }
+
+    /// Reports free ground that a camera sees, out of every robot's reach: cells of the grid.
+    pub fn look(&mut self, cells: impl Iterator<Item = (i32, i32)>) {
+        let cells: Vec<_> = cells.map(|cell| (cell, Cell::Free)).collect();
+        self.seen_free.extend(cells.iter().map(|(cell, _)| cell));
+        let captured = self.server_now();
+        let camera = self.members.len();
+        let seen = Observation { camera, captured, cells, ..Observation::default() };
+        self.server.observe(&seen);
+        self.server_changed = true;
+        self.drain();
     }
 
     /// Moves a robot to another port; frames in flight are lost.
@@ -298,6 +366,7 @@ impl<'b> Star<'b> {
             let server_now = self.server_now();
             if let Some(disk) = &mut self.disk {
                 disk.work(&mut self.server, server_now, &mut self.rng);
+                self.curing = disk.curing().collect();
             }
             self.drain();
             self.check();
