@@ -313,7 +313,7 @@ MESSAGES = {
     TO_ROBOT: {
         0: ACK,
         1: Struct(
-            nonce=U32, version=U8, session=U32, frame=U16, server_epoch=U32, first_epoch=U32, stores=BOOL
+            nonce=U32, version=U8, session=U32, frame=U16, server_epoch=U32, first_epoch=U32, stores=BOOL, renumber=BOOL
         ),
         2: Struct(nonce=U16, received=MOMENT, held_micros=U32),
         3: TILE_UPDATE_HEAD,
@@ -417,6 +417,7 @@ def answer(hello, resolution, frame, server_epoch, stores, session, first_epoch)
         "server_epoch": server_epoch,
         "first_epoch": first_epoch,
         "stores": stores,
+        "renumber": False,
     }
 
 

@@ -42,12 +42,12 @@ impl Boxes {
         self.size.map(|side| rng.random_range(-side / 2.0 + 0.2..side / 2.0 - 0.2))
     }
 
-    /// The cells of 5 cm of a strip of 1 by 2 m, from 40 cm behind the middle of a wall on: nothing that
-    /// a sensor in the room maps is near.
-    pub fn beyond(&self, wall: usize) -> impl Iterator<Item = (i32, i32)> {
+    /// The cells of 5 cm of a strip of 1 by 2 m behind the middle of a wall, more than 20 cm beyond
+    /// `reach_mm`.
+    pub fn beyond(&self, wall: usize, reach_mm: u16) -> impl Iterator<Item = (i32, i32)> {
         let [across, along] = if wall < 2 { [0, 1] } else { [1, 0] };
         let way = if wall % 2 == 0 { 1 } else { -1 };
-        let first = (self.size[across] / 2.0 / 0.05).ceil() as i32 + 8;
+        let first = (self.size[across] / 2.0 / 0.05).ceil() as i32 + 8 + i32::from(reach_mm) / 50;
         (first..first + 20).flat_map(move |out| {
             (-20..20).map(move |side| {
                 let mut cell = [0; 2];

@@ -149,7 +149,12 @@ impl Disk {
             let stored = is_excused || tile.stored() == Version(0) || self.has(robot, id, tile);
             assert!(stored, "robot {} believes that {id:?} {:?} is stored", robot.0, tile.stored());
         }
-        let gone = before.iter().filter(|(key, _)| !is_excused && !held.contains_key(key));
+        // A tile that has been moved to a later epoch keeps its version.
+        let is_held = |&(id, epoch): &(TileId, Epoch), version: Version| {
+            let mut later = held.range((id, epoch)..=(id, Epoch(u32::MAX)));
+            later.any(|(_, held)| *held >= version)
+        };
+        let gone = before.iter().filter(|(key, it)| !is_excused && !is_held(key, **it));
         for (&(id, epoch), &version) in gone {
             let there = self.contents.tiles.get(&(robot, id, epoch));
             let stored = there.is_some_and(|record| record.stamp.version >= version);

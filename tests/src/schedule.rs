@@ -35,6 +35,9 @@ const STEP: Duration = Duration::from_millis(100);
 /// handshake retry after a long cut (3.2 s), a session opened by an old Hello, the tiles of a
 /// window at the downlink's bandwidth, and a slightly faulty link.
 pub const PATIENCE: Duration = Duration::from_secs(30);
+/// Time limit for convergence after a cure: what it voided is requested of all robots, and goes out to all
+/// again, in frames that may have room for 10 bytes of a tile.
+const UNTIL_CURED: Duration = Duration::from_secs(120);
 /// Time limit until all tiles have been compared by their digests: in the smallest frames one of at
 /// most 36 tiles every ten seconds. As one digest in ten is lost, five rounds are allowed. So long a
 /// robot may take to learn that its last tile is stored, and robots and a server with the epoch of an
@@ -289,6 +292,22 @@ impl Schedule {
             star.members.iter_mut().for_each(|robot| robot.up.drop_repeats());
         }
 
+        if std::env::var("PATIENCE").is_ok() {
+            for (m, h) in &self.happenings {
+                if !matches!(
+                    h,
+                    Happening::Weather { .. } | Happening::Clock { .. } | Happening::Garbage { .. }
+                ) {
+                    eprintln!("{m:?} {h:?}");
+                }
+            }
+            eprintln!(
+                "stores {} robots {} twin {:?}",
+                self.stores,
+                self.plans.len(),
+                self.twin.as_ref().map(|t| t.config.robot)
+            );
+        }
         let mut happenings = self.happenings.iter().peekable();
         let mut step = 0;
         while Instant(step * STEP.0) < self.calm {
@@ -373,14 +392,19 @@ impl Schedule {
     /// Moves the robots by one step; some of them scan.
     fn step(&self, star: &mut Star<'_>, step: u64) {
         let now = star.now();
+        // A robot that is located by cameras interpolates its pose, so that scans taken in a turn may end
+        // behind the walls.
+        let plans = || self.plans.iter().chain(&self.twin);
+        let located = plans().filter(|it| it.config.pose_source == PoseSource::Fixes);
+        let reach = located.map(|it| it.config.bounds.max_range).max().unwrap_or(0);
         for &(begins, happening) in &self.happenings {
             if let Happening::Look { side, length } = happening
                 && (begins..begins + length).contains(&now)
             {
-                star.look(self.world.beyond(side));
+                star.look(self.world.beyond(side, reach));
             }
         }
-        for (robot, plan) in self.plans.iter().chain(&self.twin).enumerate() {
+        for (robot, plan) in plans().enumerate() {
             let pose = plan.walk.pose(now);
             let seen_by_cameras = plan.config.pose_source == PoseSource::Fixes;
             if seen_by_cameras {
@@ -395,8 +419,30 @@ impl Schedule {
 
     /// Maps nothing new, waits for convergence, and then for silence.
     fn settle(&self, star: &mut Star<'_>, mut step: u64) -> Ending {
+        if std::env::var("PATIENCE").is_ok() {
+            for (m, h) in &self.happenings {
+                if !matches!(
+                    h,
+                    Happening::Weather { .. } | Happening::Clock { .. } | Happening::Garbage { .. }
+                ) {
+                    eprintln!("{m:?} {h:?}");
+                }
+            }
+            eprintln!(
+                "calm {:?} {:?} stores {} repeats {}",
+                self.calm,
+                self.calm_faults,
+                self.stores,
+                star.repeats_epoch()
+            );
+        }
         let mut behind = star.behind();
-        let end = self.calm + if star.repeats_epoch() { UNTIL_COMPARED } else { PATIENCE };
+        let end = self.calm
+            + match star.repeats_epoch() {
+                true => UNTIL_COMPARED,
+                false if star.has_cured() => UNTIL_CURED,
+                false => PATIENCE,
+            };
         while behind.is_some() && star.now() < end {
             step += 1;
             star.run_until(Instant(step * STEP.0));
@@ -408,7 +454,8 @@ impl Schedule {
         if level.is_ok() {
             let effort = star.effort();
             star.run_until(star.now() + QUIET);
-            if star.effort().iter().zip(&effort).any(|(now, then)| now.0 != then.0) {
+            let is_silent = star.effort().iter().zip(&effort).all(|(now, then)| now.0 == then.0);
+            if !is_silent && !star.has_cured() {
                 level = Err("tiles were sent after convergence".into());
             } else if let Some(why) = star.behind() {
                 level = Err(format!("no longer converged: {why}"));

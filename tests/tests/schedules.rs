@@ -3,7 +3,8 @@
 //! ```text
 //! cargo test -p ubimap-tests --test schedules                   300 schedules
 //! UBIMAP_SCHEDULES=10000 cargo test --release -p ubimap-tests --test schedules
-//! UBIMAP_SCHEDULE=4711 cargo test -p ubimap-tests --test schedules    only this schedule
+//! UBIMAP_SCHEDULE=4711 cargo test -p ubimap-tests --test schedules    only this schedule,
+//!                                                  with UBIMAP_SCHEDULES this one and those after it
 //! ```
 
 use std::{
@@ -33,6 +34,7 @@ fn failure(seed: u64) -> Option<String> {
             (None, text) => text.unwrap_or(&"a panic").to_string(),
         },
     };
+    eprintln!("schedule {seed}: {why}");
     Some(format!(
         "schedule {seed}: {why}\n  reproduce with: UBIMAP_SCHEDULE={seed} cargo test -p ubimap-tests --test schedules"
     ))
@@ -42,7 +44,7 @@ fn failure(seed: u64) -> Option<String> {
 fn every_schedule_ends_in_one_map() {
     let one = number("UBIMAP_SCHEDULE");
     let first = one.unwrap_or(0);
-    let count = one.map_or_else(|| number("UBIMAP_SCHEDULES").unwrap_or(SCHEDULES), |_| 1);
+    let count = number("UBIMAP_SCHEDULES").unwrap_or(one.map_or(SCHEDULES, |_| 1));
     let next = AtomicU64::new(first);
     let threads = thread::available_parallelism().map_or(1, usize::from);
     let mut failures = Vec::new();

@@ -134,14 +134,15 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// Starts new tiles at `epoch` or later: earlier epochs may have been used before a reboot. If
-    /// this robot's epoch is more than `EPOCHS_AHEAD` above it, the server has lost its memory, and
-    /// all tiles are moved to `epoch`.
-    pub fn start_epochs_at(&mut self, epoch: Epoch) {
+    /// Starts new tiles at `epoch` or later: earlier epochs may have been used before a reboot. Tiles
+    /// that were sent are moved there as well if they must be `renumbered`. If this robot's epoch is
+    /// more than `EPOCHS_AHEAD` above it, the server has lost its memory, and all tiles are moved to
+    /// `epoch`.
+    pub fn start_epochs_at(&mut self, epoch: Epoch, renumbered: bool) {
         let is_too_far = self.epoch.0 > epoch.0.saturating_add(EPOCHS_AHEAD);
         self.epoch = if is_too_far { epoch } else { self.epoch.max(epoch) };
         for tile in self.places.iter_mut() {
-            if is_too_far || tile.publication.version().0 == 0 {
+            if is_too_far || renumbered || tile.publication.version().0 == 0 {
                 tile.epoch = self.epoch;
             }
         }
@@ -226,14 +227,14 @@ mod tests {
     fn a_server_without_memory_gets_epochs_that_it_has_granted() {
         let mut places = [OwnTile::FREE; 2];
         let mut pool = Pool::new(&mut places);
-        pool.start_epochs_at(Epoch(10_000));
+        pool.start_epochs_at(Epoch(10_000), false);
         let mut out = [0; 64];
         let tile = pool.find_or_begin(id(0), 1).unwrap();
         let mut encoder = TileEncoder::new(&mut out);
         let (epoch, mut cells) = (tile.epoch, Tile::UNKNOWN);
         assert!(tile.publication.push(&mut encoder, id(0), epoch, Version(1), &mut cells, 7));
         for (granted, expected) in [(9_000, 10_000), (1_808, 10_000), (1_807, 1_807)] {
-            pool.start_epochs_at(Epoch(granted));
+            pool.start_epochs_at(Epoch(granted), false);
             let epochs = pool.tiles().map(|tile| tile.epoch.0).collect::<std::vec::Vec<_>>();
             assert_eq!(epochs, [expected], "granted {granted}");
         }

@@ -15,6 +15,9 @@ use crate::{
 /// Number of times that the interval between Hellos doubles.
 const DOUBLINGS: u32 = 4;
 
+/// By how much the nonce of an attempt exceeds that of the attempt before.
+const NONCE_STEP: u32 = 0x9E37_79B9;
+
 /// The robot's side: decides when to send a Hello.
 #[derive(Debug)]
 pub struct Knocking {
@@ -33,7 +36,7 @@ impl Knocking {
 
     /// The nonce in the hellos of this attempt.
     pub fn nonce(&self) -> u32 {
-        self.boot_nonce.wrapping_add(self.attempts.wrapping_mul(0x9E37_79B9))
+        self.boot_nonce.wrapping_add(self.attempts.wrapping_mul(NONCE_STEP))
     }
 
     /// Whether a hello is due now; if so, it counts as sent.
@@ -88,7 +91,8 @@ pub enum Answer {
     Refusal(Refusal),
 }
 
-/// Answers a hello with a welcome to `session`, or with a refusal that names the first mismatch.
+/// Answers a hello with a welcome to `session`, or with a refusal that names the first mismatch. The
+/// welcome does not renumber the robot's tiles.
 pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32) -> Answer {
     let refuse = |reason| Answer::Refusal(Refusal { nonce: hello.nonce, reason });
     if hello.min_version > VERSION || hello.version < MIN_VERSION {
@@ -108,7 +112,17 @@ pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32
         server_epoch: terms.server_epoch,
         first_epoch,
         stores: terms.stores,
+        renumber: false,
     })
+}
+
+/// Whether two nonces are of one boot of a robot: their difference is a multiple of the step from attempt
+/// to attempt, by less than 65,536. Nonces of different boots pass once in 32,768 times.
+pub fn is_same_boot(one: u32, other: u32) -> bool {
+    const INVERSE: u32 = 0x144C_BC89;
+    const { assert!(NONCE_STEP.wrapping_mul(INVERSE) == 1) };
+    let attempts = one.wrapping_sub(other).wrapping_mul(INVERSE);
+    attempts < 1 << 16 || attempts.wrapping_neg() < 1 << 16
 }
 
 #[cfg(test)]
@@ -169,5 +183,21 @@ mod tests {
         knocking.restart(Instant(20_000_000));
         assert!(knocking.poll(Instant(20_000_000)));
         assert_ne!(knocking.nonce(), nonce);
+    }
+
+    #[test]
+    fn nonces_tell_boots_apart() {
+        let nonces = |boot_nonce: u32| {
+            let mut knocking = Knocking::new(boot_nonce);
+            core::array::from_fn::<u32, 300, _>(|_| {
+                knocking.restart(Instant(0));
+                knocking.nonce()
+            })
+        };
+        let [first, second] = [nonces(7), nonces(0xDEAD_BEEF)];
+        for nonce in first {
+            assert!(is_same_boot(7, nonce) && is_same_boot(nonce, first[150]));
+            assert!(!is_same_boot(nonce, 0xDEAD_BEEF) && !is_same_boot(second[9], nonce));
+        }
     }
 }

@@ -13,4 +13,4 @@ mod timing;
 
 pub use clock::ClockSync;
 pub use endpoint::{Counters, Endpoint, Fill, Received, Transmit};
-pub use handshake::{Answer, Knocking, Terms, answer};
+pub use handshake::{Answer, Knocking, Terms, answer, is_same_boot};

@@ -52,6 +52,9 @@ pub struct Welcome {
     /// Whether the server confirms tiles that are on disk ([`Stored`]). If not, it stores none, and the
     /// robot may evict a tile as soon as its update is acknowledged.
     pub stores: bool,
+    /// Whether the robot must move its tiles to `first_epoch` or above: the server has had no session
+    /// with this life of the robot, or another robot has used its number since.
+    pub renumber: bool,
 }
 
 /// Rejects a hello, in a handshake frame, and names the reason.

@@ -54,6 +54,9 @@ impl Config {
 pub struct Life {
     /// The epoch of the server's layers; different in each life, in no order.
     pub epoch: Epoch,
+    /// The number of the first session, which should be random: should a life repeat an epoch, robots
+    /// notice the new one by it. `None`: it follows from the epoch.
+    pub first_session: Option<u32>,
     /// What earlier lives have stored; `None` if nothing is stored, in this life either.
     pub kept: Option<Kept>,
 }
@@ -61,7 +64,7 @@ pub struct Life {
 impl Life {
     /// A life without a store.
     pub fn new(epoch: Epoch) -> Self {
-        Self { epoch, kept: None }
+        Self { epoch, first_session: None, kept: None }
     }
 
     /// The start of this life by the server's clock, which continues across lives.

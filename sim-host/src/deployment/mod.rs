@@ -400,6 +400,9 @@ fn server(config: &Config, life: Life) -> Server {
         stores: life.kept.is_some(),
     };
     let mut server = Server::new(terms, 0);
+    if let Some(first) = life.first_session {
+        server.number_sessions_from(first);
+    }
     for (robot, footprint) in config.registry.footprints() {
         server.set_footprint(robot, footprint);
     }

@@ -28,7 +28,7 @@ fn at(millis: u64) -> Instant {
 /// A deployment with a store that is empty except for its clock.
 fn keeping(clock: Instant) -> Deployment {
     let kept = Some(Kept { clock, ..Kept::default() });
-    Deployment::new(Config::new(RESOLUTION), Life { epoch: Epoch(1), kept }).unwrap()
+    Deployment::new(Config::new(RESOLUTION), Life { kept, ..Life::default() }).unwrap()
 }
 
 /// An observation of a robot and a wall.
@@ -287,7 +287,7 @@ fn faulty_frames_are_reported_with_the_callers_time() {
         Calibration { depth: Some(lens), depth_noise: DepthNoise::default(), picture: Some(lens) };
     let config = Config { cameras: vec![camera], ..Config::new(RESOLUTION) };
     let kept = Some(Kept { clock: at(60_000), ..Kept::default() });
-    let mut deployment = Deployment::new(config, Life { epoch: Epoch(1), kept }).unwrap();
+    let mut deployment = Deployment::new(config, Life { kept, ..Life::default() }).unwrap();
     let frame = |captured| Frame {
         camera: 0,
         captured,

@@ -52,7 +52,7 @@ impl Keeper {
             kept.tiles.len(),
             kept.camera_tiles.len()
         );
-        Ok((Self { store, trouble: None }, Life { epoch, kept: Some(kept) }))
+        Ok((Self { store, trouble: None }, Life { kept: Some(kept), ..Life::new(epoch) }))
     }
 
     /// Writes the records that are due.

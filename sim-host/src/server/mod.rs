@@ -114,6 +114,12 @@ impl Server {
         server
     }
 
+    /// Sets the number of the next session; without this call it follows from the server's epoch. It
+    /// should be random: robots must not take this life of the server for an earlier one.
+    pub fn number_sessions_from(&mut self, next: u32) {
+        self.ports.number_sessions_from(next);
+    }
+
     /// Opens a port and returns its number. Numbers count up and are not reused.
     pub fn open_port(&mut self) -> usize {
         self.ports.open()
@@ -230,7 +236,7 @@ impl Server {
         if let Some(record) = self.corrections.advance(session, &self.map, is_held_up, now) {
             let void = self.map.retire(robot, record.first_epoch);
             if !void.is_empty() {
-                self.voided.add(robot, &void);
+                self.voided.add(&void);
             }
             self.unsaved.add_cure(record);
         }

@@ -154,11 +154,11 @@ impl Port {
         Some(self.candidates.swap_remove(index))
     }
 
-    /// The session or candidate that was the answer to this Hello.
-    pub(super) fn session_of(&self, hello: &Hello) -> Option<SessionId> {
-        let session = self.session.as_ref().filter(|session| session.answers(hello));
-        let candidate = || self.candidates.iter().find(|it| it.session.answers(hello));
-        session.map(|_| self.link.session()).or_else(|| Some(candidate()?.id))
+    /// The session that was begun or offered in answer to this Hello.
+    pub(super) fn session_of(&self, hello: &Hello) -> Option<(SessionId, &Session)> {
+        let session = self.session.as_ref().map(|session| (self.link.session(), session));
+        let candidates = self.candidates.iter().map(|it| (it.id, &it.session));
+        session.into_iter().chain(candidates).find(|(_, session)| session.answers(hello))
     }
 
     /// Whether a frame of the session has been received lately, or it is new.

@@ -64,6 +64,11 @@ impl Ports {
         }
     }
 
+    /// Sets the number of the next session.
+    pub(super) fn number_sessions_from(&mut self, next: u32) {
+        self.next_session = next;
+    }
+
     /// Opens a port. Numbers count up from zero and are not reused.
     pub(super) fn open(&mut self) -> usize {
         let port = self.next_port;
@@ -136,17 +141,23 @@ impl Ports {
         (terms, first_epoch): (&Terms, Epoch),
         now: Instant,
     ) -> Result<Greeted, NoSuchPort> {
+        let new = Session::new(hello, self.last_session(hello.robot), now);
         let known = self.get(port)?.session_of(hello);
-        let id = known.unwrap_or(SessionId(self.next_session.max(1)));
-        let answered = if self.is_in_use(hello.robot, port, now) {
+        let is_known = known.is_some();
+        let (id, session) = known.unwrap_or((SessionId(self.next_session.max(1)), &new));
+        let renumber = session.is_of_new_life();
+        let mut answered = if self.is_in_use(hello.robot, port, now) {
             Answer::Refusal(Refusal { nonce: hello.nonce, reason: RefusalReason::NumberInUse })
         } else {
             answer(hello, terms, id, first_epoch.0)
         };
+        if let Answer::Welcome(welcome) = &mut answered {
+            welcome.renumber = renumber;
+        }
         let greeted = match &answered {
-            Answer::Welcome(welcome) if known.is_none() => {
+            Answer::Welcome(welcome) if !is_known => {
                 self.next_session = self.next_session.wrapping_add(1);
-                let offer = Candidate::new(welcome, Session::new(hello, now), now);
+                let offer = Candidate::new(welcome, new, now);
                 if self.get(port)?.is_alive(now) {
                     self.get_mut(port)?.offer(offer);
                     Greeted::Answered

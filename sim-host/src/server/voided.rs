@@ -20,13 +20,12 @@ pub(super) struct Voided {
 }
 
 impl Voided {
-    /// Adds tiles in which this robot's observations were voided.
-    pub(super) fn add(&mut self, robot: RobotId, tiles: &BTreeSet<TileId>) {
+    /// Adds tiles in which a robot's observations were voided. That robot may have agreed with them, too,
+    /// since it began anew.
+    pub(super) fn add(&mut self, tiles: &BTreeSet<TileId>) {
         self.losses += 1;
         self.tiles.extend(tiles.iter().map(|&id| (id, self.losses)));
         self.next.clear();
-        // It has dropped its own tiles.
-        self.asked.insert(robot, self.losses);
     }
 
     /// Whether a robot must be asked.

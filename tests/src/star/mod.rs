@@ -116,8 +116,11 @@ pub struct Star<'b> {
     /// may believe for a while that it holds what it does not.
     used_epochs: BTreeSet<u32>,
     repeats_epoch: bool,
-    /// The robots whose cures are not over.
+    /// The robots whose cures are not over, and whether there was any in this life of the server.
     curing: BTreeSet<RobotId>,
+    has_cured: bool,
+    /// Whether a server has found a backup on its disk.
+    has_reverted: bool,
     /// The cells that cameras have seen free in this life of the server.
     seen_free: BTreeSet<(i32, i32)>,
     /// The robots.
@@ -150,6 +153,8 @@ impl<'b> Star<'b> {
             used_epochs: BTreeSet::new(),
             repeats_epoch: false,
             curing: BTreeSet::new(),
+            has_cured: false,
+            has_reverted: false,
             seen_free: BTreeSet::new(),
             members: Vec::new(),
             now: Instant(0),
@@ -173,6 +178,12 @@ impl<'b> Star<'b> {
     /// Whether the server has the epoch of an earlier life.
     pub fn repeats_epoch(&self) -> bool {
         self.repeats_epoch
+    }
+
+    /// Whether a robot was cured in this life of the server: then it asks robots for tiles that they have
+    /// sent already.
+    pub fn has_cured(&self) -> bool {
+        self.has_cured
     }
 
     /// Sends a command of the server to a robot.
@@ -205,13 +216,15 @@ impl<'b> Star<'b> {
 
     /// Kills the server and restarts it: from its disk, with its previous clock, or with an empty map
     /// and another clock. Its epoch is drawn from few, so that lives without a disk may share one;
-    /// a disk excludes only that of the life before, and a backup all.
+    /// a disk excludes only that of the life before, and a backup all, in later lives as well.
     pub fn restart_server(&mut self, frame: u16, finds: Finds) {
         self.draw_epoch(finds);
         self.terms.frame = frame;
         let begun = self.cure_record(finds);
         self.server = Server::new(self.terms, self.ports);
+        self.server.number_sessions_from(self.rng.random());
         self.curing.clear();
+        self.has_cured = false;
         self.seen_free.clear();
         let clock = match &mut self.disk {
             Some(disk) => {
@@ -225,6 +238,7 @@ impl<'b> Star<'b> {
                 disk.restore(&mut self.server);
                 disk.check_server(&self.server);
                 self.curing.extend(disk.curing());
+                self.has_cured = !self.curing.is_empty();
                 self.server_now().0 + self.rng.random_range(0..5_000_000)
             }
             None => self.rng.random_range(0..600_000_000),
@@ -241,7 +255,8 @@ impl<'b> Star<'b> {
         if self.disk.is_some() && self.terms.server_epoch == last {
             self.terms.server_epoch += 1;
         }
-        if finds == Finds::Backup {
+        self.has_reverted |= finds == Finds::Backup;
+        if self.has_reverted {
             self.terms.server_epoch = 10 + self.used_epochs.len() as u32;
         }
         self.repeats_epoch = self.used_epochs.contains(&self.terms.server_epoch);
@@ -340,6 +355,7 @@ impl<'b> Star<'b> {
         // The robot itself counts scans for which the queue was full.
         let _ = robot.scan(local, readings, local);
         self.drain();
+        self.check_robots();
     }
 
     /// Reports a camera sighting of a robot.

@@ -160,6 +160,7 @@ fn small_welcome() -> Welcome {
         server_epoch: 3,
         first_epoch: 1,
         stores: true,
+        renumber: false,
     }
 }
 
@@ -369,6 +370,7 @@ fn to_robot(cases: &mut Cases) {
             server_epoch: u32::MAX,
             first_epoch: u32::MAX,
             stores: false,
+            renumber: true,
         },
     );
     cases.add::<ToRobot>(

@@ -26,7 +26,9 @@ pub use station::Station;
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
     let ports = open(options)?;
     let resolution = options.resolution;
-    let (keeper, life) = keeper::open(options.store.as_deref(), resolution, epoch()?)?;
+    let epoch = Epoch(random()?.max(1));
+    let (keeper, mut life) = keeper::open(options.store.as_deref(), resolution, epoch)?;
+    life.first_session = Some(random()?);
     let mut station = Station::new(resolution, life, ports, keeper)?;
     let end = options.duration.map(|duration| station.now() + duration);
     while !interruption::is_requested() && end.is_none_or(|end| station.now() < end) {
@@ -58,7 +60,8 @@ fn open(options: &ServeOptions) -> Result<Vec<Attached>, RunError> {
     attached.collect()
 }
 
-/// A random epoch, so that no two lives of the server share one, whatever the clock says.
-fn epoch() -> Result<Epoch, RunError> {
-    Ok(Epoch(getrandom::u32().map_err(RunError::Randomness)?.max(1)))
+/// A random number, so that no two lives of the server share an epoch and a session, whatever the clock
+/// says.
+fn random() -> Result<u32, RunError> {
+    getrandom::u32().map_err(RunError::Randomness)
 }

@@ -11,7 +11,7 @@ mod tiles;
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
-    link::{Endpoint, Fill},
+    link::{Endpoint, Fill, is_same_boot},
     message::{
         DistanceVector, Event, Hello, Interest, ParameterReport, PoseFix, Request, State, ToRobot,
         Writer,
@@ -46,6 +46,10 @@ pub(super) struct Session {
     nonce: u32,
     /// When the last frame of the session was received.
     heard: Instant,
+    /// Whether there was any.
+    is_heard: bool,
+    /// The nonce of the robot's last session before this one of which a frame was received.
+    earlier: Option<u32>,
     said: Said,
     fixes: Fixes,
     replies: Replies,
@@ -57,12 +61,15 @@ pub(super) struct Session {
 
 /// Input.
 impl Session {
-    /// Opens the session that a Hello asks for.
-    pub(super) fn new(hello: &Hello, now: Instant) -> Self {
+    /// Opens the session that a Hello asks for. `last` is the robot's last session.
+    pub(super) fn new(hello: &Hello, last: Option<&Self>, now: Instant) -> Self {
         Self {
             robot: hello.robot,
             nonce: hello.nonce,
             heard: now,
+            is_heard: false,
+            earlier: last
+                .and_then(|last| if last.is_heard { Some(last.nonce) } else { last.earlier }),
             said: Said::default(),
             fixes: Fixes::default(),
             replies: Replies::default(),
@@ -88,9 +95,14 @@ impl Session {
         self.robot == hello.robot && self.nonce == hello.nonce
     }
 
+    /// Whether the robot's last session was with another life of it, or with another robot.
+    pub(super) fn is_of_new_life(&self) -> bool {
+        !self.earlier.is_some_and(|earlier| is_same_boot(self.nonce, earlier))
+    }
+
     /// Records that a frame of the session was received.
     pub(super) fn hear(&mut self, now: Instant) {
-        self.heard = now;
+        (self.heard, self.is_heard) = (now, true);
     }
 
     /// Time since the last frame of the session.

@@ -34,7 +34,7 @@ fn new_session() -> Session {
         resolution: Millimetres(50),
         fused_tiles: 4,
     };
-    Session::new(&hello, Instant(0))
+    Session::new(&hello, None, Instant(0))
 }
 
 /// Sends the due frame and acknowledges it.
@@ -60,7 +60,7 @@ fn long_messages_are_cut_to_small_frames() {
     let mut session = new_session();
     let far = Sighting::usual(RobotId(1), Pose::from_metres(-900.0, 900.0, 3.0));
     (0..4).for_each(|hour| session.fix(Instant((hour + 1) * 3_600_000_000), far));
-    (0..8).for_each(|x| session.ask_for(TileId { x: 30_000 + x, y: -30_000 }));
+    assert!((0..8).all(|x| session.ask_for(TileId { x: 30_000 + x, y: -30_000 })));
     let fused = ServedLayer::default();
     let mut frames = 0;
     let now = Instant(0);
