@@ -733,8 +733,11 @@ class Replica:
         whole, start, end = header["base"] is None, header["start"], header["end"]
         if whole and start == 0:
             if stamp < held or (stamp == held and not self.next):
-                update.cells(header, UNKNOWN)
-                return "old"
+                cells = update.cells(header, UNKNOWN)
+                if stamp < held or end == 1024 or cells[:end] == self.cells[:end]:
+                    return "old"
+                self.cells, self.next = cells[:end] + list(UNKNOWN)[end:], end
+                return "partial"
             self.cells = list(UNKNOWN)
         elif whole and not self.next and stamp == held:
             part = update.cells(header, self.cells[:start] + list(UNKNOWN)[start:])

@@ -90,7 +90,15 @@ impl Replica {
                 copy_cells(&Tile::UNKNOWN, &mut part, start, TILE_CELLS);
                 decoder.cells(header, &mut part);
                 if start == 0 {
-                    return Ok(Applied::Old);
+                    let mut whole = self.tile;
+                    copy_cells(&part, &mut whole, 0, header.end);
+                    if !held || header.end == TILE_CELLS || whole == self.tile {
+                        return Ok(Applied::Old);
+                    }
+                    // The tile held is from an earlier life of the sender with the same epoch: the parts
+                    // to come can't be read with its cells.
+                    (self.tile, self.next) = (part, header.end);
+                    return Ok(Applied::Partial);
                 }
                 copy_cells(&part, &mut self.tile, start, header.end);
                 return Ok(Applied::Complete);
@@ -401,6 +409,29 @@ mod tests {
             }
         }
         assert!(frames > 6);
+    }
+
+    #[test]
+    fn another_state_with_the_same_stamp_replaces_the_one_held_if_it_comes_in_parts() {
+        let mut replica =
+            Replica::restored(noise(1), Stamp { epoch: EPOCH, version: Version(5) }, 0);
+        let mut publication = Publication::NOTHING;
+        for frame in 1.. {
+            let mut out = [0u8; 80];
+            let mut encoder = TileEncoder::new(&mut out);
+            let mut new = noise(2);
+            assert!(publication.push(&mut encoder, ID, EPOCH, Version(5), &mut new, frame));
+            let len = encoder.finish().unwrap();
+            let mut decoder = TileDecoder::new(&out[..len]);
+            let header = decoder.header().unwrap().unwrap();
+            replica.apply(&header, &mut decoder).unwrap();
+            assert_eq!(decoder.header(), Ok(None));
+            assert!(publication.acknowledge(frame));
+            if publication.is_acknowledged() {
+                break;
+            }
+        }
+        assert_eq!((replica.tile(), replica.is_partial()), (&noise(2), false));
     }
 
     #[test]

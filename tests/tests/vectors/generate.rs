@@ -723,7 +723,12 @@ fn replica() -> Value {
     let upon_all = one(900, stamp(2, 6), Some(5), 0, &noise(1), &room());
     let upon_another = one(900, stamp(2, 2), Some(1), 0, &room_later(), &room());
     let held_already = one(1000, stamp(2, 5), None, 0, &unknown, &noise(1));
+    let of_an_earlier_life = one(900, stamp(2, 5), None, 0, &unknown, &room());
     let cases = [
+        (
+            "another state with the same stamp is held, and it comes in parts",
+            vec![&of_an_earlier_life, &first, &second],
+        ),
         ("held already, and comes in parts", vec![&held_already, &first, &second]),
         ("an older whole tile between two parts", vec![&first, &whole, &second]),
         ("whole, then a change", vec![&whole, &change]),
