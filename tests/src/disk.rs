@@ -118,7 +118,12 @@ impl Disk {
     }
 
     fn write(&mut self, robot: RobotId, record: TileRecord) {
-        self.seconds.insert((robot, record.id), record.seconds);
-        self.tiles.insert((robot, record.id, record.stamp.epoch), record);
+        let (id, epoch) = (record.id, record.stamp.epoch);
+        self.seconds.insert((robot, id), record.seconds);
+        if record.is_closed() {
+            let closed = (robot, id, Epoch(0))..=(robot, id, epoch);
+            self.tiles.extract_if(closed, |_, _| true).for_each(drop);
+        }
+        self.tiles.insert((robot, id, epoch), record);
     }
 }

@@ -146,10 +146,11 @@ impl Server {
                 Some(Brought::Hello(hello)) => self.greet(index, &hello, now)?,
                 Some(Brought::Messages(session, messages)) => {
                     let robot = session.robot();
-                    let layer = self.map.limited_layer_mut(robot);
+                    let barrier = self.corrections.retiring(robot);
+                    let layer = self.map.limited_layer_mut(robot, barrier);
                     let taken = Inbox::new(session, layer, &mut self.surroundings);
                     let taken = taken.take(messages, now);
-                    self.unsaved.came(session, layer, &taken.updated.complete);
+                    self.unsaved.came(session, layer, &taken.updated);
                     port.taken(taken.unknown, taken.malformed);
                     self.taken((index, robot), taken, now);
                 }
@@ -218,7 +219,8 @@ impl Server {
         let Some(session) = self.ports.session_mut(robot) else { return };
         let is_held_up = self.unsaved.holds_up(robot);
         if let Some(record) = self.corrections.advance(session, &self.map, is_held_up, now) {
-            self.map.retire(robot, record.first_epoch);
+            let folded = self.map.retire(robot, record.first_epoch);
+            self.unsaved.folded(robot, &folded);
             self.unsaved.add_cure(record);
         }
     }
