@@ -112,6 +112,8 @@ pub struct Star<'b> {
     rng: ChaCha8Rng,
     server_changed: bool,
     checked: Checked,
+    /// See [`Star::take_longest_queues`].
+    longest_queues: [usize; 2],
 }
 
 /// The state at the last check.
@@ -139,6 +141,7 @@ impl<'b> Star<'b> {
             rng: ChaCha8Rng::seed_from_u64(seed),
             server_changed: false,
             checked: Checked::default(),
+            longest_queues: [0; 2],
         }
     }
 
@@ -186,12 +189,14 @@ impl<'b> Star<'b> {
     }
 
     /// Kills the server and restarts it: from its disk, with its previous clock, or with an empty map
-    /// and another clock. Its epoch is drawn from few, so that lives without a disk may share one;
-    /// a disk excludes only that of the life before.
-    pub fn restart_server(&mut self, frame: u16) {
+    /// and another clock. If `repeats_epochs`, its epoch is drawn from few, so that lives without a
+    /// disk may share one; a disk excludes only that of the life before.
+    pub fn restart_server(&mut self, frame: u16, repeats_epochs: bool) {
         let last = self.terms.server_epoch;
         self.terms.server_epoch = self.rng.random_range(1..=4);
-        if self.disk.is_some() && self.terms.server_epoch == last {
+        if !repeats_epochs {
+            self.terms.server_epoch = last + 1;
+        } else if self.disk.is_some() && self.terms.server_epoch == last {
             self.terms.server_epoch += 1;
         }
         self.used_epochs.insert(last);
@@ -210,6 +215,25 @@ impl<'b> Star<'b> {
         self.started = (self.now, clock);
         self.checked = Checked::default();
         self.server_changed = true;
+    }
+
+    /// Makes all writes of the server's disk fail for some time.
+    pub fn fail_store(&mut self, length: Duration) {
+        let until = self.server_now() + length;
+        if let Some(disk) = &mut self.disk {
+            disk.fail_until(until);
+        }
+    }
+
+    /// The maximum number of messages that have waited for one robot, and of writes that the disk
+    /// has had in progress, since the last call.
+    pub fn take_longest_queues(&mut self) -> [usize; 2] {
+        std::mem::take(&mut self.longest_queues)
+    }
+
+    /// The server's disk.
+    pub fn disk_mut(&mut self) -> Option<&mut Disk> {
+        self.disk.as_mut()
     }
 
     /// Moves a robot to another port; frames in flight are lost.
@@ -299,6 +323,7 @@ impl<'b> Star<'b> {
             if let Some(disk) = &mut self.disk {
                 disk.work(&mut self.server, server_now, &mut self.rng);
             }
+            self.watch_queues();
             self.drain();
             self.check();
         }

@@ -8,10 +8,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource};
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction},
+    frame::Direction,
     link::Terms,
     message::Stop,
-    tile::Layer,
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -20,6 +19,12 @@ use ubimap_sim_host::{
     run::heap::{BOUNDS, Heap},
     server::Command,
 };
+
+mod newcomer;
+mod soak;
+
+pub use newcomer::{Level, Newcomer};
+pub use soak::{Row, Soak};
 
 use crate::{
     boxes::{Boxes, Fan, Walk},
@@ -32,15 +37,18 @@ const STEP: Duration = Duration::from_millis(100);
 /// handshake retry after a long cut (3.2 s), a session opened by an old Hello, the tiles of a
 /// window at the downlink's bandwidth, and a slightly faulty link.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// Time resolution for a newcomer.
-const TICK: Duration = Duration::from_millis(1);
 /// Time limit until all tiles have been compared by their digests: in the smallest frames one of at
 /// most 36 tiles every ten seconds. As one digest in ten is lost, five rounds are allowed. So long a
 /// robot may take to learn that its last tile is stored, and robots and a server with the epoch of an
 /// earlier life to agree.
 const UNTIL_COMPARED: Duration = Duration::from_secs(5 * 36 * 10);
+/// Before this time no movable cell expires.
+const FIRST_EXPIRY: Instant = Instant(300_000_000);
 /// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);
+
+/// The memory of a robot between two boots.
+type Life = Memory<Heap>;
 
 /// An event at some time.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +68,8 @@ enum Happening {
     /// The server is killed and restarted: from its disk if it has one, otherwise empty, and with
     /// frames of another size. The robots keep their state.
     Restart { frame: u16 },
+    /// No write of the server's disk succeeds.
+    StoreFails { length: Duration },
     /// Random bytes.
     Garbage { robot: usize, direction: Direction },
     /// An earlier frame, perhaps of an earlier session; or an earlier Hello, Welcome or Reset.
@@ -92,6 +102,8 @@ pub struct Schedule {
     calm: Instant,
     calm_faults: Faults,
     drop_repeats: bool,
+    /// Whether the server may restart in an epoch of an earlier life.
+    repeats_epochs: bool,
 }
 
 /// The result of a schedule.
@@ -105,39 +117,6 @@ pub struct Ending {
     pub evicted: u32,
     /// Number of known cells in the final map.
     pub known: u32,
-}
-
-/// How a robot comes to hold none of the server's tiles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Newcomer {
-    /// The robot is new.
-    Joins,
-    /// The robot has rebooted.
-    Reboots,
-}
-
-/// How long a newcomer took to hold its window.
-#[derive(Clone, Copy, Debug)]
-pub struct Level {
-    /// Time since its boot.
-    pub took: Duration,
-    /// Round-trip time of a frame.
-    pub round_trip: Duration,
-    /// Number of tiles in the robot's window.
-    pub tiles: usize,
-    /// Total bytes that the server sent to the robot meanwhile.
-    pub bytes: u64,
-}
-
-impl Level {
-    /// Time limit: two round trips (Hello and Welcome, Interest and tiles), plus the time to send
-    /// all bytes at 2 kB/s except one second's worth and one frame, as the rate limiter counts
-    /// whole frames. The server's delay of changes (up to 1 s) does not matter, as nothing changes.
-    pub fn bound(&self) -> Duration {
-        let paced = self.bytes.saturating_sub(2_000) * 1_000_000 / 2_000;
-        let frame = DEFAULT_FRAME as u64 * 1_000_000 / 2_000;
-        Duration(2 * self.round_trip.0 + TICK.0 + paced + if paced > 0 { frame } else { 0 })
-    }
 }
 
 impl fmt::Display for Ending {
@@ -227,79 +206,6 @@ impl Schedule {
         schedule
     }
 
-    /// A schedule on a clean link, for [`Self::level_after`]: two robots, the second of which is
-    /// the newcomer.
-    pub fn newcomer(seed: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(20_000_000));
-        for plan in &mut schedule.plans {
-            plan.config.pose_source = PoseSource::Odometry(Pose::default());
-            let bounds = &mut plan.config.bounds;
-            (bounds.own_tiles, bounds.fused_tiles, bounds.max_range) = (128, 100, 4_000);
-            plan.scan_every = 3;
-        }
-        schedule.frame = DEFAULT_FRAME as u16;
-        schedule.calm_faults =
-            Faults { latency: schedule.calm_faults.latency, ..Faults::default() };
-        schedule
-    }
-
-    /// The first robot maps. When everything has settled, the second one boots, knows its pose and
-    /// sees nothing. Measures how long the second robot takes to hold its window.
-    ///
-    /// # Panics If it never holds its window.
-    pub fn level_after(&self, who: Newcomer) -> Level {
-        let plans = [&self.plans[0], &self.plans[1], &self.plans[1]];
-        let mut lives = plans.map(|plan| Memory::new(&plan.config.bounds));
-        let [first, second, third] = &mut lives;
-        let terms = self.terms();
-        let mut star = Star::new(terms, self.ports, self.seed);
-        let ids = self.plans.iter().enumerate();
-        star.members = ids.map(|(port, plan)| Member::new(plan.config.robot, port)).collect();
-        let (up, down) = (self.calm_faults, self.calm_faults);
-        for robot in 0..2 {
-            self.happen(&mut star, Instant(0), Happening::Weather { robot, up, down });
-        }
-        star.boot(0, self.plans[0].config, first);
-        if who == Newcomer::Reboots {
-            star.boot(1, self.plans[1].config, second);
-        }
-        // Some of the worlds are full of rubble, so that the encoded tiles are long.
-        let mut rubble = ChaCha8Rng::seed_from_u64(self.seed);
-        let density = if self.seed.is_multiple_of(2) { 0.0 } else { 0.9 };
-        let mut step = 0;
-        while Instant(step * STEP.0) < self.calm {
-            star.run_until(Instant(step * STEP.0));
-            if rubble.random_bool(density) {
-                let readings = (0..self.sensor.beams).map(|_| rubble.random_range(300..4_000));
-                let pose = self.plans[0].walk.pose(star.now());
-                star.scan(0, Some(pose), &readings.collect::<Vec<u16>>());
-            } else {
-                self.step(&mut star, step);
-            }
-            step += 1;
-        }
-        star.run_until(self.calm + Duration::from_secs(20));
-        assert_eq!(star.behind(), None);
-
-        let booted = star.now();
-        let before = star.members[1].down.bytes();
-        star.boot(1, Config { boot_nonce: 99, ..self.plans[1].config }, third);
-        star.scan(1, Some(self.plans[1].walk.pose(booted)), &vec![0; self.sensor.beams]);
-        while star.holds_its_window(1) != Some(true) {
-            assert!(star.now() < booted + PATIENCE, "the newcomer never holds its window");
-            star.run_until(star.now() + TICK);
-        }
-        let fused =
-            star.members[1].robot().map(|robot| robot.fused_tiles().tiles(Layer::Fused).count());
-        Level {
-            took: star.now().since(booted),
-            round_trip: Duration(2 * self.calm_faults.latency.0),
-            tiles: fused.unwrap_or(0),
-            bytes: star.members[1].down.bytes() - before,
-        }
-    }
-
     fn terms(&self) -> Terms {
         let Self { frame, stores, .. } = *self;
         Terms { resolution: Millimetres(50), frame, server_epoch: 1, stores }
@@ -334,6 +240,7 @@ impl Schedule {
             calm,
             calm_faults,
             drop_repeats: false,
+            repeats_epochs: true,
         }
     }
 
@@ -347,7 +254,7 @@ impl Schedule {
             Happening::Boot { robot } => Some(*robot),
             _ => None,
         });
-        let mut lives: Vec<Memory<Heap>> =
+        let mut lives: Vec<Life> =
             boots.map(|robot| Memory::new(&self.plans[robot].config.bounds)).collect();
         let mut lives = lives.iter_mut();
         let mut star = Star::new(terms, self.ports, self.seed);
@@ -357,8 +264,14 @@ impl Schedule {
             star.members.iter_mut().for_each(|robot| robot.up.drop_repeats());
         }
 
+        self.storm(&mut star, &mut lives);
+        self.settle(&mut star)
+    }
+
+    /// Moves the robots, with all that happens meanwhile, from the star's time to the calm.
+    fn storm<'l>(&self, star: &mut Star<'l>, lives: &mut impl Iterator<Item = &'l mut Life>) {
         let mut happenings = self.happenings.iter().peekable();
-        let mut step = 0;
+        let mut step = star.now().micros().div_ceil(STEP.0);
         while Instant(step * STEP.0) < self.calm {
             let next = Instant(step * STEP.0);
             while let Some((moment, happening)) = happenings.next_if(|(moment, _)| *moment <= next)
@@ -371,18 +284,17 @@ impl Schedule {
                         let config = Config { boot_nonce: nonce, ..self.plans[robot].config };
                         star.boot(robot, config, life);
                     }
-                    happening => self.happen(&mut star, *moment, happening),
+                    happening => self.happen(star, *moment, happening),
                 }
             }
             star.run_until(next);
-            self.step(&mut star, step);
+            self.step(star, step);
             step += 1;
         }
         let (up, down) = (self.calm_faults, self.calm_faults);
         for robot in 0..self.plans.len() {
-            self.happen(&mut star, self.calm, Happening::Weather { robot, up, down });
+            self.happen(star, self.calm, Happening::Weather { robot, up, down });
         }
-        self.settle(&mut star, step)
     }
 
     fn happen(&self, star: &mut Star<'_>, moment: Instant, happening: Happening) {
@@ -409,7 +321,8 @@ impl Schedule {
                 star.members[robot].down.weather(down, seed ^ 1);
             }
             Happening::Move { robot, port } => star.move_to_port(robot, port),
-            Happening::Restart { frame } => star.restart_server(frame),
+            Happening::Restart { frame } => star.restart_server(frame, self.repeats_epochs),
+            Happening::StoreFails { length } => star.fail_store(length),
             Happening::Garbage { robot, direction } => star.garbage(robot, direction),
             Happening::Replay { robot, direction, handshakes_only } => {
                 star.replay(robot, direction, handshakes_only);
@@ -434,34 +347,14 @@ impl Schedule {
     }
 
     /// Maps nothing new, waits for convergence, and then for silence.
-    fn settle(&self, star: &mut Star<'_>, mut step: u64) -> Ending {
-        let mut behind = star.behind();
-        let end = self.calm + if star.repeats_epoch() { UNTIL_COMPARED } else { PATIENCE };
-        while behind.is_some() && star.now() < end {
-            step += 1;
-            star.run_until(Instant(step * STEP.0));
-            behind = star.behind();
-        }
-        let took = star.now().since(self.calm);
+    fn settle(&self, star: &mut Star<'_>) -> Ending {
+        let patience = if star.repeats_epoch() { UNTIL_COMPARED } else { PATIENCE };
+        let mut level = self.converge(star, self.calm + patience);
         star.check_all();
-        let mut level = behind.map_or(Ok(took), Err);
-        if level.is_ok() {
-            let effort = star.effort();
-            star.run_until(star.now() + QUIET);
-            if star.effort().iter().zip(&effort).any(|(now, then)| now.0 != then.0) {
-                level = Err("tiles were sent after convergence".into());
-            } else if let Some(why) = star.behind() {
-                level = Err(format!("no longer converged: {why}"));
-            }
-            let end = star.now() + UNTIL_COMPARED;
-            while level.is_ok()
-                && let Some(why) = star.unstored()
-            {
-                if star.now() >= end {
-                    level = Err(format!("never reported as stored: {why}"));
-                }
-                star.run_until(star.now() + STEP);
-            }
+        if level.is_ok()
+            && let Err(why) = self.stay_level(star)
+        {
+            level = Err(why);
         }
         let robots = || star.members.iter().filter_map(|member| member.robot());
         let known = star.server().fused().tiles().map(|(.., tile)| {
@@ -474,6 +367,42 @@ impl Schedule {
             evicted: robots().map(|robot| robot.own_tiles().evicted()).sum(),
             known: known.sum(),
         }
+    }
+
+    /// Runs until all maps have converged; returns the time since the calm began.
+    fn converge(&self, star: &mut Star<'_>, end: Instant) -> Result<Duration, String> {
+        // The last step before the calm was taken.
+        let mut step = star.now().micros().div_ceil(STEP.0);
+        while let Some(why) = star.behind() {
+            if star.now() >= end {
+                return Err(why);
+            }
+            step += 1;
+            star.run_until(Instant(step * STEP.0));
+        }
+        Ok(star.now().since(self.calm))
+    }
+
+    /// Checks that nothing more happens once all maps have converged, and waits until the robots know
+    /// that all their tiles are stored.
+    fn stay_level(&self, star: &mut Star<'_>) -> Result<(), String> {
+        let (effort, time) = (star.effort(), star.server().map_time());
+        star.run_until(star.now() + QUIET);
+        if star.effort().iter().zip(&effort).any(|(now, then)| now.0 != then.0) {
+            return Err("tiles were sent after convergence".into());
+        }
+        // The map itself may have changed since: movable cells expire when its time steps.
+        let may_change = self.calm >= FIRST_EXPIRY && star.server().map_time() != time;
+        let end = star.now() + if may_change { PATIENCE } else { Duration(0) };
+        self.converge(star, end).map_err(|why| format!("no longer converged: {why}"))?;
+        let end = star.now() + UNTIL_COMPARED;
+        while let Some(why) = star.unstored() {
+            if star.now() >= end {
+                return Err(format!("never reported as stored: {why}"));
+            }
+            star.run_until(star.now() + STEP);
+        }
+        Ok(())
     }
 }
 
