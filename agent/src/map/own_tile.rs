@@ -134,14 +134,22 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// Starts new tiles at `epoch` or later: earlier epochs may have been used before a reboot. If
-    /// this robot's epoch is more than `EPOCHS_AHEAD` above it, the server has lost its memory, and
-    /// all tiles are moved to `epoch`.
+    /// Starts new tiles at `epoch` or later: earlier epochs may have been used before a reboot. All
+    /// tiles are moved to `epoch`, and published again, in two cases. If this robot's epoch is more
+    /// than `EPOCHS_AHEAD` above it, the server has lost its memory. If this robot's epoch is more
+    /// than one below it, another robot has used the same number, and the server may have closed the
+    /// epochs of this robot's tiles.
     pub fn start_epochs_at(&mut self, epoch: Epoch) {
         let is_too_far = self.epoch.0 > epoch.0.saturating_add(EPOCHS_AHEAD);
+        let is_behind = self.epoch.0 < epoch.0.saturating_sub(1);
         self.epoch = if is_too_far { epoch } else { self.epoch.max(epoch) };
         for tile in self.places.iter_mut() {
-            if is_too_far || tile.publication.version().0 == 0 {
+            let is_published = tile.publication.version().0 != 0;
+            if is_published && (is_too_far || is_behind) {
+                tile.publication.forget();
+                tile.stored = Version(0);
+            }
+            if !is_published || is_too_far || is_behind {
                 tile.epoch = self.epoch;
             }
         }
@@ -238,6 +246,27 @@ mod tests {
             assert_eq!(epochs, [expected], "granted {granted}");
         }
         assert_eq!(pool.find_or_begin(id(1), 2).unwrap().epoch, Epoch(1_807));
+    }
+
+    #[test]
+    fn a_robot_whose_number_was_used_meanwhile_begins_its_tiles_again() {
+        let mut places = [OwnTile::FREE; 2];
+        let mut pool = Pool::new(&mut places);
+        pool.start_epochs_at(Epoch(5));
+        let mut out = [0; 64];
+        let tile = pool.find_or_begin(id(0), 1).unwrap();
+        let mut encoder = TileEncoder::new(&mut out);
+        let (epoch, mut cells) = (tile.epoch, Tile::UNKNOWN);
+        assert!(tile.publication.push(&mut encoder, id(0), epoch, Version(1), &mut cells, 7));
+        assert!(tile.publication.acknowledge(7));
+        pool.stored(id(0), Stamp { epoch, version: Version(1) });
+        // Epoch 5 is this robot's own; epoch 7 is not.
+        for (granted, expected) in [(6, (5, true, 1)), (8, (8, false, 0))] {
+            pool.start_epochs_at(Epoch(granted));
+            let tile = pool.find(id(0)).unwrap();
+            let found = (tile.epoch.0, tile.publication.is_acknowledged(), tile.stored.0);
+            assert_eq!(found, expected, "granted {granted}");
+        }
     }
 
     #[test]
