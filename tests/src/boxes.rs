@@ -121,6 +121,9 @@ impl Fan {
     }
 }
 
+/// Distance in metres beyond which whole laps are skipped, for speed.
+const LONG_WALK: f64 = 1_000.0;
+
 /// A closed path between a few places, so that ground is left and revisited.
 #[derive(Clone, Debug)]
 pub struct Walk {
@@ -139,10 +142,12 @@ impl Walk {
     /// The pose after the given time.
     pub fn pose(&self, elapsed: Instant) -> Pose {
         let mut left = elapsed.micros() as f64 / 1e6 * self.metres_per_second;
+        if left > LONG_WALK {
+            left %= self.lap();
+        }
         let mut place = 0;
         loop {
-            let [a, b] = [self.places[place], self.places[(place + 1) % self.places.len()]];
-            let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+            let (a, [dx, dy]) = self.leg(place);
             let length = dx.hypot(dy).max(0.01);
             if left < length {
                 let part = left / length;
@@ -151,5 +156,17 @@ impl Walk {
             left -= length;
             place = (place + 1) % self.places.len();
         }
+    }
+
+    /// Where the leg from a place begins, and the way to the next place.
+    fn leg(&self, place: usize) -> ([f64; 2], [f64; 2]) {
+        let [a, b] = [self.places[place], self.places[(place + 1) % self.places.len()]];
+        (a, [b[0] - a[0], b[1] - a[1]])
+    }
+
+    /// The length of the path in metres.
+    fn lap(&self) -> f64 {
+        let legs = (0..self.places.len()).map(|place| self.leg(place).1);
+        legs.map(|[dx, dy]| dx.hypot(dy).max(0.01)).sum()
     }
 }

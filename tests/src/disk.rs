@@ -1,7 +1,10 @@
 //! A model of the disk of a server that may be killed at any time: confirmed writes survive, and an
 //! arbitrary part of the others.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    path::Path,
+};
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -9,11 +12,12 @@ use ubimap_agent::map::{OwnTile, Pool};
 use ubimap_protocol::{
     tile::{Epoch, TILE_CELLS, TILE_SIDE, Tile, TileId, Version},
     time::{Duration, Instant},
-    units::RobotId,
+    units::{Millimetres, RobotId},
 };
 use ubimap_sim_host::{
     mapping::{CureRecord, TileRecord},
     server::Server,
+    store::Store,
 };
 
 /// Maximum duration of a write in microseconds, as on a busy disk.
@@ -21,6 +25,9 @@ const SLOWEST: u64 = 1_500_000;
 
 /// The share of writes that fail.
 const FAILING: f64 = 0.1;
+
+/// Number of records that a real store takes in one transaction.
+const BATCH: usize = 64;
 
 /// A robot's own tiles, with the version of each that it published last.
 pub type Held = BTreeMap<(TileId, Epoch), Version>;
@@ -40,6 +47,17 @@ pub struct Disk {
     backup: Contents,
     /// Writes in progress, with the time at which each will be confirmed.
     writes: VecDeque<(Instant, RobotId, TileRecord)>,
+    /// Until then all writes fail.
+    fails_until: Instant,
+    copy: Option<Copy>,
+}
+
+/// A real store with the same contents.
+#[derive(Debug)]
+struct Copy {
+    store: Store,
+    /// What it lacks.
+    unwritten: Vec<(RobotId, TileRecord)>,
 }
 
 impl Disk {
@@ -52,7 +70,7 @@ impl Disk {
             self.writes.push_back((at, robot, record));
         }
         while let Some((_, robot, record)) = self.writes.pop_front_if(|(at, ..)| *at <= now) {
-            if rng.random_bool(FAILING) {
+            if rng.random_bool(FAILING) || now < self.fails_until {
                 server.store_failed(robot, &record);
                 continue;
             }
@@ -94,6 +112,37 @@ impl Disk {
         self.writes.clear();
     }
 
+    /// Number of writes in progress.
+    pub fn writes(&self) -> usize {
+        self.writes.len()
+    }
+
+    /// Makes all writes fail until then.
+    pub fn fail_until(&mut self, until: Instant) {
+        self.fails_until = self.fails_until.max(until);
+    }
+
+    /// Also writes to this file from now on, and restores from it. The disk must be empty.
+    ///
+    /// # Panics If the file can't be created.
+    pub fn copy_to(&mut self, path: &Path, resolution: Millimetres) {
+        let store = Store::open(path, resolution).expect("the store is new");
+        self.copy = Some(Copy { store, unwritten: Vec::new() });
+    }
+
+    /// Bytes of the real store's files, up to date.
+    ///
+    /// # Panics If there is no real store, or it can't be written.
+    pub fn bytes(&mut self) -> u64 {
+        let copy = self.copy.as_mut().expect("there is a store");
+        copy.write();
+        let log = copy.store.path().with_extension("db-wal");
+        [copy.store.path(), &log]
+            .map(|path| path.metadata().map_or(0, |file| file.len()))
+            .iter()
+            .sum()
+    }
+
     /// When the next write will be confirmed.
     pub fn next_due(&self) -> Option<Instant> {
         self.writes.front().map(|&(at, ..)| at)
@@ -107,14 +156,24 @@ impl Disk {
     }
 
     /// Restores the stored records into a new server.
-    pub fn restore(&self, server: &mut Server) {
+    ///
+    /// # Panics If the real store, if there is one, holds anything else.
+    pub fn restore(&mut self, server: &mut Server) {
         for record in self.contents.cures.values() {
             server.restore_cured(record);
         }
-        for (&(robot, id, _), record) in &self.contents.tiles {
+        let stored = self.contents.tiles.iter().map(|(&(robot, id, _), record)| {
             let seconds = self.contents.seconds[&(robot, id)];
-            server.restore(robot, &TileRecord { seconds, ..record.clone() });
+            (robot, TileRecord { seconds, ..record.clone() })
+        });
+        let mut records: Vec<_> = stored.collect();
+        if let Some(copy) = &mut self.copy {
+            copy.write();
+            let copied = copy.store.records().expect("the store can be read");
+            assert!(copied == records, "the store holds something else");
+            records = copied;
         }
+        records.iter().for_each(|(robot, record)| server.restore(*robot, record));
     }
 
     /// Checks that the server knows every stored cell.
@@ -179,7 +238,25 @@ impl Disk {
     }
 
     fn write(&mut self, robot: RobotId, record: TileRecord) {
-        self.contents.seconds.insert((robot, record.id), record.seconds);
-        self.contents.tiles.insert((robot, record.id, record.stamp.epoch), record);
+        if let Some(copy) = &mut self.copy {
+            copy.unwritten.push((robot, record.clone()));
+            if copy.unwritten.len() >= BATCH {
+                copy.write();
+            }
+        }
+        let (id, epoch) = (record.id, record.stamp.epoch);
+        self.contents.seconds.insert((robot, id), record.seconds);
+        if record.is_closed() {
+            let closed = (robot, id, Epoch(0))..=(robot, id, epoch);
+            self.contents.tiles.extract_if(closed, |_, _| true).for_each(drop);
+        }
+        self.contents.tiles.insert((robot, id, epoch), record);
+    }
+}
+
+impl Copy {
+    fn write(&mut self) {
+        self.store.keep(&self.unwritten, Instant(0)).expect("the store can be written");
+        self.unwritten.clear();
     }
 }

@@ -142,7 +142,12 @@ impl<'b> Pool<'b> {
         let is_too_far = self.epoch.0 > epoch.0.saturating_add(EPOCHS_AHEAD);
         self.epoch = if is_too_far { epoch } else { self.epoch.max(epoch) };
         for tile in self.places.iter_mut() {
-            if is_too_far || renumbered || tile.publication.version().0 == 0 {
+            let is_published = tile.publication.version().0 != 0;
+            if is_published && (is_too_far || renumbered) {
+                tile.publication.forget();
+                tile.stored = Version(0);
+            }
+            if !is_published || is_too_far || renumbered {
                 tile.epoch = self.epoch;
             }
         }
@@ -239,6 +244,26 @@ mod tests {
             assert_eq!(epochs, [expected], "granted {granted}");
         }
         assert_eq!(pool.find_or_begin(id(1), 2).unwrap().epoch, Epoch(1_807));
+    }
+
+    #[test]
+    fn a_robot_whose_number_was_used_meanwhile_begins_its_tiles_again() {
+        let mut places = [OwnTile::FREE; 2];
+        let mut pool = Pool::new(&mut places);
+        pool.start_epochs_at(Epoch(5), false);
+        let mut out = [0; 64];
+        let tile = pool.find_or_begin(id(0), 1).unwrap();
+        let mut encoder = TileEncoder::new(&mut out);
+        let (epoch, mut cells) = (tile.epoch, Tile::UNKNOWN);
+        assert!(tile.publication.push(&mut encoder, id(0), epoch, Version(1), &mut cells, 7));
+        assert!(tile.publication.acknowledge(7));
+        pool.stored(id(0), Stamp { epoch, version: Version(1) });
+        for (granted, renumber, expected) in [(6, false, (5, true, 1)), (6, true, (6, false, 0))] {
+            pool.start_epochs_at(Epoch(granted), renumber);
+            let tile = pool.find(id(0)).unwrap();
+            let found = (tile.epoch.0, tile.publication.is_acknowledged(), tile.stored.0);
+            assert_eq!(found, expected, "granted {granted}");
+        }
     }
 
     #[test]

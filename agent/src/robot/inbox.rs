@@ -27,11 +27,10 @@ impl Mapper<'_> {
             self.latest_pose = None;
         }
         let pool = &mut self.map.pool;
-        let holds_tiles = same_server && !welcome.renumber;
-        pool.begin_session(welcome.stores, holds_tiles);
+        pool.begin_session(welcome.stores, same_server);
         pool.start_epochs_at(Epoch(welcome.first_epoch), welcome.renumber);
         let is_first = self.statistics.sessions == 1;
-        self.outbox.begin_session(pool, holds_tiles, is_first, now);
+        self.outbox.begin_session(pool, same_server, is_first, now);
         self.fused.begin_session(Epoch(welcome.server_epoch));
     }
 

@@ -5,6 +5,7 @@ mod alignment;
 mod camera_layer;
 mod constant_errors;
 mod coverage_layer;
+mod epochs;
 mod fused_layer;
 mod hollow;
 mod mask;

@@ -116,6 +116,7 @@ impl<'a> Inbox<'a> {
         all.refused = all.refused.or(updated.refused);
         all.tiles.append(&mut updated.tiles);
         all.complete.append(&mut updated.complete);
+        all.folded.append(&mut updated.folded);
         if let Some(missing) = updated.missing {
             self.session.ask_for(missing);
         }
@@ -134,10 +135,12 @@ impl<'a> Inbox<'a> {
         }
     }
 
-    /// Whether the reported state, or a newer one, is held.
+    /// Whether the reported state, or a newer one, is held. A digest of a closed epoch is late.
     fn holds(&self, told: &TileDigest) -> bool {
-        self.layer.held(told.id, told.stamp.epoch).is_some_and(|(held, cells)| {
-            held > told.stamp || held == told.stamp && tile_hash(cells) == told.hash
-        })
+        let TileDigest { id, stamp, hash } = *told;
+        self.layer.is_closed(id, stamp.epoch)
+            || self.layer.held(id, stamp.epoch).is_some_and(|(held, cells)| {
+                held > stamp || held == stamp && tile_hash(cells) == hash
+            })
     }
 }

@@ -157,10 +157,11 @@ impl Server {
                 Some(Brought::Hello(hello)) => self.greet(index, &hello, now)?,
                 Some(Brought::Messages(session, messages)) => {
                     let robot = session.robot();
-                    let layer = self.map.limited_layer_mut(robot);
+                    let barrier = self.corrections.retiring(robot);
+                    let layer = self.map.limited_layer_mut(robot, barrier);
                     let taken = Inbox::new(session, layer, &mut self.surroundings);
                     let taken = taken.take(messages, now);
-                    self.unsaved.came(session, layer, &taken.updated.complete);
+                    self.unsaved.came(session, layer, &taken.updated);
                     port.taken(taken.unknown, taken.malformed);
                     self.taken((index, robot), taken, now);
                 }
@@ -234,9 +235,10 @@ impl Server {
         }
         let is_held_up = self.unsaved.holds_up(robot);
         if let Some(record) = self.corrections.advance(session, &self.map, is_held_up, now) {
-            let void = self.map.retire(robot, record.first_epoch);
-            if !void.is_empty() {
-                self.voided.add(&void);
+            let retired = self.map.retire(robot, record.first_epoch);
+            self.unsaved.folded(robot, &retired.folded);
+            if !retired.tiles.is_empty() {
+                self.voided.add(&retired.tiles);
             }
             self.unsaved.add_cure(record);
         }

@@ -9,8 +9,10 @@ use super::Server;
 use crate::mapping::{CameraTile, CureRecord, TileRecord};
 
 impl Server {
-    /// A state of a robot's tile to write, if the server has a store (`stores` in its terms). Call
-    /// [`Server::stored`] when it is on disk, or [`Server::store_failed`].
+    /// A state of a robot's tile to write, if the server has a store (`stores` in its terms). A
+    /// [closed](TileRecord::is_closed) one replaces the records of all epochs up to its own; delete
+    /// them in the same transaction. Call [`Server::stored`] when it is on disk, or
+    /// [`Server::store_failed`].
     #[must_use]
     pub fn poll_store(&mut self) -> Option<(RobotId, TileRecord)> {
         self.unsaved.poll_tile(self.map.layers())
@@ -19,7 +21,8 @@ impl Server {
     /// Call this once a tile is durably on disk: the robot may then discard it.
     pub fn stored(&mut self, robot: RobotId, record: &TileRecord) {
         self.map.stored(robot, record);
-        if let Some(session) = self.ports.session_mut(robot) {
+        // Nobody waits for closed epochs.
+        if let Some(session) = self.ports.session_mut(robot).filter(|_| !record.is_closed()) {
             session.stored(record.id, record.stamp);
         }
     }
@@ -63,10 +66,11 @@ impl Server {
         self.terms.stores && self.map.has_unkept()
     }
 
-    /// Restores a record of an earlier life. The clock of this life must continue that life's
-    /// clock, to which the record's times refer.
+    /// Restores a record of an earlier life; those of a tile in the order of their epochs. The clock
+    /// of this life must continue that life's clock, to which the record's times refer.
     pub fn restore(&mut self, robot: RobotId, record: &TileRecord) {
-        self.map.restore(robot, record);
+        let folded = self.map.restore(robot, record);
+        self.unsaved.folded(robot, &folded);
     }
 
     /// Requests a tile that was damaged in the store from its robot, once that has a session.
@@ -82,6 +86,7 @@ impl Server {
     /// Restores the progress of a robot's cure, which then continues.
     pub fn restore_cured(&mut self, record: &CureRecord) {
         self.corrections.restore(record);
-        self.map.retire(record.robot, record.first_epoch);
+        let retired = self.map.retire(record.robot, record.first_epoch);
+        self.unsaved.folded(record.robot, &retired.folded);
     }
 }

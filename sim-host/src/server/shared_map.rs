@@ -12,7 +12,7 @@ use crate::{
     camera::Observation,
     mapping::{
         Agreements, CameraLayer, CameraTile, MapTime, Mask, RobotLayer, SeenTile, ServedLayer,
-        Sight, TileRecord, Weight, clear, fuse, hollow,
+        Sight, TileRecord, Updated, Weight, clear, fuse, hollow,
     },
     timing::ROBOT_GONE,
 };
@@ -66,12 +66,18 @@ impl SharedMap {
         self.layers.entry(robot).or_default()
     }
 
-    /// A robot's layer for an update, with its part of the memory as its limit.
-    pub(super) fn limited_layer_mut(&mut self, robot: RobotId) -> &mut RobotLayer {
+    /// A robot's layer for an update, with its part of the memory as its limit. Epochs below
+    /// `barrier` may soon be void.
+    pub(super) fn limited_layer_mut(
+        &mut self,
+        robot: RobotId,
+        barrier: Option<Epoch>,
+    ) -> &mut RobotLayer {
         let others = self.layers.iter().filter(|(other, _)| **other != robot);
         let used: usize = others.map(|(_, layer)| layer.memory().saturating_sub(SHARE)).sum();
         let layer = self.layer_mut(robot);
         layer.set_limit(SHARE + COMMON.saturating_sub(used));
+        layer.set_barrier(barrier);
         layer
     }
 
@@ -145,11 +151,11 @@ impl SharedMap {
         self.cameras.observe(observation)
     }
 
-    /// Voids a robot's tiles of epochs below this one. Returns the changed tiles.
-    pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) -> BTreeSet<TileId> {
-        let void = self.layer_mut(robot).retire(first_epoch);
-        self.changed(&void);
-        void
+    /// Voids a robot's tiles of epochs below this one. Returns the changed tiles, and what was closed.
+    pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) -> Updated {
+        let retired = self.layer_mut(robot).retire(first_epoch);
+        self.changed(&retired.tiles);
+        retired
     }
 
     /// Marks a robot's tile as stored on disk.
@@ -159,11 +165,15 @@ impl SharedMap {
         }
     }
 
-    /// Restores a robot's tile.
-    pub(super) fn restore(&mut self, robot: RobotId, record: &TileRecord) {
-        if self.layer_mut(robot).restore(record) {
-            self.changed(&BTreeSet::from([record.id]));
-        }
+    /// Restores a robot's tile. Returns the tiles of which epochs were closed.
+    pub(super) fn restore(
+        &mut self,
+        robot: RobotId,
+        record: &TileRecord,
+    ) -> BTreeSet<(TileId, Epoch)> {
+        let restored = self.layer_mut(robot).restore(record);
+        self.changed(&restored.tiles);
+        restored.folded
     }
 
     /// Restores a camera tile.

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 };
 
 use super::session::Session;
-use crate::mapping::{CureRecord, RobotLayer, TileRecord};
+use crate::mapping::{CureRecord, RobotLayer, TileRecord, Updated};
 
 /// Tiles and cures (corrections of robots' constant errors) waiting to be written.
 #[derive(Debug)]
@@ -26,20 +26,22 @@ impl Unsaved {
         Self { stores, changed: BTreeSet::new(), cures: VecDeque::new() }
     }
 
-    /// Records that complete states of these tiles and epochs have arrived. Notifies the robot of
-    /// those that are already on disk.
-    pub(super) fn came(
-        &mut self,
-        session: &mut Session,
-        layer: &RobotLayer,
-        complete: &BTreeSet<(TileId, Epoch)>,
-    ) {
-        for &(id, epoch) in complete.iter().filter(|_| self.stores) {
+    /// Queues the complete states of an update, and the epochs that it closed. Notifies the robot of
+    /// states that are already on disk.
+    pub(super) fn came(&mut self, session: &mut Session, layer: &RobotLayer, updated: &Updated) {
+        self.folded(session.robot(), &updated.folded);
+        for &(id, epoch) in updated.complete.iter().filter(|_| self.stores) {
             match layer.on_disk(id, epoch) {
                 Some(stamp) => session.stored(id, stamp),
                 None => drop(self.changed.insert((session.robot(), id, epoch))),
             }
         }
+    }
+
+    /// Queues tiles of which epochs were closed.
+    pub(super) fn folded(&mut self, robot: RobotId, folded: &BTreeSet<(TileId, Epoch)>) {
+        let folded = folded.iter().filter(|_| self.stores);
+        self.changed.extend(folded.map(|&(id, epoch)| (robot, id, epoch)));
     }
 
     /// The next tile to write.
@@ -48,7 +50,8 @@ impl Unsaved {
         layers: &BTreeMap<RobotId, RobotLayer>,
     ) -> Option<(RobotId, TileRecord)> {
         while let Some((robot, id, epoch)) = self.changed.pop_first() {
-            // A partly received state is queued again when it is complete.
+            // A partly received state is queued again when it is complete; an epoch that was closed
+            // is part of a newer record.
             if let Some(record) = layers.get(&robot).and_then(|it| it.record(id, epoch)) {
                 return Some((robot, record));
             }

@@ -1,8 +1,9 @@
 //! The server's persistent state in one SQLite file: its epoch, its clock, the tiles of robots and
 //! cameras, and which robots' constant errors are corrected.
 //!
-//! Tables: `server` has one row; `tile` one per robot, tile and epoch; `seen` one per robot and
-//! tile, with the time each cell was last seen; `camera` one per tile seen by cameras; `cured` one
+//! Tables: `server` has one row; `tile` one per robot, tile and epoch, at most three of a tile: its
+//! closed epochs are joined in a row with version 0; `seen` one per robot and tile, with the time
+//! each cell was last seen; `camera` one per tile seen by cameras; `cured` one
 //! per robot whose correction has begun. Each row has a checksum. The file belongs to one process at
 //! a time.
 //!
@@ -156,7 +157,8 @@ impl Store {
         all.map_err(|trouble| self.error(trouble))
     }
 
-    /// Writes records in one transaction, which is durably on disk when this returns. `now` is by
+    /// Writes records in one transaction, which is durably on disk when this returns. A
+    /// [closed](TileRecord::is_closed) record replaces those of all epochs up to its own. `now` is by
     /// the server's clock.
     ///
     /// # Errors
@@ -241,9 +243,14 @@ impl Store {
 
 fn write(transaction: &Transaction<'_>, records: &[(RobotId, TileRecord)]) -> Result<(), Trouble> {
     let (mut tile, mut seen) = (TILE.writer(transaction)?, SEEN.writer(transaction)?);
+    let delete = "DELETE FROM tile WHERE robot = ? AND x = ? AND y = ? AND epoch <= ?";
+    let mut delete = transaction.prepare(delete)?;
     for (robot, record) in records {
         let TileRecord { id, stamp, cells, known, seconds } = record;
         let [robot, x, y] = [i64::from(robot.0), id.x.into(), id.y.into()];
+        if record.is_closed() {
+            delete.execute([robot, x, y, stamp.epoch.0.into()])?;
+        }
         tile.write(vec![
             robot.into(),
             x.into(),

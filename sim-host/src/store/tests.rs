@@ -268,6 +268,35 @@ fn a_full_disk_loses_nothing_that_was_stored() {
     assert_eq!((store.clock(), store.records().unwrap()), (Instant(0), kept));
 }
 
+/// The old rows go in the transaction that brings their joined cells, or stay.
+#[test]
+fn a_record_of_closed_epochs_replaces_theirs() {
+    let folder = Folder::new("store-closed");
+    let path = folder.path().join("map.db");
+    let mut store = Store::open(&path, CELLS).unwrap();
+    let (robot, other) = (RobotId(1), RobotId(2));
+    let mut all: Vec<_> = (1..5).map(|epoch| (robot, record(0, epoch, 1))).collect();
+    all.extend([(robot, record(1, 1, 1)), (other, record(0, 1, 1))]);
+    store.keep(&all, Instant(0)).unwrap();
+    let before = store.records().unwrap();
+    let closed = (robot, record(0, 3, 0));
+    let pages: u32 =
+        store.connection.pragma_query_value(None, "page_count", |row| row.get(0)).unwrap();
+    store.limit_pages(pages);
+    let mut many: Vec<_> = (0..40).map(|x| (other, record(x, 2, 1))).collect();
+    many.insert(0, closed.clone());
+    assert!(matches!(store.keep(&many, Instant(0)).unwrap_err().trouble, Trouble::Full));
+    assert_eq!(store.records().unwrap(), before);
+
+    store.limit_pages(u32::MAX);
+    store.keep(std::slice::from_ref(&closed), Instant(0)).unwrap();
+    drop(store);
+    let store = Store::open(&path, CELLS).unwrap();
+    let seconds = closed.1.seconds;
+    let left = [closed, (robot, TileRecord { seconds, ..record(0, 4, 1) })];
+    assert_eq!(store.records().unwrap(), [&left, &all[4..]].concat());
+}
+
 #[test]
 fn names_that_keep_nothing_on_disk_are_refused() {
     for name in ["", ":memory:", "file:map.db", "file::memory:?cache=shared", "/dev/null"] {

@@ -14,7 +14,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::mapping::{SeenTile, Sight, clear, fuse, hollow};
 
 use super::{Member, Star};
-use crate::plain_map::PlainMap;
+use crate::{disk::Disk, plain_map::PlainMap};
 
 impl<'b> Star<'b> {
     /// Why the robots' maps have not converged yet; `None` if they have.
@@ -173,6 +173,14 @@ impl<'b> Star<'b> {
             self.check_acknowledged();
             self.check_ports();
         }
+    }
+
+    /// Notes how long the queues are before they are drained.
+    pub(super) fn watch_queues(&mut self) {
+        let waiting = self.members.iter().map(|member| self.server.waiting(member.id));
+        let writes = self.disk.as_ref().map_or(0, Disk::writes);
+        let queues = [waiting.max().unwrap_or(0), writes];
+        self.longest_queues = core::array::from_fn(|at| self.longest_queues[at].max(queues[at]));
     }
 
     /// Checks that known cells of a robot's layer never become unknown at the server, and that the

@@ -130,6 +130,8 @@ pub struct Star<'b> {
     rng: ChaCha8Rng,
     server_changed: bool,
     checked: Checked,
+    /// See [`Star::take_longest_queues`].
+    longest_queues: [usize; 2],
 }
 
 /// The state at the last check.
@@ -162,6 +164,7 @@ impl<'b> Star<'b> {
             rng: ChaCha8Rng::seed_from_u64(seed),
             server_changed: false,
             checked: Checked::default(),
+            longest_queues: [0; 2],
         }
     }
 
@@ -215,10 +218,11 @@ impl<'b> Star<'b> {
     }
 
     /// Kills the server and restarts it: from its disk, with its previous clock, or with an empty map
-    /// and another clock. Its epoch is drawn from few, so that lives without a disk may share one;
-    /// a disk excludes only that of the life before, and a backup all, in later lives as well.
-    pub fn restart_server(&mut self, frame: u16, finds: Finds) {
-        self.draw_epoch(finds);
+    /// and another clock. If `repeats_epochs`, its epoch is drawn from few, so that lives without a
+    /// disk may share one; a disk excludes only that of the life before, and a backup all, in later
+    /// lives as well.
+    pub fn restart_server(&mut self, frame: u16, finds: Finds, repeats_epochs: bool) {
+        self.draw_epoch(finds, repeats_epochs);
         self.terms.frame = frame;
         let begun = self.cure_record(finds);
         self.server = Server::new(self.terms, self.ports);
@@ -248,16 +252,15 @@ impl<'b> Star<'b> {
         self.server_changed = true;
     }
 
-    fn draw_epoch(&mut self, finds: Finds) {
+    fn draw_epoch(&mut self, finds: Finds, repeats_epochs: bool) {
         let last = self.terms.server_epoch;
         self.used_epochs.insert(last);
         self.terms.server_epoch = self.rng.random_range(1..=4);
-        if self.disk.is_some() && self.terms.server_epoch == last {
-            self.terms.server_epoch += 1;
-        }
         self.has_reverted |= finds == Finds::Backup;
-        if self.has_reverted {
+        if self.has_reverted || !repeats_epochs {
             self.terms.server_epoch = 10 + self.used_epochs.len() as u32;
+        } else if self.disk.is_some() && self.terms.server_epoch == last {
+            self.terms.server_epoch += 1;
         }
         self.repeats_epoch = self.used_epochs.contains(&self.terms.server_epoch);
     }
@@ -293,6 +296,25 @@ impl<'b> Star<'b> {
         self.server.observe(&seen);
         self.server_changed = true;
         self.drain();
+    }
+
+    /// Makes all writes of the server's disk fail for some time.
+    pub fn fail_store(&mut self, length: Duration) {
+        let until = self.server_now() + length;
+        if let Some(disk) = &mut self.disk {
+            disk.fail_until(until);
+        }
+    }
+
+    /// The maximum number of messages that have waited for one robot, and of writes that the disk
+    /// has had in progress, since the last call.
+    pub fn take_longest_queues(&mut self) -> [usize; 2] {
+        std::mem::take(&mut self.longest_queues)
+    }
+
+    /// The server's disk.
+    pub fn disk_mut(&mut self) -> Option<&mut Disk> {
+        self.disk.as_mut()
     }
 
     /// Moves a robot to another port; frames in flight are lost.
@@ -384,6 +406,7 @@ impl<'b> Star<'b> {
                 disk.work(&mut self.server, server_now, &mut self.rng);
                 self.curing = disk.curing().collect();
             }
+            self.watch_queues();
             self.drain();
             self.check();
         }

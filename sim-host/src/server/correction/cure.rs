@@ -56,6 +56,14 @@ pub(super) enum CureStep {
 }
 
 impl Cure {
+    /// The first epoch that the robot was given, while its answer is due.
+    pub(super) fn retiring(&self) -> Option<Epoch> {
+        match *self {
+            Self::Retiring { epoch, .. } => Some(Epoch(epoch as u32)),
+            _ => None,
+        }
+    }
+
     /// The next step, if one is due. `next` is the lowest epoch that the robot has not used as far
     /// as the server knows.
     pub(super) fn poll(

@@ -8,6 +8,7 @@ mod robot;
 use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
+    tile::Epoch,
     time::Instant,
     units::{Millimetres, Pose, RobotId},
 };
@@ -38,6 +39,12 @@ impl Corrections {
     /// The estimates of a robot's constant errors.
     pub(super) fn errors(&self, robot: RobotId) -> Option<&ConstantErrors> {
         self.robots.get(&robot).map(RobotCorrection::errors)
+    }
+
+    /// The first epoch of a robot's new tiles, while the robot has been told it and its earlier
+    /// epochs are not void yet.
+    pub(super) fn retiring(&self, robot: RobotId) -> Option<Epoch> {
+        self.robots.get(&robot)?.retiring()
     }
 
     /// Forgets a robot that is gone and has drawn nothing.

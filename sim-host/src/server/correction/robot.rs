@@ -62,6 +62,11 @@ impl RobotCorrection {
         &self.errors
     }
 
+    /// The first epoch that the robot has been told, while its earlier epochs are not void yet.
+    pub(super) fn retiring(&self) -> Option<Epoch> {
+        self.cure.retiring()
+    }
+
     /// Adds a camera fix; returns the corrected pose.
     pub(super) fn fix(&mut self, captured: Instant, seen: Pose) -> Pose {
         if self.fixes.back().is_some_and(|&(newest, _)| captured <= newest) {

@@ -2,8 +2,6 @@
 //! schedule, once the links are restored and nothing new is mapped, all maps must converge within a
 //! time limit.
 
-mod newcomer;
-
 use std::fmt;
 
 use rand::{RngExt, SeedableRng};
@@ -22,7 +20,11 @@ use ubimap_sim_host::{
     server::Command,
 };
 
+mod newcomer;
+mod soak;
+
 pub use newcomer::{Level, Newcomer};
+pub use soak::{Row, Soak};
 
 use crate::{
     boxes::{Boxes, Fan, Walk},
@@ -43,8 +45,13 @@ const UNTIL_CURED: Duration = Duration::from_secs(120);
 /// robot may take to learn that its last tile is stored, and robots and a server with the epoch of an
 /// earlier life to agree.
 const UNTIL_COMPARED: Duration = Duration::from_secs(5 * 36 * 10);
+/// Before this time no movable cell expires.
+const FIRST_EXPIRY: Instant = Instant(300_000_000);
 /// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);
+
+/// The memory of a robot between two boots.
+type Life = Memory<Heap>;
 
 /// An event at some time.
 #[derive(Clone, Copy, Debug)]
@@ -70,6 +77,8 @@ enum Happening {
     Look { side: usize, length: Duration },
     /// Another robot with the number of one is switched on, at a port of its own, or off.
     Twin { is_on: bool },
+    /// No write of the server's disk succeeds.
+    StoreFails { length: Duration },
     /// Random bytes.
     Garbage { robot: usize, direction: Direction },
     /// An earlier frame, perhaps of an earlier session; or an earlier Hello, Welcome or Reset.
@@ -104,6 +113,8 @@ pub struct Schedule {
     calm: Instant,
     calm_faults: Faults,
     drop_repeats: bool,
+    /// Whether the server may restart in an epoch of an earlier life.
+    repeats_epochs: bool,
 }
 
 /// The result of a schedule.
@@ -266,6 +277,7 @@ impl Schedule {
             calm,
             calm_faults,
             drop_repeats: false,
+            repeats_epochs: true,
         }
     }
 
@@ -280,8 +292,7 @@ impl Schedule {
             Happening::Twin { is_on: true } => self.twin.as_ref(),
             _ => None,
         });
-        let mut lives: Vec<Memory<Heap>> =
-            boots.map(|plan| Memory::new(&plan.config.bounds)).collect();
+        let mut lives: Vec<Life> = boots.map(|plan| Memory::new(&plan.config.bounds)).collect();
         let mut lives = lives.iter_mut();
         // The last port is the twin's.
         let mut star = Star::new(terms, self.ports + 1, self.seed);
@@ -292,24 +303,14 @@ impl Schedule {
             star.members.iter_mut().for_each(|robot| robot.up.drop_repeats());
         }
 
-        if std::env::var("PATIENCE").is_ok() {
-            for (m, h) in &self.happenings {
-                if !matches!(
-                    h,
-                    Happening::Weather { .. } | Happening::Clock { .. } | Happening::Garbage { .. }
-                ) {
-                    eprintln!("{m:?} {h:?}");
-                }
-            }
-            eprintln!(
-                "stores {} robots {} twin {:?}",
-                self.stores,
-                self.plans.len(),
-                self.twin.as_ref().map(|t| t.config.robot)
-            );
-        }
+        self.storm(&mut star, &mut lives);
+        self.settle(&mut star)
+    }
+
+    /// Moves the robots, with all that happens meanwhile, from the star's time to the calm.
+    fn storm<'l>(&self, star: &mut Star<'l>, lives: &mut impl Iterator<Item = &'l mut Life>) {
         let mut happenings = self.happenings.iter().peekable();
-        let mut step = 0;
+        let mut step = star.now().micros().div_ceil(STEP.0);
         while Instant(step * STEP.0) < self.calm {
             let next = Instant(step * STEP.0);
             while let Some((moment, happening)) = happenings.next_if(|(moment, _)| *moment <= next)
@@ -329,11 +330,11 @@ impl Schedule {
                         let config = Config { boot_nonce: nonce, ..plan.config };
                         star.boot(robot, config, life);
                     }
-                    happening => self.happen(&mut star, *moment, happening),
+                    happening => self.happen(star, *moment, happening),
                 }
             }
             star.run_until(next);
-            self.step(&mut star, step);
+            self.step(star, step);
             step += 1;
         }
         if self.twin.is_some() {
@@ -341,9 +342,8 @@ impl Schedule {
         }
         let (up, down) = (self.calm_faults, self.calm_faults);
         for robot in 0..self.plans.len() {
-            self.happen(&mut star, self.calm, Happening::Weather { robot, up, down });
+            self.happen(star, self.calm, Happening::Weather { robot, up, down });
         }
-        self.settle(&mut star, step)
     }
 
     fn happen(&self, star: &mut Star<'_>, moment: Instant, happening: Happening) {
@@ -377,11 +377,14 @@ impl Schedule {
                 star.members[robot].down.weather(down, seed ^ 1);
             }
             Happening::Move { robot, port } => star.move_to_port(robot, port),
-            Happening::Restart { frame, finds } => star.restart_server(frame, finds),
+            Happening::Restart { frame, finds } => {
+                star.restart_server(frame, finds, self.repeats_epochs)
+            }
             Happening::BackUp => star.back_up(),
             // What cameras see is reported with each step.
             Happening::Look { .. } => {}
             Happening::Twin { .. } => star.switch_off(self.plans.len()),
+            Happening::StoreFails { length } => star.fail_store(length),
             Happening::Garbage { robot, direction } => star.garbage(robot, direction),
             Happening::Replay { robot, direction, handshakes_only } => {
                 star.replay(robot, direction, handshakes_only);
@@ -418,57 +421,18 @@ impl Schedule {
     }
 
     /// Maps nothing new, waits for convergence, and then for silence.
-    fn settle(&self, star: &mut Star<'_>, mut step: u64) -> Ending {
-        if std::env::var("PATIENCE").is_ok() {
-            for (m, h) in &self.happenings {
-                if !matches!(
-                    h,
-                    Happening::Weather { .. } | Happening::Clock { .. } | Happening::Garbage { .. }
-                ) {
-                    eprintln!("{m:?} {h:?}");
-                }
-            }
-            eprintln!(
-                "calm {:?} {:?} stores {} repeats {}",
-                self.calm,
-                self.calm_faults,
-                self.stores,
-                star.repeats_epoch()
-            );
-        }
-        let mut behind = star.behind();
-        let end = self.calm
-            + match star.repeats_epoch() {
-                true => UNTIL_COMPARED,
-                false if star.has_cured() => UNTIL_CURED,
-                false => PATIENCE,
-            };
-        while behind.is_some() && star.now() < end {
-            step += 1;
-            star.run_until(Instant(step * STEP.0));
-            behind = star.behind();
-        }
-        let took = star.now().since(self.calm);
+    fn settle(&self, star: &mut Star<'_>) -> Ending {
+        let patience = match star.repeats_epoch() {
+            true => UNTIL_COMPARED,
+            false if star.has_cured() => UNTIL_CURED,
+            false => PATIENCE,
+        };
+        let mut level = self.converge(star, self.calm + patience);
         star.check_all();
-        let mut level = behind.map_or(Ok(took), Err);
-        if level.is_ok() {
-            let effort = star.effort();
-            star.run_until(star.now() + QUIET);
-            let is_silent = star.effort().iter().zip(&effort).all(|(now, then)| now.0 == then.0);
-            if !is_silent && !star.has_cured() {
-                level = Err("tiles were sent after convergence".into());
-            } else if let Some(why) = star.behind() {
-                level = Err(format!("no longer converged: {why}"));
-            }
-            let end = star.now() + UNTIL_COMPARED;
-            while level.is_ok()
-                && let Some(why) = star.unstored()
-            {
-                if star.now() >= end {
-                    level = Err(format!("never reported as stored: {why}"));
-                }
-                star.run_until(star.now() + STEP);
-            }
+        if level.is_ok()
+            && let Err(why) = self.stay_level(star)
+        {
+            level = Err(why);
         }
         let robots = || star.members.iter().filter_map(|member| member.robot());
         let known = star.server().fused().tiles().map(|(.., tile)| {
@@ -481,6 +445,43 @@ impl Schedule {
             evicted: robots().map(|robot| robot.own_tiles().evicted()).sum(),
             known: known.sum(),
         }
+    }
+
+    /// Runs until all maps have converged; returns the time since the calm began.
+    fn converge(&self, star: &mut Star<'_>, end: Instant) -> Result<Duration, String> {
+        // The last step before the calm was taken.
+        let mut step = star.now().micros().div_ceil(STEP.0);
+        while let Some(why) = star.behind() {
+            if star.now() >= end {
+                return Err(why);
+            }
+            step += 1;
+            star.run_until(Instant(step * STEP.0));
+        }
+        Ok(star.now().since(self.calm))
+    }
+
+    /// Checks that nothing more happens once all maps have converged, and waits until the robots know
+    /// that all their tiles are stored.
+    fn stay_level(&self, star: &mut Star<'_>) -> Result<(), String> {
+        let (effort, time) = (star.effort(), star.server().map_time());
+        star.run_until(star.now() + QUIET);
+        let is_silent = star.effort().iter().zip(&effort).all(|(now, then)| now.0 == then.0);
+        if !is_silent && !star.has_cured() {
+            return Err("tiles were sent after convergence".into());
+        }
+        // The map itself may have changed since: movable cells expire when its time steps.
+        let may_change = self.calm >= FIRST_EXPIRY && star.server().map_time() != time;
+        let end = star.now() + if may_change { PATIENCE } else { Duration(0) };
+        self.converge(star, end).map_err(|why| format!("no longer converged: {why}"))?;
+        let end = star.now() + UNTIL_COMPARED;
+        while let Some(why) = star.unstored() {
+            if star.now() >= end {
+                return Err(format!("never reported as stored: {why}"));
+            }
+            star.run_until(star.now() + STEP);
+        }
+        Ok(())
     }
 }
 

@@ -1,0 +1,54 @@
+//! Nothing grows while robots draw the same room for hours, whatever happens to them.
+//!
+//! ```text
+//! cargo soak                         eight hours of simulated time
+//! UBIMAP_SOAK_HOURS=1 cargo soak
+//! ```
+
+use std::{env, fs, path::Path};
+
+use ubimap_protocol::time::Duration;
+use ubimap_tests::schedule::{Row, Soak};
+
+/// Simulated time in hours, unless set by `UBIMAP_SOAK_HOURS`.
+const HOURS: u64 = 8;
+const SEED: u64 = 18;
+/// Maximum number of epochs that the server holds of a tile.
+const EPOCHS: usize = 3;
+/// The server's estimate of the memory of a tile with that many epochs, in bytes.
+const TILE_MEMORY: usize = 8_064;
+/// Resident memory that the allocator may keep for itself, in bytes.
+const SLACK: u64 = 1 << 20;
+
+/// Flat means: in the second half of the time the numbers of tiles and the bytes on disk never exceed
+/// their maxima in the first half, and the resident memory does so by at most a mebibyte; and at any
+/// time a tile takes at most three epochs and their memory. In every calm all maps converge and all
+/// tiles are stored.
+#[test]
+#[ignore = "long: cargo soak"]
+fn nothing_grows_in_eight_hours() {
+    let hours = env::var("UBIMAP_SOAK_HOURS").map_or(HOURS, |hours| hours.parse().unwrap());
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("soak");
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).unwrap();
+    println!("{}", Row::HEAD);
+    let soak = Soak::of(SEED, Duration::from_secs(3_600 * hours));
+    let rows = soak.run(&folder.join("map.db"), |row| println!("{row}")).unwrap();
+    for Row { tiles, epochs, memory, .. } in &rows {
+        assert!(*epochs <= EPOCHS * tiles, "{epochs} epochs of {tiles} tiles");
+        assert!(*memory <= TILE_MEMORY * tiles, "{memory} bytes for {tiles} tiles");
+    }
+    let (first, last) = rows.split_at(rows.len() / 2);
+    let columns: [(&str, fn(&Row) -> u64, u64); 3] = [
+        ("the number of tiles", |row| row.tiles as u64, 0),
+        ("the disk", |row| row.disk, 0),
+        ("the resident memory", |row| row.resident, SLACK),
+    ];
+    for (what, value, slack) in columns {
+        let most = |rows: &[Row]| rows.iter().map(value).max().unwrap();
+        let [first, last] = [first, last].map(most);
+        assert!(last <= first + slack, "{what} has grown from at most {first} to {last}");
+    }
+    let begun = rows.last().unwrap().begun;
+    assert!(begun > 1_000 * hours as u32, "robots have given up few tiles: {begun} epochs");
+}
