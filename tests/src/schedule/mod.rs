@@ -45,8 +45,6 @@ const UNTIL_CURED: Duration = Duration::from_secs(120);
 /// robot may take to learn that its last tile is stored, and robots and a server with the epoch of an
 /// earlier life to agree.
 const UNTIL_COMPARED: Duration = Duration::from_secs(5 * 36 * 10);
-/// Before this time no movable cell expires.
-const FIRST_EXPIRY: Instant = Instant(300_000_000);
 /// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);
 
@@ -470,9 +468,16 @@ impl Schedule {
         if !is_silent && !star.has_cured() {
             return Err("tiles were sent after convergence".into());
         }
-        // The map itself may have changed since: movable cells expire when its time steps.
-        let may_change = self.calm >= FIRST_EXPIRY && star.server().map_time() != time;
-        let end = star.now() + if may_change { PATIENCE } else { Duration(0) };
+        // The map itself may have changed since: when its time steps, movable cells expire, and robots are
+        // weighed anew.
+        let may_change = star.server().map_time() != time;
+        let patience = match star.has_cured() {
+            // Requested tiles may change the map once more.
+            true => UNTIL_CURED,
+            false if may_change => PATIENCE,
+            false => Duration(0),
+        };
+        let end = star.now() + patience;
         self.converge(star, end).map_err(|why| format!("no longer converged: {why}"))?;
         let end = star.now() + UNTIL_COMPARED;
         while let Some(why) = star.unstored() {
