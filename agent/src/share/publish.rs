@@ -274,22 +274,25 @@ mod tests {
     };
     use ubimap_protocol::{
         message::Messages,
+        tile::{Applied, Replica, TileDecoder},
         units::{Millimetres, Pose},
     };
+
+    /// Sends version 1 of an empty tile in a frame, and acknowledges it.
+    fn acknowledge(pool: &mut Pool<'_>, id: TileId, frame: u16) {
+        let tile = pool.find_or_begin(id, 1).unwrap();
+        let mut buffer = [0; 64];
+        let mut encoder = TileEncoder::new(&mut buffer);
+        let mut cells = Tile::UNKNOWN;
+        let version = Version(1);
+        assert!(tile.publication.push(&mut encoder, id, Epoch(1), version, &mut cells, frame));
+        assert!(tile.publication.acknowledge(frame));
+    }
 
     /// A pool of tiles that the server has acknowledged.
     fn acknowledged(places: &mut [OwnTile]) -> Pool<'_> {
         let mut pool = Pool::new(places);
-        for x in [1, 2, 3] {
-            let id = TileId { x, y: 0 };
-            let tile = pool.find_or_begin(id, 1).unwrap();
-            let mut buffer = [0; 64];
-            let mut encoder = TileEncoder::new(&mut buffer);
-            let mut cells = Tile::UNKNOWN;
-            let version = Version(1);
-            assert!(tile.publication.push(&mut encoder, id, Epoch(1), version, &mut cells, 7));
-            assert!(tile.publication.acknowledge(7));
-        }
+        [1, 2, 3].into_iter().for_each(|x| acknowledge(&mut pool, TileId { x, y: 0 }, 7));
         pool
     }
 
@@ -315,6 +318,76 @@ mod tests {
             assert_eq!(tell(8, false, now), None, "there is no room beside others");
             assert_eq!(tell(16, true, now), Some(std::vec![x]));
         }
+    }
+
+    #[test]
+    fn a_request_for_one_tile_sends_all_tiles_of_its_frame_again() {
+        let mut places = [OwnTile::FREE; 5];
+        let mut pool = acknowledged(&mut places);
+        acknowledge(&mut pool, TileId { x: 4, y: 0 }, 8);
+        // It is in the pool, but agreed with the server's map and was never sent.
+        pool.find_or_begin(TileId { x: 5, y: 0 }, 1).unwrap();
+        let mut publisher = Publisher::new(Duration(0));
+        let mut requested = |id: Option<TileId>| {
+            pool.tiles_mut().for_each(|tile| tile.dirty = false);
+            publisher.waiting_since = None;
+            publisher.requested(&mut pool, id, Instant(9));
+            let again = pool.tiles().filter(|tile| tile.dirty);
+            let again: std::vec::Vec<_> = again
+                .inspect(|tile| assert!(tile.publication.differs(&Tile::UNKNOWN)))
+                .map(|tile| tile.id.unwrap().x)
+                .collect();
+            assert_eq!(publisher.poll_timeout(), (!again.is_empty()).then_some(Instant(9)));
+            again
+        };
+        let named = |x: i16| Some(TileId { x, y: 0 });
+        assert_eq!(requested(named(2)), [1, 2, 3]);
+        assert_eq!(requested(named(4)), [4]);
+        assert_eq!(requested(named(5)), [5]);
+        assert_eq!(requested(named(6)), [], "a tile that is not in the pool");
+        assert_eq!(requested(None), [1, 2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn a_change_made_while_the_tile_is_in_flight_is_sent_after_the_acknowledgement() {
+        const ID: TileId = TileId { x: 0, y: 0 };
+        let mut places = [OwnTile::FREE; 1];
+        let mut pool = Pool::new(&mut places);
+        let merged = FusedMap::new(&mut []);
+        let mut publisher = Publisher::new(Duration(100));
+        let mut server = Replica::default();
+        let see = |pool: &mut Pool<'_>, publisher: &mut Publisher, y: usize, now: Instant| {
+            let tile = pool.find_or_begin(ID, 1).unwrap();
+            tile.evidence.add(y, [RowSighting { free: 1 << y, hit: 0 }].into_iter());
+            tile.dirty = true;
+            publisher.changed(now, None);
+        };
+        let mut send = |pool: &mut Pool<'_>, publisher: &mut Publisher, now: Instant| {
+            let mut buffer = [0u8; 100];
+            let mut writer = Writer::new(&mut buffer);
+            let frame = publisher.fill(pool, &merged, &mut writer, now)?;
+            let len = writer.len();
+            let message = Messages::<ToServer>::new(&buffer[..len]).next().unwrap().unwrap();
+            let (_, coded) = message.split::<TileUpdateHead>().unwrap();
+            let mut decoder = TileDecoder::new(coded);
+            let header = decoder.header().unwrap().unwrap();
+            assert_eq!(server.apply(&header, &mut decoder), Ok(Applied::Complete));
+            assert_eq!(decoder.header(), Ok(None));
+            Some((frame, *server.tile()))
+        };
+        see(&mut pool, &mut publisher, 0, Instant(0));
+        assert_eq!(send(&mut pool, &mut publisher, Instant(99)), None, "changes are gathered");
+        let (first, _) = send(&mut pool, &mut publisher, Instant(100)).unwrap();
+        see(&mut pool, &mut publisher, 1, Instant(110));
+        assert_eq!(send(&mut pool, &mut publisher, Instant(300)), None, "one update is in flight");
+        publisher.acknowledged(&mut pool, &merged, first, Instant(400));
+        assert_eq!(publisher.poll_timeout(), Some(Instant(500)));
+        let (second, cells) = send(&mut pool, &mut publisher, Instant(500)).unwrap();
+        assert_eq!(cells, pool.find(ID).unwrap().cells());
+        publisher.acknowledged(&mut pool, &merged, second, Instant(600));
+        assert!(!pool.find(ID).unwrap().dirty, "its place may be used for another tile");
+        assert_eq!(send(&mut pool, &mut publisher, Instant(900)), None, "nothing is left");
+        assert_eq!(publisher.poll_timeout(), None);
     }
 
     #[test]
