@@ -141,3 +141,6 @@ impl<'a> Inbox<'a> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;
