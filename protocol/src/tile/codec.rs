@@ -385,6 +385,25 @@ mod tests {
     }
 
     #[test]
+    fn an_update_has_a_limited_number_of_tiles() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(3, 3, Cell::Free);
+        let mut out = [0u8; 400];
+        let mut encoder = TileEncoder::new(&mut out);
+        let push = |encoder: &mut TileEncoder<'_>, x: usize, start: u16| {
+            let id = TileId { x: x as i16, y: 0 };
+            encoder.push(id, stamp(1, 1), None, start, &Tile::UNKNOWN, &tile)
+        };
+        assert_eq!(push(&mut encoder, 0, TILE_CELLS), None, "it has no cells");
+        for count in 0..MAX_TILES_PER_UPDATE {
+            assert_eq!(encoder.tiles(), count);
+            assert_eq!(push(&mut encoder, count, 0), Some(TILE_CELLS));
+        }
+        assert_eq!(push(&mut encoder, 40, 0), None);
+        assert_eq!(encoder.tiles(), MAX_TILES_PER_UPDATE);
+    }
+
+    #[test]
     fn a_tile_that_does_not_fit_leaves_the_update_unchanged() {
         let mut noise = Tile::UNKNOWN;
         for y in 0..TILE_SIDE {

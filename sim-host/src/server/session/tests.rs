@@ -126,8 +126,8 @@ fn tiles_are_sent_again_after_a_lost_window() {
     assert!(session.poll_timeout(&snapshot(&fused), true, Instant(0)).is_some());
 }
 
-#[test]
-fn requested_tiles_of_either_layer_are_sent_whole_again() {
+/// Requests tiles of one layer of a session whose robot has all tiles of both layers.
+fn request_tiles(layer: Layer) {
     let mut tile = Tile::UNKNOWN;
     tile.set(3, 3, Cell::Free);
     let (mut fused, mut coverage) = (ServedLayer::default(), ServedLayer::default());
@@ -169,16 +169,25 @@ fn requested_tiles_of_either_layer_are_sent_whole_again() {
     let all: BTreeSet<_> = ids.into_iter().flat_map(|id| [(0, id), (1, id)]).collect();
     assert_eq!(updates(&mut session), all);
     assert_eq!(updates(&mut session), BTreeSet::new());
-    for (number, layer) in [(0, Layer::Fused), (1, Layer::Coverage)] {
+    // Both tiles travelled in one frame, so a request for one of them concerns the other too.
+    for asked in [&ids[..1], &ids[1..], &[]] {
+        session.requested(&Request { layer, tiles: asked.iter().copied().collect() });
+        let number = u8::from(layer == Layer::Coverage);
         let expected: BTreeSet<_> = ids.into_iter().map(|id| (number, id)).collect();
-        // Both tiles travelled in one frame, so a request for one of them concerns the other too.
-        for asked in [&ids[..1], &ids[1..], &[]] {
-            session.requested(&Request { layer, tiles: asked.iter().copied().collect() });
-            assert_eq!(updates(&mut session), expected, "{layer:?}, {asked:?}");
-        }
+        assert_eq!(updates(&mut session), expected, "{asked:?}");
     }
     session.requested(&Request { layer: Layer::Robot, tiles: Default::default() });
     assert_eq!(updates(&mut session), BTreeSet::new());
+}
+
+#[test]
+fn requested_fused_tiles_are_sent_whole_again() {
+    request_tiles(Layer::Fused);
+}
+
+#[test]
+fn requested_coverage_tiles_are_sent_whole_again() {
+    request_tiles(Layer::Coverage);
 }
 
 #[test]
