@@ -139,6 +139,10 @@ fn a_handshake_passes_between_ends_without_a_session() {
     let (mut robot, mut server) = (End::<ToServer>::new(), End::<ToRobot>::new());
     let mut out = [0u8; 64];
     let len = robot.handshake(&hello, &mut out).unwrap();
+    let mut payload = [0u8; 64];
+    let mut writer = Writer::<ToServer>::new(&mut payload);
+    assert!(writer.push(&hello));
+    assert_eq!(len, cobs::encoded_len(HEADER_LEN + writer.len() + SEAL_LEN));
     for session in [SessionId::NONE, SessionId(77)] {
         server.begin(session, 64);
         let Some(Received::Handshake(message)) = server.receive(&mut &out[..len], Instant(0))
