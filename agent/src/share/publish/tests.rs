@@ -338,16 +338,57 @@ fn a_session_sends_again_what_the_server_may_lack() {
 fn digests_are_due_every_ten_seconds() {
     let mut places = [OwnTile::FREE; 3];
     let pool = acknowledged(&mut places);
+    let mut nothing = [OwnTile::FREE; 1];
+    let nothing = Pool::new(&mut nothing);
+    let later = Instant(5) + DIGEST_INTERVAL;
+    // The tiles, the room, and whether the frame is otherwise empty; whether digests are sent, and whether
+    // the next ones are due an interval later.
+    for (pool, room, alone, is_sent, is_done) in [
+        (&pool, 60, true, true, true),
+        (&pool, 60, false, true, true),
+        (&pool, 4, false, false, false),
+        (&pool, 4, true, false, true),
+        (&nothing, 60, false, false, true),
+    ] {
+        let mut publisher = Publisher::new(Duration(0));
+        assert_eq!(publisher.digest_timeout(), Instant(0));
+        let mut push = |room: usize, now: Instant| {
+            let mut buffer = [0u8; 60];
+            let mut writer = Writer::new(&mut buffer[..room]);
+            publisher.push_digests(pool, &mut writer, alone, now);
+            (!writer.is_empty(), publisher.digest_timeout())
+        };
+        let next = if is_done { later } else { Instant(0) };
+        assert_eq!(push(room, Instant(5)), (is_sent, next), "{room} {alone}");
+        if is_sent {
+            assert_eq!(push(60, Instant(later.0 - 1)), (false, later));
+            assert_eq!(push(60, later), (true, later + DIGEST_INTERVAL));
+        }
+    }
+}
+
+#[test]
+fn digests_name_only_tiles_that_the_server_has() {
+    let mut places = [OwnTile::FREE; 4];
+    let mut pool = acknowledged(&mut places);
+    // The first has changed since; the last was never sent.
+    pool.tiles_mut().next().unwrap().dirty = true;
+    pool.find_or_begin(TileId { x: 4, y: 0 }, 1).unwrap();
     let mut publisher = Publisher::new(Duration(0));
-    assert_eq!(publisher.digest_timeout(), Instant(0));
-    let mut buffer = [0u8; 60];
-    publisher.push_digests(&pool, &mut Writer::new(&mut buffer), true, Instant(5));
-    assert_eq!(publisher.digest_timeout(), Instant(5) + DIGEST_INTERVAL);
-    let mut writer = Writer::new(&mut buffer);
-    publisher.push_digests(&pool, &mut writer, true, Instant(4) + DIGEST_INTERVAL);
-    assert!(writer.is_empty());
-    publisher.push_digests(&pool, &mut writer, true, Instant(5) + DIGEST_INTERVAL);
-    assert!(!writer.is_empty());
+    let mut named = std::vec::Vec::new();
+    for round in 0..3 {
+        let mut buffer = [0u8; 60];
+        let mut writer = Writer::new(&mut buffer);
+        let now = Instant(round * DIGEST_INTERVAL.0);
+        publisher.push_digests(&pool, &mut writer, true, now);
+        let len = writer.len();
+        for message in Messages::<ToServer>::new(&buffer[..len]) {
+            let digests = message.unwrap().decode::<Digests>().unwrap();
+            assert_eq!(digests.layer, Layer::Robot);
+            named.extend(digests.tiles.iter().map(|digest| digest.id.x));
+        }
+    }
+    assert_eq!(named, [2, 3, 2, 3]);
 }
 
 #[test]
