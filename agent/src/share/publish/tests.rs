@@ -410,7 +410,8 @@ fn cells_that_the_server_knows_are_left_out_until_they_were_sent() {
     assert_eq!(news(&tile, Some(&merged)).row(2), expected);
     // What has been sent is sent again, in whatever state it is now.
     let mut cells = Tile::UNKNOWN;
-    cells.set_row(2, Row { low: 0x01, high: 0x10 });
+    // Columns 0 and 4 agree with the map, 1 and 5 do not.
+    cells.set_row(2, Row { low: 0x03, high: 0x30 });
     let mut buffer = [0; 60];
     let mut encoder = TileEncoder::new(&mut buffer);
     assert!(tile.publication.push(&mut encoder, id, Epoch(1), Version(1), &mut cells, 1));
