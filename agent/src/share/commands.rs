@@ -77,21 +77,65 @@ fn keep<T: DeserializeOwned>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::message::{Messages, ToRobot, Writer};
+    use ubimap_protocol::{
+        message::{Body, Message, Messages, Reset, ToRobot, ToRobotKind, Waypoint, Writer},
+        time::Instant,
+        units::Millimetres,
+    };
+
+    fn take(commands: &mut Commands, body: &impl Body<ToRobot>) -> Option<()> {
+        let mut buffer = [0; 40];
+        let mut writer = Writer::<ToRobot>::new(&mut buffer);
+        assert!(writer.push(body));
+        let message = Messages::<ToRobot>::new(&buffer).next().unwrap().unwrap();
+        commands.take(message.by_kind().unwrap())
+    }
 
     #[test]
     fn the_highest_number_wins_in_any_order() {
         let mut commands = Commands::default();
-        let mut take = |number, stop| {
-            let mut buffer = [0; 16];
-            let mut writer = Writer::<ToRobot>::new(&mut buffer);
-            assert!(writer.push(&Stop { number, stop }));
-            let message = Messages::<ToRobot>::new(&buffer).next().unwrap().unwrap();
-            assert_eq!(commands.take(message.by_kind().unwrap()), Some(()));
-            commands.must_stop()
+        for (number, stop, must_stop) in
+            [(2, true, true), (1, false, true), (2, false, true), (3, false, false)]
+        {
+            assert_eq!(take(&mut commands, &Stop { number, stop }), Some(()));
+            assert_eq!(commands.must_stop(), must_stop, "{number}");
+        }
+        let waypoint = Waypoint { x: Millimetres(1), y: Millimetres(2) };
+        let path = |number: u32, points: usize| Path {
+            number,
+            waypoints: core::iter::repeat_n(waypoint, points).collect(),
         };
-        assert!(take(2, true));
-        assert!(take(1, false));
-        assert!(!take(3, false));
+        for (number, points, kept) in
+            [(2, 1, (2, 1)), (1, 2, (2, 1)), (2, 3, (2, 1)), (3, 4, (3, 4))]
+        {
+            assert_eq!(take(&mut commands, &path(number, points)), Some(()));
+            assert_eq!(commands.path(), Some(&path(kept.0, kept.1)), "{number}");
+        }
+    }
+
+    #[test]
+    fn the_newest_report_wins_in_any_order_until_the_server_restarts() {
+        let mut commands = Commands::default();
+        for (time, newest) in [(2, 2), (1, 2), (3, 3)].map(|(a, b)| (Instant(a), Instant(b))) {
+            let peers = Peers { time, peers: Default::default() };
+            let obstacles = Obstacles { time, obstacles: Default::default() };
+            assert_eq!(take(&mut commands, &peers), Some(()));
+            assert_eq!(take(&mut commands, &obstacles), Some(()));
+            assert_eq!(commands.peers().map(|peers| peers.time), Some(newest));
+            assert_eq!(commands.obstacles().map(|obstacles| obstacles.time), Some(newest));
+        }
+        assert_eq!(take(&mut commands, &Stop { number: 9, stop: true }), Some(()));
+        commands.forget();
+        assert!(!commands.must_stop() && commands.path().is_none());
+        assert!(commands.peers().is_none() && commands.obstacles().is_none());
+    }
+
+    #[test]
+    fn other_and_malformed_messages_are_refused() {
+        let mut commands = Commands::default();
+        assert_eq!(take(&mut commands, &Reset), None);
+        let stop = Message::<ToRobot>::new(ToRobotKind::Stop.into(), &[1]);
+        assert_eq!(commands.take(stop.by_kind().unwrap()), None);
+        assert!(!commands.must_stop());
     }
 }

@@ -246,6 +246,105 @@ mod tests {
         }
     }
 
+    fn at(millis: u64) -> Instant {
+        Instant(millis * 1_000)
+    }
+
+    /// Sends the pending acknowledgement whenever it is due; returns when, in milliseconds.
+    fn acknowledge_all(window: &mut ReceiveWindow) -> std::vec::Vec<u64> {
+        let mut times = std::vec::Vec::new();
+        while let Some(due) = window.due() {
+            assert_eq!(window.owed(), Some(window.ack));
+            times.push(due.0 / 1_000);
+            window.acknowledged(due);
+        }
+        assert_eq!(window.owed(), None);
+        times
+    }
+
+    #[test]
+    fn acknowledgements_are_repeated_for_some_frames_after_a_loss() {
+        let mut window = ReceiveWindow::default();
+        assert!(acknowledge_all(&mut window).is_empty());
+        window.arrive(0, at(10));
+        window.arrive(1, at(12));
+        assert_eq!(acknowledge_all(&mut window), [15], "the first frame waits no longer");
+        assert_eq!(window.arrive(3, at(20)), Arrival::New, "frame 2 is lost");
+        assert_eq!(acknowledge_all(&mut window), [25, 65, 135]);
+        let mut repeated = 1;
+        window.arrive(2, at(200));
+        for sequence in 4..60 {
+            let times = acknowledge_all(&mut window);
+            match times.len() {
+                1 => break,
+                3 => repeated += 1,
+                _ => panic!("{times:?}"),
+            }
+            window.arrive(sequence, at(200));
+        }
+        assert_eq!(repeated, FRAMES_AFTER_LOSS - 1);
+        assert_eq!(window.arrive(3, at(300)), Arrival::Duplicate, "its acknowledgement was lost");
+        assert_eq!(acknowledge_all(&mut window), [305, 345, 415]);
+        assert_eq!(window.arrive(window.ack.next + SPAN, at(400)), Arrival::Refused);
+        assert!(acknowledge_all(&mut window).is_empty());
+    }
+
+    #[test]
+    fn a_frame_overtaken_by_an_acknowledged_one_is_sent_again_at_once() {
+        let mut window = SendWindow::<u8, 4, 16>::default();
+        assert_eq!(window.next_deadline(), None);
+        for (token, sent) in [(0, 0), (1, 10), (2, 100)] {
+            window.keep(&[token], token, at(sent));
+        }
+        assert_eq!(window.next_deadline(), Some(at(500)), "without a round-trip time");
+        window.acknowledge(Ack { next: 0, later: 2 }, at(200));
+        // The round trip is 100 ms and its variation 50 ms: a timeout of 300 ms, 60 ms for reordering.
+        assert_eq!(window.next_deadline(), Some(at(60)));
+        let mut resend =
+            |now: u64| window.resend(at(now)).map(|(contents, token)| (contents[0], token));
+        assert_eq!(resend(59), None);
+        assert_eq!([resend(200), resend(200), resend(200)], [Some((0, 0)), Some((1, 1)), None]);
+        assert_eq!((resend(799), resend(800)), (None, Some((0, 0))), "the timeout has doubled");
+        assert_eq!(window.next_deadline(), Some(at(800)));
+        // Frames that were sent twice are no sample of the round trip.
+        window.acknowledge(Ack { next: 3, later: 0 }, at(5_000));
+        while window.take_acknowledged().is_some() {}
+        assert_eq!(window.next_deadline(), None);
+        window.keep(&[3], 3, at(6_000));
+        assert_eq!(window.next_deadline(), Some(at(6_300)));
+    }
+
+    #[test]
+    fn a_late_acknowledgement_says_nothing_of_frames_beyond_its_range() {
+        let mut window = SendWindow::<u8, 4, 16>::default();
+        for token in 0..40 {
+            window.keep(&[token], token, at(0));
+            window.acknowledge(Ack { next: u16::from(token) + 1, later: 0 }, at(1));
+            assert_eq!(window.take_acknowledged(), Some(token));
+        }
+        window.keep(&[40], 40, at(2));
+        window.acknowledge(Ack { next: 3, later: u32::MAX }, at(3));
+        assert_eq!(window.take_acknowledged(), None);
+        window.acknowledge(Ack { next: 30, later: 1 << 9 }, at(3));
+        assert_eq!(window.take_acknowledged(), Some(40));
+    }
+
+    #[test]
+    fn tokens_that_were_not_taken_count_and_a_cleared_window_is_empty() {
+        let mut window = SendWindow::<u8, 4, 16>::default();
+        (0..4).for_each(|token| window.keep(&[token], token, at(0)));
+        window.acknowledge(Ack { next: 4, later: 0 }, at(1));
+        assert_eq!(window.next_sequence(), None);
+        assert!(window.take_acknowledged().is_some());
+        assert_eq!(window.next_sequence(), Some(4));
+        window.keep(&[9], 9, at(2));
+        window.clear();
+        assert_eq!((window.next_sequence(), window.next_deadline()), (Some(0), None));
+        assert_eq!((window.take_acknowledged(), window.resend(at(9_000))), (None, None));
+        window.keep(&[9], 9, at(0));
+        assert_eq!(window.next_deadline(), Some(at(500)), "the round trip is forgotten");
+    }
+
     #[test]
     fn acknowledged_frames_are_not_sent_again() {
         let mut window = SendWindow::<u8, 4, 16>::default();

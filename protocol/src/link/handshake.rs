@@ -152,6 +152,18 @@ mod tests {
     }
 
     #[test]
+    fn versions_that_overlap_and_the_smallest_frame_are_welcome() {
+        let newer = Hello { version: VERSION + 8, min_version: VERSION, ..hello() };
+        let older = Hello { version: MIN_VERSION, min_version: 0, ..hello() };
+        for (hello, version) in [(newer, VERSION), (older, MIN_VERSION)] {
+            let hello = Hello { frame: MIN_FRAME as u16, ..hello };
+            let answer = answer(&hello, &TERMS, SessionId(7), 5);
+            let Answer::Welcome(welcome) = answer else { panic!("{answer:?}") };
+            assert_eq!((welcome.version, welcome.frame), (version, MIN_FRAME as u16));
+        }
+    }
+
+    #[test]
     fn a_mismatch_is_named() {
         let reason = |hello| match answer(&hello, &TERMS, SessionId(7), 5) {
             Answer::Refusal(refusal) => refusal.reason,
@@ -159,6 +171,10 @@ mod tests {
         };
         assert_eq!(
             reason(Hello { version: 9, min_version: 8, ..hello() }),
+            RefusalReason::Version { min: MIN_VERSION, current: VERSION }
+        );
+        assert_eq!(
+            reason(Hello { version: MIN_VERSION - 1, min_version: 0, ..hello() }),
             RefusalReason::Version { min: MIN_VERSION, current: VERSION }
         );
         assert_eq!(
@@ -183,6 +199,23 @@ mod tests {
         knocking.restart(Instant(20_000_000));
         assert!(knocking.poll(Instant(20_000_000)));
         assert_ne!(knocking.nonce(), nonce);
+        assert_eq!(knocking.poll_timeout(), Instant(20_200_000), "the intervals start again");
+        knocking.refused(Instant(20_100_000));
+        assert_eq!(knocking.poll_timeout(), Instant(30_100_000));
+        assert!(!knocking.poll(Instant(30_099_999)) && knocking.poll(Instant(30_100_000)));
+    }
+
+    #[test]
+    fn attempts_and_boots_have_nonces_of_their_own() {
+        let mut nonces = std::collections::BTreeSet::new();
+        for boot_nonce in [0, 1, 5, u32::MAX] {
+            let mut knocking = Knocking::new(boot_nonce);
+            assert_eq!(knocking.nonce(), boot_nonce);
+            for _ in 0..1_000 {
+                assert!(nonces.insert(knocking.nonce()));
+                knocking.restart(Instant(0));
+            }
+        }
     }
 
     #[test]

@@ -45,6 +45,36 @@ impl RoundTrip {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Equations 2.2 and 2.3 of RFC 6298, with its gains of 1/8 and 1/4.
+        #[test]
+        fn estimates_are_those_of_the_rfc(spans in proptest::collection::vec(1u64..4_000_000, 1..40)) {
+            let mut trip = RoundTrip::default();
+            let (mut smoothed, mut variation) = (0.0, 0.0);
+            for (index, &span) in spans.iter().enumerate() {
+                trip.sample(Duration(span));
+                let span = span.min(3_000_000) as f64;
+                (smoothed, variation) = match index {
+                    0 => (span, span / 2.0),
+                    _ => (
+                        0.875 * smoothed + 0.125 * span,
+                        0.75 * variation + 0.25 * f64::abs(smoothed - span),
+                    ),
+                };
+                // Each sample rounds twice, and rounding errors decay.
+                let is_near = |found: Duration, expected: f64| (found.0 as f64 - expected).abs() < 60.0;
+                let once = (smoothed + 4.0 * variation).max(150_000.0);
+                for (sent, factor) in [(0, 1.0), (1, 1.0), (2, 2.0), (3, 4.0), (5, 16.0), (6, 16.0)] {
+                    let expected = (factor * once).min(3_000_000.0);
+                    let found = trip.timeout(sent);
+                    prop_assert!((found.0 as f64 - expected).abs() < 60.0 * factor, "{found:?} {expected}");
+                }
+                prop_assert!(is_near(trip.reordering(), (smoothed / 4.0).max(60_000.0)));
+            }
+        }
+    }
 
     #[test]
     fn the_timeout_follows_the_round_trip_and_doubles() {

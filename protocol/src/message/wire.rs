@@ -291,7 +291,9 @@ mod tests {
         let mut writer = Writer::<ToServer>::new(&mut buffer);
         let ack = Ack { next: 7, later: 5 };
         let head = TileUpdateHead { layer: Layer::Robot, seconds: 9 };
+        assert!(writer.is_empty());
         assert!(writer.push(&ack));
+        assert!(!writer.is_empty());
         assert!(writer.push_with(&head, |rest| {
             rest[..200].fill(3);
             Some(200)
@@ -303,6 +305,7 @@ mod tests {
         let mut messages = Messages::<ToServer>::new(&buffer[..len]);
         let first = messages.next().unwrap().unwrap();
         assert_eq!((first.number, first.decode()), (0, Ok(ack)));
+        assert_eq!(first.kind(), Some(ToServerKind::Ack));
         assert_eq!(first.decode::<TileUpdateHead>(), Err(MalformedMessage), "of another kind");
         let second = messages.next().unwrap().unwrap().by_kind().unwrap();
         let ToServerMessage::TileUpdate(update) = second else { panic!("{second:?}") };
@@ -311,6 +314,22 @@ mod tests {
         assert_eq!((third.number, third.body, third.kind()), (99, &[1u8, 2][..], None));
         assert!(third.by_kind().is_none());
         assert_eq!(messages.next(), None);
+    }
+
+    #[test]
+    fn a_body_as_long_as_the_room_fits_and_a_longer_one_does_not() {
+        for size in 0..300 {
+            let mut buffer = [0u8; 300];
+            let mut writer = Writer::<ToServer>::new(&mut buffer[..size]);
+            let is_second = writer.push_encoded(Message::new(98, &[1, 2]));
+            assert_eq!(is_second, size >= HEAD_LEN + 2);
+            let room = writer.room();
+            let taken = if is_second { writer.len() } else { 0 } + HEAD_LEN;
+            assert_eq!(room, size.saturating_sub(taken), "{size}");
+            assert!(!writer.push_encoded(Message::new(99, &[7; 301][..room + 1])), "{size}");
+            let fits = writer.push_encoded(Message::new(99, &[7; 301][..room]));
+            assert_eq!(fits, size >= taken, "{size}");
+        }
     }
 
     #[test]

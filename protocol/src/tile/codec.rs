@@ -384,6 +384,57 @@ mod tests {
         }
     }
 
+    /// The numbers of parts are those measured. More of them mean that a part leaves room unused.
+    #[test]
+    fn parts_in_small_frames_use_their_room() {
+        let mut noise = Tile::UNKNOWN;
+        for y in 0..TILE_SIDE {
+            let word = 0x9E37_79B9u32.wrapping_mul(y as u32 + 1);
+            noise.set_row(y, Row { low: word, high: word.rotate_left(13) });
+        }
+        for (room, most) in [(19, 172), (25, 46), (38, 17)] {
+            let (mut sent, mut start, mut parts) = (Tile::UNKNOWN, 0, 0);
+            while start < TILE_CELLS {
+                let mut out = [0u8; 40];
+                let mut encoder = TileEncoder::new(&mut out[..room]);
+                let id = TileId { x: 500, y: -500 };
+                let end = encoder.push(id, stamp(700, 5), None, start, &sent, &noise).unwrap();
+                for cell in usize::from(start)..usize::from(end) {
+                    let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+                    sent.set(x, y, noise.cell(x, y));
+                }
+                (start, parts) = (end, parts + 1);
+            }
+            assert!(parts <= most, "{parts} parts of {room} bytes");
+        }
+        for start in [0, 40] {
+            let mut out = [0u8; 12];
+            let mut encoder = TileEncoder::new(&mut out);
+            let id = TileId { x: 500, y: -500 };
+            let pushed = encoder.push(id, stamp(700, 5), None, start, &Tile::UNKNOWN, &noise);
+            assert_eq!(pushed, None, "no cell fits");
+        }
+    }
+
+    #[test]
+    fn an_update_has_a_limited_number_of_tiles() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(3, 3, Cell::Free);
+        let mut out = [0u8; 400];
+        let mut encoder = TileEncoder::new(&mut out);
+        let push = |encoder: &mut TileEncoder<'_>, x: usize, start: u16| {
+            let id = TileId { x: x as i16, y: 0 };
+            encoder.push(id, stamp(1, 1), None, start, &Tile::UNKNOWN, &tile)
+        };
+        assert_eq!(push(&mut encoder, 0, TILE_CELLS), None, "it has no cells");
+        for count in 0..MAX_TILES_PER_UPDATE {
+            assert_eq!(encoder.tiles(), count);
+            assert_eq!(push(&mut encoder, count, 0), Some(TILE_CELLS));
+        }
+        assert_eq!(push(&mut encoder, 40, 0), None);
+        assert_eq!(encoder.tiles(), MAX_TILES_PER_UPDATE);
+    }
+
     #[test]
     fn a_tile_that_does_not_fit_leaves_the_update_unchanged() {
         let mut noise = Tile::UNKNOWN;

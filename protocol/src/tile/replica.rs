@@ -327,6 +327,79 @@ mod tests {
     }
 
     #[test]
+    fn a_restored_replica_continues_where_it_was_saved() {
+        let mut publication = Publication::NOTHING;
+        let mut replica = Replica::default();
+        for frame in 1.. {
+            let mut out = [0u8; 80];
+            let mut encoder = TileEncoder::new(&mut out);
+            let mut new = noise(1);
+            assert!(publication.is_ready());
+            assert!(publication.push(&mut encoder, ID, EPOCH, Version(3), &mut new, frame));
+            assert!(!publication.is_ready(), "the update is in flight");
+            let len = encoder.finish().unwrap();
+            let mut decoder = TileDecoder::new(&out[..len]);
+            let header = decoder.header().unwrap().unwrap();
+            replica = Replica::restored(*replica.tile(), replica.stamp(), replica.next());
+            replica.apply(&header, &mut decoder).unwrap();
+            assert_eq!(replica.next(), header.end % TILE_CELLS);
+            assert!(publication.acknowledge(frame));
+            if !publication.has_parts_left() {
+                break;
+            }
+        }
+        let stamp = Stamp { epoch: EPOCH, version: Version(3) };
+        assert_eq!(replica, Replica::restored(noise(1), stamp, 0));
+    }
+
+    fn push(publication: &mut Publication, tile: &Tile, room: usize, frame: u16) {
+        let mut out = std::vec![0u8; room];
+        let version = Version(publication.version().0 + 1);
+        let mut new = *tile;
+        let mut encoder = TileEncoder::new(&mut out);
+        assert!(publication.push(&mut encoder, ID, EPOCH, version, &mut new, frame));
+    }
+
+    #[test]
+    fn a_publication_records_what_the_receiver_holds() {
+        let (old, new) = (noise(1), noise(2));
+        let mut publication = Publication::NOTHING;
+        assert!(publication.differs(&Tile::UNKNOWN), "the receiver may hold anything");
+        push(&mut publication, &old, 600, 1);
+        assert!(!publication.acknowledge(2) && !publication.is_ready(), "another frame");
+        assert!(publication.acknowledge(1) && publication.is_ready());
+        assert!(!publication.acknowledge(1), "acknowledged already");
+        assert!(!publication.differs(&old) && publication.differs(&new));
+
+        let held = publication.clone();
+        publication.interrupt();
+        assert_eq!(publication, held, "what was acknowledged stays with the receiver");
+        push(&mut publication, &new, 600, 2);
+        publication.interrupt();
+        assert!(publication.is_ready() && publication.differs(&new), "lost in flight");
+
+        let mut publication = held;
+        push(&mut publication, &new, 60, 2);
+        assert!(publication.acknowledge(2) && publication.has_parts_left());
+        let sent = *publication.sent();
+        assert!(publication.differs(&sent), "parts are missing");
+        publication.interrupt();
+        assert!(!publication.has_parts_left() && publication.differs(&sent));
+    }
+
+    #[test]
+    fn tiles_travel_together_in_one_frame() {
+        let mut publications = [const { Publication::NOTHING }; 4];
+        let [first, second, later, never] = &mut publications;
+        push(first, &noise(1), 600, 0);
+        push(second, &noise(2), 600, 0);
+        push(later, &noise(3), 600, 1);
+        assert!(first.travelled_with(second) && second.travelled_with(first));
+        assert!(!first.travelled_with(later) && !later.travelled_with(first));
+        assert!(!never.travelled_with(first) && !never.travelled_with(later), "never sent");
+    }
+
+    #[test]
     fn a_stale_whole_tile_takes_nothing_back() {
         let whole = |version: u32, room: usize| {
             let mut out = std::vec![0; room];

@@ -144,3 +144,6 @@ impl<'a> Inbox<'a> {
             })
     }
 }
+
+#[cfg(test)]
+mod tests;

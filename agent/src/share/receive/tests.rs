@@ -144,6 +144,269 @@ proptest::proptest! {
     }
 }
 
+fn update_of(fill: impl FnOnce(&mut TileEncoder<'_>) -> Option<u16>) -> std::vec::Vec<u8> {
+    let mut out = [0u8; 60];
+    let mut encoder = TileEncoder::new(&mut out);
+    fill(&mut encoder).unwrap();
+    let len = encoder.finish().unwrap();
+    out[..len].to_vec()
+}
+
+const fn stamp(epoch: u32, version: u32) -> Stamp {
+    Stamp { epoch: Epoch(epoch), version: Version(version) }
+}
+
+/// All requests that the map has to send, in frames with this room.
+fn requests(map: &mut FusedMap<'_>, room: usize) -> std::vec::Vec<Request> {
+    let mut requests = std::vec::Vec::new();
+    loop {
+        let mut buffer = [0u8; 60];
+        let mut writer = Writer::new(&mut buffer[..room]);
+        if !map.push_request(&mut writer) {
+            assert!(writer.is_empty());
+            return requests;
+        }
+        let len = writer.len();
+        for message in Messages::<ToServer>::new(&buffer[..len]) {
+            requests.push(message.unwrap().decode().unwrap());
+        }
+    }
+}
+
+fn request(layer: Layer, tiles: &[TileId]) -> Request {
+    Request { layer, tiles: tiles.iter().copied().collect() }
+}
+
+const BOTH: [Layer; 2] = [Layer::Fused, Layer::Coverage];
+/// The tiles of a window of two by two tiles around the origin.
+const WINDOW: [TileId; 4] = [
+    TileId { x: -1, y: -1 },
+    TileId { x: 0, y: -1 },
+    TileId { x: -1, y: 0 },
+    TileId { x: 0, y: 0 },
+];
+
+/// A map with the window [`WINDOW`], in the server's epoch 7.
+fn map_of(places: &mut [FusedTile]) -> FusedMap<'_> {
+    let mut map = FusedMap::new(places);
+    map.begin_session(Epoch(7));
+    map.follow(Pose::default(), Millimetres(50));
+    map
+}
+
+/// A coverage tile with cells in one row.
+fn row(y: usize, low: u32) -> Tile {
+    let mut tile = Tile::UNKNOWN;
+    tile.low[y] = low;
+    tile
+}
+
+fn held(map: &FusedMap<'_>, layer: Layer, id: TileId) -> Option<Replica> {
+    map.tiles(layer).find(|(held, _)| *held == id).map(|(_, replica)| replica)
+}
+
+#[test]
+fn an_update_upon_other_cells_voids_all_tiles_of_its_layer() {
+    for (layer, other) in [(BOTH[0], BOTH[1]), (BOTH[1], BOTH[0])] {
+        let mut places = [FusedTile::FREE; 4];
+        let mut map = map_of(&mut places);
+        for id in WINDOW {
+            BOTH.iter().for_each(|&layer| whole(layer, id, &row(3, 5), &mut map));
+        }
+        let upon = |old: &Tile, version: u32| {
+            let base = Some(Version(version - 1));
+            update_of(|encoder| {
+                encoder.push(WINDOW[1], stamp(7, version), base, 0, old, &row(3, 7))
+            })
+        };
+        assert_eq!(map.update(layer, &upon(&row(3, 5), 2), |_| ()), Ok(()));
+        assert_eq!(held(&map, layer, WINDOW[1]).unwrap().tile(), &row(3, 7));
+        assert_eq!(requests(&mut map, 60), []);
+        assert_eq!(map.update(layer, &upon(&row(3, 1), 3), |_| ()), Ok(()));
+        assert_eq!((map.tiles(layer).count(), map.tiles(other).count()), (0, 4));
+        assert_eq!(requests(&mut map, 60), [request(layer, &[])]);
+    }
+}
+
+#[test]
+fn a_tile_without_its_base_is_requested_and_those_before_it_are_kept() {
+    let mut places = [FusedTile::FREE; 4];
+    let mut map = map_of(&mut places);
+    let coded = update_of(|encoder| {
+        encoder.push(WINDOW[2], stamp(7, 4), None, 0, &Tile::UNKNOWN, &row(1, 9))?;
+        encoder.push(WINDOW[1], stamp(7, 4), Some(Version(3)), 0, &row(3, 1), &row(3, 3))?;
+        encoder.push(WINDOW[3], stamp(7, 4), None, 0, &Tile::UNKNOWN, &row(1, 9))
+    });
+    for layer in BOTH {
+        assert_eq!(map.update(layer, &coded, |_| ()), Ok(()));
+        assert_eq!(map.tiles(layer).map(|(id, _)| id).collect::<std::vec::Vec<_>>(), [WINDOW[2]]);
+        assert_eq!(requests(&mut map, 60), [request(layer, &[WINDOW[1]])]);
+    }
+    assert_eq!(map.update(Layer::Fused, &[0xFF; 3], |_| ()), Err(TileError::Malformed));
+    assert_eq!(map.tiles(Layer::Fused).count(), 1);
+}
+
+#[test]
+fn whole_tiles_of_another_epoch_or_outside_the_window_are_skipped() {
+    let mut places = [FusedTile::FREE; 4];
+    let mut map = map_of(&mut places);
+    let coded = update_of(|encoder| {
+        encoder.push(WINDOW[0], stamp(6, 4), None, 0, &Tile::UNKNOWN, &row(1, 9))?;
+        let outside = TileId { x: 1, y: 0 };
+        encoder.push(outside, stamp(7, 4), None, 0, &Tile::UNKNOWN, &row(1, 9))?;
+        encoder.push(WINDOW[1], stamp(7, 4), None, 0, &Tile::UNKNOWN, &row(1, 9))
+    });
+    for layer in BOTH {
+        assert_eq!(map.update(layer, &coded, |_| ()), Ok(()));
+        assert_eq!(map.tiles(layer).map(|(id, _)| id).collect::<std::vec::Vec<_>>(), [WINDOW[1]]);
+        assert_eq!(held(&map, layer, WINDOW[1]).unwrap().stamp(), stamp(7, 4));
+    }
+    assert_eq!(requests(&mut map, 60), []);
+    map.begin_session(Epoch(7));
+    assert_eq!(map.tiles(Layer::Fused).count(), 1, "the same server still holds them");
+    map.begin_session(Epoch(8));
+    assert!(BOTH.iter().all(|&layer| map.tiles(layer).count() == 0));
+}
+
+#[test]
+fn a_tile_in_parts_is_not_used_until_it_is_complete() {
+    let mut noise = Tile::UNKNOWN;
+    for y in 0..TILE_SIDE {
+        noise.low[y] = 0x9E37_79B9u32.wrapping_mul(y as u32 + 1);
+    }
+    let id = WINDOW[1];
+    for layer in BOTH {
+        let mut places = [FusedTile::FREE; 4];
+        let mut map = map_of(&mut places);
+        let mut sender = ubimap_protocol::tile::Publication::NOTHING;
+        let mut parts = 0;
+        while !sender.is_acknowledged() {
+            parts += 1;
+            let coded = update_of(|encoder| {
+                let mut cells = noise;
+                sender.push(encoder, id, Epoch(7), Version(5), &mut cells, 1).then_some(1)
+            });
+            sender.acknowledge(1);
+            assert_eq!(map.update(layer, &coded, |_| ()), Ok(()));
+            let freshness = Freshness {
+                time: Instant(0),
+                interest: 1,
+                first: 1,
+                tiles: core::iter::once(1).collect(),
+            };
+            map.confirm(&freshness, Instant(3 * SECOND));
+            let is_complete = sender.is_acknowledged();
+            assert_eq!(held(&map, layer, id).unwrap().is_partial(), !is_complete);
+            let around = map.around(id, Instant(3 * SECOND));
+            assert_eq!(around.merged.is_some(), is_complete && layer == Layer::Fused);
+            assert_eq!(around.covered.is_some(), is_complete && layer == Layer::Coverage);
+            assert!(around.merged.is_none_or(|tile| *tile == noise));
+            assert!(around.covered.is_none_or(|rows| *rows == noise.low));
+        }
+        assert!(parts > 2);
+        assert_eq!(requests(&mut map, 60), []);
+    }
+}
+
+#[test]
+fn requests_that_do_not_fit_wait_for_the_next_frame() {
+    let mut places = [FusedTile::FREE; 4];
+    let mut map = map_of(&mut places);
+    for layer in BOTH {
+        for id in [WINDOW[0], WINDOW[1], WINDOW[2], WINDOW[0]] {
+            let coded = update_of(|encoder| {
+                encoder.push(id, stamp(7, 4), Some(Version(3)), 0, &Tile::UNKNOWN, &row(1, 9))
+            });
+            assert_eq!(map.update(layer, &coded, |_| ()), Ok(()));
+        }
+    }
+    // Three bytes for kind and length, two for layer and count, two for each tile.
+    assert_eq!(requests(&mut map, 6), []);
+    let expected = BOTH.map(|it| [request(it, &WINDOW[..2]), request(it, &WINDOW[2..3])]).concat();
+    assert_eq!(requests(&mut map, 9), expected);
+    assert_eq!(requests(&mut map, 60), [], "each tile is requested once");
+    map.missing[0].all = true;
+    assert_eq!(requests(&mut map, 4), []);
+    assert_eq!(requests(&mut map, 5), [request(Layer::Fused, &[])]);
+    map.missing[0].all = true;
+    map.begin_session(Epoch(7));
+    assert_eq!(requests(&mut map, 60), [], "the server sends all of them in a new session");
+}
+
+#[test]
+fn the_window_moves_by_steps_when_the_robot_nears_its_edge() {
+    let mut places = std::vec![FusedTile::FREE; 170];
+    // Tiles are 1.6 m wide. Places, and x of the robot with number and south-western x of the window.
+    type Step = (i32, u32, i16);
+    let cases: [(usize, &[Step]); 4] = [
+        (16, &[(0, 1, -2), (2_399, 1, -2), (2_400, 2, 0), (800, 2, 0), (799, 3, -2)]),
+        (17, &[(800, 1, -1), (-2_400, 2, -3), (799, 2, -3), (800, 3, -1)]),
+        (170, &[(0, 1, -6), (4_799, 1, -6), (4_800, 2, -3), (1_600, 2, -3), (1_599, 3, -6)]),
+        (4, &[(i32::MAX, 1, i16::MAX), (i32::MIN, 2, i16::MIN)]),
+    ];
+    for (capacity, steps) in cases {
+        for is_y in [false, true] {
+            let mut map = FusedMap::new(&mut places[..capacity]);
+            assert_eq!(map.capacity(), capacity);
+            let side = (1..=13).rfind(|side| side * side <= capacity).unwrap() as i32;
+            for &(at, number, from) in steps {
+                let (x, y) = if is_y { (0, at) } else { (at, 0) };
+                let pose = Pose { x: Millimetres(x), y: Millimetres(y), ..Pose::default() };
+                map.follow(pose, Millimetres(50));
+                let interest = map.interest().unwrap();
+                let (first, last) = match is_y {
+                    true => (interest.from.y, interest.to.y),
+                    false => (interest.from.x, interest.to.x),
+                };
+                assert_eq!((interest.number, first), (number, from), "{capacity} {at}");
+                let last_expected = (i32::from(from) + side - 1).min(i32::from(i16::MAX));
+                assert_eq!(i32::from(last), last_expected);
+            }
+        }
+    }
+    let mut none = FusedMap::new(&mut []);
+    none.follow(Pose::default(), Millimetres(50));
+    assert_eq!(none.interest(), None);
+}
+
+#[test]
+fn a_window_is_told_once_in_each_session() {
+    let mut places = [FusedTile::FREE; 4];
+    let mut map = FusedMap::new(&mut places);
+    assert_eq!(map.untold(), None);
+    map.follow(Pose::default(), Millimetres(50));
+    assert_eq!(map.untold(), map.interest());
+    map.told(1);
+    assert_eq!(map.untold(), None);
+    map.follow(Pose { x: Millimetres(9_000), ..Pose::default() }, Millimetres(50));
+    assert_eq!(map.untold().map(|interest| interest.number), Some(2));
+    map.told(2);
+    map.told(1);
+    assert_eq!(map.untold(), None, "an older window was acknowledged late");
+    map.begin_session(Epoch(7));
+    assert_eq!(map.untold(), map.interest());
+}
+
+#[test]
+fn only_tiles_that_differ_are_dropped() {
+    let mut places = [FusedTile::FREE; 4];
+    let mut map = map_of(&mut places);
+    for layer in BOTH {
+        WINDOW[..2].iter().for_each(|&id| whole(layer, id, &row(3, 5), &mut map));
+        let digest =
+            |id: TileId, tile: &Tile| TileDigest { id, stamp: stamp(7, 1), hash: tile_hash(tile) };
+        let outside = TileId { x: 5, y: 5 };
+        let told = [(WINDOW[0], 5), (WINDOW[1], 6), (WINDOW[2], 5), (outside, 5)];
+        let tiles = told.into_iter().map(|(id, low)| digest(id, &row(3, low))).collect();
+        let mut dropped = std::vec::Vec::new();
+        map.compare(&Digests { layer, tiles }, |id| dropped.push(id));
+        assert_eq!(dropped, WINDOW[1..3]);
+        assert_eq!(requests(&mut map, 60), [request(layer, &WINDOW[1..3])]);
+        assert!(held(&map, layer, WINDOW[0]).is_some() && held(&map, layer, WINDOW[1]).is_none());
+    }
+    assert_eq!(map.tile(WINDOW[0]), Some(&row(3, 5)), "the other layer is kept");
+}
+
 /// A restarted server may use the epoch of an earlier run again and cut its tiles: the first part is
 /// skipped as stale, so the second one has no base.
 #[test]

@@ -2,8 +2,8 @@ use std::collections::BTreeSet;
 
 use ubimap_protocol::{
     frame::{MIN_VERSION, VERSION},
-    message::{Digests, Freshness, Messages, ToRobot},
-    tile::{Cell, Epoch, Tile},
+    message::{Digests, Freshness, Messages, TileUpdateHead, ToRobot},
+    tile::{Cell, Epoch, Layer, Tile, TileDecoder},
     units::{Millimetres, Pose},
 };
 
@@ -124,6 +124,70 @@ fn tiles_are_sent_again_after_a_lost_window() {
     session.interested(window(4, 0));
     assert!(!session.is_level(&snapshot(&fused)));
     assert!(session.poll_timeout(&snapshot(&fused), true, Instant(0)).is_some());
+}
+
+/// Requests tiles of one layer of a session whose robot has all tiles of both layers.
+fn request_tiles(layer: Layer) {
+    let mut tile = Tile::UNKNOWN;
+    tile.set(3, 3, Cell::Free);
+    let (mut fused, mut coverage) = (ServedLayer::default(), ServedLayer::default());
+    let ids = [ID, TileId { y: 1, ..ID }];
+    ids.iter().for_each(|&id| assert!(fused.set(id, tile) && coverage.set(id, tile)));
+    let surroundings = Surroundings::default();
+    let snapshot = Snapshot {
+        epoch: Epoch(1),
+        fused: &fused,
+        coverage: &coverage,
+        surroundings: &surroundings,
+    };
+    let mut session = new_session();
+    session.interested(window(1, 0));
+    let mut now = Instant(0);
+    // All updates that are due within five seconds; each is acknowledged.
+    let mut updates = |session: &mut Session| {
+        let until = now + Duration::from_secs(5);
+        let mut sent = BTreeSet::new();
+        while let Some(due) = session.poll_timeout(&snapshot, true, now).filter(|&it| it <= until) {
+            now = due.max(now);
+            let mut buffer = [0u8; 60];
+            let mut writer = Writer::new(&mut buffer);
+            let filled = session.fill(&snapshot, now, &mut writer, true);
+            let len = writer.len();
+            if let Fill::Reliable(frame) = filled {
+                session.acknowledged(frame);
+            }
+            for message in Messages::<ToRobot>::new(&buffer[..len]).map(Result::unwrap) {
+                let Ok((head, coded)) = message.split::<TileUpdateHead>() else { continue };
+                let header = TileDecoder::new(coded).header().unwrap().unwrap();
+                assert_eq!((header.start, header.base), (0, None), "a whole tile");
+                assert!(sent.insert((u8::from(head.layer == Layer::Coverage), header.id)));
+            }
+        }
+        now = until;
+        sent
+    };
+    let all: BTreeSet<_> = ids.into_iter().flat_map(|id| [(0, id), (1, id)]).collect();
+    assert_eq!(updates(&mut session), all);
+    assert_eq!(updates(&mut session), BTreeSet::new());
+    // Both tiles travelled in one frame, so a request for one of them concerns the other too.
+    for asked in [&ids[..1], &ids[1..], &[]] {
+        session.requested(&Request { layer, tiles: asked.iter().copied().collect() });
+        let number = u8::from(layer == Layer::Coverage);
+        let expected: BTreeSet<_> = ids.into_iter().map(|id| (number, id)).collect();
+        assert_eq!(updates(&mut session), expected, "{asked:?}");
+    }
+    session.requested(&Request { layer: Layer::Robot, tiles: Default::default() });
+    assert_eq!(updates(&mut session), BTreeSet::new());
+}
+
+#[test]
+fn requested_fused_tiles_are_sent_whole_again() {
+    request_tiles(Layer::Fused);
+}
+
+#[test]
+fn requested_coverage_tiles_are_sent_whole_again() {
+    request_tiles(Layer::Coverage);
 }
 
 #[test]
