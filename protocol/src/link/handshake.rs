@@ -200,7 +200,9 @@ mod tests {
         assert!(knocking.poll(Instant(20_000_000)));
         assert_ne!(knocking.nonce(), nonce);
         assert_eq!(knocking.poll_timeout(), Instant(20_200_000), "the intervals start again");
-        knocking.refused(Instant(20_100_000));
+        knocking.refused(RefusalReason::NumberInUse, Instant(20_100_000));
+        assert_eq!(knocking.poll_timeout(), Instant(23_100_000));
+        knocking.refused(RefusalReason::Frame(32), Instant(20_100_000));
         assert_eq!(knocking.poll_timeout(), Instant(30_100_000));
         assert!(!knocking.poll(Instant(30_099_999)) && knocking.poll(Instant(30_100_000)));
     }
