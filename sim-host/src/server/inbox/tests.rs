@@ -24,7 +24,7 @@ fn new_session() -> Session {
         resolution: Millimetres(50),
         fused_tiles: 4,
     };
-    Session::new(&hello, Instant(0))
+    Session::new(&hello, None, Instant(0))
 }
 
 /// The layer of a robot with one tile.
