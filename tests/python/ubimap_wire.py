@@ -327,7 +327,7 @@ MESSAGES = {
         5: Struct(
             nonce=U32,
             reason=Enum(
-                ("Version", Struct(min=U8, current=U8)), ("Resolution", MM), ("Frame", U16), "NumberInUse"
+                ("Version", Struct(min=U8, current=U8)), ("Resolution", MM), ("Frame", U16), "NumberInUse", "TooManyRobots"
             ),
         ),
         6: REQUEST,

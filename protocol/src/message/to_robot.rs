@@ -82,6 +82,8 @@ pub enum RefusalReason {
     Frame(u16),
     /// Another robot uses the number, and is being heard.
     NumberInUse,
+    /// The server knows as many robots as it can.
+    TooManyRobots,
 }
 
 impl fmt::Display for RefusalReason {
@@ -97,6 +99,7 @@ impl fmt::Display for RefusalReason {
             Self::NumberInUse => {
                 f.write_str("another robot uses its number; give one of the two another number")
             }
+            Self::TooManyRobots => f.write_str("the server has no room for another robot"),
         }
     }
 }

@@ -35,7 +35,7 @@ use std::collections::BTreeSet;
 
 use ubimap_protocol::{
     link::Terms,
-    message::{Hello, Stop},
+    message::{Hello, RefusalReason, Stop},
     tile::Epoch,
     time::Instant,
     units::{Millimetres, RobotId},
@@ -173,7 +173,7 @@ impl Server {
         let robot = hello.robot;
         if !self.has_room_for(robot) {
             self.events.add_from(port, now, Event::Robot(RobotEvent::TooMany(robot)));
-            return Ok(());
+            return self.ports.refuse(port, hello, RefusalReason::TooManyRobots);
         }
         let first_epoch = self.map.next_epoch(robot);
         match self.ports.greet(port, hello, (&self.terms, first_epoch), now)? {

@@ -173,6 +173,18 @@ impl Ports {
         Ok(greeted)
     }
 
+    /// Answers a Hello received at a port with a refusal.
+    pub(super) fn refuse(
+        &mut self,
+        port: usize,
+        hello: &Hello,
+        reason: RefusalReason,
+    ) -> Result<(), NoSuchPort> {
+        let refusal = Answer::Refusal(Refusal { nonce: hello.nonce, reason });
+        self.get_mut(port)?.answer(refusal);
+        Ok(())
+    }
+
     /// Whether a robot with this number has a session on another port, and has been heard there
     /// lately.
     fn is_in_use(&self, robot: RobotId, port: usize, now: Instant) -> bool {

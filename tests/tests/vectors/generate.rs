@@ -420,6 +420,7 @@ fn to_robot(cases: &mut Cases) {
         ("refusal resolution", RefusalReason::Resolution(Millimetres(50))),
         ("refusal frame", RefusalReason::Frame(32)),
         ("refusal number in use", RefusalReason::NumberInUse),
+        ("refusal too many robots", RefusalReason::TooManyRobots),
     ] {
         cases.add::<ToRobot>(name, &Refusal { nonce: 99, reason });
     }
@@ -1096,7 +1097,7 @@ fn refused_messages() -> Value {
             2,
             &[0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x02, 0],
         ),
-        ("refusal, a reason that there is not", TO_ROBOT, 5, &[99, 4, 0]),
+        ("refusal, a reason that there is not", TO_ROBOT, 5, &[99, 5, 0]),
         ("pose fix, too many earlier ones", TO_ROBOT, 4, &{
             let mut body = [0; 9 + 16];
             body[8] = 4;

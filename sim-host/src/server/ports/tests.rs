@@ -9,7 +9,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    server::{Command, CommandError, Event, Server},
+    server::{Command, CommandError, Event, MAX_ROBOTS, Server},
     timing::SESSION_SILENT,
 };
 
@@ -17,10 +17,14 @@ const TERMS: Terms =
     Terms { resolution: Millimetres(50), frame: 250, server_epoch: 1, stores: false };
 
 fn hello(nonce: u32) -> Vec<u8> {
+    hello_of(RobotId(1), nonce)
+}
+
+fn hello_of(robot: RobotId, nonce: u32) -> Vec<u8> {
     let hello = Hello {
         version: VERSION,
         min_version: MIN_VERSION,
-        robot: RobotId(1),
+        robot,
         nonce,
         frame: 250,
         resolution: Millimetres(50),
@@ -185,6 +189,20 @@ fn a_rebooted_robot_takes_over_at_once() {
     assert_eq!(after.link.session(), offered);
     after.report(&mut server, seconds(2));
     assert_eq!((reported(&server), joined(&mut server)), (Some(6), 2));
+}
+
+#[test]
+fn one_robot_too_many_is_refused_by_name() {
+    let mut server = Server::new(TERMS, MAX_ROBOTS + 1);
+    for port in 0..MAX_ROBOTS {
+        let robot = RobotId(2 + port as u16);
+        server.receive(port, &hello_of(robot, 5), seconds(0)).unwrap();
+        assert_eq!(server.robot_at(port), Some(robot));
+    }
+    let mut last = Robot::new(MAX_ROBOTS, 6);
+    last.knock(&mut server, seconds(1));
+    assert_eq!(last.refusal, Some(RefusalReason::TooManyRobots));
+    assert_eq!(server.robot_at(MAX_ROBOTS), None);
 }
 
 #[test]
