@@ -154,9 +154,10 @@ impl Schedule {
         let tiles = star.members[0].robot().expect("it has booted").own_tiles().tiles();
         let closed = tiles.filter(|it| it.id().is_some_and(|id| layer.is_closed(id, it.epoch())));
         let closed = closed.count();
-        star.members.truncate(1);
-        self.plans.truncate(1);
+        star.members[1].up.cut(calm);
+        star.members[1].down.cut(calm);
         self.steps(&mut star, calm);
+        star.members.truncate(1);
         self.calm = calm;
         let converged = self.converge(&mut star, calm + PATIENCE);
         assert!(converged.is_ok(), "schedule {}: {converged:?}", self.seed);
