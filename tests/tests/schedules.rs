@@ -79,6 +79,13 @@ fn without_retransmission_a_lossy_wire_leaves_the_map_incomplete() {
     }
 }
 
+/// What a robot draws in an epoch that its double has closed would be lost.
+#[test]
+fn a_robot_loses_nothing_when_its_number_is_used_meanwhile() {
+    let closed: usize = (0..6).map(|seed| Schedule::newcomer(seed).take_over()).sum();
+    assert!(closed > 0, "no epoch was closed");
+}
+
 /// A robot that joins late or reboots is up to date after two round trips plus the time to send its
 /// tiles, minus the one second's worth of bytes that the downlink budget may save up.
 #[test]

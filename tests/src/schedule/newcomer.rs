@@ -1,8 +1,9 @@
-//! A robot that joins late or reboots, on a clean link: how long it takes to hold its window.
+//! How long a robot that joins or reboots takes to hold the map around it, and what becomes of a
+//! robot whose number another one uses meanwhile.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_agent::{Config, Memory, locate::PoseSource};
+use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource};
 use ubimap_protocol::{
     frame::DEFAULT_FRAME,
     tile::Layer,
@@ -121,6 +122,54 @@ impl Schedule {
             round_trip: Duration(2 * self.calm_faults.latency.0),
             tiles: fused.unwrap_or(0),
             bytes: star.members[1].down.bytes() - before,
+        }
+    }
+
+    /// Two robots with the first one's number draw the same ground one after the other: the first
+    /// one, then the second one while the first one's link is cut, and the first one again. Returns
+    /// the number of the first one's tiles whose epochs the second one has closed.
+    ///
+    /// # Panics If the first one and the server do not have the same map in the end.
+    pub fn take_over(mut self) -> usize {
+        let plan = &mut self.plans[0];
+        let bounds = Bounds { max_range: 1_200, own_tiles: 10, ..plan.config.bounds };
+        let config = Config::new(plan.config.robot, self.sensor.model(), bounds);
+        plan.config = Config { pose_source: plan.config.pose_source, ..config };
+        self.plans = vec![self.plans[0].clone(), self.plans[0].clone()];
+        let mut lives = [(); 2].map(|()| Memory::new(&bounds));
+        let [first, second] = &mut lives;
+        let mut star = Star::new(self.terms(), 2, self.seed);
+        star.members = (0..2).map(|port| Member::new(config.robot, port)).collect();
+        let seconds = |count| Instant(0) + Duration::from_secs(count);
+        // The server keeps the number of a silent robot for 15 s.
+        let [change, back, calm] = [40, 180, 260].map(seconds);
+        star.boot(0, self.plans[0].config, first);
+        self.steps(&mut star, change);
+        star.members[0].up.cut(back);
+        star.members[0].down.cut(back);
+        self.steps(&mut star, change + Duration::from_secs(20));
+        star.boot(1, Config { boot_nonce: 99, ..self.plans[1].config }, second);
+        self.steps(&mut star, back);
+        let layer = star.server().layer(config.robot).expect("it has drawn");
+        let tiles = star.members[0].robot().expect("it has booted").own_tiles().tiles();
+        let closed = tiles.filter(|it| it.id().is_some_and(|id| layer.is_closed(id, it.epoch())));
+        let closed = closed.count();
+        star.members[1].up.cut(calm);
+        star.members[1].down.cut(calm);
+        self.steps(&mut star, calm);
+        star.members.truncate(1);
+        self.calm = calm;
+        let converged = self.converge(&mut star, calm + PATIENCE);
+        assert!(converged.is_ok(), "schedule {}: {converged:?}", self.seed);
+        star.check_all();
+        closed
+    }
+
+    fn steps(&self, star: &mut Star<'_>, until: Instant) {
+        while star.now() < until {
+            let step = star.now().micros() / STEP.0;
+            self.step(star, step);
+            star.run_until(Instant((step + 1) * STEP.0));
         }
     }
 }

@@ -271,6 +271,12 @@ impl<'b> Star<'b> {
         }
         for member in &self.members {
             let Some(robot) = &member.robot else { continue };
+            // The epochs of a robot's tiles may be closed by another one with its number.
+            let is_number_shared =
+                self.members.iter().filter(|other| other.id == member.id).count() > 1;
+            if is_number_shared {
+                continue;
+            }
             // A welcome of the server's previous epoch may arrive late.
             if robot.server_epoch() != Some(self.server.epoch()) || !robot.is_connected() {
                 continue;
