@@ -46,7 +46,7 @@ impl Boxes {
     /// `reach_mm`.
     pub fn beyond(&self, wall: usize, reach_mm: u16) -> impl Iterator<Item = (i32, i32)> {
         let [across, along] = if wall < 2 { [0, 1] } else { [1, 0] };
-        let way = if wall % 2 == 0 { 1 } else { -1 };
+        let way = if wall.is_multiple_of(2) { 1 } else { -1 };
         let first = (self.size[across] / 2.0 / 0.05).ceil() as i32 + 8 + i32::from(reach_mm) / 50;
         (first..first + 20).flat_map(move |out| {
             (-20..20).map(move |side| {
