@@ -88,10 +88,16 @@ impl Disk {
     }
 
     /// Writes the progress of a cure, and deletes the robot's void tiles.
+    ///
+    /// # Panics If the real store, if there is one, can't be written.
     pub fn write_cure(&mut self, record: CureRecord) {
         let is_void = |robot, epoch| robot == record.robot && epoch < record.first_epoch;
         self.contents.tiles.retain(|&(robot, _, epoch), _| !is_void(robot, epoch));
         self.writes.retain(|(_, robot, tile)| !is_void(*robot, tile.stamp.epoch));
+        if let Some(copy) = &mut self.copy {
+            copy.write();
+            copy.store.cure(&record).expect("the store can be written");
+        }
         self.contents.cures.insert(record.robot, record);
     }
 

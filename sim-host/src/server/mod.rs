@@ -148,7 +148,7 @@ impl Server {
         }
         loop {
             if let Some(robot) = self.ports.poll_candidate(index, bytes, now)? {
-                self.events.add_from(index, now, Event::Joined(robot, index));
+                self.joined(index, robot, now);
             }
             let port = self.ports.get_mut(index)?;
             match port.receive(&mut bytes, now) {
@@ -179,10 +179,7 @@ impl Server {
         match self.ports.greet(port, hello, (&self.terms, first_epoch), now)? {
             Greeted::Joined => {
                 self.map.layer_mut(robot);
-                self.events.add_from(port, now, Event::Joined(robot, port));
-                if let Some(session) = self.ports.session_mut(robot) {
-                    self.damaged.joined(session, now);
-                }
+                self.joined(port, robot, now);
             }
             Greeted::Refused(reason) => {
                 self.events.add_from(port, now, Event::Refused(robot, reason));
@@ -190,6 +187,14 @@ impl Server {
             Greeted::Answered => {}
         }
         Ok(())
+    }
+
+    /// Handles the beginning of a robot's session.
+    fn joined(&mut self, port: usize, robot: RobotId, now: Instant) {
+        self.events.add_from(port, now, Event::Joined(robot, port));
+        if let Some(session) = self.ports.session_mut(robot) {
+            self.damaged.joined(session, now);
+        }
     }
 
     /// Whether a robot is known or can be added. Forgets absent robots that have drawn nothing, if

@@ -23,6 +23,8 @@ const ROBOTS: usize = 4;
 const STORM: Duration = Duration::from_secs(240);
 /// Time between two faults, beside the weather of all links.
 const BETWEEN: Duration = Duration::from_secs(16);
+/// Number of storms from one cure of a robot to the next.
+const CURE: usize = 5;
 /// Range of the sensors in millimetres, and tiles of a robot's pool: a few more than one scan
 /// touches, so that a robot on its way gives up tiles all the time.
 const RANGE: u16 = 1_200;
@@ -155,6 +157,7 @@ impl Soak {
         let length = Duration(rng.random_range(1_000_000..20_000_000));
         let [up, down] = [Direction::ToServer, Direction::ToRobot];
         let direction = if rng.random() { up } else { down };
+        let finds = if round % CURE == 0 { Finds::Cure(robot) } else { Finds::Disk };
         let free = (0..self.schedule.ports)
             .filter(|port| star.members.iter().all(|member| member.port != *port));
         let mut faults = vec![
@@ -167,7 +170,8 @@ impl Soak {
                 jump: Duration(rng.random_range(0..3_000_000)),
             },
             Happening::Command { robot, number: round as u32 },
-            Happening::Restart { frame: rng.random_range(60..300), finds: Finds::Disk },
+            Happening::Restart { frame: rng.random_range(60..300), finds },
+            Happening::Look { side: rng.random_range(0..4), length },
             Happening::StoreFails { length: Duration(2 * length.0) },
             Happening::Garbage { robot, direction: up },
             Happening::Garbage { robot: other, direction: down },

@@ -4,6 +4,7 @@ use ubimap_protocol::{
     frame::{MAX_FRAME, MIN_VERSION, VERSION},
     link::{Endpoint, Fill, Received, Terms},
     message::{Hello, RefusalReason, State, Stop, ToRobotMessage, ToServer},
+    tile::{Epoch, TileId},
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
 };
@@ -189,6 +190,18 @@ fn a_rebooted_robot_takes_over_at_once() {
     assert_eq!(after.link.session(), offered);
     after.report(&mut server, seconds(2));
     assert_eq!((reported(&server), joined(&mut server)), (Some(6), 2));
+}
+
+#[test]
+fn a_damaged_tile_is_requested_of_a_robot_that_takes_an_offer() {
+    let mut server = Server::new(TERMS, 1);
+    server.restore_damaged(RobotId(1), TileId { x: 3, y: 4 }, Epoch(1));
+    let (mut before, mut after) = (Robot::new(0, 5), Robot::new(0, 6));
+    before.knock(&mut server, seconds(0));
+    assert_eq!(server.waiting(RobotId(1)), 0, "the life before was asked");
+    after.knock(&mut server, seconds(1));
+    after.report(&mut server, seconds(2));
+    assert_eq!(server.waiting(RobotId(1)), 1);
 }
 
 #[test]
