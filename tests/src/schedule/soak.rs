@@ -157,7 +157,7 @@ impl Soak {
         let length = Duration(rng.random_range(1_000_000..20_000_000));
         let [up, down] = [Direction::ToServer, Direction::ToRobot];
         let direction = if rng.random() { up } else { down };
-        let finds = if round % CURE == 0 { Finds::Cure(robot) } else { Finds::Disk };
+        let finds = if round.is_multiple_of(CURE) { Finds::Cure(robot) } else { Finds::Disk };
         let free = (0..self.schedule.ports)
             .filter(|port| star.members.iter().all(|member| member.port != *port));
         let mut faults = vec![
