@@ -1,5 +1,5 @@
 //! Merging: in whatever order the states of a robot's tile arrive, and however often, the server
-//! ends with the same layer.
+//! ends with the same layer. Of older epochs than the two newest only late copies can arrive.
 
 use proptest::prelude::*;
 use ubimap_protocol::tile::{Cell, Epoch, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version};
@@ -22,9 +22,9 @@ fn states() -> impl Strategy<Value = Vec<Tile>> {
     })
 }
 
-/// All states of a robot's tile in several epochs, with their stamps.
-fn history() -> impl Strategy<Value = Vec<(Stamp, Tile)>> {
-    proptest::collection::vec(states(), 1..5).prop_map(|epochs| {
+/// All states of a robot's tile in at most this number of epochs, with their stamps.
+fn history(most: usize) -> impl Strategy<Value = Vec<(Stamp, Tile)>> {
+    proptest::collection::vec(states(), 1..=most).prop_map(|epochs| {
         let numbered = |(epoch, states): (usize, Vec<Tile>)| {
             states.into_iter().enumerate().map(move |(version, tile)| {
                 let (epoch, version) = (Epoch(epoch as u32 + 1), Version(version as u32 + 1));
@@ -36,8 +36,8 @@ fn history() -> impl Strategy<Value = Vec<(Stamp, Tile)>> {
 }
 
 /// A history, and an arbitrary selection of its states in an arbitrary order.
-fn arrivals() -> impl Strategy<Value = (Vec<(Stamp, Tile)>, Vec<usize>, Vec<usize>)> {
-    history().prop_flat_map(|history| {
+fn arrivals(most: usize) -> impl Strategy<Value = (Vec<(Stamp, Tile)>, Vec<usize>, Vec<usize>)> {
+    history(most).prop_flat_map(|history| {
         let indices: Vec<usize> = (0..history.len()).collect();
         let some = proptest::collection::vec(0..history.len(), 0..8);
         (Just(history), Just(indices).prop_shuffle(), some)
@@ -81,7 +81,7 @@ fn joined(history: &[(Stamp, Tile)]) -> Tile {
 proptest! {
     /// Merging is commutative, associative and idempotent.
     #[test]
-    fn any_order_of_any_states_ends_in_one_layer((history, order, again) in arrivals()) {
+    fn any_order_of_the_states_of_two_epochs_ends_in_one_layer((history, order, again) in arrivals(2)) {
         let mut in_order = RobotLayer::default();
         apply(&mut in_order, history.iter());
         let expected = held(&in_order);
@@ -95,9 +95,21 @@ proptest! {
         prop_assert_eq!(&held(&other), &expected);
     }
 
+    #[test]
+    fn late_copies_of_any_epoch_change_nothing((history, order, again) in arrivals(5)) {
+        let mut layer = RobotLayer::default();
+        apply(&mut layer, history.iter());
+        let expected = held(&layer);
+        prop_assert_eq!(expected.1, Some(joined(&history)));
+        for index in order.into_iter().chain(again) {
+            apply(&mut layer, [history[index]].iter());
+            prop_assert_eq!(&held(&layer), &expected);
+        }
+    }
+
     /// Known cells stay known, whatever arrives later.
     #[test]
-    fn nothing_known_becomes_unknown((history, order, _) in arrivals()) {
+    fn nothing_known_becomes_unknown((history, order, _) in arrivals(5)) {
         let mut layer = RobotLayer::default();
         let mut known = [0u32; TILE_SIDE];
         for index in order {

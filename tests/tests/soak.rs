@@ -20,8 +20,8 @@ const TILE_MEMORY: usize = 8_064;
 /// Resident memory that the allocator may keep for itself, in bytes.
 const SLACK: u64 = 1 << 20;
 
-/// Flat means: in the second half of the time the numbers of tiles and the bytes on disk never exceed
-/// their maxima in the first half, and the resident memory does so by at most a mebibyte; and at any
+/// Flat means: in the second half of the time the number of tiles never exceeds its maximum in the first
+/// half, nor the disk by more than a few pages, nor the resident memory by more than a mebibyte; and at any
 /// time a tile takes at most three epochs and their memory. In every calm all maps converge and all
 /// tiles are stored; no message waits in those that are measured.
 #[test]
