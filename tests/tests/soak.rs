@@ -17,6 +17,9 @@ const SEED: u64 = 18;
 const EPOCHS: usize = 3;
 /// The server's estimate of the memory of a tile with that many epochs, in bytes.
 const TILE_MEMORY: usize = 8_064;
+/// Bytes on disk that SQLite may take for itself, about 1 %: a cure deletes rows, and those that follow need not
+/// fit their pages.
+const PAGES: u64 = 48 << 10;
 /// Resident memory that the allocator may keep for itself, in bytes.
 const SLACK: u64 = 1 << 20;
 
@@ -45,7 +48,7 @@ fn nothing_grows_in_eight_hours() {
         assert!(last <= first + slack, "{what} has grown from at most {first} to {last}");
     };
     check_flat("the number of tiles", |row| row.tiles as u64, 0);
-    check_flat("the disk", |row| row.disk, 0);
+    check_flat("the disk", |row| row.disk, PAGES);
     check_flat("the resident memory", |row| row.resident, SLACK);
     let begun = rows.last().unwrap().begun;
     assert!(begun > 1_000 * hours as u32, "robots have given up few tiles: {begun} epochs");
