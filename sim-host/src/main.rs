@@ -7,7 +7,7 @@ use std::{
 };
 
 use clap::{
-    Parser, Subcommand,
+    CommandFactory, Parser, Subcommand,
     error::{ContextKind, ContextValue, ErrorKind},
 };
 use log::LevelFilter;
@@ -188,7 +188,10 @@ fn refuse_use(error: &clap::Error) -> ExitCode {
         message.strip_prefix("error: ").unwrap_or(&message)
     };
     let meant = meant(error).map_or(String::new(), |it| format!("; did you mean {it}?"));
-    complain(&format!("{message}{meant} (see ubimap --help)"));
+    let command = std::env::args().skip(1).find(|word| !word.starts_with('-'));
+    let known = command.filter(|it| CommandLine::command().find_subcommand(it).is_some());
+    let of = known.map_or(String::new(), |command| format!("{command} "));
+    complain(&format!("{message}{meant} (see ubimap {of}--help)"));
     ExitCode::from(BAD_INPUT)
 }
 

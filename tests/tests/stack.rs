@@ -5,8 +5,7 @@ use ubimap_tests::{
     emulator::{Core, EmulatorError, count, firmware, image, leave_out, lines},
 };
 
-/// RAM budget of the reference board's firmware: static memory, the stack, and one interrupt in
-/// addition.
+/// RAM budget of the reference board's firmware: static memory, the stack, and one interrupt.
 const RAM: usize = 24 * 1_024;
 
 /// Maximum stack usage of an interrupt: 108 bytes saved by the core, and 16 of its handler;

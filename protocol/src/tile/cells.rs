@@ -453,7 +453,8 @@ impl Cells {
     }
 }
 
-/// Exchanges the high bits of each group in `first` with the low bits of that in `second`.
+/// Exchanges the high `shift` bits of each group of `2 * shift` bits in `first` with the low `shift` bits of
+/// the same group in `second`. `low` masks the low bits of all groups.
 #[inline(always)]
 fn exchange(first: &mut u32, second: &mut u32, shift: u32, low: u32) {
     let differ = (*first >> shift ^ *second) & low;

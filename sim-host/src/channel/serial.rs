@@ -26,11 +26,20 @@ const WRITE_CHUNK: usize = 64;
 /// peer accepts no data, and how long a dropped port waits for queued bytes.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 
+/// The reason with what to do about it, if that is known.
+fn told(reason: &serialport::Error) -> String {
+    match reason.to_string().as_str() {
+        // ENOTTY.
+        "Not a typewriter" => "not a serial port; give a device such as /dev/ttyUSB0".into(),
+        reason => reason.into(),
+    }
+}
+
 /// Errors of a serial port.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
     /// The port could not be opened.
-    #[error("{}: {reason}", path.display())]
+    #[error("{}: {}", path.display(), told(reason))]
     Open {
         /// The port.
         path: PathBuf,

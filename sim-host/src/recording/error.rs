@@ -39,8 +39,8 @@ pub enum LogError {
     },
     /// The file or folder has none of the known formats.
     #[error(
-        "{path}: not a log of a known format (CARMEN text, mines text or a folder of depth \
-         images); if it is one, name it with --format",
+        "{path}: empty, or not a log of a known format (CARMEN text, mines text or a folder of \
+         depth images); if it is one of them, name its format with --format",
         path = path.display()
     )]
     UnknownFormat {

@@ -53,7 +53,7 @@ impl Brief for Report {
     }
 
     fn time(&self) -> String {
-        format!("{:.0} s of the run in {:.0} s", self.simulated_s, self.elapsed_s)
+        format!("{:.0} s simulated or recorded, in {:.0} s", self.simulated_s, self.elapsed_s)
     }
 }
 
@@ -102,7 +102,7 @@ mod tests {
             text,
             "quality:   10.0 m2 known, 0 cells of it occupied\n\
              agreement: NOT reached: 1 robot and the server hold different maps\n\
-             time:      20 s of the run in 0 s\n\
+             time:      20 s simulated or recorded, in 0 s\n\
              results:   in out; open out/map.png first\n"
         );
         report.map.known = 0;

@@ -19,12 +19,22 @@ use crate::files;
 
 /// An output file or folder can't be written.
 #[derive(Debug, thiserror::Error)]
-#[error("{path}: can't write: {error}", path = path.display())]
+#[error("{path}: can't write: {}", told(error), path = path.display())]
 pub struct OutputError {
     /// The file or folder.
     pub path: PathBuf,
     /// The operating system's error.
     pub error: io::Error,
+}
+
+/// The error with what to do about it, if that is known.
+fn told(error: &io::Error) -> String {
+    match error.kind() {
+        io::ErrorKind::NotADirectory => {
+            "it, or a part of its path, is a file; give a folder with --out".into()
+        }
+        _ => error.to_string(),
+    }
 }
 
 /// Results that only some commands write.

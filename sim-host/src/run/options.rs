@@ -87,7 +87,8 @@ pub struct SimulateOptions {
     #[arg(default_value = NAMED[0].0)]
     pub scenario: PathBuf,
 
-    /// Take the walls from a ROS map (map.yaml) in place of the scenario's; office needs one
+    /// ROS map (map.yaml) with the walls, for a scenario without an outline of its own: of the built-in
+    /// ones, office
     #[arg(long, value_name = "YAML")]
     pub map: Option<PathBuf>,
 
@@ -212,8 +213,8 @@ pub struct RunOptions {
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Results")]
 pub struct ResultOptions {
-    /// Folder for the map (map.pgm, map.yaml), the pictures (*.png), the tables and report.json. Results
-    /// of an earlier run in it are replaced when the run has succeeded
+    /// Folder for the map (map.pgm, map.yaml), the pictures (*.png), report.json and, of watch, robots.csv.
+    /// Results of an earlier run in it are replaced when the run has succeeded
     #[arg(long, value_name = "DIR", default_value = "ubimap-out")]
     pub out: PathBuf,
 

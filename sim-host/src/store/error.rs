@@ -20,7 +20,7 @@ pub struct StoreError {
 pub enum Trouble {
     /// It is not a database, or one of another program.
     #[error(
-        "not a ubimap store, or its beginning is damaged; give another file or a new one with --store, or restore a backup"
+        "not a ubimap store, or its beginning is damaged; give the file of a store, restore a backup, or begin a new one under another name with --store"
     )]
     Foreign,
     /// It was written by another version of the program.
@@ -66,7 +66,9 @@ pub enum Trouble {
     )]
     Replace(std::io::Error),
     /// It can't be opened or created.
-    #[error("can't be opened or created; check that its folder exists and is writable")]
+    #[error(
+        "can't be opened or created; check the name, and that its folder exists and is writable"
+    )]
     CannotOpen,
     /// It is not writable.
     #[error("not writable; check its permissions, or give another file with --store")]

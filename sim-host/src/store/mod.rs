@@ -49,7 +49,7 @@ use crate::mapping::{CameraTile, CureRecord, Cured, SeenTile, TileRecord};
 /// Bytes of a stored tile: the rows of its low plane, then those of its high plane, little-endian.
 const TILE_LEN: usize = 8 * TILE_SIDE;
 
-/// The open file.
+/// An open store file.
 #[derive(Debug)]
 pub struct Store {
     path: PathBuf,

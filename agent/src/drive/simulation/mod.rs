@@ -25,7 +25,7 @@ const COLUMNS: usize = ROWS / 32;
 const EDGE: i32 = 64;
 /// Duration of a step, in seconds.
 const STEP: f64 = 0.05;
-/// The robot's radius in millimetres; `Motion::default()` adds a margin.
+/// The robot's radius in millimetres, without the margin that `Motion::default()` adds.
 const RADIUS: f64 = 150.0;
 const BEAMS: usize = 192;
 const RANGE: f64 = 4_000.0;

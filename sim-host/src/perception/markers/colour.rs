@@ -20,7 +20,7 @@ const MAX_SIZE_RATIO: usize = 2;
 /// Distance between the centres of head and tail, divided by the diameter of a disc with the area
 /// of the larger blob. It is nominally 1.25, and less where the marker is seen at an angle.
 const APART: core::ops::Range<f64> = 0.6..2.2;
-/// Minimum brightness of the cover between head and tail, in each channel.
+/// Minimum value of each channel on the marker's light background, between head and tail.
 const LIGHT: u8 = 120;
 /// Standard deviation of the coordinates of a disc's centre, in pixels.
 const MIDDLE_NOISE_PX: f64 = 0.15;

@@ -66,8 +66,8 @@ impl Plate {
         Self { paint, side_m, height_m, pose, rise_m: 0.0 }
     }
 
-    /// The colour at a point, given in sides ahead and to the left of the centre; `None` outside of
-    /// the plate.
+    /// The colour at a point, given by its distances ahead and to the left of the centre as multiples of
+    /// `side_m`; `None` outside the plate.
     fn colour(&self, ahead: f64, left: f64) -> Option<[f64; 3]> {
         let within = |half: f64| ahead.abs() <= half && left.abs() <= half;
         match self.paint {
@@ -87,7 +87,7 @@ impl Plate {
         }
     }
 
-    /// The corners of a concentric square with a side of `sides` times the plate's.
+    /// The corners of a concentric square whose side is `sides` times `side_m`.
     fn corners(&self, sides: f64) -> impl Iterator<Item = Point3<f64>> {
         let (sine, cosine) = sincos(self.pose[2]);
         let (reach, [x, y, _]) = (self.side_m * sides / 2.0, self.pose);

@@ -68,7 +68,8 @@ impl Solid {
         Self { rim, low: (prism.bottom - eye.z) as f32, high: (prism.top - eye.z) as f32 }
     }
 
-    /// The first intersection of a ray from the optical centre, before `limit`.
+    /// The first intersection of the ray along `way` from the optical centre, if it comes before `limit`,
+    /// which is a multiple of `way` like [`Hit::at`].
     #[inline]
     pub(super) fn hit(&self, way: Vec3, limit: f32) -> Option<Hit> {
         let (low, high) = (self.low / way.z, self.high / way.z);

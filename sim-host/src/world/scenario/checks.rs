@@ -15,7 +15,10 @@ impl Scenario {
         self.number("duration_s", self.duration_s, 0.1..=86_400.0)?;
         self.number("slice_height_m", self.slice_height_m, 0.0..=10.0)?;
         if self.grow.is_some() && self.room.map.is_none() {
-            return Err(self.invalid("grow", "needs a map; give room.map, or --map"));
+            return Err(self.invalid(
+                "grow",
+                "needs a building: give its ROS map (map.yaml) with --map, or as room.map",
+            ));
         }
         self.check_room()?;
         self.check_counts()?;
@@ -69,7 +72,7 @@ impl Scenario {
                 return Err(self.invalid("room.outline_m", problem));
             }
             (Some(_), 1..) => {
-                let problem = "and room.map are both given; remove one";
+                let problem = "is given as well as a map; use --map or room.map with a scenario without an outline of its own, such as office";
                 return Err(self.invalid("room.outline_m", problem));
             }
             _ => {}

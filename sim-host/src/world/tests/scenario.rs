@@ -135,7 +135,7 @@ fn all_built_in_scenarios_are_valid_and_office_asks_for_its_map() {
         let scenario = Scenario::read(name.as_ref());
         if name == "office" {
             let error = scenario.unwrap_err().to_string();
-            assert!(error.ends_with("grow needs a map; give room.map, or --map"), "{error}");
+            assert!(error.ends_with("with --map, or as room.map"), "{error}");
             continue;
         }
         let world = World::new(&scenario.unwrap(), None, RESOLUTION, 1);
