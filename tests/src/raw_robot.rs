@@ -31,10 +31,10 @@ impl RawRobot {
         Self::try_connect(server, port, id, now).expect("a welcome")
     }
 
-    /// Opens a session at a port; `None` if the server does not answer.
+    /// Opens a session at a port; `None` if the server refuses it.
     ///
     /// # Panics
-    /// If the server's answer is no welcome.
+    /// If the port is not open.
     pub fn try_connect(
         server: &mut Server,
         port: usize,
@@ -48,7 +48,7 @@ impl RawRobot {
             let len = server.poll_transmit(port, now, &mut out)?;
             // Frames of the port's last session may come first.
             if let Some(Received::Handshake(message)) = link.receive(&mut &out[..len], now) {
-                break message.decode::<Welcome>().expect("a welcome").session;
+                break message.decode::<Welcome>().ok()?.session;
             }
         };
         link.begin(session, DEFAULT_FRAME);
