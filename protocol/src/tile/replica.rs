@@ -90,9 +90,8 @@ impl Replica {
                 copy_cells(&Tile::UNKNOWN, &mut part, start, TILE_CELLS);
                 decoder.cells(header, &mut part);
                 if start == 0 {
-                    let mut whole = self.tile;
-                    copy_cells(&part, &mut whole, 0, header.end);
-                    if !held || header.end == TILE_CELLS || whole == self.tile {
+                    let is_same = is_same_until(header.end, &part, &self.tile);
+                    if !held || header.end == TILE_CELLS || is_same {
                         return Ok(Applied::Old);
                     }
                     // The tile held is from an earlier life of the sender with the same epoch: the parts
@@ -255,13 +254,23 @@ impl Publication {
     }
 }
 
+/// The cells of row `y` with numbers below `cell`, a bit each.
+fn below(cell: u16, y: usize) -> u32 {
+    ((1u64 << usize::from(cell).saturating_sub(y * TILE_SIDE).min(TILE_SIDE)) - 1) as u32
+}
+
+/// Whether two tiles have the same cells with numbers below `end`.
+fn is_same_until(end: u16, one: &Tile, other: &Tile) -> bool {
+    (0..TILE_SIDE).all(|y| {
+        let (one, other) = (one.row(y), other.row(y));
+        (one.low ^ other.low | one.high ^ other.high) & below(end, y) == 0
+    })
+}
+
 /// Copies the cells with numbers `from..to`.
 fn copy_cells(source: &Tile, target: &mut Tile, from: u16, to: u16) {
-    let (from, to) = (usize::from(from), usize::from(to));
-    for y in from / TILE_SIDE..to.div_ceil(TILE_SIDE) {
-        let below =
-            |cell: usize| ((1u64 << cell.saturating_sub(y * TILE_SIDE).min(TILE_SIDE)) - 1) as u32;
-        let mask = below(to) & !below(from);
+    for y in usize::from(from) / TILE_SIDE..usize::from(to).div_ceil(TILE_SIDE) {
+        let mask = below(to, y) & !below(from, y);
         let (mut row, new) = (target.row(y), source.row(y));
         row.low = row.low & !mask | new.low & mask;
         row.high = row.high & !mask | new.high & mask;
