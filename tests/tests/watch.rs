@@ -291,9 +291,11 @@ fn real_photographs_are_watched_without_depths() {
         assert_eq!((camera.name.as_str(), camera.frames, camera.lost), ("tags", 2, 1));
         let events: BTreeMap<&str, f64> =
             events.iter().map(|it| (it.what.as_str(), it.last_s)).collect();
-        let expected = [144, 58, 85, 24, 22].map(|tag| format!("tag {tag} is not registered"));
+        let expected =
+            [144, 58, 85, 24, 22].map(|tag| format!("tag {tag} belongs to no registered robot"));
         for event in &expected {
-            assert_eq!(events.get(event.as_str()), Some(&1305031453.75), "{events:?}");
+            let seen = events.iter().find(|(what, _)| what.starts_with(event));
+            assert_eq!(seen.map(|(_, last)| *last), Some(1305031453.75), "{events:?}");
         }
         assert_eq!(map.known, 0);
     }

@@ -28,17 +28,28 @@ impl fmt::Display for SightingEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unregistered(Identifier::Tag(number)) => {
-                write!(f, "tag {number} is not registered")
+                write!(
+                    f,
+                    "tag {number} belongs to no registered robot: add it to the robots file, or take it away"
+                )
             }
             Self::Unregistered(Identifier::Colours { head, tail }) => {
-                write!(f, "a marker of {head} and {tail} is not registered")
+                write!(
+                    f,
+                    "a marker of {head} and {tail} belongs to no registered robot: add it to the robots file, or \
+                     take it away"
+                )
             }
             Self::SeenTwice(robot) => write!(
                 f,
                 "robot {} is seen in two places at once; check that its marker is unique",
                 robot.0
             ),
-            Self::Jumped(robot) => write!(f, "robot {} moved faster than it can drive", robot.0),
+            Self::Jumped(robot) => write!(
+                f,
+                "robot {} moved faster than it can drive; check that its marker is unique",
+                robot.0
+            ),
             Self::ClockAhead { camera } => {
                 write!(f, "camera {camera}: frames from the future; check its clock")
             }

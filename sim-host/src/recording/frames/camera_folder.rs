@@ -76,6 +76,10 @@ pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
         return Ok(vec![path.to_owned()]);
     }
     let io_error = |error| LogError::Io { path: path.to_owned(), error };
+    if path.is_file() {
+        let expected = "a file, where a folder with camera frames is expected";
+        return Err(io_error(std::io::Error::other(expected)).into());
+    }
     let mut found = Vec::new();
     for entry in std::fs::read_dir(path).map_err(io_error)? {
         let below = entry.map_err(io_error)?.path();

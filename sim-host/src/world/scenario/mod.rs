@@ -80,9 +80,9 @@ fn meant(name: &str) -> String {
     let known = NAMED.iter().map(|&(known, _)| (likeness(known), known));
     match known.max_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((likeness, known)) if likeness >= LIKE => {
-            format!("; did you mean \"{known}\"? There are")
+            format!("; did you mean \"{known}\"? The built-in ones are")
         }
-        _ => "; there are".to_owned(),
+        _ => "; the built-in ones are".to_owned(),
     }
 }
 
