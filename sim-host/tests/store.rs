@@ -142,6 +142,7 @@ fn file() -> PathBuf {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn a_killed_server_loses_no_confirmed_tile() {
     let store = file();
     let model = SensorModel::Radial { first: -3.0, step: 0.1 };

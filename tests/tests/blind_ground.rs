@@ -256,6 +256,7 @@ fn drives(scenario: &str, name: &str, seeds: RangeInclusive<u64>) -> Drives {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn ten_metres_through_ground_that_another_robot_knows() {
     let Drives { count, good, .. } = drives(&format!("{HALL}{SCOUT}"), "known", seeds(3));
     assert_eq!(good, count);
@@ -264,8 +265,8 @@ fn ten_metres_through_ground_that_another_robot_knows() {
 /// The robot uses only its own map. When it leaves the cameras' view, its heading error is 0.12
 /// degrees (RMS of 32 drives). In the first metre the error grows by half a degree, which explains
 /// about half of the final error; the rest comes from surfaces that come into view.
-/// final error; the rest comes from surfaces that come into view.
 #[test]
+#[ignore = "long: cargo thorough"]
 fn ten_metres_through_unmapped_ground() {
     for (name, scenario) in [("hall", HALL), ("rooms", ROOMS)] {
         // The limits are meant for every drive; `tests/README.md` states how many miss them.

@@ -234,6 +234,7 @@ fn cross(faults: Faults) -> Seen {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn a_robot_that_crosses_covered_ground_is_sent_two_kilobytes_a_second_at_most() {
     let bad =
         Faults { loss: 0.3, duplicate: 0.05, reorder: 0.1, corrupt: 0.02, ..Faults::default() };

@@ -117,6 +117,7 @@ fn bytes(report: &Report) -> (f64, f64) {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn a_bad_link_leads_to_the_map_of_a_perfect_one() {
     for (name, _) in LOGS {
         let Some(log) = data::file(name) else { return };

@@ -17,7 +17,7 @@ use std::{
 use ubimap_tests::schedule::{Newcomer, Schedule};
 
 /// Number of schedules, unless set by `UBIMAP_SCHEDULES`.
-const SCHEDULES: u64 = 300;
+const SCHEDULES: u64 = 100;
 
 fn number(name: &str) -> Option<u64> {
     let text = env::var(name).ok()?;
@@ -45,6 +45,17 @@ fn every_schedule_ends_in_one_map() {
     let one = number("UBIMAP_SCHEDULE");
     let first = one.unwrap_or(0);
     let count = number("UBIMAP_SCHEDULES").unwrap_or(one.map_or(SCHEDULES, |_| 1));
+    converge(first, count);
+}
+
+#[test]
+#[ignore = "long: cargo thorough"]
+fn more_schedules_end_in_one_map() {
+    converge(SCHEDULES, 2 * SCHEDULES);
+}
+
+/// Runs `count` schedules from seed `first` on.
+fn converge(first: u64, count: u64) {
     let next = AtomicU64::new(first);
     let threads = thread::available_parallelism().map_or(1, usize::from);
     let mut failures = Vec::new();

@@ -91,6 +91,7 @@ fn report(floor: &Floor, known: f64, seconds: u64) {
 }
 
 #[test]
+#[ignore = "long: cargo thorough"]
 fn a_maze_is_explored_completely() {
     let starts = [Point::new(1.0, 0.6), Point::new(1.0, 1.6)];
     let (seconds, known, floor) = explore(exploring(maze(), &starts, 1));
