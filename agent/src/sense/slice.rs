@@ -67,8 +67,6 @@ pub enum SliceError {
     Buffer(usize),
     /// A band without rows, or a median of more than five.
     Rows(u16),
-    /// This line is not after the previous one.
-    Order(u16),
     /// The frame ended with this many rows of the slice missing.
     Incomplete(u16),
 }
@@ -84,9 +82,6 @@ impl fmt::Display for SliceError {
             }
             Self::Rows(rows) => {
                 write!(f, "a slice can't have {rows} rows (a median at most {MEDIAN_ROWS})")
-            }
-            Self::Order(row) => {
-                write!(f, "line {row} is not after the previous one")
             }
             Self::Incomplete(missing) => {
                 write!(f, "the frame ended with {missing} rows of the slice missing")
@@ -186,19 +181,18 @@ impl<'b> Slicer<'b> {
     }
 
     /// Processes a line of the frame: depths in millimetres, 0 for no return. Lines come from top
-    /// to bottom; lines outside the slice may be left out. Cost on a Cortex-M4: about 25
+    /// to bottom; lines outside the slice may be left out. A line that is not below the previous
+    /// one begins another frame, and the unfinished one is dropped. Cost on a Cortex-M4: about 25
     /// instructions per pixel for the nearest, 55 for a median, 65 for a height.
     ///
     /// # Errors
-    /// [`SliceError::Width`], [`SliceError::Order`]; the line is ignored.
+    /// [`SliceError::Width`]; the line is ignored.
     pub fn line(&mut self, row: u16, readings: &[u16]) -> Result<(), SliceError> {
         if readings.len() != self.width {
             return Err(SliceError::Width { expected: self.width, found: readings.len() });
         }
-        match self.next {
-            Some(next) if row < next => return Err(SliceError::Order(row)),
-            Some(_) => {}
-            None => self.begin(),
+        if self.next.is_none_or(|next| row < next) {
+            self.begin();
         }
         self.next = Some(row.saturating_add(1));
         let (first, rows) = self.slice.rows();
@@ -236,11 +230,28 @@ impl<'b> Slicer<'b> {
     /// [`SliceError::Width`] if its last line is shorter than the others,
     /// [`SliceError::Incomplete`].
     pub fn frame(&mut self, depths: &[u16]) -> Result<&[u16], SliceError> {
-        self.next = None;
+        self.discard();
         for (row, line) in (0..=u16::MAX).zip(depths.chunks(self.width.max(1))) {
             self.line(row, line)?;
         }
         self.finish()
+    }
+
+    /// Number of pixels per line.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Whether the frame has all lines of the slice. Lines of a [`Slice::Height`] are not counted,
+    /// because only the caller knows the number of lines of a frame.
+    pub fn is_complete(&self) -> bool {
+        self.missing() == 0
+    }
+
+    /// Number of lines missing of the slice; at least one if the frame has not begun.
+    fn missing(&self) -> u16 {
+        let (_, rows) = self.slice.rows();
+        if self.next.is_none() { rows.max(1) } else { rows.saturating_sub(self.taken) }
     }
 
     /// The readings of the finished frame, one per column. The next line begins another frame.
@@ -249,16 +260,21 @@ impl<'b> Slicer<'b> {
     /// # Errors
     /// [`SliceError::Incomplete`]
     pub fn finish(&mut self) -> Result<&[u16], SliceError> {
-        let began = self.next.take().is_some();
-        let (_, rows) = self.slice.rows();
-        let missing = rows.saturating_sub(if began { self.taken } else { 0 });
-        if missing > 0 || !began {
+        let missing = self.missing();
+        self.discard();
+        if missing > 0 {
             return Err(SliceError::Incomplete(missing));
         }
         if let Slice::Band { pick: Pick::Median, .. } = self.slice {
             self.median();
         }
         Ok(self.buffer.get(..self.width).unwrap_or_default())
+    }
+
+    /// Drops the unfinished frame. Call this when lines were lost: only a sensor's driver knows
+    /// whether the next line belongs to the same frame.
+    pub fn discard(&mut self) {
+        self.next = None;
     }
 
     /// Begins a frame.
@@ -395,13 +411,40 @@ mod tests {
         assert_eq!(slicer.finish(), Err(SliceError::Incomplete(3)));
         assert_eq!(slicer.line(1, &[1, 2, 3]), Ok(()));
         assert_eq!(slicer.line(2, &[1, 2]), Err(SliceError::Width { expected: 3, found: 2 }));
-        assert_eq!(slicer.line(1, &[1, 2, 3]), Err(SliceError::Order(1)));
         assert_eq!(slicer.line(3, &[1, 2, 3]), Ok(()));
         assert_eq!(slicer.finish(), Err(SliceError::Incomplete(1)));
         assert_eq!(slicer.frame(&[1; 13]), Err(SliceError::Width { expected: 3, found: 1 }));
         let frame: Vec<u16> = (1..16).collect();
         assert_eq!(slicer.frame(&frame), Ok(&[7, 8, 9][..]));
         assert_eq!(slicer.frame(&[]), Err(SliceError::Incomplete(3)));
+    }
+
+    /// A frame of a 4 x 6 sensor is cut after any line, and the next one is whole: its slice has
+    /// none of the first one's readings.
+    #[test]
+    fn a_frame_that_is_cut_leaves_nothing_in_the_next_one() {
+        let below = Millimetres(0);
+        let slices = [
+            Slice::Row(3),
+            Slice::Band { first: 1, rows: 3, pick: Pick::Nearest },
+            Slice::Band { first: 1, rows: 3, pick: Pick::Median },
+            Slice::Height { below, tolerance: Millimetres(60_000) },
+        ];
+        for slice in slices {
+            let mut buffer = vec![0; slice.buffer_len(4)];
+            let camera = Camera::new((4.0, 4.0), (1.5, 2.5));
+            let mut slicer =
+                Slicer::new(slice, camera, 4, Validity::default(), &mut buffer).unwrap();
+            let whole = slicer.frame(&[2_000; 24]).unwrap().to_vec();
+            for cut in 0..6 {
+                (0..cut).for_each(|row| slicer.line(row, &[300; 4]).unwrap());
+                (0..6).for_each(|row| slicer.line(row, &[2_000; 4]).unwrap());
+                assert_eq!(slicer.finish(), Ok(&whole[..]), "{slice:?}, cut after {cut} lines");
+                slicer.line(5, &[300; 4]).unwrap();
+                slicer.discard();
+                assert!(slicer.finish().is_err());
+            }
+        }
     }
 
     proptest! {
