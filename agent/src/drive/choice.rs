@@ -62,6 +62,8 @@ pub struct Surroundings<'r, 'b> {
     pub heard: Option<Instant>,
     /// Whether there is a session.
     pub is_connected: bool,
+    /// Whether the robot's own hardware or its user has stopped it.
+    pub is_halted: bool,
     /// How far the robot must move before it maps again.
     pub gate: Gate,
     /// The server's commands, and its reports on other robots and obstacles.

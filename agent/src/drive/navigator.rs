@@ -131,7 +131,7 @@ impl<'b> Navigator<'b> {
         Health {
             now,
             heard: if is_alone { Some(now) } else { heard.filter(|_| surroundings.is_connected) },
-            must_stop: surroundings.commands.must_stop() || waits,
+            must_stop: surroundings.commands.must_stop() || surroundings.is_halted || waits,
             pose,
             odometry,
             scan: self.near.taken(),

@@ -37,7 +37,7 @@ pub use settings::Settings;
 pub use statistics::Statistics;
 
 use crate::{
-    drive::{Drive, DriveCommand, Drives, NoDrive, Seen},
+    drive::{Drive, DriveCommand, Drives, Halt, NoDrive, Seen, StopReason},
     map::Pool,
     sense::{Beam, ScanError, WaitingScans},
     share::{Commands, FusedMap},
@@ -173,6 +173,7 @@ pub struct Robot<'b, D: Drive = NoDrive> {
     scans: WaitingScans<'b>,
     link: Link,
     drive: D::State<'b>,
+    halt: Option<Halt>,
 }
 
 impl<'b, D: Drive> Robot<'b, D> {
@@ -200,6 +201,7 @@ impl<'b, D: Drive> Robot<'b, D> {
             scans: WaitingScans::new(waiting, config.bounds.readings),
             link: Link::new(config.boot_nonce),
             drive: config.drive.begin(config.bounds.resolution, drive),
+            halt: None,
         }
     }
 
@@ -231,7 +233,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         readings: &[u16],
         now: Instant,
     ) -> Result<(), ScanError> {
-        let Self { mapper, scans, link, drive } = self;
+        let Self { mapper, scans, link, drive, .. } = self;
         let outcome = if drive.wants_scan(taken, mapper.locator.newest_fix()) {
             mapper.scan(scans, link, taken, readings, now)
         } else {
@@ -259,14 +261,40 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.mapper.steadiness.jolt(moment);
     }
 
+    /// Stops the wheels at once, whatever the server says: for bumpers, edges and buttons. The stop
+    /// ends at `until`, or with [`Robot::resume`]; of several stops the last to end counts. Each
+    /// new reason is reported to the server, and a bumper is a [`jolt`](Self::jolt), too.
+    pub fn stop(&mut self, reason: StopReason, until: Option<Instant>, now: Instant) {
+        if reason == StopReason::Bumper {
+            self.jolt(now);
+        }
+        if self.halt.is_none_or(|halt| halt.reason != reason)
+            && let Some(code) = reason.event_code()
+        {
+            self.mapper.outbox.raise(code, now);
+        }
+        self.halt = Some(Halt { reason, until }.after(self.halt));
+    }
+
+    /// Ends all stops by [`Robot::stop`].
+    pub fn resume(&mut self) {
+        self.halt = None;
+    }
+
+    /// Why the robot is stopped by [`Robot::stop`].
+    pub fn stopped(&self) -> Option<StopReason> {
+        self.halt.map(|halt| halt.reason)
+    }
+
     /// Does the work that is due at `now`: drops expired scans, ages the map's evidence, and steps
     /// the drive.
     pub fn timeout(&mut self, now: Instant) {
-        let Self { mapper, scans, link, drive } = self;
+        self.halt = self.halt.filter(|halt| !halt.is_over(now));
+        let Self { mapper, scans, link, drive, halt } = self;
         mapper.age(now);
         mapper.map_waiting(scans, link, now);
         if drive.poll_timeout().is_some_and(|due| due <= now) {
-            let step = drive.step(&mapper.surroundings(link, now));
+            let step = drive.step(&mapper.surroundings(link, halt.is_some(), now));
             if let Some(code) = step {
                 mapper.outbox.raise(code, now);
             }
@@ -277,7 +305,8 @@ impl<'b, D: Drive> Robot<'b, D> {
     pub fn poll_timeout(&self) -> Instant {
         let due = self.link.poll_timeout(&self.mapper);
         let due = due.min(self.mapper.map.poll_timeout());
-        let rest = [self.mapper.scan_timeout(&self.scans), self.drive.poll_timeout()];
+        let halted = self.halt.and_then(|halt| halt.until);
+        let rest = [self.mapper.scan_timeout(&self.scans), self.drive.poll_timeout(), halted];
         rest.into_iter().flatten().fold(due, Instant::min)
     }
 
@@ -287,9 +316,10 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.link.poll_transmit(&mut self.mapper, now, out)
     }
 
-    /// The current command for the wheels. Only [`Robot::timeout`] changes it.
+    /// The current command for the wheels. Only [`Robot::timeout`] changes it, except that a
+    /// [`stop`](Self::stop) counts at once.
     pub fn command(&self) -> DriveCommand {
-        self.drive.command()
+        if self.halt.is_some() { DriveCommand::STAND } else { self.drive.command() }
     }
 
     /// The state of the drive.

@@ -13,7 +13,12 @@ impl<'b> Mapper<'b> {
     }
 
     /// The inputs of the drive's step at `now`.
-    pub(super) fn surroundings(&mut self, link: &Link, now: Instant) -> Surroundings<'_, 'b> {
+    pub(super) fn surroundings(
+        &mut self,
+        link: &Link,
+        is_halted: bool,
+        now: Instant,
+    ) -> Surroundings<'_, 'b> {
         Surroundings {
             now,
             server_now: self.clock.server_now(now),
@@ -21,6 +26,7 @@ impl<'b> Mapper<'b> {
             odometry: self.locator.newest_odometry(),
             heard: link.heard(),
             is_connected: link.is_connected(),
+            is_halted,
             gate: self.settings.gate,
             commands: &self.commands,
             own: &self.map.pool,
