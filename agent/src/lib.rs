@@ -10,7 +10,9 @@
 //! 5. [`share`]: tile updates to the server, and the merged map back;
 //! 6. [`drive`]: from the map to the wheels;
 //! 7. `robot`: [`Robot`] ties them together; it is built from a [`Config`] in a [`Memory`], and the
-//!    server can change each [`Parameter`] at run time.
+//!    server can change each [`Parameter`] at run time;
+//! 8. [`device`]: drivers of depth sensors and wheels, from and to the bytes of their ports;
+//! 9. `machine`: a [`Machine`] is a robot with its devices, behind three ports.
 //!
 //! A scan is one borrowed row of readings: [`Robot::scan`] takes a lidar's readings, or a row of a
 //! depth frame, directly from memory. A [`sense::Slicer`] makes the row from a frame that arrives
@@ -25,8 +27,10 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod device;
 pub mod drive;
 pub mod locate;
+mod machine;
 pub mod map;
 mod robot;
 pub mod sense;
@@ -34,6 +38,7 @@ pub mod share;
 mod timing;
 mod trigonometry;
 
+pub use machine::{Machine, Port};
 pub use robot::{
     Arrays, Bounds, Config, ConfigError, LINK_STATE, Memory, Parameter, Part, Robot, Settings,
     Slices, Statistics, Storage,

@@ -1,0 +1,20 @@
+//! Devices on a robot's ports, as parsers of bytes without input or output.
+//!
+//! | file | device |
+//! |---|---|
+//! | [`a010`] | the depth camera Sipeed MaixSense A010 |
+//! | [`create2`] | the mobile base iRobot Create 2 |
+//! | [`diff_drive`] | the geometry of two driven wheels |
+//!
+//! A [`DepthSensor`] makes scans of bytes, [`Wheels`] make odometry of bytes and bytes of commands. A
+//! [`Machine`](crate::Machine) joins them with a [`Robot`](crate::Robot). None of these drivers was
+//! ever tried on a board: they were written by the manufacturers' documents.
+
+pub mod a010;
+pub mod create2;
+mod depth_sensor;
+pub mod diff_drive;
+mod wheels;
+
+pub use depth_sensor::{DepthSensor, Scan, SensorCounters};
+pub use wheels::{WheelCounters, WheelReport, Wheels};
