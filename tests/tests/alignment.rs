@@ -78,7 +78,7 @@ struct Run {
     events: Vec<RobotEvent>,
 }
 
-/// The room, with these errors of one robot's sensor and another robot's identifier.
+/// The room, with the sensor of one robot and the marker of another mounted askew by these angles.
 fn world(seed: u64, sensor_deg: f64, identifier_deg: f64) -> World {
     let mut scenario = Scenario::built_in().unwrap();
     for robot in &mut scenario.robots {

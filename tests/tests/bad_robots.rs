@@ -266,8 +266,10 @@ fn cells_below_a_robot_are_not_occupied() {
     assert_eq!(code(&server), Cell::Occupied);
 }
 
-/// A robot draws and is seen for 40 s, while old Hellos with its number arrive every second if
-/// `replayed`. Returns the map, and the number of messages of each kind that the robot got.
+/// For 40 s a robot sends tiles and a camera sees it. If `replayed`, an old Hello with its number
+/// arrives every second. Returns the digest of the map; the number of pose fixes that the robot
+/// got, and in how many steps it got tile updates; the number of bad frames; and how often a robot
+/// joined.
 fn with_old_hellos(replayed: bool) -> (Digest, [usize; 2], u32, usize) {
     let mut server = server();
     let mut robot = RawRobot::connect(&mut server, 0, RobotId(1), at(0));

@@ -97,7 +97,7 @@ impl Knot {
     }
 }
 
-/// A walk through the level camera's columns from one knot to the next.
+/// The level camera's columns from one [`Knot`] to the next, and the values interpolated along them.
 struct Walk {
     first: usize,
     beyond: usize,

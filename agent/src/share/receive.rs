@@ -339,8 +339,8 @@ impl<'b> FusedMap<'b> {
             let Some(place) = self.place_mut(digest.id) else { continue };
             let replica = place.replica(layer, epoch);
             if replica.stamp() != digest.stamp || tile_hash(replica.tile()) != digest.hash {
-                // The tile is dropped, because an update to the same or an older version would be
-                // ignored as stale.
+                // The tile is dropped so that the server's reply is accepted: a reply with the
+                // same version as the tile held here, or an older one, would be ignored as stale.
                 place.give_up(layer);
                 self.request(layer, digest.id);
                 dropped(digest.id);

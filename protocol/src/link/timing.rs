@@ -25,8 +25,8 @@ pub(super) const MIN_REORDERING: Duration = Duration::from_millis(60);
 pub(super) const HELLO_WAIT: Duration = Duration::from_millis(200);
 /// Interval before a refused robot says hello again: the server may have been reconfigured.
 pub(super) const REFUSED_WAIT: Duration = Duration::from_secs(10);
-/// The same if its number is in use: a robot that has moved to another port waits until the server has
-/// missed it on the old one.
+/// Interval before the next hello of a robot that was refused because its number is in use. If it has
+/// moved to another port, the server accepts it once the session on the old port counts as dead.
 pub(super) const NUMBER_WAIT: Duration = Duration::from_secs(3);
 
 /// Interval of time requests until the first minima are good: 64 requests take eight seconds.

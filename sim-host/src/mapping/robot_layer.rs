@@ -231,8 +231,8 @@ impl RobotLayer {
         }
     }
 
-    /// Joins the epochs of a tile again; changed cells get the time `seconds`. Returns whether any
-    /// has changed.
+    /// Joins the epochs of a tile again; each cell that changes gets the time that `seconds` returns
+    /// for it. Returns whether any cell has changed.
     fn join(&mut self, id: TileId, seconds: impl Fn(usize) -> u32) -> bool {
         let joined = self.tiles.get(&id).map_or(Tile::UNKNOWN, Epochs::joined);
         let seen = self.seen.entry(id).or_insert_with(|| Box::new(SeenTile::NOTHING));

@@ -74,7 +74,7 @@ pub enum LogError {
         fault: FrameFault,
     },
     /// The number of images differs from the number of poses.
-    #[error("{path}: {images} depth images but {poses} poses", path = path.display())]
+    #[error("{path}: {images} depth images but {poses} poses; give one pose for each image", path = path.display())]
     Poses {
         /// The file of the poses.
         path: PathBuf,

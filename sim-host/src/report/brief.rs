@@ -37,7 +37,7 @@ impl Brief for Report {
                 truth.f1_occupied,
                 100.0 * truth.coverage,
             ),
-            None => format!("{known} known, {} cells of it occupied", map.occupied),
+            None => format!("{known} known, with {} occupied cells", map.occupied),
         }
     }
 
@@ -53,7 +53,7 @@ impl Brief for Report {
     }
 
     fn time(&self) -> String {
-        format!("{:.0} s simulated or recorded, in {:.0} s", self.simulated_s, self.elapsed_s)
+        format!("{:.0} s of simulated or recorded time, processed in {:.0} s", self.simulated_s, self.elapsed_s)
     }
 }
 
@@ -100,9 +100,9 @@ mod tests {
         let text = brief(&report, Path::new("out"));
         assert_eq!(
             text,
-            "quality:   10.0 m2 known, 0 cells of it occupied\n\
+            "quality:   10.0 m2 known, with 0 occupied cells\n\
              agreement: NOT reached: 1 robot and the server hold different maps\n\
-             time:      20 s simulated or recorded, in 0 s\n\
+             time:      20 s of simulated or recorded time, processed in 0 s\n\
              results:   in out; open out/map.png first\n"
         );
         report.map.known = 0;

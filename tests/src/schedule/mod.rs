@@ -37,13 +37,14 @@ const STEP: Duration = Duration::from_millis(100);
 /// handshake retry after a long cut (3.2 s), a session opened by an old Hello, the tiles of a
 /// window at the downlink's bandwidth, and a slightly faulty link.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// Time limit for convergence after a cure: what it voided is requested of all robots, and goes out to all
-/// again, in frames that may have room for 10 bytes of a tile.
+/// Time limit for convergence after a cure (the correction of a robot's constant error): the tiles
+/// that it has made void are requested from all robots and sent to all of them again, in frames
+/// that may have room for only 10 bytes of a tile.
 const UNTIL_CURED: Duration = Duration::from_secs(120);
-/// Time limit until all tiles have been compared by their digests: in the smallest frames one of at
-/// most 36 tiles every ten seconds. As one digest in ten is lost, five rounds are allowed. So long a
-/// robot may take to learn that its last tile is stored, and robots and a server with the epoch of an
-/// earlier life to agree.
+/// Time limit until all tiles have been compared by their digests. A robot has at most 36 tiles, and
+/// the smallest frames hold one digest, sent every ten seconds; as one digest in ten is lost, five
+/// rounds are allowed. A robot may need this long to learn that its last tile is stored. So may
+/// robots and a server that has the epoch of an earlier life, until their maps agree.
 const UNTIL_COMPARED: Duration = Duration::from_secs(5 * 36 * 10);
 /// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);

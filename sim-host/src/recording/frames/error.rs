@@ -125,7 +125,7 @@ pub enum FramesError {
         other: PathBuf,
     },
     /// The times of two cameras are more than a day apart.
-    #[error("{path}: begins more than a day after {other}; all cameras need one clock",
+    #[error("{path}: begins more than a day after {other}; the times of all cameras must be by the same clock",
         path = path.display(), other = other.display())]
     OtherClock {
         /// The times of the later camera.

@@ -164,7 +164,7 @@ impl Attached {
         }
     }
 
-    /// The report on the port. `status` is that of its open link.
+    /// The report on the port. `status` is the status of its current link; `None` if none is open.
     pub(super) fn summary(&self, status: Option<&PortStatus>, server: &Server) -> PortSummary {
         let link = self.counters(status);
         let events = self.robot.and_then(|robot| server.events(robot));
