@@ -1,6 +1,9 @@
 //! A robot with its depth sensor and its wheels, behind three ports.
 
-use ubimap_protocol::time::{Duration, Instant};
+use ubimap_protocol::{
+    message::EventCode,
+    time::{Duration, Instant},
+};
 
 use crate::{
     Robot,
@@ -150,6 +153,11 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
     /// Ends all stops, as [`Robot::resume`].
     pub fn resume(&mut self) {
         self.robot.resume();
+    }
+
+    /// Reports to the server that the watchdog has reset the robot.
+    pub fn report_watchdog(&mut self, now: Instant) {
+        self.robot.report(EventCode::Watchdog, now);
     }
 
     /// The robot.

@@ -12,8 +12,8 @@
 //!
 //! Beside them: [`placement`] (where to hang cameras), [`channel`] (fault channel, serial ports),
 //! [`store`] (layers on disk), [`recording`] (recorded logs and frames), [`report`] (figures and
-//! pictures) and [`timing`] (age limits of data). [`world`] is the simulated room; only [`run`] may
-//! import it.
+//! pictures) and [`timing`] (age limits of data). [`world`] is the simulated room, and [`devices`] are
+//! simulated sensors and wheels; only [`run`] may import them.
 //!
 //! # The driving rule
 //!
@@ -31,6 +31,7 @@
 pub mod camera;
 pub mod channel;
 pub mod deployment;
+pub mod devices;
 mod files;
 pub mod grid;
 pub mod mapping;

@@ -1,80 +1,38 @@
-//! The reference board: an STM32F405 with the server on USART1 and a status LED.
-//!
-//! | pin | use |
-//! |---|---|
-//! | PA9, PA10 | USART1, to and from the server |
-//! | PC13 | status LED |
+//! The STM32F405: clocks, time, and three serial ports.
 //!
 //! The same image runs on the chip and in QEMU's `netduinoplus2`, which does not model the clock
 //! control (RCC): its core always runs at 168 MHz, and no ready bit is ever set.
 
-use core::{
-    cell::Cell,
-    sync::atomic::{AtomicU8, AtomicUsize, Ordering},
-};
+use core::cell::Cell;
 
 use cortex_m::{
-    Peripherals, asm,
+    asm,
     interrupt::{self as interrupts, Mutex},
     peripheral::{NVIC, SCB, SYST, syst::SystClkSource},
 };
 use cortex_m_rt::exception;
 use embedded_hal::delay::DelayNs;
 use stm32f4xx_hal::{
-    gpio::{Output, PC13},
     interrupt,
-    pac::{self, FLASH, Interrupt, RCC, RNG, TIM2, USART1},
-    prelude::*,
+    pac::{FLASH, IWDG, Interrupt, RCC, RNG, TIM2, usart1},
     rcc::{Enable, Rcc},
     signature::Uid,
 };
 use ubimap_protocol::time::Instant;
 
+use super::ring::Ring;
+
 /// The core clock: set by the PLL on the chip, fixed in the emulator.
 const CORE_HZ: u32 = 168_000_000;
 
-/// The clock of USART1 (bus APB2): half the core clock.
-const USART_HZ: u32 = CORE_HZ / 2;
+/// The clock of the peripherals on bus APB1, such as USART2 and USART3.
+pub(super) const APB1_HZ: u32 = CORE_HZ / 4;
+
+/// The clock of the peripherals on bus APB2, such as USART1 and USART6.
+pub(super) const APB2_HZ: u32 = CORE_HZ / 2;
 
 /// The clock of TIM2: a quarter of the core clock (bus APB1), doubled for timers.
 const TIMER_HZ: u32 = CORE_HZ / 2;
-
-/// The status LED.
-pub(crate) type Led = PC13<Output>;
-
-/// The devices of the board that the firmware uses.
-pub(crate) struct Board {
-    /// The time since boot.
-    pub(crate) clock: Clock,
-    /// The serial port to the server.
-    pub(crate) port: Port,
-    /// The status LED.
-    pub(crate) led: Led,
-    /// A random number, different at each boot.
-    pub(crate) nonce: u64,
-}
-
-impl Board {
-    /// Sets up the board; `None` if it was set up before.
-    pub(crate) fn take(baud: u32) -> Option<Self> {
-        let core = Peripherals::take()?;
-        let chip = pac::Peripherals::take()?;
-
-        let timer_hz = if start_pll(&chip.RCC, &chip.FLASH) { TIMER_HZ } else { EMULATED_TIMER_HZ };
-        let mut rcc = chip.RCC.constrain();
-        start_alarm(chip.TIM2, timer_hz, &mut rcc);
-        let clock = Clock::start(core.SYST);
-
-        let pins = chip.GPIOA.split(&mut rcc);
-        pins.pa9.into_alternate::<7>();
-        pins.pa10.into_alternate::<7>();
-        let port = Port::start(chip.USART1, baud, &mut rcc)?;
-
-        let led = chip.GPIOC.split(&mut rcc).pc13.into_push_pull_output();
-        let nonce = boot_nonce(&chip.RNG, &mut rcc);
-        Some(Self { clock, port, led, nonce })
-    }
-}
 
 /// Sets the clocks by the PLL: the core to 168 MHz, APB1 to 42 MHz, APB2 to 84 MHz, and the random
 /// number generator to 48 MHz. The source is the internal oscillator, which every board has.
@@ -82,13 +40,13 @@ impl Board {
 /// The oscillator is accurate to 1 % at room temperature and to 4.5 % up to 105 degrees; use a
 /// crystal for higher accuracy over temperature.
 ///
-/// Returns `false` in the emulator, where there is nothing to set.
+/// Returns the clock of TIM2. In the emulator there is nothing to set.
 ///
 /// Writes the registers directly, because the HAL's search for divisors adds panics to the image.
-fn start_pll(rcc: &RCC, flash: &FLASH) -> bool {
+pub(super) fn start_pll(rcc: &RCC, flash: &FLASH) -> u32 {
     // After a reset the chip runs on this oscillator, and its ready bit is set.
     if rcc.cr().read().hsirdy().bit_is_clear() {
-        return false;
+        return EMULATED_TIMER_HZ;
     }
     flash.acr().write(|w| w.latency().ws5().prften().enabled().icen().enabled().dcen().enabled());
     rcc.pllcfgr().write(|w| {
@@ -107,7 +65,7 @@ fn start_pll(rcc: &RCC, flash: &FLASH) -> bool {
     rcc.cfgr().modify(|_, w| w.hpre().div1().ppre1().div4().ppre2().div2());
     rcc.cfgr().modify(|_, w| w.sw().pll());
     while !rcc.cfgr().read().sws().is_pll() {}
-    true
+    TIMER_HZ
 }
 
 /// The time since boot: complete periods of SysTick, counted by its interrupt, plus its count in
@@ -129,7 +87,7 @@ const PERIOD: u32 = PERIOD_MICROS * PER_MICRO;
 static PERIODS: Mutex<Cell<u64>> = Mutex::new(Cell::new(0));
 
 impl Clock {
-    fn start(mut systick: SYST) -> Self {
+    pub(super) fn start(mut systick: SYST) -> Self {
         systick.set_clock_source(SystClkSource::Core);
         systick.set_reload(PERIOD - 1);
         systick.clear_current();
@@ -177,7 +135,7 @@ impl DelayNs for Clock {
 }
 
 /// TIM2 wakes the core every millisecond, so that it can sleep and still meet its deadlines.
-fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
+pub(super) fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
     TIM2::enable(rcc);
     timer.psc().write(|w| w.psc().set((timer_hz / 1_000_000 - 1) as u16));
     timer.arr().write(|w| w.arr().set(1_000 - 1));
@@ -207,47 +165,44 @@ fn TIM2() {
     }
 }
 
-/// The serial port to the server. Its interrupt moves bytes between the USART and two queues.
-pub(crate) struct Port(());
+/// Bytes between the main loop and the interrupt of a port.
+pub(super) struct Queues {
+    /// Received bytes waiting for the main loop: 44 ms at 115,200 baud.
+    received: Ring<512>,
+    /// Bytes waiting to be sent: two frames of the link.
+    queued: Ring<512>,
+}
 
-/// Received bytes waiting for the main loop: 44 ms at 115,200 baud.
-static RECEIVED: Ring<512> = Ring::new();
-
-/// Bytes waiting to be sent: two frames of the link.
-static QUEUED: Ring<512> = Ring::new();
-
-impl Port {
-    fn start(usart: USART1, baud: u32, rcc: &mut Rcc) -> Option<Self> {
-        USART1::enable(rcc);
-        // With oversampling by 16, the register holds the quotient of the clock and the baud rate,
-        // in which the lower four bits are the fraction.
-        let divisor = (USART_HZ + baud / 2).checked_div(baud)?;
-        usart.brr().write(|w| {
-            w.div_mantissa().set((divisor >> 4) as u16).div_fraction().set((divisor & 0xF) as u8)
-        });
-        usart.cr1().write(|w| w.ue().set_bit().te().set_bit().re().set_bit().rxneie().set_bit());
-        interrupts::free(|cs| USART.borrow(cs).set(Some(usart)));
-        unmask(Interrupt::USART1);
-        Some(Self(()))
+impl Queues {
+    pub(super) const fn new() -> Self {
+        Self { received: Ring::new(), queued: Ring::new() }
     }
+}
 
+/// A serial port. Its interrupt moves bytes between the USART and two queues.
+pub(crate) struct Serial {
+    queues: &'static Queues,
+    interrupt: Interrupt,
+}
+
+impl Serial {
     /// Reads received bytes. Returns their number.
     pub(crate) fn read(&mut self, buffer: &mut [u8]) -> usize {
         let mut count = 0;
         for place in buffer {
-            let Some(byte) = RECEIVED.take() else { break };
+            let Some(byte) = self.queues.received.take() else { break };
             *place = byte;
             count += 1;
         }
         if count > 0 {
-            serve_soon();
+            self.serve_soon();
         }
         count
     }
 
-    /// Number of bytes that [`Port::write`] accepts now.
+    /// Number of bytes that [`Serial::write`] accepts now.
     pub(crate) fn room(&self) -> usize {
-        QUEUED.room()
+        self.queues.queued.room()
     }
 
     /// Queues bytes to be sent. Returns the number of bytes queued, which is smaller than given if
@@ -255,70 +210,141 @@ impl Port {
     pub(crate) fn write(&mut self, bytes: &[u8]) -> usize {
         let mut count = 0;
         for &byte in bytes {
-            if !QUEUED.put(byte) {
+            if !self.queues.queued.put(byte) {
                 break;
             }
             count += 1;
         }
-        serve_soon();
+        self.serve_soon();
         count
     }
 
-    /// Sleeps until bytes arrive or the alarm fires, which is at most one millisecond.
-    pub(crate) fn wait(&self) {
-        // Interrupts are masked, so that none is handled between the check and the sleep; a pending
-        // one still wakes the core.
-        interrupts::free(|_| {
-            if RECEIVED.is_empty() {
-                asm::wfi();
-            }
-        });
+    /// Triggers the interrupt after the main loop has changed the queues.
+    fn serve_soon(&self) {
+        NVIC::pend(self.interrupt);
     }
 }
 
-/// Hands the USART from the setup to the interrupt, which then owns it.
-static USART: Mutex<Cell<Option<USART1>>> = Mutex::new(Cell::new(None));
-
-#[interrupt]
-fn USART1() {
-    static mut OWNED: Option<USART1> = None;
-    if OWNED.is_none() {
-        *OWNED = interrupts::free(|cs| USART.borrow(cs).take());
-    }
-    if let Some(usart) = OWNED {
-        serve(usart);
-    }
+/// Sleeps until bytes arrive at a port or the alarm fires, which is at most one millisecond.
+pub(crate) fn wait(ports: &[Serial]) {
+    // Interrupts are masked, so that none is handled between the check and the sleep; a pending one
+    // still wakes the core.
+    interrupts::free(|_| {
+        if ports.iter().all(|port| port.queues.received.is_empty()) {
+            asm::wfi();
+        }
+    });
 }
 
-/// Triggers the interrupt after the main loop has changed the queues.
-fn serve_soon() {
-    NVIC::pend(Interrupt::USART1);
+/// Starts a USART and the interrupt that serves it.
+pub(super) fn start_port(
+    usart: &usart1::RegisterBlock,
+    hz: u32,
+    baud: u32,
+    queues: &'static Queues,
+    interrupt: Interrupt,
+) -> Option<Serial> {
+    // With oversampling by 16, the register holds the quotient of the clock and the baud rate, in
+    // which the lower four bits are the fraction.
+    let divisor = (hz + baud / 2).checked_div(baud)?;
+    usart.brr().write(|w| {
+        w.div_mantissa().set((divisor >> 4) as u16).div_fraction().set((divisor & 0xF) as u8)
+    });
+    usart.cr1().write(|w| w.ue().set_bit().te().set_bit().re().set_bit().rxneie().set_bit());
+    Some(Serial { queues, interrupt })
 }
 
-fn serve(usart: &mut USART1) {
-    while RECEIVED.room() > 0 {
+/// Moves bytes between a USART and its queues: its interrupt.
+pub(super) fn serve(usart: &usart1::RegisterBlock, queues: &Queues) {
+    let Queues { received, queued } = queues;
+    while received.room() > 0 {
         let status = usart.sr().read();
         // An overrun means that the byte after this one is lost; these two reads also clear that
-        // flag. The link's checksum detects the loss.
+        // flag. The checksums of the protocols detect the loss.
         if status.rxne().bit_is_clear() && status.ore().bit_is_clear() {
             break;
         }
         let byte = usart.dr().read().dr().bits() as u8;
         if status.rxne().bit_is_set() {
-            RECEIVED.put(byte);
+            received.put(byte);
         }
     }
     while usart.sr().read().txe().bit_is_set() {
-        let Some(byte) = QUEUED.take() else { break };
+        let Some(byte) = queued.take() else { break };
         usart.dr().write(|w| w.dr().set(byte.into()));
     }
     // If the queue is full, the byte stays in the USART. A sender that can wait, such as the
     // emulator's, then waits; `read` makes room and triggers the interrupt again.
-    usart.cr1().modify(|_, w| w.rxneie().bit(RECEIVED.room() > 0).txeie().bit(!QUEUED.is_empty()));
+    usart.cr1().modify(|_, w| w.rxneie().bit(received.room() > 0).txeie().bit(!queued.is_empty()));
+}
+
+/// Starts a USART as a port with queues and an interrupt of its own. Needs `Rcc` and the baud rate;
+/// returns an `Option<Serial>`. Use it once per USART.
+macro_rules! port {
+    ($usart:ident, $hz:expr, $chip:expr, $baud:expr, $rcc:expr) => {{
+        use core::cell::Cell;
+        use cortex_m::interrupt::{self as interrupts, Mutex};
+        use stm32f4xx_hal::{
+            interrupt,
+            pac::{Interrupt, $usart},
+            rcc::Enable,
+        };
+
+        use crate::board::chip::{Queues, serve, start_port, unmask};
+
+        static QUEUES: Queues = Queues::new();
+        /// Hands the USART from the setup to the interrupt, which then owns it.
+        static USART: Mutex<Cell<Option<$usart>>> = Mutex::new(Cell::new(None));
+
+        #[interrupt]
+        fn $usart() {
+            static mut OWNED: Option<$usart> = None;
+            if OWNED.is_none() {
+                *OWNED = interrupts::free(|cs| USART.borrow(cs).take());
+            }
+            if let Some(usart) = OWNED {
+                serve(usart, &QUEUES);
+            }
+        }
+
+        $usart::enable($rcc);
+        let usart: $usart = $chip;
+        let port = start_port(&usart, $hz, $baud, &QUEUES, Interrupt::$usart);
+        interrupts::free(|cs| USART.borrow(cs).set(Some(usart)));
+        unmask(Interrupt::$usart);
+        port
+    }};
+}
+pub(super) use port;
+
+/// The watchdog resets the robot if the main loop has not run for 2 s.
+pub(crate) struct Watchdog(IWDG);
+
+impl Watchdog {
+    /// Starts the watchdog, which can't be stopped. Its clock is 32 kHz, accurate to a half.
+    pub(super) fn start(watchdog: IWDG) -> Self {
+        watchdog.kr().write(|w| w.key().start());
+        watchdog.kr().write(|w| w.key().unlock());
+        watchdog.pr().write(|w| w.pr().divide_by64());
+        watchdog.rlr().write(|w| w.rl().set(1_000));
+        Self(watchdog)
+    }
+
+    /// Restarts the watchdog's time.
+    pub(crate) fn feed(&mut self) {
+        self.0.kr().write(|w| w.key().feed());
+    }
+}
+
+/// Whether the watchdog caused the last reset; clears the record of it. In the emulator never.
+pub(super) fn was_reset_by_watchdog(rcc: &RCC) -> bool {
+    let was = rcc.csr().read().wdgrstf().bit_is_set();
+    rcc.csr().modify(|_, w| w.rmvf().set_bit());
+    was
 }
 
 #[allow(unsafe_code, reason = "unmasking is unsafe for those whose critical sections mask it")]
-fn unmask(interrupt: Interrupt) {
+pub(super) fn unmask(interrupt: Interrupt) {
     // SAFETY: critical sections here mask all interrupts, so none relies on the mask of this one.
     unsafe { NVIC::unmask(interrupt) }
 }
@@ -326,7 +352,7 @@ fn unmask(interrupt: Interrupt) {
 /// A number that differs from boot to boot. It combines the chip's random number generator, its
 /// unique id, and the phase of the clock. In the emulator only the phase is available, which
 /// depends on the host's speed: it distinguishes boots, but is not secret.
-fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
+pub(super) fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
     RNG::enable(rcc);
     noise.cr().modify(|_, w| w.rngen().set_bit());
     let mut nonce = 0;
@@ -351,55 +377,4 @@ fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
 fn mix(number: u64, word: u32) -> u64 {
     let spread = (number ^ u64::from(word)).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     spread ^ spread >> 32
-}
-
-/// A byte queue between the main loop and an interrupt: one side puts bytes, the other takes them.
-struct Ring<const N: usize> {
-    bytes: [AtomicU8; N],
-    /// Total numbers of bytes put and taken; both wrap.
-    put: AtomicUsize,
-    taken: AtomicUsize,
-}
-
-impl<const N: usize> Ring<N> {
-    const fn new() -> Self {
-        // The counters must wrap at a multiple of the size.
-        assert!(N.is_power_of_two());
-        Self {
-            bytes: [const { AtomicU8::new(0) }; N],
-            put: AtomicUsize::new(0),
-            taken: AtomicUsize::new(0),
-        }
-    }
-
-    fn is_empty(&self) -> bool {
-        self.room() == N
-    }
-
-    fn room(&self) -> usize {
-        let (put, taken) = (self.put.load(Ordering::Acquire), self.taken.load(Ordering::Acquire));
-        N - put.wrapping_sub(taken).min(N)
-    }
-
-    /// Puts a byte; `false` if the queue is full.
-    fn put(&self, byte: u8) -> bool {
-        let put = self.put.load(Ordering::Relaxed);
-        if self.room() == 0 {
-            return false;
-        }
-        self.bytes[put % N].store(byte, Ordering::Relaxed);
-        self.put.store(put.wrapping_add(1), Ordering::Release);
-        true
-    }
-
-    /// Takes the oldest byte.
-    fn take(&self) -> Option<u8> {
-        let taken = self.taken.load(Ordering::Relaxed);
-        if self.is_empty() {
-            return None;
-        }
-        let byte = self.bytes[taken % N].load(Ordering::Relaxed);
-        self.taken.store(taken.wrapping_add(1), Ordering::Release);
-        Some(byte)
-    }
 }

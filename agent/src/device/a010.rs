@@ -130,10 +130,10 @@ impl A010Config {
         }
     }
 
-    /// The time of a byte on the line, in nanoseconds.
-    const fn byte_nanos(&self) -> u64 {
-        match (BITS_PER_BYTE * 1_000_000_000).checked_div(self.baud as u64) {
-            Some(nanos) => nanos,
+    /// The time of a byte on the line, in 256ths of a microsecond.
+    const fn byte_time(&self) -> u32 {
+        match (BITS_PER_BYTE as u32 * 256_000_000).checked_div(self.baud) {
+            Some(time) => time,
             None => 0,
         }
     }
@@ -271,8 +271,8 @@ impl<'b> A010<'b> {
 
     /// When the first of `bytes` bytes, the last of which was sent at `at`, was begun.
     fn before(&self, at: Instant, bytes: usize) -> Instant {
-        let micros = self.config.byte_nanos().saturating_mul(bytes as u64) / 1_000;
-        Instant(at.0.saturating_sub(micros))
+        let time = u64::from(self.config.byte_time()) * bytes as u64;
+        Instant(at.0.saturating_sub(time >> 8))
     }
 
     /// Whether the newest bytes are the header of a frame with the configured resolution.

@@ -194,10 +194,10 @@ impl Wheels for Create2 {
     }
 
     fn drive(&mut self, command: DriveCommand, now: Instant) {
-        let since = self.sent.map_or(0, |(_, at)| now.since(at).micros() / 1_000);
+        let since = self.sent.map_or(0, |(_, at)| now.since(at).micros().min(200_000) as u32);
         let is_due = self.sent.is_none_or(|(_, at)| now >= at + MODE_CHANGE);
         if command == DriveCommand::STAND || is_due {
-            self.speeds.follow(command, since.min(200) as u32);
+            self.speeds.follow(command, since / 1_000);
         }
         self.command = command;
     }

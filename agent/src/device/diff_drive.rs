@@ -1,42 +1,60 @@
 //! Two driven wheels: from encoder counts to odometry, and from a command to wheel speeds.
 
+use core::f32::consts::TAU;
+
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use crate::{drive::DriveCommand, trigonometry::sin_cos};
 
-/// Fractional bits of lengths.
-const FRACTION: u32 = 20;
-
 /// The geometry and the limits of a base with two driven wheels.
 ///
-/// All values are integers, so that a constant needs no arithmetic at run time.
+/// All values are integers, and what follows from them is computed when a constant is compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WheelBase {
-    /// Distance covered per encoder count, in nanometres; negative if the encoders count backwards.
-    pub count_nm: i32,
     /// Distance between the wheels' points of contact, in micrometres.
-    pub track_um: u32,
+    track_um: u32,
+    /// Half the distance covered per encoder count, in 2^-32 mm.
+    half_count: i64,
+    /// The angle turned per count of difference between the wheels, in 2^-64 turns.
+    turn: i64,
     /// Maximum speed of a wheel, in mm/s.
-    pub top_speed: u16,
-    /// Maximum change of a wheel's speed in a second, in mm/s: what the motors can follow.
-    pub slew: u16,
+    top_speed: u16,
+    /// Maximum acceleration of a wheel, in mm/s^2.
+    slew: u16,
 }
 
 impl WheelBase {
     /// The iRobot Create 2: wheels of 72 mm, 508.8 counts per turn, 235 mm apart, up to 500 mm/s.
-    pub const CREATE2: Self =
-        Self { count_nm: 444_565, track_um: 235_000, top_speed: 500, slew: 1_500 };
+    pub const CREATE2: Self = Self::new(444_565, 235_000, 500, 1_500);
+
+    /// A base whose wheels cover `count_nm` nanometres per encoder count (negative if the encoders
+    /// count backwards) and stand `track_um` micrometres apart, at most a metre. The wheels reach
+    /// `top_speed` mm/s and accelerate by `slew` mm/s^2 at most. Call it in a constant: it divides
+    /// 128-bit integers.
+    pub const fn new(count_nm: i32, track_um: u32, top_speed: u16, slew: u16) -> Self {
+        let count = count_nm as i128;
+        let track = if track_um == 0 { 1 } else { track_um as i128 };
+        // The angle is the difference of the ways divided by the track; 2 pi is 6,283,185,307 nm/m.
+        let turn = (count << 64) * 1_000_000 / (track * 6_283_185_307);
+        Self {
+            track_um,
+            half_count: ((count << 32) / 2_000_000) as i64,
+            turn: turn as i64,
+            top_speed,
+            slew,
+        }
+    }
 }
 
 /// The odometry of two driven wheels: `base_link`, the middle between the wheels, in `odom`.
 #[derive(Clone, Copy, Debug)]
 pub struct DiffDrive {
     base: WheelBase,
-    /// Position in 2^-20 mm.
+    /// Position in 2^-32 mm.
     x: i64,
     y: i64,
-    /// Heading in 2^-32 turns.
-    heading: u32,
+    /// Heading in 2^-64 turns.
+    heading: u64,
 }
 
 impl DiffDrive {
@@ -46,39 +64,25 @@ impl DiffDrive {
     }
 
     /// Adds the numbers of counts of the left and the right wheel since the last call. The base
-    /// drives along an arc of constant curvature, whose chord has the direction of its middle.
-    ///
-    /// The position is rounded to 2^-20 mm and the heading to 2^-32 turns per call.
+    /// drives along an arc of constant curvature, whose chord has the direction of its middle. The
+    /// chord is rounded to single precision.
     pub fn advance(&mut self, [left, right]: [i32; 2]) {
         let (left, right) = (i64::from(left), i64::from(right));
-        let (count_nm, track_um) = (i64::from(self.base.count_nm), i64::from(self.base.track_um));
-        // The angle is the difference of the ways divided by the track; 2^32 / (2 pi) * 1e-3 =
-        // 683,565,275.576 / 1000 units per nanometre and micrometre.
-        let difference = (right - left).saturating_mul(count_nm);
-        let turn = i128::from(difference) * 683_565_276 / (i128::from(track_um).max(1) * 1_000);
-        let turn = turn as i64 as u32 as i32;
-        let middle = self.heading.wrapping_add((turn / 2) as u32);
-        self.heading = self.heading.wrapping_add(turn as u32);
-
-        let way = (left + right).saturating_mul(count_nm);
-        // Half the sum, in 2^-20 mm: a nanometre is 1e-6 mm.
-        let way = (i128::from(way) << FRACTION) / 2_000_000;
-        let (sin, cos) = sin_cos(middle as i32 as f32 * (core::f32::consts::TAU / 4_294_967_296.0));
-        let way = way as i64 as f32;
+        let turn = (right - left).wrapping_mul(self.base.turn);
+        let middle = self.heading.wrapping_add((turn / 2) as u64);
+        self.heading = self.heading.wrapping_add(turn as u64);
+        let middle = (middle >> 32) as i32 as f32 * (TAU / 4_294_967_296.0);
+        let (sin, cos) = sin_cos(middle);
+        let way = (left + right).wrapping_mul(self.base.half_count) as f32;
         self.x = self.x.wrapping_add((way * cos) as i64);
         self.y = self.y.wrapping_add((way * sin) as i64);
     }
 
     /// `base_link` in `odom`.
     pub fn pose(&self) -> Pose {
-        let millimetres = |length: i64| {
-            Millimetres((length.wrapping_add(1 << (FRACTION - 1)) >> FRACTION) as i32)
-        };
-        Pose {
-            x: millimetres(self.x),
-            y: millimetres(self.y),
-            heading: Angle((self.heading.wrapping_add(1 << 15) >> 16) as u16),
-        }
+        let millimetres = |length: i64| Millimetres((length.wrapping_add(1 << 31) >> 32) as i32);
+        let heading = Angle((self.heading.wrapping_add(1 << 47) >> 48) as u16);
+        Pose { x: millimetres(self.x), y: millimetres(self.y), heading }
     }
 }
 
@@ -103,16 +107,16 @@ impl WheelSpeeds {
             self.speeds = [0; 2];
             return self.speeds;
         }
-        let track_um = i64::from(self.base.track_um);
-        // mrad/s times micrometres is nm/s; half of it, in mm/s.
-        let half = i64::from(command.turn) * track_um / 2_000_000;
-        let wanted = [i64::from(command.speed) - half, i64::from(command.speed) + half];
+        // At most a metre: mrad/s times tenths of a millimetre, in mm/s, for half the track.
+        let track = (self.base.track_um.min(1_000_000) / 100) as i32;
+        let half = i32::from(command.turn) * track / 20_000;
+        let wanted = [i32::from(command.speed) - half, i32::from(command.speed) + half];
         let fastest = wanted.iter().fold(1, |most, speed| speed.abs().max(most));
-        let top = i64::from(self.base.top_speed.min(i16::MAX as u16)).min(fastest);
-        let change = i64::from(self.base.slew).saturating_mul(i64::from(elapsed_ms)) / 1_000;
+        let top = i32::from(self.base.top_speed.min(i16::MAX as u16)).min(fastest);
+        let change = i32::from(self.base.slew) * elapsed_ms.min(1_000) as i32 / 1_000;
         for (speed, wanted) in self.speeds.iter_mut().zip(wanted) {
             let wanted = wanted * top / fastest.max(1);
-            let now = i64::from(*speed);
+            let now = i32::from(*speed);
             *speed = wanted.clamp(now - change, now + change) as i16;
         }
         self.speeds
@@ -131,8 +135,8 @@ mod tests {
     use std::vec::Vec;
 
     /// The plain way: the arcs in double precision.
-    fn plain(base: WheelBase, steps: &[[i32; 2]]) -> [f64; 3] {
-        let (count, track) = (f64::from(base.count_nm) * 1e-6, f64::from(base.track_um) * 1e-3);
+    fn plain(steps: &[[i32; 2]]) -> [f64; 3] {
+        let (count, track) = (0.444_565, 235.0);
         steps.iter().fold([0.0; 3], |[x, y, heading], &[left, right]| {
             let (left, right) = (f64::from(left) * count, f64::from(right) * count);
             let turn = (right - left) / track;
@@ -151,7 +155,7 @@ mod tests {
                 legs.iter().flat_map(|&(left, right, steps)| std::iter::repeat_n([left, right], steps)).collect();
             let mut drive = DiffDrive::new(WheelBase::CREATE2);
             steps.iter().for_each(|&step| drive.advance(step));
-            let [x, y, heading] = plain(WheelBase::CREATE2, &steps);
+            let [x, y, heading] = plain(&steps);
             let pose = drive.pose();
             prop_assert!((f64::from(pose.x.0) - x).abs() < 1.0, "{pose:?}: {x}");
             prop_assert!((f64::from(pose.y.0) - y).abs() < 1.0, "{pose:?}: {y}");
@@ -164,7 +168,7 @@ mod tests {
             steps in prop::collection::vec(any::<[i32; 2]>(), 0..20),
             count_nm: i32, track_um: u32,
         ) {
-            let mut drive = DiffDrive::new(WheelBase { count_nm, track_um, ..WheelBase::CREATE2 });
+            let mut drive = DiffDrive::new(WheelBase::new(count_nm, track_um, 500, 1_500));
             steps.into_iter().for_each(|step| drive.advance(step));
             drive.pose();
         }

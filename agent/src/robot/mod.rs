@@ -22,7 +22,7 @@ mod writing;
 use ubimap_protocol::{
     frame::SessionId,
     link::Counters,
-    message::RefusalReason,
+    message::{EventCode, RefusalReason},
     tile::Epoch,
     time::Instant,
     units::{Angle, Pose},
@@ -274,6 +274,11 @@ impl<'b, D: Drive> Robot<'b, D> {
             self.mapper.outbox.raise(code, now);
         }
         self.halt = Some(Halt { reason, until }.after(self.halt));
+    }
+
+    /// Reports an event of the board to the server, such as a low battery.
+    pub fn report(&mut self, code: EventCode, now: Instant) {
+        self.mapper.outbox.raise(code, now);
     }
 
     /// Ends all stops by [`Robot::stop`].

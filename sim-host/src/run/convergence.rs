@@ -6,9 +6,11 @@ use super::{fleet::Fleet, member::Member};
 
 impl Fleet<'_> {
     /// Whether the server holds the newest version of every published tile, every fused tile on a
-    /// robot equals the server's newest (by hash), and nothing is left to store.
+    /// robot equals the server's newest (by hash), and nothing is left to store. Of a robot outside
+    /// only what it has acknowledged is known.
     pub fn has_converged(&self) -> bool {
         !self.deployment().has_unsaved()
+            && self.outside().is_none_or(|robot| self.server().is_level(robot.id()))
             && self.robots().iter().all(|robot| {
                 robot.robot().is_idle()
                     && self.server().is_level(robot.id())

@@ -1,9 +1,13 @@
 //! The figures of a run, taken from its fleet.
 
-use ubimap_protocol::tile::{Digest, Stamp, tile_hash};
+use ubimap_protocol::{
+    tile::{Digest, Stamp, tile_hash},
+    units::RobotId,
+};
 
 use super::{fleet::Fleet, member::Member};
 use crate::{
+    deployment::PortId,
     grid::OccupancyGrid,
     report::{Comparison, HexDigest, MapSummary, Pixels, Report, RobotSummary},
     server::EventLog,
@@ -17,8 +21,9 @@ pub(super) fn report(
     converged: bool,
     tiles: usize,
 ) -> Report {
-    let robots: Vec<RobotSummary> =
-        fleet.robots().iter().map(|robot| summary(fleet, robot, tiles)).collect();
+    let outside = fleet.outside().map(|robot| known_to_the_server(fleet, robot.id(), robot.port()));
+    let robots = fleet.robots().iter().map(|robot| summary(fleet, robot, tiles)).chain(outside);
+    let robots: Vec<RobotSummary> = robots.collect();
     for robot in robots.iter().filter(|robot| robot.cells_refused > 0) {
         log::warn!(
             "robot {} dropped {} cells because its {tiles} tiles were full; increase --tiles",
@@ -43,17 +48,9 @@ pub(super) fn report(
 }
 
 fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary {
-    let server = fleet.server();
-    let port = fleet.deployment().port(robot.port());
     let counted = robot.robot().statistics();
-    let mut digest = Digest::default();
-    if let Some(layer) = server.layer(robot.id()) {
-        let tiles = layer.tiles();
-        tiles.for_each(|(id, seen)| digest.add(id, Stamp::default(), tile_hash(&seen.tile)));
-    }
     let pixels = counted.pixels;
     RobotSummary {
-        id: robot.id().0,
         scans: counted.scans.into(),
         mapped: counted.mapped.into(),
         pixels: Pixels {
@@ -64,14 +61,29 @@ fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary 
         },
         bytes_up: counted.bytes_sent,
         bytes_up_map: counted.bytes_sent_map,
-        bytes_down: port.map_or(0, |port| port.bytes_sent),
         retransmissions: robot.robot().link_counters().retransmissions.into(),
         frames_lost: robot.frames_lost(),
         tiles: tiles as u64,
         tiles_evicted: robot.robot().own_tiles().evicted().into(),
         cells_refused: counted.cells_refused.into(),
-        events: server.events(robot.id()).map_or(0, EventLog::count),
-        news_left_out: server.left_out(robot.id()),
+        ..known_to_the_server(fleet, robot.id(), robot.port())
+    }
+}
+
+/// What the server alone can say about a robot.
+fn known_to_the_server(fleet: &Fleet<'_>, robot: RobotId, port: PortId) -> RobotSummary {
+    let server = fleet.server();
+    let port = fleet.deployment().port(port);
+    let mut digest = Digest::default();
+    if let Some(layer) = server.layer(robot) {
+        let tiles = layer.tiles();
+        tiles.for_each(|(id, seen)| digest.add(id, Stamp::default(), tile_hash(&seen.tile)));
+    }
+    RobotSummary {
+        id: robot.0,
+        bytes_down: port.map_or(0, |port| port.bytes_sent),
+        events: server.events(robot).map_or(0, EventLog::count),
+        news_left_out: server.left_out(robot),
         digest: HexDigest(digest.0),
         ..RobotSummary::default()
     }

@@ -15,10 +15,12 @@ use ubimap_protocol::{
 };
 
 use super::{
+    RunError,
     heap::Heap,
     interruption,
     keeper::Keeper,
     member::{Journal, Member},
+    outside::{Outside, OutsidePorts},
     terminal,
 };
 use crate::{
@@ -26,7 +28,6 @@ use crate::{
     channel::fault::Faults,
     deployment::{self, Deployment},
     server::Server,
-    store::StoreError,
 };
 
 /// An input to the fleet at a moment of a run.
@@ -62,6 +63,12 @@ pub trait Stage {
 
     /// Applies a drive command to a robot's wheels from `moment` on.
     fn drive(&mut self, _moment: Instant, _robot: usize, _command: DriveCommand) {}
+
+    /// What a robot's wheels have measured by `now`: the way in metres and the angle in radians since
+    /// the start, and whether its bumper is pressed. `None` if the stage has no wheels.
+    fn wheels(&mut self, _now: Instant, _robot: usize) -> Option<([f64; 2], bool)> {
+        None
+    }
 }
 
 /// Called with every frame that a robot or the server sends, before its channel can alter it: the
@@ -75,6 +82,7 @@ pub type Listener<'l> = Box<dyn FnMut(&deployment::Event) + 'l>;
 pub struct Fleet<'b> {
     deployment: Deployment,
     robots: Vec<Member<'b>>,
+    outside: Option<Outside>,
     keeper: Option<Keeper>,
     /// Time since the run began.
     now: Instant,
@@ -107,6 +115,7 @@ impl<'b> Fleet<'b> {
         Ok(Self {
             deployment,
             robots,
+            outside: None,
             keeper: None,
             now: Instant(0),
             frame: vec![0; MAX_FRAME],
@@ -119,6 +128,21 @@ impl<'b> Fleet<'b> {
     /// Stores the deployment's records in a file from now on.
     pub fn keep(&mut self, keeper: Keeper) {
         self.keeper = Some(keeper);
+    }
+
+    /// Connects the stage's only robot, which is outside, to this fleet without robots. From now on
+    /// its clock is the time that passes.
+    ///
+    /// # Errors
+    /// [`RunError::Port`] if a port can't be opened.
+    pub fn connect(&mut self, robot: RobotId, ports: &OutsidePorts) -> Result<(), RunError> {
+        self.outside = Some(Outside::open(robot, ports, &mut self.deployment)?);
+        Ok(())
+    }
+
+    /// The robot outside.
+    pub fn outside(&self) -> Option<&Outside> {
+        self.outside.as_ref()
     }
 
     /// Calls `tap` with every frame from now on.
@@ -167,12 +191,12 @@ impl<'b> Fleet<'b> {
     /// have converged.
     ///
     /// # Errors
-    /// [`StoreError`].
+    /// [`RunError::Store`], [`RunError::Port`].
     pub fn run(
         &mut self,
         stage: &mut dyn Stage,
         watch: impl FnMut(&Self),
-    ) -> Result<bool, StoreError> {
+    ) -> Result<bool, RunError> {
         self.play(stage, watch)?;
         self.settle(stage)
     }
@@ -181,12 +205,12 @@ impl<'b> Fleet<'b> {
     /// a moment.
     ///
     /// # Errors
-    /// [`StoreError`].
+    /// [`RunError::Store`], [`RunError::Port`].
     pub fn play(
         &mut self,
         stage: &mut dyn Stage,
         mut watch: impl FnMut(&Self),
-    ) -> Result<(), StoreError> {
+    ) -> Result<(), RunError> {
         while !interruption::is_requested()
             && let Some(next) = stage.next_event()
         {
@@ -204,8 +228,8 @@ impl<'b> Fleet<'b> {
     /// Returns whether they have.
     ///
     /// # Errors
-    /// [`StoreError`].
-    pub fn settle(&mut self, stage: &mut dyn Stage) -> Result<bool, StoreError> {
+    /// [`RunError::Store`], [`RunError::Port`].
+    pub fn settle(&mut self, stage: &mut dyn Stage) -> Result<bool, RunError> {
         self.has_ended = true;
         let end = self.now + PATIENCE;
         while !self.has_converged() && self.now < end {
@@ -215,7 +239,15 @@ impl<'b> Fleet<'b> {
     }
 
     /// Processes everything due before `until`, then sets the clock to `until`.
-    fn run_until(&mut self, until: Instant, stage: &mut dyn Stage) -> Result<(), StoreError> {
+    fn run_until(&mut self, until: Instant, stage: &mut dyn Stage) -> Result<(), RunError> {
+        while let Some(outside) = &mut self.outside
+            && self.now < until
+        {
+            let now = outside.exchange(&mut self.deployment, stage, until)?;
+            self.now = self.now.max(now);
+            self.deployment.timeout(self.now);
+            self.drain()?;
+        }
         while let Some(next) = self.next_due().filter(|&next| next < until) {
             self.now = self.now.max(next);
             self.deliver();
@@ -255,6 +287,9 @@ impl<'b> Fleet<'b> {
 
     fn happen(&mut self, event: Event) {
         match event {
+            Event::Scan { readings, .. } if self.outside.is_some() => {
+                self.outside.iter_mut().for_each(|outside| outside.scan(&readings, self.now));
+            }
             Event::Scan { robot, readings } => {
                 let Some(robot) = self.robots.get_mut(robot) else { return };
                 robot.scan(&readings, self.now);
@@ -271,7 +306,7 @@ impl<'b> Fleet<'b> {
     }
 
     /// Drains the outputs of the deployment and all robots.
-    fn drain(&mut self) -> Result<(), StoreError> {
+    fn drain(&mut self) -> Result<(), RunError> {
         let now = self.now;
         if let Some(keeper) = &mut self.keeper {
             keeper.keep(&mut self.deployment, now)?;
@@ -287,6 +322,10 @@ impl<'b> Fleet<'b> {
             }
         }
         while let Some((port, len)) = self.deployment.poll_transmit(now, &mut self.frame) {
+            if let Some(outside) = self.outside.as_mut().filter(|it| it.port() == port) {
+                hear(outside.id(), Direction::ToRobot, &self.frame[..len]);
+                outside.transmit(&self.frame[..len])?;
+            }
             if let Some(robot) = self.robots.iter_mut().find(|robot| robot.port() == port) {
                 hear(robot.id(), Direction::ToRobot, &self.frame[..len]);
                 robot.send_down(now, &self.frame[..len]);

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use ubimap_protocol::{
     message::{Obstacle, ObstacleClass},
     time::{Duration, Instant},
-    units::{Millimetres, RobotId},
+    units::{Millimetres, Pose, RobotId},
 };
 
 use super::fleet::Fleet;
@@ -28,16 +28,22 @@ const DOWN: f64 = 0.999;
 pub(super) fn robots(fleet: &Fleet<'_>) -> Vec<Marker> {
     let robots = fleet.robots().iter().filter_map(|robot| {
         let (_, pose) = robot.robot().pose()?;
-        let metres = |length: Millimetres| length.metres();
-        let place = [pose.x, pose.y].map(metres);
-        Some(Marker {
-            radius_m: radius_m(fleet.deployment(), robot.id()),
-            label: robot.id().0.to_string(),
-            path: robot.path().iter().map(|(_, pose)| [pose.x, pose.y].map(metres)).collect(),
-            ..Marker::new(MarkerKind::Robot, place, pose.heading.radians())
-        })
+        Some((robot.id(), pose, robot.path()))
     });
-    robots.collect()
+    let outside = fleet.outside().and_then(|robot| {
+        let (_, pose) = robot.path().last()?;
+        Some((robot.id(), *pose, robot.path()))
+    });
+    let markers = robots.chain(outside).map(|(id, pose, path)| {
+        let place = |pose: &Pose| [pose.x, pose.y].map(Millimetres::metres);
+        Marker {
+            radius_m: radius_m(fleet.deployment(), id),
+            label: id.0.to_string(),
+            path: path.iter().map(|(_, pose)| place(pose)).collect(),
+            ..Marker::new(MarkerKind::Robot, place(&pose), pose.heading.radians())
+        }
+    });
+    markers.collect()
 }
 
 /// Half the longer side of a robot.

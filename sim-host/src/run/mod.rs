@@ -14,6 +14,7 @@ pub mod keeper;
 mod markers;
 pub mod member;
 pub mod options;
+pub mod outside;
 pub mod place;
 mod progress;
 pub mod record;
@@ -148,6 +149,12 @@ pub enum RunError {
         /// Number of robots in the scenario.
         there: usize,
     },
+    /// A robot outside needs a scenario with one robot.
+    #[error("--outside: the scenario has {there} robots; choose one with --robots 1")]
+    OneRobot {
+        /// Number of robots in the scenario.
+        there: usize,
+    },
     /// All robots together would have too many tiles.
     #[error(
         "--robots and --tiles: {robots} robots with {tiles} tiles each have more than {most} together; \
@@ -190,6 +197,7 @@ impl RunError {
             | Self::Robot(_)
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
+            | Self::OneRobot { .. }
             | Self::TooManyTiles { .. }
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),

@@ -10,6 +10,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
+use super::outside::OutsidePorts;
 use crate::{
     channel::fault::Faults,
     recording::{DepthSlice, Format, PixelModel, Slicing, UpAxis},
@@ -109,6 +110,11 @@ pub struct SimulateOptions {
     /// Number of robots, instead of the scenario's
     #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,
+
+    /// Let a robot outside, such as a board or an emulator, be the scenario's robot, in real time: its
+    /// serial ports to the server, to a simulated A010 depth camera and to a simulated Create 2
+    #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with_all = ["scripted", "motion", "tiles"])]
+    pub outside: Option<OutsidePorts>,
 
     /// Duration in seconds, instead of the scenario's
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]

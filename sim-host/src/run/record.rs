@@ -77,6 +77,10 @@ impl<S: Stage> Stage for Recorded<S> {
         event
     }
 
+    fn wheels(&mut self, now: Instant, robot: usize) -> Option<([f64; 2], bool)> {
+        self.stage.wheels(now, robot)
+    }
+
     fn drive(&mut self, moment: Instant, robot: usize, command: DriveCommand) {
         self.stage.drive(moment, robot, command);
     }

@@ -175,6 +175,12 @@ impl Stage for RoomStage {
         self.waiting.pop_front()
     }
 
+    fn wheels(&mut self, now: Instant, robot: usize) -> Option<([f64; 2], bool)> {
+        self.advance(now);
+        let robot = self.world.robots().get(robot)?;
+        Some((robot.rolled(), robot.is_touching()))
+    }
+
     fn drive(&mut self, moment: Instant, robot: usize, command: DriveCommand) {
         self.commands.push_back((moment, robot, command));
     }

@@ -31,9 +31,10 @@ const TRAIL_M: f64 = 0.6;
 
 /// Errors of the robots' own pose estimates.
 pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
-    let robots = fleet.robots().iter().zip(tracks);
-    errors(robots.flat_map(|(robot, track)| {
-        let path = robot.path().iter();
+    let outside = fleet.outside().map(|robot| robot.path());
+    let paths = fleet.robots().iter().map(|robot| robot.path()).chain(outside);
+    errors(paths.zip(tracks).flat_map(|(path, track)| {
+        let path = path.iter();
         path.filter_map(|&(moment, pose)| {
             Some((pose, true_pose(track, moment).filter(|_| moment.0 >= SETTLED.0)?))
         })

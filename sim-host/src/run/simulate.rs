@@ -40,22 +40,29 @@ use crate::{
 /// The side of the map's cells.
 pub const RESOLUTION: Millimetres = Millimetres(50);
 
+/// Columns of the depth camera of a robot outside: as many as a port of 115,200 baud carries at ten
+/// images per second.
+const OUTSIDE_COLUMNS: usize = 25;
+
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let (scenario, world) = furnished(options)?;
-    let configs = robots(options, &world);
+    let configs = if options.outside.is_some() { Vec::new() } else { robots(options, &world) };
     check_tiles(configs.len(), own_tiles(options))?;
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut deployment = Deployment::new(deployed(options, &scenario, &world), life)?;
-    for config in configs.iter().filter(|config| config.drive.is_some()) {
-        deployment.explore(config.robot, true);
+    for robot in world.robots().iter().filter(|robot| robot.drives() && !options.scripted) {
+        deployment.explore(robot.id(), true);
     }
     let faults = options.run.channel.faults();
     let mut fleet = Fleet::new(&configs, &mut memory, faults, options.run.seed, deployment)?;
     if let Some(keeper) = keeper {
         fleet.keep(keeper);
+    }
+    if let (Some(ports), [robot]) = (&options.outside, world.robots()) {
+        fleet.connect(robot.id(), ports)?;
     }
     let recording = recording(options, &scenario, &world)?;
 
@@ -119,6 +126,11 @@ fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
             return Err(RunError::TooManyRobots { asked, there: scenario.robots.len() });
         }
         scenario.robots.truncate(asked);
+    }
+    if options.outside.is_some() {
+        let there = scenario.robots.len();
+        let [robot] = &mut scenario.robots[..] else { return Err(RunError::OneRobot { there }) };
+        robot.sensor = robot.sensor.to_a010(OUTSIDE_COLUMNS);
     }
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;
     Ok((scenario, world))

@@ -81,6 +81,8 @@ pub struct SimRobot {
     turning: f64,
     /// The present contact, and the robot's position when it began.
     contact: Option<(Contact, DVec2)>,
+    /// The way in metres and the angle in radians that the wheels have measured since the start.
+    rolled: [f64; 2],
 }
 
 impl SimRobot {
@@ -97,6 +99,17 @@ impl SimRobot {
     /// Odometry: `base_link` in `odom`, whose origin is the start.
     pub fn odometry(&self) -> Pose {
         self.odometry.quantised()
+    }
+
+    /// The way in metres and the angle in radians that the wheels have measured since the start, with
+    /// their errors.
+    pub fn rolled(&self) -> [f64; 2] {
+        self.rolled
+    }
+
+    /// Whether it touches something ahead.
+    pub fn is_touching(&self) -> bool {
+        self.contact.is_some()
     }
 
     /// The robot's range sensor.
@@ -148,6 +161,7 @@ impl SimRobot {
             wheels: None,
             turning: 0.0,
             contact: None,
+            rolled: [0.0; 2],
         }
     }
 
@@ -299,6 +313,7 @@ impl SimRobot {
         let measured_angle = angle * (1.0 + error.turn_slip)
             + error.drift_deg_per_m.to_radians() * way
             + error.heading_noise_deg.to_radians() * (way + angle.abs()).sqrt() * noise();
+        self.rolled = [self.rolled[0] + measured_way, self.rolled[1] + measured_angle];
         self.odometry.heading = wrap(self.odometry.heading + measured_angle);
         let heading = self.odometry.heading;
         self.odometry.position += DVec2::new(cos(heading), sin(heading)) * measured_way;

@@ -191,6 +191,15 @@ impl SensorPreset {
     }
 }
 
+impl SensorConfig {
+    /// An A010 depth camera with this number of columns, mounted as this sensor.
+    pub fn to_a010(&self, columns: usize) -> Self {
+        let &Self { x_m, y_m, height_m, heading_deg, askew_deg, .. } = self;
+        let camera = SensorPreset::Tof100.sensor();
+        Self { x_m, y_m, height_m, heading_deg, askew_deg, beams: columns, ..camera }
+    }
+}
+
 impl Default for SensorConfig {
     fn default() -> Self {
         SensorPreset::default().sensor()

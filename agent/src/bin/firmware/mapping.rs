@@ -1,0 +1,25 @@
+//! The firmware of a robot with an A010 depth camera on an iRobot Create 2, which maps but does not
+//! drive: somebody else moves it.
+#![no_std]
+#![no_main]
+
+#[path = "../../board/mod.rs"]
+mod board;
+mod robot;
+
+use board::Board;
+use cortex_m_rt::entry;
+use robot::{BAUDS, BOUNDS, SLICE_LENGTH};
+use ubimap_agent::{Memory, drive::NoDrive, memory};
+
+#[entry]
+fn main() -> ! {
+    // Statics, not local variables, so that the image's size includes them.
+    static mut MEMORY: memory!(BOUNDS) = Memory::EMPTY;
+    static mut SLICE: [u16; SLICE_LENGTH] = [0; SLICE_LENGTH];
+
+    match Board::take(BAUDS) {
+        Some(board) => robot::run(board, NoDrive, MEMORY, SLICE),
+        None => robot::reset(),
+    }
+}

@@ -1,0 +1,54 @@
+//! The Adafruit Feather STM32F405 Express.
+//!
+//! | printed | pin | use |
+//! |---|---|---|
+//! | TX, RX | PB10, PB11 | USART3, to and from the server |
+//! | D6, D5 | PC6, PC7 | USART6, to and from the depth sensor |
+//! | SCL, SDA | PB6, PB7 | USART1, to and from the wheels |
+//! | D13 | PC1 | status LED (red), lit by a high level |
+
+use cortex_m::Peripherals;
+use stm32f4xx_hal::{
+    gpio::{Output, PC1},
+    pac,
+    prelude::*,
+};
+
+use super::{
+    Board,
+    chip::{self, APB1_HZ, APB2_HZ, port},
+};
+
+/// The status LED.
+pub(crate) type Led = PC1<Output>;
+
+impl Board {
+    /// Sets up the board, with the baud rates of its three ports; `None` if it was set up before.
+    pub(crate) fn take([server, sensor, wheels]: [u32; 3]) -> Option<Self> {
+        let core = Peripherals::take()?;
+        let chip = pac::Peripherals::take()?;
+        let was_reset_by_watchdog = chip::was_reset_by_watchdog(&chip.RCC);
+        let timer_hz = chip::start_pll(&chip.RCC, &chip.FLASH);
+        let mut rcc = chip.RCC.constrain();
+        chip::start_alarm(chip.TIM2, timer_hz, &mut rcc);
+        let clock = chip::Clock::start(core.SYST);
+
+        let pins = chip.GPIOB.split(&mut rcc);
+        pins.pb10.into_alternate::<7>();
+        pins.pb11.into_alternate::<7>();
+        let server = port!(USART3, APB1_HZ, chip.USART3, server, &mut rcc)?;
+        pins.pb6.into_alternate::<7>();
+        pins.pb7.into_alternate::<7>();
+        let wheels = port!(USART1, APB2_HZ, chip.USART1, wheels, &mut rcc)?;
+        let pins = chip.GPIOC.split(&mut rcc);
+        pins.pc6.into_alternate::<8>();
+        pins.pc7.into_alternate::<8>();
+        let sensor = port!(USART6, APB2_HZ, chip.USART6, sensor, &mut rcc)?;
+
+        let led = pins.pc1.into_push_pull_output();
+        let nonce = chip::boot_nonce(&chip.RNG, &mut rcc);
+        let watchdog = chip::Watchdog::start(chip.IWDG);
+        let ports = [server, sensor, wheels];
+        Some(Self { clock, ports, led, watchdog, was_reset_by_watchdog, nonce })
+    }
+}
