@@ -97,17 +97,17 @@ impl SimA010 {
         // A tolerance of a tenth: scans are taken at steps of the simulation.
         let interval = Duration::from_micros(900_000 / u64::from(self.frames_per_second));
         let is_due = self.last.is_none_or(|last| taken >= last + interval);
-        let is_on = self.is_running && self.is_streaming && self.line.is_idle();
+        // The latency varies from image to image.
+        let swing = u64::from(self.number.wrapping_mul(0x9E37)) * 2 * JITTER.micros() >> 16;
+        let sent = taken + Duration::from_micros(LATENCY.micros() - JITTER.micros() + swing);
+        let is_on = self.is_running && self.is_streaming && self.line.is_free(sent);
         if !is_due || !is_on || row.len() != self.side {
             return;
         }
         self.last = Some(taken);
-        self.number = self.number.wrapping_add(1);
-        // The latency varies from image to image.
-        let swing = u64::from(self.number.wrapping_mul(0x9E37)) * 2 * JITTER.micros() >> 16;
-        let latency = LATENCY.micros() - JITTER.micros() + swing;
         let frame = self.frame(row);
-        self.line.send(&frame, taken + Duration::from_micros(latency));
+        self.line.send(&frame, sent);
+        self.number = self.number.wrapping_add(1);
     }
 
     /// An image as bytes.

@@ -32,9 +32,9 @@ impl Line {
         }
     }
 
-    /// Whether all bytes have been taken.
-    pub fn is_idle(&self) -> bool {
-        self.bytes.is_empty()
+    /// Whether all bytes have been sent by `at`.
+    pub fn is_free(&self, at: Instant) -> bool {
+        self.free <= at.micros() * 1_000
     }
 
     /// When the next byte arrives.
@@ -64,6 +64,6 @@ mod tests {
         assert_eq!(line.poll(Instant(101_000)), [7; 1_151]);
         assert_eq!(line.poll_timeout(), Some(Instant(101_087)));
         assert_eq!(line.poll(Instant(102_000)), [8]);
-        assert!(line.is_idle());
+        assert!(!line.is_free(Instant(101_086)) && line.is_free(Instant(101_087)));
     }
 }

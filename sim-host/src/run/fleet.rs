@@ -16,6 +16,7 @@ use ubimap_protocol::{
 
 use super::{
     RunError,
+    body::BUFFER,
     heap::Heap,
     interruption,
     keeper::Keeper,
@@ -106,9 +107,27 @@ impl<'b> Fleet<'b> {
         memory: &'b mut [Memory<Heap, Option<Driving>>],
         faults: Faults,
         seed: u64,
+        deployment: Deployment,
+    ) -> Result<Self, ConfigError> {
+        Self::of_machines(configs, memory, &mut [], faults, seed, deployment)
+    }
+
+    /// The same with machines, which get the bytes of simulated devices, for the first robots:
+    /// `buffers` has an entry for each machine.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn of_machines(
+        configs: &[Config<Option<Driving>>],
+        memory: &'b mut [Memory<Heap, Option<Driving>>],
+        buffers: &'b mut [[u16; BUFFER]],
+        faults: Faults,
+        seed: u64,
         mut deployment: Deployment,
     ) -> Result<Self, ConfigError> {
+        let mut buffers = buffers.iter_mut().map(|buffer| &mut buffer[..]);
         let robots = configs.iter().zip(memory).map(|(config, memory)| {
+            let memory = (memory, buffers.next());
             Member::new(*config, memory, deployment.open_port(), faults, seed)
         });
         let robots = robots.collect::<Result<_, ConfigError>>()?;
@@ -250,6 +269,7 @@ impl<'b> Fleet<'b> {
         }
         while let Some(next) = self.next_due().filter(|&next| next < until) {
             self.now = self.now.max(next);
+            self.read_wheels(stage);
             self.deliver();
             self.turn_wheels(stage);
             self.drain()?;
@@ -274,6 +294,18 @@ impl<'b> Fleet<'b> {
             robot.deliver(now);
         }
         self.deployment.timeout(now);
+    }
+
+    /// Passes what wheels have measured to the machines.
+    fn read_wheels(&mut self, stage: &mut dyn Stage) {
+        let now = self.now;
+        for (index, robot) in self.robots.iter_mut().enumerate() {
+            if robot.next_measurement().is_some_and(|next| next <= now)
+                && let Some(measured) = stage.wheels(now, index)
+            {
+                robot.measure(measured, now);
+            }
+        }
     }
 
     /// Passes the robots' drive commands to the stage.

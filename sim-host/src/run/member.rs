@@ -11,7 +11,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-use super::heap::Heap;
+use super::{body::Body, heap::Heap};
 use crate::{
     channel::fault::{FaultWire, Faults},
     deployment::PortId,
@@ -80,7 +80,7 @@ pub type Journal<'j> = Box<dyn FnMut(Instant, Entry<'_>) + 'j>;
 pub struct Member<'b> {
     port: PortId,
     clock: RobotClock,
-    robot: Robot<'b, Option<Driving>>,
+    body: Body<'b>,
     up: FaultWire,
     down: FaultWire,
     /// The robot's last drive command.
@@ -93,10 +93,10 @@ pub struct Member<'b> {
 }
 
 impl<'b> Member<'b> {
-    /// A robot that has just booted.
+    /// A robot that has just booted; with a buffer, a machine ([`Body::new`]).
     pub(super) fn new(
         config: Config<Option<Driving>>,
-        memory: &'b mut Memory<Heap, Option<Driving>>,
+        (memory, buffer): (&'b mut Memory<Heap, Option<Driving>>, Option<&'b mut [u16]>),
         port: PortId,
         faults: Faults,
         seed: u64,
@@ -108,7 +108,7 @@ impl<'b> Member<'b> {
         Ok(Self {
             port,
             clock: RobotClock::of(id, seed),
-            robot: Robot::new(config, memory)?,
+            body: Body::new(config, memory, buffer)?,
             up: wire(1),
             down: wire(2),
             commanded: DriveCommand::STAND,
@@ -121,7 +121,7 @@ impl<'b> Member<'b> {
 
     /// The robot's identifier.
     pub fn id(&self) -> RobotId {
-        self.robot.settings().robot
+        self.robot().settings().robot
     }
 
     /// The robot's port at the deployment.
@@ -131,7 +131,7 @@ impl<'b> Member<'b> {
 
     /// The robot itself.
     pub fn robot(&self) -> &Robot<'b, Option<Driving>> {
-        &self.robot
+        self.body.robot()
     }
 
     /// Calls `journal` with every input and output of the robot from now on.
@@ -147,9 +147,11 @@ impl<'b> Member<'b> {
 
     /// Time of the next delivery at either end of its channel, or of the robot's timeout.
     pub(super) fn poll_timeout(&self) -> Option<Instant> {
-        let robot = Some(self.clock.server(self.robot.poll_timeout()));
+        let (local, devices) = self.body.poll_timeout();
+        let robot = Some(self.clock.server(local));
+        let measures = self.body.next_measurement();
         let channel = [self.up.next_delivery(), self.down.next_delivery()];
-        channel.into_iter().chain([robot]).flatten().min()
+        channel.into_iter().chain([robot, devices, measures]).flatten().min()
     }
 
     /// The next frame that has arrived at the server by `now`.
@@ -167,20 +169,17 @@ impl<'b> Member<'b> {
         let local = self.clock.local(now);
         while let Some(bytes) = self.down.poll(now) {
             self.note(local, Entry::Received(&bytes));
-            self.robot.receive(&bytes, local);
+            self.body.receive(&bytes, local);
         }
         self.note(local, Entry::Timeout);
-        self.robot.timeout(local);
+        self.body.timeout(local, now);
     }
 
     /// Passes a scan to the robot.
     pub(super) fn scan(&mut self, readings: &[u16], now: Instant) {
         let local = self.clock.local(now);
         self.note(local, Entry::Scan(readings));
-        if let Err(error) = self.robot.scan(local, readings, local) {
-            // The robot's statistics count dropped scans.
-            log::debug!("robot {}: scan dropped: {error}", self.id().0);
-        }
+        self.body.scan(readings, local, now);
     }
 
     /// Appends an estimated pose to its path.
@@ -192,14 +191,24 @@ impl<'b> Member<'b> {
     pub(super) fn odometry(&mut self, pose: Pose, now: Instant) {
         let local = self.clock.local(now);
         self.note(local, Entry::Odometry(pose));
-        self.robot.odometry(local, pose, local);
+        self.body.odometry(pose, local);
+    }
+
+    /// When the wheels of a machine measure next.
+    pub(super) fn next_measurement(&self) -> Option<Instant> {
+        self.body.next_measurement()
+    }
+
+    /// Passes what the wheels have measured to a machine.
+    pub(super) fn measure(&mut self, (rolled, is_touching): ([f64; 2], bool), now: Instant) {
+        self.body.measure(rolled, is_touching, now);
     }
 
     /// Writes the next frame into `frame` and sends it. Returns its length, or `None` if none is
     /// due.
     pub(super) fn poll_transmit(&mut self, now: Instant, frame: &mut [u8]) -> Option<usize> {
         let local = self.clock.local(now);
-        let len = self.robot.poll_transmit(local, &mut frame[..DEFAULT_FRAME]);
+        let len = self.body.poll_transmit(local, &mut frame[..DEFAULT_FRAME]);
         self.note(local, Entry::Transmit(len.and_then(|len| frame.get(..len))));
         match len {
             Some(len) => {
@@ -212,7 +221,7 @@ impl<'b> Member<'b> {
 
     /// The drive command, if it has changed.
     pub(super) fn poll_command(&mut self, now: Instant) -> Option<DriveCommand> {
-        let command = self.robot.command();
+        let command = self.body.command();
         if command == self.commanded {
             return None;
         }
@@ -223,10 +232,10 @@ impl<'b> Member<'b> {
 
     /// Updates `published` if the robot has sent map data since the last call.
     fn note_published(&mut self) {
-        let bytes_sent_map = self.robot.statistics().bytes_sent_map;
+        let bytes_sent_map = self.robot().statistics().bytes_sent_map;
         if bytes_sent_map > self.bytes_noted {
             self.bytes_noted = bytes_sent_map;
-            let tiles = self.robot.own_tiles().tiles();
+            let tiles = self.body.robot().own_tiles().tiles();
             self.published
                 .update(tiles.filter_map(|tile| Some((tile.id()?, tile.publication().sent()))));
         }
@@ -235,7 +244,7 @@ impl<'b> Member<'b> {
     /// Whether at `now` the robot does not map a cell because the cameras cover it.
     pub fn is_left_to_cameras(&self, now: Instant, (x, y): (i32, i32)) -> bool {
         let Some(id) = TileId::of_cell(x, y) else { return false };
-        let around = self.robot.fused_tiles().around(id, self.clock.local(now));
+        let around = self.robot().fused_tiles().around(id, self.clock.local(now));
         let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
         around.covered.is_some_and(|rows| rows[within(y)] >> within(x) & 1 != 0)
     }
@@ -248,8 +257,8 @@ impl<'b> Member<'b> {
     /// Traffic that the same map data would have caused in other formats.
     pub fn comparison(&self) -> Comparison {
         let mut comparison = self.published.cost();
-        let mapped = self.robot.statistics().mapped.into();
-        comparison.add_scans(mapped, self.robot.beams().len() as u64);
+        let mapped = self.robot().statistics().mapped.into();
+        comparison.add_scans(mapped, self.robot().beams().len() as u64);
         comparison
     }
 

@@ -3,6 +3,7 @@
 //! made in the [`deployment`](crate::deployment).
 
 pub mod backup;
+mod body;
 pub mod compare;
 mod convergence;
 mod driving;

@@ -111,6 +111,11 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,
 
+    /// Let the robots read an A010 depth camera and drive a Create 2, byte by byte through the drivers
+    /// of a real robot; their own sensors are replaced
+    #[arg(long, help_heading = "Cameras and robots", conflicts_with_all = ["scripted", "outside"])]
+    pub drivers: bool,
+
     /// Let a robot outside, such as a board or an emulator, be the scenario's robot, in real time: its
     /// serial ports to the server, to a simulated A010 depth camera and to a simulated Create 2
     #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with_all = ["scripted", "motion", "tiles"])]

@@ -12,6 +12,7 @@ use ubimap_protocol::{
 
 use super::{
     Outcome, RunError,
+    body::{BUFFER, CAMERA},
     driving::{self, BlindGround},
     figures,
     fleet::Fleet,
@@ -40,10 +41,6 @@ use crate::{
 /// The side of the map's cells.
 pub const RESOLUTION: Millimetres = Millimetres(50);
 
-/// Columns of the depth camera of a robot outside: as many as a port of 115,200 baud carries at ten
-/// images per second.
-const OUTSIDE_COLUMNS: usize = 25;
-
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
@@ -56,8 +53,10 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     for robot in world.robots().iter().filter(|robot| robot.drives() && !options.scripted) {
         deployment.explore(robot.id(), true);
     }
-    let faults = options.run.channel.faults();
-    let mut fleet = Fleet::new(&configs, &mut memory, faults, options.run.seed, deployment)?;
+    let mut buffers = vec![[0; BUFFER]; if options.drivers { configs.len() } else { 0 }];
+    let (faults, seed) = (options.run.channel.faults(), options.run.seed);
+    let mut fleet =
+        Fleet::of_machines(&configs, &mut memory, &mut buffers, faults, seed, deployment)?;
     if let Some(keeper) = keeper {
         fleet.keep(keeper);
     }
@@ -127,10 +126,14 @@ fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
         }
         scenario.robots.truncate(asked);
     }
-    if options.outside.is_some() {
-        let there = scenario.robots.len();
-        let [robot] = &mut scenario.robots[..] else { return Err(RunError::OneRobot { there }) };
-        robot.sensor = robot.sensor.to_a010(OUTSIDE_COLUMNS);
+    let there = scenario.robots.len();
+    if options.outside.is_some() && there != 1 {
+        return Err(RunError::OneRobot { there });
+    }
+    if options.outside.is_some() || options.drivers {
+        for robot in &mut scenario.robots {
+            robot.sensor = robot.sensor.to_a010(CAMERA.binning.side());
+        }
     }
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;
     Ok((scenario, world))

@@ -35,6 +35,9 @@ const PATIENCE: f64 = 5.0;
 /// Distance in metres from the point of contact within which a robot counts as still in contact.
 const LEANS: f64 = 0.05;
 
+/// Distance ahead in metres at which something presses the bumper.
+const BUMPER: f64 = 0.01;
+
 /// What stopped a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Contact {
@@ -81,6 +84,8 @@ pub struct SimRobot {
     turning: f64,
     /// The present contact, and the robot's position when it began.
     contact: Option<(Contact, DVec2)>,
+    /// Whether something touches the front.
+    is_touching: bool,
     /// The way in metres and the angle in radians that the wheels have measured since the start.
     rolled: [f64; 2],
 }
@@ -109,7 +114,7 @@ impl SimRobot {
 
     /// Whether it touches something ahead.
     pub fn is_touching(&self) -> bool {
-        self.contact.is_some()
+        self.is_touching
     }
 
     /// The robot's range sensor.
@@ -161,6 +166,7 @@ impl SimRobot {
             wheels: None,
             turning: 0.0,
             contact: None,
+            is_touching: false,
             rolled: [0.0; 2],
         }
     }
@@ -236,6 +242,9 @@ impl SimRobot {
                 self.truth.position = next;
             }
         }
+        let ahead = DVec2::new(cos(middle), sin(middle)) * BUMPER;
+        self.is_touching = touched.is_some()
+            || self.is_touching && contact(self.body(), self.truth.position + ahead).is_some();
         self.truth.heading = wrap(self.truth.heading + angle);
         self.measure(way, angle);
         touched

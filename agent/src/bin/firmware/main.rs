@@ -32,7 +32,7 @@ fn main() -> ! {
 
 /// The drive of a robot that follows the server's paths.
 fn driving() -> Driving {
-    let motion = Motion { radius: RADIUS, top_speed: 300.0, ..Motion::default() };
+    let motion = Motion { radius: RADIUS, top_speed: 450.0, ..Motion::default() };
     // Half the field of view, in radians.
     let gaze = Gaze { half_view: 0.61, reach: 2_500, radius: RADIUS };
     Driving { motion, looks_at_goal: Some(gaze), ..Driving::default() }
