@@ -35,7 +35,7 @@ pub(super) struct Link {
 }
 
 impl Link {
-    /// A freshly booted robot, which starts the handshake.
+    /// The link of a freshly booted robot, which starts the handshake.
     #[inline(never)]
     pub(super) fn new(boot_nonce: u32) -> Self {
         Self {
@@ -86,8 +86,8 @@ impl Link {
         self.endpoint.poll_timeout().map_or(due, |resend| resend.min(due))
     }
 
-    /// Processes bytes up to the end of the next frame. Returns `false` if they end before the
-    /// frame does.
+    /// Consumes `bytes` up to the end of the next frame, and processes the frame. Returns `false`
+    /// if `bytes` ends before the frame does.
     #[inline(never)]
     pub(super) fn receive_frame(
         &mut self,
@@ -141,7 +141,8 @@ impl Link {
         }
     }
 
-    /// Ends the session, because the server reports that it has none with this robot.
+    /// Ends the session, because the server reports that it has none with this robot. Ignored if
+    /// the session was active within the last [`RESET_SILENCE`].
     fn reset(&mut self, now: Instant) {
         if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
             self.endpoint.end();

@@ -1,5 +1,4 @@
-//! Distance vectors, sent to the server from time to time, which measures the error of the robot's
-//! pose with them.
+//! When distance vectors are sent. The server measures the error of the robot's pose with them.
 
 use ubimap_protocol::{
     message::{DistanceVector, ToServer, Writer},
@@ -34,7 +33,8 @@ impl DistanceVectors {
         (self.last, self.first, self.waiting) = (None, FIRST, None);
     }
 
-    /// Whether a vector of a scan taken at `taken` (robot's clock) is due.
+    /// Whether a vector of a scan taken at `taken` (robot's clock) is due. `moves` says that the
+    /// robot has moved, `blind` that no camera sees it.
     pub(crate) fn is_due(&self, taken: Instant, moves: bool, blind: bool) -> bool {
         let wait = match (moves, blind) {
             (false, _) => self.interval.max(STANDING_VECTOR_INTERVAL),
