@@ -65,7 +65,8 @@ impl OwnTile {
         self.dirty
     }
 
-    /// Updates the history of movable blocks; called before the tile is published.
+    /// Updates the history of changes from which movable cells are detected. Must be called before
+    /// the tile is published.
     pub(crate) fn look(&mut self, now: Instant) {
         self.changes.look(&self.evidence, now);
     }

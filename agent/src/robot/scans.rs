@@ -178,8 +178,9 @@ impl Mapper<'_> {
         }
     }
 
-    /// Sets invalid readings to 0. If not `wholly`, only removed readings: mapping checks the other
-    /// rules itself where it needs them.
+    /// Sets invalid readings and those of removed beams to 0. Unless `wholly`, invalid readings are
+    /// left if none are removed by distance: mapping checks the other rules itself where it needs
+    /// them.
     fn clean(&self, readings: &mut [u16], wholly: bool) {
         if wholly || self.settings.validity.removes() {
             self.settings.validity.clean(readings);
