@@ -197,8 +197,8 @@ impl Locator {
         if let Some(told) = before.filter(|told| !told.guessed) {
             return Some((told.pose, told.variances));
         }
-        // The motion is unknown here. If the fixes before and after are close enough in time, the pose is
-        // interpolated between them.
+        // The motion is unknown here. If the fixes before and after are close enough in time, the
+        // pose is interpolated between them.
         let (last, next) = self.filter.fixes_around(moment);
         let after = next.and_then(|next| Some((next, self.filter.at(next)?)));
         if let Some((last, (next, to))) = last.zip(after)

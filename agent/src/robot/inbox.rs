@@ -70,7 +70,8 @@ impl Mapper<'_> {
                     return None;
                 }
                 let (publisher, pool) = (&mut self.outbox.publisher, &mut self.map.pool);
-                // The robot has not sent cells that agreed with a wrong tile, so they must be sent now.
+                // The robot has not sent cells that agreed with a wrong tile, so they must be sent
+                // now.
                 let dropped = |id| publisher.requested(pool, id, now);
                 self.fused.update(head.layer, coded, dropped).ok()?;
             }

@@ -96,8 +96,8 @@ fn sensor() -> SensorModel {
     SensorModel::Pinhole { focal: FOCAL, centre: (PIXELS - 1) as f32 / 2.0 }
 }
 
-/// Measures the writing of the first message: as many of the scene's tiles as fit in one frame. Returns the
-/// message's length in bytes.
+/// Measures the writing of the first message: as many of the scene's tiles as fit in one frame.
+/// Returns the message's length in bytes.
 fn publish(
     bench: &mut Bench,
     memory: Slices<'_>,
