@@ -100,7 +100,7 @@ pub struct Driver<'b> {
     phase: Phase,
     /// Where the current path leads.
     end: End,
-    /// Whether the old path can still be driven while a new one is searched for.
+    /// Whether there is a path to drive: while a new one is searched for, the old one.
     has_path: bool,
     /// Whether the search has begun.
     is_begun: bool,
@@ -400,7 +400,7 @@ impl<'b> Driver<'b> {
     /// Handles the end of the path.
     fn arrive(&mut self, step: &StepContext<'_>) -> Reason {
         if self.phase != Phase::Driving {
-            // A new path is being searched for.
+            // The old path has ended while a new one is being searched for.
             self.has_path = false;
             return Reason::Driving;
         }

@@ -17,8 +17,8 @@ pub struct Driving {
     /// localised (Ahmed 3). It stops whenever it has moved far enough to map another scan (the
     /// mapping gate opens).
     pub stop_and_wait: bool,
-    /// If given, the robot explores on its own until its first session, then returns to this point
-    /// of `map`. Requires poses from odometry
+    /// If given, the robot explores on its own until its first session, and returns to this point
+    /// of `map` when nothing is left to explore. Requires poses from odometry
     /// ([`PoseSource::Odometry`](crate::locate::PoseSource)).
     pub alone: Option<Waypoint>,
     /// Whether to explore ground covered by cameras, too.

@@ -32,7 +32,7 @@ impl StopReason {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Halt {
     pub(crate) reason: StopReason,
-    /// When the stop ends; `None` if only a call ends it.
+    /// When the stop ends; `None` if only `Robot::resume` ends it.
     pub(crate) until: Option<Instant>,
 }
 

@@ -36,8 +36,8 @@ pub enum Target {
     Frontier,
     /// A cell.
     Place(Place),
-    /// Column and row relative to the corner, for a goal outside the window, at most 1,000 cells
-    /// away: the path leaves through the rim.
+    /// A goal outside the window: its column and row relative to the window's south-western corner,
+    /// at most 1,000 cells away. The path leaves the window through its rim.
     Beyond(i16, i16),
 }
 

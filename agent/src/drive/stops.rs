@@ -21,7 +21,7 @@ enum Phase {
     New,
     /// Driving; the pose at which the robot set out, once known.
     Driving(Option<Pose>),
-    /// Commanded to stand, but still moving; the pose at the last step.
+    /// Commanded to stand, but still moving; the pose is that of the last step.
     Stopping(Pose),
     /// Standing since this time.
     Standing(Instant),

@@ -12,7 +12,7 @@
 //! makes it free.
 //!
 //! A hit is near if it is within [`MappingConfig::near`](super::MappingConfig) of the sensor;
-//! `local_map` decides it.
+//! `local_map` decides which hits are near.
 
 use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 

@@ -5,7 +5,7 @@
 //! | state | history of the block | next | condition |
 //! |---|---|---|---|
 //! | 0 | never occupied | 1 | a cell of it is certainly occupied |
-//! | 1 | occupied | 2 | a cell of it is certainly free, and no known cell of it is not |
+//! | 1 | occupied | 2 | a cell of it is certainly free, and so is every other known cell of it |
 //! | 2 | vacated | 3 | a cell of it is certainly occupied |
 //! | 3 | changes repeatedly | 1 | the tile is calm |
 //!

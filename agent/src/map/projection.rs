@@ -47,9 +47,9 @@ pub(super) struct Projection {
 }
 
 impl Projection {
-    /// For a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in `base_link` and
-    /// cells of at least [`MIN_RESOLUTION`]. The heading of `mounting` is ignored: the table of
-    /// beams includes it. Positions are relative to the corner of the sensor's cell.
+    /// The projection for a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in
+    /// `base_link` and cells of at least [`MIN_RESOLUTION`]. The heading of `mounting` is ignored:
+    /// the table of beams includes it. Positions are relative to the corner of the sensor's cell.
     pub(super) fn new(pose: Pose, mounting: Pose, resolution: Millimetres) -> Self {
         let one = (1 << DIRECTION_BITS) as f32;
         let (sin, cos) = sin_cos(radians(pose.heading));

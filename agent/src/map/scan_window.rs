@@ -234,7 +234,7 @@ impl<'p> Sector<'p> {
         sector
     }
 
-    /// Adds a beam at an end of a run of used beams, with its end point.
+    /// Adds the end point of a beam that is the first or the last of a run of used beams.
     #[inline(never)]
     fn end(&mut self, beam: Beam) {
         let Self { projection, low, high, .. } = self;
@@ -265,12 +265,12 @@ pub(super) fn below(columns: u32) -> u32 {
     ((1u64 << columns) - 1) as u32
 }
 
-/// The rows of a tile in a window.
+/// The part of a tile that lies in a window: a range of rows.
 #[derive(Debug)]
 pub(super) struct Piece<'w> {
     /// The tile's id.
     pub(super) id: TileId,
-    /// The first row of the tile.
+    /// The first row of the tile that lies in the window.
     pub(super) first_row: usize,
     rows: &'w mut [RowSighting],
     /// The rows of the next tile to the east.

@@ -32,7 +32,7 @@ pub struct Selection {
     /// The odometry at the last mapped scan: `base_link` in `odom`.
     odometry_then: Option<Pose>,
     last: LastScan,
-    /// Number of further scans in which the current change is mapped.
+    /// Number of scans in which the current change has been mapped so far.
     repeats: u8,
 }
 

@@ -240,9 +240,9 @@ impl Grain {
         last + (last + 1..last + stride).take_while(is_next).count()
     }
 
-    /// Starting from a beam out of range, the last beam before `end` up to which every beam is out
-    /// of range; or the next beam, if the surface enters the range within a cell. Checks every
-    /// `stride`th beam, then each beam after the last match.
+    /// The last beam before `end` up to which every beam is out of range, starting from `from`,
+    /// which is; or the beam after it, if the surface enters the range within a cell there. Checks
+    /// every `stride`th beam, then each beam after the last match.
     #[inline(never)]
     fn nothing_up_to(
         &self,

@@ -47,7 +47,7 @@ pub struct Config<D = NoDrive> {
     pub removed: [Option<Removal>; 4],
     /// Maximum turn rate and acceleration for a scan to be mapped.
     pub steady: SteadyLimits,
-    /// The source of the poses.
+    /// Where the poses come from: the server's fixes, or odometry alone.
     pub pose_source: PoseSource,
     /// The noise of the odometry.
     pub odometry_noise: OdometryNoise,

@@ -98,8 +98,8 @@ impl Link {
         let Some(received) = self.endpoint.receive(bytes, now) else { return false };
         match received {
             Received::Bad => {}
-            // Parsed into a copy: the following calls change the endpoint that the message borrows
-            // from.
+            // The message is parsed into a copy, as it borrows from the endpoint, which the
+            // following calls change.
             Received::Handshake(message) => match Knock::parse(message) {
                 Some(Knock::Welcome(welcome)) => self.welcomed(mapper, &welcome, now),
                 Some(Knock::Refusal(refusal)) => self.refused(&refusal, now),
@@ -114,7 +114,7 @@ impl Link {
         true
     }
 
-    /// Passes the acknowledged frames to the mapper.
+    /// Reports the acknowledged frames to the mapper.
     pub(super) fn settle(&mut self, mapper: &mut Mapper<'_>, now: Instant) {
         while let Some(token) = self.endpoint.poll_acknowledged() {
             mapper.acknowledged(token, now);

@@ -32,7 +32,7 @@ pub(super) struct Mapper<'b> {
 }
 
 impl<'b> Mapper<'b> {
-    /// A freshly booted robot.
+    /// The mapper of a freshly booted robot.
     #[inline(never)]
     pub(super) fn new<D: Drive>(
         config: &Config<D>,

@@ -93,7 +93,7 @@ impl fmt::Display for SliceError {
 impl core::error::Error for SliceError {}
 
 impl Slice {
-    /// The geometry of its readings, for [`Config::sensor`](crate::Config::sensor).
+    /// The geometry of the slice's readings, for [`Config::sensor`](crate::Config::sensor).
     pub fn sensor(self, camera: Camera) -> SensorModel {
         match self {
             Self::Row(row) => SensorModel::Row { camera, row: f32::from(row) },

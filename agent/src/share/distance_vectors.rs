@@ -7,8 +7,8 @@ use ubimap_protocol::{
 
 use crate::timing::{BLIND_VECTOR_INTERVAL, STANDING_VECTOR_INTERVAL};
 
-/// Number of vectors sent at the full rate after the start of a session, even at standstill: the
-/// server estimates the robot's constant errors from them.
+/// Number of vectors after the start of a session that a moving robot sends at the rate of a blind
+/// one: the server estimates the robot's constant errors from them.
 const FIRST: u8 = 24;
 
 /// Timing of the next distance vector, and the one waiting to be sent.
@@ -23,7 +23,7 @@ pub(crate) struct DistanceVectors {
 }
 
 impl DistanceVectors {
-    /// Sends at most one vector per `interval`.
+    /// `interval` is the usual minimum time between two vectors of a moving robot.
     pub(crate) fn new(interval: Duration) -> Self {
         Self { interval, last: None, first: FIRST, waiting: None }
     }

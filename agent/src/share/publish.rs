@@ -205,8 +205,9 @@ impl Publisher {
         }
     }
 
-    /// Starts a session. Unless `same_server`, all tiles are sent again, because the
-    /// acknowledgements so far came from another server.
+    /// Starts a session. If `same_server`, only the updates that were not acknowledged are sent
+    /// again. Otherwise all tiles are, because the acknowledgements so far came from another
+    /// server.
     pub fn begin_session(&mut self, pool: &mut Pool<'_>, same_server: bool, now: Instant) {
         if !same_server {
             // `newest_scan` is by the other server's clock. With 0, tiles that are sent again count

@@ -118,7 +118,7 @@ pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32
 }
 
 /// Whether two nonces are of the same boot of a robot: fewer than 65,536 attempts lie between them,
-/// in either direction. Nonces of different boots pass with a probability of 1 in 32,768.
+/// in either direction. Nonces of different boots pass this test with a probability of 1 in 32,768.
 pub fn is_same_boot(one: u32, other: u32) -> bool {
     const INVERSE: u32 = 0x144C_BC89;
     const { assert!(NONCE_STEP.wrapping_mul(INVERSE) == 1) };

@@ -32,8 +32,8 @@ impl Model {
     }
 }
 
-/// The number of ones with which the Exp-Golomb code of `value` in order `order` begins. A zero
-/// follows, then that number plus `order` of bits.
+/// The number of ones with which the Exp-Golomb code of `value` in order `order` begins. For n
+/// ones, a zero and n + `order` further bits follow.
 fn golomb_bits(value: u32, order: u32) -> u32 {
     ((u64::from(value) >> order) + 1).ilog2()
 }
