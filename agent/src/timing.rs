@@ -7,13 +7,14 @@ use ubimap_protocol::time::Duration;
 /// Interval of state messages, which keep an idle session alive. The server's timeout of 15 s is
 /// seven lost states in a row.
 pub(crate) const STATE_INTERVAL: Duration = Duration::from_secs(2);
-/// Minimum silence of the session before a reset is accepted, a few frames at 15 Hz: so a forged or
-/// delayed reset does not end a live session.
+/// Minimum silence of the session before a reset is accepted: a few camera frames at 15 Hz. A
+/// forged or delayed reset therefore does not end a live session.
 pub(crate) const RESET_SILENCE: Duration = Duration::from_millis(300);
 /// Duration after an event in which changes of the map are sent without delay. It is long enough to
 /// map the scans taken before the event.
 pub(crate) const HURRY: Duration = Duration::from_millis(300);
-/// Minimum interval of an event's repetitions, unless the server waits for it.
+/// Minimum interval between two events with the same code, except for those that the server waits
+/// for.
 pub(crate) const EVENT_INTERVAL: Duration = Duration::from_secs(10);
 /// Time without a message from the server after which a robot stops, as the server could not revoke
 /// its path. A live server sends four messages per second, so this takes seven lost frames in a
@@ -34,13 +35,14 @@ pub(crate) const BLIND_AFTER: Duration = Duration::from_millis(350);
 pub(crate) const SCAN_LATE: Duration = Duration::from_millis(1_500);
 /// Maximum age of a scan that the robot drives by: within it a robot at 1 m/s drives half a metre.
 pub(crate) const SCAN_STALE: Duration = Duration::from_millis(500);
-/// If a pose is newer by this much than that of a later scan, its time is from before the clocks
-/// were synchronised.
+/// If the stored pose is newer than a later scan by more than this, its time is from before the
+/// clocks were synchronised.
 pub(crate) const CLOCKS_DISAGREE: Duration = Duration::from_secs(10);
 
 // The map.
 
-/// Interval of digests: with two tiles each, a pool of 32 takes under three minutes, at 3 bytes/s.
+/// Interval of digests. Each time, two tiles are sent: a pool of 32 takes under three minutes, at 3
+/// bytes/s.
 pub(crate) const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
 /// Interval at which weak evidence is reset. A change must be observed often enough within one
 /// interval to be sent: hits minutes apart are noise.
@@ -78,5 +80,6 @@ pub(crate) const AVOIDED_FOR: Duration = Duration::from_secs(10);
 pub(crate) const NO_WAY_RETRY: Duration = Duration::from_secs(2);
 /// How long a robot stands before it tries faulty wheels again.
 pub(crate) const WHEELS_RETRY: Duration = Duration::from_secs(5);
-/// Maximum duration of a stop for a scan; after it the robot drives on, as no camera sees it there.
+/// Maximum duration of a stop for a scan. If no fix has arrived by then, no camera sees the robot
+/// there, and it drives on.
 pub(crate) const UNSEEN_STOP: Duration = Duration::from_secs(3);

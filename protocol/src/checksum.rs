@@ -2,7 +2,8 @@
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 
-/// A microcontroller has no kibibyte of flash to spare for a table; it seals some 4 kB a second.
+/// Without a table on a microcontroller, which has no kibibyte of flash to spare for one and seals
+/// only some 4 kB a second.
 #[cfg(target_os = "none")]
 type Table = crc::NoTable;
 #[cfg(not(target_os = "none"))]

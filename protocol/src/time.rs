@@ -43,7 +43,7 @@ impl Instant {
         seconds
     }
 
-    /// The earliest of the instants that are present; `None` if none is.
+    /// The earlier of two instants, or the only one that is present; `None` if neither is.
     #[inline(never)]
     pub fn earlier(one: Option<Self>, other: Option<Self>) -> Option<Self> {
         match (one, other) {

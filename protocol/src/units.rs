@@ -44,7 +44,8 @@ impl Sub for Millimetres {
 pub struct Angle(pub u16);
 
 impl Angle {
-    /// Rounds an angle in radians (any number of turns) to the nearest binary angle; NaN gives zero.
+    /// Rounds an angle in radians (any number of turns) to the nearest binary angle; NaN gives
+    /// zero.
     pub fn from_radians(radians: f64) -> Self {
         let turns = radians * (65_536.0 / core::f64::consts::TAU);
         let rounded = turns + if turns < 0.0 { -0.5 } else { 0.5 };

@@ -1,4 +1,4 @@
-//! From the robot's task and inputs to the command of its wheels.
+//! From the robot's task and inputs to the command for its wheels.
 
 use ubimap_protocol::{
     message::Waypoint,
@@ -51,7 +51,7 @@ const STRETCH: u32 = 200;
 /// Upper limit of a step's duration in computations, in seconds.
 const MAX_STEP: f32 = 0.2;
 
-/// The reason why the robot can't drive on, since when, and where.
+/// The reason why the robot can't drive on, since when, and the pose at that time.
 #[derive(Clone, Copy, Debug)]
 struct Hindered {
     since: Instant,
@@ -78,15 +78,16 @@ enum Phase {
 /// A look at a frontier: the robot turns on the spot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Look {
-    /// The frontier's point, and the level of the window in which it was found.
+    /// The frontier's point, and the level of the window in which it was found (see
+    /// [`WindowInputs::level`]).
     at: Waypoint,
     level: u32,
-    /// Angle turned so far, and the last pose.
+    /// Angle turned so far, in radians, and the pose at the last step.
     turned: f32,
     last: Pose,
 }
 
-/// Drives by a map.
+/// Performs a [`Task`] by a map: plans paths, follows them, and waits for obstacles to go away.
 #[derive(Debug)]
 pub struct Driver<'b> {
     config: Driving,
@@ -99,7 +100,7 @@ pub struct Driver<'b> {
     phase: Phase,
     /// Where the current path leads.
     end: End,
-    /// Whether the old path can still be driven while a new one is searched for.
+    /// Whether there is a path to drive: while a new one is searched for, the old one.
     has_path: bool,
     /// Whether the search has begun.
     is_begun: bool,
@@ -172,7 +173,7 @@ impl<'b> Driver<'b> {
         self.reason
     }
 
-    /// The current reason, reported once after each change.
+    /// The current reason if it has changed since the last call.
     pub fn poll_event(&mut self) -> Option<Reason> {
         (self.told != self.reason).then(|| {
             self.told = self.reason;
@@ -185,8 +186,9 @@ impl<'b> Driver<'b> {
         self.search.window()
     }
 
-    /// The wheels' command until the next step. `ground` returns 32 map cells for a column of tiles
-    /// and a row of cells. Call at 10 Hz or more.
+    /// Makes a step, and returns the wheels' command until the next one. `ground(column, row)`
+    /// returns the 32 map cells in a column of tiles and a row of cells. Must be called at 10 Hz or
+    /// more.
     pub fn step(
         &mut self,
         inputs: &Inputs<'_>,
@@ -204,8 +206,8 @@ impl<'b> Driver<'b> {
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
-        // The fault is cleared only after the robot has driven some distance: nothing else shows
-        // that the wheels work.
+        // While faulty wheels are tried again, their fault is still reported: it is cleared only
+        // after the robot has driven some distance, which shows that the wheels work.
         let doubt = self.safety.doubt().filter(|_| reason == Reason::Driving);
         (self.command, self.reason) = (command, doubt.unwrap_or(reason));
         command
@@ -258,7 +260,7 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// The point that the task leads to: the goal, or home; `None` if there is none.
+    /// The point to drive to: the goal or home; `None` while exploring or without a task.
     fn goal(&self) -> Option<Waypoint> {
         match self.task {
             Task::Go(goal) => Some(goal),
@@ -308,8 +310,8 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// The inputs of the planning window; `none` replaces the scan when its points are not to count
-    /// as obstacles.
+    /// The inputs of the planning window. An empty scan, `none`, replaces the newest one while its
+    /// points do not count as obstacles.
     fn view<'v>(&self, step: &StepContext<'v>, none: &'v NearPoints) -> WindowInputs<'v> {
         // People who walk by are no reason to plan around them. The scan counts only for a while
         // after the robot has waited in vain for a hindrance to go away.
@@ -327,7 +329,8 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// Refills the window and checks whether the path is clear and its frontier still useful.
+    /// If due, refills the window, and starts a new search unless the path is clear and still leads
+    /// to a frontier or was planned recently.
     fn look(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if step.now.since(self.looked) < MAP_LOOK_INTERVAL {
             return;
@@ -397,7 +400,7 @@ impl<'b> Driver<'b> {
     /// Handles the end of the path.
     fn arrive(&mut self, step: &StepContext<'_>) -> Reason {
         if self.phase != Phase::Driving {
-            // A new path is being searched for.
+            // The old path has ended while a new one is being searched for.
             self.has_path = false;
             return Reason::Driving;
         }
@@ -411,7 +414,7 @@ impl<'b> Driver<'b> {
                     && let Some(gaze) = self.config.looks_at_goal =>
             {
                 self.phase = Phase::LookingAround(gaze, LookAround::new(step.pose.heading));
-                // Look immediately.
+                // The next step looks at the map immediately.
                 self.looked = Instant(0);
                 Reason::Driving
             }

@@ -1,4 +1,4 @@
-//! The configuration of a robot that plans, follows paths and stops by the map.
+//! The configuration of a robot that plans and follows paths on the map.
 
 use ubimap_protocol::{message::Waypoint, time::Duration};
 
@@ -9,19 +9,22 @@ use super::{follow::Motion, look::Gaze, safety::SafetyLimits};
 pub struct Driving {
     /// The robot's size and dynamics.
     pub motion: Motion,
-    /// When it must stop.
+    /// When the robot must stop.
     pub safety: SafetyLimits,
-    /// Time between steps. At most 100 ms, the delay that braking distances allow for.
+    /// Time between steps, at most 100 ms: braking distances allow for no longer delay.
     pub interval: Duration,
     /// Whether the robot stops for each scan, and maps only scans taken while it stood and was
-    /// localised (Ahmed 3). It stops whenever the mapping gate opens.
+    /// localised (Ahmed 3). It stops whenever it has moved far enough to map another scan (the
+    /// mapping gate opens).
     pub stop_and_wait: bool,
-    /// For a robot that explores autonomously until its first session: the point of `map` to return
-    /// to. Requires poses from odometry ([`PoseSource::Odometry`](crate::locate::PoseSource)).
+    /// If given, the robot explores on its own until its first session, and returns to this point
+    /// of `map` when nothing is left to explore. Requires poses from odometry
+    /// ([`PoseSource::Odometry`](crate::locate::PoseSource)).
     pub alone: Option<Waypoint>,
     /// Whether to explore ground covered by cameras, too.
     pub explore_covered: bool,
-    /// The ground to look at on arrival at a goal, before the arrival is reported. `None`: no look.
+    /// If given, a robot that has arrived at a goal turns until it has seen the blind ground around
+    /// it, and only then reports the arrival.
     pub looks_at_goal: Option<Gaze>,
     /// Maximum number of obstacle corners that a search expands in a step, about 5,000 instructions
     /// each.
@@ -29,7 +32,7 @@ pub struct Driving {
 }
 
 impl Default for Driving {
-    /// A step every 50 ms, eight corners each, and no stops for scans.
+    /// A step every 50 ms with at most eight corners, and no stops for scans.
     fn default() -> Self {
         Self {
             motion: Motion::default(),

@@ -119,7 +119,7 @@ type Vector = (f32, f32);
 #[derive(Clone, Debug)]
 pub struct Follower {
     motion: Motion,
-    /// The remaining points; the robot has passed the first.
+    /// The points of the path, from its start.
     route: Vec<Waypoint, MAX_POINTS>,
     /// Distance along the path from each point to the end.
     rest: [f32; MAX_POINTS],
@@ -139,7 +139,8 @@ const OFF: f32 = 300.0;
 const SAMPLES: usize = 8;
 /// Prediction horizon for people, in seconds.
 const FORESIGHT: f32 = 2.0;
-/// Turn gain: reaches the maximum turn rate after 0.5 s.
+/// Angular acceleration divided by the maximum turn rate, in 1/s: the maximum is reached after 0.5
+/// s.
 const TURN_GAIN: f32 = 2.0;
 /// Below this speed the robot counts as standing, in mm/s.
 const STANDS: f32 = 20.0;
@@ -185,11 +186,12 @@ impl Follower {
         self.route.last().copied()
     }
 
-    /// Whether the rest of the path is free in a window.
+    /// Whether the rest of the path, from `pose` on, is free in `window`.
     pub fn is_clear(&self, window: &PlanningWindow, pose: Pose) -> bool {
         let mut from = Waypoint { x: pose.x, y: pose.y };
         let ahead = self.route.get(self.at + 1..).unwrap_or_default();
-        // A robot that stands too close to an obstacle may drive away.
+        // A robot that stands too close to an obstacle may drive away from it, so the line to its
+        // next point is not checked.
         let stands_free = window.place(from).is_some_and(|place| window.free.has(place));
         let mut ahead = ahead.iter();
         if !stands_free && let Some(&next) = ahead.next() {
@@ -208,7 +210,8 @@ impl Follower {
         }
         let (sin, cos) = sin_cos(radians(sight.pose.heading));
         let (forward, side) = (target.0 * cos + target.1 * sin, target.1 * cos - target.0 * sin);
-        // Starts to turn on the spot at 37 degrees off the direction, and stops at 15.
+        // Starts to turn on the spot when the target is 37 degrees off straight ahead, and stops at
+        // 15.
         let enough = if self.turns { 0.27 } else { 0.75 };
         self.turns = side.abs() > enough * forward;
         if self.turns {
@@ -232,10 +235,10 @@ impl Follower {
         self.turn_by(if left { 1.0 } else { -1.0 }, 0.0, elapsed)
     }
 
-    /// Turns towards a point in `base_link`.
+    /// Turns on the spot towards a point in `base_link`.
     fn turn_by(&mut self, side: f32, forward: f32, elapsed: f32) -> DriveCommand {
-        // The turn rate from which the robot still stops at the direction; up to 45 degrees tan(a)
-        // is about a.
+        // The maximum turn rate from which the robot can still stop when it faces the point; up to
+        // 45 degrees, tan(a) is about a.
         let off = if forward > 0.0 { (side / forward).abs().min(1.0) } else { 1.0 };
         let gain = TURN_GAIN * self.motion.top_turn;
         let wanted = root(2.0 * gain * off).min(self.motion.top_turn).max(0.3).copysign(side);
@@ -416,7 +419,8 @@ impl Follower {
                 let (x, y) = (x + vx * time, y + vy * time);
                 let apart = (x - at.0, y - at.1);
                 let then = apart.0 * apart.0 + apart.1 * apart.1;
-                // A distance that standing still would not increase is no reason to stop.
+                // If the person would come even closer to a robot that stands, stopping does not
+                // help.
                 then < keep * keep && then <= x * x + y * y
             })
         })

@@ -32,12 +32,12 @@ impl StopReason {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Halt {
     pub(crate) reason: StopReason,
-    /// `None`: until the robot is told to go on.
+    /// When the stop ends; `None` if only `Robot::resume` ends it.
     pub(crate) until: Option<Instant>,
 }
 
 impl Halt {
-    /// The stop that follows when another one is added: the newest reason and the later end.
+    /// This stop joined with the one in force before it: this reason, and the later end.
     pub(crate) fn after(self, before: Option<Self>) -> Self {
         let until = match before {
             None => self.until,

@@ -12,7 +12,7 @@ use crate::trigonometry::{angle, radians, sin_cos};
 
 /// Number of rays.
 const RAYS: u32 = 32;
-/// Consecutive blind cells that count as blind ground; fewer are noise.
+/// Minimum number of consecutive blind cells that count as blind ground; fewer are noise.
 const MIN_CELLS: u32 = 3;
 /// Usable part of half the field of view: closer to the edge, ground may be missed.
 const SURE: f32 = 0.9;
@@ -117,7 +117,7 @@ impl LookAround {
         let sure = half_view * SURE;
         let (right, left) = (self.least - sure, self.most + sure);
         let gap = TAU - (left - right);
-        // The angles from here to the limits of what has been seen on either side.
+        // The angles from the current heading to the farthest headings so far on either side.
         let (to_left, to_right) = (self.most - self.turned, self.turned - self.least);
         let (mut best, mut is_left) = (f32::MAX, None);
         // Each split of the unseen rays between both sides is tried: turning left sees the rays up

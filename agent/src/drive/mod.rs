@@ -2,9 +2,9 @@
 //!
 //! A [`PlanningWindow`] holds the map around the robot and the places where its centre may be. A
 //! [`Planner`] finds the shortest path in it, to a goal or to the best frontier: the border of
-//! blind ground, which no camera sees, that is still unmapped. A [`Follower`] drives the path at a
-//! speed that its own sensor's view allows; [`Safety`] stops the robot on a fault; a [`Driver`]
-//! joins these. A [`Navigator`] drives along the server's paths at its own rate; [`Driving`] is its
+//! unmapped blind ground, which no camera sees. A [`Follower`] drives the path at a speed that the
+//! view of the robot's own sensor allows; [`Safety`] stops the robot on a fault; a [`Driver`] joins
+//! these. A [`Navigator`] drives along the server's paths at its own rate; [`Driving`] is its
 //! configuration, and one implementation of [`Drive`]. [`Stops`] is Ahmed's method: the robot maps
 //! only at standstill. A [`BoundaryFollower`] needs no map.
 

@@ -87,7 +87,8 @@ impl<'b> Navigator<'b> {
     /// Adopts the current path and drives to its next point. Returns whether that is the last.
     fn follow(&mut self, surroundings: &Surroundings<'_, '_>) -> bool {
         let Some(path) = surroundings.commands.path() else {
-            // A path belongs to the server that sent it: a different server does not know it.
+            // A path belongs to the server that sent it. If another server has taken over, its
+            // commands contain no path, and the robot stops.
             let task = self.alone.filter(|_| surroundings.heard.is_none()).unwrap_or(Task::Stand);
             if self.path.take().is_some() || self.driver.task() != task {
                 self.driver.set_task(task);
@@ -233,7 +234,8 @@ fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
     way(x, from.x).pow(2) + way(y, from.y).pow(2)
 }
 
-/// The state of 32 cells: the server's, or the robot's own where the server's is unknown.
+/// The states of the 32 cells in a column of tiles and a row of cells: the server's, or the robot's
+/// own where the server's is unknown.
 fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundRow {
     let side = TILE_SIDE as i32;
     let Some(id) = TileId::of_cell(column.saturating_mul(side), row) else {

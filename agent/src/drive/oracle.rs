@@ -88,8 +88,8 @@ fn sees(window: &PlanningWindow, a: Place, b: Place) -> bool {
     let range = |p: i32, q: i32| p.min(q)..=p.max(q);
     range(ay, by).all(|y| {
         range(ax, bx).all(|x| {
-            // The interval in which the line lies between two sides of the cell, multiplied by (2
-            // dx) and (2 dy).
+            // The part of the line, from 0 at its start to 1 at its end, that lies between two
+            // opposite sides of the cell.
             let span = |from: i32, to: i32, at: i32| {
                 let way = f64::from(to - from);
                 if way == 0.0 {
@@ -106,7 +106,7 @@ fn sees(window: &PlanningWindow, a: Place, b: Place) -> bool {
     })
 }
 
-/// The exact length of the shortest path in cells, if it is at most `most`.
+/// The exact length of the shortest path in cells, which must be at most `most`.
 fn shortest(window: &PlanningWindow, start: Place, goal: Place, most: f64) -> f64 {
     let free = (0..SIDE * SIDE).map(place).filter(|&it| window.free.has(it));
     let nodes = free.filter(|&it| between(start, it) + between(it, goal) <= most + 1e-9);
@@ -226,7 +226,8 @@ proptest! {
         if is_free {
             prop_assert!(nearest >= f64::from(radius) - 1.0, "{nearest}");
         } else {
-            // The excess is at most the diagonal of a cell.
+            // A cell that is not free is farther from a wall than the radius by at most its
+            // diagonal.
             prop_assert!(nearest <= f64::from(radius) + 1.42 * f64::from(CELL), "{nearest}");
         }
     }

@@ -36,8 +36,8 @@ pub enum Target {
     Frontier,
     /// A cell.
     Place(Place),
-    /// Column and row relative to the corner, for a goal outside the window, at most 1,000 cells
-    /// away: the path leaves through the rim.
+    /// A goal outside the window: its column and row relative to the window's south-western corner,
+    /// at most 1,000 cells away. The path leaves the window through its rim.
     Beyond(i16, i16),
 }
 
@@ -117,7 +117,7 @@ struct Node {
 /// A search that can be continued from call to call.
 #[derive(Clone, Debug)]
 pub struct Planner {
-    /// The start, the goals, the corners.
+    /// The start, then the goals, then the corners.
     nodes: Vec<Node, MAX_NODES>,
     /// Number of goals, and the extra cost of each.
     goals: usize,
@@ -191,8 +191,8 @@ impl Planner {
         self.nodes.push(node).map_err(|_| PlanError::Crowded)
     }
 
-    /// Adds as a goal the cell of each reachable frontier cluster that is nearest to the start.
-    /// Larger clusters cost less.
+    /// Adds a goal for each reachable frontier cluster: its cell nearest to the start. Larger
+    /// clusters cost less.
     fn add_frontiers(
         &mut self,
         frontier: &Plane,
@@ -225,7 +225,8 @@ impl Planner {
         if self.nodes.len() > 1 { Ok(()) } else { Err(PlanError::NoFrontier) }
     }
 
-    /// Adds the corners of all reachable obstacles.
+    /// Adds the cells of `reached` that lie at a corner of an obstacle, which is made of cells not
+    /// in `free`.
     fn add_corners(&mut self, free: &Plane, reached: &Plane) -> Result<(), PlanError> {
         for y in 1..SIDE - 1 {
             let cells = reached.row(y);
@@ -336,7 +337,7 @@ impl Planner {
         node
     }
 
-    /// Offers to all other nodes the path through a node that was just expanded.
+    /// Offers all other nodes the path through the node `from` that was just expanded.
     #[inline(never)]
     fn expand(&mut self, index: usize, from: Node, window: &PlanningWindow) {
         let Self { nodes, goals, prices, target, exit, .. } = self;

@@ -33,9 +33,9 @@ pub struct Mover {
     pub x: Millimetres,
     /// The object's centre: its y in `map`.
     pub y: Millimetres,
-    /// Along `map`'s x, in mm/s.
+    /// Velocity along `map`'s x, in mm/s.
     pub velocity_x: i16,
-    /// Along `map`'s y, in mm/s.
+    /// Velocity along `map`'s y, in mm/s.
     pub velocity_y: i16,
     /// Radius, in millimetres.
     pub radius: u16,
@@ -130,8 +130,8 @@ impl PlanningWindow {
         cell: 0,
     };
 
-    /// Reads the map. `ground` returns 32 map cells for a column of tiles and a row of cells. Takes
-    /// 1 KiB of stack.
+    /// Fills the window from the map. `ground(column, row)` returns the 32 map cells in a column of
+    /// tiles and a row of cells. Takes 1 KiB of stack.
     pub fn fill(&mut self, view: &WindowInputs<'_>, ground: impl Fn(i32, i32) -> GroundRow) {
         let level = view.level.min(MAX_LEVEL);
         let resolution = view.resolution.0.max(1);
@@ -388,8 +388,8 @@ impl PlanningWindow {
     }
 }
 
-/// Radius of the ground to give up around a frontier cell when it could not be seen from there, in
-/// millimetres.
+/// Radius of the ground to give up around a frontier cell from which blind ground could not be
+/// seen, in millimetres.
 pub(super) fn frontier_reach(radius: u16, cell: i32) -> u16 {
     let cells = frontier_steps(radius, cell) + 2;
     u16::try_from(cells.saturating_mul(cell)).unwrap_or(u16::MAX)
@@ -420,7 +420,8 @@ fn shifted(cells: u32, east: i32) -> u64 {
     if east < 0 { cells.checked_shr(by) } else { cells.checked_shl(by) }.unwrap_or(0)
 }
 
-/// Calls `take` for each row of a disc with the cells whose centres are inside the disc.
+/// Calls `take` for each row of a disc with the cells whose centres are inside the disc. Its centre
+/// `(x, y)` is relative to the window's corner; all lengths are in millimetres.
 fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, u64)) {
     let radius = radius as f32 / cell as f32;
     let (x, y) = (x / cell as f32 - 0.5, y / cell as f32 - 0.5);
@@ -446,8 +447,8 @@ const MAX_INFLATION: usize = 24;
 fn inflate(occupied: &Plane, reach: i64, cell: i32, near: &mut Plane) {
     // All lengths are doubled, to avoid fractions.
     let gap = |cells: usize| (2 * cells as i64 - 1).max(0) * i64::from(cell);
-    // For each distance in rows, the number of cells along the row that an occupied cell inflates
-    // to.
+    // For each distance in rows from an occupied cell, the number of cells that it inflates to on
+    // either side along the row, its own column included.
     let widths: [u8; MAX_INFLATION + 1] = core::array::from_fn(|aside| {
         let within = |along: &usize| gap(*along).pow(2) + gap(aside).pow(2) < reach.pow(2);
         if within(&0) { 1 + (1..=MAX_INFLATION).take_while(within).count() as u8 } else { 0 }

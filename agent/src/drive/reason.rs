@@ -30,7 +30,7 @@ pub enum Reason {
     PoseLost,
     /// There is no recent scan.
     SensorLost,
-    /// Outside the map or its fence.
+    /// Outside the fence, the area that the robot may not leave.
     OutsideMap,
     /// The wheels do not turn as commanded.
     WheelsStuck,

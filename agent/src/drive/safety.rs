@@ -57,7 +57,7 @@ pub struct Health {
 
 /// Interval over which the wheels are compared with their commands and with the pose.
 const SPAN: Duration = Duration::from_secs(1);
-/// Retries before faulty wheels are given up.
+/// Number of consecutive faults after which the wheels are not tried again.
 const TRIES: u8 = 3;
 
 /// Checks that the robot may drive.
@@ -65,8 +65,8 @@ const TRIES: u8 = 3;
 pub struct Safety {
     limits: SafetyLimits,
     watch: Option<Watch>,
-    /// The fault of the wheels and when it was found; the number of consecutive retries; whether a
-    /// retry is in progress.
+    /// The fault of the wheels and when it was found; the number of consecutive faults; whether the
+    /// wheels are being tried again.
     fault: Option<(Reason, Instant)>,
     tries: u8,
     is_trying: bool,
@@ -100,7 +100,7 @@ impl Safety {
         (self.fault, self.tries, self.is_trying) = (None, 0, false);
     }
 
-    /// The fault of the wheels while a retry is in progress.
+    /// The last fault of the wheels, while they are being tried again.
     pub fn doubt(&self) -> Option<Reason> {
         self.fault.filter(|_| self.is_trying).map(|(reason, _)| reason)
     }
@@ -148,7 +148,9 @@ impl Safety {
         })
     }
 
-    /// Whether the wheels turn as commanded, and the robot moves as the wheels turn.
+    /// Compares the measured motion with the command and the pose with the odometry, once per
+    /// [`SPAN`]. Returns the fault if the wheels do not turn as commanded, or the robot does not
+    /// move as they turn.
     fn watch(
         &mut self,
         now: Instant,
@@ -268,8 +270,8 @@ mod tests {
         assert_eq!(Safety::new(alone).check(&silent, DriveCommand::STAND), None);
     }
 
-    /// The reasons over some seconds at 20 Hz, one entry per change. `by_map` and `by_wheels` are
-    /// the ratios of the measured to the commanded motion.
+    /// The reasons over 40 s at 20 Hz, one entry per change. `by_map` and `by_wheels` are the
+    /// ratios of the measured to the commanded motion.
     fn driven(command: DriveCommand, by_map: f32, by_wheels: f32) -> std::vec::Vec<Option<Reason>> {
         let mut safety = Safety::new(SafetyLimits::default());
         let (mut way, mut turned) = (0.0, 0.0);

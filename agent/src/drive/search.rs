@@ -1,5 +1,5 @@
-//! From a task, with a goal or without, to a route: plans in windows of the map, from the finest to
-//! the coarsest.
+//! The search for a route to a goal or to the best frontier: it plans in windows of the map, from
+//! the finest to the coarsest.
 //!
 //! A goal is searched for in the finest window that contains it, then in coarser ones. The robot
 //! drives only routes planned in the finest window: the result of a coarse window is planned again
@@ -54,7 +54,7 @@ pub(super) enum Outcome {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Attempt {
     level: u32,
-    /// The finest level whose window contains the goal.
+    /// The finest level whose window contains the goal (see [`WindowInputs::level`]).
     finest: u32,
     /// Whether the path may leave through the rim of a window that does not contain the goal.
     beyond: bool,
@@ -154,7 +154,7 @@ impl<'b> Search<'b> {
         }
     }
 
-    /// Fills a window of a level from the map.
+    /// Fills the window from the map, at this level.
     pub(super) fn fill(
         &mut self,
         level: u32,
@@ -173,8 +173,8 @@ impl<'b> Search<'b> {
             .is_some_and(|place| self.workspace.window.frontier.has(place))
     }
 
-    /// Gives up the blind ground that a window of this level finds near a point. Returns `false` if
-    /// the list is full.
+    /// Gives up the blind ground whose frontier, in a window of this level, includes the point
+    /// `at`. Returns `false` if the list of given-up places is full.
     pub(super) fn give_up(&mut self, at: Waypoint, level: u32, view: &WindowInputs<'_>) -> bool {
         let cell = view.resolution.0.saturating_mul(1 << level.min(MAX_LEVEL));
         let reach = frontier_reach(view.radius, cell);

@@ -19,24 +19,24 @@ pub struct Stops {
 enum Phase {
     /// The robot has not started yet.
     New,
-    /// Driving, since this pose.
+    /// Driving; the pose at which the robot set out, once known.
     Driving(Option<Pose>),
-    /// Commanded to stand, but still moving; the pose at the last step.
+    /// Commanded to stand, but still moving; the pose is that of the last step.
     Stopping(Pose),
     /// Standing since this time.
     Standing(Instant),
 }
 
 impl Default for Stops {
-    /// Stands until the first scan is mapped.
+    /// Stands until the first scan is mapped, or until the stop has lasted too long.
     fn default() -> Self {
         Self { phase: Phase::New, is_located: false }
     }
 }
 
 impl Stops {
-    /// Whether the wheels must stand. Call at every step with the newest odometry. From one stop to
-    /// the next the robot moves until the gate opens.
+    /// Whether the wheels must stand. Call at every step with the newest odometry. The robot drives
+    /// from one stop until `gate` opens, then stops again.
     pub fn must_stand(&mut self, gate: Gate, odometry: Option<Pose>, now: Instant) -> bool {
         let Some(odometry) = odometry else { return true };
         if let Phase::Driving(Some(from)) = self.phase {
@@ -56,8 +56,8 @@ impl Stops {
         !matches!(self.phase, Phase::Driving(_))
     }
 
-    /// Whether to map a scan taken at `taken`: only if the robot stands, and its newest fix was
-    /// taken after it stopped. The robot may drive on afterwards.
+    /// Whether to map a scan taken at `taken`: only if the robot stands, and its newest fix (at
+    /// `fix`) was taken after it stopped. If so, the robot may drive on.
     pub fn takes(&mut self, taken: Instant, fix: Option<Instant>) -> bool {
         if let Phase::Standing(since) = self.phase {
             self.is_located = taken >= since && fix.is_some_and(|fix| fix >= since);

@@ -45,7 +45,7 @@ pub(super) struct Fix {
 }
 
 impl Fix {
-    /// The fix's variances, no smaller than those of the rounding on the wire.
+    /// The fix's variances. No deviation is smaller than one unit, the resolution on the wire.
     fn variances(&self) -> Vector3<f32> {
         let Certainty { x, y, heading } = self.certainty;
         let deviations = Vector3::new(
@@ -146,13 +146,15 @@ impl Estimate {
         self.guessed
     }
 
-    /// Whether the variances exceed the limit. They do not grow beyond it.
+    /// Whether the variances exceed the limit at which the pose counts as lost. Beyond it they no
+    /// longer grow.
     pub(super) fn is_lost(&self) -> bool {
         let Variances { position, heading } = self.variances();
         position > LOST_POSITION || heading > LOST_HEADING
     }
 
-    /// Predicts by odometry, from one pose in `odom` to another. About 350 instructions.
+    /// Predicts a motion of `seconds` that odometry measured from one pose in `odom` to another.
+    /// About 350 instructions.
     pub(super) fn drive(&mut self, from: Pose, to: Pose, seconds: f32, noise: &MotionNoise) {
         let way = Vector2::new((to.x - from.x).0 as f32, (to.y - from.y).0 as f32);
         let step = self.rotation * way;
@@ -171,7 +173,7 @@ impl Estimate {
         );
     }
 
-    /// Predicts by unknown motion.
+    /// Predicts `seconds` of unknown motion: the pose stays the same, and its variances grow.
     pub(super) fn wander(&mut self, seconds: f32) {
         self.guessed = true;
         if !self.is_lost() {
@@ -179,8 +181,8 @@ impl Estimate {
         }
     }
 
-    /// Adds the uncertainty of an extrapolation by some seconds, with a measured speed or without
-    /// one.
+    /// Adds the uncertainty of an extrapolation by `seconds`. `has_speed` says whether it used a
+    /// measured speed.
     pub(super) fn stray(&mut self, seconds: f32, has_speed: bool) {
         let gained = 0.5 * seconds * seconds;
         let (way, turn) = if has_speed {
@@ -367,7 +369,8 @@ mod tests {
 
     #[test]
     fn the_gate_is_at_the_last_thousandth_of_chi_squared() {
-        // Four deviations of a fix away, for an estimate with the same uncertainty: 16 / 2.
+        // The estimate and the fix both have a variance of 400 mm^2, so the squared distance is
+        // divided by 800 mm^2.
         let estimate = Estimate::of(&fix(0, 0, 0, 20), Angle(0));
         let passes = |x, y| { estimate }.take(&fix(x, y, 0, 20), Angle(0));
         // The square root of 16.27 * 800 is 114.09 mm.

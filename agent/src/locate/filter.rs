@@ -189,7 +189,8 @@ pub(super) struct Filter {
 }
 
 impl Filter {
-    /// A filter that starts at `start`, the origin of `odom` in `map`, or without an estimate.
+    /// A filter whose first estimate is `start`, the origin of `odom` in `map`; without it, the
+    /// filter has no estimate yet.
     pub(super) fn new(noise: MotionNoise, start: Option<Pose>) -> Self {
         let odometry = Pose::default();
         let base = Belief {
@@ -248,7 +249,8 @@ impl Filter {
         outcome.zip(belief.told().map(|told| told.pose)).ok_or(FixError::TooOld)
     }
 
-    /// Whether an odometry reading is new: `false` if it repeats the time of the last one.
+    /// Whether an odometry reading at `moment` is new: `false` if it repeats the time of the last
+    /// one.
     pub(super) fn is_new(&self, moment: Instant) -> Result<bool, Backwards> {
         let last = self.odometry.newest().map(|(last, _)| last);
         if moment < last.unwrap_or(self.base.moment) {

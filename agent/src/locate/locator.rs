@@ -56,13 +56,13 @@ pub enum Located {
     At(Pose, Variances),
     /// The pose (`base_link` in `map`), but its uncertainty exceeds the limit.
     Unsure(Pose),
-    /// Measurements that determine it may still arrive.
+    /// A measurement that determines or improves the pose may still arrive.
     NotYet,
-    /// No measurement that may still arrive can determine it.
+    /// The pose is unknown, and the caller can't wait any longer.
     Never,
 }
 
-/// The filter and its queries.
+/// Estimates the robot's pose from fixes and odometry.
 #[derive(Debug)]
 pub struct Locator {
     filter: Filter,
@@ -120,8 +120,8 @@ impl Locator {
         Ok(())
     }
 
-    /// Announces that the pose of a scan will be requested. It is most accurate if this is called
-    /// before the odometry around that time arrives.
+    /// Announces that the pose of a scan taken at `taken` will be requested. The pose is most
+    /// accurate if this is called before the first odometry reading after that time arrives.
     pub(crate) fn expect(&mut self, taken: Instant) {
         self.filter.expect(taken);
     }
@@ -184,8 +184,8 @@ impl Locator {
         }
         let driven = odometry.is_some_and(fresh);
         let fix = self.filter.newest_fix();
-        // Without odometry only a fix can help. With odometry, a fix can help if one is likely to
-        // arrive.
+        // Without odometry, only a fix can help. With odometry, a fix is awaited only if the last
+        // one is recent, so that another is likely.
         let seen = fix.is_some_and(fresh) || !driven;
         fix.is_none_or(|newest| newest < moment) && seen
             || driven && odometry.is_some_and(|newest| newest < moment)
@@ -197,8 +197,8 @@ impl Locator {
         if let Some(told) = before.filter(|told| !told.guessed) {
             return Some((told.pose, told.variances));
         }
-        // The motion is unknown here. If the fixes before and after are close enough in time, the pose is
-        // interpolated between them.
+        // The motion is unknown here. If the fixes before and after are close enough in time, the
+        // pose is interpolated between them.
         let (last, next) = self.filter.fixes_around(moment);
         let after = next.and_then(|next| Some((next, self.filter.at(next)?)));
         if let Some((last, (next, to))) = last.zip(after)

@@ -59,7 +59,8 @@ impl MotionNoise {
     }
 }
 
-/// Interpolates between two poses, turning the short way; `part` is 0 to 1.
+/// Interpolates between two poses, turning the short way. `part` is 0 at `from` and 1 at `to`;
+/// above 1 it extrapolates.
 pub(super) fn between(from: Pose, to: Pose, part: f32) -> Pose {
     let mix = |from: Millimetres, to: Millimetres| {
         from + Millimetres(round((to - from).0 as f32 * part) as i32)

@@ -16,8 +16,9 @@ use ubimap_protocol::{
 use super::odometry::{MotionNoise, OdometryNoise};
 use crate::trigonometry::{RADIANS, radians, round, sin_cos};
 
-/// What the motion between two compared fixes must be like: at least this distance in millimetres
-/// with at most this turn in radians, or a turn within this range; and at most this duration.
+/// Two fixes are compared if the motion between them is at least `MIN_WAY` millimetres with a turn
+/// below `MAX_BEND` radians, or a turn from `MIN_TURN` to `MAX_TURN`; and takes at most
+/// `MAX_MICROS` microseconds.
 const MIN_WAY: f32 = 1_000.0;
 const MAX_BEND: f32 = 0.17;
 const MIN_TURN: f32 = 0.5;
@@ -29,9 +30,10 @@ const SURE: Certainty = Certainty { x: 20, y: 20, heading: 182 };
 /// defective.
 const MAX_SCALE: f32 = 0.2;
 const MAX_DRIFT: f32 = 1.0e-4;
-/// Distance between two readings from which on it counts as a jump, not a motion, in millimetres.
+/// Minimum distance between two readings that counts as a jump and not as a motion, in millimetres.
 const JUMP: f32 = 1_000.0;
-/// Fraction of the initial variance restored with each lesson, to allow for wear.
+/// Relative growth of the variance with each lesson, so that later ones still count as the robot
+/// wears.
 const DOUBT: f32 = 1.0e-3;
 
 /// A learnt parameter and its variance.
@@ -42,13 +44,14 @@ struct Learnt {
 }
 
 impl Learnt {
-    /// The initial variance: half of the configured noise is systematic, the other half random.
+    /// A parameter before the first lesson. Half of the configured variance counts as systematic,
+    /// the other half as random.
     fn of(deviation: f32) -> Self {
         Self { value: 0.0, variance: 0.5 * deviation * deviation }
     }
 
-    /// Updates the parameter by a measured error `off` with this variance. Outliers, for example
-    /// from a spinning wheel, are ignored.
+    /// Updates the parameter by a measured error `off` with this variance, and limits it to `most`
+    /// either way. Outliers, for example from a spinning wheel, are ignored.
     fn learn(&mut self, off: f32, variance: f32, most: f32) {
         let sum = self.variance + variance;
         if off * off > 9.0 * sum {
@@ -204,7 +207,7 @@ mod tests {
     }
 
     /// A robot with three errors of its wheels drives and turns. Returns what it learns from exact
-    /// fixes, and how far its corrected odometry strays afterwards.
+    /// fixes, and how far its corrected odometry strays afterwards, in metres and degrees.
     fn drive(slip: f64, turn_slip: f64, drift: f64) -> (SystematicErrors, f64, f64) {
         let mut errors = SystematicErrors::new(&OdometryNoise::default());
         let (mut truth, mut wheels) = ([0.0f64; 3], [0.0f64; 3]);
@@ -229,7 +232,7 @@ mod tests {
             let wrong = turn / (1.0 + turn_slip) - drift * way;
             go(&mut wheels, way / (1.0 + slip), wrong);
             let odometry = errors.corrected(pose(wheels));
-            // Fixes during a turn are too imprecise about the odometry's heading.
+            // During a turn, the odometry's heading at the time of a fix is too imprecise.
             if leg < 12 && turn == 0.0 {
                 let certainty = Certainty { x: 3, y: 3, heading: 30 };
                 errors.learn(Instant(step * 50_000), pose(truth), certainty, odometry, &noise());

@@ -206,7 +206,7 @@ fn drive() -> impl Strategy<Value = Drive> {
             (-300..1_500i32, -8_000..8_000i32),
             // Time between fixes, their errors and their delay.
             (60_000..180_000u64, -30..30i32, -30..30i32, -200..200i32, 0..300_000u64),
-            // An outlier, or the robot is carried off.
+            // Some of these values stand for an outlier, or for a robot that is carried off.
             0..60u32,
         ),
         20..120,
@@ -368,13 +368,13 @@ enum Input {
     Ask(Instant, Instant, bool),
 }
 
-/// Mostly within a few seconds.
+/// A time, mostly within the first few seconds.
 fn moment() -> impl Strategy<Value = Instant> {
     prop_oneof![8 => 0..5_000_000u64, 1 => any::<u64>(), 1 => u64::MAX - 9..=u64::MAX]
         .prop_map(Instant)
 }
 
-/// Mostly within a room.
+/// A pose, mostly within a room.
 fn any_pose() -> impl Strategy<Value = Pose> {
     let coordinate = || prop_oneof![4 => -5_000..5_000i32, 1 => any::<i32>()];
     (coordinate(), coordinate(), any::<u16>()).prop_map(|(x, y, heading)| Pose {

@@ -7,11 +7,12 @@
 //!
 //! Information already in the server's map is not counted again: where an observation agrees with
 //! it, the cell stays unknown here; otherwise the cell starts from the map's state, 5 or 1, and
-//! takes several observations to contradict it. If there are too few, the cell is soon reset to
-//! that state. A cell movable in the map starts at 4, so that one crossing makes it free.
+//! takes several observations to contradict it. If there are too few of them in ten seconds, the
+//! cell is reset to the map's state. A cell movable in the map starts at 4, so that one crossing
+//! makes it free.
 //!
 //! A hit is near if it is within [`MappingConfig::near`](super::MappingConfig) of the sensor;
-//! `local_map` decides it.
+//! `local_map` decides which hits are near.
 
 use ubimap_protocol::tile::{Row, TILE_SIDE, Tile};
 
@@ -41,14 +42,15 @@ impl RowSighting {
     }
 }
 
-/// State of two rows of a tile: for each column, whether one of its two cells is in the state.
+/// Two rows of a tile, combined: for each state, the columns in which at least one of the two cells
+/// is in that state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Certain {
-    /// Columns with a certainly occupied cell (level 7), one bit each.
+    /// Columns with a certainly occupied cell (counter at 7), one bit each.
     pub(super) occupied: u32,
-    /// Columns with a certainly free cell (level 1), one bit each.
+    /// Columns with a certainly free cell (counter at 1), one bit each.
     pub(super) free: u32,
-    /// Known, but in neither state.
+    /// Columns with a known cell in neither of these states, one bit each.
     pub(super) neither: u32,
 }
 
@@ -153,14 +155,15 @@ impl Evidence {
     }
 }
 
-/// Counts the observations of a row: a hit up, from unknown to 5, at most to 7; a crossing down,
-/// from unknown to 3, at least to 1. Returns the hits in cells that were not at the maximum.
+/// Counts the observations of a row. A hit counts an unknown cell to 5, and any other up by one to
+/// at most 7; a crossing counts an unknown cell to 3, and any other down by one to at least 1.
+/// Returns the hits in cells that were not at the maximum.
 #[inline(always)]
 fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     let [low, middle, high] = *row;
     let RowSighting { free, hit } = sighting;
     if hit != 0 && (low | middle | high) & (free | hit) == 0 {
-        // The shortcut for a row of which nothing is known.
+        // A shortcut for the case that none of the observed cells is known.
         *row = [low | hit | free, middle | free, high | hit];
         return hit;
     }
@@ -175,7 +178,7 @@ fn count(row: &mut [u32; 3], sighting: RowSighting) -> u32 {
     // A cell is in at most one of `free` and `hit`, so the crossings have not changed these.
     let both = low & middle;
     let up = hit & !(both & high);
-    // An unknown cell counts to 1, then is set to 5.
+    // An unknown cell that is hit counts to 1, and its high bit then makes that 5.
     let begun = hit & !(low | middle | high);
     *row = [low ^ up, middle ^ (up & low), high ^ (up & both | begun)];
     up

@@ -20,7 +20,7 @@ impl Default for Gate {
 
 impl Gate {
     /// Whether the robot, now at `now`, has moved far enough since its last mapped scan, taken at
-    /// `mapped`.
+    /// `mapped`; also true if no scan has been mapped.
     pub fn opens(&self, mapped: Option<Pose>, now: Pose) -> bool {
         let Some(mapped) = mapped else { return true };
         let square = |value: i32| i64::from(value) * i64::from(value);

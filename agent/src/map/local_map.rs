@@ -38,7 +38,8 @@ pub struct MappingConfig {
     pub resolution: Millimetres,
     /// Maximum radial range that is mapped, in millimetres.
     pub max_range: u16,
-    /// Hits at most this far from the sensor along `map`'s x and y count twice, in millimetres.
+    /// Hits count twice as evidence if their distances from the sensor along `map`'s x and y are
+    /// both at most this, in millimetres.
     pub near: u16,
     /// The sensor in `base_link`.
     pub mounting: Pose,
@@ -159,8 +160,8 @@ impl<'b> LocalMap<'b> {
         self.next_ageing
     }
 
-    /// Ages the evidence if that is due: evidence against the `merged` map that was too weak to be
-    /// sent is reset.
+    /// Ages the evidence if that is due: evidence against the server's map that was too weak to be
+    /// sent is reset. `merged` returns the server's map of a tile, if held.
     pub fn timeout<'m>(&mut self, now: Instant, merged: impl Fn(TileId) -> Option<&'m Tile>) {
         if now < self.next_ageing {
             return;
@@ -174,7 +175,7 @@ impl<'b> LocalMap<'b> {
     }
 
     /// Adds a scan taken at a pose (`base_link` in `map`), up to `range` millimetres. `around`
-    /// returns the surroundings in a tile. `None` if part of the scan is outside the map's
+    /// returns what is known about a tile. `None` if part of the scan is outside the map's
     /// coordinates.
     #[inline(never)]
     pub fn add<'m>(
@@ -237,7 +238,7 @@ impl<'b> LocalMap<'b> {
     }
 }
 
-/// The cells of a piece dropped because the pool was full.
+/// Number of cells of a piece that were dropped because the pool was full.
 struct Refused(u32);
 
 /// Adds a piece of scan `scan` to its tile's evidence. Returns whether there were new hits.
@@ -271,7 +272,7 @@ fn weigh(
     Ok(count(tile, piece, merged))
 }
 
-/// Counts the near hits of a piece for the first of two times.
+/// Counts the near hits of a piece once more than `count` does. Must be called before it.
 #[inline(always)]
 fn weigh_near(tile: &mut OwnTile, piece: &Piece<'_>, near: &NearCells, merged: Option<&Tile>) {
     let first = piece.first_row;
@@ -323,8 +324,8 @@ mod tests {
         counts: PixelCounts,
     }
 
-    /// The result of a first scan on an empty map, drawn in one part or in as many as the minimum
-    /// scratch memory requires.
+    /// The result of a first scan on an empty map, with `words` words of scratch memory, which
+    /// determine the number of parts in which the scan is drawn.
     fn see_with(words: usize, beams: &[Beam], readings: &[u16], pose: Pose) -> Seen {
         let mut scratch = vec![RowSighting::default(); words];
         let mut places = vec![OwnTile::FREE; 40];

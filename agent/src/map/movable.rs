@@ -5,7 +5,7 @@
 //! | state | history of the block | next | condition |
 //! |---|---|---|---|
 //! | 0 | never occupied | 1 | a cell of it is certainly occupied |
-//! | 1 | occupied | 2 | a cell of it is certainly free, and no known cell of it is not |
+//! | 1 | occupied | 2 | a cell of it is certainly free, and so is every other known cell of it |
 //! | 2 | vacated | 3 | a cell of it is certainly occupied |
 //! | 3 | changes repeatedly | 1 | the tile is calm |
 //!
@@ -26,8 +26,8 @@ use ubimap_protocol::{
 use super::evidence::Evidence;
 use crate::timing::CALM;
 
-/// The low bit of each block's state in a word of two rows, at the block's western cell; the high
-/// bit is next to it.
+/// The low bits of the blocks' states in a word for two rows, each at the column of the block's
+/// western cell; the high bit is next to it.
 const BLOCKS: u32 = 0x5555_5555;
 
 /// The history of changes in a tile.
@@ -48,7 +48,7 @@ impl Changes {
     /// Never occupied.
     pub(super) const NONE: Self = Self { states: [0; TILE_SIDE / 2], last: 0 };
 
-    /// Evaluates the evidence, at a time of the robot's clock.
+    /// Updates the states of the blocks from the evidence at `now` (robot's clock).
     pub(super) fn look(&mut self, evidence: &Evidence, now: Instant) {
         let now = ticks(now);
         let is_calm = now.saturating_sub(self.last) >= ticks(Instant(CALM.0));
@@ -70,7 +70,7 @@ impl Changes {
         }
     }
 
-    /// Marks as movable the occupied cells of blocks that change repeatedly.
+    /// Marks the occupied cells of blocks that change repeatedly as movable.
     pub(super) fn mark(&self, tile: &mut Tile) {
         let pairs = tile.low.as_chunks_mut::<2>().0.iter_mut().zip(tile.high.as_chunks::<2>().0);
         for (states, (low, high)) in self.states.iter().zip(pairs) {

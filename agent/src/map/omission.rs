@@ -48,7 +48,8 @@ impl Sweep {
         }
         let pixels = round(f32::from(turn) / step) as i32;
         let new = (pixels.unsigned_abs() as usize).min(count);
-        // If the beams run to the left, a turn to the left brings new ones into view at their end.
+        // If the beams are ordered from right to left, a turn to the left brings new ones into view
+        // at the end of the scan.
         if pixels > 0 { count - new..count } else { 0..new }
     }
 }

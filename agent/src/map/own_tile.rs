@@ -7,17 +7,17 @@ use ubimap_protocol::{
 
 use super::{evidence::Evidence, movable::Changes};
 
-/// One place in the pool of the robot's own tiles.
+/// One place in the pool of the robot's own tiles, free or in use.
 #[derive(Clone, Debug)]
 pub struct OwnTile {
     /// The tile's id, or `None` for a free place.
     pub(crate) id: Option<TileId>,
-    /// The epoch since which this tile has been kept without interruption.
+    /// The epoch of the tile's versions. A tile that is evicted and observed again gets a new one.
     pub(crate) epoch: Epoch,
     /// The evidence for its cells.
     pub(crate) evidence: Evidence,
     changes: Changes,
-    /// The state of the tile that the server has received.
+    /// The record of what the server holds of the tile.
     pub(crate) publication: Publication,
     /// The newest version that the server has on disk, if it stores tiles.
     pub(crate) stored: Version,
@@ -45,12 +45,12 @@ impl OwnTile {
         self.id
     }
 
-    /// The epoch since which it has been kept without interruption.
+    /// The epoch of the tile's versions. A tile that is evicted and observed again gets a new one.
     pub fn epoch(&self) -> Epoch {
         self.epoch
     }
 
-    /// The part of it that the server has.
+    /// The record of what the server holds of the tile.
     pub fn publication(&self) -> &Publication {
         &self.publication
     }
@@ -65,7 +65,8 @@ impl OwnTile {
         self.dirty
     }
 
-    /// Updates the history of movable blocks; called before the tile is published.
+    /// Updates the history of changes from which movable cells are detected. Must be called before
+    /// the tile is published.
     pub(crate) fn look(&mut self, now: Instant) {
         self.changes.look(&self.evidence, now);
     }
@@ -106,7 +107,7 @@ pub struct Pool<'b> {
 }
 
 impl<'b> Pool<'b> {
-    /// A pool of as many tiles as there are places.
+    /// An empty pool with room for `places.len()` tiles.
     pub fn new(places: &'b mut [OwnTile]) -> Self {
         places.fill(OwnTile::FREE);
         Self { places, kept: 0, epoch: Epoch(0), evicted: 0, next: 0, server_stores: false }
@@ -118,7 +119,7 @@ impl<'b> Pool<'b> {
     }
 
     /// Starts a session. If `server_stores`, tiles may be evicted only once the server has them on
-    /// disk. Unless `same_server`, earlier reports of tiles on disk are void.
+    /// disk. Unless `same_server`, earlier reports of tiles on disk are forgotten.
     pub(crate) fn begin_session(&mut self, server_stores: bool, same_server: bool) {
         self.server_stores = server_stores;
         if !same_server {
@@ -134,10 +135,10 @@ impl<'b> Pool<'b> {
         }
     }
 
-    /// Starts new tiles at `epoch` or later: earlier epochs may have been used before a reboot. Tiles
-    /// that were sent are moved there as well if they must be `renumbered`. If this robot's epoch is
-    /// more than `EPOCHS_AHEAD` above it, the server has lost its memory, and all tiles are moved to
-    /// `epoch`.
+    /// Gives new tiles and those never sent the epoch `epoch` or a later one: earlier epochs may
+    /// have been used before a reboot. Tiles that were sent are moved as well if they must be
+    /// `renumbered`. If the pool's epoch is more than `EPOCHS_AHEAD` above `epoch`, the server has
+    /// lost its records, and all tiles are moved to `epoch`.
     pub fn start_epochs_at(&mut self, epoch: Epoch, renumbered: bool) {
         let is_too_far = self.epoch.0 > epoch.0.saturating_add(EPOCHS_AHEAD);
         self.epoch = if is_too_far { epoch } else { self.epoch.max(epoch) };
@@ -169,7 +170,8 @@ impl<'b> Pool<'b> {
     /// evicted: each has changes that the server has not stored, or was observed by this same scan
     /// (number `scan`).
     pub fn find_or_begin(&mut self, id: TileId, scan: u32) -> Option<&mut OwnTile> {
-        // Scans visit the same few tiles in the same order.
+        // The search starts after the last tile found, as scans visit the same few tiles in the
+        // same order.
         let kept = self.places.get(..self.kept)?;
         let next = self.next.min(kept.len());
         let (before, after) = kept.split_at_checked(next)?;

@@ -1,10 +1,9 @@
 //! Masks for the other robots, which are not mapped (Ahmed 2.2, the "window around other robots").
 //!
-//! Ahmed leaves out a square around each. But robots are not square: the ends of his appear in his
-//! maps, and a square that fits any heading hides walls beside a long robot. Here the mask is the
-//! robot's footprint at its heading, with a margin for all uncertainties. If the heading is
-//! unknown, the margin grows until the mask covers the square.
-//! heading is unknown, that grows to the size of the square.
+//! Ahmed leaves out a square around each robot. But robots are not square: the ends of Ahmed's
+//! robots appear in his maps, and a square that fits any heading hides walls beside a long robot.
+//! Here the mask is the robot's footprint at its heading, with a margin for all uncertainties. If
+//! the heading is unknown, the margin grows until the mask covers the square.
 
 use heapless::Vec;
 use libm::sqrtf;
@@ -36,13 +35,13 @@ pub enum PeerMask {
 /// Maximum speed and turn rate assumed since the last report, in mm/s and rad/s.
 const SPEED: f32 = 500.0;
 const TURN: f32 = 1.0;
-/// Distance driven at that speed after which the robot's position counts as unknown, in mm.
+/// Distance driven at `SPEED` after which the robot's position counts as unknown, in mm.
 const MAX_WAY: u32 = 1_500;
-/// Variance of a position measured by cameras (30 mm), and twice the deviation of a heading, in
-/// rad.
+/// Variance of a position measured by cameras, in mm^2 (a deviation of 30 mm), and twice the
+/// deviation of a measured heading, in rad.
 const SEEN_POSITION: f32 = 900.0;
 const SEEN_TURN: f32 = 0.07;
-/// Larger than any angle: an unknown heading, in rad.
+/// The uncertainty of an unknown heading, in rad: larger than any angle.
 const ANY_TURN: f32 = 10.0;
 /// Variance of a reading, relative to its square: a deviation of 1/64.
 const READING: f32 = 1.0 / 4_096.0;
@@ -98,7 +97,7 @@ impl PeerMasks {
         let mut cells = None;
         for mask in &self.masks {
             let (x, y) = id.first_cell();
-            // From the robot to the centre of the first cell.
+            // From the mask's centre to the centre of the tile's first cell, along one axis.
             let from = |cell: i32, centre: Millimetres| {
                 let middle = cell.wrapping_mul(self.side).wrapping_add(self.side / 2);
                 (Millimetres(middle) - centre).0 as f32
@@ -127,7 +126,8 @@ struct Mask {
 }
 
 impl Mask {
-    /// For a robot whose pose is `age` microseconds older or newer than the scan.
+    /// The mask of `peer`, whose pose is `age` microseconds older or newer than the scan. `unsure`
+    /// holds the variances of the scan's pose.
     fn new(peer: &Peer, age: u32, scan: &ScanContext, unsure: Variances) -> Self {
         let seconds = age as f32 * 1.0e-6;
         let off = |here: Millimetres, there: Millimetres| (there - here).0 as f32;
@@ -154,8 +154,8 @@ impl Mask {
         }
     }
 
-    /// Marks the cells of a tile whose first cell has its centre at (x, y) from the rectangle's
-    /// centre.
+    /// Marks the cells of a tile that are inside the rectangle. The centre of the tile's first cell
+    /// is at (x, y) relative to the rectangle's centre.
     fn mark(&self, x: f32, y: f32, side: f32, cells: &mut [u32; TILE_SIDE]) {
         let (cos, sin) = self.turn;
         // A row of cells crosses both pairs of the rectangle's sides. For each pair the covered
@@ -255,7 +255,8 @@ mod tests {
                         let along = (dx * cos + dy * sin).abs() - f64::from(mask.length);
                         let across = (dy * cos - dx * sin).abs() - f64::from(mask.width);
                         let off = along.max(across);
-                        // Next to an axis it is rotated by up to a quarter of a degree.
+                        // A mask that is nearly parallel to an axis is rotated by up to a quarter
+                        // of a degree.
                         let slack = 1.0 + 0.005 * dx.hypot(dy);
                         let is_in = cells >> column & 1 != 0;
                         prop_assert!(off.abs() < slack || is_in == (off < 0.0), "{off} at {dx}, {dy}");
@@ -312,7 +313,8 @@ mod tests {
             masks.masks[0].width
         };
         let sure = room(Variances::default());
-        // One degree at 2 m is 35 mm; plus 30 mm of the other robot and 31 mm of the reading.
+        // Deviations: 30 mm of the other robot's position and 31 mm of the reading; `more` adds the
+        // uncertainty of the pose, of which one degree is 35 mm at 2 m.
         let expected = |more: f32| 360.56 + 35.5 + 2.0 * (900.0f32 + 976.6 + more).sqrt();
         assert!((sure - expected(0.0)).abs() < 0.1, "{sure}");
         let unsure = room(Variances { position: 5_000.0, heading: 0.000_304_6 });

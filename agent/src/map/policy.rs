@@ -1,7 +1,7 @@
 //! Which part of the sensor's data is mapped: the methods compared by the paper, and their
 //! extension (Aluckal III.A).
 
-/// From mapping everything to mapping least.
+/// The methods, from the one that maps everything to the one that maps least.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Policy {
     /// Maps every scan as a whole.

@@ -18,11 +18,12 @@ pub(super) const CELL: i32 = 1 << FRACTION;
 /// A position: x and y in 1/65,536 cells.
 pub(super) type Point = (i32, i32);
 
-/// A corner of the polygon: x and y in 1/65,536 cells, relative to a cell's centre, so that the
-/// integer part is the first row and column whose centres are at or beyond it.
+/// A corner of the polygon of free space (see `trace`): x and y in 1/65,536 cells, relative to a
+/// cell's centre, so that their integer parts are the first column and row whose centres are at or
+/// beyond the corner.
 pub(super) type Corner = (i32, i32);
 
-/// From the centre of a cell to its end towards the next one, in 1/65,536 cells.
+/// Distance from the centre of a cell to its last point before the next cell, in 1/65,536 cells.
 const TO_MIDDLE: i32 = CELL / 2 - 1;
 
 /// Additional fractional bits of a [`Direction`].
@@ -32,7 +33,7 @@ const EXTRA: u32 = 3;
 #[derive(Clone, Copy, Default)]
 pub(super) struct Direction(pub(super) i32, pub(super) i32);
 
-/// Converts readings to positions: the sensor's position and heading.
+/// Converts readings to positions on the grid, for one position and heading of the sensor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Projection {
     /// The cell that contains the sensor.
@@ -46,9 +47,9 @@ pub(super) struct Projection {
 }
 
 impl Projection {
-    /// For a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in `base_link` and
-    /// cells of at least [`MIN_RESOLUTION`]. The heading of `mounting` is ignored: the table of
-    /// beams includes it. Positions are relative to the corner of the sensor's cell.
+    /// The projection for a robot at `pose` (`base_link` in `map`), with a sensor at `mounting` in
+    /// `base_link` and cells of at least [`MIN_RESOLUTION`]. The heading of `mounting` is ignored:
+    /// the table of beams includes it. Positions are relative to the corner of the sensor's cell.
     pub(super) fn new(pose: Pose, mounting: Pose, resolution: Millimetres) -> Self {
         let one = (1 << DIRECTION_BITS) as f32;
         let (sin, cos) = sin_cos(radians(pose.heading));
@@ -92,7 +93,7 @@ impl Projection {
         self.origin
     }
 
-    /// The sensor's position as a corner of the polygon.
+    /// The sensor's position as a corner of the polygon of free space.
     #[inline(always)]
     pub(super) fn sensor(&self) -> Corner {
         (self.origin.0.wrapping_add(TO_MIDDLE), self.origin.1.wrapping_add(TO_MIDDLE))
@@ -120,7 +121,7 @@ impl Projection {
         direction.from(self.origin, reading)
     }
 
-    /// The end of a beam as a corner of the polygon.
+    /// The end of a beam as a corner of the polygon of free space.
     #[inline(always)]
     pub(super) fn corner(&self, direction: Direction, reading: u32) -> Corner {
         direction.from(self.sensor(), reading)

@@ -16,7 +16,7 @@ use crate::sense::Beam;
 /// Margin between the outermost cells that a beam can touch and the side of the window, in cells.
 const RIM: i32 = 2;
 
-/// Bits of a position within a column of tiles.
+/// Number of bits of a coordinate that give the position within a column of tiles.
 const COLUMN: u32 = FRACTION + TILE_SIDE.ilog2();
 
 /// Edges that cross fewer rows are drawn faster row by row.
@@ -25,8 +25,8 @@ const FEW_ROWS: i32 = 8;
 /// Number of arcs into which a part of a scan is divided to find its extent.
 const ARCS: usize = 4;
 
-/// Number of words of a window for any eighth of a turn of a scan with this radius in cells: 340
-/// (2.7 kB, two planes) for 80.
+/// Number of words of a window that holds any eighth of a turn of a scan with this radius in cells:
+/// 340 (2.7 kB, two planes) for 80.
 pub(super) const fn words_of(radius: usize) -> usize {
     let across = radius + 2 * RIM as usize + 1;
     across * ((across + TILE_SIDE - 2) / TILE_SIDE + 1)
@@ -81,8 +81,8 @@ impl<'s> ScanWindow<'s> {
         near.is_some() && far.is_some_and(|(x, y)| TileId::of_cell(x, y).is_some())
     }
 
-    /// Marks as hit the cells of a surface between two points, which are `beams` beams apart.
-    /// Points are relative to the corner.
+    /// Marks the cells of a surface between two points as hit. The points are relative to the
+    /// window's corner, and hit by beams that are `beams` beams apart.
     #[inline(always)]
     pub(super) fn surface(&mut self, from: Point, to: Point, beams: i32) {
         let (run, rise) = (to.0 - from.0, to.1 - from.1);
@@ -92,7 +92,7 @@ impl<'s> ScanWindow<'s> {
         }
     }
 
-    /// Marks `cells` cells as hit, starting at a point and advancing by `step` each time.
+    /// Marks `cells` cells as hit, advancing by one step from the given point before each of them.
     #[inline(never)]
     fn surface_of(&mut self, (mut x, mut y): Point, (step_x, step_y): Point, cells: i32) {
         for _ in 0..cells {
@@ -110,7 +110,7 @@ impl<'s> ScanWindow<'s> {
         }
     }
 
-    /// Flips a cell.
+    /// Flips the free bit of a cell.
     #[inline(always)]
     fn flip(&mut self, row: usize, column: u32) {
         if let Some(cells) = self.word(row, column) {
@@ -204,7 +204,8 @@ impl<'s> ScanWindow<'s> {
 struct Sector<'p> {
     projection: &'p Projection,
     range: u16,
-    /// The south-western and north-eastern corner of all beams added so far.
+    /// The south-western and north-eastern corner of the rectangle that contains all beams added so
+    /// far.
     low: Point,
     high: Point,
     /// The direction of the last beam.
@@ -233,7 +234,7 @@ impl<'p> Sector<'p> {
         sector
     }
 
-    /// Adds the first or the last beam of the sector.
+    /// Adds the end point of a beam that is the first or the last of a run of used beams.
     #[inline(never)]
     fn end(&mut self, beam: Beam) {
         let Self { projection, low, high, .. } = self;
@@ -259,17 +260,17 @@ impl<'p> Sector<'p> {
     }
 }
 
-/// The first `columns` columns of a word from the west, at most 32.
+/// A word in which the `columns` westernmost columns are set, at most 32.
 pub(super) fn below(columns: u32) -> u32 {
     ((1u64 << columns) - 1) as u32
 }
 
-/// The rows of a tile in a window.
+/// The part of a tile that lies in a window: a range of rows.
 #[derive(Debug)]
 pub(super) struct Piece<'w> {
     /// The tile's id.
     pub(super) id: TileId,
-    /// The first row of the tile.
+    /// The first row of the tile that lies in the window.
     pub(super) first_row: usize,
     rows: &'w mut [RowSighting],
     /// The rows of the next tile to the east.
@@ -290,7 +291,8 @@ impl<'w> Piece<'w> {
         fours.iter().all(silent) && rest.iter().all(|row| row.known() == 0)
     }
 
-    /// A copy of the piece, stored in `memory`, without the given cells of its tile.
+    /// A copy of the piece, stored in `memory`, without the observations of these cells of its
+    /// tile.
     pub(super) fn without<'r>(
         self,
         cells: &[u32; TILE_SIDE],
@@ -314,8 +316,8 @@ impl<'w> Piece<'w> {
         self.rows.get(rows).unwrap_or_default().iter().map(|row| row.hit)
     }
 
-    /// The observations of the rows: turns the flipped cells into the interior, and subtracts the
-    /// hits.
+    /// Reads and clears the observations of the rows: turns the flipped cells into the interior,
+    /// and subtracts the hits from it.
     #[inline(always)]
     pub(super) fn fill(self) -> impl Iterator<Item = RowSighting> + use<'w> {
         self.rows.iter_mut().zip(self.east).map(|(row, east)| {

@@ -23,7 +23,7 @@ pub enum Selected {
     Changed(Range<usize>),
 }
 
-/// Decides for each scan, from the scans before it.
+/// Decides which readings of a scan are mapped, from the scans mapped before it.
 #[derive(Debug)]
 pub struct Selection {
     policy: Policy,
@@ -32,12 +32,12 @@ pub struct Selection {
     /// The odometry at the last mapped scan: `base_link` in `odom`.
     odometry_then: Option<Pose>,
     last: LastScan,
-    /// Number of further scans in which the current change is mapped.
+    /// Number of scans in which the current change has been mapped so far.
     repeats: u8,
 }
 
 impl Selection {
-    /// For a sensor; nothing is mapped yet.
+    /// A selection for the sensor with this table of beams; nothing is mapped yet.
     pub fn new(policy: Policy, beams: &[Beam]) -> Self {
         Self {
             policy,
@@ -73,7 +73,7 @@ impl Selection {
             && self.last.changed(readings).is_none()
     }
 
-    /// The new readings of a scan taken at `pose` (`base_link` in `map`).
+    /// Selects the readings to map from a scan taken at `pose` (`base_link` in `map`).
     pub fn select(&self, gate: Gate, pose: Pose, readings: &[u16]) -> Selected {
         if self.policy == Policy::Pilot || gate.opens(self.mapped_at, pose) {
             let all = 0..readings.len();
@@ -93,7 +93,8 @@ impl Selection {
         }
     }
 
-    /// Records that a part of a scan has been mapped, and the odometry.
+    /// Records that `part` of a scan has been mapped, and the pose and odometry at which the scan
+    /// was taken.
     pub fn mapped(
         &mut self,
         pose: Pose,

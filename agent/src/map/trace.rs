@@ -22,8 +22,7 @@ use super::{
 };
 use crate::sense::{Beam, DIRECTION_BITS, Validity};
 
-/// Difference of two adjacent readings from which on they belong to different surfaces, in
-/// millimetres.
+/// Maximum difference between two adjacent readings that belong to one surface, in millimetres.
 const JUMP: u32 = 150;
 
 /// Counts of a scan's readings.
@@ -35,7 +34,7 @@ pub struct PixelCounts {
     pub kept: u32,
     /// Readings skipped as redundant.
     pub omitted: u32,
-    /// Readings without a return, or outside the sensor model.
+    /// Readings that are missing, invalid, or of removed beams.
     pub invalid: u32,
 }
 
@@ -56,11 +55,12 @@ pub(super) struct Grain {
     margin: u32,
     /// Three quarters of a cell: the maximum deviation within a surface.
     tolerance: u32,
-    /// Reading (mm) times number of beams that spans [`SPAN`] cells sideways.
+    /// A number of adjacent beams spans [`SPAN`] cells sideways if the number times their reading
+    /// (mm) is this product.
     spread: u32,
     /// Range limit of the mapping.
     reach: Reach,
-    /// Reading (mm) times number of beams that spans half a cell.
+    /// The same product for a number of beams that spans half a cell.
     bridge: u32,
     /// The first valid reading, and the length of the interval of valid readings.
     counting: (u32, u32),
@@ -111,7 +111,7 @@ const SPAN: u32 = 16;
 const CHECKS: usize = SPAN as usize * 3 / 2;
 
 impl Grain {
-    /// For a sensor's table.
+    /// The parameters for a sensor with this table of beams, and for cells of side `side`.
     pub(super) fn new(
         beams: &[Beam],
         side: Millimetres,
@@ -240,9 +240,9 @@ impl Grain {
         last + (last + 1..last + stride).take_while(is_next).count()
     }
 
-    /// Starting from a beam out of range, the last beam before `end` up to which every beam is out
-    /// of range; or the next beam, if the surface enters the range within a cell. Checks every
-    /// `stride`th beam, then each beam after the last match.
+    /// The last beam before `end` up to which every beam is out of range, starting from `from`,
+    /// which is; or the beam after it, if the surface enters the range within a cell there. Checks
+    /// every `stride`th beam, then each beam after the last match.
     #[inline(never)]
     fn nothing_up_to(
         &self,
@@ -284,7 +284,8 @@ pub(super) struct Part<'s> {
     pub(super) is_continued: bool,
 }
 
-/// Draws a part of a scan. Returns the nearest hit, in millimetres of reading.
+/// Draws a part of a scan, and adds the counts of its readings to `pixels`. Returns the reading of
+/// the nearest hit in millimetres, or `u32::MAX` if there is none.
 #[inline(never)]
 pub(super) fn trace(
     window: &mut ScanWindow<'_>,
@@ -325,7 +326,8 @@ pub(super) fn trace(
         let least = last.reach.min(reach);
         let mut from = sensor;
         let mut surface = None;
-        // Is the gap too narrow for a cell that no beam crosses? Half as wide near the robot.
+        // Invalid beams break the outline unless the gap is too narrow to contain a cell that no
+        // beam crosses. Near the robot, half that width is allowed.
         let bridge = if least > near { 2 * grain.bridge } else { grain.bridge };
         if is_broken && (passed as u32).wrapping_mul(least) > bridge {
             window.edge(last.at, sensor);

@@ -48,7 +48,7 @@ impl Bounds {
     pub const SMALL: Self =
         Self { readings: 64, own_tiles: 8, fused_tiles: 12, max_range: 2_000, ..Self::DEFAULT };
 
-    /// Words of scratch memory.
+    /// Number of words of scratch memory for mapping.
     pub const fn scratch(&self) -> usize {
         scratch_words(self.max_range, self.resolution)
     }

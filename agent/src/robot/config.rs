@@ -27,9 +27,11 @@ pub struct Config<D = NoDrive> {
     pub boot_nonce: u32,
     /// Memory sizes, and the map's range and resolution.
     pub bounds: Bounds,
-    /// Hits at most this far from the sensor along `map`'s x and y count twice, in millimetres. For
-    /// a grey camera use [`ScaleCurve::near`](crate::sense::ScaleCurve::near). `None` stands for a
-    /// quarter of the range, within which beams are closer together than cells.
+    /// Hits count twice as evidence if their distances from the sensor along `map`'s x and y are
+    /// both at most this, in millimetres. For a grey camera use
+    /// [`ScaleCurve::near`](crate::sense::ScaleCurve::near). `None` stands for 0.18 times the
+    /// range: the corners of that square are a quarter of the range away, and within it beams are
+    /// closer together than cells.
     pub near: Option<NonZero<u16>>,
     /// The sensor's geometry.
     pub sensor: SensorModel,
@@ -45,13 +47,13 @@ pub struct Config<D = NoDrive> {
     pub removed: [Option<Removal>; 4],
     /// Maximum turn rate and acceleration for a scan to be mapped.
     pub steady: SteadyLimits,
-    /// The source of the poses.
+    /// Where the poses come from: the server's fixes, or odometry alone.
     pub pose_source: PoseSource,
     /// The noise of the odometry.
     pub odometry_noise: OdometryNoise,
     /// Maximum uncertainty of a pose for its scan to be mapped.
     pub uncertainty_limit: UncertaintyLimit,
-    /// How far the robot must move before it maps again.
+    /// How far the robot must move before it maps another scan.
     pub gate: Gate,
     /// Which part of a scan is mapped.
     pub policy: Policy,

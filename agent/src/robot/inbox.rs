@@ -21,7 +21,7 @@ impl Mapper<'_> {
     pub(super) fn begin_session(&mut self, welcome: &Welcome, same_server: bool, now: Instant) {
         self.statistics.sessions = self.statistics.sessions.wrapping_add(1);
         if !same_server {
-            // A restarted server has another clock, so times by the old clock are void.
+            // A restarted server has another clock, so times by the old clock mean nothing now.
             self.clock = ClockSync::default();
             self.commands.forget();
             self.latest_pose = None;
@@ -51,8 +51,8 @@ impl Mapper<'_> {
         }
     }
 
-    /// Processes a message. A command about parameters is stored, and executed after the rest of
-    /// the frame. Returns `None` if the message is malformed.
+    /// Processes a message. A command about parameters is only stored in `command`; the caller
+    /// executes it after the rest of the frame. Returns `None` if the message is malformed.
     fn take_one(
         &mut self,
         message: ToRobotMessage<'_>,
@@ -70,7 +70,8 @@ impl Mapper<'_> {
                     return None;
                 }
                 let (publisher, pool) = (&mut self.outbox.publisher, &mut self.map.pool);
-                // Cells that agreed with a wrong tile of the server's map are news after all.
+                // The robot has not sent cells that agreed with a wrong tile, so they must be sent
+                // now.
                 let dropped = |id| publisher.requested(pool, id, now);
                 self.fused.update(head.layer, coded, dropped).ok()?;
             }
@@ -123,7 +124,7 @@ impl Mapper<'_> {
             return None;
         }
         let (publisher, pool) = (&mut self.outbox.publisher, &mut self.map.pool);
-        // Cells that agreed with a wrong tile of the server's map are news after all.
+        // The robot has not sent cells that agreed with a wrong tile, so they must be sent now.
         self.fused.compare(&digests, |id| publisher.requested(pool, Some(id), now));
         Some(())
     }
@@ -166,7 +167,8 @@ impl Mapper<'_> {
         self.outbox.answer = Some(carry_out(command, &mut self.settings));
         self.outbox.publisher.set_hold(self.settings.hold);
         if let ParameterAction::Set(_) = command.action {
-            // Recomputed for any parameter: commands are rare, and the table is cheap.
+            // The table of beams is recomputed whichever parameter was set: commands are rare, and
+            // the table is cheap.
             point_beams(self.beams, &self.settings);
             self.map.configure((&self.settings).into(), self.beams);
         }

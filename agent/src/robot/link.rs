@@ -35,7 +35,7 @@ pub(super) struct Link {
 }
 
 impl Link {
-    /// A freshly booted robot, which starts the handshake.
+    /// The link of a freshly booted robot, which starts the handshake.
     #[inline(never)]
     pub(super) fn new(boot_nonce: u32) -> Self {
         Self {
@@ -86,8 +86,8 @@ impl Link {
         self.endpoint.poll_timeout().map_or(due, |resend| resend.min(due))
     }
 
-    /// Processes bytes up to the end of the next frame. Returns `false` if they end before the
-    /// frame does.
+    /// Consumes `bytes` up to the end of the next frame, and processes the frame. Returns `false`
+    /// if `bytes` ends before the frame does.
     #[inline(never)]
     pub(super) fn receive_frame(
         &mut self,
@@ -98,8 +98,8 @@ impl Link {
         let Some(received) = self.endpoint.receive(bytes, now) else { return false };
         match received {
             Received::Bad => {}
-            // Parsed into a copy: the following calls change the endpoint that the message borrows
-            // from.
+            // The message is parsed into a copy, as it borrows from the endpoint, which the
+            // following calls change.
             Received::Handshake(message) => match Knock::parse(message) {
                 Some(Knock::Welcome(welcome)) => self.welcomed(mapper, &welcome, now),
                 Some(Knock::Refusal(refusal)) => self.refused(&refusal, now),
@@ -114,7 +114,7 @@ impl Link {
         true
     }
 
-    /// Passes the acknowledged frames to the mapper.
+    /// Reports the acknowledged frames to the mapper.
     pub(super) fn settle(&mut self, mapper: &mut Mapper<'_>, now: Instant) {
         while let Some(token) = self.endpoint.poll_acknowledged() {
             mapper.acknowledged(token, now);
@@ -141,7 +141,8 @@ impl Link {
         }
     }
 
-    /// Ends the session, because the server reports that it has none with this robot.
+    /// Ends the session, because the server reports that it has none with this robot. Ignored if
+    /// the session was active within the last [`RESET_SILENCE`].
     fn reset(&mut self, now: Instant) {
         if self.is_connected() && now.since(self.heard) > RESET_SILENCE {
             self.endpoint.end();

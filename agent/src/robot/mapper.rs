@@ -22,7 +22,7 @@ pub(super) struct Mapper<'b> {
     /// The server's clock, once synchronised.
     pub(super) clock: ClockSync,
     pub(super) latest_pose: Option<(Instant, Pose)>,
-    /// Whether the newest scans could not be given a pose.
+    /// Whether the newest scan was dropped because its pose was unknown.
     pub(super) lost: bool,
     pub(super) map: LocalMap<'b>,
     pub(super) fused: FusedMap<'b>,
@@ -32,7 +32,7 @@ pub(super) struct Mapper<'b> {
 }
 
 impl<'b> Mapper<'b> {
-    /// A freshly booted robot.
+    /// The mapper of a freshly booted robot.
     #[inline(never)]
     pub(super) fn new<D: Drive>(
         config: &Config<D>,
@@ -66,7 +66,8 @@ impl<'b> Mapper<'b> {
         self.map.timeout(now, |id| self.fused.tile(id));
     }
 
-    /// Whether the server has acknowledged everything mapped so far.
+    /// Whether the server has acknowledged everything mapped so far and has been sent the window of
+    /// tiles that the robot wants.
     pub(super) fn is_idle(&self) -> bool {
         self.map.pool.tiles().all(|tile| !tile.is_dirty()) && self.fused.untold().is_none()
     }

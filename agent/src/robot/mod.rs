@@ -3,7 +3,8 @@
 //!
 //! [`Robot`] is the interface. `scans` turns scans into the map; `link` holds the session with the
 //! server, `inbox` handles the server's messages, and `writing` writes the messages that wait in
-//! the `outbox`; `surroundings` collects the inputs of the drive. All of them work on the `mapper`.
+//! the `outbox`; `surroundings` collects the inputs of the drive. All of them work on the state in
+//! `mapper`.
 
 mod bounds;
 mod config;
@@ -177,11 +178,12 @@ pub struct Robot<'b, D: Drive = NoDrive> {
 }
 
 impl<'b, D: Drive> Robot<'b, D> {
-    /// A freshly booted robot. It is built in place, and needs no more stack than later calls.
+    /// Creates a freshly booted robot. It is built in place, so this call needs no more stack than
+    /// later ones.
     ///
     /// # Errors
     /// [`ConfigError`]: the configuration is invalid, or the memory is too small for it.
-    // Not inlined, and neither are its callees: each writes its result in place, and their stack
+    // Not inlined, and neither are its callees: each writes its result in place, so their stack
     // frames do not add up.
     #[inline(never)]
     pub fn new(
@@ -255,15 +257,16 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.mapper.steadiness.gyro(moment, turn);
     }
 
-    /// Reports a jolt at `moment`, detected by an accelerometer or a bumper. Scans of that time are
-    /// not mapped.
+    /// Reports a jolt at `moment`, detected by an accelerometer or a bumper. Scans taken around
+    /// that time are not mapped.
     pub fn jolt(&mut self, moment: Instant) {
         self.mapper.steadiness.jolt(moment);
     }
 
     /// Stops the wheels at once, whatever the server says: for bumpers, edges and buttons. The stop
-    /// ends at `until`, or with [`Robot::resume`]; of several stops the last to end counts. Each
-    /// new reason is reported to the server, and a bumper is a [`jolt`](Self::jolt), too.
+    /// ends at `until`, if given, and otherwise only with [`Robot::resume`]. Of several stops, the
+    /// one that ends last counts. Each new reason is reported to the server, and a bumper stop also
+    /// counts as a [`jolt`](Self::jolt).
     pub fn stop(&mut self, reason: StopReason, until: Option<Instant>, now: Instant) {
         if reason == StopReason::Bumper {
             self.jolt(now);
@@ -286,7 +289,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.halt = None;
     }
 
-    /// Why the robot is stopped by [`Robot::stop`].
+    /// Why the robot is stopped by [`Robot::stop`]; `None` if it is not.
     pub fn stopped(&self) -> Option<StopReason> {
         self.halt.map(|halt| halt.reason)
     }
@@ -358,9 +361,9 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.mapper.latest_pose
     }
 
-    /// `base_link` in `map` at a time of the robot's clock, as far as it is known now, and the
-    /// standard deviation of the position in millimetres. Extrapolates up to a third of a second
-    /// beyond the newest odometry. At most 13,000 instructions.
+    /// `base_link` in `map` at `moment` (robot's clock), by what is known now, and the standard
+    /// deviation of the position in millimetres. Extrapolates up to a third of a second beyond the
+    /// newest odometry. At most 13,000 instructions.
     pub fn pose_at(&self, moment: Instant) -> Option<(Pose, f32)> {
         self.mapper.pose_at(moment)
     }
@@ -390,7 +393,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.link.refusal()
     }
 
-    /// The epoch of the server in the last session.
+    /// The epoch of the server in the last session; `None` before the first session.
     pub fn server_epoch(&self) -> Option<Epoch> {
         self.link.server_epoch()
     }
@@ -405,7 +408,8 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.link.is_connected()
     }
 
-    /// Whether the server has acknowledged everything mapped so far, and no scan is waiting.
+    /// Whether the server has acknowledged everything mapped so far and has been sent the window of
+    /// tiles that the robot wants, and no scan is waiting.
     pub fn is_idle(&self) -> bool {
         self.scans.oldest().is_none() && self.mapper.is_idle()
     }

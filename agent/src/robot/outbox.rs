@@ -61,8 +61,8 @@ impl Outbox {
         self.next_state = now;
     }
 
-    /// Reports an event after which the server may have to decide something. So the robot's state
-    /// follows at once, and changes of the map soon.
+    /// Reports an event that may require a decision of the server. To inform it, the robot also
+    /// sends its state at once, and changes of the map without delay.
     pub(super) fn raise(&mut self, code: EventCode, now: Instant) {
         self.next_state = now;
         self.publisher.hurry(now + HURRY);

@@ -14,7 +14,7 @@ use ubimap_protocol::{
 use super::settings::Settings;
 use crate::sense::{Exposure, Removal};
 
-/// The parameters by number.
+/// The parameters. The value of a variant is the parameter's number on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Parameter {
@@ -60,7 +60,7 @@ fn halves(value: i32) -> (u16, u16) {
     ((value >> 16) as u16, value as u16)
 }
 
-/// The value that stands for no removal.
+/// The value of a parameter that removes no readings.
 const NONE: i32 = -1;
 
 impl Parameter {
@@ -191,8 +191,8 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
 
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 
-/// Writes the part of a reply that fits into a frame; the rest stays for the next frame. Returns
-/// `false` if there is nothing to report.
+/// Writes the part of the reply `answer` that fits into a frame; the rest stays for the next frame.
+/// Returns whether anything was written.
 pub(crate) fn push_report(
     answer: &mut Option<Answer>,
     settings: &Settings,

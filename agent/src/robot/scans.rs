@@ -1,4 +1,4 @@
-//! The way of a scan through the robot: it waits for its pose, is mapped, and yields a distance
+//! How the robot processes a scan: the scan waits for its pose, is mapped, and yields a distance
 //! vector.
 
 use core::ops::Range;
@@ -22,7 +22,7 @@ use crate::{
 struct PlacedScan {
     /// When it was taken, by the robot's clock.
     taken: Instant,
-    /// The time by the server's clock, once the clocks are synchronised.
+    /// The same time by the server's clock; `None` before the clocks are synchronised.
     server_moment: Option<Instant>,
     /// `base_link` in `map`.
     pose: Pose,
@@ -105,7 +105,8 @@ impl Mapper<'_> {
         }
     }
 
-    /// Evaluates the pose of a scan. Returns `None` if the scan must wait, or is dropped.
+    /// Checks the pose of a scan, and stores it as the newest. Returns `None` if the scan is
+    /// dropped because its pose is unknown or the robot was shaken.
     fn place(&mut self, taken: Instant, located: Located, now: Instant) -> Option<PlacedScan> {
         let (pose, variances) = match located {
             Located::At(pose, variances) => (pose, Some(variances)),
@@ -177,8 +178,9 @@ impl Mapper<'_> {
         }
     }
 
-    /// Sets invalid readings to 0. If not `wholly`, only removed readings: mapping checks the other
-    /// rules itself where it needs them.
+    /// Sets invalid readings and those of removed beams to 0. Unless `wholly`, invalid readings are
+    /// left if none are removed by distance: mapping checks the other rules itself where it needs
+    /// them.
     fn clean(&self, readings: &mut [u16], wholly: bool) {
         if wholly || self.settings.validity.removes() {
             self.settings.validity.clean(readings);

@@ -14,8 +14,8 @@ use crate::{
     sense::{Exposure, Removal, SensorModel, Validity},
 };
 
-/// The part of a robot's [`Config`] that applies at run time, with the server's changes. The fields
-/// have the same meaning as there.
+/// The part of a robot's [`Config`] that applies at run time, with the changes that the server has
+/// made. The fields mean the same as in [`Config`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// The robot's id.
@@ -24,7 +24,8 @@ pub struct Settings {
     pub resolution: Millimetres,
     /// The maximum mapped range, in millimetres.
     pub max_range: u16,
-    /// Hits at most this far from the sensor along `map`'s x and y count twice, in millimetres.
+    /// Hits count twice as evidence if their distances from the sensor along `map`'s x and y are
+    /// both at most this, in millimetres.
     pub near: Option<NonZero<u16>>,
     /// The sensor's geometry.
     pub sensor: SensorModel,
@@ -37,7 +38,7 @@ pub struct Settings {
     pub exposure: Exposure,
     /// Readings that are never mapped.
     pub removed: [Option<Removal>; 4],
-    /// How far the robot must move before it maps again.
+    /// How far the robot must move before it maps another scan.
     pub gate: Gate,
     /// Which part of a scan is mapped.
     pub policy: Policy,

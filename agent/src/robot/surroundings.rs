@@ -6,7 +6,7 @@ use super::{link::Link, mapper::Mapper};
 use crate::drive::Surroundings;
 
 impl<'b> Mapper<'b> {
-    /// `base_link` in `map` at a time, and the standard deviation of the position in millimetres.
+    /// `base_link` in `map` at `moment`, and the standard deviation of the position in millimetres.
     pub(super) fn pose_at(&self, moment: Instant) -> Option<(Pose, f32)> {
         let (pose, variances) = self.locator.predicted(moment)?;
         Some((pose, libm::sqrtf(variances.position)))

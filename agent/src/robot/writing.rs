@@ -14,7 +14,7 @@ use super::{
 use crate::timing::STATE_INTERVAL;
 
 impl Mapper<'_> {
-    /// When the next frame of a session is due. Tiles count only if reliable frames can be sent.
+    /// When the next frame of a session is due. Tile updates count only if `can_send_reliable`.
     pub(super) fn poll_transmit_timeout(&self, can_send_reliable: bool) -> Instant {
         let Outbox { publisher, next_state, .. } = &self.outbox;
         let due = self.clock.poll_timeout().min(publisher.digest_timeout()).min(*next_state);
@@ -34,8 +34,9 @@ impl Mapper<'_> {
         }
     }
 
-    /// Writes the messages of a frame, if any are due. Messages that would be stale when
-    /// retransmitted go into datagrams, apart from those that must arrive.
+    /// Writes the messages of one frame, if any are due. Messages that would be stale when
+    /// retransmitted are sent in datagrams, separately from those that must arrive. `reliable` says
+    /// whether a reliable frame can be sent now. Returns the kind of frame.
     pub(super) fn write(
         &mut self,
         writer: &mut Writer<'_, ToServer>,

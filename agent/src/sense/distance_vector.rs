@@ -18,8 +18,8 @@ pub fn floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; CO
 }
 
 /// The position of a boundary (equations 3 to 5): at `distance` from the robot, in the direction of
-/// `towards`, another point on the ray of the boundary's column. `None` if that point is the
-/// robot's own.
+/// `towards`, another point on the ray of the boundary's column. `None` if `towards` is the robot's
+/// own position.
 ///
 /// Equation 5 as printed uses the slope of the ray (equation 4), which is the same for the opposite
 /// ray: everything to the left of the robot (smaller x) is mirrored to its right, and a ray along

@@ -22,7 +22,7 @@ pub const LINES: usize = 240;
 const SEED: usize = 32;
 /// Number of consecutive differing pixels that ends the floor.
 const CONFIRMED: u8 = 3;
-/// Fractional bits of a level.
+/// Fractional bits of the floor's grey level.
 const FRACTION: u32 = 7;
 /// Marks a column whose floor has ended: no pixel is within any tolerance of this level.
 const ENDED: u16 = u16::MAX;
@@ -90,7 +90,7 @@ pub struct Floor {
 }
 
 impl Floor {
-    /// Before the first line.
+    /// The floor before the first line of an image.
     pub fn new(config: FloorConfig) -> Self {
         let column = Column { level: 0, distance: 0 };
         Self { config, columns: [column; COLUMNS], lines: 0 }

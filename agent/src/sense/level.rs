@@ -25,9 +25,10 @@ pub(super) struct LevelRow<'b> {
 }
 
 impl LevelRow<'_> {
-    /// Compares the pixels of a line with a height `below` millimetres below the camera. Skips
-    /// pixels that are farther than `tolerance` from it. Rays are computed for every 32nd pixel and
-    /// interpolated in between, with an error below a fifth of a pixel.
+    /// Compares the pixels of a line with the height `below` millimetres below the camera, and
+    /// keeps those nearest to it. Skips pixels that are farther than `tolerance` from it. Rays are
+    /// computed for every 32nd pixel and interpolated in between, with an error below a fifth of a
+    /// pixel.
     pub(super) fn hold(
         &mut self,
         (rays, row): (&Rays, u16),
@@ -50,7 +51,7 @@ impl LevelRow<'_> {
         }
     }
 
-    /// Compares the pixels between two exact rays.
+    /// Compares the pixels of a walk, and keeps those that are nearest to the height.
     fn follow(&mut self, mut walk: Walk, depths: &[u16], below: i32, validity: &Validity) {
         let beyond = walk.beyond.min(self.readings.len()).min(self.misses.len());
         let columns = walk.first..beyond;
@@ -97,7 +98,8 @@ impl Knot {
     }
 }
 
-/// The level camera's columns from one [`Knot`] to the next, and the values interpolated along them.
+/// The level camera's columns from one [`Knot`] to the next, and the values that are interpolated
+/// for each of them: the pixel of the line, and the forward and down components of its ray.
 struct Walk {
     first: usize,
     beyond: usize,
@@ -119,8 +121,8 @@ impl Ramp {
 }
 
 impl Walk {
-    /// From one knot to the next, which is included only if it is the last. `None` if the columns
-    /// do not increase.
+    /// The walk from one knot to the next. The next knot's own column is included only if it is the
+    /// last. `None` if the columns do not increase.
     fn between(start: &Knot, end: &Knot, is_last: bool) -> Option<Self> {
         let span = end.column - start.column;
         let first = roundf(start.column).max(0.0);

@@ -36,7 +36,7 @@ pub enum Slice {
     /// columns of a level camera at the same place. The result is what a lidar at that height would
     /// see, except for occlusions.
     Height {
-        /// Depth of the height below the camera; negative above it.
+        /// Vertical distance of the height below the camera; negative if it is above the camera.
         below: Millimetres,
         /// Maximum vertical distance of a point from the height. It must be at least half the
         /// height of a row at the maximum depth (`Z / fy / 2`), or surfaces fall between two rows.
@@ -93,7 +93,7 @@ impl fmt::Display for SliceError {
 impl core::error::Error for SliceError {}
 
 impl Slice {
-    /// The geometry of its readings, for [`Config::sensor`](crate::Config::sensor).
+    /// The geometry of the slice's readings, for [`Config::sensor`](crate::Config::sensor).
     pub fn sensor(self, camera: Camera) -> SensorModel {
         match self {
             Self::Row(row) => SensorModel::Row { camera, row: f32::from(row) },
@@ -116,7 +116,7 @@ impl Slice {
         }
     }
 
-    /// The first row and the number of rows required; all rows for a height.
+    /// The first row and the number of rows of the slice; (0, 0) for a height, which uses all rows.
     fn rows(self) -> (u16, u16) {
         match self {
             Self::Row(row) => (row, 1),
@@ -151,7 +151,8 @@ pub struct Slicer<'b> {
     width: usize,
     validity: Validity,
     buffer: &'b mut [u16],
-    /// The smallest row index that may come next; `None` before the first row of a frame.
+    /// The smallest row index that continues this frame: a smaller one begins another. `None`
+    /// before the first row of a frame.
     next: Option<u16>,
     /// Number of rows of the slice received.
     taken: u16,
@@ -248,7 +249,7 @@ impl<'b> Slicer<'b> {
         self.missing() == 0
     }
 
-    /// Number of lines missing of the slice; at least one if the frame has not begun.
+    /// Number of lines of the slice that are missing; at least one if the frame has not begun.
     fn missing(&self) -> u16 {
         let (_, rows) = self.slice.rows();
         if self.next.is_none() { rows.max(1) } else { rows.saturating_sub(self.taken) }

@@ -13,9 +13,10 @@ pub struct Commands {
 }
 
 impl Commands {
-    /// Processes a message of one of these kinds; superseded messages are ignored. Returns `None`
-    /// if the message is malformed or of another kind.
-    // Not inlined: these are the longest messages, and would enlarge the stack frame of all others.
+    /// Stores a stop, path, peers or obstacles message, unless it is superseded by the stored one.
+    /// Returns `None` if the message is malformed or of another kind.
+    // Not inlined: these are the longest messages, and decoding them would enlarge the stack frame
+    // in which every other message is processed.
     #[inline(never)]
     pub(crate) fn take(&mut self, message: ToRobotMessage<'_>) -> Option<()> {
         match message {

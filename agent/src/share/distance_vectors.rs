@@ -1,5 +1,4 @@
-//! Distance vectors, sent to the server from time to time, which measures the error of the robot's
-//! pose with them.
+//! When distance vectors are sent. The server measures the error of the robot's pose with them.
 
 use ubimap_protocol::{
     message::{DistanceVector, ToServer, Writer},
@@ -8,8 +7,8 @@ use ubimap_protocol::{
 
 use crate::timing::{BLIND_VECTOR_INTERVAL, STANDING_VECTOR_INTERVAL};
 
-/// Number of vectors sent at the full rate after the start of a session, even at standstill: the
-/// server estimates the robot's constant errors from them.
+/// Number of vectors after the start of a session that a moving robot sends at the rate of a blind
+/// one: the server estimates the robot's constant errors from them.
 const FIRST: u8 = 24;
 
 /// Timing of the next distance vector, and the one waiting to be sent.
@@ -24,7 +23,7 @@ pub(crate) struct DistanceVectors {
 }
 
 impl DistanceVectors {
-    /// Sends at most one vector per `interval`.
+    /// `interval` is the usual minimum time between two vectors of a moving robot.
     pub(crate) fn new(interval: Duration) -> Self {
         Self { interval, last: None, first: FIRST, waiting: None }
     }
@@ -34,7 +33,8 @@ impl DistanceVectors {
         (self.last, self.first, self.waiting) = (None, FIRST, None);
     }
 
-    /// Whether a vector of a scan taken at `taken` (robot's clock) is due.
+    /// Whether a vector of a scan taken at `taken` (robot's clock) is due. `moves` says that the
+    /// robot has moved, `blind` that no camera sees it.
     pub(crate) fn is_due(&self, taken: Instant, moves: bool, blind: bool) -> bool {
         let wait = match (moves, blind) {
             (false, _) => self.interval.max(STANDING_VECTOR_INTERVAL),

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 
 use crate::timing::EVENT_INTERVAL;
 
-/// Number of event codes that a robot raises: one event is stored for each.
+/// Number of different event codes that a robot raises; the newest event of each is stored.
 const MAX_EVENTS: usize = 10;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,9 +33,9 @@ pub struct Events {
 }
 
 impl Events {
-    /// Records an event at `at` (robot's clock). An event is ignored if the last one with the same
-    /// code is recent or not acknowledged yet. The exceptions are the end of a path and a blocked
-    /// path, because the server waits for these.
+    /// Records an event at `at` (robot's clock). It is ignored if the last event with the same code
+    /// is not acknowledged yet, or is less than ten seconds old. The age does not matter for the
+    /// end of a path and a blocked path, because the server waits for these.
     pub fn raise(&mut self, code: EventCode, at: Instant) {
         let new = Raised { code, at, progress: Progress::Waiting };
         match self.raised.iter_mut().find(|raised| raised.code == code) {
@@ -52,9 +52,9 @@ impl Events {
         }
     }
 
-    /// Sends an event: `push` writes the message and returns whether it fitted; `to_server`
-    /// converts the event's time to the server's clock. Returns the code of the event, if one was
-    /// sent.
+    /// Sends one of the waiting events: `push` writes the message and returns whether it fitted;
+    /// `to_server` converts the event's time to the server's clock. Returns the code of the event,
+    /// if one was sent.
     pub fn send(
         &mut self,
         to_server: impl FnOnce(Instant) -> Option<Instant>,

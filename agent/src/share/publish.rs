@@ -16,14 +16,15 @@ use crate::{
 /// Maximum number of tile digests sent at once.
 const DIGESTS: usize = 2;
 
-/// When to send changes of the map, and the state of those sent.
+/// Decides when updates and digests of the robot's tiles are sent. Each [`OwnTile`] records what
+/// the server holds of it.
 #[derive(Debug)]
 pub struct Publisher {
     /// How long changes are collected before they are sent.
     hold: Duration,
     /// When the oldest pending change happened.
     waiting_since: Option<Instant>,
-    /// Changes before this time are sent without delay.
+    /// Changes that happen before this time are sent without delay.
     hurries_until: Instant,
     /// When the newest mapped scan was taken, in seconds of the server's clock.
     newest_scan: u32,
@@ -34,7 +35,8 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Nothing to send.
+    /// Creates a publisher with nothing to send. Changes are collected for `hold` before they are
+    /// sent.
     pub fn new(hold: Duration) -> Self {
         Self {
             hold,
@@ -52,13 +54,14 @@ impl Publisher {
         self.hold = hold;
     }
 
-    /// Changes before `until` are sent without delay.
+    /// Sends changes that happen before `until` without delay.
     pub(crate) fn hurry(&mut self, until: Instant) {
         self.hurries_until = until;
     }
 
-    /// Adds the digests of the next few tiles that the server should hold, if they are due. Digests
-    /// that do not fit are left to the next frame, unless this frame is otherwise empty.
+    /// Adds the digests of the next few tiles whose current state the server has acknowledged, if
+    /// digests are due. If none fits, they stay due for the next frame; but if this frame is
+    /// otherwise empty (`alone`), they are put off by the usual interval.
     pub fn push_digests(
         &mut self,
         pool: &Pool<'_>,
@@ -105,14 +108,14 @@ impl Publisher {
         self.newest_scan = newest_scan.unwrap_or(self.newest_scan);
     }
 
-    /// When there is something to send.
+    /// When the pending changes are due to be sent; `None` if there are none.
     pub fn poll_timeout(&self) -> Option<Instant> {
         let since = self.waiting_since?;
         Some(if since < self.hurries_until { since } else { since + self.hold })
     }
 
-    /// Adds an update with as many tiles as fit, if it is due. Returns the number of the frame,
-    /// which is needed when the frame is acknowledged.
+    /// Adds an update with as many tiles as fit, if one is due. Returns the number to pass to
+    /// [`Self::acknowledged`] when the frame is acknowledged, or `None` if no update was added.
     pub fn fill(
         &mut self,
         pool: &mut Pool<'_>,
@@ -128,7 +131,7 @@ impl Publisher {
         let mut blocked = false;
         let written = writer.push_with(&head, |coded| {
             let mut encoder = TileEncoder::new(coded);
-            // In order of their ids, so that each id takes only a few bits.
+            // The tiles are written in order of their ids, so that each id takes only a few bits.
             let mut done = None;
             while let Some(tile) = next_tile(pool, done) {
                 let Some(id) = tile.id else { break };
@@ -152,15 +155,15 @@ impl Publisher {
             self.frame = frame;
             return Some(frame);
         }
-        // Nothing is left to send except what is in flight; its acknowledgement sets this time
-        // again. Tiles that did not fit beside other messages are tried again in the next frame.
+        // If every tile fitted, nothing is left to send except what is in flight, and its
+        // acknowledgement sets `waiting_since` again. Otherwise the next frame tries again.
         if !blocked {
             self.waiting_since = None;
         }
         None
     }
 
-    /// Processes the acknowledgement of a frame with tiles.
+    /// Processes the acknowledgement of the frame for which [`Self::fill`] returned `frame`.
     pub fn acknowledged(
         &mut self,
         pool: &mut Pool<'_>,
@@ -172,7 +175,7 @@ impl Publisher {
             if !tile.publication.acknowledge(frame) {
                 continue;
             }
-            // If the tile has nothing else to send, its place may be reused at once.
+            // A tile with nothing else to send is no longer dirty, so its place may be reused.
             let merged = tile.id.and_then(|id| merged.tile(id));
             tile.dirty = tile.dirty && tile.publication.differs(&news(tile, merged));
             if tile.dirty {
@@ -183,13 +186,14 @@ impl Publisher {
         }
     }
 
-    /// Handles the server's request for a tile that it could not decode (for all tiles, if `None`):
-    /// it is sent whole, and so are all tiles that were in the same frame.
+    /// Handles the server's request for the tile `id`, or for all tiles if `None`. The tile is sent
+    /// whole, and so are all tiles whose last update was in the same frame, because the server may
+    /// not have decoded those either.
     pub fn requested(&mut self, pool: &mut Pool<'_>, id: Option<TileId>, now: Instant) {
         let one = id.and_then(|id| Some(pool.find(id)?.publication.clone()));
         for tile in pool.tiles_mut() {
             let meant = match &one {
-                // It may never have been sent, because it agreed with the server's map.
+                // The id is compared too: a tile that agreed with the server's map was never sent.
                 Some(one) => tile.id == id || tile.publication.travelled_with(one),
                 None => id.is_none(),
             };
@@ -201,11 +205,13 @@ impl Publisher {
         }
     }
 
-    /// Starts a session. `same_server`: the acknowledgements so far came from this server.
+    /// Starts a session. If `same_server`, only the updates that were not acknowledged are sent
+    /// again. Otherwise all tiles are, because the acknowledgements so far came from another
+    /// server.
     pub fn begin_session(&mut self, pool: &mut Pool<'_>, same_server: bool, now: Instant) {
         if !same_server {
-            // That time is by another clock. With 0, tiles that are sent again count as older than
-            // all new ones.
+            // `newest_scan` is by the other server's clock. With 0, tiles that are sent again count
+            // as older than all new ones.
             self.newest_scan = 0;
         }
         for tile in pool.tiles_mut() {
@@ -222,15 +228,15 @@ impl Publisher {
     }
 }
 
-/// The cells of a tile to be sent: those sent in this epoch before, and those that differ from the
-/// server's map.
+/// The cells of `tile` to be sent: those that were sent before, and those that differ from
+/// `merged`, the server's map. Without `merged`, all cells.
 fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
     let mut cells = tile.cells();
     let Some(merged) = merged else { return cells };
     let sent = tile.publication.sent();
     for y in 0..TILE_SIDE {
         let (own, known) = (cells.row(y), merged.row(y));
-        // If the robot has not observed an object to be movable, that does not contradict the map.
+        // A cell that is occupied for the robot and movable in the map does not contradict the map.
         let same = !(own.high ^ known.high | own.low & !known.low);
         let told = sent.row(y).known();
         let tell = told | !same;
@@ -239,13 +245,13 @@ fn news(tile: &OwnTile, merged: Option<&Tile>) -> Tile {
     cells
 }
 
-/// The first tile after `done`, in order of ids, that is dirty and has no update in flight.
+/// The dirty tile with the lowest id above `done` that has no update in flight.
 fn next_tile<'p>(pool: &'p mut Pool<'_>, done: Option<TileId>) -> Option<&'p mut OwnTile> {
     let place = place_after(pool, done, |tile| tile.dirty && tile.publication.is_ready())?;
     pool.tiles_mut().nth(place)
 }
 
-/// The index of the first tile after `done`, in order of ids, that satisfies the predicate.
+/// The index in `pool` of the tile with the lowest id above `done` that satisfies `is_wanted`.
 fn place_after(
     pool: &Pool<'_>,
     done: Option<TileId>,

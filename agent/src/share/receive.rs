@@ -14,12 +14,12 @@ use ubimap_protocol::{
 
 use crate::{map::Surround, timing::COVERAGE_STALE};
 
-/// One place in the pool: a tile of the fused layer, and the same tile of the coverage layer. Both
-/// belong to the server's epoch.
+/// Memory for one tile of the window: its cells in the fused layer and in the coverage layer. Its
+/// versions are those of the server's epoch.
 #[derive(Clone, Debug)]
 pub struct FusedTile {
     cells: Tile,
-    /// The cells covered by cameras, a word per row.
+    /// The cells covered by cameras: one word per row, one bit per cell.
     covered: [u32; TILE_SIDE],
     fused_version: Version,
     coverage_version: Version,
@@ -43,7 +43,7 @@ impl FusedTile {
         confirmed: 0,
     };
 
-    /// The tile in one layer.
+    /// The tile's state in one layer; `epoch` is the server's.
     fn replica(&self, layer: Layer, epoch: Epoch) -> Replica {
         match layer {
             Layer::Coverage => {
@@ -58,7 +58,7 @@ impl FusedTile {
         }
     }
 
-    /// Discards one layer of the tile: its cells are void.
+    /// Discards the tile's cells in one layer.
     fn give_up(&mut self, layer: Layer) {
         if layer == Layer::Coverage {
             self.covered = [0; TILE_SIDE];
@@ -85,8 +85,8 @@ impl FusedTile {
     }
 }
 
-/// Time in units of 1.024 ms, never 0. Wraps after 51 days: coverage that was last confirmed
-/// exactly then counts as fresh for a second.
+/// Converts a time to units of 1.024 ms, never 0. The result wraps after 51 days: coverage that was
+/// last confirmed exactly 51 days ago counts as fresh for a second.
 fn ticks(moment: Instant) -> u32 {
     ((moment.micros() >> 10) as u32).max(1)
 }
@@ -99,7 +99,7 @@ const FRESH: u32 = (COVERAGE_STALE.0 >> 10) as u32;
 pub struct FusedMap<'b> {
     /// Tile (x, y) of the window is stored at (x, y) modulo `side`, row by row.
     places: &'b mut [FusedTile],
-    /// Tiles along a side of the window.
+    /// The side of the window, in tiles.
     side: u8,
     epoch: Epoch,
     interest: Option<Interest>,
@@ -108,7 +108,7 @@ pub struct FusedMap<'b> {
     missing: [Missing; 2],
 }
 
-/// The tiles of a layer to request.
+/// The tiles of one layer that must be requested from the server.
 #[derive(Debug)]
 struct Missing {
     layer: Layer,
@@ -124,14 +124,14 @@ impl Missing {
 
     fn add(&mut self, id: TileId) {
         if !self.tiles.contains(&id) && self.tiles.push(id).is_err() {
-            // Set now: no later update may come to request it.
+            // `all` is set now, because no later update may come that would request the tile.
             self.tiles.clear();
             self.all = true;
         }
     }
 
-    /// Requests as many tiles as fit, each of them once. Returns `false` if there are none to
-    /// request.
+    /// Writes a request for as many tiles as fit, and removes them from the list. Returns whether a
+    /// request was written.
     fn push(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         if self.all {
             let request = Request { layer: self.layer, tiles: Vec::new() };
@@ -151,7 +151,7 @@ impl Missing {
 }
 
 impl<'b> FusedMap<'b> {
-    /// A window with at most as many tiles as `places`.
+    /// An empty map. Its window is the largest square of at most `places.len()` tiles.
     pub fn new(places: &'b mut [FusedTile]) -> Self {
         places.iter_mut().for_each(FusedTile::clear);
         let side = (1..=u8::MAX).take_while(|&it| usize::from(it).pow(2) <= places.len()).last();
@@ -165,12 +165,12 @@ impl<'b> FusedMap<'b> {
         }
     }
 
-    /// Capacity, in tiles.
+    /// Number of places, each for one tile.
     pub fn capacity(&self) -> usize {
         self.places.len()
     }
 
-    /// The tiles held of one of the server's layers, complete or partial.
+    /// The tiles held in one of the server's layers, complete or partial.
     pub fn tiles(&self, layer: Layer) -> impl Iterator<Item = (TileId, Replica)> {
         self.interest.into_iter().flat_map(|interest| interest.ids()).filter_map(move |id| {
             let replica = self.place(id)?.replica(layer, self.epoch);
@@ -178,14 +178,14 @@ impl<'b> FusedMap<'b> {
         })
     }
 
-    /// The cells of a fused tile, if it is complete.
+    /// The cells of a fused tile; `None` if the tile is not held or is incomplete.
     pub fn tile(&self, id: TileId) -> Option<&Tile> {
         let place = self.place(id)?;
         (place.fused_version.0 != 0 && place.fused_next == 0).then_some(&place.cells)
     }
 
-    /// What the server knows about a tile: the merged map, and the cells covered by cameras (a word
-    /// per row) as long as that is fresh.
+    /// What the server knows about a tile: its cells in the merged map, and the cells covered by
+    /// cameras (one word per row) if that was confirmed less than a second before `now`.
     pub fn around(&self, id: TileId, now: Instant) -> Surround<'_> {
         let fresh = |place: &&FusedTile| {
             let confirmed = place.confirmed != 0 && place.coverage_next == 0;
@@ -198,7 +198,8 @@ impl<'b> FusedMap<'b> {
         }
     }
 
-    /// Moves the window when the robot has left its middle third. Tiles outside are dropped.
+    /// Centres the window on the robot when the robot has left the window's middle third, and drops
+    /// the tiles outside. `resolution` is the side of a cell.
     pub fn follow(&mut self, pose: Pose, resolution: Millimetres) {
         let side = i32::from(self.side);
         if side == 0 {
@@ -209,7 +210,7 @@ impl<'b> FusedMap<'b> {
         let first = |coordinate: Millimetres| {
             let half = side * tile_size / 2;
             let first = (coordinate.0.saturating_sub(half)).div_euclid(tile_size);
-            // Rounded: the robot is within half a tile of the centre.
+            // Rounded to the nearest tile: the robot is within half a tile of the window's centre.
             let rest = coordinate.0.saturating_sub(half).rem_euclid(tile_size);
             first + i32::from(2 * i64::from(rest) >= i64::from(tile_size))
         };
@@ -238,29 +239,29 @@ impl<'b> FusedMap<'b> {
         self.interest = Some(interest);
     }
 
-    /// The window to request, once the pose is known.
+    /// The window of tiles that the robot wants from the server; `None` before the first pose.
     pub fn interest(&self) -> Option<Interest> {
         self.interest
     }
 
-    /// The window, if it has not been sent to the server yet.
+    /// The window, if it has not been sent to the server in this session.
     pub fn untold(&self) -> Option<Interest> {
         self.interest.filter(|interest| interest.number > self.told)
     }
 
-    /// Records that a window was sent to the server.
+    /// Records that the window with this number was sent to the server.
     pub fn told(&mut self, number: u32) {
         self.told = self.told.max(number);
     }
 
-    /// Requests as many of the missing tiles as fit, each of them once. Returns `false` if none is
-    /// missing.
+    /// Writes a request for as many missing tiles of one layer as fit; each tile is requested once.
+    /// Returns whether a request was written.
     pub fn push_request(&mut self, writer: &mut Writer<'_, ToServer>) -> bool {
         self.missing.iter_mut().any(|missing| missing.push(writer))
     }
 
-    /// Starts a session with a server in this epoch. The server does not know the window yet, and
-    /// tiles of other epochs are void.
+    /// Starts a session with a server of this epoch. The server does not know the window yet, and
+    /// tiles of any other epoch are discarded.
     pub fn begin_session(&mut self, epoch: Epoch) {
         self.told = 0;
         self.missing = [Missing::of(Layer::Fused), Missing::of(Layer::Coverage)];
@@ -270,13 +271,14 @@ impl<'b> FusedMap<'b> {
         }
     }
 
-    /// Processes the coded tiles of an update of one of the server's layers. Calls `dropped` with each
-    /// tile whose cells turn out to be wrong, or with `None` if any may be.
+    /// Processes the coded tiles of an update of one of the server's layers. Calls `dropped` with
+    /// each tile that is discarded because its cells were wrong, or with `None` if the whole layer
+    /// is discarded because any of its cells may be wrong.
     ///
     /// # Errors
     /// [`TileError`]: the rest of the update is ignored; the tiles before the error are kept.
-    // Not inlined, like `compare` and `confirm`: decoding would enlarge the stack frame of every
-    // other message.
+    // Not inlined, like `compare` and `confirm`: decoding would enlarge the stack frame in which
+    // every other message is processed.
     #[inline(never)]
     pub fn update(
         &mut self,
@@ -295,9 +297,9 @@ impl<'b> FusedMap<'b> {
                 Err(_) if is_unconfirmed => break,
                 Err(error) => return Err(error),
             };
-            // A tile outside the window was sent before the window moved. If it is a whole tile, it
-            // is skipped. Otherwise the rest of the message can't be decoded and is lost;
-            // requesting the tile brings it back.
+            // A tile outside the window was sent before the window moved. A whole tile is skipped.
+            // After any other update of such a tile, the rest of the message can't be decoded and
+            // is lost; the server sends it again when the tile is requested.
             let place = self.place(header.id).filter(|_| header.stamp.epoch == epoch);
             let mut replica = place.map_or(Replica::NOTHING, |place| place.replica(layer, epoch));
             let is_held = place.is_some();
@@ -309,8 +311,8 @@ impl<'b> FusedMap<'b> {
                     && header.stamp < replica.stamp()
                     && let Some(place) = self.place_mut(header.id)
                 {
-                    // The tile held is from an earlier life of the server with the same epoch. The
-                    // first part was skipped as stale, and would be again.
+                    // The tile held is from an earlier run of the server with the same epoch. The
+                    // first part of the new tile was skipped as stale, and would be skipped again.
                     place.give_up(layer);
                     dropped(Some(header.id));
                 }
@@ -322,7 +324,8 @@ impl<'b> FusedMap<'b> {
                 place.keep(layer, &replica);
             }
         }
-        // The update builds upon other cells than those held here, so that any tile may be wrong now.
+        // The update was coded against other cells than those held here, so any tile of this layer
+        // may be wrong now.
         self.places.iter_mut().for_each(|place| place.give_up(layer));
         self.missing.iter_mut().filter(|it| it.layer == layer).for_each(|it| it.all = true);
         dropped(None);
@@ -331,7 +334,7 @@ impl<'b> FusedMap<'b> {
 
     /// Compares the digests of some of the server's tiles. A tile held in any other state, even a
     /// newer one, is dropped and requested: the server is the only writer, so that state is wrong.
-    /// Calls `dropped` with each.
+    /// Calls `dropped` with each of these tiles.
     #[inline(never)]
     pub fn compare(&mut self, digests: &Digests, mut dropped: impl FnMut(TileId)) {
         let (layer, epoch) = (digests.layer, self.epoch);
@@ -348,7 +351,8 @@ impl<'b> FusedMap<'b> {
         }
     }
 
-    /// Records that coverage tiles were current at `moment` (robot's clock).
+    /// Records that the coverage tiles listed in `freshness` were current at `moment` (robot's
+    /// clock).
     #[inline(never)]
     pub fn confirm(&mut self, freshness: &Freshness, moment: Instant) {
         let Some(interest) = self.interest.filter(|it| it.number == freshness.interest) else {
@@ -374,7 +378,7 @@ impl<'b> FusedMap<'b> {
         self.places.get_mut(self.index(id)?)
     }
 
-    /// The index of a tile of the window.
+    /// The index of a tile in `places`; `None` if the tile is outside the window.
     fn index(&self, id: TileId) -> Option<usize> {
         let side = i32::from(self.side);
         let along = |tile: i16| i32::from(tile).checked_rem_euclid(side);

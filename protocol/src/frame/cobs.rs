@@ -1,7 +1,7 @@
 //! Consistent overhead byte stuffing (COBS): a frame without zero bytes, terminated by a zero.
 //!
-//! The decoder is incremental and resynchronises at every delimiter, so it always reads a good frame
-//! that follows a corrupt, truncated or oversized one.
+//! The decoder is incremental and resynchronises at every delimiter, so it always reads a good
+//! frame that follows a corrupt, truncated or oversized one.
 
 use core::fmt;
 
@@ -13,8 +13,8 @@ pub const fn encoded_len(raw: usize) -> usize {
     raw + raw.saturating_sub(1) / 254 + 2
 }
 
-/// Writes the concatenation of `parts` as one stuffed frame with its delimiter. Returns its length, or
-/// `None` if `out` is too short.
+/// Writes the concatenation of `parts` as one stuffed frame with its delimiter. Returns its length,
+/// or `None` if `out` is too short.
 pub fn encode(parts: [&[u8]; 2], out: &mut [u8]) -> Option<usize> {
     let mut code_at = 0;
     let mut code = 1u8;
@@ -69,7 +69,7 @@ impl core::error::Error for CobsError {}
 pub struct Decoder<const N: usize> {
     buffer: [u8; N],
     len: usize,
-    /// Data bytes before the next code byte.
+    /// Number of data bytes before the next code byte.
     left: u8,
     /// Whether a zero byte follows the current block (unless the frame ends with the block).
     zero_after: bool,
@@ -84,8 +84,8 @@ impl<const N: usize> Default for Decoder<N> {
 }
 
 impl<const N: usize> Decoder<N> {
-    /// Consumes `input` up to the end of the next frame and returns the frame's contents. `None` once
-    /// the input is used up. Consecutive delimiters are skipped.
+    /// Consumes `input` up to the end of the next frame and returns the frame's contents. `None`
+    /// once the input is used up. Consecutive delimiters are skipped.
     pub fn next(&mut self, input: &mut &[u8]) -> Option<Result<&[u8], CobsError>> {
         while let Some((&byte, rest)) = input.split_first() {
             *input = rest;

@@ -75,8 +75,8 @@ impl Header {
         word.to_le_bytes()
     }
 
-    /// Splits a frame's contents into header and messages. `None` if they are shorter than a header or
-    /// the kind is the reserved one.
+    /// Splits a frame's contents into header and messages. `None` if they are shorter than a header
+    /// or the kind is the reserved one.
     pub fn decode(contents: &[u8]) -> Option<(Self, &[u8])> {
         let (head, payload) = contents.split_first_chunk::<HEADER_LEN>()?;
         let word = u16::from_le_bytes(*head);

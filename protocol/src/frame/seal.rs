@@ -21,7 +21,7 @@ pub fn seal(session: SessionId, direction: Direction, contents: &[u8]) -> [u8; S
 /// The header and payload of `frame` if its seal is good, otherwise `None`.
 pub fn open(session: SessionId, direction: Direction, frame: &[u8]) -> Option<&[u8]> {
     let (contents, found) = frame.split_at_checked(frame.len().checked_sub(SEAL_LEN)?)?;
-    // A fuzzer would otherwise spend its time on guessing checksums.
+    // A fuzzer may use any seal, as it would otherwise spend its time on guessing checksums.
     let good = seal(session, direction, contents) == found || cfg!(fuzzing);
     good.then_some(contents)
 }

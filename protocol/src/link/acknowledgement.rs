@@ -99,8 +99,8 @@ struct Outstanding<T, const CONTENTS: usize> {
     contents: Vec<u8, CONTENTS>,
 }
 
-/// The sender's side of acknowledgements: holds up to `WINDOW` frames in flight, each of `CONTENTS`
-/// bytes (header and payload).
+/// The sender's side of acknowledgements: holds up to `WINDOW` frames in flight, each of at most
+/// `CONTENTS` bytes (header and payload).
 #[derive(Debug)]
 pub(super) struct SendWindow<T, const WINDOW: usize, const CONTENTS: usize> {
     next: u16,
@@ -152,7 +152,8 @@ impl<T: Copy, const WINDOW: usize, const CONTENTS: usize> SendWindow<T, WINDOW, 
         }
     }
 
-    /// Takes an acknowledgement. [`Self::take_acknowledged`] then returns the tokens of the frames.
+    /// Processes an acknowledgement. [`Self::take_acknowledged`] then returns the tokens of the
+    /// acknowledged frames.
     pub(super) fn acknowledge(&mut self, ack: Ack, now: Instant) {
         for place in &mut self.outstanding {
             let Some(frame) = place else { continue };
@@ -298,7 +299,8 @@ mod tests {
         }
         assert_eq!(window.next_deadline(), Some(at(500)), "without a round-trip time");
         window.acknowledge(Ack { next: 0, later: 2 }, at(200));
-        // The round trip is 100 ms and its variation 50 ms: a timeout of 300 ms, 60 ms for reordering.
+        // The round trip is 100 ms and its variation 50 ms: a timeout of 300 ms, 60 ms for
+        // reordering.
         assert_eq!(window.next_deadline(), Some(at(60)));
         let mut resend =
             |now: u64| window.resend(at(now)).map(|(contents, token)| (contents[0], token));
@@ -353,7 +355,7 @@ mod tests {
             window.keep(&[token], token, Instant(0));
         }
         assert_eq!(window.next_sequence(), None);
-        // 0 and 2 have arrived.
+        // Frames 0 and 2 have arrived.
         window.acknowledge(Ack { next: 1, later: 1 }, Instant(1000));
         let mut tokens = [window.take_acknowledged(), window.take_acknowledged()];
         tokens.sort();

@@ -10,16 +10,17 @@ use crate::{
     time::{Duration, Instant},
 };
 
-/// Exchanges in one generation of minima.
+/// Number of exchanges in one generation. Each generation keeps its minima, and the last
+/// `GENERATIONS` generations are used.
 const PER_GENERATION: u8 = 8;
 const GENERATIONS: usize = 8;
 /// Clock drift: a minimum grows by 1/2^16 (15 ppm) of its age.
 const DRIFT_SHIFT: u32 = 16;
-/// Exchanges until the first minima are good; requests are sent more often before.
+/// Number of exchanges until the minima are good; until then, requests are sent more often.
 const FIRST_EXCHANGES: u8 = 64;
 
-/// The minimum times of requests and of replies over some exchanges, in microseconds; each is the
-/// difference between the two clocks.
+/// The minimum times of requests and of replies over some exchanges, in microseconds. Each is the
+/// difference between readings of the two clocks, and so includes their offset.
 #[derive(Clone, Copy, Debug)]
 struct Fastest {
     there: i64,
@@ -88,7 +89,8 @@ impl ClockSync {
         self.next_request
     }
 
-    /// Takes a reply. Replies to any request but the latest are ignored.
+    /// Processes a reply that arrived at `now`. It is ignored if it took more than two seconds, or
+    /// does not answer the latest request.
     pub fn reply(&mut self, reply: &TimeReply, now: Instant) {
         let Some((_, sent)) = self.pending.take_if(|(nonce, _)| *nonce == reply.nonce) else {
             return;
@@ -128,14 +130,14 @@ impl ClockSync {
         })
     }
 
-    /// Converts a time of the robot's clock to the server's. `None` before the first reply, or if the
-    /// server's clock had not started at that time.
+    /// Converts a time of the robot's clock to the server's. `None` before the first reply, or if
+    /// the server's clock had not started at that time.
     pub fn to_server(&self, local: Instant) -> Option<Instant> {
         local.0.checked_add_signed(self.offset()?).map(Instant)
     }
 
-    /// Converts a time of the server's clock to the robot's. `None` before the first reply, or if the
-    /// robot's clock had not started at that time.
+    /// Converts a time of the server's clock to the robot's. `None` before the first reply, or if
+    /// the robot's clock had not started at that time.
     pub fn to_local(&self, server: Instant) -> Option<Instant> {
         server.0.checked_add_signed(self.offset()?.checked_neg()?).map(Instant)
     }
@@ -159,8 +161,8 @@ mod tests {
         (mixed ^ mixed >> 31) % 20_001
     }
 
-    /// The error in microseconds after a number of exchanges with delays of 0 to 20 ms each way; the
-    /// server's clock gains `ppm` on the robot's.
+    /// The error in microseconds after a number of exchanges with delays of 0 to 20 ms each way;
+    /// the server's clock gains `ppm` on the robot's.
     fn error_after(exchanges: u32, seed: u64, ppm: u64) -> i64 {
         let (mut seed, ahead) = (seed, 1_000_000_000u64.wrapping_mul(seed + 1));
         let server = |local: u64| local + ahead + local * ppm / 1_000_000;
@@ -210,8 +212,8 @@ mod tests {
         assert!(error < 100, "{error} us");
     }
 
-    /// One exchange in which the request takes `there` and the reply `back` microseconds, by clocks that
-    /// agree; the server holds it for 300 us.
+    /// One exchange in which the request takes `there` and the reply `back` microseconds, by clocks
+    /// that agree; the server holds it for 300 us.
     fn exchange(clock: &mut ClockSync, there: u64, back: u64) -> Instant {
         let sent = clock.poll_timeout();
         let request = clock.poll_request(sent).unwrap();
@@ -258,7 +260,7 @@ mod tests {
             clock.reply(&reply, sent + Duration(late));
             let now = Instant(9_000_000);
             assert_eq!(clock.to_server(now).is_some(), is_taken);
-            // It was the answer all the same.
+            // Even a slow reply uses up its request, so a second one is ignored.
             clock.reply(&reply, sent);
             assert_eq!(clock.to_server(now).is_some(), is_taken);
         }

@@ -17,7 +17,7 @@ use crate::{
 /// longest message that cannot be split (a state, 28 bytes) might not fit.
 const ROOM_FOR_TWO: usize = 40;
 
-/// Maximum size of an acknowledgement, kind and length included.
+/// Maximum size of an acknowledgement in bytes, kind and length included.
 const ACK_LEN: usize = 10;
 
 /// Counters of an endpoint since its creation; they wrap.
@@ -33,8 +33,8 @@ pub struct Counters {
     pub duplicates: u32,
     /// Frames with wrong stuffing, excessive length or a bad seal.
     pub bad: u32,
-    /// Well-sealed frames that violate the protocol: a malformed message, a sequence number outside the
-    /// window, an unsupported version.
+    /// Well-sealed frames that violate the protocol: a malformed message, a sequence number outside
+    /// the window, an unsupported version.
     pub refused: u32,
 }
 
@@ -43,14 +43,14 @@ pub struct Counters {
 pub enum Received<'a, D> {
     /// A message outside any session.
     Handshake(Message<'a, D>),
-    /// The messages of a frame of this session; duplicates are left out. Acknowledgements are included,
-    /// although the endpoint has already processed them.
+    /// The messages of a frame of this session; duplicates are left out. Acknowledgements are
+    /// included, although the endpoint has already processed them.
     Session(Messages<'a, D>),
     /// Not a frame of this session, or one that violates the protocol.
     Bad,
 }
 
-/// What `fill` has written into a new frame.
+/// What the `fill` argument of [`Endpoint::poll_transmit`] has written into a new frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fill<T> {
     /// Nothing to send now.
@@ -70,10 +70,10 @@ pub struct Transmit<T> {
     pub token: Option<T>,
 }
 
-/// One end of a link, sending messages of direction `D`. At most `WINDOW` reliable frames (at most 32)
-/// of at most `FRAME` bytes on the wire are in flight. `T` is the token by which the owner identifies
-/// a reliable frame. Memory: about `(WINDOW + 1) * FRAME` bytes, and `FRAME` bytes of stack while
-/// writing a frame.
+/// One end of a link, sending messages of direction `D`. At most `WINDOW` reliable frames (at most
+/// 32) of at most `FRAME` bytes on the wire are in flight. `T` is the token by which the owner
+/// identifies a reliable frame. Memory: about `(WINDOW + 1) * FRAME` bytes, and `FRAME` bytes of
+/// stack while writing a frame.
 #[derive(Debug)]
 pub struct Endpoint<D, T, const WINDOW: usize, const FRAME: usize> {
     direction: PhantomData<D>,
@@ -215,8 +215,8 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         self.sending.take_acknowledged()
     }
 
-    /// Writes a handshake frame with one message, sealed outside any session. Returns its length, or
-    /// `None` if it does not fit.
+    /// Writes a handshake frame with one message, sealed outside any session. Returns its length,
+    /// or `None` if it does not fit.
     pub fn handshake<M: Body<D>>(&mut self, body: &M, out: &mut [u8]) -> Option<usize> {
         let header = Header { version: VERSION, kind: FrameKind::Handshake, sequence: 0 };
         let mut scratch = [0; FRAME];
@@ -233,10 +233,10 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         cobs::encode([contents, &tail], out)
     }
 
-    /// Writes the next frame into `out` (at least as long as the agreed frame): a retransmission that
-    /// is due, or a new frame that `fill` writes. `fill` gets a writer and whether a reliable frame may
-    /// be sent. With `urgent`, a new frame goes before retransmissions. Call it until it returns
-    /// `None`.
+    /// Writes the next frame into `out` (at least as long as the agreed frame): a retransmission
+    /// that is due, or a new frame that `fill` writes. `fill` gets a writer, and whether a reliable
+    /// frame may be sent. If `urgent`, a new frame is sent before retransmissions. Call it until it
+    /// returns `None`.
     #[must_use]
     pub fn poll_transmit(
         &mut self,
@@ -249,7 +249,7 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
             return None;
         }
         if urgent {
-            // The new frame may be impossible to send: then retransmissions continue.
+            // If no new frame can be sent, retransmissions continue.
             return self.send_new(now, out, fill).or_else(|| self.send_again(now, out));
         }
         match self.send_again(now, out) {

@@ -15,21 +15,22 @@ use crate::{
 /// Number of times that the interval between Hellos doubles.
 const DOUBLINGS: u32 = 4;
 
-/// By how much the nonce of an attempt exceeds that of the attempt before.
+/// Difference between the nonces of two successive attempts.
 const NONCE_STEP: u32 = 0x9E37_79B9;
 
 /// The robot's side: decides when to send a Hello.
 #[derive(Debug)]
 pub struct Knocking {
     boot_nonce: u32,
-    /// Number of sessions started or reset since boot; part of the nonce.
+    /// Number of sessions lost since boot, each of which starts a new attempt; part of the nonce.
     attempts: u32,
     hellos: u32,
     next: Instant,
 }
 
 impl Knocking {
-    /// Starts the first attempt; a hello is due at once. `boot_nonce` should differ from boot to boot.
+    /// Starts the first attempt; a hello is due at once. `boot_nonce` should differ from boot to
+    /// boot.
     pub fn new(boot_nonce: u32) -> Self {
         Self { boot_nonce, attempts: 0, hellos: 0, next: Instant(0) }
     }
@@ -91,8 +92,8 @@ pub enum Answer {
     Refusal(Refusal),
 }
 
-/// Answers a hello with a welcome to `session`, or with a refusal that names the first mismatch. The
-/// welcome does not renumber the robot's tiles.
+/// Answers a hello with a welcome to `session`, or with a refusal that names the first mismatch.
+/// The welcome does not renumber the robot's tiles.
 pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32) -> Answer {
     let refuse = |reason| Answer::Refusal(Refusal { nonce: hello.nonce, reason });
     if hello.min_version > VERSION || hello.version < MIN_VERSION {
@@ -116,8 +117,8 @@ pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32
     })
 }
 
-/// Whether two nonces are of one boot of a robot: their difference is a multiple of the step from attempt
-/// to attempt, by less than 65,536. Nonces of different boots pass once in 32,768 times.
+/// Whether two nonces are of the same boot of a robot: fewer than 65,536 attempts lie between them,
+/// in either direction. Nonces of different boots pass this test with a probability of 1 in 32,768.
 pub fn is_same_boot(one: u32, other: u32) -> bool {
     const INVERSE: u32 = 0x144C_BC89;
     const { assert!(NONCE_STEP.wrapping_mul(INVERSE) == 1) };

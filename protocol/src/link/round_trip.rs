@@ -10,8 +10,8 @@ pub(super) struct RoundTrip {
 }
 
 impl RoundTrip {
-    /// Takes the time from sending a frame to its acknowledgement. The frame must have been sent only
-    /// once (Karn's algorithm).
+    /// Updates the estimates with `span`, the time from sending a frame to its acknowledgement. The
+    /// frame must have been sent only once (Karn's algorithm).
     pub(super) fn sample(&mut self, span: Duration) {
         let span = span.micros().min(MAX_TIMEOUT.0);
         self.estimate = Some(match self.estimate {
@@ -31,8 +31,8 @@ impl RoundTrip {
         Duration(doubled.min(MAX_TIMEOUT.0))
     }
 
-    /// The reordering tolerance: a frame is considered lost when one sent at least this much later has
-    /// been acknowledged.
+    /// The reordering tolerance: a frame is considered lost when one sent at least this much later
+    /// has been acknowledged.
     pub(super) fn reordering(&self) -> Duration {
         Duration(
             self.estimate

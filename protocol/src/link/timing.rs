@@ -25,13 +25,15 @@ pub(super) const MIN_REORDERING: Duration = Duration::from_millis(60);
 pub(super) const HELLO_WAIT: Duration = Duration::from_millis(200);
 /// Interval before a refused robot says hello again: the server may have been reconfigured.
 pub(super) const REFUSED_WAIT: Duration = Duration::from_secs(10);
-/// Interval before the next hello of a robot that was refused because its number is in use. If it has
-/// moved to another port, the server accepts it once the session on the old port counts as dead.
+/// Interval before the next hello of a robot that was refused because its number is in use. If it
+/// has moved to another port, the server accepts it once the session on the old port counts as
+/// dead.
 pub(super) const NUMBER_WAIT: Duration = Duration::from_secs(3);
 
 /// Interval of time requests until the first minima are good: 64 requests take eight seconds.
 pub(super) const FIRST_TIME_INTERVAL: Duration = Duration::from_millis(125);
-/// Interval of time requests after that: clocks drift apart by less than 0.1 ms in between (15 ppm).
+/// Interval of time requests after that: clocks drift apart by less than 0.1 ms in between (15
+/// ppm).
 pub(super) const TIME_INTERVAL: Duration = Duration::from_secs(5);
 /// Timeout of a time reply: a reply that takes longer adds little accuracy.
 pub(super) const TIME_REPLY_LOST: Duration = Duration::from_secs(2);

@@ -1,4 +1,5 @@
-//! The directions of a link, as values and as types, and the trait that gives a message body its kind.
+//! The directions of a link, as values and as types, and the trait that gives a message body its
+//! kind.
 
 use core::fmt::Debug;
 
@@ -24,8 +25,8 @@ pub enum ToRobot {}
 
 /// The messages of one direction: [`ToServer`] or [`ToRobot`].
 ///
-/// Writers, readers and endpoints take a direction as a type parameter, so that sending a message in
-/// the wrong direction does not compile.
+/// Writers, readers and endpoints take a direction as a type parameter, so that sending a message
+/// in the wrong direction does not compile.
 pub trait Traffic: Copy + Debug + Eq + 'static {
     /// The kinds of messages.
     type Kind: Copy + Debug + Eq + Into<u8>;
@@ -41,7 +42,8 @@ pub trait Traffic: Copy + Debug + Eq + 'static {
     /// The kind with this number, or `None` if this version does not know it.
     fn kind(number: u8) -> Option<Self::Kind>;
 
-    /// A message from its kind's number and its body, or `None` if this version does not know the kind.
+    /// A message from its kind's number and its body, or `None` if this version does not know the
+    /// kind.
     fn message(number: u8, body: &[u8]) -> Option<Self::Message<'_>>;
 }
 

@@ -2,7 +2,8 @@
 //!
 //! A frame carries any number of messages, each as a kind (one byte), the length of its body (a
 //! varint) and the body (postcard). One file for each direction lists its kinds and their bodies;
-//! [`ToServer`] and [`ToRobot`] are the directions as types, and [`Body`] gives a body type its kind.
+//! [`ToServer`] and [`ToRobot`] are the directions as types, and [`Body`] gives a body type its
+//! kind.
 //!
 //! ```
 //! use ubimap_protocol::message::{Messages, Stop, ToRobot, ToRobotMessage, Writer};
@@ -21,7 +22,7 @@
 //! }
 //! ```
 //!
-//! A message does not travel the wrong way:
+//! Sending a message in the wrong direction does not compile:
 //!
 //! ```compile_fail,E0277
 //! use ubimap_protocol::message::{Stop, ToServer, Writer};

@@ -33,8 +33,8 @@ pub struct TileUpdateHead {
 /// Maximum number of tiles in one [`Digests`].
 pub const MAX_DIGESTS: usize = 8;
 
-/// The states of some tiles as published by their writer. A receiver that holds an older state or other
-/// cells asks for the tile with a [`Request`].
+/// The states of some tiles as published by their writer. A receiver that holds an older state or
+/// other cells asks for the tile with a [`Request`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Digests {
     /// The layer.
@@ -57,7 +57,8 @@ pub struct TileDigest {
 /// Maximum number of tiles in one [`Request`].
 pub const MAX_REQUESTS: usize = 8;
 
-/// Asks the writer of a layer for whole tiles, after an update whose base the receiver does not hold.
+/// Asks the writer of a layer for whole tiles, after an update whose base the receiver does not
+/// hold.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Request {
     /// The layer of the tiles.

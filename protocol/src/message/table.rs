@@ -3,8 +3,8 @@
 /// Declares the messages of one direction. Each line is a number on the wire, the name of a kind
 /// and the type of its body; kind 0 is [`Ack`](super::Ack) in both directions.
 ///
-/// Generates the enum of kinds, the enum of received messages, and the implementations of [`Traffic`]
-/// and [`Body`]. This is the only place where the numbers of kinds are written.
+/// Generates the enum of kinds, the enum of received messages, and the implementations of
+/// [`Traffic`] and [`Body`]. This is the only place where the numbers of kinds are written.
 macro_rules! messages {
     (
         $direction:ident, against $opposite:ident: $kinds:ident, $messages:ident;

@@ -49,11 +49,12 @@ pub struct Welcome {
     pub server_epoch: u32,
     /// The lowest epoch that the robot has not yet used for its own tiles.
     pub first_epoch: u32,
-    /// Whether the server confirms tiles that are on disk ([`Stored`]). If not, it stores none, and the
-    /// robot may evict a tile as soon as its update is acknowledged.
+    /// Whether the server confirms tiles that are on disk ([`Stored`]). If not, it stores none, and
+    /// the robot may evict a tile as soon as its update is acknowledged.
     pub stores: bool,
-    /// Whether the robot must move its tiles to `first_epoch` or above: the server has had no session
-    /// with this life of the robot, or another robot has used its number since.
+    /// Whether the robot must move its tiles to `first_epoch` or above: the server has had no
+    /// session with the robot since it booted, or another robot has used its number in the
+    /// meantime.
     pub renumber: bool,
 }
 
@@ -80,9 +81,9 @@ pub enum RefusalReason {
     Resolution(Millimetres),
     /// The robot's maximum frame is too small; the minimum in bytes is given.
     Frame(u16),
-    /// Another robot uses the number, and is being heard.
+    /// Another robot uses the number, and the server still receives its frames.
     NumberInUse,
-    /// The server knows as many robots as it can.
+    /// The server has no room for another robot.
     TooManyRobots,
 }
 
@@ -192,8 +193,8 @@ impl PoseFix {
         }))
     }
 
-    /// A message with the newest fix and earlier ones, given newest first. It takes as many as fit, up to
-    /// the first gap in time that `before_micros` cannot express (over an hour).
+    /// A message with the newest fix and earlier ones, given newest first. It takes as many as fit,
+    /// up to the first gap in time that `before_micros` cannot express (over an hour).
     pub fn from_fixes(
         (time, pose): (Instant, Pose),
         before: impl Iterator<Item = (Instant, Pose)>,
@@ -291,8 +292,8 @@ pub enum ObstacleClass {
 /// Maximum length of the bit set in one [`Freshness`], in bytes.
 pub const MAX_FRESH_BYTES: usize = 32;
 
-/// Confirms that certain coverage tiles, as acknowledged by the robot, still matched the cameras' view
-/// at `time`.
+/// Confirms that certain coverage tiles, as acknowledged by the robot, still matched the cameras'
+/// view at `time`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Freshness {
     /// The time of the confirmation, in the server's clock.

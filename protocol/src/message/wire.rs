@@ -40,8 +40,8 @@ impl<'a, T: DeserializeOwned> Encoded<'a, T> {
         decode(&mut Reader::new(self.body))
     }
 
-    /// Decodes the fixed part of the body and returns it with the remaining bytes, such as the coded
-    /// tiles of an update.
+    /// Decodes the fixed part of the body and returns it with the remaining bytes, such as the
+    /// coded tiles of an update.
     ///
     /// # Errors
     /// [`MalformedMessage`] if the fixed part cannot be decoded.
@@ -92,8 +92,8 @@ impl<'a, D: Traffic> Message<'a, D> {
         D::kind(self.number)
     }
 
-    /// The message as the enum of its direction's kinds, which gives the body its type. `None` if this
-    /// version does not know the kind.
+    /// The message as the enum of its direction's kinds, which gives the body its type. `None` if
+    /// this version does not know the kind.
     pub fn by_kind(self) -> Option<D::Message<'a>> {
         D::message(self.number, self.body)
     }
@@ -198,9 +198,9 @@ impl<'a, D: Traffic> Writer<'a, D> {
             .is_some()
     }
 
-    /// Adds a message whose body begins with `head`. `rest` writes the remainder and returns its length,
-    /// or `None` to cancel. Returns false, and writes nothing, if cancelled or if the message does not
-    /// fit.
+    /// Adds a message whose body begins with `head`. `rest` writes the remainder and returns its
+    /// length, or `None` to cancel. Returns false, and writes nothing, if cancelled or if the
+    /// message does not fit.
     #[must_use]
     pub fn push_with<T: Body<D>>(
         &mut self,
@@ -214,9 +214,9 @@ impl<'a, D: Traffic> Writer<'a, D> {
         written.is_some()
     }
 
-    /// Adds the longest message that fits: `body` builds it with a given number of elements, and the
-    /// numbers in `counts` are tried from the highest down. Returns the number that fitted, or `None`,
-    /// with nothing written, if none did.
+    /// Adds the longest message that fits: `body` builds it with a given number of elements, and
+    /// the numbers in `counts` are tried from the highest down. Returns the number that fitted, or
+    /// `None`, with nothing written, if none did.
     #[must_use]
     pub fn push_longest<T: Body<D>>(
         &mut self,
@@ -251,8 +251,8 @@ impl<'a, D: Traffic> Writer<'a, D> {
         self.close(number, body_len)
     }
 
-    /// Writes the head before a body that is already in place. Not inlined, so that the firmware has it
-    /// once instead of once for each kind of message.
+    /// Writes the head before a body that is already in place. Not inlined, so that the firmware
+    /// has it once instead of once for each kind of message.
     #[inline(never)]
     fn close(&mut self, number: u8, body_len: usize) -> Option<()> {
         let space = self.buffer.get_mut(self.len..)?;

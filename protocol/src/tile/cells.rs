@@ -1,4 +1,5 @@
-//! Codes the cells of one part of a tile: an unchanged row in one decision, other rows cell by cell.
+//! Codes the cells of one part of a tile: an unchanged row in one decision, other rows cell by
+//! cell.
 //!
 //! The context of a cell depends on the planes of its row and of the row to the south. Transposing
 //! these planes gives one byte for each cell of the row; this byte and the state of the cell to the
@@ -18,9 +19,9 @@ const OTHERS: [[u8; 3]; 3] = [[2, 3, 0], [1, 3, 0], [1, 2, 0]];
 /// Additional bytes in the header of a part that ends before the tile does.
 const PART_HEADER: usize = 2;
 
-/// Codes the cells of a part and returns the cell after the last that fitted; `part.end` if all did.
-/// If the tile does not fit, room is left for the header of a part, and runs of equal cells are not
-/// split.
+/// Codes the cells of a part and returns the cell after the last that fitted; `part.end` if all
+/// did. If the tile does not fit, room is left for the header of a part, and runs of equal cells
+/// are not split.
 pub(super) fn put(
     coder: &mut Encoder<'_>,
     models: &mut Models,
@@ -74,7 +75,7 @@ fn put_row<'a>(
     while x < columns.to {
         let cell = cells.at(x);
         let now = cell.seen_from_east();
-        // The first cell of a run may have a different western neighbour from the others.
+        // The western neighbour of a run's first cell may differ from that of the other cells.
         let count = if now == west { cells.alike(x, columns) } else { 1 };
         let at = cell.context(west);
         match cell.change() {
@@ -208,9 +209,10 @@ fn take_row<'a>(
     (coder, row)
 }
 
-/// Reads a run of cells in context `at` that were unknown and are now free, in the columns `from` to
-/// at most `end`. The caller has already read, with the model `changed`, that the first one changed.
-/// Returns the column of the first cell that is not free, and whether that cell is occupied.
+/// Reads a run of cells in context `at` that were unknown and are now free, in the columns `from`
+/// to at most `end`. The caller has already read, with the model `changed`, that the first one
+/// changed. Returns the column of the first cell that is not free, and whether that cell is
+/// occupied.
 #[inline(always)]
 fn take_free<'a>(
     mut coder: Decoder<'a>,
@@ -293,7 +295,8 @@ impl South {
     fn planes(&self, was: Row, is: Row) -> [u32; 8] {
         let Self { is: south, was: south_was } = *self;
         let known = was.known();
-        // Selects for each cell the bit of `unknown` if the cell was unknown, otherwise that of `other`.
+        // Selects for each cell the bit of `unknown` if the cell was unknown, otherwise that of
+        // `other`.
         let either = |unknown: u32, other: u32| unknown & !known | other & known;
         let south_free = south.low & !south.high;
         [
@@ -309,8 +312,8 @@ impl South {
     }
 }
 
-/// A cell and its surroundings as known to both sides, without the cell to the west. From the lowest
-/// bit: its new code (2 bits), whether it was known, and the five high bits of its index in
+/// A cell and its surroundings as known to both sides, without the cell to the west. From the
+/// lowest bit: its new code (2 bits), whether it was known, and the five high bits of its index in
 /// [`context::OF_UNKNOWN`] or [`context::OF_KNOWN`].
 #[derive(Clone, Copy)]
 struct Cell(u8);
@@ -453,8 +456,8 @@ impl Cells {
     }
 }
 
-/// Exchanges the high `shift` bits of each group of `2 * shift` bits in `first` with the low `shift` bits of
-/// the same group in `second`. `low` masks the low bits of all groups.
+/// Exchanges the high `shift` bits of each group of `2 * shift` bits in `first` with the low
+/// `shift` bits of the same group in `second`. `low` masks the low bits of all groups.
 #[inline(always)]
 fn exchange(first: &mut u32, second: &mut u32, shift: u32, low: u32) {
     let differ = (*first >> shift ^ *second) & low;

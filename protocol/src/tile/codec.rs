@@ -50,15 +50,15 @@ impl<'a> TileEncoder<'a> {
         self.tiles
     }
 
-    /// Adds the cells of `new` from `start` on (`stamp.version` and `base` as in
-    /// [`TileHeader`]). `old` is the tile as the receiver holds it: from `start` on the base version,
-    /// or unknown without a base, and before `start` the same as `new`.
+    /// Adds the cells of `new` from `start` on (`stamp.version` and `base` as in [`TileHeader`]).
+    /// `old` is the tile as the receiver holds it: from `start` on the base version, or unknown
+    /// without a base, and before `start` the same as `new`.
     ///
-    /// Returns the cell after the last that fitted, or `None` if no cell fitted, if the update is full
-    /// ([`MAX_TILES_PER_UPDATE`]), or unless 0 < base < version. Only the first tile of an update is
-    /// ever cut; it is then coded twice. Cost on a Cortex-M4 (`cargo instructions`): 58,000
-    /// instructions for a whole new tile with 600 known cells, 15,000 for the mean update of a robot in
-    /// an office.
+    /// Returns the cell after the last that fitted. Returns `None` if no cell fitted, if the update
+    /// is full ([`MAX_TILES_PER_UPDATE`]), or if a version is invalid: the base must be above 0 and
+    /// below `stamp.version`. Only the first tile of an update is ever cut; it is then coded twice.
+    /// Cost on a Cortex-M4 (`cargo instructions`): 58,000 instructions for a whole new tile with
+    /// 600 known cells, 15,000 for the mean update of a robot in an office.
     pub fn push(
         &mut self,
         id: TileId,
@@ -162,8 +162,8 @@ pub enum TileError {
     Malformed,
     /// More than [`MAX_TILES_PER_UPDATE`] tiles.
     TooManyTiles,
-    /// The tiles that the update builds upon have other cells here: what was read is wrong. Request them
-    /// whole.
+    /// The update builds upon other cells than this side holds, so the tiles read from it are
+    /// wrong. Request them whole.
     WrongBase,
 }
 
@@ -203,8 +203,8 @@ impl<'a> TileDecoder<'a> {
         }
     }
 
-    /// The header of the next tile, `None` after the last. Call [`TileDecoder::cells`] for its cells
-    /// before asking for the next header.
+    /// The header of the next tile, `None` after the last. Call [`TileDecoder::cells`] for its
+    /// cells before asking for the next header.
     pub fn header(&mut self) -> Result<Option<TileHeader>, TileError> {
         let Self { coder, models, previous, tiles, .. } = self;
         let (id, epoch) = match *previous {
@@ -255,8 +255,8 @@ impl<'a> TileDecoder<'a> {
         Ok(Some(TileHeader { id, stamp: Stamp { epoch, version }, base, start, end }))
     }
 
-    /// Reads the cells of the part described by `header` into `tile`. From `header.start` on, `tile`
-    /// must hold the base (or unknown cells without one), and before it the new cells.
+    /// Reads the cells of the part described by `header` into `tile`. From `header.start` on,
+    /// `tile` must hold the base (or unknown cells without one), and before it the new cells.
     pub fn cells(&mut self, header: &TileHeader, tile: &mut Tile) {
         if header.names_base() {
             self.check.add(tile);
@@ -384,7 +384,8 @@ mod tests {
         }
     }
 
-    /// The numbers of parts are those measured. More of them mean that a part leaves room unused.
+    /// The maximum numbers of parts are measured values. A higher number means that some part
+    /// leaves room unused.
     #[test]
     fn parts_in_small_frames_use_their_room() {
         let mut noise = Tile::UNKNOWN;

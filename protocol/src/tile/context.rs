@@ -1,5 +1,5 @@
-//! The contexts of the tile coder's decisions, and the initial probability in each. The tables are part
-//! of the wire format.
+//! The contexts of the tile coder's decisions, and the initial probability in each. The tables are
+//! part of the wire format.
 
 use super::range_coder::Model;
 
@@ -42,8 +42,8 @@ pub(super) fn models() -> Models {
     models
 }
 
-/// The surroundings of a cell as known to both sides when the cell is coded. Each neighbour is 0 if it
-/// is unknown or beyond the edge, 1 if it is free, 2 if it is occupied or movable.
+/// The surroundings of a cell as known to both sides when the cell is coded. Each neighbour is 0 if
+/// it is unknown or beyond the edge, 1 if it is free, 2 if it is occupied or movable.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Surroundings {
     /// The cell to the west after the update.
@@ -96,9 +96,9 @@ pub(super) static OF_UNKNOWN: [u8; 128] = {
     contexts
 };
 
-/// [`Surroundings::of_known`] as a table. Bits of the index from the lowest: whether the cell to the
-/// west is occupied, whether it has changed, the old code (2 bits), whether the cell to the south is
-/// occupied, whether the cell to the east was, whether the cell to the south has changed.
+/// [`Surroundings::of_known`] as a table. Bits of the index from the lowest: whether the cell to
+/// the west is occupied, whether it has changed, the old code (2 bits), whether the cell to the
+/// south is occupied, whether the cell to the east was, whether the cell to the south has changed.
 pub(super) static OF_KNOWN: [u8; 128] = {
     let mut contexts = [CHANGED as u8; 128];
     let mut index = 0;

@@ -3,8 +3,8 @@
 use super::{Stamp, TILE_SIDE, Tile, TileId};
 use crate::checksum::crc32;
 
-/// The hash of a tile's cells: the CRC-32 of the rows of its low plane, then of its high plane, each row
-/// a little-endian word.
+/// The hash of a tile's cells: the CRC-32 of the rows of its low plane, then of its high plane,
+/// each row a little-endian word.
 pub fn tile_hash(tile: &Tile) -> u32 {
     let mut bytes = [0u8; 8 * TILE_SIDE];
     for (bytes, word) in bytes.chunks_exact_mut(4).zip(tile.low.iter().chain(&tile.high)) {
@@ -13,8 +13,9 @@ pub fn tile_hash(tile: &Tile) -> u32 {
     crc32(&[&bytes])
 }
 
-/// The check of the cells that an update builds upon, in 16 bits: two sides may hold different cells
-/// under one stamp (SPEC 8.3). Some 200 instructions for each base on a Cortex-M4.
+/// A checksum of 16 bits over the base cells that an update builds upon. It is needed because two
+/// sides may hold different cells under one stamp (SPEC 8.3). Some 200 instructions for each base
+/// on a Cortex-M4.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct BaseCheck(Option<u32>);
 
@@ -31,7 +32,7 @@ impl BaseCheck {
         self.0 = Some(sum);
     }
 
-    /// The check; `None` if nothing was added.
+    /// The checksum; `None` if no base was added.
     pub(super) fn value(self) -> Option<u32> {
         self.0.map(|sum| sum >> 16)
     }

@@ -1,5 +1,5 @@
-//! Reference coder for tests: follows SPEC.md literally, cell by cell, with the interval as one long
-//! number. `cells` and `range_coder` are compared with it.
+//! Reference coder for tests: follows SPEC.md literally, cell by cell, with the interval as one
+//! long number. `cells` and `range_coder` are compared with it.
 
 use std::{vec, vec::Vec};
 

@@ -39,8 +39,8 @@ impl Cell {
     }
 }
 
-/// The position of a tile in the grid of tiles, in the frame `map`. The lower left corner of tile (0, 0)
-/// is at the origin.
+/// The position of a tile in the grid of tiles, in the frame `map`. The lower left corner of tile
+/// (0, 0) is at the origin.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
@@ -52,8 +52,8 @@ pub struct TileId {
 }
 
 impl TileId {
-    /// The tile that holds the cell with these grid coordinates (in cells from the origin of `map`), or
-    /// `None` beyond the grid (32,768 tiles from the origin).
+    /// The tile that holds the cell with these grid coordinates (in cells from the origin of
+    /// `map`), or `None` beyond the grid (32,768 tiles from the origin).
     pub fn of_cell(x: i32, y: i32) -> Option<Self> {
         let side = TILE_SIDE as i32;
         Some(Self {

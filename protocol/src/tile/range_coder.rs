@@ -4,8 +4,8 @@
 //! any input can be decoded, and the caller decides when to stop. Only numbers of more than 32 bits
 //! are refused.
 //!
-//! A decision takes about twenty instructions when it is inlined into a loop over cells that holds the
-//! coder by value, so that its state stays in registers.
+//! A decision takes about twenty instructions when it is inlined into a loop over cells that holds
+//! the coder by value, so that its state stays in registers.
 
 use core::slice;
 
@@ -32,7 +32,8 @@ impl Model {
     }
 }
 
-/// The number of bits, without a model, that hold `value` in an Exp-Golomb code of order `order`.
+/// The number of ones with which the Exp-Golomb code of `value` in order `order` begins. For n
+/// ones, a zero and n + `order` further bits follow.
 fn golomb_bits(value: u32, order: u32) -> u32 {
     ((u64::from(value) >> order) + 1).ilog2()
 }
@@ -46,8 +47,8 @@ fn unzigzag(value: u32) -> i32 {
     (value >> 1) as i32 ^ -((value & 1) as i32)
 }
 
-/// Writes decisions into the caller's buffer. Bytes beyond its end are counted but not written: check
-/// [`Encoder::fits`] before finishing.
+/// Writes decisions into the caller's buffer. Bytes beyond its end are counted but not written:
+/// check [`Encoder::fits`] before finishing.
 #[derive(Debug)]
 pub(super) struct Encoder<'a> {
     out: &'a mut [u8],
@@ -104,7 +105,8 @@ impl<'a> Encoder<'a> {
     pub(super) fn rewind(&mut self, to: Checkpoint) {
         self.state = to.state;
         let written = self.written();
-        // At most one carry can have reached back past the checkpoint, and it changed the last byte.
+        // At most one carry can have reached back past the checkpoint, and it changed the last
+        // byte.
         if written.last().copied() != to.last {
             for byte in written.iter_mut().rev() {
                 *byte = byte.wrapping_sub(1);

@@ -1,7 +1,7 @@
 //! A tile as its receiver holds it, and the sender's record of what the receiver holds.
 //!
-//! At most one update of a tile is in flight: the next one builds upon what has been acknowledged, so
-//! updates never have to be reordered.
+//! At most one update of a tile is in flight: the next one builds upon what has been acknowledged,
+//! so updates never have to be reordered.
 
 use core::fmt;
 
@@ -29,8 +29,8 @@ pub enum Applied {
     Old,
 }
 
-/// The replica does not hold the base of the update. The cells of the update, and everything after it
-/// in the same message, cannot be read: request the whole tile.
+/// The replica does not hold the base of the update. The cells of the update, and everything after
+/// it in the same message, cannot be read: request the whole tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BaseMissing;
 
@@ -46,7 +46,8 @@ impl Replica {
     /// A replica that has received nothing.
     pub const NOTHING: Self = Self { tile: Tile::UNKNOWN, stamp: Stamp::NOTHING, next: 0 };
 
-    /// Restores a replica from storage: its cells, its stamp and its next cell (see [`Self::next`]).
+    /// Restores a replica from storage: its cells, its stamp and its next cell (see
+    /// [`Self::next`]).
     pub fn restored(tile: Tile, stamp: Stamp, next: u16) -> Self {
         Self { tile, stamp, next }
     }
@@ -61,17 +62,18 @@ impl Replica {
         self.stamp
     }
 
-    /// The first cell of that state that is missing, 1 to 1,023; 0 if the state is complete.
+    /// The first missing cell of the state that [`Self::stamp`] names, 1 to 1,023; 0 if that state
+    /// is complete.
     pub fn next(&self) -> u16 {
         self.next
     }
 
-    /// Whether that state is incomplete.
+    /// Whether the state that [`Self::stamp`] names is incomplete.
     pub fn is_partial(&self) -> bool {
         self.next != 0
     }
 
-    /// Reads the cells described by `header` from `decoder`.
+    /// Reads the cells described by `header` from `decoder`, and returns their effect.
     ///
     /// # Errors
     /// [`BaseMissing`]; the replica is unchanged.
@@ -82,9 +84,10 @@ impl Replica {
     ) -> Result<Applied, BaseMissing> {
         let held = header.stamp == self.stamp && !self.is_partial();
         match (header.start, header.base) {
-            // Two cases. A whole tile that its sender gave up may arrive after its replacement: it is
-            // skipped. Or the sender does not know that its state is held here and sends it again in
-            // parts: the first was skipped, and later parts may be newer than what is held.
+            // There are two cases. A whole tile that its sender gave up may arrive after its
+            // replacement: it is skipped. Or the sender does not know that this side holds the
+            // state, and sends it again in parts: the first part was skipped, and later parts may
+            // be newer than the cells held.
             (start, None) if held || start == 0 && header.stamp < self.stamp => {
                 let mut part = self.tile;
                 copy_cells(&Tile::UNKNOWN, &mut part, start, TILE_CELLS);
@@ -94,8 +97,8 @@ impl Replica {
                     if !held || header.end == TILE_CELLS || is_same {
                         return Ok(Applied::Old);
                     }
-                    // The tile held is from an earlier life of the sender with the same epoch: the parts
-                    // to come can't be read with its cells.
+                    // The tile held is from an earlier run of the sender with the same epoch: later
+                    // parts can't be decoded against its cells.
                     (self.tile, self.next) = (part, header.end);
                     return Ok(Applied::Partial);
                 }
@@ -181,15 +184,15 @@ impl Publication {
         self.next != 0
     }
 
-    /// Whether there is something to send: cells of `new` that the receiver does not hold, or missing
-    /// parts of an update.
+    /// Whether there is something to send: cells of `new` that the receiver does not hold, or
+    /// missing parts of an update.
     pub fn differs(&self, new: &Tile) -> bool {
         self.base.is_none() || self.next != 0 || self.sent != *new
     }
 
-    /// Adds the changes up to `new` to an update that will travel in frame `frame`. `version` is the
-    /// writer's version of the tile, greater than any sent before; missing parts of an earlier version
-    /// are sent first. Returns false if no cell fitted.
+    /// Adds the changes up to `new` to an update that will travel in frame `frame`. `version` is
+    /// the writer's version of the tile, greater than any sent before; missing parts of an earlier
+    /// version are sent first. Returns false if no cell fitted.
     ///
     /// Overwrites the cells of `new` that earlier parts have already sent with what they sent.
     pub fn push(
@@ -233,20 +236,21 @@ impl Publication {
         mine
     }
 
-    /// Whether the last update travelled in the same frame as that of `other`: a receiver that could not
-    /// read the one may not have read the other.
+    /// Whether the last updates of this tile and of `other` were in the same frame: a receiver that
+    /// could not read one of them may not have read the other.
     pub fn travelled_with(&self, other: &Self) -> bool {
         self.version != Version(0) && self.frame == other.frame
     }
 
-    /// Drops all knowledge of the receiver's state: the tile will be sent whole.
+    /// Forgets what the receiver holds: the tile will be sent whole.
     pub fn forget(&mut self) {
         self.base = None;
         self.next = 0;
         self.under_way = false;
     }
 
-    /// Ends the session: updates in flight are lost, acknowledged ones are not.
+    /// Ends the session. If an update is in flight or incomplete, it is lost, and the tile will be
+    /// sent whole.
     pub fn interrupt(&mut self) {
         if self.under_way || self.next != 0 {
             self.forget();
@@ -298,7 +302,7 @@ mod tests {
     const EPOCH: Epoch = Epoch(2);
 
     proptest! {
-        /// Both sides agree in the end, whichever frames are lost with their sessions.
+        /// Both sides hold the same tile in the end, whichever frames are lost with their sessions.
         #[test]
         fn a_replica_catches_up(losses in proptest::collection::vec(any::<bool>(), 1..40), room in 20usize..200) {
             let mut publication = Publication::NOTHING;
@@ -442,8 +446,8 @@ mod tests {
         }
     }
 
-    /// A sender leaves out cells that others publish unless it has sent them itself, so it must remember
-    /// that it has.
+    /// A sender leaves out cells that others publish unless it has sent them itself, so it must
+    /// remember which cells it has sent.
     #[test]
     fn sent_cells_are_remembered_while_the_tile_is_sent_whole_again() {
         let mut publication = Publication::NOTHING;

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The epoch of a tile: raised when its writer starts it again (after a reboot or an eviction).
+/// The epoch of a tile: raised when its writer starts the tile again, after a reboot or an
+/// eviction.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]

@@ -1,5 +1,5 @@
-//! Test vectors of the range coder, and of tile updates that no encoder writes: they need items that
-//! are private to the crate. The rules are those of `tests/tests/vectors.rs`.
+//! Test vectors of the range coder, and of tile updates that no encoder writes: they need items
+//! that are private to the crate. The rules are those of `tests/tests/vectors.rs`.
 
 use std::{env, format, fs, path::PathBuf, string::String, vec, vec::Vec};
 

@@ -33,7 +33,7 @@ enum Scene {
     Closed,
 }
 
-/// Column, row, width, height.
+/// The tables and boxes of [`Scene::Furniture`]: column, row, width and height in cells.
 const FURNITURE: [(i32, i32, i32, i32); 10] = [
     (12, 2, 6, 12),
     (24, 10, 8, 6),
@@ -75,8 +75,7 @@ impl Scene {
     }
 }
 
-/// Plans across each scene and to a frontier, then makes a step along a path. `None` if any result
-/// is wrong.
+/// Plans across each scene, then makes steps along a path. `None` if any result is wrong.
 #[inline(never)]
 pub(super) fn run(bench: &mut Bench) -> Option<()> {
     let planner = singleton!(: Planner = Planner::EMPTY)?;

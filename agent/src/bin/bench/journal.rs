@@ -1,5 +1,6 @@
-//! Replays a robot's journal, received on USART1, and prints the robot's outputs. `cargo test
-//! --package ubimap-tests --test journal -- --ignored` compares them with those of the same robot on a PC.
+//! Replays a robot's journal, received on USART1, and prints the robot's outputs.
+//! `cargo test --package ubimap-tests --test journal -- --ignored` compares them with those of the
+//! same robot on a PC.
 #![no_std]
 #![no_main]
 

@@ -47,7 +47,7 @@ use ubimap_protocol::{
 const FOCAL: f32 = 343.1;
 /// Depth of a wall across the whole view, in millimetres.
 const WALL: u16 = 3_000;
-/// Boxes in front of it: first column, end column, depth.
+/// Boxes in front of the wall: first column, end column, depth in millimetres.
 const BOXES: [(usize, usize, u16); 2] = [(150, 270, 1_200), (400, 500, 1_900)];
 
 #[entry]
@@ -96,8 +96,8 @@ fn sensor() -> SensorModel {
     SensorModel::Pinhole { focal: FOCAL, centre: (PIXELS - 1) as f32 / 2.0 }
 }
 
-/// Measures the writing of the first message: as many of the scene's tiles as fit in one frame. Returns the
-/// message's length in bytes.
+/// Measures the writing of the first message: as many of the scene's tiles as fit in one frame.
+/// Returns the message's length in bytes.
 fn publish(
     bench: &mut Bench,
     memory: Slices<'_>,

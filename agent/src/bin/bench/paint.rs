@@ -1,4 +1,5 @@
-//! Measures the stack's depth by painting it.
+//! Measures the stack's depth by painting it: filling it with a known value, and looking for the
+//! deepest word that was overwritten.
 #![allow(unsafe_code, reason = "it reads and writes memory that nobody owns")]
 
 use core::ptr::{read_volatile, with_exposed_provenance_mut, write_volatile};

@@ -36,7 +36,7 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// A server without a session.
+    /// Creates a server without a session in `place`.
     #[inline(never)]
     pub(super) fn begin(place: &mut Option<Self>) -> &mut Self {
         place.get_or_insert_with(|| Self {
@@ -59,7 +59,7 @@ impl Server {
         (self.sent, self.next) = (0, 0);
     }
 
-    /// Sends a reset if a frame arrived while there was no session.
+    /// The frame of a reset, if there is no session.
     #[inline(never)]
     pub(super) fn reset(&mut self) -> Option<&[u8]> {
         if self.link.session() != SessionId::NONE {
@@ -117,7 +117,7 @@ impl Server {
         self.send(&reply, now)
     }
 
-    /// A message of this kind, to be sent after the robot's scan number `count`.
+    /// The frame of a message of this kind, to be sent after the robot's scan number `count`.
     #[inline(never)]
     pub(super) fn say(
         &mut self,
@@ -210,7 +210,8 @@ impl Server {
         self.send(&fix, now)
     }
 
-    /// A part of a tile, half of it noise: of the fused layer, then of the coverage layer.
+    /// A part of a tile, three quarters of whose rows are noise: of the fused layer, then of the
+    /// coverage layer.
     #[inline(never)]
     fn tile(&mut self, id: TileId, now: Instant) -> Option<&[u8]> {
         let mut tile = Tile::UNKNOWN;

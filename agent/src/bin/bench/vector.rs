@@ -8,7 +8,8 @@ use ubimap_protocol::{message::MAX_COLUMNS, units::Pose};
 
 use super::counter::Bench;
 
-/// Lines of floor before the wall, and before the box in front of the wall; the box's columns.
+/// Height of the floor in the image, in lines, in front of the wall and in front of a box before
+/// the wall; the box's columns.
 const WALL: usize = 110;
 const BOX: usize = 70;
 const BOX_COLUMNS: core::ops::Range<usize> = 90..150;

@@ -16,7 +16,7 @@ use crate::sense::{Beam, SensorModel, Validity, fill_beams};
 
 /// Side of a cell in the room and on the map, in millimetres.
 const CELL: f64 = 50.0;
-/// Cells per letter of the drawing.
+/// The side of a letter of the drawing, in cells.
 const LETTER: usize = 4;
 /// Rows of the map, and tiles per row; larger than any room here.
 const ROWS: usize = 320;
@@ -66,7 +66,7 @@ impl DrawnRoom {
 struct Person {
     from: (f64, f64),
     to: (f64, f64),
-    /// Distance from the first point in millimetres, and the direction.
+    /// Distance walked from `from` in millimetres, and whether the person walks back.
     walked: f64,
     back: bool,
     waits: bool,

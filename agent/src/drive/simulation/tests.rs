@@ -247,7 +247,7 @@ fn it_follows_a_boundary_around_a_room_by_the_distance_vector() {
             let pixels = wall.and_then(|way| {
                 (62..=121u8).find(|&it| curve.distance(it).is_some_and(|far| f64::from(far) >= way))
             });
-            // Distances outside the range of the scale curve.
+            // 50 and 124 pixels stand for distances outside the range of the scale curve.
             if wall.is_some_and(|way| way < 185.0) { 50 } else { pixels.unwrap_or(124) }
         });
         let command = follower.step(&distances, STEP as f32);

@@ -57,7 +57,7 @@ fn a_request_for_one_tile_sends_all_tiles_of_its_frame_again() {
     let mut places = [OwnTile::FREE; 5];
     let mut pool = acknowledged(&mut places);
     acknowledge(&mut pool, TileId { x: 4, y: 0 }, 8);
-    // It is in the pool, but agreed with the server's map and was never sent.
+    // Tile 5 is in the pool, but agreed with the server's map and was never sent.
     pool.find_or_begin(TileId { x: 5, y: 0 }, 1).unwrap();
     let mut publisher = Publisher::new(Duration(0));
     let mut requested = |id: Option<TileId>| {
@@ -187,7 +187,7 @@ fn only_hits_close_in_time_contradict_the_map() {
     assert_eq!(told(Duration::from_secs(60)), 0);
 }
 
-/// Observes free cells in one row of a tile; a change is reported at `now`.
+/// Observes the cells `free` in one row of a tile, and reports the change at `now`.
 fn see(pool: &mut Pool<'_>, publisher: &mut Publisher, id: TileId, free: u32, now: Instant) {
     let tile = pool.find_or_begin(id, 1).unwrap();
     tile.evidence.add(7, [RowSighting { free, hit: 0 }].into_iter());
@@ -195,11 +195,11 @@ fn see(pool: &mut Pool<'_>, publisher: &mut Publisher, id: TileId, free: u32, no
     publisher.changed(now, None);
 }
 
-/// What a server holds of the tiles.
+/// The tiles that a server holds.
 type Held = std::collections::BTreeMap<TileId, Replica>;
 
-/// Fills a frame of this size, which the server reads. Returns the number of the frame, and the ids of
-/// its tiles.
+/// Fills a frame of `room` bytes and applies it to `server`. Returns the number of the frame and
+/// the ids of its tiles.
 fn sent(
     pool: &mut Pool<'_>,
     publisher: &mut Publisher,
@@ -341,8 +341,8 @@ fn digests_are_due_every_ten_seconds() {
     let mut nothing = [OwnTile::FREE; 1];
     let nothing = Pool::new(&mut nothing);
     let later = Instant(5) + DIGEST_INTERVAL;
-    // The tiles, the room, and whether the frame is otherwise empty; whether digests are sent, and whether
-    // the next ones are due an interval later.
+    // Each case: the tiles, the room, and whether the frame is otherwise empty; then whether
+    // digests are sent, and whether the next ones are due an interval later.
     for (pool, room, alone, is_sent, is_done) in [
         (&pool, 60, true, true, true),
         (&pool, 60, false, true, true),
@@ -371,7 +371,7 @@ fn digests_are_due_every_ten_seconds() {
 fn digests_name_only_tiles_that_the_server_has() {
     let mut places = [OwnTile::FREE; 4];
     let mut pool = acknowledged(&mut places);
-    // The first has changed since; the last was never sent.
+    // The first tile has changed since it was acknowledged; the last one was never sent.
     pool.tiles_mut().next().unwrap().dirty = true;
     pool.find_or_begin(TileId { x: 4, y: 0 }, 1).unwrap();
     let mut publisher = Publisher::new(Duration(0));
@@ -404,11 +404,12 @@ fn cells_that_the_server_knows_are_left_out_until_they_were_sent() {
     assert_eq!((own.low, own.high), (0x0F, 0xF0));
     assert_eq!(news(&tile, None), tile.cells());
     let mut merged = Tile::UNKNOWN;
-    // Columns 0 and 4 agree, 1 and 5 are the other, 6 is movable, 2, 3 and 7 are unknown.
+    // In the server's map, columns 0 and 4 agree, 1 and 5 are the opposite, 6 is movable, and 2, 3
+    // and 7 are unknown.
     merged.set_row(2, Row { low: 0b0110_0001, high: 0b0101_0010 });
     let expected = Row { low: 0b0000_1110, high: 0b1010_0000 };
     assert_eq!(news(&tile, Some(&merged)).row(2), expected);
-    // What has been sent is sent again, in whatever state it is now.
+    // Cells that were sent before are sent again, whatever their state is now.
     let mut cells = Tile::UNKNOWN;
     // Columns 0 and 4 agree with the map, 1 and 5 do not.
     cells.set_row(2, Row { low: 0x03, high: 0x30 });

@@ -157,7 +157,7 @@ const fn stamp(epoch: u32, version: u32) -> Stamp {
     Stamp { epoch: Epoch(epoch), version: Version(version) }
 }
 
-/// All requests that the map has to send, in frames with this room.
+/// All requests that the map has to send, in frames of `room` bytes.
 fn requests(map: &mut FusedMap<'_>, room: usize) -> std::vec::Vec<Request> {
     let mut requests = std::vec::Vec::new();
     loop {
@@ -195,7 +195,7 @@ fn map_of(places: &mut [FusedTile]) -> FusedMap<'_> {
     map
 }
 
-/// A coverage tile with cells in one row.
+/// A coverage tile with the cells `low` in row `y`, and none elsewhere.
 fn row(y: usize, low: u32) -> Tile {
     let mut tile = Tile::UNKNOWN;
     tile.low[y] = low;
@@ -212,7 +212,8 @@ fn an_update_upon_other_cells_voids_all_tiles_of_its_layer() {
         let base = Some(Version(1));
         update_of(|encoder| encoder.push(WINDOW[1], stamp(7, 2), base, 0, old, &row(3, 7)))
     };
-    // Cells that differ may be read as anything: as the end of the update, as further tiles or as an error.
+    // Decoded against other cells, the update may read as anything: as its end, as further tiles or
+    // as an error.
     for wrong in (0..100).filter(|&wrong| wrong != 5) {
         for (layer, other) in [(BOTH[0], BOTH[1]), (BOTH[1], BOTH[0])] {
             let mut places = [FusedTile::FREE; 4];
@@ -339,7 +340,8 @@ fn requests_that_do_not_fit_wait_for_the_next_frame() {
 #[test]
 fn the_window_moves_by_steps_when_the_robot_nears_its_edge() {
     let mut places = std::vec![FusedTile::FREE; 170];
-    // Tiles are 1.6 m wide. Places, and x of the robot with number and south-western x of the window.
+    // Tiles are 1.6 m wide. A step: the robot's x, then the number and the south-western x of the
+    // window. A case: the number of places and its steps.
     type Step = (i32, u32, i16);
     let cases: [(usize, &[Step]); 4] = [
         (16, &[(0, 1, -2), (2_399, 1, -2), (2_400, 2, 0), (800, 2, 0), (799, 3, -2)]),
@@ -410,8 +412,8 @@ fn only_tiles_that_differ_are_dropped() {
     assert_eq!(map.tile(WINDOW[0]), Some(&row(3, 5)), "the other layer is kept");
 }
 
-/// A restarted server may use the epoch of an earlier run again and cut its tiles: the first part is
-/// skipped as stale, so the second one has no base.
+/// A restarted server may use the epoch of an earlier run again and send a tile in parts: the first
+/// part is skipped as stale, so the second one has no base.
 #[test]
 fn a_tile_of_an_earlier_life_does_not_shut_out_one_that_comes_in_parts() {
     let of = |seed: u32| {

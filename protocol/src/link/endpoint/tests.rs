@@ -109,7 +109,7 @@ fn whatever_is_as_long_as_the_room_fits_beside_an_acknowledgement() {
         }
         let due = server.poll_timeout().unwrap();
         let mut kinds = std::vec::Vec::new();
-        // In a small frame it travels alone.
+        // In a small frame the acknowledgement travels alone.
         for _ in 0..if is_small { 2 } else { 1 } {
             let mut out = [0u8; 64];
             let longest = |writer: &mut Writer<'_, ToRobot>, _| {
