@@ -122,21 +122,24 @@ pub fn lines(table: &str) -> impl Iterator<Item = (u64, &str)> {
 #[derive(Debug)]
 pub struct Emulator {
     qemu: Child,
-    port: PathBuf,
+    ports: [PathBuf; 3],
 }
+
+/// The emulator's USARTs 1 to 6: those that the firmware of the Feather uses are pseudo-terminals.
+const USARTS: [&str; 6] = ["pty", "null", "pty", "null", "null", "pty"];
 
 impl Emulator {
     /// Runs an image.
     pub fn start(image: &Path) -> Result<Self, EmulatorError> {
         let mut qemu = qemu(image)
-            .args(["-serial", "pty"])
+            .args(USARTS.iter().flat_map(|usart| ["-serial", usart]))
             .stdin(Stdio::null())
             .spawn()
             .map_err(missing_or_failed)?;
         let said = qemu.stdout.take();
         // From here on, dropping the value stops the emulator.
-        let mut emulator = Self { qemu, port: PathBuf::new() };
-        let (found, port) = mpsc::channel();
+        let mut emulator = Self { qemu, ports: Default::default() };
+        let (found, named) = mpsc::channel();
         thread::spawn(move || {
             // Keeps reading, so that further output does not block the emulator.
             for line in said.into_iter().flat_map(|out| BufReader::new(out).lines()).flatten() {
@@ -145,18 +148,22 @@ impl Emulator {
                 }
             }
         });
-        match port.recv_timeout(START_TIMEOUT) {
-            Ok(port) => {
-                emulator.port = port;
-                Ok(emulator)
+        // In the order of their numbers.
+        for port in [2, 0, 1] {
+            match named.recv_timeout(START_TIMEOUT) {
+                Ok(path) => emulator.ports[port] = path,
+                Err(_) => {
+                    let said = emulator.last_words();
+                    return Err(EmulatorError::Failed(format!("{QEMU}: {said}")));
+                }
             }
-            Err(_) => Err(EmulatorError::Failed(format!("{QEMU}: {}", emulator.last_words()))),
         }
+        Ok(emulator)
     }
 
-    /// The serial port to the firmware.
-    pub fn port(&self) -> &Path {
-        &self.port
+    /// The robot's serial ports to the server, the depth sensor and the wheels.
+    pub fn ports(&self) -> &[PathBuf; 3] {
+        &self.ports
     }
 
     fn last_words(&mut self) -> String {

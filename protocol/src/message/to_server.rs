@@ -243,3 +243,44 @@ pub enum ParameterOutcome {
     /// The value is out of range; nothing was changed.
     OutOfRange,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    #[test]
+    fn a_window_contains_the_tiles_that_it_lists() {
+        let window = |from: (i16, i16), to: (i16, i16)| {
+            let [from, to] = [from, to].map(|(x, y)| TileId { x, y });
+            Interest { number: 1, from, to }
+        };
+        let listed = window((-1, 2), (1, 3));
+        let ids: Vec<_> = listed.ids().map(|id| (id.x, id.y)).collect();
+        assert_eq!(ids, [(-1, 2), (0, 2), (1, 2), (-1, 3), (0, 3), (1, 3)]);
+        for (x, y) in (-3..4).flat_map(|x| (0..6).map(move |y| (x, y))) {
+            assert_eq!(listed.contains(TileId { x, y }), ids.contains(&(x, y)), "({x}, {y})");
+        }
+        assert_eq!(listed.tiles(), 6);
+        let empty = window((0, 0), (-1, 5));
+        assert_eq!((empty.tiles(), empty.ids().count()), (0, 0));
+        let all = window((i16::MIN, i16::MIN), (i16::MAX, i16::MAX));
+        assert_eq!(all.tiles(), u32::MAX, "2^32 tiles");
+    }
+
+    #[test]
+    fn every_event_is_found_by_its_number() {
+        for code in EventCode::ALL {
+            assert_eq!(EventCode::from_number(code as u16), Some(code));
+        }
+        assert_eq!([0, 16].map(EventCode::from_number), [None, None]);
+        let count = |severity| {
+            EventCode::ALL.iter().filter(|code| code.usual_severity() == severity).count()
+        };
+        use Severity::{Error, Info, Warning};
+        assert_eq!([Info, Warning, Error].map(count), [3, 7, 5]);
+        assert_eq!(EventCode::Started.usual_severity(), Info);
+        assert_eq!(EventCode::LowBattery.usual_severity(), Warning);
+        assert_eq!(EventCode::Collision.usual_severity(), Error);
+    }
+}

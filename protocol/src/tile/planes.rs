@@ -194,7 +194,19 @@ mod tests {
         assert_eq!(TileId::of_cell(-1, -32), Some(TileId { x: -1, y: -1 }));
         assert_eq!(TileId::of_cell(-33, 31), Some(TileId { x: -2, y: 0 }));
         assert_eq!(TileId::of_cell(i32::MAX, 0), None);
-        assert_eq!(cell_of(Millimetres(-1), Millimetres(50)), -1);
+        let cell = |coordinate| cell_of(Millimetres(coordinate), Millimetres(50));
+        assert_eq!([-51, -50, -1, 0, 49, 50].map(cell), [-2, -1, -1, 0, 0, 1]);
+    }
+
+    #[test]
+    fn the_first_cell_of_a_tile_is_its_lower_left_one() {
+        assert_eq!(TileId { x: -2, y: 3 }.first_cell(), (-64, 96));
+        for id in [TileId { x: -32_768, y: 32_767 }, TileId { x: 5, y: 0 }] {
+            let (x, y) = id.first_cell();
+            assert_eq!(TileId::of_cell(x, y), Some(id));
+            assert_ne!(TileId::of_cell(x - 1, y), Some(id));
+            assert_ne!(TileId::of_cell(x, y - 1), Some(id));
+        }
     }
 
     #[test]
@@ -207,5 +219,6 @@ mod tests {
         newer.fill_unknown_from(&older);
         assert_eq!(newer.cell(1, 1), Cell::Free);
         assert_eq!(newer.cell(2, 2), Cell::Movable);
+        assert_eq!(newer.counts(), (2, 1, 1));
     }
 }
