@@ -3,6 +3,7 @@
 pub mod boxes;
 pub mod data;
 pub mod deployments;
+pub mod device_fuzz;
 pub mod disk;
 pub mod elf;
 pub mod emulator;

@@ -8,6 +8,7 @@ use std::{
 };
 
 use ubimap_tests::{
+    device_fuzz::devices,
     fuzz::{frames, links, messages, tiles},
     vectors::hex,
 };
@@ -37,6 +38,11 @@ fn tiles_do_not_panic() {
 #[test]
 fn links_do_not_panic() {
     run("links", links);
+}
+
+#[test]
+fn devices_do_not_panic() {
+    run("devices", devices);
 }
 
 fn run(name: &str, target: fn(&[u8])) {
