@@ -98,7 +98,7 @@ impl SimA010 {
         let interval = Duration::from_micros(900_000 / u64::from(self.frames_per_second));
         let is_due = self.last.is_none_or(|last| taken >= last + interval);
         // The latency varies from image to image.
-        let swing = u64::from(self.number.wrapping_mul(0x9E37)) * 2 * JITTER.micros() >> 16;
+        let swing = (u64::from(self.number.wrapping_mul(0x9E37)) * 2 * JITTER.micros()) >> 16;
         let sent = taken + Duration::from_micros(LATENCY.micros() - JITTER.micros() + swing);
         let is_on = self.is_running && self.is_streaming && self.line.is_free(sent);
         if !is_due || !is_on || row.len() != self.side {

@@ -58,7 +58,7 @@ mod tests {
         let mut line = Line::new(115_200);
         line.send(&[7; 1_152], Instant(1_000));
         line.send(&[8], Instant(2_000));
-        assert_eq!(line.poll(Instant(1_086)), []);
+        assert_eq!(line.poll(Instant(1_086)), [0; 0]);
         assert_eq!(line.poll(Instant(1_087)), [7]);
         // A tenth of a second, then the byte that waited.
         assert_eq!(line.poll(Instant(101_000)), [7; 1_151]);

@@ -33,7 +33,7 @@ pub(super) const BUFFER: usize = SLICE.buffer_len(CAMERA.binning.side());
 
 /// A robot's software.
 pub(super) enum Body<'b> {
-    Robot(Robot<'b, Option<Driving>>),
+    Robot(Box<Robot<'b, Option<Driving>>>),
     Machine(Box<Wired<'b>>),
 }
 
@@ -56,7 +56,7 @@ impl<'b> Body<'b> {
         let robot = Robot::new(config, memory)?;
         let camera = buffer.and_then(|buffer| camera(sensor, buffer));
         Ok(match camera {
-            None => Self::Robot(robot),
+            None => Self::Robot(Box::new(robot)),
             Some(camera) => Self::Machine(Box::new(Wired {
                 machine: Machine::new(robot, camera, Create2::new()),
                 camera: SimA010::new(BAUD),
