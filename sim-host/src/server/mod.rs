@@ -285,8 +285,8 @@ impl Server {
         self.ports.command(robot, command)
     }
 
-    /// Tells every robot with a session to stop, with the highest command number, so that no later
-    /// command of this server overrides it.
+    /// Tells every robot with a session to stop. The command has the highest number, so no later
+    /// Stop of this server overrides it.
     pub fn stop_robots(&mut self) {
         let robots: Vec<RobotId> = self.ports.sessions().map(|session| session.robot()).collect();
         for robot in robots {
