@@ -10,7 +10,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_protocol::time::{Duration, Instant};
 
-/// Range of the extra delay of a reordered frame: a few frame times.
+/// Minimum and maximum extra delay of a reordered frame: a few frame times.
 const HOLD_BACK: (Duration, Duration) = (Duration::from_millis(5), Duration::from_millis(50));
 
 /// Maximum number of bits flipped by one corruption.
@@ -21,14 +21,14 @@ const MAX_FLIPS: u32 = 8;
 pub struct Faults {
     /// Probability that a frame is lost, in the long-run average.
     pub loss: f64,
-    /// Mean number of consecutive lost frames (a Gilbert-Elliott channel that loses everything in
-    /// its bad state). Independent losses have a mean run of 1 / (1 - loss); values up to that, for
-    /// example 1, give independent losses.
+    /// Mean number of consecutive lost frames (a Gilbert-Elliott channel that loses every frame in
+    /// its bad state). Independent losses come in runs of 1 / (1 - loss) frames on average; any
+    /// smaller value, for example 1, gives independent losses.
     pub burst: f64,
     /// Probability that a frame that is not lost arrives twice.
     pub duplicate: f64,
-    /// Probability that a copy is held back by 5 to 50 ms and may be overtaken. All other copies
-    /// arrive in the order of sending, whatever the jitter.
+    /// Probability that a copy is held back by 5 to 50 ms, so that later ones may overtake it. All
+    /// other copies arrive in the order of sending, even with jitter.
     pub reorder: f64,
     /// Probability that 1 to 8 bits of a copy, including its delimiter, are flipped.
     pub corrupt: f64,
@@ -36,7 +36,8 @@ pub struct Faults {
     pub latency: Duration,
     /// Maximum random delay in addition to the latency, uniformly distributed per copy.
     pub jitter: Duration,
-    /// Interval in which everything that is sent is lost: from the first time to before the second.
+    /// Interval in which all frames sent are lost: from the first time until just before the
+    /// second.
     pub cut: Option<(Instant, Instant)>,
 }
 
@@ -101,7 +102,7 @@ impl FaultWire {
         }
     }
 
-    /// Sends one frame as the link encoded it.
+    /// Sends one encoded frame of the link.
     pub fn send(&mut self, now: Instant, frame: &[u8]) {
         self.counters.sent += 1;
         self.counters.bytes += frame.len() as u64;
@@ -156,7 +157,8 @@ impl FaultWire {
     }
 }
 
-/// Decides which frames are lost: a Gilbert-Elliott chain that delivers in the good state only.
+/// Decides which frames are lost: a Gilbert-Elliott chain that delivers frames only in its good
+/// state.
 #[derive(Clone, Debug)]
 struct Losses {
     bad: bool,
@@ -184,13 +186,13 @@ impl Losses {
     }
 }
 
-/// A random event that never happens for a probability that is NaN or below 0, and always for one
-/// above 1.
+/// Whether a random event of this probability happens: never if it is NaN or at most 0, always if
+/// it is at least 1.
 fn happens(rng: &mut impl Rng, probability: f64) -> bool {
     rng.random::<f64>() < probability
 }
 
-/// Flips 1 to 8 different bits; false if the frame is empty.
+/// Flips 1 to 8 different bits. Returns false if the frame is empty.
 fn flip_bits(rng: &mut impl Rng, frame: &mut [u8]) -> bool {
     let bits = frame.len() * 8;
     if bits == 0 {

@@ -1,8 +1,8 @@
 //! Channels between the server and its robots.
 //!
 //! - [`fault`]: a wire that loses, repeats, reorders and damages frames, under virtual time.
-//! - [`serial`]: a serial port, or a pseudo-terminal that stands for one.
-//! - [`wire`]: what a server needs of a port.
+//! - [`serial`]: a serial port, or a pseudo-terminal in its place.
+//! - [`wire`]: the trait of byte streams that a server uses.
 
 pub mod fault;
 pub mod serial;

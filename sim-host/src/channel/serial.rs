@@ -18,15 +18,15 @@ use std::{
 /// Capacity of the write queue, in writes of at most 250 bytes each.
 const QUEUED_WRITES: usize = 64;
 
-/// Bytes per write to the operating system: small enough that all of them are accepted if there is
-/// room at all.
+/// Maximum number of bytes per write to the operating system: small enough to be accepted as a
+/// whole if there is any room.
 const WRITE_CHUNK: usize = 64;
 
 /// Write timeout. It decides how often the writer checks whether the port was dropped while its
 /// peer accepts no data, and how long a dropped port waits for queued bytes.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// The reason with what to do about it, if that is known.
+/// The error's text, with advice if the cause is known.
 fn told(reason: &serialport::Error) -> String {
     match reason.to_string().as_str() {
         // ENOTTY.
@@ -108,12 +108,13 @@ impl SerialPort {
         }
     }
 
-    /// Reads what has arrived without waiting; returns the number of bytes, possibly 0.
+    /// Reads bytes that have arrived, without waiting. Returns their number, possibly 0.
     pub fn read(&mut self, buffer: &mut [u8]) -> Result<usize, SerialError> {
         self.read_within(buffer, Duration::ZERO)
     }
 
-    /// Reads what has arrived, waiting up to `wait` for the first byte.
+    /// Reads bytes that have arrived, and waits up to `wait` for the first one. Returns their
+    /// number, possibly 0.
     ///
     /// Bytes that were not read before the other end hung up are lost.
     pub fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
@@ -134,8 +135,8 @@ impl SerialPort {
         }
     }
 
-    /// Queues bytes for writing: all of them or, on error, none. When the port is dropped, queued
-    /// bytes are still written if the peer accepts them at once.
+    /// Queues bytes for writing: all of them or, on error, none. Bytes that are queued when the
+    /// port is dropped are still written if the peer accepts them within [`WRITE_TIMEOUT`].
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
         let Some(writes) = &self.writes else { return Err(self.hung_up()) };
         writes.try_send(bytes.to_vec()).map_err(|error| match error {
@@ -159,7 +160,7 @@ impl Drop for SerialPort {
     }
 }
 
-/// Writes what is queued until the port is dropped or disconnected.
+/// Writes queued bytes until the port is dropped or disconnected.
 fn write_queued(
     mut port: Box<dyn serialport::SerialPort>,
     queue: &mpsc::Receiver<Vec<u8>>,

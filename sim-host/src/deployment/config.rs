@@ -1,4 +1,4 @@
-//! The configuration of a deployment, and the state left by earlier lives.
+//! The configuration of a deployment, and the state stored by earlier lives (runs of the server).
 
 use ubimap_protocol::{
     tile::{Epoch, TileId},
@@ -13,30 +13,32 @@ use crate::{
     server::coordination::Settings,
 };
 
-/// Gap between the last stored time and the start of the next life. Records carry whole seconds, so
-/// a second keeps two lives apart.
+/// Gap between the last stored time and the start of the next life. Records contain whole seconds,
+/// so a gap of one second keeps the times of two lives distinct.
 const LIFE_GAP: Duration = Duration::from_secs(1);
 
 /// The configuration of a deployment.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The side length of the map's cells. Robots with another one are refused.
+    /// The side length of the map's cells. Robots with a different side length are refused.
     pub resolution: Millimetres,
-    /// The cameras, indexed by the number in their frames. Not needed for observations.
+    /// The cameras, indexed by the number in their frames. May be empty if only observations, and
+    /// no frames, are processed.
     pub cameras: Vec<Calibration>,
     /// The robots and their markers.
     pub registry: Registry,
-    /// Settings of the coordinator that tells robots where to drive; `None`: no coordinator.
+    /// Settings of the coordinator, which decides where robots drive; `None` for no coordinator.
     pub coordination: Option<Settings>,
     /// Whether constant errors of robots are corrected, and robots in blind ground get fixes.
     pub corrects_errors: bool,
     /// Whether [`Deployment::sightings`](super::Deployment::sightings) keeps every sighting of a
-    /// robot, for the reports of finite runs. Costs 32 bytes per sighting, without limit.
+    /// robot, for the reports of finite runs. Costs 32 bytes per sighting; their number is not
+    /// limited.
     pub keeps_sightings: bool,
 }
 
 impl Config {
-    /// No cameras, robots or coordination; errors are corrected.
+    /// A configuration without cameras, robots or coordinator, but with the correction of errors.
     pub fn new(resolution: Millimetres) -> Self {
         Self {
             resolution,
@@ -52,12 +54,14 @@ impl Config {
 /// One life of the server: from a start of the program to its end.
 #[derive(Clone, Debug)]
 pub struct Life {
-    /// The epoch of the server's layers; different in each life, in no order.
+    /// The epoch of the server's layers. It differs from life to life; the order of epochs has no
+    /// meaning.
     pub epoch: Epoch,
-    /// The number of the first session, which should be random: should a life repeat an epoch, robots
-    /// notice the new one by it. `None`: it follows from the epoch.
+    /// The number of the first session. It should be random: if a life repeats an epoch, robots
+    /// recognise the new life by it. `None`: derived from the epoch.
     pub first_session: Option<u32>,
-    /// What earlier lives have stored; `None` if nothing is stored, in this life either.
+    /// The state stored by earlier lives. `None` if there is no store; then this life stores
+    /// nothing either.
     pub kept: Option<Kept>,
 }
 
@@ -67,7 +71,7 @@ impl Life {
         Self { epoch, first_session: None, kept: None }
     }
 
-    /// The start of this life by the server's clock, which continues across lives.
+    /// When this life begins, by the server's clock, which continues across lives.
     pub(super) fn begins(&self) -> Instant {
         match self.kept.as_ref().map(|kept| kept.clock) {
             None | Some(Instant(0)) => Instant(0),
@@ -83,14 +87,14 @@ impl Default for Life {
     }
 }
 
-/// What earlier lives have stored.
+/// The state stored by earlier lives.
 #[derive(Clone, Debug, Default)]
 pub struct Kept {
     /// The last known time of the server's clock.
     pub clock: Instant,
     /// States of robots' tiles; the epochs of each tile in ascending order.
     pub tiles: Vec<(RobotId, TileRecord)>,
-    /// Robots' tiles that were damaged in the store: the robots are asked for them again.
+    /// Robots' tiles that were damaged in the store. The robots are asked to send them again.
     pub damaged_tiles: Vec<(RobotId, TileId, Epoch)>,
     /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,

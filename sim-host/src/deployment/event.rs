@@ -7,7 +7,7 @@ use crate::{camera::Observation, perception::FrameError, server};
 /// Something that happened in a deployment.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// A frame or observation was processed, with this result.
+    /// A frame or observation was processed; contains the result.
     Observed(Observation),
     /// A camera has started to deliver faulty frames.
     Frame(FrameError),
@@ -16,7 +16,7 @@ pub enum Event {
 }
 
 impl Event {
-    /// The level at which to log the event.
+    /// The log level of the event.
     pub fn level(&self) -> log::Level {
         match self {
             Self::Observed(_) => log::Level::Trace,

@@ -10,23 +10,24 @@ use crate::{
     server::Server,
 };
 
-/// Interval between batches of robots' tiles. A robot keeps a tile until it is stored; a commit
-/// costs some 10 ms, whatever its size.
+/// Interval between batches of robots' tiles. A robot keeps a tile until it is stored; a commit of
+/// any size costs some 10 ms.
 const COMMIT_INTERVAL: Duration = Duration::from_millis(250);
-/// Maximum number of robots' tiles in a batch, 1.3 MB, so that writing it delays no fix for long.
+/// Maximum number of robots' tiles in a batch: 1.3 MB, so that writing a batch does not delay fixes
+/// for long.
 const MAX_TILES: usize = 256;
-/// Interval between batches of camera tiles. Longer, because cameras see most of it again after a
-/// restart.
+/// Interval between batches of camera tiles. Longer than the other one, because cameras see most of
+/// these cells again after a restart.
 const CAMERA_INTERVAL: Duration = Duration::from_secs(10);
 /// Delay before a failed batch is written again.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Records to be written in one transaction. Give it back with
+/// Records to be written in one transaction. Return the batch with
 /// [`Deployment::stored`](super::Deployment::stored) or
 /// [`Deployment::store_failed`](super::Deployment::store_failed).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
-    /// When the batch was made, by the server's clock; the next life starts after it.
+    /// When the batch was made, by the server's clock; the clock of the next life starts later.
     pub clock: Instant,
     /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
@@ -48,7 +49,7 @@ impl Batch {
 pub(super) struct Keeping {
     next_commit: Instant,
     next_camera_tiles: Instant,
-    /// A batch is being written; no other one is handed out until it is given back.
+    /// Whether a batch is being written. No other one is handed out until it is returned.
     is_writing: bool,
 }
 
@@ -59,14 +60,14 @@ impl Keeping {
         Self { next_commit: begins, next_camera_tiles, is_writing: false }
     }
 
-    /// When the next batch is due, if there is anything to write.
+    /// When the next batch is due; `None` if there is nothing to write or a batch is being written.
     pub(super) fn poll_timeout(&self, server: &Server) -> Option<Instant> {
         let commit = server.has_unsaved().then_some(self.next_commit);
         let camera_tiles = server.has_camera_tiles().then_some(self.next_camera_tiles);
         commit.into_iter().chain(camera_tiles).min().filter(|_| !self.is_writing)
     }
 
-    /// Returns the batch that is due.
+    /// Returns the next batch, if it is due.
     pub(super) fn poll(&mut self, server: &mut Server, now: Instant) -> Option<Batch> {
         if self.poll_timeout(server).is_none_or(|due| now < due) {
             return None;
@@ -86,13 +87,13 @@ impl Keeping {
         self.is_writing.then_some(batch)
     }
 
-    /// Makes the next batches due.
+    /// Makes the next batches of both kinds due at `now`.
     pub(super) fn hasten(&mut self, now: Instant) {
         self.next_commit = now;
         self.next_camera_tiles = now;
     }
 
-    /// Acknowledges a batch that is on disk.
+    /// Tells the server that a batch is on disk.
     pub(super) fn stored(&mut self, server: &mut Server, batch: &Batch) {
         self.is_writing = false;
         batch.cures.iter().for_each(|record| server.cure_stored(record));

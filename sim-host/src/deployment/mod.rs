@@ -1,9 +1,9 @@
-//! Cameras, server and persistence behind one interface, which the simulated room, recordings and
-//! real ports drive, each with its own clock.
+//! Cameras, server and persistence behind one interface. The simulated room, recordings and real
+//! ports all use it, each with its own clock.
 //!
 //! | file | content |
 //! |---|---|
-//! | `config` | configuration, and the state left by earlier lives |
+//! | `config` | configuration, and the state stored by earlier lives (runs of the server) |
 //! | [`registry`] | the robots and their markers |
 //! | `keeping` | when state is written to disk |
 //! | `port` | port handles |
@@ -43,7 +43,7 @@ pub use status::{CameraStatus, PortStatus, Status};
 /// Maximum number of events waiting to be polled; beyond it the oldest is dropped.
 const MAX_EVENTS: usize = 1_000;
 
-/// Perception, the server and persistence. Owns no clock, port, camera or file.
+/// Joins perception, the server and persistence. It owns no clock, port, camera or file.
 ///
 /// - Inputs: frames ([`frame`](Self::frame)), observations computed elsewhere, such as in a thread
 ///   per camera ([`observe`](Self::observe)), bytes from ports ([`receive`](Self::receive)), and
@@ -53,8 +53,8 @@ const MAX_EVENTS: usize = 1_000;
 ///
 /// It follows the driving rule of this [crate]: after every input drain the three outputs, then
 /// return at [`poll_timeout`](Self::poll_timeout), call [`timeout`](Self::timeout) and drain again.
-/// Drain the records first: what is on disk is acknowledged in the frames that follow. Return a
-/// batch with [`stored`](Self::stored) once it is written, or with
+/// Drain the records first: tiles that are on disk are acknowledged in the frames that follow.
+/// Return a batch with [`stored`](Self::stored) once it is written, or with
 /// [`store_failed`](Self::store_failed) if it could not be: nothing in it is acknowledged, it is
 /// handed out again after a second, and everything else continues.
 ///
@@ -130,7 +130,7 @@ pub struct Deployment {
     observer: Observer,
     resolution: Millimetres,
     keeping: Keeping,
-    /// The server's time when the caller's clock is zero.
+    /// The time of the server's clock when the caller's clock is zero.
     began: Instant,
     /// The port from which the search for the next frame starts.
     next_port: usize,
@@ -256,13 +256,13 @@ impl Deployment {
         self.server.explore(robot, explores);
     }
 
-    /// Tells every robot with a session to stop. A robot obeys until it meets the next life of the
-    /// server.
+    /// Tells every robot with a session to stop. A robot stays stopped until it has a session with
+    /// the next life of the server.
     pub fn stop_robots(&mut self) {
         self.server.stop_robots();
     }
 
-    /// Does what is due at `now`.
+    /// Does all work that is due at `now`, except for output.
     pub fn timeout(&mut self, now: Instant) {
         let now = self.server_time(now);
         self.server.timeout(now);
@@ -271,14 +271,14 @@ impl Deployment {
 
 /// Outputs.
 impl Deployment {
-    /// Returns the next batch of records to write, if this life stores anything.
+    /// Returns the next batch of records to write, if one is due. Always `None` without a store.
     #[must_use]
     pub fn poll_store(&mut self, now: Instant) -> Option<Batch> {
         let now = self.server_time(now);
         self.keeping.poll(&mut self.server, now)
     }
 
-    /// Makes all records that are not on disk due at once, before the life ends.
+    /// Makes all records that are not on disk due now. Call it before the server ends.
     pub fn hasten_store(&mut self, now: Instant) {
         let now = self.server_time(now);
         self.keeping.hasten(now);
@@ -301,7 +301,7 @@ impl Deployment {
     #[must_use]
     pub fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<(PortId, usize)> {
         let now = self.server_time(now);
-        // The map must age without ports, too.
+        // The map must age even if there is no port.
         self.server.age(now);
         while let Some(port) = self.server.port_from(self.next_port) {
             self.next_port = port;
@@ -385,7 +385,8 @@ impl Deployment {
         self.began + moment.since(Instant(0))
     }
 
-    /// Converts a time of the server's clock to the caller's; zero for times of earlier lives.
+    /// Converts a time of the server's clock to the caller's. Returns zero for times in earlier
+    /// lives.
     pub fn since_began(&self, moment: Instant) -> Instant {
         Instant(0) + moment.since(self.began)
     }

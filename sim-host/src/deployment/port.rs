@@ -5,7 +5,7 @@
 pub struct PortId(pub(super) usize);
 
 impl PortId {
-    /// The number that [`server::Event::Joined`](crate::server::Event::Joined) reports.
+    /// The port's number, as in [`server::Event::Joined`](crate::server::Event::Joined).
     pub fn number(self) -> usize {
         self.0
     }

@@ -38,7 +38,7 @@ const MAX_SIZE_M: f64 = 10.0;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Registry {
-    /// In any order; ids are unique.
+    /// The robots in any order; their ids are unique.
     #[serde(default)]
     pub robots: Vec<RegisteredRobot>,
 }
@@ -49,7 +49,7 @@ pub struct Registry {
 pub struct RegisteredRobot {
     /// The robot's id.
     pub id: u16,
-    /// The id of its AprilTag; `None`: the robot's id.
+    /// The id of its AprilTag; by default the robot's id.
     pub tag_id: Option<u16>,
     /// The colours of the head and the tail of its marker, if it is not a tag.
     pub colours: Option<[Hue; 2]>,
@@ -162,8 +162,7 @@ impl Registry {
                 return Err(BadRegistry(format!("robot {} is registered twice", robot.id)));
             }
         }
-        // The registry can be checked without cameras: whether markers are unique does not depend
-        // on them.
+        // No cameras are needed to check whether markers are unique.
         match registry.observer(&[], Survey::default().side) {
             Ok(_) => Ok(registry),
             Err(error @ RegistryError::Twice(..)) => {
@@ -193,7 +192,7 @@ impl Registry {
             .clone()
             .map(|robot| (robot.identifier(), robot.mount(), robot.footprint()))
             .collect();
-        // Obstacles higher than the tallest robot do not block robots.
+        // Obstacles above the tallest robot do not block robots.
         let tallest_m = robots.map(|robot| robot.height_m).reduce(f64::max);
         let robot_height = Millimetres::from_metres(tallest_m.unwrap_or(USUAL_HEIGHT_M));
         Observer::new(cameras, &known, Survey { side, robot_height, ..Survey::default() })

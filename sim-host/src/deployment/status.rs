@@ -10,7 +10,7 @@ use crate::camera::Observation;
 /// State and counters of a deployment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Status {
-    /// The cameras that have delivered anything, by number.
+    /// The cameras that have delivered a frame or observation, by number.
     pub cameras: BTreeMap<usize, CameraStatus>,
     /// The open ports in the order of opening.
     pub ports: Vec<PortStatus>,

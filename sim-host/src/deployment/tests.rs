@@ -92,7 +92,7 @@ impl Robot {
     }
 
     /// Receives all frames. Returns the kinds of messages, and the version of the robot's tile that
-    /// is acknowledged as stored.
+    /// the server reports as stored.
     fn hear(
         &mut self,
         deployment: &mut Deployment,
@@ -168,7 +168,7 @@ fn camera_tiles_are_handed_out_again_after_a_failure() {
     assert_eq!(deployment.poll_store(at(99_000)), None);
 }
 
-/// The caller's clock restarts with each process; the server's clock continues.
+/// The caller's clock restarts with each process; the server's clock continues across lives.
 #[test]
 fn times_are_by_the_callers_clock_in_every_life() {
     let earlier = at(60_000);
@@ -215,7 +215,7 @@ fn the_coordinator_executes_goals_and_exploration() {
         let port = deployment.open_port();
         let mut robot = Robot::connect(&mut deployment, port, at(0));
         deployment.observe(floor());
-        // The coordinator gets to know the robot, receives the order, and decides.
+        // The coordinator learns of the robot, receives the order, and decides.
         robot.hear(&mut deployment, at(100));
         deployment.timeout(at(100));
         order(&mut deployment);

@@ -1,9 +1,10 @@
-//! How well each robot's claims agree with the others', and the weight that follows from it.
+//! How well each robot's claims agree with those of cameras and other robots, and the weight that
+//! follows.
 //!
 //! Claims are counted per cell. A claim that a cell is occupied is contradicted by a claim that the
 //! cell and all its neighbours are free, and confirmed by a claim that the cell or a neighbour is
-//! occupied. Where cameras know a cell, they are right. Elsewhere a robot is wrong if more robots
-//! contradict it than agree, itself included: one claim against another decides nothing.
+//! occupied. Where cameras know a cell, they are right. Elsewhere a robot is wrong if at least two
+//! robots contradict it, and more than agree with it, itself included.
 
 use std::collections::BTreeMap;
 
@@ -14,14 +15,15 @@ use ubimap_protocol::{
 
 use super::mask::Mask;
 
-/// Minimum number of contradictions for a loss of weight: people, other robots and pose errors cause
-/// fewer.
+/// Minimum number of contradictions at which a robot loses weight. People, other robots and pose
+/// errors cause fewer.
 const MIN_CONTRADICTIONS: u32 = 64;
-/// Contradictions as a fraction of all claims, in sixteenths: each value that is exceeded costs one
+/// Contradictions as a fraction of all claims, in sixteenths. Each value that is reached costs one
 /// grade of weight. The first is one half, because robots also see people, and table legs that
 /// cameras see only from above.
 const SHARES: [u32; Weight::FULL.0 as usize] = [8, 10, 12, 14];
-/// Maximum number of points of distance vectors that count; older ones fade out.
+/// Maximum number of points of distance vectors that count for a robot. Beyond it all counts are
+/// halved, so old ones fade out.
 const POINTS: u32 = 1_024;
 /// Minimum number of robots that contradict a claim for it to be wrong.
 const VOTES: u8 = 2;
@@ -47,7 +49,7 @@ impl Weight {
     }
 }
 
-/// Numbers of agreeing and contradicting cells, or points.
+/// Numbers of agreeing and of contradicting cells or points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Counts {
     agree: u32,
@@ -67,7 +69,7 @@ impl Counts {
     }
 }
 
-/// How well the robots agree, by their layers and by their distance vectors.
+/// Counts for each robot, from its layer and from its distance vectors.
 #[derive(Debug, Default)]
 pub struct Agreements {
     tiles: BTreeMap<(RobotId, TileId), Counts>,
@@ -119,8 +121,8 @@ impl Agreements {
         }
     }
 
-    /// Adds a distance vector of a robot: the number of its points on surfaces that the cameras
-    /// see, and the number in ground that they see as free.
+    /// Adds a distance vector of a robot: `agree` of its points are on surfaces that the cameras
+    /// see, `contradict` are in ground that they see as free.
     pub fn looked(&mut self, robot: RobotId, agree: u32, contradict: u32) {
         let sum = self.points.entry(robot).or_default();
         sum.agree += agree.min(POINTS);
@@ -152,13 +154,13 @@ impl Counts {
     }
 }
 
-/// The certain claims about the cells of a tile.
+/// An observer's claims about the cells of a tile. Movable and unknown cells claim nothing.
 struct Claims {
     /// The cell is occupied by something fixed.
     occupied: Mask,
     /// The cell or a neighbour is occupied by something fixed.
     near: Mask,
-    /// The cell and all its neighbours in the tile are free.
+    /// The cell and all its neighbours within the tile are free.
     free: Mask,
 }
 

@@ -1,5 +1,5 @@
-//! What the cameras have seen: for each cell its last state without moving objects, and the objects
-//! that are moving now.
+//! What the cameras have seen: for each cell its last state apart from moving objects, and the
+//! cells of objects that are moving now.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -47,7 +47,8 @@ pub struct CameraTile {
 
 impl CameraLayer {
     /// Adds the cells of a frame, except those known from a newer one; a frame without cells has no
-    /// effect. Returns the changed tiles.
+    /// effect. Returns the tiles that have changed, or have cells that were out of view for longer
+    /// than [`CELL_AWAY`].
     pub fn observe(&mut self, observation: &Observation) -> BTreeSet<TileId> {
         let mut changed = BTreeSet::new();
         if observation.cells.is_empty() {
@@ -81,7 +82,7 @@ impl CameraLayer {
         changed
     }
 
-    /// Takes all tiles observed since the last call, without moving objects.
+    /// Returns the stationary cells of all tiles observed since the last call.
     pub fn take_unkept(&mut self) -> Vec<CameraTile> {
         let unkept = self.still.iter_mut().filter(|(_, still)| still.is_unkept);
         let tiles = unkept.map(|(&id, still)| {
@@ -93,7 +94,8 @@ impl CameraLayer {
         tiles.collect()
     }
 
-    /// Marks tiles that could not be stored, so that they are taken again.
+    /// Marks tiles that could not be stored, so that the next [`CameraLayer::take_unkept`] returns
+    /// them again.
     pub fn not_kept(&mut self, tiles: &[CameraTile]) {
         for tile in tiles {
             if let Some(still) = self.still.get_mut(&tile.id) {
@@ -120,7 +122,7 @@ impl CameraLayer {
         }
     }
 
-    /// The cameras' knowledge of a tile, with the time each cell was last seen.
+    /// What the cameras know of a tile, with the time at which each cell was last seen.
     pub fn seen(&self, id: TileId) -> SeenTile {
         let mut seen = SeenTile { tile: self.tile(id), ..SeenTile::NOTHING };
         if let Some(still) = self.still.get(&id) {
@@ -138,7 +140,7 @@ impl CameraLayer {
         seen
     }
 
-    /// The cameras' knowledge of a tile.
+    /// What the cameras know of a tile, including moving objects.
     pub fn tile(&self, id: TileId) -> Tile {
         let mut tile = Tile::UNKNOWN;
         for moving in self.moving.values().filter_map(|(_, tiles)| tiles.get(&id)) {
@@ -163,8 +165,8 @@ impl Default for Still {
 }
 
 impl Still {
-    /// Sets a cell as a camera reports it: free, occupied or no longer known. Returns whether its
-    /// state changes, or it had been out of view for a while.
+    /// Sets a cell as a camera reports it: free, occupied or (no longer) unknown. Returns whether
+    /// its state has changed, or it was out of view for longer than [`CELL_AWAY`].
     fn take(&mut self, x: usize, y: usize, cell: Cell, camera: usize, captured: Instant) -> bool {
         let known = self.tile.cell(x, y);
         let seen = &mut self.seen[y * TILE_SIDE + x];

@@ -1,6 +1,6 @@
 //! Separates two constant errors of a robot. If the heading seen by cameras differs from the course
-//! over ground, the identifier is mounted askew. If the robot's distance vectors are still rotated
-//! against the map, the sensor is mounted askew.
+//! over ground, the identifier (the marker that cameras see) is mounted askew. If the robot's
+//! distance vectors are then still rotated relative to the map, its sensor is mounted askew.
 
 use std::collections::VecDeque;
 
@@ -22,12 +22,12 @@ const STRETCH_M: f64 = 0.6;
 const STRETCH_TIME: Duration = Duration::from_secs(8);
 /// Minimum number of fixes for a stretch to count as straight.
 const MIN_FIXES: usize = 6;
-/// A turn by more than this, in degrees, ends a stretch; above the noise of fixes.
+/// A turn by more than this, in degrees, ends a stretch. It exceeds the noise of fixes.
 const TURN_DEG: f64 = 5.0;
 /// Maximum difference between the mean headings of a stretch's two halves, in degrees.
 const BEND_DEG: f64 = 1.5;
-/// Difference between heading and course above which the robot must be moving sideways, in degrees:
-/// no identifier is mounted that far askew.
+/// Maximum difference between heading and course, in degrees. No identifier is mounted further
+/// askew, so a larger difference means that the robot moves sideways.
 const MAX_DEG: f64 = 15.0;
 /// Standard deviation of the error that all fixes along one `STRETCH_M` share, in degrees: the
 /// accuracy of the cameras' calibration.
@@ -43,8 +43,8 @@ const CURE_DEVIATIONS: f64 = 3.0;
 /// Maximum standard deviation for a correction, in degrees: the error is then known to half a
 /// degree.
 const SURE_DEG: f64 = 0.5 / CURE_DEVIATIONS;
-/// Number of deviations from the mean beyond which Tukey's biweight ignores a measurement: for
-/// normally distributed ones, it has an efficiency of 95 %.
+/// Distance from the mean, in standard deviations, beyond which Tukey's biweight ignores a
+/// measurement. With this value it is 95 % efficient for normally distributed measurements.
 const BIWEIGHT: f64 = 4.685;
 /// Number of iterations of the biweight.
 const ROUNDS: usize = 10;
@@ -93,20 +93,22 @@ pub struct CureRecord {
 #[derive(Clone, Debug, Default)]
 pub struct ConstantErrors {
     stretch: Stretch,
-    /// For each completed stretch, the heading minus the course and its standard deviation, in
-    /// degrees.
+    /// For each completed stretch, heading minus course, and the standard deviation of this
+    /// difference, in degrees.
     askew: VecDeque<(f64, f64)>,
-    /// Rotations of distance vectors against the map, relative to the uncorrected headings that
-    /// cameras see, each with its standard deviation, in degrees.
+    /// For each distance vector, its rotation relative to the map if drawn at the uncorrected
+    /// heading that cameras see, and the standard deviation, in degrees.
     turned: VecDeque<(f64, f64)>,
-    /// Estimates from these measurements, updated with each one.
+    /// Estimates from `askew` (with the current stretch) and from `turned`, updated with each
+    /// measurement.
     identifier: Option<Estimated>,
     turn: Option<Estimated>,
     cured: Cured,
 }
 
 impl ConstantErrors {
-    /// Adds a camera fix, in the order of frames; returns the corrected pose.
+    /// Adds a camera fix, `seen` at `moment`, to the estimate unless it is older than the previous
+    /// one. Returns it with the identifier's error subtracted.
     pub fn fix(&mut self, moment: Instant, seen: Pose) -> Pose {
         let before = self.stretch.measured;
         if let Some(measured) = self.stretch.go(moment, seen) {
@@ -119,13 +121,13 @@ impl ConstantErrors {
         self.corrected(seen)
     }
 
-    /// A pose with the applied correction of the identifier's error.
+    /// The pose `seen` by cameras, with the identifier's error subtracted.
     pub fn corrected(&self, seen: Pose) -> Pose {
         Pose { heading: seen.heading - Angle::from_degrees(self.cured.taken_out), ..seen }
     }
 
-    /// Adds the rotation of a distance vector against the map, measured from a corrected pose, and
-    /// its standard deviation, in degrees.
+    /// Adds the rotation of a distance vector relative to the map, measured from a corrected pose,
+    /// and its standard deviation, both in degrees.
     pub fn turned(&mut self, degrees: f64, deviation: f64) {
         push(&mut self.turned, (degrees - self.cured.taken_out, deviation));
         self.turn = estimate(self.turned.iter().copied().collect());
@@ -150,7 +152,7 @@ impl ConstantErrors {
         self.cured
     }
 
-    /// Without measurements, and with these corrections already applied.
+    /// Starts without measurements, with the corrections that are already applied.
     pub fn of(cured: Cured) -> Self {
         Self { cured, ..Self::default() }
     }
@@ -188,9 +190,10 @@ fn push(measured: &mut VecDeque<(f64, f64)>, one: (f64, f64)) {
     measured.push_back(one);
 }
 
-/// Robust mean by Tukey's biweight: there are places where the map misleads by several deviations
-/// on every visit. `None` if more than a third of the measurements are outliers, as the majority is
-/// then not reliable.
+/// Robust mean of pairs of a value and its standard deviation, by Tukey's biweight: in some places
+/// an error of the map shifts every measurement by several deviations. `None` if fewer than
+/// [`MIN_MEASUREMENTS`] remain, or if more than a third are outliers, since the majority is then
+/// not reliable.
 fn estimate(measured: Vec<(f64, f64)>) -> Option<Estimated> {
     let mut mean = median(measured.iter().map(|it| it.0).collect())?;
     let (mut shares, mut weights) = (Vec::new(), 0.0);
@@ -229,16 +232,16 @@ fn median(mut all: Vec<f64>) -> Option<f64> {
 #[derive(Clone, Debug, Default)]
 struct Stretch {
     fixes: Vec<(Instant, Pose)>,
-    /// Heading minus course and its standard deviation in degrees, once the stretch is long enough.
-    /// A stretch of twice the length is about three times as accurate.
+    /// Heading minus course, and the standard deviation of this difference, in degrees, once the
+    /// stretch is long enough. A stretch of twice the length is about three times as accurate.
     measured: Option<(f64, f64)>,
     /// Number of measurements of this stretch so far.
     parts: u32,
 }
 
 impl Stretch {
-    /// Adds a fix. If the robot no longer drives straight, starts a new stretch and returns the
-    /// measurement of the completed one.
+    /// Adds a fix, `seen` at `moment`. If the robot no longer drives straight, starts a new stretch
+    /// and returns the measurement of the previous one.
     fn go(&mut self, moment: Instant, seen: Pose) -> Option<(f64, f64)> {
         let (first, last) = (self.fixes.first().copied(), self.fixes.last().copied());
         if last.is_some_and(|(last, _)| moment <= last) {
@@ -324,7 +327,8 @@ mod tests {
     use proptest::prelude::*;
 
     /// Fixes at 15 Hz of a robot that drives back and forth and turns at the ends, with its
-    /// identifier askew; `noise` is added to each fix, in millimetres and degrees.
+    /// identifier askew; `noise` is added to each fix, in degrees for the heading and in units of 5
+    /// mm for the position.
     fn drive(
         errors: &mut ConstantErrors,
         askew: f64,
@@ -364,7 +368,7 @@ mod tests {
             let found = errors.identifier().expect("after 10 m");
             let off = found.degrees - askew;
             prop_assert!(off.abs() < 0.5 && off.abs() < 4.0 * found.deviation, "{off} {found:?}");
-            // A single cure suffices.
+            // A single correction suffices.
             prop_assert_eq!(errors.cure_identifier(), askew.abs() > 0.5 || errors.cured().taken_out != 0.0);
             prop_assert!(!errors.cure_identifier());
             let seen = Pose { heading: Angle::from_degrees(40.0 + askew), ..Pose::default() };

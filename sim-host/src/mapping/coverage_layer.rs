@@ -26,7 +26,7 @@ pub struct CoverageLayer {
 }
 
 impl CoverageLayer {
-    /// Adds the cells of a frame, in any order of frames. Cost: a few nanoseconds per cell.
+    /// Adds the cells of a frame. Frames may arrive in any order. Cost: a few nanoseconds per cell.
     pub fn observe(&mut self, observation: &Observation) {
         if observation.cells.is_empty() {
             return;
@@ -94,7 +94,7 @@ mod tests {
         }
     }
 
-    /// The covered columns of row -1, after all due refreshes.
+    /// The covered columns of row -1 at `millis`, after all refreshes that are due.
     fn covered(layer: &mut CoverageLayer, millis: u64) -> Vec<usize> {
         while let Some(due) = layer.poll_timeout().filter(|due| due.0 <= millis * 1_000) {
             layer.refresh(due);

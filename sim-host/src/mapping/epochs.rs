@@ -1,7 +1,8 @@
-//! The epochs of one tile of a robot: the newest two apart, all older ones joined.
+//! The epochs of one tile of a robot. The newest two are kept apart (open), all older ones are
+//! joined (closed).
 //!
-//! A robot ends an epoch of a tile before it begins the next one (SPEC.md, 7.2). What still arrives
-//! of the older one is a late copy, so older epochs need not be kept apart.
+//! A robot ends an epoch of a tile before it begins the next one (SPEC.md, 7.2). Any update of an
+//! older epoch that still arrives is a late copy, so older epochs need not be kept apart.
 
 use std::collections::BTreeMap;
 
@@ -9,8 +10,8 @@ use ubimap_protocol::tile::{
     Applied, BaseMissing, Epoch, Replica, Stamp, Tile, TileDecoder, TileHeader, Version,
 };
 
-/// Number of epochs of a tile that are kept apart. The newest one is in use; the one before it still
-/// answers late digests and notices.
+/// Number of epochs of a tile that are kept apart. The robot draws in the newest one; the one
+/// before it is needed to answer late digests and notices.
 const OPEN: usize = 2;
 /// Maximum number of epochs of a tile in memory: the open ones, and one that joins all older ones.
 pub(super) const MAX_HELD: usize = OPEN + 1;
@@ -19,10 +20,10 @@ pub(super) const MAX_HELD: usize = OPEN + 1;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Held {
     replica: Replica,
-    /// The cells of the replica before it was restarted within its epoch. Cells that an epoch has
-    /// known stay known.
+    /// The cells that the replica had before a whole tile replaced them within the epoch: cells
+    /// that an epoch has known stay known.
     before: Option<Tile>,
-    /// The version on disk.
+    /// The newest version on disk.
     pub(super) kept: Version,
 }
 
@@ -85,16 +86,16 @@ impl Held {
 /// Older epochs, joined.
 #[derive(Clone, Debug)]
 struct Closed {
-    /// The newest of them.
+    /// The newest closed epoch.
     newest: Epoch,
-    /// For each cell, the code from the newest of them in which it is known.
+    /// For each cell, the code from the newest closed epoch in which it is known.
     cells: Tile,
 }
 
 /// The epochs of one tile.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Epochs {
-    // Boxed, because a map's node has room for eleven entries.
+    // Boxed, because each node of a `BTreeMap` reserves memory for eleven entries.
     open: BTreeMap<Epoch, Box<Held>>,
     closed: Option<Box<Closed>>,
 }
@@ -112,8 +113,8 @@ impl Epochs {
         is_below_closed || is_below_open && self.open.len() >= OPEN
     }
 
-    /// The number of epochs that are added when an update of `epoch` is applied and the older ones
-    /// are folded.
+    /// By how much [`len`](Self::len) grows when an update of `epoch` is applied and the older
+    /// epochs are [folded](Self::fold).
     pub(super) fn growth(&self, epoch: Epoch, barrier: Option<Epoch>) -> usize {
         let is_new = !self.open.contains_key(&epoch);
         let oldest = self.open.first_key_value().map(|(&oldest, _)| oldest);
@@ -133,13 +134,13 @@ impl Epochs {
         self.open.get_mut(&epoch).map(Box::as_mut)
     }
 
-    /// The joined cells of the closed epochs, if `epoch` is the newest of them.
+    /// The joined cells of the closed epochs, if `epoch` is the newest closed one.
     pub(super) fn closed_at(&self, epoch: Epoch) -> Option<&Tile> {
         let closed = self.closed.as_ref().filter(|closed| closed.newest == epoch)?;
         Some(&closed.cells)
     }
 
-    /// Reads the cells of an update of an epoch that is not closed.
+    /// Applies an update of an epoch that is not closed.
     ///
     /// # Errors
     /// [`BaseMissing`]; nothing has changed.
@@ -157,7 +158,8 @@ impl Epochs {
         applied
     }
 
-    /// Adds the state of an epoch, in place of an older one. Returns whether it was newer.
+    /// Sets the state of an epoch. Returns false, without any change, if the epoch is closed or the
+    /// state is not newer than the current one.
     pub(super) fn restore(&mut self, stamp: Stamp, held: Held) -> bool {
         let last = self.held(stamp.epoch).map(|last| last.replica.stamp());
         let is_news = !self.is_closed(stamp.epoch) && last.is_none_or(|last| last < stamp);
@@ -167,7 +169,8 @@ impl Epochs {
         is_news
     }
 
-    /// Adds closed epochs. They contain all epochs up to `newest`. Returns whether they are new.
+    /// Sets the joined cells of all epochs up to `newest`, which are then closed. Returns false,
+    /// without any change, if those epochs are closed already.
     pub(super) fn restore_closed(&mut self, newest: Epoch, cells: Tile) -> bool {
         let is_news = self.closed.as_ref().is_none_or(|closed| closed.newest < newest);
         if is_news {
@@ -177,9 +180,8 @@ impl Epochs {
         is_news
     }
 
-    /// Closes all open epochs but the newest ones. Returns the newest closed epoch if there was any
-    /// to close. Epochs from `barrier` on are not joined with those below it, which may soon be
-    /// void.
+    /// Closes all open epochs except the newest two, and epochs from `barrier` on, since those
+    /// below it may soon be void. Returns the newest epoch that was closed, if any.
     pub(super) fn fold(&mut self, barrier: Option<Epoch>) -> Option<Epoch> {
         let mut folded = None;
         while self.open.len() > OPEN

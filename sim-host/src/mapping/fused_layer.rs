@@ -15,11 +15,11 @@ const HOLDS_S: u32 = 2;
 /// Seconds by which a robot's claim counts as older for each grade that its weight is below the
 /// full weight.
 const GRADE_S: u32 = 60;
-/// Age in seconds at which a robot's movable cell is forgotten. Fixed cells never are, because a
-/// robot that agrees with the map is silent.
+/// Age in seconds at which a robot's movable cell is forgotten. Fixed cells are never forgotten,
+/// because a robot reports nothing while it agrees with the map.
 const MOVABLE_S: u32 = 300;
-/// Number of alternations between free and occupied from which a cell counts as movable, among the
-/// last claims of all observers in order of time.
+/// Minimum number of alternations between free and occupied for a cell to count as movable, among
+/// the last claims of all observers, ordered by time.
 const CHANGES: usize = 3;
 
 /// The time by which the map ages: seconds of the server's clock, in steps of ten.
@@ -33,7 +33,7 @@ impl MapTime {
         Self((moment.micros() / 1_000_000) as u32 / STEP_S * STEP_S)
     }
 
-    /// Whether a second is in this step or the previous one.
+    /// Whether a second is in this step, in the previous one or later.
     pub(super) fn is_recent(self, second: u32) -> bool {
         second.saturating_add(STEP_S) >= self.0
     }
@@ -49,8 +49,8 @@ impl MapTime {
 /// robots occupied wins over free.
 type Claim = (i64, bool, u8);
 
-/// Fuses one tile from the cameras' and the robots' observations, the latter with their weights, in
-/// any order. A pure function on integers. For each cell:
+/// Fuses one tile from the cameras' observations and those of the robots, each with the robot's
+/// weight; the order of the robots does not matter. A pure function on integers. For each cell:
 ///
 /// | the cameras | the robots | fused |
 /// |---|---|---|
@@ -63,8 +63,8 @@ type Claim = (i64, bool, u8);
 /// | never | movable, at least five minutes ago by the map's time | unknown |
 /// | have seen it, or never | occupied, after three alternations with free | movable |
 ///
-/// A robot that agrees with the map is silent, so the newest claim is the valid one. Cost: a few
-/// nanoseconds per cell and robot.
+/// A robot reports nothing while it agrees with the map, so the newest claim is the valid one.
+/// Cost: a few nanoseconds per cell and robot.
 pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -> Tile {
     let mut fused = Tile::UNKNOWN;
     let mut claims: Vec<Claim> = Vec::new();
@@ -104,7 +104,8 @@ pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -
     fused
 }
 
-/// Whether free and occupied have alternated often.
+/// Whether the claims, ordered by time, alternate between free and occupied at least [`CHANGES`]
+/// times.
 fn keeps_changing(claims: &mut [Claim]) -> bool {
     if claims.len() <= CHANGES {
         return false;
@@ -117,7 +118,8 @@ fn keeps_changing(claims: &mut [Claim]) -> bool {
     follow.count() >= CHANGES
 }
 
-/// Makes the cells under a localised robot free. Returns whether any was occupied.
+/// Makes the occupied and movable cells under a localised robot free. Returns whether there were
+/// any.
 pub fn clear(fused: &mut Tile, under: &Mask) -> bool {
     let mut cleared = false;
     for (y, &mask) in under.iter().enumerate() {
@@ -141,7 +143,8 @@ mod tests {
         SeenTile { tile, seconds: [second; TILE_CELLS as usize] }
     }
 
-    /// The fused cell for the claims of the cameras and of weighted robots at this second.
+    /// The fused cell at `second`, from the claims of the cameras and of weighted robots, each made
+    /// at its own second.
     fn fused(camera: (Cell, u32), robots: &[(Cell, u32, Weight)], second: u64) -> Cell {
         let robots: Vec<(Weight, SeenTile)> =
             robots.iter().map(|&(cell, second, weight)| (weight, seen((cell, second)))).collect();

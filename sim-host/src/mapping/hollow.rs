@@ -1,19 +1,19 @@
-//! Publishes only the surfaces of fixed objects: of a wall or a cupboard, only those cells that can
-//! have been seen.
+//! Reduces fixed objects to their surfaces: of a wall or a cupboard, only those cells are published
+//! that an observer can have seen.
 
 use ubimap_protocol::tile::{Cell, TILE_CELLS, TILE_SIDE, Tile};
 
 use super::{fused_layer::MapTime, mask::Mask, robot_layer::SeenTile};
 
-/// Maximum distance of a surface from a free cell, in cells. A deeper cell can't have been seen: it
-/// comes from the noise of distant readings behind a wall, or was seen from above.
+/// Maximum distance of a published fixed cell from a free cell, in cells. A deeper cell can't have
+/// been seen: it comes from the noise of distant readings behind a wall, or was seen from above.
 const MAX_DEPTH: usize = 3;
-/// Maximum distance if all cells up to the free one are fixed. Isolated cells may be deeper: a
-/// lidar with few beams draws distant walls without free cells next to them.
+/// Maximum distance if there are other fixed cells between the cell and the free one. Isolated
+/// cells may be deeper: a lidar with few beams draws distant walls without free cells next to them.
 const SOLID_DEPTH: usize = 2;
 
-/// The cells of a fused tile that cameras have seen recently: in the current or the previous step
-/// of the map's time.
+/// The cells of a fused tile whose state is from the cameras. A cell is in view if cameras saw it
+/// in the current or the previous step of the map's time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sight {
     /// Free and in view.
@@ -25,7 +25,7 @@ pub struct Sight {
 }
 
 impl Sight {
-    /// The sight of a tile that was fused from these camera observations.
+    /// The sight of the tile `fused`, to which `cameras` contributed.
     pub fn of(fused: &Tile, cameras: &SeenTile, time: MapTime) -> Self {
         let mut sight = Self::default();
         for cell in 0..usize::from(TILE_CELLS) {
@@ -43,7 +43,7 @@ impl Sight {
         sight
     }
 
-    /// Whether no cell can go out of view later.
+    /// Whether all three sets are empty, so that no cell can go out of view later.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -162,7 +162,7 @@ mod tests {
         in_sight: bool,
     }
 
-    /// The rules, applied cell by cell.
+    /// Whether the fixed cell at (x, y) stays: the three rules, applied to one cell.
     fn stays(of: impl Fn(i32, i32) -> Said, x: i32, y: i32) -> bool {
         let is_fixed = |x, y| of(x, y).code == Occupied;
         let is_seen = |x, y| of(x, y).by_cameras && of(x, y).in_sight;

@@ -1,4 +1,7 @@
 //! One robot's layer on the server: all epochs of each tile, joined.
+//!
+//! The newest two epochs of a tile are open: each has a state of its own. All older ones are
+//! closed: only their joined cells are kept, and they no longer change.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -33,14 +36,14 @@ impl SeenTile {
     pub const NOTHING: Self = Self { tile: Tile::UNKNOWN, seconds: [0; TILE_CELLS as usize] };
 }
 
-/// A complete state of one epoch of a tile, or the closed epochs of a tile, joined; as stored on
-/// disk.
+/// A record on disk: a complete state of one epoch of a tile, or the joined cells of the tile's
+/// closed epochs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TileRecord {
     /// The tile's id.
     pub id: TileId,
-    /// Epoch and version of the state. Version 0, which no state has: the record joins all epochs
-    /// up to this one, and replaces their records.
+    /// Epoch and version of the state. Version 0, which no state has, means that the record joins
+    /// all epochs up to this one and replaces their records.
     pub stamp: Stamp,
     /// The cells of this state.
     pub cells: Tile,
@@ -71,18 +74,18 @@ pub struct RobotLayer {
     newest: Epoch,
     /// Epochs from this one on are not joined with older ones, which are about to become void.
     barrier: Option<Epoch>,
-    /// Number of epochs held of all tiles.
+    /// Number of epochs held, summed over all tiles.
     epochs: usize,
-    /// Maximum memory in bytes; `None`: only this layer's own limits apply.
+    /// Maximum memory in bytes. If `None`, only [`MAX_TILES`] and [`MAX_EPOCHS`] apply.
     limit: Option<usize>,
 }
 
-/// A limit on what is kept.
+/// A limit that an update can exceed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Limit {
-    /// Tiles and epochs of one robot.
+    /// Maximum number of tiles or of epochs of one robot.
     Robot,
-    /// Memory of the layers of all robots.
+    /// Maximum memory of the layers of all robots.
     AllRobots,
 }
 
@@ -93,22 +96,23 @@ pub struct Updated {
     pub tiles: BTreeSet<TileId>,
     /// The tiles and epochs with a complete state in this update, whether new or already held.
     pub complete: BTreeSet<(TileId, Epoch)>,
-    /// The tiles of which epochs were closed, each with the newest closed epoch: their
-    /// [records](RobotLayer::record) must be stored again.
+    /// Tiles in which epochs were closed, each with its newest closed epoch. The
+    /// [record](RobotLayer::record) of that epoch must be stored.
     pub folded: BTreeSet<(TileId, Epoch)>,
-    /// The tile that was not taken, because its base is missing or the robot exceeds its limits.
-    /// The rest of the update was skipped as well; requesting this tile restores all of it, or
-    /// keeps the robot from evicting it.
+    /// The tile that was not applied, because its base is missing or a limit is exceeded; the rest
+    /// of the update was skipped. Requesting this tile makes the robot send all of that again, or
+    /// at least keeps it from evicting the tile.
     pub missing: Option<TileId>,
-    /// The limit because of which a tile, and the rest of the update, was refused.
+    /// The limit that `missing` would exceed; `None` if its base is missing.
     pub refused: Option<Limit>,
 }
 
 impl RobotLayer {
-    /// Applies the coded tiles of an update whose newest scan was taken at `seconds`. The first
-    /// value describes what was applied.
+    /// Applies the coded tiles of an update whose newest scan was taken at `seconds` of the
+    /// server's clock. Returns the effects, also of the tiles before an error.
     ///
-    /// # Errors On a [`TileError`] the rest of the update is not decoded.
+    /// # Errors
+    /// A [`TileError`]; the rest of the update is not decoded.
     pub fn update(&mut self, coded: &[u8], seconds: u32) -> (Updated, Result<(), TileError>) {
         let mut updated = Updated { missing: self.wrong_base(coded), ..Updated::default() };
         if updated.missing.is_some() {
@@ -123,8 +127,8 @@ impl RobotLayer {
             };
             let epoch = header.stamp.epoch;
             if epoch.0 > self.next_epoch().0.saturating_add(EPOCHS_AHEAD) || epoch.0 == u32::MAX {
-                // This epoch was never granted. Accepting it would leave no epochs for the robot's
-                // reboots.
+                // The server never granted this epoch. Accepting it could use up the epoch numbers
+                // that the robot needs for its reboots.
                 return (updated, Err(TileError::Malformed));
             }
             if epoch < self.first_epoch {
@@ -132,15 +136,16 @@ impl RobotLayer {
                 return (updated, Ok(()));
             }
             if self.is_closed(header.id, epoch) {
-                // A late copy. The robot has given up all updates in this frame, so nothing is
-                // requested if the rest can't be read.
+                // The update is a late copy, which the robot no longer tries to deliver. So nothing
+                // is requested if its remaining tiles can't be decoded.
                 match Replica::default().apply(&header, &mut decoder) {
                     Ok(_) => continue,
                     Err(_) => return (updated, Ok(())),
                 }
             }
             updated.refused = self.refuses(header.id, epoch);
-            // The frame is acknowledged, but the robot must not take the tile for held.
+            // The frame is acknowledged, so a request must tell the robot that the tile is not
+            // held.
             if updated.refused.is_some() || !self.apply(&header, &mut decoder, &mut updated) {
                 updated.missing = Some(header.id);
                 return (updated, Ok(()));
@@ -153,8 +158,8 @@ impl RobotLayer {
         }
     }
 
-    /// Reads the cells of an update, and closes older epochs of its tile. Returns whether its base
-    /// is held; if not, nothing has changed.
+    /// Applies one tile of an update, and closes older epochs of the tile. Returns false, without
+    /// any change, if the base that the update names is not held.
     fn apply(
         &mut self,
         header: &TileHeader,
@@ -175,7 +180,7 @@ impl RobotLayer {
         true
     }
 
-    /// The limit that an update of this tile and epoch would exceed.
+    /// The limit that an update of this tile and epoch would exceed; `None` if it may be applied.
     fn refuses(&self, id: TileId, epoch: Epoch) -> Option<Limit> {
         let epochs = self.tiles.get(&id);
         let growth = epochs.map_or(1, |epochs| epochs.growth(epoch, self.barrier));
@@ -186,29 +191,32 @@ impl RobotLayer {
         if is_beyond_own { Some(Limit::Robot) } else { is_beyond.then_some(Limit::AllRobots) }
     }
 
-    /// Estimated memory in bytes, with the layer's share of the fused layer.
+    /// Estimated memory in bytes, including the layer's share of the fused layer.
     pub fn memory(&self) -> usize {
         self.tiles.len() * TILE_MEMORY + self.epochs * EPOCH_MEMORY
     }
 
-    /// Number of epochs held of all tiles; the closed epochs of a tile count as one.
+    /// Number of epochs held, summed over all tiles; the closed epochs of a tile count as one.
     pub fn epochs(&self) -> usize {
         self.epochs
     }
 
-    /// Epochs from `barrier` on are not joined with older ones. Set this while the robot has been
-    /// asked to begin at `barrier`, and [`retire`](Self::retire) has not been called yet.
+    /// Keeps epochs from `barrier` on apart from older ones, which are about to become void. The
+    /// barrier is set from when the robot is asked to restart at epoch `barrier` until
+    /// [`retire`](Self::retire) is called.
     pub fn set_barrier(&mut self, barrier: Option<Epoch>) {
         self.barrier = barrier;
     }
 
-    /// Sets the maximum memory in bytes. What is there is kept and can be updated; more is refused.
+    /// Sets the maximum memory in bytes. Existing epochs of tiles are kept and can be updated;
+    /// updates that need more memory are refused.
     pub fn set_limit(&mut self, bytes: usize) {
         self.limit = Some(bytes);
     }
 
-    /// A tile of an update that builds upon other cells than those held here. Decodes the update on
-    /// copies, since only its end tells.
+    /// The tile to request if the update was coded relative to cells other than those held here:
+    /// the first tile that names a base, if the update can't be decoded up to its end. The update
+    /// is decoded into copies, since the error may show as late as that.
     fn wrong_base(&self, coded: &[u8]) -> Option<TileId> {
         let mut copies = BTreeMap::<(TileId, Epoch), Replica>::new();
         let mut decoder = TileDecoder::new(coded);
@@ -231,8 +239,8 @@ impl RobotLayer {
         }
     }
 
-    /// Joins the epochs of a tile again; each cell that changes gets the time that `seconds` returns
-    /// for it. Returns whether any cell has changed.
+    /// Joins the epochs of a tile again; each cell that changes gets the time that `seconds`
+    /// returns for its index. Returns whether any cell has changed.
     fn join(&mut self, id: TileId, seconds: impl Fn(usize) -> u32) -> bool {
         let joined = self.tiles.get(&id).map_or(Tile::UNKNOWN, Epochs::joined);
         let seen = self.seen.entry(id).or_insert_with(|| Box::new(SeenTile::NOTHING));
@@ -246,7 +254,7 @@ impl RobotLayer {
     }
 
     /// Voids the epochs below `first`: the robot drew them from wrong poses and has discarded them.
-    /// Returns the changed tiles, and what was closed.
+    /// Returns the changed tiles and the epochs that were closed.
     pub fn retire(&mut self, first: Epoch) -> Updated {
         self.first_epoch = self.first_epoch.max(first);
         self.barrier.take_if(|barrier| *barrier <= first);
@@ -269,7 +277,8 @@ impl RobotLayer {
         self.first_epoch
     }
 
-    /// The cells of a tile whose last report is not after `second`.
+    /// A tile with only those cells whose last reported change was at `second` or before; all
+    /// others are unknown.
     pub fn drawn_by(&self, id: TileId, second: u32) -> Tile {
         let mut drawn = Tile::UNKNOWN;
         if let Some(SeenTile { tile, seconds }) = self.seen(id) {
@@ -291,7 +300,7 @@ impl RobotLayer {
         self.seen.iter().map(|(&id, seen)| (id, seen.as_ref()))
     }
 
-    /// The newest complete state of an open epoch of a tile, and its cells.
+    /// The stamp and cells of an open epoch of a tile, if its state is complete.
     pub fn held(&self, id: TileId, epoch: Epoch) -> Option<(Stamp, &Tile)> {
         self.tiles.get(&id)?.held(epoch)?.complete()
     }
@@ -302,9 +311,9 @@ impl RobotLayer {
         self.tiles.get(&id).is_some_and(|epochs| epochs.is_closed(epoch))
     }
 
-    /// Discards this state of a tile, if it is held, because its cells differ from the robot's. The
-    /// robot then sends the same version again as a whole, which replaces it; until then its cells
-    /// stay in the map.
+    /// Discards the state of a tile with this stamp, if it is held, because its cells differ from
+    /// the robot's. The robot then sends the same version again as a whole, which replaces it;
+    /// until then its cells stay in the map.
     pub fn discard(&mut self, id: TileId, stamp: Stamp) {
         let held = self.tiles.get_mut(&id).and_then(|epochs| epochs.held_mut(stamp.epoch));
         if let Some(held) = held.filter(|held| held.replica().stamp() == stamp) {
@@ -312,8 +321,8 @@ impl RobotLayer {
         }
     }
 
-    /// The record to store for an epoch of a tile, if its state is complete, or if it is the newest
-    /// closed one.
+    /// The record to store for an epoch of a tile; `None` unless the epoch is open and its state is
+    /// complete, or it is the newest closed epoch.
     pub fn record(&self, id: TileId, epoch: Epoch) -> Option<TileRecord> {
         let epochs = self.tiles.get(&id)?;
         let seconds = self.seen.get(&id)?.seconds;
@@ -341,15 +350,15 @@ impl RobotLayer {
         }
     }
 
-    /// The newest complete state of an open epoch of a tile, if it is on disk.
+    /// The stamp of an open epoch of a tile, if its state is complete and on disk.
     pub fn on_disk(&self, id: TileId, epoch: Epoch) -> Option<Stamp> {
         let held = self.tiles.get(&id)?.held(epoch)?;
         held.complete().map(|(stamp, _)| stamp).filter(|stamp| stamp.version <= held.kept)
     }
 
-    /// Restores a record, with the times of the newest record of the tile. The records of a tile
+    /// Restores a record from disk; the cells that it changes get its times. The records of a tile
     /// must come in the order of their epochs. A state that is not newer than the current one is
-    /// ignored. Returns the changed tile, and what was closed.
+    /// ignored. Returns the tile if it has changed, and the epoch that was closed.
     pub fn restore(&mut self, record: &TileRecord) -> Updated {
         let &TileRecord { id, stamp, cells, known, ref seconds } = record;
         self.newest = self.newest.max(stamp.epoch);
@@ -369,7 +378,7 @@ impl RobotLayer {
         updated
     }
 
-    /// The lowest epoch that the robot has not used.
+    /// The first epoch after all that the robot has used.
     pub fn next_epoch(&self) -> Epoch {
         Epoch(self.newest.0.saturating_add(1)).max(self.first_epoch)
     }

@@ -8,8 +8,8 @@ use ubimap_protocol::tile::{TILE_SIDE, Tile, TileId};
 use super::runs::runs;
 use crate::camera::Observation;
 
-/// A map merged by that rule from the inputs of the fused layer, in any order and any number of
-/// times. Movable cells count as occupied.
+/// A map merged by that rule from the inputs of the fused layer. Inputs may come in any order and
+/// repeatedly. Movable cells count as occupied.
 #[derive(Clone, Debug, Default)]
 pub struct RosMerge {
     tiles: BTreeMap<TileId, Tile>,

@@ -4,7 +4,7 @@ use ubimap_protocol::tile::{Cell, TILE_SIDE, TileId};
 
 use crate::camera::Observation;
 
-/// Runs of consecutive cells in one tile, each cell with its column and row there.
+/// Runs of consecutive cells in one tile. Each cell comes with its column and row in the tile.
 pub(super) fn runs(
     observation: &Observation,
 ) -> impl Iterator<Item = (TileId, impl Iterator<Item = (usize, usize, Cell)>)> {

@@ -24,7 +24,7 @@ impl ServedLayer {
         changed
     }
 
-    /// A tile and its version.
+    /// The version and cells of a tile.
     pub fn get(&self, id: TileId) -> Option<(Version, &Tile)> {
         self.tiles.get(&id).map(|(version, tile)| (*version, tile))
     }

@@ -24,12 +24,12 @@ type ParsePose = fn(&[(usize, Vec<f64>)]) -> Result<CameraPose, LineFault>;
 const POSE_FILES: [(&str, usize, ParsePose); 2] =
     [("trajectory.log", 5, CameraPose::from_matrix), ("pose.txt", 1, CameraPose::from_quaternion)];
 
-/// Whether a folder has a pose file.
+/// Whether a folder contains a pose file.
 pub(super) fn has_poses(folder: &Path) -> bool {
     POSE_FILES.iter().any(|(name, ..)| folder.join(name).is_file())
 }
 
-/// The path of a folder's pose file, and its poses.
+/// Reads a folder's pose file. Returns its path and the poses.
 pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), LogError> {
     let Some((name, lines_each, parse)) =
         POSE_FILES.into_iter().find(|(name, ..)| folder.join(name).is_file())
@@ -59,12 +59,12 @@ pub(super) fn read_poses(folder: &Path) -> Result<(PathBuf, Vec<CameraPose>), Lo
 }
 
 impl CameraPose {
-    /// A pose that is computed instead of read from a line.
+    /// A pose that was computed, not read from a line.
     pub(super) fn mounted(position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
         Self { line: 0, stamp_s: None, position, rotation }
     }
 
-    /// A line `[time] x y z qx qy qz qw`.
+    /// Parses a line `[time] x y z qx qy qz qw`.
     fn from_quaternion(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
         let (line, numbers) = &rows[0];
         let (stamp_s, pose) = match numbers.as_slice() {
@@ -82,7 +82,8 @@ impl CameraPose {
         Self::new(*line, stamp_s, [x, y, z], *rotation.matrix())
     }
 
-    /// A line of three numbers (frame indices), followed by a matrix of four rows.
+    /// Parses a line of three numbers (frame indices, ignored), followed by the four rows of a
+    /// matrix.
     fn from_matrix(rows: &[(usize, Vec<f64>)]) -> Result<Self, LineFault> {
         let [_, matrix @ ..] = rows else { return Err(LineFault::NoRotation) };
         if let Some((_, row)) = matrix.iter().find(|(_, row)| row.len() != 4) {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{error::LogError, numbered_files::files_in};
 use crate::{camera, files};
 
-/// tan(85 degrees): half of the maximum field of view of a pinhole.
+/// Tangent of half the maximum field of view (85 degrees).
 const MAX_HALF_FIELD_TAN: f64 = 11.4;
 
 /// The name of the intrinsics file.
@@ -63,7 +63,7 @@ impl IntrinsicsFile {
         Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, depth_noise, row: None }
     }
 
-    /// Checks that the values are possible.
+    /// Checks that the values are plausible. Returns the problem as text if they are not.
     fn checked(self) -> Result<Self, String> {
         let focal = |value: f64| value.is_finite() && value.abs() > 1.0;
         let sees_too_much =
@@ -88,7 +88,7 @@ impl IntrinsicsFile {
         }
     }
 
-    /// The row to slice: the requested one, or the one on the optical axis.
+    /// The row to slice: the one stated in the file, or the one on the optical axis.
     pub(super) fn row(&self) -> u32 {
         self.row.unwrap_or_else(|| (self.cy.round() as u32).min(self.height - 1))
     }
@@ -124,14 +124,14 @@ pub(super) fn stated(folder: &Path) -> Result<Option<IntrinsicsFile>, LogError> 
     Ok(None)
 }
 
-/// The error of a folder without intrinsics.
+/// The error for a folder without intrinsics.
 pub(super) fn missing(folder: &Path) -> LogError {
     let reason = "missing; write width, height, fx, fy, cx, cy and depth_per_metre there";
     LogError::Intrinsics { path: folder.join(INTRINSICS_FILE), reason: reason.to_owned() }
 }
 
-/// The intrinsics stated in a folder. Nothing is guessed: wrong intrinsics would give a wrong map
-/// without an error.
+/// The intrinsics stated in a folder; an error if there are none. They are never guessed, because
+/// wrong intrinsics would give a wrong map without an error.
 pub(super) fn required(folder: &Path) -> Result<IntrinsicsFile, LogError> {
     stated(folder)?.ok_or_else(|| missing(folder))
 }

@@ -10,12 +10,12 @@ use flate2::bufread::MultiGzDecoder;
 use super::error::{Field, LineFault, LogError};
 use crate::files;
 
-/// Maximum length of a line in bytes: a file with longer lines is not a log, and is not read into
-/// memory.
+/// Maximum length of a line in bytes. A file with a longer line is not a log, and the line is not
+/// read into memory.
 const MAX_LINE: usize = 1 << 20;
 
-/// Maximum size of a log in bytes, both as a file and unpacked: its readings take several times as
-/// much memory.
+/// Maximum size of a log in bytes, both compressed and uncompressed. In memory, its readings take
+/// several times as much.
 const MAX_LOG: u64 = 256 << 20;
 
 const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
@@ -27,12 +27,12 @@ pub(super) struct Lines {
     gzipped: bool,
     number: usize,
     line: Vec<u8>,
-    /// Number of bytes read, unpacked.
+    /// Number of uncompressed bytes read so far.
     read: u64,
 }
 
 impl Lines {
-    /// Opens a file; its first bytes tell whether it is gzipped.
+    /// Opens a file, and detects by its first bytes whether it is gzipped.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {
         let io_error = |error| LogError::Io { path: path.to_owned(), error };
         let mut file = BufReader::new(files::open(path, MAX_LOG).map_err(io_error)?);
@@ -94,7 +94,8 @@ pub(super) fn number(text: &str, field: Field) -> Result<f64, LineFault> {
     }
 }
 
-/// Parses a reading in the unit of the file: a finite number that is not negative.
+/// Parses a reading, a finite number that is not negative, in the unit of the file. `index` is its
+/// number in the scan, for errors.
 pub(super) fn reading(text: &str, index: usize) -> Result<f64, LineFault> {
     let value = number(text, Field::Reading(index))?;
     if value < 0.0 {
@@ -104,7 +105,7 @@ pub(super) fn reading(text: &str, index: usize) -> Result<f64, LineFault> {
     Ok(value)
 }
 
-/// A coordinate of a pose in metres, refused beyond a thousand kilometres.
+/// Checks a coordinate of a pose, in metres: more than a thousand kilometres are an error.
 pub(super) fn coordinate(value: f64, field: Field) -> Result<f64, LineFault> {
     const FARTHEST_M: f64 = 1e6;
     if value.abs() > FARTHEST_M {

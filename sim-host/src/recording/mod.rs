@@ -1,7 +1,7 @@
 //! Recordings: logs of scans, and frames of cameras.
 //!
-//! [`read`] reads a log of range scans or depth rows, with poses or odometry; it recognises the format
-//! by the content:
+//! [`read`] reads a log of range scans or depth rows, with poses or odometry. It detects the format
+//! from the content:
 //!
 //! | format | content | poses | odometry |
 //! |---|---|---|---|
@@ -9,8 +9,8 @@
 //! | [`Format::Mines`] | a hobby lidar and wheel encoders, plain or gzipped | none | from the ticks |
 //! | [`Format::Rgbd`] | a folder of 16-bit depth images; one row of each | of the camera | none |
 //!
-//! Information missing from a log (such as time stamps) is replaced by a documented rule, and
-//! [`Log::notes`] mentions it, or [`Log::warnings`] where it may make the map wrong.
+//! Information that a log lacks (such as time stamps) is replaced by a documented rule.
+//! [`Log::notes`] mentions this, or [`Log::warnings`] if it can make the map wrong.
 //!
 //! [`write_carmen`] writes the scans of robots as a CARMEN log.
 //!

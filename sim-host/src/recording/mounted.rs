@@ -1,5 +1,5 @@
-//! The pose of a recorded camera where its folder states none: from the `cameras.toml` beside it, by
-//! the name of the folder.
+//! The calibration of a recorded camera whose folder states none: it is in the `cameras.toml`
+//! beside the folder, under the name of the folder.
 
 use std::path::Path;
 
@@ -9,7 +9,8 @@ use crate::{
     files,
 };
 
-/// The camera of this folder's name in the `cameras.toml` of the folder above, if both are there.
+/// The camera with the name of `folder` in the `cameras.toml` of the parent folder. `None` if there
+/// is no such file or no such camera.
 pub(super) fn mounted(folder: &Path) -> Result<Option<MountedCamera>, LogError> {
     let above = folder.parent().unwrap_or(Path::new("")).join(CAMERAS_FILE);
     if !above.is_file() {

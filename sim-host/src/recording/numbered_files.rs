@@ -7,7 +7,7 @@ use super::error::LogError;
 /// The extensions of files that are read as pictures.
 pub(super) const PICTURE_KINDS: [&str; 7] = ["png", "jpg", "jpeg", "bmp", "ppm", "pgm", "pnm"];
 
-/// The depth images in a folder, ordered by the numbers in their names.
+/// The depth images in a folder or its subfolder `depth`, ordered by the numbers in their names.
 pub(super) fn depth_images(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
     let inner = folder.join("depth");
     let place = if inner.is_dir() { inner } else { folder.to_owned() };
@@ -38,7 +38,7 @@ pub(super) fn number_in(path: &Path) -> u128 {
     digits_of(&path.file_stem().unwrap_or_default().to_string_lossy())
 }
 
-/// All digits of a text as one number; 0 if there are none.
+/// All digits of a text as one number; 0 if there are none, or too many.
 pub(super) fn digits_of(text: &str) -> u128 {
     let digits: String = text.chars().filter(char::is_ascii_digit).collect();
     digits.parse().unwrap_or(0)

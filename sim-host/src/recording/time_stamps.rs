@@ -8,22 +8,24 @@ pub(super) const USUAL_S: f64 = 1.0;
 /// Maximum gap between scans in seconds: a longer one means that the clock was set.
 const MAX_GAP_S: f64 = 3600.0;
 
-/// Maximum usual step of a coarse clock in seconds: what advances more seldom tells no rate.
+/// Maximum median step of a coarse clock in seconds. The rate of scans can't be derived from a
+/// clock that advances more rarely.
 const MAX_TICK_S: f64 = 10.0;
 
-/// Minimum number of different stamps of a coarse clock: the time between two of them is known only to
-/// a whole tick.
+/// Minimum number of different time stamps of a coarse clock. With two of them, the time between
+/// would be known only to one tick.
 const MIN_VALUES: usize = 3;
 
-/// Maximum fraction of unusable steps for which single steps are repaired.
+/// Maximum fraction of unusable steps for which each of them is repaired by itself.
 const MAX_REPAIRED: f64 = 0.1;
 
-/// Times since the first scan, strictly increasing, from time stamps in seconds (`None` if the log has
-/// none), and a note for the user if they were changed.
+/// Converts time stamps in seconds (`None` if the log has none) to strictly increasing times since
+/// the first scan. Also returns a note for the user if times were changed or invented.
 ///
-/// If few stamps stand still, go back or jump, their steps are replaced by the median step. If many do,
-/// the scans are spread evenly over the time from first to last, or placed one second apart if that time
-/// is unusable too: if the stamps go back, or have too few values to tell a rate.
+/// If few stamps repeat the previous one, go back or jump, these steps are replaced by the median
+/// step. If there are many such stamps, the scans are spread evenly over the time from the first to
+/// the last stamp. If that time is unusable too, because stamps go back or have too few different
+/// values, the scans are placed one second apart.
 pub(super) fn repair(stamps: Option<&[f64]>, scans: usize) -> (Vec<Duration>, Option<String>) {
     let evenly = |step_s: f64| {
         let micros = |index: usize| (index as f64 * step_s * 1e6).round() as u64;
@@ -123,7 +125,7 @@ mod tests {
             assert_eq!(times, [0, 1_000_000, 2_000_000, 3_000_000]);
             assert!(note.unwrap().contains("scan index"));
         }
-        // Nobody knows how much of these 3,340 s the scans took.
+        // It is unknown which part of these 3,340 s the scans took.
         for stamps in [&[0.0, 0.0, 0.0, 3_340.0][..], &[0.0, 0.0, 1_670.0, 3_340.0]] {
             let (times, note) = micros(stamps);
             assert_eq!(times, [0, 1_000_000, 2_000_000, 3_000_000]);

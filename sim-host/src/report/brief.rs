@@ -4,11 +4,12 @@ use std::path::Path;
 
 use super::{summary::Report, watching::WatchReport};
 
-/// A short report.
+/// The texts for the four lines of a report.
 pub trait Brief {
     /// The quality of the map.
     fn quality(&self) -> String;
-    /// Whether the parties agree on the map.
+    /// Whether the robots and the server agree on the map; for recorded cameras, which of them drew
+    /// it.
     fn agreement(&self) -> String;
     /// The durations of the run, simulated and real.
     fn time(&self) -> String;

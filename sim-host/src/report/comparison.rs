@@ -1,4 +1,4 @@
-//! The cost of the same map updates in other formats.
+//! The size of the same map updates in other formats, for comparison.
 //!
 //! Only the messages' own bytes are counted. The overhead of a link (middleware headers,
 //! acknowledgements, retransmissions) is excluded here, but included in the robots' map traffic.
@@ -20,11 +20,12 @@ const OBSTACLE_DISTANCE_LEN: u64 = 179;
 /// Number of distances in an `OBSTACLE_DISTANCE` message.
 const DISTANCES: u64 = 72;
 
-/// Bytes that other formats need for the same scans, or for the same changes of the robots' maps.
+/// Number of bytes that other formats need for the same scans, or for the same changes of the
+/// robots' maps.
 ///
 /// An update is everything that a robot publishes at one time; its changes are the cells whose
-/// published state differs from before. Repetitions (a tile sent in full after a restart of the
-/// server, a retransmitted frame) are not counted.
+/// published state differs from before. Repetitions are not counted, such as a tile that is sent in
+/// full after a restart of the server, or a retransmitted frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Comparison {
     /// Updates published by all robots.
@@ -64,14 +65,15 @@ pub struct Published {
 }
 
 impl Published {
-    /// Takes the published state of tiles; unchanged ones are skipped.
+    /// Adds an update with the published state of tiles. Unchanged tiles are skipped; without a
+    /// changed one nothing is counted.
     pub fn update<'t>(&mut self, tiles: impl Iterator<Item = (TileId, &'t Tile)>) {
         let mut area = Rectangle::default();
         let mut planes = Vec::new();
         for (id, tile) in tiles {
             let before = self.tiles.entry(id).or_default();
             let mut after = *tile;
-            // Published cells stay valid until they are published again.
+            // Cells that were published stay valid when the tile restarts empty.
             after.fill_unknown_from(before);
             if after == *before {
                 continue;
@@ -89,7 +91,7 @@ impl Published {
         self.cost.zlib_tiles_bytes += zlib_len(&planes);
     }
 
-    /// The cost so far, without the scans.
+    /// The cost of the updates so far. Scans are not included.
     pub fn cost(&self) -> Comparison {
         self.cost
     }

@@ -27,7 +27,7 @@ pub struct OutputError {
     pub error: io::Error,
 }
 
-/// The error with what to do about it, if that is known.
+/// The error's text, or advice if the cause is known.
 fn told(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::NotADirectory => {
@@ -50,12 +50,12 @@ pub struct OutputFolder {
 }
 
 impl OutputFolder {
-    /// Prepares to write a folder, which may already exist, and repairs what a killed run left
-    /// behind.
+    /// Prepares to write a folder, which may already exist. First completes the swaps of killed
+    /// runs and removes their staging folders.
     ///
     /// # Errors
-    /// If the folder can't be created or replaced. For example, a folder can't be replaced while it
-    /// is the working folder of the shell.
+    /// [`OutputError`] if the folder can't be created or replaced. For example, a folder can't be
+    /// replaced while it is the working folder of the shell.
     pub fn create(path: &Path) -> Result<Self, OutputError> {
         let refuse = |error| OutputError { path: path.to_owned(), error };
         let parent = match path.parent() {
@@ -100,8 +100,8 @@ impl OutputFolder {
     }
 
     /// Replaces the folder's results with the new ones. Optional results of an earlier run that
-    /// this run does not write are removed, as they would be mistaken for its own. All other files
-    /// are kept.
+    /// this run has not written are removed, so that they are not mistaken for results of this run.
+    /// All other files are kept.
     pub fn finish(self) -> Result<(), OutputError> {
         for name in &self.pending {
             let path = self.stage.target.join(name);
@@ -123,14 +123,15 @@ impl OutputFolder {
     }
 }
 
-/// A staging folder. Its subfolder `new` holds the new files and, after an exchange, the old
-/// folder; `old` holds the old folder between two renames. The file `results` lists the names that
-/// are not moved from the old folder to the new one; it exists while a swap is in progress.
+/// A staging folder. Its subfolder `new` contains the new files, or the earlier output folder after
+/// an exchange. Its subfolder `old` is the earlier output folder after the first of two renames.
+/// The file `results` lists the names of results, which are not moved from the earlier output
+/// folder to the new one; it exists while a swap is in progress.
 #[derive(Debug)]
 struct Stage {
     path: PathBuf,
     target: PathBuf,
-    /// Locked as long as the run lives.
+    /// Locked until the run ends.
     _lock: File,
 }
 
@@ -139,7 +140,7 @@ impl Stage {
         let path = target.with_file_name(stage_name(&target, std::process::id()));
         fs::create_dir(&path)?;
         let lock = File::create(path.join("lock"))?;
-        // Where locks are not supported, no staging folder counts as abandoned.
+        // If locks are not supported, no staging folder is treated as abandoned.
         let _ = lock.try_lock();
         fs::create_dir(path.join("new"))?;
         Ok(Self { path, target, _lock: lock })
@@ -171,8 +172,8 @@ impl Stage {
 
 impl Drop for Stage {
     fn drop(&mut self) {
-        // Best effort: errors can't be reported here. A folder that could not be settled is left to
-        // the next run.
+        // Best effort: errors can't be reported here. The next run handles a folder that could not
+        // be settled.
         if settle(&self.path, &self.target).is_ok() {
             let _ = fs::remove_dir_all(&self.path);
         }
@@ -191,8 +192,8 @@ fn exchange(_: &Path, _: &Path) -> io::Result<()> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// Completes a swap that has begun: puts the old folder back if there is no new one, and moves all
-/// files that are not results to the target. Does nothing if no swap has begun.
+/// Completes a swap that has begun: restores the earlier output folder if there is none, and moves
+/// all files that are not results to the target. Does nothing if no swap has begun.
 fn settle(stage: &Path, target: &Path) -> io::Result<()> {
     let list = stage.join("results");
     let Ok(results) = fs::read_to_string(&list) else { return Ok(()) };
@@ -212,7 +213,7 @@ fn settle(stage: &Path, target: &Path) -> io::Result<()> {
     fs::remove_file(list)
 }
 
-/// Settles the swaps of killed runs into this target, and removes their staging folders.
+/// Settles the swaps of killed runs with this target, and removes their staging folders.
 fn recover(target: &Path, parent: &Path) -> io::Result<()> {
     for entry in fs::read_dir(parent)? {
         let stage = entry?.path();
@@ -231,9 +232,10 @@ fn stage_name(target: &Path, run: u32) -> String {
     format!(".{}.{run}.partial", target.file_name().unwrap_or_default().to_string_lossy())
 }
 
-/// Whether no run holds the lock of a staging folder, or is about to take it.
+/// Whether no live run uses a staging folder: the lock is free, and the run is not just about to
+/// take it.
 fn is_abandoned(stage: &Path, run: u32) -> bool {
-    // Process numbers are reused, above all in containers, so a folder with this run's own number
+    // Process ids are reused, especially in containers, so a folder with the id of this process
     // belongs to an earlier run.
     let may_be_starting =
         run != std::process::id() && Path::new("/proc").join(run.to_string()).exists();
@@ -297,7 +299,7 @@ mod tests {
             output.add("report.json", b"{\n  \"schema\": \"ubimap-report\"\n}\n").unwrap();
             output.finish().unwrap();
         };
-        // Without a report of this program, the files belong to someone else.
+        // Without a report of this program, the files are not taken for results of an earlier run.
         write();
         assert_eq!(names(folder.path()), ["coverage.png", "error.png", "notes.txt", "report.json"]);
         write();
@@ -382,7 +384,7 @@ mod tests {
         folder.file("out/frames/0.png", b"mine");
         let mut output = OutputFolder::create(&out).unwrap();
         output.add("map.pgm", b"new").unwrap();
-        // Nothing appears before the end.
+        // No result appears before the run is finished.
         assert_eq!(names(&out), ["frames", "notes.txt"]);
         output.finish().unwrap();
         assert_eq!(names(&out), ["frames", "map.pgm", "notes.txt"]);

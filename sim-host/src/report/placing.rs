@@ -32,9 +32,9 @@ pub struct PlaceReport {
     pub cameras: Vec<PlacedCamera>,
     /// Whether Ctrl-C ended the search.
     pub was_interrupted: bool,
-    /// Time in seconds until the integer programme was solved or given up.
+    /// Time in seconds until the integer programme was solved, or its search ended.
     pub solved_s: f64,
-    /// Total time in seconds of real time.
+    /// Duration of the run in seconds of the wall clock.
     pub elapsed_s: f64,
 }
 
@@ -45,19 +45,19 @@ pub struct FloorSummary {
     pub cell_m: f64,
     /// Number of cells.
     pub cells: u64,
-    /// Cells that no candidate sees.
+    /// Number of cells that no candidate sees.
     pub blind: u64,
-    /// Cells that fewer candidates see than the required number of cameras; all of those candidates
-    /// are needed.
+    /// Number of cells that fewer candidates see than the required number of cameras. For such a
+    /// cell, all candidates that see it are required.
     pub lowered: u64,
     /// Number of cells left out because they belong to a small piece of floor.
     pub left_out: u64,
 }
 
-/// A placement and how good it is.
+/// A placement and its quality.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PlacementSummary {
-    /// Number of candidates: UbiSLAM's `C`.
+    /// Number of candidates (possible poses of cameras): UbiSLAM's `C`.
     pub candidates: u64,
     /// Distance between adjacent places for cameras, in metres.
     pub spacing_m: f64,
@@ -71,7 +71,7 @@ pub struct PlacementSummary {
     pub coverage: f64,
     /// Number of cells that no camera sees, one camera, two, and so on.
     pub by_overlap: Vec<u64>,
-    /// The value of the goal: the number of cameras, without those added, or the weight of the
+    /// The value of the goal: the number of cameras, except those added, or the weight of the
     /// covered cells.
     pub value: u64,
     /// A proved bound: no placement has a better value.
@@ -81,10 +81,10 @@ pub struct PlacementSummary {
     pub gap: f64,
     /// Whether the value is proved to be optimal.
     pub is_optimal: bool,
-    /// Number of pieces of the graph of overlapping cameras. If it is one, every camera can be
-    /// calibrated against every other.
+    /// Number of connected components of the graph of cameras with overlapping views. If it is one,
+    /// every camera can be calibrated against every other.
     pub pieces: u64,
-    /// The minimum number of pieces that is possible.
+    /// The minimum possible number of connected components.
     pub fewest_pieces: u64,
 }
 

@@ -25,7 +25,7 @@ pub struct ServeReport {
 pub struct PortSummary {
     /// The path of the port.
     pub port: String,
-    /// The robot that last had a session here.
+    /// The robot that last had a session on this port.
     pub robot: Option<u16>,
     /// Whether the session was open at the end.
     pub session: bool,

@@ -23,7 +23,7 @@ pub struct Report {
     pub robots: Vec<RobotSummary>,
     /// The fused map at the end.
     pub map: MapSummary,
-    /// Cost of the same updates in other formats, for comparison with the sum of the robots'
+    /// Size of the same updates in other formats, for comparison with the sum of the robots'
     /// `bytes_up_map`.
     pub comparison: Comparison,
     /// Duration of the run in seconds of the wall clock.
@@ -39,7 +39,7 @@ pub struct Report {
     /// Mapping of blind ground and collisions; only for simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub driving: Option<DrivingSummary>,
-    /// Errors of the cameras' poses of driving robots; only for simulated rooms.
+    /// Errors of the poses of driving robots as measured by cameras; only for simulated rooms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sighted: Option<PoseErrors>,
 }
@@ -53,11 +53,11 @@ pub struct RobotSummary {
     pub scans: u64,
     /// Scans drawn into its map.
     pub mapped: u64,
-    /// Outcome of the readings of its scans.
+    /// What became of the readings of its scans.
     pub pixels: Pixels,
     /// Bytes on the wire sent by the robot.
     pub bytes_up: u64,
-    /// The share of `bytes_up` in tile updates, with framing and retransmissions.
+    /// The part of `bytes_up` that tile updates cause, including framing and retransmissions.
     pub bytes_up_map: u64,
     /// Bytes on the wire sent to the robot.
     pub bytes_down: u64,
@@ -117,15 +117,16 @@ pub struct MapSummary {
 /// The map against the true room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TruthScores {
-    /// F1 of the fixed occupied cells, from 0 to 1, with a tolerance of one cell. Counts ground
-    /// that a camera can see, or that a robot has passed within 3 m and in its sensor's line of
+    /// F1 of the fixed occupied cells, from 0 to 1, with a tolerance of one cell. Only ground
+    /// counts that a camera can see, or that was within 3 m of a robot and in its sensor's line of
     /// sight.
     pub f1_occupied: f64,
-    /// Known share of the passed ground that no camera can see, from 0 to 1; 1 if there is none.
+    /// Known fraction of the ground that robots passed and that no camera can see, from 0 to 1; 1
+    /// if there is no such ground.
     pub passed_known: f64,
-    /// Share of the cells known in both that agree, from 0 to 1.
+    /// Fraction of the cells known both on the map and in the room that agree, from 0 to 1.
     pub agreement_known: f64,
-    /// Known share of the cells that can be known, from 0 to 1.
+    /// Known fraction of the cells that can be known, from 0 to 1.
     pub coverage: f64,
 }
 
@@ -150,9 +151,9 @@ pub struct DrivingSummary {
     pub touches: u64,
     /// Ground that no camera sees and a robot can stand on, in square metres.
     pub blind_m2: f64,
-    /// Mapped share of the blind ground, from 0 to 1.
+    /// Mapped fraction of the blind ground, from 0 to 1.
     pub blind_mapped: f64,
-    /// Time at which 99 % of it were mapped, in seconds; `None` if never.
+    /// Time in seconds at which 99 % of the blind ground were mapped; `None` if never.
     pub mapped_s: Option<f64>,
 }
 

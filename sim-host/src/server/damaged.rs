@@ -1,4 +1,4 @@
-//! Robots' tiles that were damaged in the store: the robots are asked for them again.
+//! Robots' tiles that were damaged in the store. The robots are asked to send them again.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use super::session::Session;
 /// some 15 s.
 const RESEND_TIME: Duration = Duration::from_secs(60);
 
-/// The damaged tiles that have not arrived again.
+/// The damaged tiles that have not been received again.
 #[derive(Debug, Default)]
 pub(super) struct Damaged {
     robots: BTreeMap<RobotId, Awaited>,
@@ -23,7 +23,7 @@ pub(super) struct Damaged {
 #[derive(Debug, Default)]
 struct Awaited {
     tiles: BTreeSet<(TileId, Epoch)>,
-    /// `None` until the robot's first session.
+    /// Deadline for the tiles; `None` until the robot's first session.
     until: Option<Instant>,
 }
 
@@ -53,8 +53,8 @@ impl Damaged {
         }
     }
 
-    /// Returns each robot that has not sent all of its tiles in time, once, with the number of
-    /// those that are lost. A robot that is not reachable gets more time.
+    /// Returns the next robot that has missed its deadline, and the number of its tiles that are
+    /// lost. Each robot is returned once. If a robot is not reachable, its deadline is extended.
     pub(super) fn poll_lost(
         &mut self,
         is_reachable: impl Fn(RobotId) -> bool,

@@ -10,7 +10,7 @@ use super::{
     snapshot::Snapshot,
 };
 
-/// Decides who drives where.
+/// Decides where robots drive.
 #[derive(Debug)]
 pub(super) struct Dispatch {
     coordinator: Coordinator,
@@ -52,8 +52,8 @@ impl Dispatch {
         self.coordinator.poll_timeout()
     }
 
-    /// Lets the coordinator decide if that is due. Returns whether it did; the caller must then
-    /// drain its commands and notices. `is_reachable` says which robots can be commanded.
+    /// Lets the coordinator decide if a decision is due. Returns whether it was; the caller must
+    /// then drain the commands and notices. `is_reachable` says which robots can be commanded.
     pub(super) fn tick(
         &mut self,
         snapshot: &Snapshot<'_>,

@@ -40,7 +40,7 @@ pub enum Event {
     Person(PersonEvent),
     /// Progress or the end of a robot's drive.
     Drive(RobotId, Notice),
-    /// A port caused more events of a kind than are passed on.
+    /// A port caused more events of a kind than the rate limit allows.
     LeftOut {
         /// The port.
         port: usize,
@@ -51,7 +51,7 @@ pub enum Event {
     },
 }
 
-/// A kind of events that the robots at a port cause as often as they like.
+/// A kind of event whose rate is limited for each port, since robots can cause any number of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum EventKind {
     /// [`Event::Joined`].
@@ -76,7 +76,7 @@ impl fmt::Display for EventKind {
 }
 
 impl Event {
-    /// The level at which to log it.
+    /// The log level of the event.
     pub fn level(&self) -> log::Level {
         match self {
             Self::Joined(..) => log::Level::Info,
@@ -130,7 +130,7 @@ impl Events {
         self.waiting.push_back((moment, event));
     }
 
-    /// Adds an event that the robot at a port caused, unless it causes too many.
+    /// Adds an event that the robot at a port caused, unless the rate limit is exceeded.
     pub(super) fn add_from(&mut self, port: usize, moment: Instant, event: Event) {
         let kind = match event {
             Event::Joined(..) => EventKind::Joined,
@@ -144,7 +144,8 @@ impl Events {
         }
     }
 
-    /// Adds the number of events left out of each kind and port, once in ten seconds.
+    /// Adds an [`Event::LeftOut`] for each kind and port whose interval of ten seconds is over and
+    /// exceeded the rate limit.
     pub(super) fn timeout(&mut self, now: Instant) {
         let left_out: Vec<Event> = self.limits.timeout(now).collect();
         left_out.into_iter().for_each(|event| self.add(now, event));
@@ -167,8 +168,7 @@ impl Events {
     }
 }
 
-/// Counts of the events of each kind from each port: they are limited in rate, so that no robot
-/// fills the log.
+/// Rate limits for the events of each kind from each port, so that no robot can fill the log.
 #[derive(Debug, Default)]
 pub(super) struct EventLimits {
     counts: BTreeMap<(usize, EventKind), Count>,
@@ -181,14 +181,15 @@ struct Count {
 }
 
 impl EventLimits {
-    /// Whether an event of a port is passed on.
+    /// Counts an event. Returns whether it is within the rate limit.
     fn admit(&mut self, port: usize, kind: EventKind, now: Instant) -> bool {
         let count = self.counts.entry((port, kind)).or_insert(Count { since: now, events: 0 });
         count.events = count.events.saturating_add(1);
         count.events <= MAX_IN_INTERVAL
     }
 
-    /// Ends the intervals that are over; an event for each in which others were left out.
+    /// Ends the intervals that are over. Returns an [`Event::LeftOut`] for each in which events
+    /// were left out.
     fn timeout(&mut self, now: Instant) -> impl Iterator<Item = Event> {
         let over =
             self.counts.extract_if(.., move |_, count| now.since(count.since) >= LIMIT_INTERVAL);
@@ -229,13 +230,14 @@ impl EventLog {
 /// Misbehaviour of a robot, or trouble with its map data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RobotEvent {
-    /// Its layer or its distance vectors contradict the others, and no constant error explains it.
+    /// Its layer or its distance vectors contradict the cameras or the other robots, and no
+    /// constant error explains it.
     Disagrees(RobotId),
     /// It sends more than any agent would, or exceeds the maximum number of tiles.
     Floods(RobotId),
     /// The layers of all robots have reached their maximum memory: its new tiles are refused.
     NoRoom(RobotId),
-    /// It is one more than the server can know: its hellos are not answered.
+    /// The server already knows its maximum number of robots, so this one is refused a session.
     TooMany(RobotId),
     /// This number of its tiles were damaged in the store, and it has not sent them again.
     LostTiles(RobotId, usize),
@@ -309,7 +311,7 @@ impl fmt::Display for PersonEvent {
     }
 }
 
-/// Number of times that each event has begun, and when last.
+/// For each event, how often it has begun, and when it last began.
 #[derive(Clone, Debug)]
 pub struct Tally<E> {
     events: BTreeMap<E, (u64, Instant)>,
@@ -334,8 +336,8 @@ impl<E: Copy + Ord> Tally<E> {
     }
 }
 
-/// Text from a robot, with everything escaped that is no printable character: control characters
-/// could write lines and commands to a terminal, and bidirectional ones reorder a line.
+/// Escapes all unprintable characters of a text from a robot: control characters could write lines
+/// and commands to a terminal, and bidirectional ones could reorder a line.
 fn escaped(text: &str) -> String {
     let mut escaped = String::new();
     for letter in text.chars() {

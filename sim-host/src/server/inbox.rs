@@ -17,7 +17,7 @@ use crate::mapping::{RobotLayer, Updated};
 pub(super) struct Taken {
     /// The changes of the robot's tiles.
     pub(super) updated: Updated,
-    /// Events on the robot.
+    /// Events that the robot reported.
     pub(super) events: Vec<Event>,
     /// Number of messages of unknown kinds.
     pub(super) unknown: u32,
@@ -26,7 +26,7 @@ pub(super) struct Taken {
 }
 
 impl Taken {
-    /// The codes of the events known to this version.
+    /// The codes of the events, except those unknown to this version.
     pub(super) fn codes(&self) -> impl Iterator<Item = EventCode> {
         self.events.iter().filter_map(|event| EventCode::from_number(event.code))
     }
@@ -109,7 +109,7 @@ impl<'a> Inbox<'a> {
         if head.layer != Layer::Robot {
             return None;
         }
-        // Nor can it have seen anything in the future.
+        // A robot can't have seen anything in the future.
         let seconds = head.seconds.min((now.micros() / 1_000_000) as u32);
         let (mut updated, result) = self.layer.update(coded, seconds);
         let all = &mut self.taken.updated;
@@ -135,7 +135,8 @@ impl<'a> Inbox<'a> {
         }
     }
 
-    /// Whether the reported state, or a newer one, is held. A digest of a closed epoch is late.
+    /// Whether the state that the robot reported, or a newer one, is held. True for a closed epoch:
+    /// the digest is late.
     fn holds(&self, told: &TileDigest) -> bool {
         let TileDigest { id, stamp, hash } = *told;
         self.layer.is_closed(id, stamp.epoch)

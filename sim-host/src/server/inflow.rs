@@ -2,7 +2,7 @@
 
 use ubimap_protocol::time::{Duration, Instant};
 
-/// Charge per byte: 40 kB/s, several times the rate of robots' serial links.
+/// Time charged for each byte: 40 kB/s, several times the rate of robots' serial links.
 const BYTE: Duration = Duration::from_micros(25);
 /// Maximum charge: a burst of 80 kB.
 const BURST: Duration = Duration::from_secs(2);
@@ -11,7 +11,7 @@ const BURST: Duration = Duration::from_secs(2);
 /// one port can claim.
 #[derive(Debug, Default)]
 pub(super) struct Inflow {
-    /// When the charge is used up.
+    /// The time at which the bucket is empty.
     busy_until: Instant,
     floods: bool,
 }
@@ -19,7 +19,7 @@ pub(super) struct Inflow {
 impl Inflow {
     /// Returns how many of the received bytes may be read.
     pub(super) fn admit(&mut self, bytes: usize, now: Instant) -> usize {
-        // The charge is further ahead only if the clock was set back.
+        // It can only be further ahead if the clock was set back.
         let is_ahead = now < self.busy_until && self.busy_until <= now + BURST;
         let begin = if is_ahead { self.busy_until } else { now };
         self.floods &= begin > now;

@@ -67,7 +67,7 @@ pub use command::Command;
 pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
 pub use ports::{CommandError, NoSuchPort};
 
-/// Maximum number of robots that the server knows at once, in this life and in the store.
+/// Maximum number of robots that the server knows at once, including those in the store.
 pub const MAX_ROBOTS: usize = 1_024;
 
 /// The camera server's sans-IO core. It follows the driving rule of the crate: after every input
@@ -84,7 +84,7 @@ pub struct Server {
     /// `None` without a coordinator.
     dispatch: Option<Dispatch>,
     events: Events,
-    /// Robots that exceeded a limit, and were reported.
+    /// The limits that robots have exceeded and that were reported already.
     exceeded: BTreeSet<(RobotId, Limit)>,
     unsaved: Unsaved,
     damaged: Damaged,
@@ -114,8 +114,8 @@ impl Server {
         server
     }
 
-    /// Sets the number of the next session; without this call it follows from the server's epoch. It
-    /// should be random: robots must not take this life of the server for an earlier one.
+    /// Sets the number of the next session; by default it is derived from the server's epoch. It
+    /// should be random, so that robots can't mistake this run of the server for an earlier one.
     pub fn number_sessions_from(&mut self, next: u32) {
         self.ports.number_sessions_from(next);
     }
@@ -197,8 +197,8 @@ impl Server {
         }
     }
 
-    /// Whether a robot is known or can be added. Forgets absent robots that have drawn nothing, if
-    /// it must.
+    /// Whether a robot is known or can be added. If the maximum is reached, forgets robots without
+    /// a session that have drawn nothing.
     fn has_room_for(&mut self, robot: RobotId) -> bool {
         if self.map.layer(robot).is_none() && self.map.layers().len() >= MAX_ROBOTS {
             let known: Vec<RobotId> = self.map.layers().keys().copied().collect();
@@ -214,7 +214,7 @@ impl Server {
         self.map.layer(robot).is_some() || self.map.layers().len() < MAX_ROBOTS
     }
 
-    /// Handles the effects of the messages of the robot at a port.
+    /// Acts on the messages that were received from the robot at a port.
     fn taken(&mut self, (port, robot): (usize, RobotId), taken: Taken, now: Instant) {
         self.map.changed(&taken.updated.tiles);
         self.damaged.came(robot, &taken.updated.complete);
@@ -257,7 +257,7 @@ impl Server {
             let pose = self.corrections.fix(robot, captured, seen);
             self.surroundings.robot(robot, captured, pose);
             let (footprint, side) = (self.surroundings.footprint(robot), self.terms.resolution);
-            // Cells that are only partly covered by the robot may hold a wall next to it.
+            // Excludes cells that the robot covers only partly: they may contain a wall next to it.
             self.map.stands(robot, captured, footprint.cells(pose, Millimetres(-side.0), side));
             if let Some(session) = self.ports.session_mut(robot) {
                 session.fix(captured, Sighting { pose, ..sighting });
@@ -285,7 +285,8 @@ impl Server {
         self.ports.command(robot, command)
     }
 
-    /// Tells every robot with a session to stop, for the rest of this server's life.
+    /// Tells every robot with a session to stop. The command has the highest number, so no later
+    /// Stop of this server overrides it.
     pub fn stop_robots(&mut self) {
         let robots: Vec<RobotId> = self.ports.sessions().map(|session| session.robot()).collect();
         for robot in robots {
@@ -294,11 +295,12 @@ impl Server {
         }
     }
 
-    /// Starts a coordinator, which decides where robots drive. The server sets the resolution and
-    /// `first_path` in its settings, so that path numbers differ from those of other lives.
+    /// Starts a coordinator, which decides where robots drive. The server replaces the resolution
+    /// and `first_path` in the settings, so that path numbers differ from those of its earlier
+    /// runs.
     pub fn coordinate(&mut self, settings: Settings) {
         let Terms { resolution, server_epoch, .. } = self.terms;
-        // Robots compare numbers of paths within an epoch only.
+        // Robots only compare path numbers within an epoch.
         let first_path = server_epoch.wrapping_shl(20);
         self.dispatch = Some(Dispatch::new(Settings { resolution, first_path, ..settings }));
     }
@@ -335,8 +337,9 @@ impl Server {
         self.surroundings.set_footprint(robot, footprint);
     }
 
-    /// Does what is due at `now` except sending. Work that takes milliseconds is done in pieces, so
-    /// that messages are not delayed; [`Server::poll_timeout`] is `now` until all are done.
+    /// Does all work that is due at `now`, except for sending. Work that takes milliseconds is done
+    /// in pieces, so that messages are not delayed; [`Server::poll_timeout`] is `now` until all are
+    /// done.
     pub fn timeout(&mut self, now: Instant) {
         self.events.timeout(now);
         let is_reachable = |robot| self.ports.session(robot).is_some_and(|it| it.is_reachable(now));
@@ -359,7 +362,7 @@ impl Server {
             }
             while let Some((robot, command)) = dispatch.poll_command() {
                 if let Err(error) = self.command(robot, command) {
-                    // The coordinator sends it again when the robot is back.
+                    // The coordinator sends the command again when the robot is back.
                     log::debug!("{error}");
                 }
             }

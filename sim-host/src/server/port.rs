@@ -19,11 +19,11 @@ use crate::timing::SESSION_SILENT;
 /// Minimum interval between Reset messages, which tell a robot that it has no session here.
 const RESET_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Maximum number of sessions offered beside the one that is alive.
+/// Maximum number of offered sessions while another session is alive.
 const MAX_CANDIDATES: usize = 4;
-/// A session that was heard after another one was offered must be silent for this long before that one
-/// may replace it: a robot reports its state every two seconds. So of two robots with one number behind
-/// one port, the one that is alive keeps its session.
+/// If a session was heard after a candidate was offered, the candidate can replace it only after
+/// the session has been silent for this long. Robots report their state every two seconds, so of
+/// two robots with the same number behind one port, the one with the live session keeps it.
 const TWIN_SILENT: Duration = Duration::from_secs(3);
 
 /// A serial port or a simulated channel, with at most one robot behind it.
@@ -32,9 +32,9 @@ pub(super) struct Port {
     link: Link,
     inflow: Inflow,
     session: Option<Session>,
-    /// Sessions that were offered while this one was alive, oldest first.
+    /// Sessions that were offered while `session` was alive, oldest first.
     candidates: Vec<Candidate>,
-    /// Reads the frames for the candidates, beside the link.
+    /// Decodes frames for the candidates, in parallel with the link.
     decoder: cobs::Decoder<MAX_FRAME>,
     /// The handshake frame to send.
     answer: Option<Answer>,
@@ -45,8 +45,8 @@ pub(super) struct Port {
     bytes_sent: u64,
 }
 
-/// A session that was offered in answer to a Hello. That may have come late, or from somebody who
-/// repeats it: the first good frame proves that the robot has taken the offer.
+/// A session that was offered in answer to a Hello. The Hello may be a late or replayed copy; only
+/// the first valid frame of the offered session proves that the robot has accepted it.
 #[derive(Debug)]
 pub(super) struct Candidate {
     id: SessionId,
@@ -62,9 +62,9 @@ struct PendingReset {
     last: Option<Instant>,
 }
 
-/// The contents of a frame.
+/// The contents of a received frame.
 pub(super) enum Brought<'p> {
-    /// Nothing to be handled outside of the port.
+    /// Nothing that the caller must handle.
     Nothing,
     Hello(Hello),
     /// Messages of the session. Call [`Port::taken`] after handling them.
@@ -89,14 +89,15 @@ impl Default for Port {
 }
 
 impl Port {
-    /// Returns the received bytes that may be read, and whether a flood begins with them.
+    /// Returns the received bytes that are within the rate limit, and whether this call is the
+    /// first to exceed it.
     pub(super) fn admit<'b>(&mut self, bytes: &'b [u8], now: Instant) -> (&'b [u8], bool) {
         let was_flooded = self.inflow.floods();
         let admitted = self.inflow.admit(bytes.len(), now);
         (bytes.get(..admitted).unwrap_or_default(), !was_flooded && self.inflow.floods())
     }
 
-    /// Decodes a frame from the front of `bytes`. `None` if they are used up.
+    /// Decodes a frame from the front of `bytes`, and advances `bytes`. `None` if they are used up.
     pub(super) fn receive(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Brought<'_>> {
         let Self { link, session, reset, malformed, .. } = self;
         Some(match (link.receive(bytes, now)?, session) {
@@ -132,9 +133,9 @@ impl Port {
         }
     }
 
-    /// Returns the candidate that takes over, if the next frame in `bytes` is a good one of it: the
-    /// session has not been heard since it was offered, or for long enough. Call it before
-    /// [`Port::receive`] with the same bytes.
+    /// Returns the candidate that replaces the session: the next frame in `bytes` is a valid frame
+    /// of the candidate, and the session has not been heard since the offer, or not for
+    /// [`TWIN_SILENT`]. Call it before [`Port::receive`] with the same bytes.
     pub(super) fn poll_candidate(&mut self, mut bytes: &[u8], now: Instant) -> Option<Candidate> {
         if self.candidates.is_empty() {
             return None;
@@ -154,19 +155,20 @@ impl Port {
         Some(self.candidates.swap_remove(index))
     }
 
-    /// The session that was begun or offered in answer to this Hello.
+    /// The session that began or was offered in answer to this Hello.
     pub(super) fn session_of(&self, hello: &Hello) -> Option<(SessionId, &Session)> {
         let session = self.session.as_ref().map(|session| (self.link.session(), session));
         let candidates = self.candidates.iter().map(|it| (it.id, &it.session));
         session.into_iter().chain(candidates).find(|(_, session)| session.answers(hello))
     }
 
-    /// Whether a frame of the session has been received lately, or it is new.
+    /// Whether there is a session that began, or was last heard, less than [`SESSION_SILENT`] ago.
     pub(super) fn is_alive(&self, now: Instant) -> bool {
         self.session.as_ref().is_some_and(|session| session.silent_for(now) < SESSION_SILENT)
     }
 
-    /// Offers a session beside the one that is alive. Of too many offers the oldest is withdrawn.
+    /// Adds an offered session while another one is alive. If there are too many, the oldest offer
+    /// is withdrawn.
     pub(super) fn offer(&mut self, candidate: Candidate) {
         if self.candidates.is_empty() {
             self.decoder = cobs::Decoder::default();
@@ -181,7 +183,7 @@ impl Port {
     pub(super) fn begin(&mut self, Candidate { id, frame, session, .. }: Candidate) {
         self.candidates.clear();
         self.link.begin(id, usize::from(frame));
-        // A pending Reset concerned the previous session.
+        // A pending Reset refers to the previous session.
         self.reset.due = false;
         self.session = Some(session);
     }

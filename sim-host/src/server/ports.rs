@@ -22,7 +22,7 @@ use super::{
 pub(super) struct Ports {
     open: BTreeMap<usize, Port>,
     next_port: usize,
-    /// Sessions of robots whose port was closed; their next sessions continue from them.
+    /// Last sessions of robots that have none now; their next sessions continue from these.
     parted: BTreeMap<RobotId, Session>,
     next_session: u32,
 }
@@ -43,11 +43,12 @@ pub enum CommandError {
     TooLong(RobotId),
 }
 
-/// The result of a Hello.
+/// How a Hello was answered.
 pub(super) enum Greeted {
     /// The robot got a new session.
     Joined,
-    /// The Hello repeats an earlier one, or a session was offered beside the one that is alive.
+    /// The Hello repeats an earlier one, or a session was offered while another one on the port is
+    /// alive.
     Answered,
     Refused(RefusalReason),
 }
@@ -59,7 +60,7 @@ impl Ports {
             open: BTreeMap::new(),
             next_port: 0,
             parted: BTreeMap::new(),
-            // Session ids of different lives of the server must differ.
+            // Session ids must differ from those of earlier runs of the server.
             next_session: server_epoch.wrapping_mul(0x9E37_79B9) | 1,
         }
     }
@@ -77,7 +78,7 @@ impl Ports {
         port
     }
 
-    /// Closes a port; what was waiting to be sent there is lost.
+    /// Closes a port. Messages that were waiting to be sent there are lost.
     pub(super) fn close(&mut self, port: usize) -> Result<(), NoSuchPort> {
         let mut closed = self.open.remove(&port).ok_or(NoSuchPort(port))?;
         if let Some(session) = closed.end() {
@@ -113,7 +114,7 @@ impl Ports {
         self.sessions().find(|session| session.robot() == robot)
     }
 
-    /// The session of a robot, even if its port was closed.
+    /// The session of a robot, or its last one if it has none now.
     pub(super) fn last_session(&self, robot: RobotId) -> Option<&Session> {
         self.session(robot).or_else(|| self.parted.get(&robot))
     }
@@ -123,7 +124,7 @@ impl Ports {
         self.port_of(robot)?.session_mut()
     }
 
-    /// Forgets the session of a robot whose port was closed.
+    /// Forgets the last session of a robot that has none now.
     pub(super) fn forget(&mut self, robot: RobotId) {
         self.parted.remove(&robot);
     }
@@ -132,7 +133,7 @@ impl Ports {
         self.open.values_mut().find(|port| port.robot() == Some(robot))
     }
 
-    /// Answers a Hello received at a port. A welcomed robot has a session there, and numbers its
+    /// Answers a Hello received at a port. The Welcome tells the robot to number the epochs of its
     /// tiles from `first_epoch` on.
     pub(super) fn greet(
         &mut self,
@@ -185,15 +186,14 @@ impl Ports {
         Ok(())
     }
 
-    /// Whether a robot with this number has a session on another port, and has been heard there
-    /// lately.
+    /// Whether a robot with this number has a live session on another port.
     fn is_in_use(&self, robot: RobotId, port: usize, now: Instant) -> bool {
         let mut others = self.open.iter().filter(|(number, _)| **number != port);
         others.any(|(_, other)| other.robot() == Some(robot) && other.is_alive(now))
     }
 
-    /// Begins the session offered at a port if the next frame in `bytes`, received there, is a good
-    /// one of it. Returns its robot.
+    /// Begins a session that was offered at a port, if the next frame in `bytes`, received there,
+    /// is a valid frame of that session. Returns the robot of the session.
     pub(super) fn poll_candidate(
         &mut self,
         port: usize,
@@ -204,7 +204,7 @@ impl Ports {
         self.begin(port, offer).map(Some)
     }
 
-    /// Begins an offered session, which continues from the robot's last one. Returns its robot.
+    /// Begins an offered session, which continues from the robot's last one. Returns the robot.
     fn begin(&mut self, port: usize, mut offer: Candidate) -> Result<RobotId, NoSuchPort> {
         let robot = offer.session_mut().robot();
         let last = self.port_of(robot).and_then(Port::end).or_else(|| self.parted.remove(&robot));

@@ -61,7 +61,7 @@ impl Server {
 
 /// Robots.
 impl Server {
-    /// The last state report of a robot, in its last session.
+    /// The last state report in a robot's last session.
     pub fn state(&self, robot: RobotId) -> Option<State> {
         self.ports.last_session(robot)?.said().state()
     }
@@ -71,7 +71,7 @@ impl Server {
         self.ports.last_session(robot).map(|session| session.said().events())
     }
 
-    /// A robot's last parameter report in answer to a user.
+    /// The last parameter report with which a robot answered a user's command.
     pub fn parameters(&self, robot: RobotId) -> Option<&ParameterReport> {
         self.ports.last_session(robot)?.said().parameters()
     }
@@ -107,13 +107,13 @@ impl Server {
         self.ports.session(robot).map_or(0, Session::waiting)
     }
 
-    /// Number of peers and obstacles left out of messages to a robot for lack of space, counted per
-    /// message.
+    /// Number of peers and obstacles left out of messages to a robot for lack of space, summed over
+    /// all messages.
     pub fn left_out(&self, robot: RobotId) -> u64 {
         self.ports.session(robot).map_or(0, Session::left_out)
     }
 
-    /// The robots' newest known poses around a time, from cameras or their own reports.
+    /// The newest pose of each robot, from cameras or its own reports, if it is recent at `moment`.
     pub fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
         self.surroundings.whereabouts(moment)
     }
@@ -126,7 +126,7 @@ impl Server {
         self.surroundings.footprint(robot)
     }
 
-    /// The people and things tracked by cameras, and the time of their positions.
+    /// The time of the positions, and the people and things tracked by cameras.
     pub fn obstacles(&self) -> (Instant, Vec<Obstacle>) {
         (self.surroundings.obstacles_moment(), self.surroundings.all_obstacles())
     }
@@ -179,7 +179,7 @@ impl Server {
         self.ports.get(port).map_or_else(|_| Counters::default(), Port::counters)
     }
 
-    /// Numbers of messages at a port that were of unknown kinds, and that were malformed.
+    /// Numbers of messages of unknown kinds, and of malformed messages, at a port.
     pub fn unread_messages(&self, port: usize) -> (u32, u32) {
         self.ports.get(port).map_or((0, 0), Port::unread)
     }

@@ -1,4 +1,4 @@
-//! State that the server hands out for storage, and restores in its next life.
+//! State that the server hands out for storage, and restores after a restart.
 
 use ubimap_protocol::{
     tile::{Epoch, TileId},
@@ -9,9 +9,9 @@ use super::Server;
 use crate::mapping::{CameraTile, CureRecord, TileRecord};
 
 impl Server {
-    /// A state of a robot's tile to write, if the server has a store (`stores` in its terms). A
-    /// [closed](TileRecord::is_closed) one replaces the records of all epochs up to its own; delete
-    /// them in the same transaction. Call [`Server::stored`] when it is on disk, or
+    /// The next state of a robot's tile to write, if the server has a store (`stores` in its
+    /// terms). A [closed](TileRecord::is_closed) record replaces those of all epochs up to its own;
+    /// delete them in the same transaction. Call [`Server::stored`] when it is on disk, or
     /// [`Server::store_failed`].
     #[must_use]
     pub fn poll_store(&mut self) -> Option<(RobotId, TileRecord)> {
@@ -21,7 +21,7 @@ impl Server {
     /// Call this once a tile is durably on disk: the robot may then discard it.
     pub fn stored(&mut self, robot: RobotId, record: &TileRecord) {
         self.map.stored(robot, record);
-        // Nobody waits for closed epochs.
+        // Robots do not wait for closed epochs to be stored.
         if let Some(session) = self.ports.session_mut(robot).filter(|_| !record.is_closed()) {
             session.stored(record.id, record.stamp);
         }
@@ -32,8 +32,9 @@ impl Server {
         self.unsaved.tile_failed(robot, record);
     }
 
-    /// The progress of cures that is not on disk yet, oldest first. A cure waits until its progress
-    /// is stored. Delete the robot's tiles below the record's first epoch when storing it.
+    /// The progress of cures (corrections of robots' constant errors) that is not on disk yet,
+    /// oldest first. A cure waits until its progress is stored. When storing a record, delete the
+    /// robot's tiles of epochs below its `first_epoch`.
     pub fn unsaved_cures(&self) -> impl Iterator<Item = &CureRecord> {
         self.unsaved.cures()
     }
@@ -66,19 +67,21 @@ impl Server {
         self.terms.stores && self.map.has_unkept()
     }
 
-    /// Restores a record of an earlier life; those of a tile in the order of their epochs. The clock
-    /// of this life must continue that life's clock, to which the record's times refer.
+    /// Restores a record of an earlier run of the server. The records of a tile must come in the
+    /// order of their epochs. The server's clock must continue from the earlier run, since the
+    /// record's times refer to that.
     pub fn restore(&mut self, robot: RobotId, record: &TileRecord) {
         let folded = self.map.restore(robot, record);
         self.unsaved.folded(robot, &folded);
     }
 
-    /// Requests a tile that was damaged in the store from its robot, once that has a session.
+    /// Makes the server request a tile that was damaged in the store, as soon as its robot has a
+    /// session.
     pub fn restore_damaged(&mut self, robot: RobotId, id: TileId, epoch: Epoch) {
         self.damaged.add(robot, id, epoch);
     }
 
-    /// Restores a camera tile of an earlier life, as in [`Server::restore`].
+    /// Restores a camera tile of an earlier run; its times are treated as in [`Server::restore`].
     pub fn restore_camera_tile(&mut self, tile: &CameraTile) {
         self.map.restore_camera_tile(tile);
     }

@@ -17,9 +17,9 @@ use crate::{
     timing::ROBOT_GONE,
 };
 
-/// Memory in bytes that each robot may use whatever the others use: some ten tiles.
+/// Memory in bytes that is reserved for each robot: some ten tiles.
 const SHARE: usize = 64 << 10;
-/// Memory in bytes for what robots use beyond their shares: some 10,000 tiles.
+/// Memory in bytes that robots share beyond their reserved memory: some 10,000 tiles.
 const COMMON: usize = 64 << 20;
 
 /// The layers and everything derived from them.
@@ -30,11 +30,10 @@ pub(super) struct SharedMap {
     agreements: Agreements,
     /// Weights in the current step of the map's time; robots without an entry have the full weight.
     weights: BTreeMap<RobotId, Weight>,
-    /// Robots' tiles that have changed since the weights were computed.
+    /// Tiles with robots' observations that have changed since the weights were computed.
     unweighed: BTreeSet<TileId>,
     time: MapTime,
-    /// Each tile as fused, before surfaces are hollowed and robots cleared from it, and its cells
-    /// in view of cameras.
+    /// Each fused tile before [`hollow`] and [`clear`], and its cells that cameras have seen.
     whole: BTreeMap<TileId, (Tile, Sight)>,
     fused: ServedLayer,
     /// Tiles with movable cells, which expire.
@@ -66,8 +65,8 @@ impl SharedMap {
         self.layers.entry(robot).or_default()
     }
 
-    /// A robot's layer for an update, with its part of the memory as its limit. Epochs below
-    /// `barrier` may soon be void.
+    /// A robot's layer for an update, with the memory that is left for this robot as its limit.
+    /// Epochs below `barrier` may soon be void.
     pub(super) fn limited_layer_mut(
         &mut self,
         robot: RobotId,
@@ -103,7 +102,7 @@ impl SharedMap {
         self.weights.get(&robot).copied().unwrap_or(Weight::FULL)
     }
 
-    /// The first epoch that the robot is not known to have used for its tiles.
+    /// The first epoch after all that the robot is known to have used for its tiles.
     pub(super) fn next_epoch(&self, robot: RobotId) -> Epoch {
         self.layers.get(&robot).map_or(Epoch(1), RobotLayer::next_epoch)
     }
@@ -113,7 +112,7 @@ impl SharedMap {
         self.layers.get(&robot).map_or(Epoch(0), RobotLayer::first_epoch)
     }
 
-    /// The cells of a tile below robots, as cameras last saw them.
+    /// The cells of a tile that are below robots, as cameras last saw the robots.
     pub(super) fn under(&self, id: TileId) -> Mask {
         let mut under = Mask::default();
         for mask in self.under.values().filter_map(|(_, masks)| masks.get(&id)) {
@@ -122,7 +121,7 @@ impl SharedMap {
         under
     }
 
-    /// A tile fused without the layer of one robot.
+    /// A tile fused without the layer of `robot`, or from all layers if `None`.
     pub(super) fn without(&self, robot: Option<RobotId>, id: TileId) -> Tile {
         self.fused_with(&self.cameras.seen(id), robot, id)
     }
@@ -135,7 +134,7 @@ impl SharedMap {
         fuse(cameras, &others, self.time)
     }
 
-    /// The cameras' knowledge of a tile, with robots as movable cells.
+    /// What the cameras know of a tile, with robots as movable cells.
     pub(super) fn in_view(&self, id: TileId) -> Tile {
         let mut tile = self.cameras.tile(id);
         for (y, mask) in self.under(id).into_iter().enumerate() {
@@ -151,7 +150,8 @@ impl SharedMap {
         self.cameras.observe(observation)
     }
 
-    /// Voids a robot's tiles of epochs below this one. Returns the changed tiles, and what was closed.
+    /// Voids a robot's tiles of epochs below `first_epoch`. Returns the changed tiles and the
+    /// epochs that were closed.
     pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) -> Updated {
         let retired = self.layer_mut(robot).retire(first_epoch);
         self.changed(&retired.tiles);
@@ -165,7 +165,7 @@ impl SharedMap {
         }
     }
 
-    /// Restores a robot's tile. Returns the tiles of which epochs were closed.
+    /// Restores a robot's tile. Returns the tile with its newest closed epoch if one was closed.
     pub(super) fn restore(
         &mut self,
         robot: RobotId,
@@ -182,12 +182,13 @@ impl SharedMap {
         self.changed(&BTreeSet::from([tile.id]));
     }
 
-    /// Takes the camera tiles that were observed since the last call.
+    /// Returns the camera tiles that were observed since the last call.
     pub(super) fn take_unkept(&mut self) -> Vec<CameraTile> {
         self.cameras.take_unkept()
     }
 
-    /// Marks camera tiles that could not be stored, so that they are taken again.
+    /// Marks camera tiles that could not be stored, so that the next [`SharedMap::take_unkept`]
+    /// returns them again.
     pub(super) fn not_kept(&mut self, tiles: &[CameraTile]) {
         self.cameras.not_kept(tiles);
     }
@@ -215,7 +216,7 @@ impl SharedMap {
         self.look(id, tile, &cameras);
     }
 
-    /// Stores a fused tile, and publishes it and its neighbours if it has changed.
+    /// Keeps a newly fused tile, and publishes it and its neighbours if it has changed.
     fn look(&mut self, id: TileId, tile: Tile, cameras: &SeenTile) {
         let sight = Sight::of(&tile, cameras, self.time);
         set_member(&mut self.in_sight, id, !sight.is_empty());
@@ -240,7 +241,7 @@ impl SharedMap {
         self.fused.set(id, tile);
     }
 
-    /// Records the cells below a robot that a camera saw.
+    /// Records the cells below a robot that a camera saw at `captured`.
     pub(super) fn stands(
         &mut self,
         robot: RobotId,
@@ -273,8 +274,8 @@ impl SharedMap {
         other.into_iter().for_each(|id| self.publish(id));
     }
 
-    /// Adds the numbers of a distance vector's points on surfaces that cameras see, and in free
-    /// ground.
+    /// Adds a distance vector: `agree` of its points are on surfaces that cameras see, `contradict`
+    /// are in free ground.
     pub(super) fn looked(&mut self, robot: RobotId, agree: u32, contradict: u32) {
         self.agreements.looked(robot, agree, contradict);
     }
@@ -332,7 +333,7 @@ impl SharedMap {
     }
 }
 
-/// The tile at an offset in tiles.
+/// The tile at this offset in tiles; `None` beyond the map's range.
 fn beside(id: TileId, east: i16, north: i16) -> Option<TileId> {
     Some(TileId { x: id.x.checked_add(east)?, y: id.y.checked_add(north)? })
 }

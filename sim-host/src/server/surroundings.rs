@@ -1,4 +1,4 @@
-//! The robots, people and things, with their newest positions.
+//! The newest positions of robots, people and things.
 
 use std::collections::BTreeMap;
 
@@ -47,7 +47,7 @@ impl Surroundings {
         self.robots.remove(&robot);
     }
 
-    /// Adds the things in a frame, in cells of the given side length.
+    /// Adds the things in a frame, whose cells have the side length `side`.
     pub(super) fn observe(&mut self, observation: &Observation, side: Millimetres) {
         let captured = observation.captured;
         // Things are only detected in frames with cells.
@@ -56,12 +56,12 @@ impl Surroundings {
         }
     }
 
-    /// Returns each detected case of a person lying on the floor, once.
+    /// Returns the next detection of a person lying on the floor; each one is returned once.
     pub(super) fn poll_lying(&mut self) -> Option<Lying> {
         self.tracks.poll_lying()
     }
 
-    /// The robots' newest poses, if recent at the given time.
+    /// The newest pose of each robot, if it is at most [`POSE_STALE`] before or after `moment`.
     pub(super) fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
         let recent = self
             .robots
@@ -70,12 +70,12 @@ impl Surroundings {
         recent.map(|(&robot, &(_, pose))| (robot, pose))
     }
 
-    /// The newest time of another robot's pose.
+    /// The time of the newest pose of any other robot.
     pub(super) fn peers_moment(&self, robot: RobotId) -> Option<Instant> {
         self.others(robot).map(|(_, moment, _)| moment).max()
     }
 
-    /// The other robots near this one, nearest first.
+    /// The other robots within [`NEAR_M`] of `robot`, nearest first.
     pub(super) fn peers(&self, robot: RobotId) -> Vec<Peer> {
         let newest = self.peers_moment(robot).unwrap_or_default();
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
@@ -107,7 +107,7 @@ impl Surroundings {
         self.tracks.moment()
     }
 
-    /// The people and things near a robot, nearest first.
+    /// The people and things within [`NEAR_M`] of `robot`, nearest first.
     pub(super) fn obstacles(&self, robot: RobotId) -> Vec<Obstacle> {
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
         let obstacles = self.tracks.now().map(|track| {

@@ -15,7 +15,7 @@ use crate::mapping::{CureRecord, RobotLayer, TileRecord, Updated};
 pub(super) struct Unsaved {
     /// Whether the server has a store.
     stores: bool,
-    /// Tiles that have changed since they were last handed out.
+    /// Epochs of tiles that have changed since they were last handed out.
     changed: BTreeSet<(RobotId, TileId, Epoch)>,
     /// The progress of cures that is not on disk yet, oldest first.
     cures: VecDeque<CureRecord>,
@@ -38,20 +38,20 @@ impl Unsaved {
         }
     }
 
-    /// Queues tiles of which epochs were closed.
+    /// Queues the given closed epochs of tiles.
     pub(super) fn folded(&mut self, robot: RobotId, folded: &BTreeSet<(TileId, Epoch)>) {
         let folded = folded.iter().filter(|_| self.stores);
         self.changed.extend(folded.map(|&(id, epoch)| (robot, id, epoch)));
     }
 
-    /// The next tile to write.
+    /// The next record of a tile to write, from the robots' layers.
     pub(super) fn poll_tile(
         &mut self,
         layers: &BTreeMap<RobotId, RobotLayer>,
     ) -> Option<(RobotId, TileRecord)> {
         while let Some((robot, id, epoch)) = self.changed.pop_first() {
-            // A partly received state is queued again when it is complete; an epoch that was closed
-            // is part of a newer record.
+            // There is no record of a partly received state, which is queued again when it is
+            // complete, or of an epoch that has become part of a newer closed one.
             if let Some(record) = layers.get(&robot).and_then(|it| it.record(id, epoch)) {
                 return Some((robot, record));
             }
@@ -59,7 +59,7 @@ impl Unsaved {
         None
     }
 
-    /// Queues a tile again that could not be written.
+    /// Queues a record again that could not be written.
     pub(super) fn tile_failed(&mut self, robot: RobotId, record: &TileRecord) {
         self.changed.insert((robot, record.id, record.stamp.epoch));
     }
@@ -69,7 +69,7 @@ impl Unsaved {
         self.cures.extend(self.stores.then_some(record));
     }
 
-    /// Whether the robot's correction must wait until its progress is on disk.
+    /// Whether the robot's cure must wait until its progress is on disk.
     pub(super) fn holds_up(&self, robot: RobotId) -> bool {
         self.cures.iter().any(|record| record.robot == robot)
     }

@@ -1,4 +1,4 @@
-//! Copies a store, also while another process uses it.
+//! Copies a store, even while another process uses it.
 
 use std::{
     ffi::OsString,
@@ -20,12 +20,13 @@ use super::{
 };
 
 /// Copies the store `from` to the file `to`, which is replaced as a whole if it is an earlier
-/// backup. The copy holds everything that was stored when the copying began; it is on disk, and was
-/// checked, when this returns. Returns the number of robots' tiles in it, counted by epoch.
+/// backup. The copy contains everything that was stored when the copying began, is checked, and is
+/// on disk when this returns. Returns the number of robots' tiles in it; each epoch of a tile
+/// counts.
 ///
 /// # Errors
-/// [`StoreError`]; then `to` is as before. A store with damaged rows is not copied: an earlier
-/// backup may still hold them.
+/// [`StoreError`]; `to` is unchanged. A store with damaged rows is not copied, since an earlier
+/// backup may still contain those rows.
 pub fn backup(from: &Path, to: &Path) -> Result<u32, StoreError> {
     let partial = with_suffix(to, "-partial");
     check_target(from, to).map_err(|trouble| StoreError::new(to, trouble))?;
@@ -48,31 +49,31 @@ pub fn backup(from: &Path, to: &Path) -> Result<u32, StoreError> {
     checked
 }
 
-/// Removes what a backup that failed or was killed has left, so that the next one begins anew.
+/// Removes the files that a failed or killed backup has left, so that the next one starts afresh.
 fn remove(partial: &Path) {
     for suffix in ["", "-wal", "-shm"] {
-        // Usually there is none.
+        // An error is ignored: usually there is no such file.
         let _ = fs::remove_file(with_suffix(partial, suffix));
     }
 }
 
-/// Refuses to replace anything but an earlier backup that nobody uses.
+/// Refuses to replace anything except an earlier backup that is not in use.
 fn check_target(from: &Path, to: &Path) -> Result<(), Trouble> {
     let Ok(metadata) = to.metadata() else { return Ok(()) };
     let is_same = fs::canonicalize(from).ok() == fs::canonicalize(to).ok();
-    // A log beside it would be taken for that of the new file.
+    // SQLite would mistake a log beside the file for that of the new file.
     let is_in_use = with_suffix(to, "-wal").exists() || with_suffix(to, "-lock").exists();
     if !metadata.is_file() || is_same || !is_store(to) {
         return Err(Trouble::NotABackup);
     }
     if is_in_use {
-        // The lock is released at once: it only tells a store from a backup in the message.
+        // Taking the lock only serves to choose the error; it is released at once.
         return Err(lock(to).err().unwrap_or(Trouble::NotABackup));
     }
     Ok(())
 }
 
-/// Whether a file begins like a store. Opening it with SQLite could change it.
+/// Whether a file begins like a store. It is not opened with SQLite, which could change it.
 fn is_store(path: &Path) -> bool {
     let mut header = [0; 72];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut header));
@@ -81,7 +82,7 @@ fn is_store(path: &Path) -> bool {
         && header.ends_with(&APPLICATION_ID.to_be_bytes())
 }
 
-/// Copies a database in one step: a consistent state, however busy its writer is.
+/// Copies a database in one step, so that the copy is consistent even while another process writes.
 fn copy(source: &Connection, partial: &Path) -> Result<Connection, Trouble> {
     remove(partial);
     let mut copy = connect(partial, OpenFlags::SQLITE_OPEN_CREATE)?;
@@ -107,7 +108,7 @@ fn check(copy: &Connection) -> Result<u32, Trouble> {
     Ok(copy.query_row("SELECT count(*) FROM tile", [], |row| row.get(0))?)
 }
 
-/// Moves the complete copy to its place, on disk.
+/// Renames the complete copy to `to`, durably.
 fn replace(partial: &Path, to: &Path) -> Result<(), Trouble> {
     let moved = File::open(partial).and_then(|file| {
         file.sync_all()?;

@@ -1,4 +1,4 @@
-//! What is lost with a damaged row.
+//! The losses that damaged rows cause.
 
 use core::fmt;
 
@@ -8,20 +8,21 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-/// What a damaged row held, by its key, which may be damaged as well.
+/// What was lost with a damaged row, according to its key, which may be damaged as well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Damage {
     /// A robot's tile in one epoch.
     Tile(RobotId, TileId, Epoch),
-    /// The times at which a robot saw the cells of a tile: they count as the oldest.
+    /// The times at which a robot saw the cells of a tile. The cells are kept with the oldest
+    /// possible time.
     Times(RobotId, TileId),
     /// A tile of the cameras.
     CameraTile(TileId),
     /// The progress of a robot's cure.
     Cure(RobotId),
-    /// SQLite's log: what was stored last may be missing.
+    /// SQLite's log. The newest records may be missing.
     Log,
-    /// Something whose key can't be read.
+    /// A row whose key can't be read.
     Unknown,
 }
 
@@ -55,7 +56,7 @@ impl fmt::Display for Damage {
     }
 }
 
-/// From the keys of rows.
+/// Each function takes the key of a damaged row of one table.
 impl Damage {
     pub(super) fn tile(key: &[Value]) -> Self {
         let tile = || {

@@ -50,12 +50,12 @@ pub enum Trouble {
         "damaged, its tables can't be read: {0}; restore a backup, or give a new file with --store"
     )]
     Tables(rusqlite::Error),
-    /// Rows of it are damaged, so that it is not copied.
+    /// Some of its rows are damaged, so it is not copied.
     #[error(
         "{0} of its rows are damaged, so that no backup is made: an earlier one may be better; the next run with this --store leaves them out and asks the robots for their tiles"
     )]
     DamagedRows(usize),
-    /// A backup would replace something else.
+    /// A backup would replace a file that is not an earlier backup.
     #[error(
         "exists and is not a backup, or is a store in use; give the name of a new file, or of an earlier backup"
     )]
@@ -88,8 +88,8 @@ pub enum Trouble {
 }
 
 impl StoreError {
-    /// The error of a file. SQLite reports a read-only file system as one of several errors, so the
-    /// system is asked.
+    /// The error for a file. SQLite reports a read-only file system as one of several errors, so
+    /// the operating system is asked about it.
     pub(super) fn new(path: &Path, trouble: Trouble) -> Self {
         let may_be = matches!(trouble, Trouble::CannotOpen | Trouble::ReadOnly | Trouble::Other(_));
         let is_read_only = || {
@@ -114,7 +114,8 @@ fn is_on_read_only_file_system(_: &Path) -> bool {
 }
 
 impl Trouble {
-    /// The same trouble, of a statement that every store of this version accepts.
+    /// The same trouble, but [`Trouble::Tables`] instead of `Other`: for statements that can only
+    /// fail if the tables are damaged.
     pub(super) fn in_tables(self) -> Self {
         match self {
             Self::Other(error) => Self::Tables(error),

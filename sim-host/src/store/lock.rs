@@ -1,6 +1,6 @@
 //! Exclusive use of a store by one process.
 //!
-//! SQLite's own exclusive mode would shut out `ubimap backup`, which only reads.
+//! SQLite's own exclusive mode would also exclude `ubimap backup`, which only reads.
 
 use std::{
     ffi::OsString,
@@ -10,11 +10,11 @@ use std::{
 
 use super::Trouble;
 
-/// Locks a store until the file is dropped, or the process ends in any way. The lock belongs to a
-/// file beside the store, `NAME-lock`, which stays: closing the store's own file a second time would
-/// release SQLite's locks on it.
+/// Locks a store until the returned file is dropped, or the process ends in any way. The lock is on
+/// a separate file beside the store, `NAME-lock`, which is never deleted. The store's own file
+/// can't be used: closing a second handle of it would release SQLite's locks.
 pub(super) fn lock(store: &Path) -> Result<File, Trouble> {
-    // Two names of one file share the lock.
+    // Different paths of the same file must share the lock.
     let real = fs::canonicalize(store).map_err(|_| Trouble::CannotOpen)?;
     let mut name = OsString::from(real);
     name.push("-lock");

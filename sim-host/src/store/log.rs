@@ -1,5 +1,5 @@
-//! Checks SQLite's log, the `-wal` file: SQLite drops whatever follows a damaged frame in silence,
-//! as it must after a crash in the middle of a commit.
+//! Checks SQLite's log, the `-wal` file, for damage. SQLite silently drops a damaged frame and all
+//! that follow, as it must after a crash in the middle of a commit.
 
 use std::{
     ffi::OsString,
@@ -12,21 +12,23 @@ use std::{
 const HEADER: usize = 32;
 /// Length of the header of a frame.
 const FRAME_HEADER: usize = 24;
-/// The first four bytes of a log; the last bit says whether checksums read big-endian words.
+/// The first four bytes of a log. Their last bit, zero here, says whether checksums read big-endian
+/// words.
 const MAGIC: u32 = 0x377F_0682;
 
-/// Whether a store's log has lost frames to damage: a frame is invalid, and later ones of the same
-/// round are there. A kill leaves none; a failed write, followed by a kill, can. Damage of the last
-/// frame is not distinguished from an incomplete write. Format: sqlite.org/fileformat.html, 4.
+/// Whether a store's log has lost frames to damage: a frame is invalid, but later frames of the
+/// same round (since the log was last restarted) exist. A killed process alone does not leave such
+/// a log, but a failed write followed by a kill can. Damage of the last frame can't be
+/// distinguished from an incomplete write. Format: sqlite.org/fileformat.html, 4.
 pub(super) fn is_damaged(store: &Path) -> bool {
     let Ok(real) = fs::canonicalize(store) else { return false };
     let mut name = OsString::from(real);
     name.push("-wal");
-    // Usually there is no log: a store that was closed has none.
+    // Usually there is no log, because closing a store removes it.
     let Ok(file) = File::open(name) else { return false };
     let mut file = BufReader::new(file);
     let mut header = [0; HEADER];
-    // An empty log is one that was never written.
+    // A log without a header was never written.
     file.read_exact(&mut header).is_ok() && !are_frames_whole(&header, file)
 }
 
@@ -53,7 +55,7 @@ fn are_frames_whole(header: &[u8; HEADER], mut frames: impl Read) -> bool {
     true
 }
 
-/// A big-endian number of four bytes.
+/// Reads a big-endian number of four bytes.
 fn word(bytes: &[u8], at: usize) -> u32 {
     bytes[at..at + 4].iter().fold(0, |number, &byte| number << 8 | u32::from(byte))
 }

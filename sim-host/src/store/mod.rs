@@ -1,11 +1,11 @@
 //! The server's persistent state in one SQLite file: its epoch, its clock, the tiles of robots and
 //! cameras, and which robots' constant errors are corrected.
 //!
-//! Tables: `server` has one row; `tile` one per robot, tile and epoch, at most three of a tile: its
-//! closed epochs are joined in a row with version 0; `seen` one per robot and tile, with the time
-//! each cell was last seen; `camera` one per tile seen by cameras; `cured` one
-//! per robot whose correction has begun. Each row has a checksum. The file belongs to one process at
-//! a time.
+//! The table `server` has one row. `tile` has one row per robot, tile and epoch, at most three for
+//! each tile of a robot: its closed epochs are joined in one row with version 0. `seen` has one row
+//! per robot and tile, with the time at which each cell was last reported. `camera` has one row per
+//! tile seen by cameras, and `cured` one per robot whose correction has begun. Each row has a
+//! checksum. Only one process at a time can open the file.
 //!
 //! | file | content |
 //! |---|---|
@@ -57,7 +57,7 @@ pub struct Store {
     presence: Presence,
     server: ServerRow,
     damage: Vec<Damage>,
-    /// Held for as long as the connection, which is closed first.
+    /// Held until the connection is closed.
     _lock: File,
 }
 
@@ -75,14 +75,14 @@ impl Store {
         Ok(Self { path: path.to_owned(), connection, presence, server, damage, _lock: lock })
     }
 
-    /// What was damaged when the file was opened, and is left out.
+    /// The damaged rows that were deleted when the file was opened.
     pub fn damage(&self) -> &[Damage] {
         &self.damage
     }
 
-    /// Starts a life of the server in the epoch `drawn`, which should be random, or in the next one
-    /// if that is zero or the epoch of the last life. It is on disk when this returns. Call it
-    /// before any robot is welcomed.
+    /// Starts a life (a run) of the server. Its epoch is `drawn`, which should be random, or the
+    /// next one if `drawn` is zero or the epoch of the last life. Returns the epoch, which is then
+    /// on disk. Call this before any robot gets a session.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -100,7 +100,7 @@ impl Store {
         &self.path
     }
 
-    /// The last stored time of the server's clock, which continues from there.
+    /// The last stored time of the server's clock; the clock of the next life continues from it.
     pub fn clock(&self) -> Instant {
         self.server.clock
     }
@@ -172,7 +172,7 @@ impl Store {
         self.write(self.server_at(now), |transaction| write(transaction, records))
     }
 
-    /// Replaces camera tiles in one transaction.
+    /// Replaces camera tiles in one transaction. `now` is by the server's clock.
     ///
     /// # Errors
     /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
@@ -185,7 +185,7 @@ impl Store {
         self.write(self.server_at(now), |transaction| write_camera_tiles(transaction, tiles))
     }
 
-    /// Stores the progress of a robot's cure, and deletes its void tiles.
+    /// Stores the progress of a robot's cure, and deletes the robot's void tiles.
     ///
     /// # Errors
     /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
@@ -285,7 +285,8 @@ fn record(row: &Row<'_>) -> Result<(RobotId, TileRecord), Trouble> {
         stamp: Stamp { epoch: Epoch(row.get(3)?), version: Version(row.get(4)?) },
         cells: tile(row, 5)?,
         known: tile(row, 6)?,
-        // A damaged row of the times is missing: then the cells count as the oldest.
+        // If the row of the times was damaged, it is missing, and the cells get the oldest possible
+        // time.
         seconds: match row.get_ref(7)? {
             ValueRef::Null => [0; TILE_CELLS as usize],
             _ => cells(row, 7)?,

@@ -1,5 +1,5 @@
-//! Checks that an open store's files are still on disk: SQLite writes on into a file that was
-//! deleted or replaced, and nothing of that survives the process.
+//! Checks that the files of an open store are still on disk. SQLite continues to write to a file
+//! that was deleted or replaced, and those writes are lost when the process ends.
 
 use std::{
     ffi::OsString,
@@ -9,8 +9,8 @@ use std::{
 
 use super::Trouble;
 
-/// The files of an open store, as last seen on disk. While a store is open neither of them shrinks:
-/// the database is never vacuumed, and a checkpoint leaves the length of the log as it is.
+/// The files of an open store, as last seen on disk. Neither of them shrinks while the store is
+/// open: the database is never vacuumed, and a checkpoint does not change the length of the log.
 #[derive(Debug)]
 pub(super) struct Presence {
     database: Watched,
@@ -33,9 +33,9 @@ struct FileState {
 }
 
 impl Presence {
-    /// Starts to watch the files of a database that is open.
+    /// Starts to watch the files of an open database.
     pub(super) fn new(path: &Path) -> Result<Self, Trouble> {
-        // The log lies beside the file that a symbolic link points to.
+        // If the path is a symbolic link, the log is beside the file to which it points.
         let real = fs::canonicalize(path).map_err(|_| Trouble::Gone)?;
         let mut log = OsString::from(real);
         log.push("-wal");
@@ -45,8 +45,8 @@ impl Presence {
         Ok(presence)
     }
 
-    /// Compares the files on disk with what they were when last seen. Call it before a commit. Two
-    /// `stat` calls.
+    /// Compares the files on disk with their state when last seen. Call it before a commit. Cost:
+    /// two `stat` calls.
     ///
     /// # Errors
     /// [`Trouble::Gone`]: a file was removed, replaced or truncated.
@@ -56,8 +56,8 @@ impl Presence {
         if self.log.last.is_some() { self.log.check() } else { Ok(()) }
     }
 
-    /// [`check`](Self::check) after a commit, when both files exist. Call it before anything of the
-    /// commit is acknowledged.
+    /// Like [`check`](Self::check), but for after a commit, when both files exist. Call it before
+    /// anything in the commit is acknowledged.
     ///
     /// # Errors
     /// [`Trouble::Gone`].

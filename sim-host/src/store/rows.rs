@@ -1,9 +1,9 @@
-//! Rows with a checksum: whatever changes a row on disk is noticed, which the pages of the file do
-//! not guarantee.
+//! Rows with a checksum, by which a row that was changed on disk is detected. SQLite's pages have
+//! no checksums.
 //!
 //! The checksum is the CRC-32 of IEEE 802.3 over the table's name and the values of the row, each
-//! with its type and length. It detects every error of up to 32 bits in a row, and misses others
-//! with a probability of 2^-32.
+//! with its type and length. It detects every error that affects at most 32 consecutive bits of a
+//! row, and misses others with a probability of 2^-32.
 
 use rusqlite::{
     Connection, Row, Statement, params_from_iter,
@@ -59,7 +59,7 @@ impl Table {
         Ok(RowWriter { table: self, statement: connection.prepare(&replace)? })
     }
 
-    /// Writes one row: its values without the checksum.
+    /// Writes one row. `values` excludes the checksum.
     pub(super) fn write(
         &'static self,
         connection: &Connection,
@@ -105,7 +105,7 @@ impl Table {
         Ok(keys)
     }
 
-    /// Passes on the values of each row, and whether they match their checksum.
+    /// Calls `visit` with the values of each row, and whether they match their checksum.
     fn visit(
         &'static self,
         connection: &Connection,
@@ -143,7 +143,7 @@ impl Table {
     }
 }
 
-/// Text that is not UTF-8 becomes NULL; no table has any.
+/// Text that is not UTF-8 becomes NULL; no table contains text.
 fn owned(values: &[ValueRef<'_>]) -> Vec<Value> {
     values.iter().map(|&value| Value::try_from(value).unwrap_or(Value::Null)).collect()
 }
@@ -160,7 +160,8 @@ pub(super) struct RowWriter<'c> {
 }
 
 impl RowWriter<'_> {
-    /// Writes a row, in place of the one with its key: its values without the checksum.
+    /// Writes a row, and replaces an existing one with the same key. `values` excludes the
+    /// checksum.
     pub(super) fn write(&mut self, mut values: Vec<Value>) -> Result<(), Trouble> {
         let sum = self.table.sum(values.iter().map(ValueRef::from));
         values.push(sum.into());

@@ -1,5 +1,5 @@
-//! Opens a store's file: creates its tables, upgrades those of earlier versions, and checks what
-//! the file holds.
+//! Opens a store's file: creates its tables, upgrades those of earlier versions, and checks the
+//! contents.
 
 use std::{fs::File, path::Path, time::Duration};
 
@@ -21,8 +21,9 @@ use super::{
 pub(super) const APPLICATION_ID: i32 = 0x7562_696D;
 /// Version of the tables.
 pub(super) const SCHEMA: i32 = 4;
-/// No robot reaches this epoch: tiles of later ones, which earlier versions of the server accepted,
-/// are deleted when the file is opened, because they would leave the robot no epochs.
+/// No robot reaches this epoch. Earlier versions of the server accepted tiles of this epoch or
+/// later ones. These are deleted when the file is opened, because no epochs would be left for the
+/// robot's new tiles.
 pub(super) const END_OF_EPOCHS: u32 = 1 << 31;
 
 /// Tables of schema 1.
@@ -75,7 +76,7 @@ const TABLES_4: &str = "
     ALTER TABLE cured ADD COLUMN crc INTEGER NOT NULL DEFAULT 0;
 ";
 
-/// How long to wait for a process that reads or closes the file.
+/// Timeout for another process that reads or closes the file.
 const BUSY_WAIT: Duration = Duration::from_secs(2);
 
 /// An open file, checked.
@@ -90,7 +91,7 @@ pub(super) struct Opened {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ServerRow {
     pub(super) resolution: Millimetres,
-    /// The epoch of the newest life.
+    /// The epoch of the server's newest life.
     pub(super) epoch: Epoch,
     pub(super) clock: Instant,
 }
@@ -115,12 +116,12 @@ impl ServerRow {
     }
 }
 
-/// Opens the file of a map with cells of the given side length, for this process alone. Creates it
-/// if it does not exist. Damaged rows are deleted. Reads the whole file.
+/// Opens the file of a map whose cells have the side length `resolution`, for exclusive use.
+/// Creates it if it does not exist. Deletes damaged rows. Reads the whole file.
 pub(super) fn open(path: &Path, resolution: Millimetres) -> Result<Opened, Trouble> {
     let mut connection = connect(path, OpenFlags::SQLITE_OPEN_CREATE)?;
     check_owner(&connection).map_err(Trouble::in_tables)?;
-    // Files of other programs are not modified, nor is anything put beside them.
+    // Locked only now, so that no file is created beside a file of another program.
     let lock = lock(path)?;
     let log_damage = log::is_damaged(path).then_some(Damage::Log);
     // A commit returns only after the data is on disk.
@@ -145,7 +146,7 @@ pub(super) fn connect(path: &Path, flags: OpenFlags) -> Result<Connection, Troub
     check_name(path)?;
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | flags;
     let connection = Connection::open_with_flags(path, flags)?;
-    // The file may come from a stranger: nothing that its schema contains is executed.
+    // The file may be from an untrusted source, so no code in its schema may be executed.
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
@@ -154,7 +155,7 @@ pub(super) fn connect(path: &Path, flags: OpenFlags) -> Result<Connection, Troub
     Ok(connection)
 }
 
-/// Refuses names that SQLite does not take for a file on disk.
+/// Refuses names that SQLite does not treat as a file on disk.
 fn check_name(path: &Path) -> Result<(), Trouble> {
     let name = path.as_os_str().as_encoded_bytes();
     if name.is_empty() || name == b":memory:" || name.starts_with(b"file:") {
@@ -162,7 +163,7 @@ fn check_name(path: &Path) -> Result<(), Trouble> {
     }
     match path.metadata() {
         Ok(metadata) if !metadata.is_file() && !metadata.is_dir() => Err(Trouble::NotAFile),
-        // A folder, or a file that does not exist yet, is SQLite's to judge.
+        // SQLite reports its own error for a folder, and can create a file that does not exist yet.
         _ => Ok(()),
     }
 }
@@ -181,7 +182,8 @@ fn number(connection: &Connection, name: &str) -> Result<i32, Trouble> {
     Ok(connection.pragma_query_value(None, name, |row| row.get(0))?)
 }
 
-/// Refuses files of later versions. Returns whether it is of this one: its rows have checksums.
+/// Refuses files of later versions. Returns whether the file has the current version, so that its
+/// rows have checksums.
 pub(super) fn check_schema(connection: &Connection) -> Result<bool, Trouble> {
     match number(connection, "user_version")? {
         SCHEMA => Ok(true),
@@ -205,20 +207,21 @@ fn prepare(transaction: &Transaction<'_>, resolution: Millimetres) -> Result<(),
         1 => &[TABLES_2, TABLES_3, TABLES_4],
         schema => return Err(Trouble::Schema(schema)),
     };
-    // Their rows have no checksums that would tell.
+    // Rows of earlier versions have no checksums, so only this check can detect damage.
     check_pages(transaction)?;
     missing.iter().try_for_each(|tables| transaction.execute_batch(tables))?;
     rows::ALL.iter().try_for_each(|table| table.seal(transaction))?;
     Ok(transaction.pragma_update(None, "user_version", SCHEMA)?)
 }
 
-/// Checks the structure of the file: damage there could hide whole rows. Reads all of it.
+/// Checks the structure of the file, since damage there could hide whole rows. Reads the whole
+/// file.
 pub(super) fn check_pages(connection: &Connection) -> Result<(), Trouble> {
     let mut statement = connection.prepare("PRAGMA integrity_check")?;
     let mut found = statement.query([])?;
     while let Some(row) = found.next()? {
         let text: String = row.get(0)?;
-        // A value of the wrong type in a row is left to the row's checksum.
+        // A value of the wrong type is ignored here: the row's checksum detects it.
         if text != "ok" && !text.contains(" value in ") {
             ::log::debug!("integrity check: {text}");
             return Err(Trouble::Damaged("the database is malformed"));
@@ -227,7 +230,7 @@ pub(super) fn check_pages(connection: &Connection) -> Result<(), Trouble> {
     Ok(())
 }
 
-/// Deletes the damaged rows. A damaged `server` row has no replacement.
+/// Deletes the damaged rows. A damaged `server` row is an error, because it can't be restored.
 fn remove_damaged(transaction: &Transaction<'_>) -> Result<Vec<Damage>, Trouble> {
     if !SERVER.damaged(transaction)?.is_empty() {
         return Err(Trouble::Damaged("its server row is malformed"));

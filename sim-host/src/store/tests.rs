@@ -25,7 +25,7 @@ fn cure(taken_out: f64) -> CureRecord {
     CureRecord { robot: RobotId(7), cured, first_epoch: Epoch(5), is_over: true }
 }
 
-/// The error's text.
+/// The text of the error with which opening fails.
 fn refused(path: &Path, resolution: Millimetres) -> String {
     let error = Store::open(path, resolution).unwrap_err();
     assert_eq!(error.path, path);
@@ -55,14 +55,14 @@ fn stored_tiles_are_read_in_the_next_life() {
     let newer = TileRecord { seconds, ..record(4, 2, 9) };
     let all = [(west, record(4, 1, 3)), (west, newer), (east, record(edge, END_OF_EPOCHS - 1, 1))];
     assert_eq!(store.records().unwrap(), all);
-    // No life repeats the last one's epoch; the order of epochs has no meaning.
+    // No life repeats the epoch of the last one; the order of epochs has no meaning.
     assert_eq!(store.begin_life(Epoch(1)).unwrap(), Epoch(2));
     for (drawn, begun) in [(u32::MAX, u32::MAX), (u32::MAX, 1), (70, 70), (9, 9)] {
         assert_eq!(store.begin_life(Epoch(drawn)).unwrap(), Epoch(begun));
     }
 }
 
-/// Earlier versions of the server accepted any epoch of a robot but the last.
+/// Earlier versions of the server accepted any epoch of a robot except the highest number.
 #[test]
 fn tiles_of_impossible_epochs_are_deleted() {
     let folder = Folder::new("store-epochs");
@@ -177,7 +177,7 @@ fn files_of_other_programs_and_maps_are_refused_unchanged() {
     assert!(refused(&folder.path().join("no/map.db"), CELLS).contains("folder"));
 }
 
-/// A row that was changed by another program is left out like one that a disk has changed.
+/// A row that another program has changed is deleted, like one that the disk has changed.
 #[test]
 fn damage_is_reported() {
     let folder = Folder::new("store-damage");
@@ -268,7 +268,7 @@ fn a_full_disk_loses_nothing_that_was_stored() {
     assert_eq!((store.clock(), store.records().unwrap()), (Instant(0), kept));
 }
 
-/// The old rows go in the transaction that brings their joined cells, or stay.
+/// The old rows are deleted in the same transaction that writes their joined cells, or not at all.
 #[test]
 fn a_record_of_closed_epochs_replaces_theirs() {
     let folder = Folder::new("store-closed");
@@ -309,7 +309,7 @@ fn names_that_keep_nothing_on_disk_are_refused() {
 #[cfg(unix)]
 type Spoil = fn(&Path, &Path);
 
-/// Each of these loses what is written afterwards, although SQLite reports success for most.
+/// After each of these, writes would be lost, although SQLite reports success for most of them.
 #[cfg(unix)]
 #[test]
 fn a_file_that_was_removed_replaced_or_truncated_takes_nothing_more() {
@@ -330,7 +330,8 @@ fn a_file_that_was_removed_replaced_or_truncated_takes_nothing_more() {
         let path = folder.path().join(format!("{what}.db"));
         let mut store = Store::open(&path, CELLS).unwrap();
         store.begin_life(Epoch(0)).unwrap();
-        // Past several checkpoints, so that the database and its log have both been rewritten.
+        // Enough commits for several checkpoints, so that the database and its log have both been
+        // rewritten.
         for version in 1..=300 {
             let records: Vec<_> =
                 (0..5).map(|x| (RobotId(1), record(x, version % 40, version))).collect();

@@ -6,8 +6,7 @@ use libm::{atan2, cos, sin};
 use nalgebra::Vector2;
 use ubimap_protocol::units::Pose;
 
-/// Points form a line if their spread across it is at most this share of their spread along it
-/// (both squared).
+/// Maximum variance of the points across a line, as a fraction of their variance along it.
 const LINE_WIDTH: f64 = 0.1;
 
 /// The quadrant of a viewing direction: bit 0 for east, bit 1 for north.
@@ -15,7 +14,8 @@ pub(super) fn quarter(arm: Vector2<f64>) -> usize {
     usize::from(arm.x > 0.0) | usize::from(arm.y > 0.0) << 1
 }
 
-/// Fits a line: the mean of the points, and the unit normal. `None` if they do not form a line.
+/// Fits a line to the points. Returns their mean and the line's unit normal, or `None` if they do
+/// not form a line.
 pub(super) fn line(points: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64>)> {
     let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);

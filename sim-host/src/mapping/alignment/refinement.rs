@@ -31,7 +31,8 @@ pub(super) const CELL_DEVIATION: f64 = 0.004;
 pub(super) struct Hold {
     at: Vector2<f64>,
     heading: f64,
-    /// Information of x, y and heading, scaled for deviations of a millimetre.
+    /// Information (inverse variance) of x, y and heading, multiplied by the variance of a point,
+    /// the square of [`CELL_DEVIATION_MM`].
     information: Vector3<f64>,
     /// Whether the prior contributes to the result's certainty.
     counts: bool,
@@ -41,7 +42,8 @@ pub(super) struct Hold {
 pub(super) struct Refined {
     pub(super) at: Vector2<f64>,
     pub(super) heading: f64,
-    /// Matrix of the normal equations, scaled for deviations of a millimetre.
+    /// Matrix of the normal equations, with weight 1 for a point on its surface. The covariance of
+    /// the pose is its inverse, multiplied by the variance of the points' distances.
     pub(super) information: Matrix3<f64>,
     pub(super) points: usize,
     /// Mean squared distance of the points, in square millimetres.
@@ -49,7 +51,8 @@ pub(super) struct Refined {
 }
 
 impl Hold {
-    /// The prior's deviations are at least 5 mm and 0.1 degrees.
+    /// The prior of a search. The deviations of [`Prior::Carried`] are raised to at least 5 mm and
+    /// 0.1 degrees.
     pub(super) fn new(search: &Search, predicted: Pose) -> Self {
         let information = |deviation: f64| (CELL_DEVIATION_MM / deviation).powi(2);
         let position = match search.prior {
@@ -83,7 +86,8 @@ impl Refined {
     }
 }
 
-/// Refines a pose so that the points fit the surfaces best.
+/// Refines the pose `at`, `heading` so that the points (in `base_link`) fit the surfaces best.
+/// `None` if the equations can't be solved.
 pub(super) fn refine(
     surfaces: &Surfaces,
     points: &[Vector2<f64>],

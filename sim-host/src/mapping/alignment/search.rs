@@ -57,8 +57,9 @@ pub(super) struct Candidate {
 }
 
 impl Search {
-    /// Standard deviations of the predicted pose: of x and y in millimetres, and of the heading in
-    /// binary angle units. A quarter of the search range if they are not given.
+    /// Standard deviations of the predicted pose by which candidates are penalised: of x and y in
+    /// millimetres (from [`Prior::Measured`], otherwise a quarter of the search range), and of the
+    /// heading in binary angle units (always a quarter of the range).
     pub(super) fn deviations(&self) -> (f64, f64) {
         let position = match self.prior {
             Prior::Measured(deviation) => deviation.0.into(),
@@ -67,8 +68,8 @@ impl Search {
         (position.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))
     }
 
-    /// Whether a pose is within the search range, or at most one step outside. A refinement that
-    /// ends elsewhere has diverged.
+    /// Whether the pose `at`, `heading` is at most one step outside the search range. `step` is the
+    /// length of a cell in millimetres. A refinement that ends farther away has diverged.
     pub(super) fn covers(
         &self,
         step: f64,
@@ -98,7 +99,7 @@ impl Candidate {
     }
 }
 
-/// Scores all poses of the search.
+/// Scores all poses of the search, around the position `start` and `heading`.
 pub(super) fn candidates(
     surfaces: &Surfaces,
     points: &[Vector2<f64>],
@@ -133,7 +134,8 @@ pub(super) fn candidates(
     all
 }
 
-/// The best candidate of each place other than that of `best`.
+/// The candidates that score nearly as well as `best` at another place: the best one of each place,
+/// best first.
 pub(super) fn rivals(candidates: &[Candidate], best: &Candidate) -> Vec<Candidate> {
     let good = candidates.iter().filter(|it| it.score * 100 >= best.score * RIVAL_SCORE);
     let mut good: Vec<Candidate> = good.copied().collect();

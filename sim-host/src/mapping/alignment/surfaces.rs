@@ -11,13 +11,13 @@ use super::{
     trail::Trail,
 };
 
-/// Maximum distance between a point and the surface that it shows, in cells.
+/// Maximum distance, in cells, at which a point is matched with a surface of the map.
 const REACH: i32 = 8;
-/// The same maximum for a surface of the trail, in cells.
+/// Maximum distance, in cells, at which a point is matched with a surface of the trail.
 const TRAIL_REACH: i32 = 4;
-/// A surface of the trail is ignored within this distance of a surface on the map, in cells.
+/// Distance from a surface of the map, in cells, within which surfaces of the trail are ignored.
 const BESIDE: i32 = 2;
-/// Maximum distance, in cells, of the surface cells to which a line is fitted.
+/// A line is fitted to the surface cells within this distance of a cell, in cells.
 const LINE_REACH: i32 = 4;
 /// Minimum number of surface cells for a line.
 const LINE_CELLS: usize = 5;
@@ -27,7 +27,8 @@ const LINE_CELLS: usize = 5;
 pub(super) struct Surface {
     /// A point on the surface's line, in millimetres in `map`.
     pub(super) middle: Vector2<f64>,
-    /// Unit normal of the line; `None` at the end of a surface or for small things.
+    /// Unit normal of the line; `None` if the cells near by form no line, as at the end of a
+    /// surface or on a small object.
     pub(super) normal: Option<Vector2<f64>>,
 }
 
@@ -40,8 +41,8 @@ struct Nearest {
 }
 
 /// The surfaces visible in views towards one quadrant: a view to the north-east shows the western
-/// and southern sides of objects. A wall known from one side does not match a view of its other
-/// side, however thin it is.
+/// and southern sides of objects. So a wall that is known from one side only does not match a view
+/// of its other side, even if it is thin.
 #[derive(Clone, Debug, Default)]
 struct Facing {
     surfaces: Vec<Surface>,
@@ -157,7 +158,8 @@ impl Surfaces {
         facing
     }
 
-    /// Adds a surface, and makes it the nearest one where it is closer than all others.
+    /// Adds the surface `it` at a cell, and makes it the nearest one of all cells within `reach`
+    /// cells that have no closer one.
     fn place(&self, facing: &mut Facing, (x, y): (i32, i32), it: Surface, reach: i32) {
         let surface = facing.surfaces.len() as u32;
         facing.surfaces.push(it);
@@ -184,7 +186,7 @@ impl Surfaces {
         })
     }
 
-    /// Fits the surface of a cell to the surface cells near it.
+    /// The surface at `cell`: a line fitted to the surface cells `near` it.
     fn surface(&self, cell: (i32, i32), near: &[(i32, i32)]) -> Surface {
         let middle = |(x, y): (i32, i32)| {
             Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5) * self.resolution
@@ -198,8 +200,9 @@ impl Surfaces {
         }
     }
 
-    /// The number of points that lie on surfaces when seen from a pose, and the number that lie in
-    /// free ground, more than three cells from anything else.
+    /// Returns two numbers of points, seen from `pose`: those within three cells of an occupied
+    /// cell, and those on free ground with only free cells within three cells. Points near movable
+    /// cells do not count.
     pub fn agreement(&self, points: &[[f64; 2]], pose: Pose) -> (u32, u32) {
         let at = position(pose);
         let (mut agree, mut contradict) = (0, 0);
@@ -220,7 +223,7 @@ impl Surfaces {
         (agree, contradict)
     }
 
-    /// The visible surface nearest to a point, when looking along `arm`.
+    /// The surface nearest to `point` among those visible when looking in the direction of `arm`.
     pub(super) fn seen_along(&self, arm: Vector2<f64>, point: Vector2<f64>) -> Option<&Surface> {
         let facing = &self.facing[quarter(arm)];
         let nearest = facing.nearest[self.index(self.cell(point))?]?;

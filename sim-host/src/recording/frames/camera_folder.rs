@@ -27,7 +27,7 @@ use crate::{
 /// The folder of a camera's pictures.
 pub(super) const PICTURES: &str = "color";
 
-/// A sensor of a camera: its intrinsics and poses as stated in the files.
+/// The intrinsics and poses of one sensor of a camera, as stated in the files.
 #[derive(Debug)]
 pub(super) struct SensorFiles {
     /// Intrinsics of the images on disk.
@@ -67,7 +67,8 @@ pub(super) struct CameraFolder {
 /// The depth image and the picture of each frame, by number.
 type Images = BTreeMap<u128, (Option<PathBuf>, Option<PathBuf>)>;
 
-/// The camera folders in a folder: the folder itself, or its subfolders in the order of their names.
+/// The camera folders in a folder: the folder itself if it is one, otherwise its subfolders in the
+/// order of their names.
 pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
     let is_camera = |path: &Path| {
         path.join("depth").is_dir() || path.join(PICTURES).is_dir() || has_poses(path)
@@ -127,7 +128,7 @@ impl CameraFolder {
         Ok(Self { path, calibrations, depth, picture, frames, lost, has_clock, notes })
     }
 
-    /// The camera's name, followed by the frame's number if each frame has its own calibration.
+    /// The camera's name, followed by the index of the calibration if each frame has its own.
     pub(super) fn name(&self, calibration: usize) -> String {
         let name = self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy();
         if self.calibrations.len() == 1 { name.into() } else { format!("{name}#{calibration}") }
@@ -147,7 +148,7 @@ impl SensorFiles {
         Ok(Self { intrinsics, poses })
     }
 
-    /// The files of the picture sensor. Those that are missing are taken from the depth sensor.
+    /// The files of the picture sensor. For missing files, those of the depth sensor are used.
     fn of_pictures(
         folder: &Path,
         frames: usize,
@@ -185,7 +186,8 @@ impl SensorFiles {
         self.intrinsics.fy < 0.0
     }
 
-    /// Checks that an image has the size in the intrinsics.
+    /// Checks that an image has the size stated in the intrinsics, and the colour type `kind`, if
+    /// any.
     fn check(&self, path: &Path, kind: Option<ColorType>) -> Result<(), FramesError> {
         let (size, found) = raster::look(path)
             .map_err(|error| FramesError::Damaged { path: path.to_owned(), error })?;
@@ -201,7 +203,7 @@ impl SensorFiles {
         Err(LogError::Frame { path: path.to_owned(), fault }.into())
     }
 
-    /// The lens for a frame whose first row is the top one.
+    /// The lens of the sensor at a frame, for images whose first row is the top one.
     fn lens(&self, frame: usize) -> Result<Lens, CalibrationError> {
         let IntrinsicsFile { width, height, fx, fy, cx, mut cy, mut distortion, .. } =
             self.intrinsics;
@@ -222,8 +224,8 @@ impl SensorFiles {
     }
 }
 
-/// The depth images and pictures in a camera's folder. With a file of times, a missing image means a lost
-/// frame.
+/// The depth images and pictures in a camera's folder. With a file of times, there may be no
+/// images: then all frames were lost.
 fn image_files(
     folder: &Path,
     has_times: bool,
@@ -265,7 +267,7 @@ fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesErro
     Ok(images)
 }
 
-/// Checks that all images have the size in their sensor's intrinsics.
+/// Checks that all images have the size stated in their sensor's intrinsics.
 fn check_sizes(
     images: &Images,
     depth: Option<&SensorFiles>,
@@ -302,8 +304,8 @@ fn frames(
     images.into_iter().enumerate().map(frame).collect()
 }
 
-/// The intrinsics that a `cameras.toml` states for this folder, scaled to depth images of this
-/// size.
+/// The intrinsics that a `cameras.toml` states for this folder, scaled to the size of `image`.
+/// `None` if it states none.
 fn mounted_intrinsics(folder: &Path, image: &Path) -> Result<Option<IntrinsicsFile>, FramesError> {
     let Some(camera) = mounted(folder)? else { return Ok(None) };
     let ((width, height), _) = raster::look(image)

@@ -1,4 +1,4 @@
-//! Errors of playing recorded frames.
+//! Errors of the playback of recorded frames.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use crate::{camera::CalibrationError, grid::RasterError, recording::error::LogEr
 /// Why recorded frames cannot be played. Each error is one line.
 #[derive(Debug, thiserror::Error)]
 pub enum FramesError {
-    /// An error in the depth images, poses or intrinsics, which have the form of logs.
+    /// An error in the depth images, poses or intrinsics, which have the same format as in logs.
     #[error(transparent)]
     Log(#[from] LogError),
     /// The folder contains no camera.
@@ -27,9 +27,9 @@ pub enum FramesError {
         path = path.display()
     )]
     TooMany {
-        /// The folder with the first camera above the limit.
+        /// The folder of the first camera beyond the limit.
         path: PathBuf,
-        /// Number of cameras up to there.
+        /// Number of cameras up to and including that folder.
         cameras: usize,
         /// Maximum number of cameras.
         most: usize,

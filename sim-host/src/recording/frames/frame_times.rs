@@ -15,8 +15,8 @@ pub(super) const TIMES_FILE: &str = "times.txt";
 
 /// Maximum time stamp in seconds: a larger one is probably in milliseconds or a smaller unit.
 const MAX_TIME_S: f64 = 1e11;
-/// Maximum span of a recording in seconds: a larger one means that clocks differ, or that a clock
-/// was set.
+/// Maximum time between frames, and between the starts of cameras, in seconds. A longer time means
+/// that clocks differ, or that a clock was set.
 pub(super) const MAX_SPAN_S: f64 = 86_400.0;
 
 /// The times of a frame, in seconds of the recording's clock.
@@ -29,7 +29,7 @@ pub(super) struct FrameTime {
 /// The times of a camera's frames, by number.
 pub(super) type FrameTimes = BTreeMap<u128, FrameTime>;
 
-/// Reads a file of times; `None` without one.
+/// Reads a file of times. `None` if there is no such file.
 pub(super) fn read(path: &Path) -> Result<Option<FrameTimes>, FramesError> {
     if !path.is_file() {
         return Ok(None);
@@ -70,7 +70,7 @@ pub(super) fn read(path: &Path) -> Result<Option<FrameTimes>, FramesError> {
     Ok(Some(times))
 }
 
-/// `NUMBER CAPTURED [ARRIVED]`, where the number may be the name of an image.
+/// Parses `NUMBER CAPTURED [ARRIVED]`, where the number may be the name of an image.
 fn parse(words: &[&str]) -> Result<(u128, FrameTime), String> {
     let (name, captured, arrived) = match *words {
         [name, captured] => (name, captured, captured),
@@ -105,8 +105,8 @@ fn seconds(word: &str) -> Result<f64, String> {
     }
 }
 
-/// Times of frames without a file of times, and a note for the user: the times of the poses if each
-/// pose has one, otherwise one second apart.
+/// The times of frames if there is no file of times, and a note for the user. The times are the
+/// time stamps of the poses if there is one for each frame, otherwise they are one second apart.
 pub(super) fn by_rule(
     frames: impl ExactSizeIterator<Item = u128>,
     stamps: Option<Vec<f64>>,

@@ -15,27 +15,28 @@
 //!   times.txt           one line per frame: NUMBER CAPTURED [ARRIVED]
 //! ```
 //!
-//! Poses, intrinsics and depth images have the form that [`Format::Rgbd`](super::Format::Rgbd) reads. A
-//! pose is that of the optical frame (x right, y down, z forward) in `map`: metres, z up, the floor at 0.
-//! A depth image and a picture whose names hold the same number are one frame; either may be missing, in
-//! one frame or in all. Times are seconds on one clock shared by all cameras, with any origin; later
-//! frames have higher numbers. Frames are played in the order of arrival; without ARRIVED, in the order
-//! of capture. A frame that has a time but no image was lost. Without any `times.txt`, frames are one
-//! second apart, unless each has a pose with a time stamp.
+//! Poses, intrinsics and depth images have the form that [`Format::Rgbd`](super::Format::Rgbd)
+//! reads. A pose is that of the optical frame (x right, y down, z forward) in `map`, in metres,
+//! with z up and the floor at 0. A depth image and a picture with the same number in their names
+//! are one frame; either may be missing, in one frame or in all. Times are seconds on one clock
+//! shared by all cameras, with any origin; later frames have higher numbers. Frames are played in
+//! the order of arrival; without ARRIVED, in the order of capture. A frame that has a time but no
+//! image was lost. Without any `times.txt`, frames are one second apart, unless each has a pose
+//! with a time stamp.
 //!
-//! One pose per frame instead of a single one makes each frame a camera of its own: for hand-held cameras,
-//! where there is no background to learn.
+//! If there is one pose per frame instead of a single one, each frame is treated as a camera of its
+//! own. This is for hand-held cameras, which can't learn a background.
 //!
-//! `pose.txt` of a camera 2.8 m above the origin that looks straight down, the top of its images
-//! towards +y:
+//! For example, this is the `pose.txt` of a camera 2.8 m above the origin that looks straight down,
+//! with the top of its images towards +y:
 //!
 //! ```text
 //! 0 0 2.8 1 0 0 0
 //! ```
 //!
-//! `intrinsics.toml`, focal lengths and centre in pixels. The last three lines are optional: by default
-//! there is no distortion, depths are in millimetres, and their noise is that of a D435 (see
-//! [`DepthNoise`](crate::camera::DepthNoise)):
+//! An `intrinsics.toml`, with focal lengths and centre in pixels. The last three lines are
+//! optional: by default there is no distortion, depths are in millimetres, and their noise is that
+//! of a D435 (see [`DepthNoise`](crate::camera::DepthNoise)):
 //!
 //! ```toml
 //! width = 640
@@ -49,7 +50,7 @@
 //! depth_noise = { constant_m = 0.001, quadratic_per_m = 0.00475 }
 //! ```
 //!
-//! `times.txt`; the third frame arrived before the second:
+//! A `times.txt`, in which the third frame arrived before the second:
 //!
 //! ```text
 //! 0001.png 1305031453.25 1305031453.31
@@ -57,8 +58,9 @@
 //! 0003.png 1305031453.91 1305031453.97
 //! ```
 //!
-//! - All digits of a name make its number (`cam2_0001.png` has 20001): name frames `0001.png`.
-//! - For a camera with pictures alone, `pose.txt` and `intrinsics.toml` beside `color/` are those of
+//! - All digits of a name form its number (`cam2_0001.png` has 20001), so use names such as
+//!   `0001.png`.
+//! - If a camera has only pictures, `pose.txt` and `intrinsics.toml` beside `color/` are those of
 //!   the picture sensor.
 //! - Without an `intrinsics.toml`, any `*.json` in the folder is read as Open3D's camera file: keep
 //!   other JSON files elsewhere.

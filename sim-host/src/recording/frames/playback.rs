@@ -29,14 +29,14 @@ use crate::{
 /// Maximum number of cameras: each takes megabytes of memory.
 const MAX_CAMERAS: usize = 64;
 
-/// Recorded frames of cameras.
+/// The recorded frames of one or more cameras, as a source of frames.
 #[derive(Debug)]
 pub struct RecordedFrames {
     names: Vec<String>,
     calibrations: Vec<Calibration>,
     frames: Vec<u64>,
     lost: Vec<u64>,
-    /// The recording's clock at the origin of this source's time, in whole seconds.
+    /// The recording's clock, in whole seconds, when the time of this source is zero.
     origin_s: f64,
     /// Frames not read yet, in order of arrival.
     rest: VecDeque<Due>,
@@ -58,7 +58,7 @@ struct Due {
 }
 
 impl RecordedFrames {
-    /// Opens folders of cameras, or folders that contain such folders. Checks everything except the pixels.
+    /// Opens camera folders, or folders that contain them. Checks everything except the pixels.
     ///
     /// # Errors
     /// Every [`FramesError`].
@@ -71,7 +71,7 @@ impl RecordedFrames {
         }
         one_clock(&folders)?;
         let captured = folders.iter().flat_map(|it| &it.frames).map(|frame| frame.time.captured_s);
-        // Whole seconds, so that the fractions of a second are preserved.
+        // Whole seconds, so that the fractions of a second are the same in both clocks.
         let origin_s = captured.reduce(f64::min).unwrap_or(0.0).floor();
         let moment = |seconds: f64| Instant(((seconds - origin_s) * 1e6).round() as u64);
 
@@ -118,12 +118,12 @@ impl RecordedFrames {
         &self.names
     }
 
-    /// For each camera the number of frames played and the total number lost.
+    /// For each camera, the number of frames played so far, and the total number of lost frames.
     pub fn counts(&self) -> impl Iterator<Item = (u64, u64)> {
         self.frames.iter().copied().zip(self.lost.iter().copied())
     }
 
-    /// The recording's clock in seconds at a time of this source.
+    /// Converts a time of this source to the recording's clock, in seconds.
     pub fn clock_s(&self, moment: Instant) -> f64 {
         self.origin_s + moment.micros() as f64 / 1e6
     }
@@ -143,7 +143,7 @@ impl RecordedFrames {
         self.fault.take()
     }
 
-    /// Reads the next frames, one for each processor in parallel.
+    /// Reads the next frames in parallel, one on each processor.
     fn read_ahead(&mut self) {
         let abreast = thread::available_parallelism().map_or(1, NonZero::get);
         let next: Vec<Due> = self.rest.drain(..abreast.min(self.rest.len())).collect();
@@ -200,7 +200,7 @@ impl Due {
     }
 }
 
-/// Checks that either all cameras have times, by one clock, or none has.
+/// Checks that either all cameras have a file of times, by one clock, or none has.
 fn one_clock(folders: &[Arc<CameraFolder>]) -> Result<(), FramesError> {
     let times_of = |folder: &CameraFolder| folder.path.join(TIMES_FILE);
     let [with, without] = [true, false].map(|has| folders.iter().find(|it| it.has_clock == has));
@@ -218,7 +218,8 @@ fn one_clock(folders: &[Arc<CameraFolder>]) -> Result<(), FramesError> {
     Ok(())
 }
 
-/// The depth image of a file. If y points up (negative focal length), the rows are reversed.
+/// Reads a depth image. If the sensor's y axis points up (negative focal length), the rows are
+/// reversed.
 fn depth_image(path: &Path, sensor: &SensorFiles) -> Result<DepthImage, FramesError> {
     let depths = depths_mm(path, &sensor.intrinsics).map_err(|error| match error {
         LogError::Frame { path, fault: FrameFault::Image(error) } => {

@@ -51,7 +51,7 @@ impl Recorder {
         Ok(Self { cameras: cameras.collect::<Result<_, _>>()? })
     }
 
-    /// Writes a frame that has arrived `now`.
+    /// Writes a frame that arrived at `now`.
     ///
     /// # Errors
     /// [`LogError::Io`].
@@ -82,7 +82,7 @@ impl CameraWriter {
         };
         let [captured, arrived] = [frame.captured, now].map(seconds);
         // The line is written and flushed first. If the recording is interrupted, a line without
-        // images means a lost frame, whereas an image without a time would make the folder
+        // images is read as a lost frame, whereas an image without a line would make the folder
         // unreadable.
         let line = format!("{number:012} {captured} {arrived}\n");
         self.times
@@ -108,7 +108,8 @@ fn create_folder(path: &Path) -> Result<(), LogError> {
     fs::create_dir_all(path).map_err(|error| LogError::Io { path: path.to_owned(), error })
 }
 
-/// Writes the calibration of a sensor; `noise` is that of its depths.
+/// Writes the calibration of a sensor into the folder `place`. `noise` is the noise of its depths,
+/// if it is a depth sensor.
 fn calibrate(place: &Path, lens: &Lens, noise: Option<&DepthNoise>) -> Result<(), LogError> {
     create_folder(place)?;
     // Serialising plain numbers cannot fail.

@@ -20,7 +20,7 @@ fn all(source: &mut RecordedFrames) -> Vec<Frame> {
     std::iter::from_fn(|| source.poll(Instant(u64::MAX))).collect()
 }
 
-/// One camera with images of two pixels, and three frames.
+/// A folder of one camera with three frames, whose images have two pixels.
 fn one_camera(name: &str) -> Folder {
     let folder = Folder::new(name);
     folder.file("intrinsics.toml", INTRINSICS);
@@ -67,7 +67,7 @@ fn a_camera_without_a_pose_is_looked_for_among_those_that_were_placed() {
     folder.file("cameras.toml", (of("camera-00") + &of("camera-01")).as_bytes());
     let source = open(folder.path()).unwrap();
     let lens = source.cameras()[0].depth.unwrap();
-    // Through the middle it sees the floor 3 m to the north.
+    // The middle of its image shows the floor 3 m to the north.
     let floor = lens.centre() + lens.direction([1.5, 0.5]) * 3.0 * 2f64.sqrt();
     assert!((floor - nalgebra::Point3::new(1.0, 5.0, 0.0)).norm() < 1e-9, "{floor}");
     assert!((lens.intrinsics().fx - 2.0).abs() < 1e-9);
@@ -346,7 +346,7 @@ fn a_truncated_image_ends_playback() {
     assert!(error.contains("depth/2.pgm: not a readable image: "), "{error}");
 }
 
-/// Real images, with all their defects, give the same evidence by `fuse` and by `scatter`.
+/// `fuse` and `scatter` give the same evidence for real images with all their defects.
 #[test]
 fn fuse_and_scatter_agree_on_recorded_images() {
     for name in ["rgbd_redwood", "rgbd_frames/icl_nuim", "rgbd_frames/handheld"] {
@@ -362,7 +362,7 @@ fn fuse_and_scatter_agree_on_recorded_images() {
         let taken = vec![false; rays.cells()];
         let (mut fast, mut plain) = (Evidence::default(), Evidence::default());
         for turn in 0..17 {
-            // The first image during learning, then the others.
+            // Shows the first image during learning, then the others.
             let image = frames[(turn as usize).saturating_sub(14)].depth.as_ref().unwrap();
             fast.fuse(&rays, &background, image);
             plain.scatter(&rays, &background, image);

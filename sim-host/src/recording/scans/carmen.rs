@@ -4,12 +4,13 @@
 //! FLASER n r1 .. rn x y theta odom_x odom_y odom_theta ipc_time host log_time
 //! ```
 //!
-//! Metres, radians, seconds; a scan covers half a turn, beam 0 to the right. Other records are ignored.
+//! The units are metres, radians and seconds. A scan covers half a turn, and beam 0 points to the
+//! right. Other records are ignored.
 //!
-//! Corrected logs store one trajectory in both triples: the corrected pose of the laser. Raw logs
-//! do the same with odometry. The records alone do not show which of the two it is, so a single
-//! trajectory is taken as poses, unless a comment in the file mentions dead reckoning and the file
-//! contains no output of a corrector (`NEFF`).
+//! Corrected logs contain the corrected pose of the laser in both triples (`x y theta` and `odom_x
+//! odom_y odom_theta`), and raw logs contain the odometry in both. The records alone do not show
+//! which of the two it is. So if the triples agree, they are treated as poses, unless a comment in
+//! the file mentions dead reckoning and the file contains no output of a corrector (`NEFF`).
 
 use std::{f64::consts::PI, path::Path};
 
@@ -33,7 +34,8 @@ const NO_RETURN_M: [(f64, f64); 3] = [(81.8, f64::MAX), (49.9995, 51.2005), (32.
 /// "No return" of a SICK in millimetres, 13 bits. Applies only to logs without a greater reading.
 const NO_RETURN_13_BITS_M: (f64, f64) = (8.1825, 8.1915);
 
-/// Number of fields for the two poses; a record also has its kind, a count, readings and times.
+/// Number of fields for the two poses, and for the times. A record also contains its kind, the
+/// number of readings, and the readings.
 const POSE_FIELDS: usize = 6;
 const TIME_FIELDS: usize = 3;
 
@@ -43,7 +45,7 @@ const MAXIMUM_PARAMS: [&str; 2] = ["robot_front_laser_max", "robot_frontlaser_ma
 /// Maximum number of beams accepted in a scan.
 const MAX_BEAMS: usize = 16_384;
 
-/// Whether a word could be a kind of record: `FLASER`, `ODOM`, `ROBOTLASER1`.
+/// Whether a word could be the kind of a record, such as `FLASER`, `ODOM` or `ROBOTLASER1`.
 pub(super) fn is_record_kind(word: &str) -> bool {
     word.len() <= 64
         && word.starts_with(|first: char| first.is_ascii_alphabetic())
@@ -178,7 +180,7 @@ impl Content {
 }
 
 impl Record {
-    /// Parses the fields after the kind; every record must have the same layout as the first.
+    /// Parses the fields after the kind. Every record must have the same layout as `first`.
     fn parse(line: usize, fields: &[&str], first: Option<&Self>) -> Result<Self, LineFault> {
         let counted = Field::Named("number of readings");
         let count = number(fields.first().copied().unwrap_or(""), counted)?;
@@ -231,9 +233,9 @@ impl Record {
 enum Trajectories {
     /// Poses and odometry, which differ.
     Both,
-    /// One trajectory, taken as corrected poses.
+    /// Twice the same trajectory, treated as corrected poses.
     Corrected,
-    /// One trajectory, declared to be odometry.
+    /// Twice the same trajectory, declared to be odometry.
     DeadReckoned,
     /// The poses are constant, the odometry is not.
     MovingOdometry,
@@ -268,8 +270,8 @@ fn is_still(mut poses: impl Iterator<Item = [f64; 3]>) -> bool {
     })
 }
 
-/// With an odd number of beams, the first and the last are at the edges of the half turn; with an even
-/// number, the left edge is left out.
+/// The sensor with this number of beams over half a turn. If the number is odd, the first and the
+/// last beam are at the edges; if it is even, there is no beam at the left edge.
 fn sensor(beams: usize) -> Sensor {
     let steps = if beams % 2 == 1 { beams - 1 } else { beams };
     Sensor::Radial { first_rad: -PI / 2.0, step_rad: PI / steps as f64, beams }
@@ -282,7 +284,7 @@ struct Limits {
 }
 
 impl Limits {
-    /// A range in whole millimetres; 0 for no return, and for more than 65 m.
+    /// Converts a range to whole millimetres; 0 for no return, and for more than 65 m.
     fn millimetres(&self, range_m: f64) -> u16 {
         let within = |(least, most): (f64, f64)| (least..=most).contains(&range_m);
         let is_code = NO_RETURN_M.into_iter().any(within)

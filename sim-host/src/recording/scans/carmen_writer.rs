@@ -11,7 +11,8 @@ use super::{
     sensor::Sensor,
 };
 
-/// Beams of a record: every half degree from the right to the left, both edges included.
+/// Number of beams of a record: one every half degree from the right to the left, including both
+/// edges.
 const BEAMS: usize = 361;
 /// A range that means no return, as SICK's scanners write it.
 const NO_RETURN: &str = "81.83";
@@ -20,9 +21,9 @@ const PAUSE_S: f64 = 10.0;
 
 /// Writes the scans of several robots as `FLASER` records, each with its pose and odometry. The log
 /// looks like that of a single robot that is carried from the end of one robot's scans to the start
-/// of the next one's. As a log has only one kind of scan, scans are resampled to 361 beams over
-/// half a turn: each beam gets the reading with the nearest direction, or no return where the
-/// sensor does not see. Scans without pose or odometry are left out.
+/// of the next one's. As all scans of a log must have the same beams, scans are resampled to 361
+/// beams over half a turn: each beam gets the reading with the nearest direction, or "no return"
+/// outside the sensor's view. Scans without pose or odometry are left out.
 ///
 /// # Errors
 /// Every error of the writer.
@@ -35,7 +36,7 @@ pub fn write_carmen(out: &mut dyn Write, robots: &[(Sensor, Vec<LoggedScan>)]) -
     for (robot, (sensor, scans)) in robots.iter().enumerate() {
         let beams = nearest_readings(sensor);
         let start_s = if robot == 0 { 0.0 } else { end_s + PAUSE_S };
-        // The single robot's odometry at the origin of the current robot's odometry.
+        // The origin of the current robot's odometry, in the odometry of the single robot.
         let mut origin = None;
         for scan in scans {
             let (Some(pose), Some(odometry)) = (scan.pose, scan.odometry) else { continue };
@@ -73,8 +74,8 @@ fn write_range(
     }
 }
 
-/// For each beam the index of the reading in its direction, and the ratio of range to reading;
-/// `None` outside the sensor's view.
+/// For each beam, the index of the reading nearest to its direction, and the ratio of the range to
+/// the reading; `None` outside the sensor's view.
 fn nearest_readings(sensor: &Sensor) -> Vec<Option<(usize, f64)>> {
     let beams = (0..BEAMS).map(|beam| {
         let angle = -PI / 2.0 + PI * beam as f64 / (BEAMS - 1) as f64;

@@ -1,4 +1,4 @@
-//! Finds the floor in depth images, to check the stated up axis.
+//! Finds the floor in depth images, to check the up axis that the user has stated.
 
 use std::path::PathBuf;
 
@@ -12,15 +12,17 @@ use crate::recording::{
 const FRAMES: usize = 8;
 /// Number of samples across an image.
 const SAMPLES: u32 = 80;
-/// cos(65 degrees): surfaces whose normal is farther from the image's up axis are walls.
+/// Minimum cosine of the angle between a surface's normal and the image's up axis (65 degrees).
+/// Other surfaces are walls.
 const MIN_UP_COS: f64 = 0.42;
-/// cos(6 degrees): maximum angle between normals of the same plane, which allows for the noise of
-/// the depths.
+/// Minimum cosine of the angle between normals of the same plane (6 degrees), which allows for the
+/// noise of the depths.
 const SAME_COS: f64 = 0.9945;
-/// Minimum number of samples on the floor, and their minimum fraction of all samples.
+/// Minimum number of samples on the floor, and minimum fraction of all samples that must be on the
+/// floor.
 const MIN_SAMPLES: usize = 100;
 const MIN_SHARE: f64 = 0.05;
-/// Maximum number of normals that are tried as the floor's.
+/// Maximum number of normals that are tried as candidates for the floor's normal.
 const TRIED: usize = 200;
 
 /// The normal of the floor in the world: the most frequent direction among surfaces that face up.
@@ -68,7 +70,7 @@ fn normals(depths: &[u16], intrinsics: &IntrinsicsFile, pose: &CameraPose) -> Ve
     let normal = |column: u32, row: u32| {
         let at = point(column, row)?;
         let [right, below] = [point(column + step, row)?, point(column, row + step)?];
-        // Neighbouring samples across an edge do not belong to one surface.
+        // Neighbouring samples with a jump in distance do not belong to the same surface.
         let is_edge = |other: &Vector3<f64>| (other.norm() - at.norm()).abs() > 0.1 * at.norm();
         if is_edge(&right) || is_edge(&below) {
             return None;

@@ -10,11 +10,12 @@ use super::{
 };
 use crate::recording::error::LogError;
 
-/// Joins logs of one sensor; the paths are used in errors. The time and the odometry of each log
-/// continue those of the previous one, because the logs' `odom` frames are unrelated.
+/// Joins logs of one sensor. The paths are only used in errors. The time and the odometry of each
+/// log are shifted to continue those of the previous log, because the logs' `odom` frames are
+/// unrelated.
 ///
 /// # Errors
-/// [`LogError::Mixed`] for different sensors or kinds of poses, [`LogError::Empty`] without any log.
+/// [`LogError::Mixed`] if sensors or kinds of poses differ, [`LogError::Empty`] if there is no log.
 pub fn concatenate(logs: Vec<(PathBuf, Log)>) -> Result<Log, LogError> {
     let mut logs = logs.into_iter();
     let Some((first, mut joined)) = logs.next() else {

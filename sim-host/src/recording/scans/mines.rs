@@ -22,7 +22,7 @@ const FIRST_RANGE: usize = 24;
 const BEAMS: usize = 682;
 const SPREAD_RAD: f64 = 240.0 / 180.0 * PI;
 
-/// Minimum valid reading in millimetres: error codes are below it.
+/// Minimum valid reading in millimetres; lower values are error codes.
 const MIN_RANGE_MM: f64 = 20.0;
 /// Maximum range of the scanner in millimetres.
 const MAX_RANGE_MM: f64 = 5_600.0;
@@ -115,7 +115,8 @@ impl Record {
     }
 }
 
-/// The poses in `odom` from the wheels alone, and the lines whose counters are unusable.
+/// Returns the poses in `odom`, computed from the wheel counters alone, and the lines whose
+/// counters are unusable.
 fn dead_reckon(
     records: &[Record],
     elapsed_s: impl Iterator<Item = f64>,
@@ -140,8 +141,8 @@ fn dead_reckon(
     (poses, lost)
 }
 
-/// The distance that a wheel rolled, corrected for a wrap of a 16- or 32-bit counter; `None` if the counter
-/// was reset.
+/// The distance in metres that a wheel rolled between two counts of ticks, corrected if a 16- or
+/// 32-bit counter has wrapped; `None` if the counter was reset.
 fn wheel_step_m(before: f64, after: f64, elapsed_s: f64) -> Option<f64> {
     let bits_16 = f64::from(1 << 16);
     let bits_32 = bits_16 * bits_16;

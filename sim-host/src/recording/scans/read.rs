@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use super::{carmen, join::concatenate, mines, rgbd, scan_log::Log, slicing::Slicing};
 use crate::recording::{error::LogError, format::Format, lines::Lines};
 
-/// Reads a log. Without a `format` it is detected: a folder holds depth images, a file that begins with a
-/// word is CARMEN text, and one that begins with a number is a mines log. `slicing` applies to depth
-/// images.
+/// Reads a log. If `format` is `None`, the format is detected: a folder contains depth images, a
+/// file that begins with a word is CARMEN text, and one that begins with a number is a mines log.
+/// `slicing` applies only to depth images.
 ///
 /// # Errors
 /// Every [`LogError`] except [`LogError::Mixed`].
@@ -130,7 +130,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
 
-        /// Any file content gives a log or an error of one line.
+        /// Any file content must give a log, or an error of one line.
         #[test]
         fn garbled_files_never_panic(
             at in any::<prop::sample::Index>(),

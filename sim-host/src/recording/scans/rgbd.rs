@@ -9,12 +9,12 @@
 //! *.json                or Open3D's camera file, with depths in millimetres
 //! ```
 //!
-//! Images are ordered by the numbers in their names, and there must be one pose for each. Poses are
-//! camera to world, with the camera's x to the right and z forward; y points down, or up if `fy` is
-//! negative. The up axis of the world is z unless [`Slicing::up`] says otherwise; a warning is
-//! issued if the floor in the images contradicts it. A scan's pose in `map` is the camera's
-//! position and forward axis seen from above. The x axis of `map` is the world's x (or its y, if x
-//! is closer to the vertical).
+//! Images are ordered by the numbers in their names, and there must be one pose for each. Poses
+//! transform from camera to world, with the camera's x to the right and z forward; y points down,
+//! or up if `fy` is negative. The up axis of the world is z unless [`Slicing::up`] says otherwise;
+//! a warning is issued if the floor in the images contradicts it. A scan's pose in `map` is the
+//! camera's position and forward axis seen from above. The x axis of `map` is the world's x (or its
+//! y, if x is closer to the vertical).
 
 use std::path::{Path, PathBuf};
 
@@ -37,7 +37,7 @@ use crate::recording::{
 /// Maximum tilt of a camera in degrees: a steeper one is refused.
 const MAX_TILT_DEG: f64 = 75.0;
 
-/// Tilt in degrees above which a note says that a row is not a level slice.
+/// Tilt in degrees above which a note tells the user that a row is not a level slice.
 const TILTED_DEG: f64 = 10.0;
 
 /// Angle in degrees between the up axis and the normal of the floor in the images above which a
@@ -109,9 +109,9 @@ struct Plane {
 }
 
 impl Plane {
-    /// The horizontal plane. `None` if the mean of the cameras' up axes is requested and the axes
-    /// cancel out. `down_sign` is 1 if the camera's y points down; it is -1 if y points up, which
-    /// mirrors the world.
+    /// The horizontal plane for the up axis `up`. `None` if that is the mean of the cameras' up
+    /// axes, and they cancel out. `down_sign` is 1 if the camera's y points down; it is -1 if y
+    /// points up, which mirrors the world.
     fn under(poses: &[CameraPose], down_sign: f64, up: UpAxis) -> Option<Self> {
         let up = match up {
             UpAxis::X => Vector3::x(),
@@ -132,7 +132,7 @@ impl Plane {
         Some(Self { up, x, y, down_sign })
     }
 
-    /// A warning if the floor in the images is not level.
+    /// A warning if the floor in the images is not perpendicular to the up axis.
     fn floor_warning(
         &self,
         images: &[PathBuf],
@@ -203,8 +203,8 @@ mod tests {
         depth_png(&folder, "depth/10.png", [5; 12]);
         depth_png(&folder, "depth/9.png", [1, 1, 1, 1, 0, 1_000, 2_000, 65_535, 3, 3, 3, 3]);
         folder.file("intrinsics.toml", INTRINSICS.as_bytes());
-        // The camera's z points along the world's x, and its y along -z; then it turns left by a
-        // quarter.
+        // At first the camera's z points along the world's x, and its y along -z. Then the camera
+        // turns left by 90 degrees.
         folder.file("pose.txt", b"1 2 0.5 -0.5 0.5 -0.5 0.5\n3 4 0.5 -0.70710678 0 0 0.70710678\n");
         folder
     }
@@ -323,7 +323,7 @@ mod tests {
             "intrinsics.toml",
             b"width = 80\nheight = 60\nfx = 60.0\nfy = 60.0\ncx = 39.5\ncy = 29.5\n",
         );
-        // 1 m above the floor, 26 degrees down.
+        // The camera is 1 m above the floor and looks 26 degrees down.
         let (sin, cos) = 26f64.to_radians().sin_cos();
         let image: ImageBuffer<Luma<u16>, _> = ImageBuffer::from_fn(80, 60, |_, row| {
             let sinks = sin + cos * (f64::from(row) - 29.5) / 60.0;

@@ -10,7 +10,8 @@ use crate::recording::format::Format;
 pub struct LoggedScan {
     /// Time since the first scan; strictly increasing.
     pub time: Duration,
-    /// Readings in millimetres, one for each direction of [`Sensor`]; 0 for no return, whatever the log's code for it.
+    /// Readings in millimetres, one for each direction of the [`Sensor`]; 0 for no return, in all
+    /// formats.
     pub readings_mm: Vec<u16>,
     /// Pose of the sensor in `map`: x and y in metres, heading in radians.
     pub pose: Option<[f64; 3]>,
@@ -20,17 +21,17 @@ pub struct LoggedScan {
     pub line: usize,
 }
 
-/// A log: at least one scan, all of one sensor; either all scans have a pose or none, and the same holds
-/// for odometry.
+/// A log of at least one scan, all of the same sensor. Either all scans have a pose or none has;
+/// the same applies to odometry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
-    /// The format it was read from.
+    /// The format from which the log was read.
     pub format: Format,
     /// The sensor that took the scans.
     pub sensor: Sensor,
     /// The scans in order of time.
     pub scans: Vec<LoggedScan>,
-    /// Warnings for the user, one line each: what may make the map wrong.
+    /// Warnings for the user about what may make the map wrong, one line each.
     pub warnings: Vec<String>,
     /// Notes for the user, one line each.
     pub notes: Vec<String>,

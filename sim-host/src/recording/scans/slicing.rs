@@ -1,4 +1,4 @@
-//! Slices depth images into scans, with the robots' own code.
+//! Converts depth images to scans, with the same code as on robots.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use crate::recording::{depth_image::depths_mm, error::LogError, intrinsics::Intr
 /// Number of rows in a band.
 const BAND: u16 = 5;
 
-/// Maximum distance of a slice's points from its height.
+/// Maximum distance of points from the height of a slice.
 const TOLERANCE: Millimetres = Millimetres(20);
 
 /// How depth images are converted to scans.
@@ -20,9 +20,9 @@ const TOLERANCE: Millimetres = Millimetres(20);
 pub struct Slicing {
     /// The part of an image that is mapped.
     pub slice: DepthSlice,
-    /// The model of its columns.
+    /// The model of the image's columns.
     pub pixels: PixelModel,
-    /// The up axis of the world in which the cameras' poses are.
+    /// The up axis of the world in which the cameras' poses are given.
     pub up: UpAxis,
 }
 
@@ -96,7 +96,7 @@ impl Slicing {
         }
     }
 
-    /// Slices a depth image: one reading for each column, in millimetres.
+    /// Slices a depth image. Returns one reading for each column, in millimetres.
     pub(super) fn slice(
         self,
         path: &Path,
@@ -122,7 +122,7 @@ impl Slicing {
         let camera = self.camera(intrinsics, stance);
         let mut slicer = Slicer::new(slice, camera, width, Validity::default(), &mut buffer);
         let readings = slicer.as_mut().map_err(|error| *error).and_then(|it| it.frame(&depths));
-        // Cannot fail: the slice was clipped to the image above.
+        // This can't fail, because the slice was clipped to the image above.
         Ok(readings.map(<[u16]>::to_vec).unwrap_or_default())
     }
 

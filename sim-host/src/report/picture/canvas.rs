@@ -15,8 +15,8 @@ pub(super) const MARGIN: usize = 4;
 const SIDE: usize = 1200;
 const SCALES: std::ops::RangeInclusive<usize> = 2..=8;
 
-/// Number of cells above which a cell is drawn as one pixel, without lines between similar colours:
-/// a line would look like a wall.
+/// Maximum number of cells in a map whose cells are drawn with more than one pixel. In larger maps
+/// there are no lines between similar colours, since a line would look like a wall.
 const MOST_SCALED_CELLS: usize = 1 << 22;
 
 /// A picture of a grid with a margin.
@@ -44,8 +44,8 @@ impl<'g> Canvas<'g> {
         colour: impl Fn(usize, usize) -> Rgb<u8>,
     ) -> Self {
         let (columns, rows) = (grid.width() + 2 * MARGIN, grid.height() + 2 * MARGIN);
-        // From the upper left. For cells west and south of the grid the subtraction wraps, so they
-        // are outside, too.
+        // From the upper left. The subtraction wraps for cells west and south of the grid, so that
+        // these are outside of the grid, too.
         let cells = (0..columns * rows).map(|index| {
             let (column, row) = (index % columns, rows - 1 - index / columns);
             colour(column.wrapping_sub(MARGIN), row.wrapping_sub(MARGIN))
@@ -100,7 +100,8 @@ impl Cells {
     }
 
     /// The colour of a pixel: that of its cell, or black along the border to a cell of too similar
-    /// a colour. The line is drawn in only one of the two cells.
+    /// a colour. The black line is drawn in only one of the two cells. `alike` caches which pairs
+    /// of colours are too similar.
     fn pixel(
         &self,
         [x, y]: [usize; 2],
@@ -132,8 +133,8 @@ impl Cells {
     }
 }
 
-/// Whether the first of two cells gives up its pixels for a line between them. The unknown cell
-/// does, so that a single known cell keeps its size.
+/// Whether a line between two cells is drawn in the first one, with the colour `own`. An unknown
+/// cell always gets the line, so that a single known cell keeps its size.
 fn yields(own: Rgb<u8>, other: Rgb<u8>) -> bool {
     own != other && (own == UNKNOWN || other != UNKNOWN && own.0 < other.0)
 }

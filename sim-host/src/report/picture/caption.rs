@@ -15,7 +15,8 @@ const GAP: u32 = 10;
 const LINE: u32 = 24;
 /// Side of a sample in the legend, in pixels.
 const SAMPLE: u32 = 16;
-/// Minimum width of a caption in pixels; it is as wide as its picture if that is wider.
+/// Minimum width of a caption in pixels. If the picture is wider, the caption is as wide as the
+/// picture.
 const LEAST_WIDTH: u32 = 480;
 /// Maximum length of the scale bar in pixels.
 const LONGEST_BAR: f64 = 200.0;
@@ -31,7 +32,7 @@ pub struct Caption {
     pub time_s: Option<f64>,
 }
 
-/// For example "room, seed 2, after 120.0 s".
+/// Formats as "room, seed 2, after 120.0 s".
 impl fmt::Display for Caption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.subject)?;
@@ -86,7 +87,7 @@ pub(super) fn with_caption(
     image
 }
 
-/// A picture with only a text below it.
+/// A picture with only a title below it.
 pub(super) fn with_title(picture: &RgbImage, title: &str) -> RgbImage {
     let [width, height] = [picture.width(), picture.height() + LINE];
     let mut image = RgbImage::from_pixel(width, height, PAPER);
@@ -95,7 +96,7 @@ pub(super) fn with_title(picture: &RgbImage, title: &str) -> RgbImage {
     image
 }
 
-/// Breaks the entries into lines.
+/// Breaks the entries into lines of at most `width` pixels.
 fn wrapped(legend: &[Entry], width: u32) -> Vec<Vec<&Entry>> {
     let mut lines: Vec<Vec<&Entry>> = Vec::new();
     let mut left = u32::MAX / 2;
@@ -138,7 +139,8 @@ fn draw_sample(image: &mut RgbImage, sample: Sample, [left, top]: [u32; 2]) {
     }
 }
 
-/// Draws a scale bar of a round length at the right, with its text on the left.
+/// Draws a scale bar of a round length at the right edge, with its length as text to the left of
+/// it.
 fn scale_bar(image: &mut RgbImage, pixels_per_m: f64, top: u32) {
     let Some(length_m) = round_length(LONGEST_BAR / pixels_per_m) else { return };
     let length = (length_m * pixels_per_m).round() as u32;
@@ -153,7 +155,8 @@ fn scale_bar(image: &mut RgbImage, pixels_per_m: f64, top: u32) {
     write(image, [left - i64::from(width + GAP), top.into()], &text, LARGE);
 }
 
-/// The greatest number of the form 1, 2 or 5 times a power of ten that is at most this.
+/// The greatest number of the form 1, 2 or 5 times a power of ten that is at most `most_m`. `None`
+/// if that is not positive and finite.
 fn round_length(most_m: f64) -> Option<f64> {
     if !(most_m > 0.0 && most_m.is_finite()) {
         return None;

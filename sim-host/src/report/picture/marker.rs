@@ -16,7 +16,8 @@ const CAMERA_RADIUS: f64 = 11.0;
 /// Half the width of a path, and of the edge of a view, in pixels.
 const PATH: f64 = 1.3;
 const VIEW: f64 = 0.8;
-/// Step along the edge of a view, and the maximum length of a piece, in metres.
+/// Step along the edge of a view, and the maximum length of a side of the view, in metres; longer
+/// sides are not drawn.
 const STEP_M: f64 = 0.05;
 const LONGEST_SIDE_M: f64 = 1e3;
 
@@ -33,7 +34,7 @@ pub enum MarkerKind {
     CameraDown,
 }
 
-/// A robot, a person or a camera on the picture.
+/// A robot, a person or a camera to be drawn on a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Marker {
     /// Along `map`'s x, in metres.
@@ -46,7 +47,7 @@ pub struct Marker {
     pub kind: MarkerKind,
     /// Radius of a robot or a person, in metres.
     pub radius_m: f64,
-    /// The text beside it; may be empty.
+    /// The text beside the marker; may be empty.
     pub label: String,
     /// The path driven or walked, in `map`, metres; may be empty.
     pub path: Vec<[f64; 2]>,
@@ -97,7 +98,8 @@ fn radius(canvas: &Canvas<'_>, marker: &Marker) -> f64 {
     }
 }
 
-/// The edge of a view in pixels, in pieces: the parts outside the map or behind walls are left out.
+/// The edge of a view in pixels. The parts in unknown cells (outside the map or behind walls) are
+/// left out, so it may consist of several pieces.
 fn edge_on_map(canvas: &Canvas<'_>, view: &[[f64; 2]]) -> Vec<Vec<[f64; 2]>> {
     let (mut pieces, mut piece) = (Vec::new(), Vec::new());
     let sides = view.iter().zip(view.iter().cycle().skip(1));
@@ -119,7 +121,8 @@ fn edge_on_map(canvas: &Canvas<'_>, view: &[[f64; 2]]) -> Vec<Vec<[f64; 2]>> {
     pieces
 }
 
-/// Draws the symbol of a kind, rotated counter-clockwise from the right by an angle.
+/// Draws the symbol of a kind of marker, with this radius in pixels. `angle` is its direction in
+/// radians, counter-clockwise from the right.
 pub(super) fn symbol(
     image: &mut RgbImage,
     kind: MarkerKind,
@@ -149,7 +152,8 @@ pub(super) fn symbol(
     }
 }
 
-/// Draws a text in a box beside a marker, inside the image if the marker is.
+/// Draws a text in a box beside a marker with this centre and radius in pixels. Nothing is drawn if
+/// the centre is outside of the image.
 fn label(image: &mut RgbImage, text: &str, centre: [f64; 2], radius: f64) {
     let [width, height] = size(text, SMALL);
     let [width, height] = [width + 3, height + 2];

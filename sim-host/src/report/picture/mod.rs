@@ -2,16 +2,16 @@
 //!
 //! | file | subject |
 //! |---|---|
-//! | `palette` | the colours, and which of them are too similar to touch |
+//! | `palette` | the colours, and which of them are too similar to be adjacent |
 //! | `strokes` | lines, discs and text |
 //! | `canvas` | a grid as pixels, and places of `map` on it |
 //! | `marker` | robots, people and cameras |
 //! | `caption` | title, scale bar and legend below a picture |
 //! | `views` | the pictures themselves |
 //!
-//! Colours that touch have a contrast of at least 3:1, for colour-blind eyes too. Only three levels
-//! of luminance fit that, so a black line separates cells of the same level, and everything drawn
-//! over the cells has a black edge.
+//! Adjacent colours have a contrast of at least 3:1, also for colour-blind people. Only three
+//! levels of luminance are possible with that contrast, so a black line separates cells of the same
+//! level, and everything drawn over the cells has a black edge.
 
 mod canvas;
 mod caption;

@@ -23,7 +23,7 @@ pub(super) const MOVABLE: Rgb<u8> = Rgb([200, 88, 0]);
 pub(super) const COVERED: Rgb<u8> = Rgb([200, 235, 250]);
 /// Known floor that no camera sees now.
 pub(super) const BLIND: Rgb<u8> = Rgb([140, 90, 190]);
-/// Floor seen by one camera, two, three, and more.
+/// Floor seen by one, two, three, and more cameras.
 pub(super) const SEEN_BY: [Rgb<u8>; 4] =
     [Rgb([206, 226, 246]), Rgb([150, 192, 232]), Rgb([92, 148, 208]), Rgb([44, 104, 176])];
 /// Floor that no camera sees.
@@ -65,7 +65,7 @@ const EYES: [[[f64; 3]; 3]; 4] = [
     ],
 ];
 
-/// Whether two different colours have too little contrast to touch.
+/// Whether two different colours have too little contrast to be adjacent.
 pub(super) fn are_alike(a: Rgb<u8>, b: Rgb<u8>) -> bool {
     a != b && contrast(a, b) < LEAST_CONTRAST
 }

@@ -20,7 +20,7 @@ pub(super) const LARGE: &MonoFont<'_> = &ascii::FONT_9X18_BOLD;
 /// The font of everything else.
 pub(super) const SMALL: &MonoFont<'_> = &ascii::FONT_8X13;
 
-/// The width of a black edge.
+/// The width of a black edge in pixels.
 const EDGE: f64 = 1.2;
 /// Length of a dash, and of a dash with its gap, in pixels.
 const DASH: f64 = 6.0;
@@ -28,7 +28,7 @@ const DASH_AND_GAP: f64 = 16.0;
 /// Maximum length of a dashed line in pixels: a longer one can't be part of a picture.
 const LONGEST: f64 = 1e5;
 
-/// Draws a stroke with round ends and a blended edge. A stroke of zero length is a disc.
+/// Draws an anti-aliased stroke with round ends. A stroke of zero length is a disc.
 pub(super) fn stroke(
     image: &mut RgbImage,
     [from, to]: [[f64; 2]; 2],
@@ -57,7 +57,7 @@ pub(super) fn stroke(
     }
 }
 
-/// A line along points with a black edge.
+/// Draws a line along points, with a black edge.
 pub(super) fn edged_line(
     image: &mut RgbImage,
     points: &[[f64; 2]],
@@ -72,7 +72,7 @@ pub(super) fn edged_line(
     }
 }
 
-/// A dashed line along points with a black edge.
+/// Draws a dashed line along points, with a black edge.
 pub(super) fn dashed_line(
     image: &mut RgbImage,
     points: &[[f64; 2]],
@@ -105,7 +105,7 @@ pub(super) fn dashed_line(
     }
 }
 
-/// A disc with a black edge.
+/// Draws a disc with a black edge.
 pub(super) fn edged_disc(image: &mut RgbImage, centre: [f64; 2], radius: f64, colour: Rgb<u8>) {
     stroke(image, [centre; 2], radius, INK);
     stroke(image, [centre; 2], radius - EDGE, colour);
@@ -140,7 +140,7 @@ pub(super) fn size(text: &str, font: &MonoFont<'_>) -> [u32; 2] {
     [(letter.width + font.character_spacing) * text.chars().count() as u32, letter.height]
 }
 
-/// An image as `embedded-graphics` draws on it.
+/// Adapts an image to `embedded-graphics`.
 struct Pixels<'i>(&'i mut RgbImage);
 
 impl OriginDimensions for Pixels<'_> {
@@ -167,7 +167,7 @@ impl DrawTarget for Pixels<'_> {
     }
 }
 
-/// The distance from a point to a stroke.
+/// The distance from a point to the line segment between `from` and `to`.
 fn distance(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     let (x, y) = (to[0] - from[0], to[1] - from[1]);
     let length_squared = x * x + y * y;

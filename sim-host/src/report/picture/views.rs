@@ -27,7 +27,7 @@ const MAP: [Entry; 4] = [
     (Sample::Cell(UNKNOWN), "unknown"),
 ];
 
-/// A map at a time of a run, with its markers.
+/// The map at one time of a run, with its markers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moment {
     /// Seconds since the start of the run.
@@ -45,9 +45,11 @@ pub fn render(grid: &OccupancyGrid, markers: &[Marker], caption: &Caption) -> Rg
     finish(canvas, markers, caption, &MAP)
 }
 
-/// Draws a map at several times, side by side in rows; all frames are as large as the last map.
+/// Draws a map at several times, with the frames side by side in rows. All frames have the size of
+/// `map`.
 pub fn render_frames(map: &OccupancyGrid, frames: &[Moment], caption: &Caption) -> RgbImage {
-    // Half the scale of a single picture, but at least two pixels per cell, which edges need.
+    // Half the scale of a single picture, but at least the two pixels per cell that lines between
+    // cells need.
     let scale = (scale_of(map) / 2).max(2);
     let mut pixels_per_m = 1.0;
     let drawn = frames.iter().map(|Moment { time_s, grid, markers }| {
@@ -104,8 +106,8 @@ pub fn render_coverage(
 
 /// Draws the floor, coloured by the number of cameras that see it, and the cameras. For a point of
 /// `map` in metres, `floor` returns that number, and whether any camera could see the point; `None`
-/// outside the floor. Occupied cells of the map are drawn over it: in black, or as dots (movable)
-/// where something hangs above the floor.
+/// outside the floor. The map's occupied cells are drawn in black over the floor, and its movable
+/// cells, which mark things that hang above the floor, as dots.
 pub fn render_overlap(
     map: &OccupancyGrid,
     cameras: &[Marker],
@@ -212,13 +214,15 @@ fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone
     entries
 }
 
-/// The cell of a grid that contains the centre of another grid's cell; it may lie outside the grid.
+/// The cell of `grid` that contains the centre of the cell (`column`, `row`) of the grid `other`;
+/// unknown outside of `grid`.
 fn at(grid: &OccupancyGrid, other: &OccupancyGrid, column: usize, row: usize) -> Cell {
     let [x, y] = grid.from_map(other.to_map([middle(column), middle(row)]));
     if x < 0.0 || y < 0.0 { Cell::Unknown } else { grid.cell(x as usize, y as usize) }
 }
 
-/// The centre of a cell along an axis; indices west and south of the grid wrap.
+/// The centre of a cell along an axis, in cells. An index west or south of the grid is a wrapped
+/// negative number.
 fn middle(index: usize) -> f64 {
     index as isize as f64 + 0.5
 }

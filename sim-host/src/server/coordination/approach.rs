@@ -1,5 +1,5 @@
-//! Chooses the viewpoint from which a robot looks at a frontier: near, on its way, and not in the
-//! way of others.
+//! Chooses the viewpoint from which a robot looks at a frontier: close to it, reached at low cost,
+//! and not in the way of other robots.
 
 use super::{
     frontiers::{Frontier, Vantage},
@@ -15,9 +15,9 @@ pub(super) struct Approach<'a> {
     /// The robot's start position, and its heading in radians.
     pub(super) from: Point,
     pub(super) heading: f64,
-    /// For each cell, whether the robot would be in another one's way there.
+    /// For each cell, whether the robot would block another robot there.
     pub(super) in_the_way: Vec<bool>,
-    /// Viewpoints that have failed.
+    /// Areas around viewpoints that have failed.
     pub(super) tried: &'a [Disc],
     /// The costs by which viewpoints are compared.
     pub(super) rules: &'a ViewpointCosts,
@@ -27,20 +27,21 @@ pub(super) struct Approach<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Viewpoint {
     pub(super) place: Point,
-    /// Cost of the way there, in metres of driving; includes turning and waiting.
+    /// Cost of driving there, in metres; includes turning and waiting.
     pub(super) cost_m: f64,
 }
 
 impl Approach<'_> {
-    /// For each frontier the last suitable viewpoint on the shortest way to it, without failed
-    /// ones: the robot can see the frontier in passing, and need not stop. Cost: one search.
+    /// For each frontier, the reachable viewpoint with the lowest cost, except failed ones. `None`
+    /// if there is none. Cost: one search.
     pub(super) fn views(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         frontiers.iter().map(|frontier| self.view(frontier, ways.as_ref()?)).collect()
     }
 
-    /// For each frontier the nearest reachable place, from which the robot checks again what blocks
-    /// the way. Excludes failed viewpoints and places near the robot. Cost: one search.
+    /// For each frontier, the reachable place closest to it, from which the robot checks again what
+    /// blocks the way. Excludes failed viewpoints, places near the robot, and places where it would
+    /// block others. Cost: one search.
     pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         let view = |at| {

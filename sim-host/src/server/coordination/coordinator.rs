@@ -1,5 +1,5 @@
-//! The core of the coordination, without input or output: takes the state of the room, returns
-//! commands.
+//! The core of the coordination, without input or output: it takes the state of the room and
+//! returns commands.
 
 use std::collections::VecDeque;
 
@@ -36,13 +36,13 @@ pub struct Coordinator {
     pub(super) reservations: Reservations,
     pub(super) ground: Option<Ground>,
     pub(super) frontiers: Vec<Frontier>,
-    /// Frontiers that could not be seen from a viewpoint, or not be reached.
+    /// Frontiers that could not be reached, or not be seen from a viewpoint.
     pub(super) tried: Vec<Tried>,
     surveyed: Instant,
     pub(super) passers: Vec<Passer>,
     /// Places where robots were held up, and until when each is avoided.
     pub(super) held_up: Vec<(Disc, Instant)>,
-    /// Rotating index of the robot that is granted ground first.
+    /// Index of the robot that is granted ground first; it changes with each tick.
     pub(super) turn: usize,
     next_tick: Instant,
     commands: VecDeque<(RobotId, Command)>,
@@ -73,7 +73,7 @@ impl Coordinator {
     /// Sends a robot to a position in `map`, in metres; replaces its current goal or target.
     ///
     /// # Errors
-    /// Every [`GoalError`], which is also a notice; the robot then continues as before.
+    /// Every [`GoalError`], which is also issued as a notice; the robot then continues as before.
     pub fn goal(&mut self, robot: RobotId, x: f64, y: f64, now: Instant) -> Result<(), GoalError> {
         let goal = Point::new(x, y);
         let checked = self.check(robot, goal);
@@ -107,7 +107,7 @@ impl Coordinator {
         let rules = self.settings.following;
         let claim = self.reservations.claim_mut(index);
         match code {
-            // The report may be about an earlier path.
+            // Without these conditions, the report may be about an earlier path.
             EventCode::PathDone
                 if claim.to_grant_m() <= rules.arrived_m
                     || now.since(self.members[index].sent) >= rules.in_flight =>
@@ -129,12 +129,13 @@ impl Coordinator {
         }
     }
 
-    /// Takes the current situation, and decides. The cost is bounded by
+    /// Updates the coordinator with the current situation, and decides. The cost is bounded by
     /// [`Rates`](super::settings::Rates) (surveys and routes) and by the number of pairs of robots.
     pub fn tick(&mut self, situation: &Situation<'_>, now: Instant) {
         self.next_tick = now + self.settings.rates.tick;
         self.see(situation, now);
-        // A robot that has looked at its frontier need not wait for the next survey.
+        // Surveys early if a robot has looked at its frontier, so that it gets its next one at
+        // once.
         let arrives = self.settings.following.tiles_arrive;
         let is_heard_of =
             |member: &Member| member.target.is_some_and(|it| it.is_heard_of(arrives, now));
@@ -182,7 +183,7 @@ impl Coordinator {
         self.members.binary_search_by_key(&robot, |member| member.id)
     }
 
-    /// Checks whether a goal is reachable on the known ground.
+    /// Checks whether a goal is reachable on the known ground. Returns the robot's index.
     fn check(&self, robot: RobotId, goal: Point) -> Result<usize, GoalError> {
         let index = self.index(robot).map_err(|_| GoalError::UnknownRobot(robot))?;
         let ground = self.ground.as_ref().ok_or(GoalError::OutsideMap)?;

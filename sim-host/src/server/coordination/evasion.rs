@@ -1,4 +1,4 @@
-//! Sends robots aside that stand in the way of another one.
+//! Sends robots aside if they stand in the way of another one.
 
 use super::{
     ground::{Disc, Ground, Point},
@@ -9,13 +9,12 @@ use super::{
 /// Every third point of a route is checked, with a correspondingly larger radius.
 const STRIDE: usize = 3;
 
-/// Gives a robot its route, by its corners, and sends standing robots on the route aside, each to
-/// the nearest place that is in nobody's way. Either all of this succeeds or nothing changes;
-/// returns whether it succeeded.
+/// Gives `robot` a route, as a list of corners, and sends the robots that stand on it aside, each
+/// to the nearest place where it blocks no other robot. Returns whether that succeeded; if not,
+/// nothing has changed.
 ///
 /// `may_yield` says which robots can be sent aside, and `terrain` returns the ground as a robot can
 /// cross it. Cost: one search per robot sent aside.
-/// one search per robot sent aside.
 pub(super) fn make_way<'a>(
     reservations: &mut Reservations,
     ground: &'a Ground,
@@ -53,8 +52,8 @@ pub(super) fn make_way<'a>(
     reservations.admit(&routes)
 }
 
-/// The way to the nearest place where a robot is in nobody's way. It does not pass the robot that
-/// it yields to, nor places where others will stop.
+/// The route of the robot `aside` to the nearest place where it blocks no other robot. The route
+/// avoids the robot `driving`, to which it yields, and places where others will stop.
 fn aside(
     planned: &Reservations,
     ground: &Ground,

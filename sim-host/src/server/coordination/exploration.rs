@@ -34,7 +34,7 @@ impl Coordinator {
             let Some(target) = member.target else { continue };
             let is_left =
                 self.frontiers.iter().any(|it| (it.place - target.frontier).norm() <= rules.same_m);
-            // A frontier that remains can't be seen from here.
+            // A frontier that remains after the robot has looked can't be seen from this viewpoint.
             let is_vain = target.is_heard_of(arrives, now)
                 || target.reached.is_some_and(|reached| now.since(reached) >= look);
             if is_vain && is_left {
@@ -70,7 +70,7 @@ impl Coordinator {
         }
     }
 
-    /// The frontiers that are nobody's target and have not been given up.
+    /// The frontiers that are no robot's target and have not been given up.
     fn open_frontiers(&self, taken: &[Target]) -> Vec<&Frontier> {
         let rules = &self.settings.exploration;
         let is_seen_in_vain = |it: &Frontier| {
@@ -83,7 +83,7 @@ impl Coordinator {
         self.frontiers.iter().filter(is_open).collect()
     }
 
-    /// Whether a frontier differs from a target's.
+    /// Whether a frontier is not that of the target.
     fn is_apart(&self, frontier: &Frontier, target: &Target) -> bool {
         (frontier.place - target.frontier).norm() > self.settings.exploration.same_m
     }
@@ -143,8 +143,7 @@ impl Coordinator {
         Some((index, target))
     }
 
-    /// The cost of looking at each of these frontiers while other robots look at places nearby, in
-    /// metres.
+    /// For each frontier, the extra cost in metres because other robots look at places near it.
     fn crowding(&self, ground: &Ground, open: &[&Frontier]) -> Vec<f64> {
         let rules = &self.settings.exploration;
         let mut crowding = vec![0.0_f64; open.len()];

@@ -12,7 +12,7 @@ use super::{
 };
 
 impl Coordinator {
-    /// Takes over the positions of robots and obstacles.
+    /// Updates the positions of robots and obstacles.
     pub(super) fn see(&mut self, situation: &Situation<'_>, now: Instant) {
         let margin_m = self.settings.clearances.route_m;
         for robot in situation.robots {
@@ -75,7 +75,7 @@ impl Coordinator {
         }
     }
 
-    /// Handles a robot that was told to stop: once it stands, it gets another route.
+    /// Handles a robot that was told to stop. Once it stands still, it may get another route.
     fn follow_halted(&mut self, index: usize, now: Instant) {
         let (rules, member) = (&self.settings.following, &mut self.members[index]);
         let Some(halted) = member.halted.map(|halted| now.since(halted)) else { return };

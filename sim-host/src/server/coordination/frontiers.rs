@@ -11,7 +11,7 @@ use super::{
 /// Number of rays that are cast from a cell.
 const RAYS: usize = 32;
 
-/// Connected unknown, blind cells next to free ones.
+/// Connected unknown cells that no camera sees, next to free cells.
 #[derive(Clone, Debug)]
 pub(super) struct Frontier {
     /// The cell nearest to its centroid.
@@ -28,12 +28,13 @@ pub(super) struct Vantage {
     pub(super) at: usize,
     /// Distance to the frontier in metres.
     pub(super) away_m: f64,
-    /// Whether there is a known surface behind the frontier.
+    /// Whether there is a known wall behind the frontier, within sensor range of the place.
     pub(super) is_backed: bool,
 }
 
 impl Frontier {
-    /// Cost of the way to the nearest place from which the frontier is visible, in metres.
+    /// Lowest cost, in metres, of the way to a place from which the frontier is visible; `None` if
+    /// no such place is reachable.
     pub(super) fn metres(&self, ways: &Ways<'_>) -> Option<f64> {
         self.vantages.iter().filter_map(|it| ways.metres(it.at)).min_by(f64::total_cmp)
     }
@@ -104,7 +105,7 @@ fn piece(ground: &Ground, open: &mut [bool], first: usize, piece_m: f64) -> Vec<
     piece
 }
 
-/// Casts rays.
+/// Casts rays over the ground.
 struct Rays<'a> {
     ground: &'a Ground,
     settings: &'a Settings,
@@ -118,8 +119,8 @@ impl<'a> Rays<'a> {
         Self { ground, settings, directions: (0..RAYS).map(direction).collect() }
     }
 
-    /// The cells on a ray, without its first, and their distances in metres; up to the view
-    /// distance.
+    /// The cells on a ray up to the view distance, except the first one, each with its distance in
+    /// metres.
     fn ray(&self, from: usize, direction: usize) -> impl Iterator<Item = (f64, usize)> {
         self.long_ray(from, direction, self.settings.view_m)
     }
@@ -140,8 +141,8 @@ impl<'a> Rays<'a> {
         (1..=steps).map_while(at)
     }
 
-    /// Area of the unknown ground visible from a cell, in square metres, if unknown cells were
-    /// free; and the mean direction to that ground, weighted by area.
+    /// Returns the area of unknown ground that would be visible from a cell if unknown cells were
+    /// free, in square metres, and the sum of the directions to that ground, weighted by area.
     fn gain(&self, from: usize) -> (f64, nalgebra::Vector2<f64>) {
         let side_m = self.ground.side_m();
         let ring = core::f64::consts::TAU / RAYS as f64 * side_m;
@@ -160,9 +161,10 @@ impl<'a> Rays<'a> {
         )
     }
 
-    /// Whether a sensor that sees `reach_m` beyond a cell would see a wall behind it. `None` if
-    /// known ground extends to the end of that range: a beam without an echo leaves everything
-    /// before it unknown, for example along an aisle that is longer than the sensor's range.
+    /// Whether there is a known wall within `reach_m` behind the cell `from`, in this direction.
+    /// `None` if there is no wall, but known ground at the end of that range: the beam would get no
+    /// echo, and a beam without an echo leaves everything before it unknown, for example along an
+    /// aisle that is longer than the sensor's range.
     fn is_backed(&self, from: usize, direction: usize, reach_m: f64) -> Option<bool> {
         let mut last = None;
         for (_, at) in self.long_ray(from, direction, reach_m) {
@@ -174,9 +176,8 @@ impl<'a> Rays<'a> {
         last.is_none_or(|at| self.ground.is_blind(at)).then_some(false)
     }
 
-    /// The known free cells from which the frontier cell `from` is visible across free ground, with
-    /// the unknown ground ahead; for each, whether there is a wall behind the frontier within
-    /// sensor range.
+    /// The free cells from which the frontier cell `from` is visible across free ground, with the
+    /// unknown ground behind it, in the direction `towards`.
     fn vantages(&self, from: usize, towards: nalgebra::Vector2<f64>) -> Vec<Vantage> {
         let Settings { range_m, frontiers, .. } = self.settings;
         let ahead = |direction: &usize| {
@@ -199,7 +200,7 @@ impl<'a> Rays<'a> {
                 })
             })
             .collect();
-        // If a cell has several views, keep the better one.
+        // If a cell is on several rays, a vantage with a wall behind the frontier is kept.
         vantages.sort_by_key(|it| (it.at, !it.is_backed));
         vantages.dedup_by_key(|it| it.at);
         vantages

@@ -30,8 +30,8 @@ pub(super) struct Ground {
     cells: Vec<Cell>,
     /// Whether the cell is unknown and out of view of the cameras.
     blind: Vec<bool>,
-    /// Squared distance in cells to the nearest wall (occupied, or deep in unknown ground), and to
-    /// the nearest movable cell.
+    /// Squared distances in cells, to the nearest wall (an occupied cell, or one deep in unknown
+    /// ground) and to the nearest movable cell.
     walls: Vec<u32>,
     movable: Vec<u32>,
 }
@@ -139,12 +139,12 @@ impl Ground {
         self.blind[at]
     }
 
-    /// Squared distance to the nearest wall or cell deep in unknown ground, in cells.
+    /// Squared distance, in cells, to the nearest wall or cell deep in unknown ground.
     pub(super) fn to_wall(&self, at: usize) -> u32 {
         self.walls[at]
     }
 
-    /// Squared distance to the nearest movable cell, in cells.
+    /// Squared distance, in cells, to the nearest movable cell.
     pub(super) fn to_movable(&self, at: usize) -> u32 {
         self.movable[at]
     }
@@ -155,7 +155,7 @@ impl Ground {
         self.at(place).is_some_and(|at| f64::from(self.walls[at]) >= cells * cells)
     }
 
-    /// The cell that contains a position; `None` on the border and outside.
+    /// The index of the cell that contains a position; `None` on the border and outside.
     pub(super) fn at(&self, place: Point) -> Option<usize> {
         let column = (place.x / self.side_m).floor() - f64::from(self.first.0);
         let row = (place.y / self.side_m).floor() - f64::from(self.first.1);
@@ -212,8 +212,8 @@ struct Extent {
 }
 
 impl Extent {
-    /// The known tiles within `reach` of the middle tile, plus one tile more on each side, where
-    /// robots may stand to look at them.
+    /// The rectangle around the known tiles that are within `reach` tiles of `middle`, plus one
+    /// tile on each side, where robots may stand to look at them. `None` if no tile is known.
     fn of(fused: &ServedLayer, middle: (i32, i32), reach: i32) -> Option<Self> {
         let near = |id: &TileId| {
             (i32::from(id.x) - middle.0).abs() <= reach
@@ -234,8 +234,8 @@ impl Extent {
     }
 }
 
-/// The tile in the middle of the robots. It is the median, because a robot may report an absurd
-/// pose.
+/// The tile at the median of the robots' positions; the mean would follow a robot that reports an
+/// absurd pose.
 fn middle(trodden: &[Disc], side_m: f64) -> (i32, i32) {
     let tile_m = side_m * TILE_SIDE as f64;
     let median = |along: fn(&Disc) -> f64| {
@@ -261,8 +261,8 @@ fn squared_distances(marked: &[bool], width: usize) -> Vec<u32> {
         along_y[at] = along_y[at].min(along_y[at + width] + 1);
     }
     let mut squared = vec![0; marked.len()];
-    // The lower envelope of the parabolas of a row: each parabola with the column from which it is
-    // the lowest.
+    // The lower envelope of the parabolas of a row: the column of each parabola, and the first
+    // column in which it is the lowest.
     let mut lowest: Vec<(i64, i64)> = Vec::with_capacity(width);
     for (row, out) in along_y.chunks(width).zip(squared.chunks_mut(width)) {
         let height_at = |x: i64, column: i64| {
@@ -355,7 +355,7 @@ mod tests {
     }
 
     proptest! {
-        /// The oracle compares all pairs.
+        /// The oracle computes the distances between all pairs of cells.
         #[test]
         fn distances_are_exact(
             width in 1usize..14,

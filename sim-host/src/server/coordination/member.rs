@@ -13,18 +13,18 @@ pub(super) struct Member {
     pub(super) id: RobotId,
     /// Circumscribed radius in metres.
     pub(super) radius_m: f64,
-    /// Since when the robot has been unreachable.
+    /// When the robot became unreachable; `None` if it is reachable.
     pub(super) lost: Option<Instant>,
     /// Whether the robot explores while it has no goal.
     pub(super) explores: bool,
     /// The goal given by a user; it takes precedence over frontiers.
     pub(super) goal: Option<Point>,
     pub(super) target: Option<Target>,
-    /// When the robot was told to stop, to get another route from there.
+    /// When the robot was told to stop in order to get another route; `None` if it was not.
     pub(super) halted: Option<Instant>,
-    /// Since when a person has stood in the robot's way.
+    /// When a person began to block the robot's way.
     pub(super) held_up: Option<Instant>,
-    /// Since when the robot has waited for a route, and when the search is repeated.
+    /// When the robot began to wait for a route, and when the search is repeated.
     pub(super) waits_since: Option<Instant>,
     pub(super) retry: Instant,
     /// Whether [`Notice::NoWay`](super::situation::Notice::NoWay) was issued for the current goal.
@@ -79,13 +79,13 @@ impl Member {
         was_lost && robot.has_session
     }
 
-    /// How long the robot has been seen standing still.
+    /// Time for which the robot has been seen standing still.
     pub(super) fn still_for(&self) -> Duration {
         self.seen.since(self.still_since)
     }
 
-    /// How long no motion of the robot has been reported. Out of the cameras' view, a standing
-    /// robot does not repeat its pose, and a driving one reports it every 2 s.
+    /// Time since the robot was last known to move. Out of the cameras' view, a standing robot does
+    /// not repeat its pose, and a driving one reports it every 2 s.
     pub(super) fn unmoved_for(&self, now: Instant) -> Duration {
         now.since(self.still_since)
     }

@@ -1,7 +1,7 @@
 //! Reserves ground so that robots neither collide nor deadlock: no two robots hold the same place,
-//! and they never all wait for each other.
+//! and robots never wait for each other in a cycle.
 //!
-//! A robot states its whole route in advance and is granted it piece by piece. It holds the discs
+//! Each robot's whole route is known in advance, and is granted piece by piece. It holds the discs
 //! around the granted points that it has not passed yet. By the banker's algorithm (Dijkstra 1965;
 //! for vehicles Reveliotis 2000) a piece is granted only if the resulting state is safe: the robots
 //! can be ordered so that each in turn can drive its whole route, while those later in the order
@@ -18,7 +18,7 @@ use ubimap_protocol::message::MAX_WAYPOINTS;
 
 use super::{ground::Point, route::SPACING_M, settings::GrantingRules};
 
-/// A robot is located on its route among this number of points after its last position. Limited
+/// Number of points after a robot's last position on its route among which it is located. Limited
 /// because a route may cross itself.
 const SEARCHED_POINTS: usize = 8;
 
@@ -51,7 +51,8 @@ impl Claim {
         Self { position, disc_m, margin_m, points, corners, tail: 0, granted: 0, sent: 0 }
     }
 
-    /// Sets the radius. A robot without a destination holds only its own size.
+    /// Sets the robot's radius. A robot without a destination (`has_nowhere_to_go`) holds a disc
+    /// without margin.
     pub(super) fn set_radius(&mut self, radius_m: f64, has_nowhere_to_go: bool) {
         self.disc_m = if has_nowhere_to_go { radius_m } else { radius_m + self.margin_m };
     }
@@ -89,7 +90,7 @@ impl Claim {
         self.tail == self.granted
     }
 
-    /// Straight-line distance to the end of the granted part, in metres.
+    /// Straight-line distance from the robot to the end of the granted part, in metres.
     pub(super) fn to_grant_m(&self) -> f64 {
         (self.granted_end() - self.position).norm()
     }
@@ -124,9 +125,9 @@ impl Claim {
         self.points[at.min(self.points.len() - 1)]
     }
 
-    /// The corners of the granted part with its last point, if it is time to send them: enough
-    /// ground was granted that the robot does not know of, and it approaches the end of the part
-    /// that it knows. At most [`MAX_WAYPOINTS`].
+    /// The corners and the last point of the granted part, if it is time to send them: enough
+    /// points were granted since the last path, and the robot approaches the end of that path. At
+    /// most [`MAX_WAYPOINTS`].
     pub(super) fn poll_path(&mut self, rules: &GrantingRules) -> Option<Vec<Point>> {
         let known = self.sent.saturating_sub(self.tail);
         let more = self.granted.saturating_sub(self.sent);
@@ -141,13 +142,13 @@ impl Claim {
         Some(path.iter().map(|&at| self.points[at]).collect())
     }
 
-    /// Causes the path to be sent again, because the robot may have lost it.
+    /// Causes the path to be sent again, because the robot may not have received it.
     pub(super) fn forget_sent(&mut self) {
         self.sent = self.tail;
     }
 
     /// Updates the robot's position and releases the ground that it has passed. A robot that has
-    /// finished beside its end holds its position instead of the end.
+    /// finished beside the end of its route holds its position instead of the end.
     pub(super) fn advance(&mut self, position: Point) {
         self.position = position;
         let off = |at: &usize| (self.points[*at] - position).norm();
@@ -158,7 +159,7 @@ impl Claim {
         }
     }
 
-    /// Moves the robot to the end of the granted part.
+    /// Sets the robot's place on the route to the end of the granted part.
     pub(super) fn arrive(&mut self) {
         self.tail = self.granted;
     }
@@ -174,7 +175,7 @@ impl Claim {
         self.corners.push(self.granted);
     }
 
-    /// Appends a route, by its corners, to the end of the granted part.
+    /// Replaces the route beyond the granted part by a new one, given by its corners.
     fn set_route(&mut self, corners: &[Point]) {
         self.drop_ahead();
         self.points.drain(..self.tail);
@@ -198,14 +199,15 @@ impl Claim {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reservations {
     claims: Vec<Claim>,
-    /// Whether one robot (row) must go before another (column), row by row.
+    /// For each pair of robots, whether the one (row) must go before the other (column), row by
+    /// row.
     precedes: Vec<bool>,
 }
 
-/// Why a robot's grant was not extended.
+/// What limited the extension of a robot's grant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Held {
-    /// The grant was extended as requested.
+    /// Nothing: the grant was extended as requested.
     NotAtAll,
     /// Another robot holds the next place, or must go there first.
     ByRobots,
@@ -262,7 +264,7 @@ impl Reservations {
         }
     }
 
-    /// Whether a robot must go before others that must go before it.
+    /// Whether a robot is on a cycle of precedences, so that it must, indirectly, go before itself.
     pub(super) fn is_on_cycle(&self, robot: usize) -> bool {
         let count = self.claims.len();
         let mut seen = vec![false; count];
@@ -281,14 +283,15 @@ impl Reservations {
         false
     }
 
-    /// Appends a route, by its corners, to the end of a robot's grant, without checks. The
-    /// precedences are invalid until [`Self::order_anew`].
+    /// Replaces a robot's route beyond its grant by a new one, given by its corners, without
+    /// checks. The precedences are invalid until [`Self::order_anew`].
     pub(super) fn plan(&mut self, robot: usize, corners: &[Point]) {
         self.claims[robot].set_route(corners);
     }
 
-    /// Appends routes, by their corners, to the ends of the robots' grants, if all robots can then
-    /// still finish; all or none. Returns whether it did.
+    /// Replaces the robots' routes beyond their grants by new ones, given by their corners, if all
+    /// robots can then still finish. Either all routes are replaced or none; returns whether they
+    /// were.
     pub(super) fn admit(&mut self, routes: &[(usize, Vec<Point>)]) -> bool {
         let before = self.clone();
         for (robot, corners) in routes {
@@ -302,8 +305,8 @@ impl Reservations {
         is_safe
     }
 
-    /// Grants a robot its route up to a distance ahead of it in metres, while that is safe and no
-    /// place is held by another robot or `taken`. Returns what stopped it.
+    /// Extends a robot's grant up to `metres` ahead of it, as far as that is safe and no place is
+    /// held by another robot or `taken`. Returns what limited it.
     pub(super) fn extend(
         &mut self,
         robot: usize,
@@ -405,8 +408,8 @@ mod tests {
         assert_eq!(all.extend(0, 9.0, |_| false), Held::NotAtAll);
     }
 
-    /// Robots at random places with random routes: in whatever order ground is granted, all robots
-    /// can finish, and driving terminates.
+    /// Robots at random places with random routes. In any order of granting ground, all robots must
+    /// finish after a finite number of steps.
     fn check_progress(starts: &[(f64, f64)], ends: &[(f64, f64)], turns: &[usize]) {
         let mut places: Vec<Point> = Vec::new();
         for &(x, y) in starts {

@@ -15,9 +15,9 @@ const LEAVING: u32 = 16;
 
 /// Length of a straight step in fifths of a cell.
 const STRAIGHT: u32 = 5;
-/// Length of a diagonal step in fifths of a cell: 1 % too short.
+/// Length of a diagonal step in fifths of a cell; 1 % shorter than exact.
 const DIAGONAL: u32 = 7;
-/// Steps to neighbours: columns, rows and length.
+/// Steps to the neighbouring cells: columns, rows, and length in fifths of a cell.
 const NEIGHBOURS: [(isize, isize, u32); 8] = [
     (1, 0, STRAIGHT),
     (0, 1, STRAIGHT),
@@ -30,8 +30,8 @@ const NEIGHBOURS: [(isize, isize, u32); 8] = [
 ];
 /// Maximum cost factor of a cell.
 const MAX_WEIGHT: u8 = 63;
-/// Upper bound for the increase of a route's estimated cost by one step: [`MAX_WEIGHT`] times a
-/// diagonal step, plus the diagonal step of the estimate.
+/// Number of buckets of the queue. It exceeds the largest increase of a route's estimated total
+/// cost in one step: [`MAX_WEIGHT`] times a diagonal step, plus the change of the estimate.
 const BUCKETS: usize = 512;
 const _: () = assert!(((MAX_WEIGHT + ROOMY) as u32 * DIAGONAL) < BUCKETS as u32);
 /// Maximum distance between consecutive points of a route, in metres.
@@ -50,8 +50,8 @@ impl<'a> Terrain<'a> {
     /// The ground for a robot that needs `room_m` around its centre, in metres.
     pub(super) fn new(ground: &'a Ground, room_m: f64, settings: &Settings) -> Self {
         let costs = &settings.costs;
-        // From the centre of a cell to the centre of an occupied one. The nearer half of the
-        // occupied cell counts as wall.
+        // Squared distance, in cells, between the centres of a cell and of an occupied one. Half a
+        // cell is added, because the wall begins at the edge of the occupied cell.
         let squared = |metres: f64| {
             let cells = metres / ground.side_m() + 0.5;
             (cells * cells).ceil() as u32
@@ -89,7 +89,8 @@ impl<'a> Terrain<'a> {
         self.weights[at] != SHUT
     }
 
-    /// The cheapest routes from a place to all cells. Cost: a few milliseconds for 100,000 cells.
+    /// The cheapest routes from a place to all cells. `None` if the place is outside of the ground.
+    /// Cost: a few milliseconds for 100,000 cells.
     pub(super) fn everywhere(&self, from: Point) -> Option<Ways<'_>> {
         Some(self.search(self.ground.at(from)?, |_| 0, |_| false).0)
     }
@@ -121,7 +122,8 @@ impl<'a> Terrain<'a> {
     }
 
     /// Dijkstra's search, or A* with a non-zero estimate, up to the first cell for which `will_do`
-    /// is true. The queue consists of buckets, because all costs are small integers (Dial 1969).
+    /// is true. Returns the routes found so far, and that cell. The queue consists of buckets,
+    /// because all costs are small integers (Dial 1969).
     fn search(
         &self,
         start: usize,
@@ -169,7 +171,8 @@ impl<'a> Terrain<'a> {
         (Ways { terrain: self, start, costs, towards_start }, found)
     }
 
-    /// From ground with too little clearance, a robot may only move towards more clearance.
+    /// Cost factor of a step from the cell `at` to `next`; `None` if it is not allowed. On ground
+    /// with too little clearance, a robot may only move towards more clearance.
     fn weight_of_step(&self, at: usize, next: usize) -> Option<u32> {
         match *self.weights.get(next)? {
             SHUT if self.weights[at] == SHUT => {
@@ -229,7 +232,7 @@ impl Ways<'_> {
         )
     }
 
-    /// The corners of the route between two places, of which `from` is in the start cell.
+    /// The corners of the route from `from`, which is in the start cell, to `to`.
     fn route(&self, from: Point, to: Point) -> Option<Vec<Point>> {
         let goal = self.terrain.ground.at(to).filter(|goal| self.costs[*goal] < u32::MAX)?;
         let mut cells = vec![goal];

@@ -26,7 +26,8 @@ impl Coordinator {
         }
     }
 
-    /// Finds routes for robots without one: first for users' goals, then by waiting time.
+    /// Finds routes for robots without one. Robots with a goal from a user come first, then those
+    /// that have waited longest.
     pub(super) fn find_routes(&mut self, now: Instant) {
         let (rates, following) = (self.settings.rates, self.settings.following);
         let is_waiting = |index: &usize| {
@@ -97,7 +98,7 @@ impl Coordinator {
         }
     }
 
-    /// The ground for one robot. Places of robots that can't be sent away are closed; those of
+    /// The ground as one robot can cross it. Places of unreachable robots are closed; those of
     /// other standing robots cost more.
     pub(super) fn terrain<'a>(&self, ground: &'a Ground, index: usize) -> Terrain<'a> {
         let (member, mine) = (&self.members[index], self.reservations.claim(index));
@@ -128,7 +129,7 @@ impl Coordinator {
         claims.filter(move |(other, claim)| *other != index && claim.is_all_granted())
     }
 
-    /// Grants robots more of their routes, with a rotating first robot.
+    /// Grants robots more of their routes. Another robot comes first each time.
     pub(super) fn grant(&mut self, now: Instant) {
         let rules = self.settings.granting;
         let count = self.members.len();

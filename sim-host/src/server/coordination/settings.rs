@@ -94,8 +94,8 @@ pub struct Clearances {
     /// From walls, for planning: the 3 cm that a robot's own driver keeps, plus the error of walls
     /// drawn in cells of 5 cm.
     pub wall_m: f64,
-    /// Additional clearance from which ground counts as open. Other ground costs more, so that
-    /// routes keep off walls where possible.
+    /// Minimum additional clearance of ground that counts as open. Ground with less costs more, so
+    /// that routes keep away from walls where possible.
     pub spare_m: f64,
     /// From the points of its route, for reservations: drivers cut corners, and poses are a few
     /// centimetres off.
@@ -119,22 +119,23 @@ pub struct FollowingRules {
     /// A robot that stops within this distance of the end of its path has arrived, in metres:
     /// drivers stop short of an obstacle at the end.
     pub arrived_m: f64,
-    /// Maximum movement of a robot that stands still, in metres: above the noise of its poses.
+    /// Maximum movement of a robot that counts as standing still, in metres. It exceeds the noise
+    /// of poses.
     pub still_m: f64,
     /// Distance from its route at which a robot gets a new one, in metres.
     pub astray_m: f64,
-    /// A report about the end of a path refers to the newest path if that was sent at least this
-    /// long ago; before that it may be about the previous one, and in flight.
+    /// A report of a reached end refers to the newest path if that was sent at least this long ago.
+    /// Earlier, the report may be about the previous path and may have been in flight.
     pub in_flight: Duration,
     /// A robot that should drive but was seen standing for this long is stuck. Drivers wait 3 s for
     /// their way to clear before they try another one.
     pub stalled: Duration,
-    /// Like `stalled`, for a robot out of the cameras' view. Pose reports come every 2 s, so seven
-    /// in a row showed no motion or were lost.
+    /// Like `stalled`, for a robot out of the cameras' view. Such a robot reports its pose every 2
+    /// s, so seven reports in a row showed no motion or were lost.
     pub unmoved: Duration,
     /// Time for a robot to receive a stop over a lossy link and to brake.
     pub halting: Duration,
-    /// After `halting` it must be seen standing for this long.
+    /// Time for which the robot must be seen standing, after `halting`.
     pub halted: Duration,
     /// Time until a robot out of view has reported that it stands: `halting` plus the 2 s report
     /// interval.
@@ -172,13 +173,13 @@ pub struct GrantingRules {
     pub ahead_m: f64,
     /// How long a robot waits behind a person before it takes another way.
     pub patience: Duration,
-    /// Number of points ahead that a robot knows, at or below which it is sent more.
+    /// A robot is sent more points when it knows at most this number of points ahead.
     pub low_points: usize,
     /// Minimum number of points to send, unless they are the rest of the route: fewer are not worth
     /// a message.
     pub least_points: usize,
-    /// Number of points ahead that a robot knows, at or below which it is sent whatever is granted,
-    /// because it would have to brake.
+    /// A robot is sent all granted points, even fewer than `least_points`, when it knows at most
+    /// this number of points ahead, because it would have to brake.
     pub urgent_points: usize,
 }
 
@@ -194,7 +195,7 @@ impl Default for GrantingRules {
     }
 }
 
-/// Cost factors of ground, relative to 2 for open ground; at most 63.
+/// Cost factors of ground. Open ground has the factor 2; the maximum is 63.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CrossingCosts {
     /// Cost of ground with little clearance: 1.5 times that of open ground.
@@ -227,12 +228,12 @@ impl Default for CrossingCosts {
 /// Which part of the map is surveyed, and what is passable at its edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurveyRules {
-    /// Maximum distance of surveyed tiles from the middle robot: 40 tiles are 64 m with 5 cm cells.
-    /// Bounds the memory that a stray tile can cost.
+    /// Maximum distance of surveyed tiles from the median of the robots' positions: 40 tiles are 64
+    /// m with 5 cm cells. Bounds the memory that a stray tile can cost.
     pub reach_tiles: i32,
-    /// Unknown cells at most this far from free ones are passable. Little can hide there, and a
-    /// robot stops before obstacles that it sees; otherwise every narrow passage would be closed
-    /// until all cells around it are known.
+    /// Unknown cells at most this number of cells from free ones are passable. Otherwise every
+    /// narrow passage would be closed until all cells around it are known. Only small things can be
+    /// hidden there, and a robot stops before obstacles that it sees.
     pub edge_cells: u32,
 }
 
@@ -249,10 +250,11 @@ pub struct FrontierRules {
     pub least_cells: usize,
     /// Maximum extent of a piece of a frontier, in metres, so that robots can share a long one.
     pub piece_m: f64,
-    /// Minimum ground revealed by a frontier, in square metres; less is not worth a drive.
+    /// Minimum area of ground that looking at a frontier reveals, in square metres; less is not
+    /// worth a drive.
     pub least_gain_m2: f64,
-    /// Spacing of the cells through which a frontier is looked at, in metres: there may be no room
-    /// to stand on one side of it.
+    /// Spacing, in metres, of the frontier's cells for which viewpoints are sought: there may be no
+    /// room to stand opposite some of them.
     pub through_m: f64,
     /// Minimum distance between a robot and the frontier it looks at, in metres: depth sensors are
     /// blind at close range.
@@ -281,15 +283,15 @@ pub struct ViewpointCosts {
     /// Cost per metre between the viewpoint and the frontier. Above 1, so that the last viewpoint
     /// on a straight way is the best.
     pub away: f64,
-    /// Penalty without a known surface behind the frontier: a sensor may get no echo there.
+    /// Penalty if no wall is known behind the frontier: a sensor may get no echo there.
     pub unbacked_m: f64,
-    /// Cost of a turn by one radian: it takes as long as this many metres.
+    /// Cost of a turn by one radian: the distance that a robot drives in the same time.
     pub turn_m: f64,
-    /// Penalty where others have to pass, because the robot would have to wait for them.
+    /// Penalty for a place where the robot would block others and has to wait for them.
     pub wait_m: f64,
     /// Up to this distance, in metres, no turn is needed.
     pub here_m: f64,
-    /// Minimum distance, in metres, that a robot drives to see something different.
+    /// Minimum distance, in metres, that a robot must drive to see something different.
     pub afresh_m: f64,
 }
 
@@ -302,7 +304,7 @@ impl Default for ViewpointCosts {
 /// How frontiers are distributed among robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExplorationRules {
-    /// Driving distance that a square metre of unknown ground is worth, in metres.
+    /// Driving distance, in metres, that a square metre of unknown ground is worth.
     pub worth_m: f64,
     /// Frontiers with less driving distance between them, in metres, are better left to one robot:
     /// two would be in each other's way.
@@ -320,7 +322,7 @@ pub struct ExplorationRules {
     pub most_looks: usize,
     /// Time for which other robots may block the way before a robot gives up a frontier.
     pub patience: Duration,
-    /// Time for which the robot does not try that frontier again.
+    /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
 }
 

@@ -101,7 +101,7 @@ impl Whereabouts {
 /// A person or a moving thing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Passer {
-    /// The ground that it occupies now, in half a second and in a second.
+    /// The ground that the thing occupies now, in half a second and in a second.
     pub(super) discs: [Disc; 3],
 }
 
@@ -117,7 +117,7 @@ impl Passer {
         }
     }
 
-    /// Whether a disc around a place touches any of these.
+    /// Whether a disc of radius `radius_m` around a place overlaps any of these discs.
     pub(super) fn is_near(&self, place: Point, radius_m: f64) -> bool {
         self.discs.iter().any(|it| (it.centre - place).norm() < it.radius + radius_m)
     }

@@ -1,4 +1,4 @@
-//! Targets: a frontier that a robot is sent to look at, and one that it failed to see.
+//! Targets: frontiers that robots are sent to look at, and those that they failed to see.
 
 use ubimap_protocol::time::{Duration, Instant};
 
@@ -23,19 +23,19 @@ impl Target {
         Self { frontier, view, reached: None, looked: None }
     }
 
-    /// Whether the robot has looked at the frontier at least `arrives` ago, so that its tiles have
+    /// Whether the robot looked at the frontier at least `arrives` ago, so that its tiles have
     /// arrived.
     pub(super) fn is_heard_of(&self, arrives: Duration, now: Instant) -> bool {
         self.looked.is_some_and(|looked| now.since(looked) >= arrives)
     }
 }
 
-/// A frontier that could not be seen from a viewpoint, or not be reached.
+/// A frontier that could not be reached, or not be seen from a viewpoint.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tried {
     frontier: Point,
     view: Point,
-    /// When it may be tried again.
+    /// When the frontier may be tried again from this viewpoint.
     pub(super) until: Instant,
 }
 
@@ -44,12 +44,12 @@ impl Tried {
         Self { frontier: target.frontier, view: target.view, until }
     }
 
-    /// Whether this is the frontier at this position, within a radius in metres.
+    /// Whether the frontier is within `radius_m` metres of the position `frontier`.
     pub(super) fn is_of(&self, frontier: Point, radius_m: f64) -> bool {
         (self.frontier - frontier).norm() <= radius_m
     }
 
-    /// The disc of viewpoints that count as equal to the failed one; its radius is in metres.
+    /// The disc, of `radius_m` metres, in which viewpoints count as equal to the failed one.
     pub(super) fn views(&self, radius_m: f64) -> Disc {
         Disc { centre: self.view, radius: radius_m }
     }

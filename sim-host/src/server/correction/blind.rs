@@ -1,4 +1,4 @@
-//! Localises a robot in blind ground by its distance vectors.
+//! Localises a robot in blind ground (out of the cameras' view) by its distance vectors.
 
 use ubimap_protocol::{
     message::DistanceVector,
@@ -11,8 +11,8 @@ use crate::{
     server::shared_map::SharedMap,
 };
 
-/// Minimum age in seconds of the robot's own cells that are used to localise it: newer cells can
-/// only agree with its current estimate.
+/// Minimum age in seconds of the robot's own cells that are used to localise it: newer cells were
+/// drawn from the pose estimate that is to be checked.
 const OWN_AGE: u32 = 30;
 /// Odometry drift per square root of a metre or a radian: standard deviations in millimetres and
 /// radians.
@@ -24,28 +24,31 @@ const UNHEARD_M: f64 = 6.0;
 /// The time that a robot spends out of the cameras' view.
 #[derive(Debug)]
 pub(super) struct BlindTrip {
-    /// The surfaces that the robot has seen in this time.
+    /// The surfaces that the robot has seen during the trip.
     trail: Trail,
     /// The pose that the robot last reported.
     last: Pose,
-    /// Distance driven and angle turned since the robot's pose was last known.
+    /// Distance driven in millimetres, and angle turned in radians, since the last match.
     way_mm: f64,
     turned: f64,
 }
 
 impl BlindTrip {
-    /// Starts for a robot that was last at `last` and has been out of view for `unseen`.
+    /// Starts the trip of a robot whose reported pose is `last` and that has been out of view for
+    /// `unseen`.
     pub(super) fn after(unseen: Duration, last: Pose) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
         Self { trail: Trail::default(), last, way_mm: 1_000.0 * metres, turned: 0.0 }
     }
 
-    /// Adds to the trail if the robot has only just left the view and its pose is still accurate.
+    /// Adds points to the trail. Called while the robot has only just left the view, so that its
+    /// pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
         self.trail.add(pose, points, resolution);
     }
 
-    /// Finds the pose from which the robot sees the given points.
+    /// Finds the pose from which the robot saw the points of a distance vector, and adds them to
+    /// the trail. `None` without a unique match.
     pub(super) fn locate(
         &mut self,
         robot: RobotId,
@@ -75,7 +78,7 @@ impl BlindTrip {
         found
     }
 
-    /// Moves on to the next reported pose. Returns the search range around it.
+    /// Adds the motion since the last reported pose. Returns the search range around the new one.
     fn go(&mut self, to: Pose) -> Search {
         let (x, y) = (to.x - self.last.x, to.y - self.last.y);
         self.way_mm += f64::from(x.0).hypot(f64::from(y.0));
@@ -94,7 +97,7 @@ impl BlindTrip {
     }
 }
 
-/// Radius of the map around a robot that is needed for a search.
+/// Radius of the section of the map around a robot that a search needs.
 pub(super) fn reach(points: &[[f64; 2]], search: Search) -> Millimetres {
     let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     Millimetres(farthest as i32 + search.position.0 + 300)

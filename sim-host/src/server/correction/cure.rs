@@ -16,7 +16,7 @@ use crate::{mapping::ConstantErrors, server::command::FIRST_OWN_NUMBER};
 /// Time for a robot's filter to follow a correction of its fixes.
 const SETTLING: Duration = Duration::from_secs(3);
 /// Margin for epochs that a robot has used without the server's knowledge: the robot starts an
-/// epoch with each tile that leaves its pool.
+/// epoch whenever a tile leaves its pool.
 const EPOCHS_AHEAD: u32 = 4_096;
 /// Maximum first epoch that a robot is given.
 const LAST_EPOCH: u32 = 1 << 30;
@@ -56,7 +56,7 @@ pub(super) enum CureStep {
 }
 
 impl Cure {
-    /// The first epoch that the robot was given, while its answer is due.
+    /// The first epoch that the robot was told to use, until it answers.
     pub(super) fn retiring(&self) -> Option<Epoch> {
         match *self {
             Self::Retiring { epoch, .. } => Some(Epoch(epoch as u32)),
@@ -64,8 +64,8 @@ impl Cure {
         }
     }
 
-    /// The next step, if one is due. `next` is the lowest epoch that the robot has not used as far
-    /// as the server knows.
+    /// The next step, if one is due. `next` is the first epoch after all that the robot is known to
+    /// have used.
     pub(super) fn poll(
         &mut self,
         errors: &mut ConstantErrors,
@@ -128,14 +128,15 @@ impl Cure {
             }
             Self::Retiring { number, epoch } if number == report.number => {
                 *self = Self::None;
-                // A robot that names another epoch would void tiles to come.
+                // If the robot reports another epoch, voiding could concern tiles that it will
+                // still send.
                 (value == Some(epoch)).then_some(CureStep::Retire(Epoch(epoch as u32)))
             }
             _ => None,
         }
     }
 
-    /// Starts again after the robot has refused the parameter.
+    /// Ends the cure after the robot has refused the parameter, and discards the measurements.
     fn give_up(&mut self, errors: &mut ConstantErrors) -> CureStep {
         *self = Self::None;
         errors.remounted(Angle(0));

@@ -1,5 +1,6 @@
-//! Corrections from robots' fixes and distance vectors: constant errors of identifiers and sensors,
-//! estimated on covered ground, and poses in blind ground, matched with the map.
+//! Corrections from robots' fixes and distance vectors: on covered ground, constant errors of
+//! identifiers and sensors are estimated; in blind ground, robots are localised by matching with
+//! the map.
 
 mod blind;
 mod cure;
@@ -24,9 +25,9 @@ use crate::mapping::{ConstantErrors, CureRecord};
 #[derive(Debug, Default)]
 pub(super) struct Corrections {
     robots: BTreeMap<RobotId, RobotCorrection>,
-    /// Robots with an unprocessed distance vector, in order, each once.
+    /// Robots with an unprocessed distance vector, in order of arrival, each once.
     waiting: VecDeque<RobotId>,
-    /// Turned off for comparisons.
+    /// Whether the corrections are turned off, for comparisons.
     are_off: bool,
 }
 
@@ -41,8 +42,8 @@ impl Corrections {
         self.robots.get(&robot).map(RobotCorrection::errors)
     }
 
-    /// The first epoch of a robot's new tiles, while the robot has been told it and its earlier
-    /// epochs are not void yet.
+    /// The first epoch of a robot's new tiles, from when the robot is told it until its earlier
+    /// epochs are void.
     pub(super) fn retiring(&self, robot: RobotId) -> Option<Epoch> {
         self.robots.get(&robot)?.retiring()
     }
@@ -53,12 +54,12 @@ impl Corrections {
         self.waiting.retain(|waiting| *waiting != robot);
     }
 
-    /// Restores the corrections of an earlier life of the server.
+    /// Restores a robot's corrections from an earlier run of the server.
     pub(super) fn restore(&mut self, record: &CureRecord) {
         self.robots.insert(record.robot, RobotCorrection::of(record));
     }
 
-    /// Adds a camera fix of a robot; returns its corrected pose.
+    /// Adds a camera fix of a robot; returns the corrected pose.
     pub(super) fn fix(&mut self, robot: RobotId, captured: Instant, seen: Pose) -> Pose {
         self.robots.entry(robot).or_default().fix(captured, seen)
     }
@@ -68,7 +69,7 @@ impl Corrections {
         self.waiting.pop_front()
     }
 
-    /// Whether [`Corrections::poll_waiting`] would return one.
+    /// Whether [`Corrections::poll_waiting`] would return a robot.
     pub(super) fn has_waiting(&self) -> bool {
         !self.waiting.is_empty()
     }
@@ -92,8 +93,9 @@ impl Corrections {
         }
     }
 
-    /// Queues the robot's newest distance vector for processing, and advances its cure by its
-    /// parameter reports unless it must wait. Returns the cure's progress, if any.
+    /// Queues the robot's newest distance vector for processing, and advances its cure, unless
+    /// `is_held_up`: then the cure's last progress is not on disk yet. Returns the new progress to
+    /// store, if any.
     pub(super) fn advance(
         &mut self,
         session: &mut Session,

@@ -28,12 +28,12 @@ const IN_VIEW: Search = Search {
 /// Minimum interval between processed distance vectors of a robot; robots send one per second.
 const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 
-/// The result of a distance vector.
+/// The result of processing a distance vector.
 pub(super) enum Finding {
     /// A unique match with the map in blind ground.
     Fix(PoseFix),
-    /// The robot is in view: the number of its points on surfaces that cameras see, and the number
-    /// in free ground.
+    /// The robot is in view. Contains the number of its points on surfaces that cameras see, and
+    /// the number in free ground.
     Agreement(u32, u32),
 }
 
@@ -62,7 +62,7 @@ impl RobotCorrection {
         &self.errors
     }
 
-    /// The first epoch that the robot has been told, while its earlier epochs are not void yet.
+    /// The first epoch that the robot was told to use, until its earlier epochs are void.
     pub(super) fn retiring(&self) -> Option<Epoch> {
         self.cure.retiring()
     }
@@ -110,7 +110,8 @@ impl RobotCorrection {
         Some(Finding::Fix(fix_of(&found, vector.time)))
     }
 
-    /// The robot's pose at a given time, interpolated between camera fixes.
+    /// The robot's pose at a given time, interpolated between camera fixes. `None` without fixes
+    /// shortly before and after.
     fn seen_at(&self, moment: Instant) -> Option<Pose> {
         let after = self.fixes.iter().position(|&(fix, _)| fix >= moment)?;
         let (to, end) = self.fixes[after];
@@ -127,9 +128,9 @@ impl RobotCorrection {
         Some(Pose { x: mix(start.x, end.x), y: mix(start.y, end.y), heading: start.heading + turn })
     }
 
-    /// Matches a distance vector from a known pose with what the cameras see. The rotation is a
-    /// measurement of the constant errors. The difference that remains decides how well robot and
-    /// cameras agree.
+    /// Matches a distance vector from a known pose with what the cameras see. The rotation of the
+    /// match is a measurement of the constant errors. The points that are then still off the
+    /// surfaces count as contradictions between robot and cameras.
     fn compare(
         &mut self,
         points: &[[f64; 2]],
@@ -151,8 +152,8 @@ impl RobotCorrection {
         Finding::Agreement(agree, contradict)
     }
 
-    /// The next step of a correction. `next` is the lowest epoch that the robot has not used as far
-    /// as the server knows.
+    /// The next step of the cure, if one is due. `next` is the first epoch after all that the robot
+    /// is known to have used.
     pub(super) fn poll_cure(&mut self, next: Epoch, now: Instant) -> Option<CureStep> {
         let step = self.cure.poll(&mut self.errors, next, now);
         if matches!(step, Some(CureStep::IdentifierCorrected)) {
@@ -172,8 +173,8 @@ impl RobotCorrection {
     }
 }
 
-/// Converts a match with the map to a fix. A fix has no correlations, so its deviations are
-/// conservative.
+/// Converts a match with the map to a fix. A fix carries no correlations between x, y and heading,
+/// only their deviations, rounded up.
 fn fix_of(found: &Match, time: Instant) -> PoseFix {
     let [x, y, heading] = found.deviations();
     // The casts saturate.

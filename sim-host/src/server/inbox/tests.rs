@@ -45,7 +45,8 @@ fn a_digest_that_differs_is_repaired() {
     tile.set(3, 3, Cell::Occupied);
     let (hash, other) = (tile_hash(&tile), tile_hash(&Tile::UNKNOWN));
     let there = TileId { x: 9, ..ID };
-    // The digest, whether the server requests the tile, and whether it keeps the state that it holds.
+    // Layer, tile, stamp and hash of the digest, whether the server requests the tile, and whether
+    // it keeps its own state of the tile.
     let cases = [
         (Layer::Robot, ID, HELD, hash, false, true),
         (Layer::Robot, ID, HELD, other, true, false),

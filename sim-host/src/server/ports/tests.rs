@@ -43,7 +43,7 @@ fn drain(server: &mut Server, now: Instant) -> usize {
     std::iter::from_fn(|| server.poll_transmit(0, now, &mut out)).count()
 }
 
-/// An old Hello must not lock out the robot whose session it ended.
+/// A late copy of a Hello ends the robot's session, but must not lock out the robot.
 #[test]
 fn a_session_opened_by_an_old_hello_is_reset() {
     let mut server = Server::new(TERMS, 1);
@@ -73,7 +73,7 @@ fn a_new_session_cancels_a_pending_reset() {
     assert_eq!(server.poll_timeout(0, Instant(2)), None);
 }
 
-/// A robot moved to another port gets its commands again, and its reports are not lost.
+/// A robot that moved to another port gets its commands again, and its reports are not lost.
 #[test]
 fn the_session_of_a_closed_port_continues_on_another() {
     let mut server = Server::new(TERMS, 1);
@@ -108,7 +108,7 @@ impl Robot {
         Self { port, nonce, link: Endpoint::new(), refusal: None }
     }
 
-    /// Says Hello and reads the answer.
+    /// Sends a Hello and reads the answer.
     fn knock(&mut self, server: &mut Server, now: Instant) {
         server.receive(self.port, &hello(self.nonce), now).unwrap();
         let mut out = [0; MAX_FRAME];
@@ -131,7 +131,7 @@ impl Robot {
         }
     }
 
-    /// Reports a state that is unmistakably its own.
+    /// Reports a state that contains the robot's nonce, to tell it from those of other robots.
     fn report(&mut self, server: &mut Server, now: Instant) {
         let state = State { time: None, pose: None, odometry: None, cells_refused: self.nonce };
         let mut out = [0; MAX_FRAME];
@@ -147,7 +147,7 @@ fn seconds(count: u64) -> Instant {
     Instant(0) + Duration::from_secs(count)
 }
 
-/// The nonce of the robot whose report came last.
+/// The nonce of the robot that reported last.
 fn reported(server: &Server) -> Option<u32> {
     server.state(RobotId(1)).map(|state| state.cells_refused)
 }
@@ -183,7 +183,7 @@ fn a_rebooted_robot_takes_over_at_once() {
     before.report(&mut server, seconds(1));
     let mut after = Robot::new(0, 6);
     after.knock(&mut server, seconds(2));
-    // The same Welcome again, while others are offered sessions.
+    // A repeated Hello gets the same Welcome again, although others are offered sessions.
     let offered = after.link.session();
     Robot::new(0, 7).knock(&mut server, seconds(2));
     after.knock(&mut server, seconds(2));
@@ -220,7 +220,8 @@ fn one_robot_too_many_is_refused_by_name() {
 
 #[test]
 fn of_two_robots_with_one_number_the_living_one_keeps_it() {
-    // Behind another port it is refused by name, until the first one has fallen silent.
+    // On another port, the second robot is refused because its number is in use, until the first
+    // one has fallen silent.
     let mut server = Server::new(TERMS, 2);
     let (mut first, mut second) = (Robot::new(0, 5), Robot::new(1, 6));
     first.knock(&mut server, seconds(0));
@@ -234,7 +235,7 @@ fn of_two_robots_with_one_number_the_living_one_keeps_it() {
     second.report(&mut server, later);
     assert_eq!((second.refusal, reported(&server)), (None, Some(6)));
 
-    // Behind the same port it gets no hearing.
+    // On the same port, the second robot gets no session.
     let mut server = Server::new(TERMS, 1);
     let (mut first, mut second) = (Robot::new(0, 5), Robot::new(0, 6));
     first.knock(&mut server, seconds(0));

@@ -6,8 +6,8 @@ use ubimap_protocol::time::{Duration, Instant};
 
 /// Maximum number of bytes in any second.
 const BYTES_PER_SECOND: u64 = 2_000;
-/// Reserve for one frame and a few fixes: messages that can wait are sent only if this much of the
-/// budget is left.
+/// Reserve in bytes for one frame and a few fixes. Messages that can wait are sent only if at least
+/// this reserve is left of the budget.
 const FRAME: u64 = 400;
 /// The period of the budget.
 const SECOND: Duration = Duration::from_secs(1);
@@ -15,7 +15,7 @@ const SECOND: Duration = Duration::from_secs(1);
 /// The bytes sent within the last second. Urgent messages count, too, but may exceed the budget.
 #[derive(Debug)]
 pub(super) struct Budget {
-    /// One-time bonus in bytes when the robot joins.
+    /// One-time bonus that is left, in bytes; granted when the session begins.
     credit: u64,
     sent: VecDeque<(Instant, u64)>,
 }
@@ -27,8 +27,8 @@ impl Default for Budget {
 }
 
 impl Budget {
-    /// The earliest time at which another frame is within the budget, provided that nothing urgent
-    /// is sent before.
+    /// The earliest time at which another frame is within the budget, if nothing urgent is sent
+    /// until then.
     pub(super) fn ready_at(&self) -> Instant {
         let mut left = BYTES_PER_SECOND - FRAME;
         for &(moment, bytes) in self.sent.iter().rev() {

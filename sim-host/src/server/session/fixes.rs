@@ -7,8 +7,8 @@ use ubimap_protocol::{
 
 use crate::camera::Sighting;
 
-/// Minimum interval between messages with fixes, however many cameras see the robot; each message
-/// also carries earlier fixes.
+/// Minimum interval between messages with camera fixes, for any number of cameras that see the
+/// robot. Each message also carries earlier fixes.
 const INTERVAL: Duration = Duration::from_millis(60);
 
 /// Fixes from cameras and from map matches.
@@ -18,12 +18,12 @@ pub(super) struct Fixes {
     /// Whether the newest fix has not been sent.
     is_due: bool,
     next: Instant,
-    /// A fix from a match with the map.
+    /// A fix from a match with the map, until it is sent.
     matched: Option<PoseFix>,
 }
 
 impl Fixes {
-    /// Adds a camera fix, unless it is older than another one.
+    /// Adds a camera fix, unless it is not newer than the newest one.
     pub(super) fn add(&mut self, moment: Instant, sighting: Sighting) {
         if self.newest_first.first().is_some_and(|&(newest, _)| newest >= moment) {
             return;
@@ -75,7 +75,7 @@ impl Fixes {
     }
 }
 
-/// The certainty of the least certain of several fixes.
+/// For each axis, the certainty of the least certain of several fixes.
 fn least_certain(fixes: &[(Instant, Sighting)]) -> Certainty {
     fixes.iter().fold(Certainty::default(), |least, (_, Sighting { certainty, .. })| Certainty {
         x: least.x.max(certainty.x),

@@ -1,4 +1,4 @@
-//! The server's side of the conversation with one robot: one file per subject.
+//! The server's side of a session with one robot, with one file per subject.
 
 mod budget;
 mod fixes;
@@ -44,11 +44,11 @@ pub(super) struct Session {
     robot: RobotId,
     /// The nonce of the Hello that opened it.
     nonce: u32,
-    /// When the last frame of the session was received.
+    /// When the last frame of the session was received, or when the session was opened.
     heard: Instant,
-    /// Whether there was any.
+    /// Whether any frame of the session was received.
     is_heard: bool,
-    /// The nonce of the robot's last session before this one of which a frame was received.
+    /// The nonce of the robot's last session, before this one, in which a frame was received.
     earlier: Option<u32>,
     said: Said,
     fixes: Fixes,
@@ -61,7 +61,7 @@ pub(super) struct Session {
 
 /// Input.
 impl Session {
-    /// Opens the session that a Hello asks for. `last` is the robot's last session.
+    /// Opens the session that `hello` asks for. `last` is the robot's previous session.
     pub(super) fn new(hello: &Hello, last: Option<&Self>, now: Instant) -> Self {
         Self {
             robot: hello.robot,
@@ -90,12 +90,13 @@ impl Session {
         self.robot
     }
 
-    /// Whether it was opened by this Hello.
+    /// Whether the session was opened by this Hello.
     pub(super) fn answers(&self, hello: &Hello) -> bool {
         self.robot == hello.robot && self.nonce == hello.nonce
     }
 
-    /// Whether the robot's last session was with another life of it, or with another robot.
+    /// Whether the robot has restarted since its previous session, or that was with another robot
+    /// of the same number.
     pub(super) fn is_of_new_life(&self) -> bool {
         !self.earlier.is_some_and(|earlier| is_same_boot(self.nonce, earlier))
     }
@@ -147,7 +148,7 @@ impl Session {
         self.tiles.requested(request);
     }
 
-    /// Handles the acknowledgement of a frame, given by its token.
+    /// Handles the acknowledgement of the frame with this token.
     pub(super) fn acknowledged(&mut self, frame: u16) {
         self.tiles.acknowledged(frame);
     }
@@ -157,7 +158,7 @@ impl Session {
         &self.said
     }
 
-    /// The robot's reports, to take those that are read once.
+    /// The robot's reports, for taking those that are read only once.
     pub(super) fn said_mut(&mut self) -> &mut Said {
         &mut self.said
     }
@@ -190,12 +191,13 @@ impl Session {
         self.replies.missing(id)
     }
 
-    /// Whether a message waits that goes before retransmissions: a fix or a Stop.
+    /// Whether a message is waiting that must be sent before retransmissions: a fix or a Stop.
     pub(super) fn is_urgent(&self, now: Instant) -> bool {
         self.fixes.is_ready(now) || self.orders.is_urgent()
     }
 
-    /// Fills a frame with due messages: urgent and short-lived ones first.
+    /// Fills a frame with due messages; urgent and short-lived ones come first. If `reliable` is
+    /// false, only messages that need no acknowledgement are added.
     pub(super) fn fill(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -241,7 +243,7 @@ impl Session {
         self.budget.spend(bytes as u64, now);
     }
 
-    /// When the next frame is due.
+    /// When the next frame is due. `reliable` says whether a reliable frame can be sent.
     pub(super) fn poll_timeout(
         &self,
         snapshot: &Snapshot<'_>,
@@ -265,7 +267,7 @@ impl Session {
         self.fixes.waiting() + self.replies.waiting() + self.orders.waiting()
     }
 
-    /// Number of peers and obstacles left out of messages, counted per message.
+    /// Number of peers and obstacles left out of messages, summed over all messages.
     pub(super) fn left_out(&self) -> u64 {
         self.news.left_out()
     }

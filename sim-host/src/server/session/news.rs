@@ -13,7 +13,7 @@ use crate::server::surroundings::Surroundings;
 
 /// Minimum interval between lists of one kind.
 const INTERVAL: Duration = Duration::from_millis(200);
-/// Average rate of lists in bytes per second, which leaves most of the budget for tiles.
+/// Maximum average rate of lists in bytes per second. It leaves most of the budget for tiles.
 const BYTES_PER_SECOND: u64 = 600;
 
 /// The lists sent to one robot.
@@ -21,7 +21,7 @@ const BYTES_PER_SECOND: u64 = 600;
 pub(super) struct News {
     peers: Told,
     obstacles: Told,
-    /// When the lists sent so far are within the average rate.
+    /// When the next list is within the average rate.
     ready_at: Instant,
     left_out: u64,
 }
@@ -38,7 +38,7 @@ struct Told {
 }
 
 impl News {
-    /// Number of peers and obstacles left out of lists, counted per list.
+    /// Number of peers and obstacles left out of lists, summed over all lists.
     pub(super) fn left_out(&self) -> u64 {
         self.left_out
     }
@@ -51,7 +51,8 @@ impl News {
         Some(due.max(self.ready_at))
     }
 
-    /// Adds the due lists. A list is truncated only if it has a frame to itself.
+    /// Adds the due lists to a frame. A list is truncated only if it has the frame to itself;
+    /// `alone` says whether the frame is still empty.
     pub(super) fn fill(
         &mut self,
         about: &Surroundings,
@@ -90,14 +91,16 @@ impl News {
 }
 
 impl Told {
-    /// When a list of this time may be sent; `None` if it is not newer than the last one.
+    /// When a list with positions of the time `moment` may be sent; `None` if they are not newer
+    /// than those of the last list.
     fn due(&self, moment: Option<Instant>) -> Option<Instant> {
         moment.filter(|moment| Some(*moment) > self.moment).map(|_| self.next)
     }
 
     /// Sends a list of up to `longest` elements, truncated to fit if `alone`. An empty list is sent
-    /// only after one with elements. `push` tries the given lengths and returns the one that fits.
-    /// Returns the number of elements sent; `None` if the list must wait for a frame of its own.
+    /// only after one with elements. `push` adds the longest list that fits, within a range of
+    /// lengths, and returns its length. Returns the number of elements sent; `None` if the list
+    /// must wait for a frame of its own.
     fn tell(
         &mut self,
         moment: Instant,
@@ -132,7 +135,7 @@ mod tests {
         (1..=robots).for_each(|robot| about.robot(RobotId(robot), at, pose(robot)));
     }
 
-    /// The robots listed in the next frame of the given size, if it has a list.
+    /// The robots listed in the next frame, which has `room` bytes, if it contains a list.
     fn told(
         news: &mut News,
         about: &Surroundings,

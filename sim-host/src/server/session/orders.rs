@@ -6,20 +6,21 @@ use ubimap_protocol::message::{ParameterCommand, ToRobot, Writer};
 
 use crate::server::command::Command;
 
-/// The waiting commands, the commands in force, and the command that waits for its answer.
+/// The commands that wait to be sent, the commands in force, and the parameter command that is not
+/// answered yet.
 #[derive(Debug, Default)]
 pub(super) struct Orders {
     /// Commands that have not been sent, in order.
     waiting: VecDeque<Command>,
     /// The newest command of each kind that stays in force; each is repeated in a new session.
     standing: Vec<Command>,
-    /// The parameter command in progress. A robot answers only its newest one, so the next command
-    /// waits.
+    /// The parameter command that was sent but not answered. A robot answers only the newest one,
+    /// so the next one waits.
     asked: Option<ParameterCommand>,
 }
 
 impl Orders {
-    /// Adds a command. It replaces a command of its kind that has not been sent yet.
+    /// Adds a command. A Stop or a path replaces one of its kind that has not been sent yet.
     pub(super) fn add(&mut self, command: Command) {
         self.waiting.retain(|waiting| !waiting.is_replaced_by(&command));
         if command.stands() {
@@ -33,8 +34,8 @@ impl Orders {
         }
     }
 
-    /// Takes over the commands of an earlier session of the robot: those in force, those unanswered
-    /// and those not sent.
+    /// Takes over the commands of an earlier session of the robot: those in force, the unanswered
+    /// one and those not sent.
     pub(super) fn continue_from(&mut self, earlier: Self) {
         let asked = earlier.asked.map(Command::Parameter);
         for command in earlier.standing.into_iter().chain(asked).chain(earlier.waiting) {
@@ -47,12 +48,12 @@ impl Orders {
         self.asked.take_if(|asked| asked.number == number);
     }
 
-    /// Whether the next command goes before everything else.
+    /// Whether the next command must be sent before everything else.
     pub(super) fn is_urgent(&self) -> bool {
         self.waiting.front().is_some_and(Command::is_urgent)
     }
 
-    /// Adds an urgent command to a frame. Returns whether there was one.
+    /// Adds the next command to a frame if it is urgent. Returns whether it was added.
     pub(super) fn write_urgent(&mut self, writer: &mut Writer<'_, ToRobot>) -> bool {
         let is_written = self.is_urgent() && self.waiting[0].write(writer);
         if is_written {
@@ -61,7 +62,7 @@ impl Orders {
         is_written
     }
 
-    /// Adds the next command to a frame. Returns whether there was one.
+    /// Adds the next command to a frame. Returns whether one was added.
     pub(super) fn write(&mut self, writer: &mut Writer<'_, ToRobot>) -> bool {
         let Some(index) = self.next().filter(|&index| self.waiting[index].write(writer)) else {
             return false;

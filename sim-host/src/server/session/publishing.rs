@@ -17,8 +17,8 @@ use crate::server::snapshot::Snapshot;
 const DIGEST_INTERVAL: Duration = Duration::from_secs(10);
 /// Period in which all coverage tiles are confirmed once.
 const CONFIRM_INTERVAL: Duration = Duration::from_millis(250);
-/// A tile is confirmed if the robot holds the state that was the newest at most this long ago: a
-/// newer update may be in flight.
+/// A tile is confirmed if the robot's state of it was the newest at most this time ago: a newer
+/// update may be in flight.
 const CONFIRM_DELAY: Duration = Duration::from_millis(500);
 
 /// The tiles of one layer that a robot holds.
@@ -28,10 +28,10 @@ pub(super) struct Publishing {
     /// Minimum interval between updates of a tile, in which changes are gathered.
     hold: Duration,
     tiles: BTreeMap<TileId, Published>,
-    /// The tile whose digest was sent last, and when the next ones are due.
+    /// The tile whose digest was sent last, and when the next digests are due.
     digested: Option<TileId>,
     next_digests: Instant,
-    /// Index within the window of the next tile to confirm, and when.
+    /// Index within the window of the next tile to confirm, and when it is due.
     confirmed: u16,
     next_confirmation: Instant,
 }
@@ -40,9 +40,9 @@ pub(super) struct Publishing {
 #[derive(Debug, Default)]
 struct Published {
     publication: Publication,
-    /// When it was last sent.
+    /// When the tile was last sent.
     sent: Option<Instant>,
-    /// When the state acknowledged by the robot was last the newest.
+    /// The last time at which the state that the robot has acknowledged was the newest one.
     newest: Option<Instant>,
 }
 
@@ -65,8 +65,8 @@ impl Publishing {
         self.tiles.retain(|&id, _| kept(id));
     }
 
-    /// Handles a request for tiles that the robot could not decode: sends them, and all tiles of
-    /// the same frames, in full.
+    /// Handles a request for tiles that the robot could not decode: they, and all tiles sent in the
+    /// same frames, will be sent again as a whole.
     pub(super) fn requested(&mut self, request: &Request) {
         for id in &request.tiles {
             let Some(one) = self.tiles.get(id).map(|tile| tile.publication.clone()) else {
@@ -148,8 +148,8 @@ impl Publishing {
             .min()
     }
 
-    /// When an update of a tile is due, if it has changed. A tile that has changed and changed back
-    /// counts, because its version is new.
+    /// When an update of a tile is due; `None` if it has not changed. A tile that has changed and
+    /// changed back counts as changed, because its version is new.
     fn due(&self, id: TileId, version: Version, tile: &Tile) -> Option<Instant> {
         let Some(Published { publication, sent, .. }) = self.tiles.get(&id) else {
             return Some(Instant(0));
@@ -177,9 +177,9 @@ impl Publishing {
         self.next_digests
     }
 
-    /// Adds the digests of the next few tiles of the window, if due: those that the robot should hold,
-    /// and those of which the server has nothing, in case the robot holds them from an earlier life of
-    /// the server with the same epoch.
+    /// Adds the digests of the next few tiles of the window, if due: of tiles that the robot should
+    /// hold, and of tiles that the server does not have, in case the robot holds them from an
+    /// earlier run of the server with the same epoch.
     pub(super) fn fill_digests(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -201,12 +201,12 @@ impl Publishing {
             is_level.then(|| TileDigest { id, stamp, hash: tile_hash(tile) })
         });
         let tiles: Vec<TileDigest> = next.take(MAX_DIGESTS).collect();
-        // Up to the number that fits.
+        // Sends as many digests as fit.
         let told = writer.push_longest(1..=tiles.len(), |count| {
             let tiles = tiles[..count].iter().copied().collect();
             Digests { layer: self.layer, tiles }
         });
-        // What does not fit beside other messages waits for the next turn.
+        // If none fits beside other messages, the same digests are tried next time.
         if told.is_some() || tiles.is_empty() {
             self.digested = told.map(|count| tiles[count - 1].id);
         }
@@ -221,8 +221,8 @@ impl Publishing {
         snapshot.layer(self.layer).within(interest).next().map(|_| self.next_confirmation)
     }
 
-    /// Adds the confirmation of tiles whose state on the robot was recently the newest. A window
-    /// too large for one message is confirmed in parts.
+    /// Adds the confirmation of tiles whose state on the robot was the newest within
+    /// [`CONFIRM_DELAY`]. A window too large for one message is confirmed in parts.
     pub(super) fn fill_confirmation(
         &mut self,
         snapshot: &Snapshot<'_>,

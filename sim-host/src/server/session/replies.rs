@@ -8,7 +8,8 @@ use ubimap_protocol::{
     time::Instant,
 };
 
-/// Maximum number of waiting replies of one kind; a working robot causes far fewer.
+/// Maximum number of waiting time replies, and of waiting requests; a working robot causes far
+/// fewer.
 const MAX_WAITING: usize = 256;
 /// Maximum number of waiting notices of stored tiles: several times the pool of a robot.
 const MAX_STORED_WAITING: usize = 1_024;
@@ -18,7 +19,7 @@ const MAX_STORED_WAITING: usize = 1_024;
 pub(super) struct Replies {
     /// Nonces of time requests, with their time of reception.
     times: Vec<(u16, Instant)>,
-    /// Stored states of the robot's tiles that have not been acknowledged to it.
+    /// States of the robot's tiles that are on disk, which the robot has not been told yet.
     stored: Vec<(TileId, Stamp)>,
     /// The newest state of each tile ever added to `stored`.
     newest_stored: BTreeMap<TileId, Stamp>,
@@ -34,8 +35,9 @@ impl Replies {
         }
     }
 
-    /// Queues the notice that a tile's state is on disk, once per session and state, in place of one
-    /// about an earlier version. Excess notices are dropped; the robot's digests cause them again.
+    /// Queues the notice that a tile's state is on disk, once per session and state. It replaces a
+    /// waiting notice about an earlier version of the same epoch. Excess notices are dropped; the
+    /// robot's digests cause them again.
     pub(super) fn stored(&mut self, id: TileId, stamp: Stamp) {
         if self.newest_stored.get(&id) == Some(&stamp) {
             return;
@@ -52,8 +54,8 @@ impl Replies {
         self.newest_stored.insert(id, stamp);
     }
 
-    /// Queues a request for a robot's tile that is missing or differs. Returns false if there are too
-    /// many; the robot's digests cause them again.
+    /// Queues a request for a robot's tile that is missing or differs. Returns false if too many
+    /// requests are waiting; the robot's digests cause dropped ones again.
     pub(super) fn missing(&mut self, id: TileId) -> bool {
         if self.missing.contains(&id) {
             return true;
@@ -77,7 +79,8 @@ impl Replies {
         }
     }
 
-    /// Adds stored or missing tiles to a reliable frame. Returns whether it did.
+    /// Adds either notices of stored tiles or requests for missing tiles to a reliable frame.
+    /// Returns whether it added any.
     pub(super) fn write_reliable(&mut self, writer: &mut Writer<'_, ToRobot>) -> bool {
         let stored = writer.push_longest(1..=self.stored.len().min(MAX_STORED), |count| Stored {
             tiles: self.stored[..count].iter().copied().collect(),

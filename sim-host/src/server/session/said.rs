@@ -64,7 +64,7 @@ impl Said {
         self.new_vector.take()
     }
 
-    /// Whether [`Said::take_vector`] would return one.
+    /// Whether [`Said::take_vector`] would return a vector.
     pub(crate) fn has_vector(&self) -> bool {
         self.new_vector.is_some()
     }
@@ -90,7 +90,7 @@ impl Said {
         self.parameters.as_ref()
     }
 
-    /// The newest distance vector, and the number received.
+    /// The newest distance vector, and the number of vectors received.
     pub(crate) fn vectors(&self) -> (Option<&DistanceVector>, u32) {
         (self.vector.as_ref(), self.vectors)
     }

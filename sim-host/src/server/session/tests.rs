@@ -47,7 +47,7 @@ fn tell(session: &mut Session, fused: &ServedLayer, now: Instant) {
     assert!(session.is_level(&snapshot(fused)));
 }
 
-/// A session whose robot has the only fused tile.
+/// A session whose robot has acknowledged the only fused tile.
 fn level(fused: &ServedLayer) -> Session {
     let mut session = new_session();
     session.interested(window(1, 0));
@@ -126,7 +126,7 @@ fn tiles_are_sent_again_after_a_lost_window() {
     assert!(session.poll_timeout(&snapshot(&fused), true, Instant(0)).is_some());
 }
 
-/// Requests tiles of one layer of a session whose robot has all tiles of both layers.
+/// Requests tiles of one layer in a session whose robot has all tiles of both layers.
 fn request_tiles(layer: Layer) {
     let mut tile = Tile::UNKNOWN;
     tile.set(3, 3, Cell::Free);

@@ -17,7 +17,8 @@ pub(super) const FUSED_HOLD: Duration = Duration::from_secs(1);
 /// Time for which changes of a coverage tile are gathered; shorter, because robots need them
 /// sooner.
 const COVERAGE_HOLD: Duration = Duration::from_millis(500);
-/// Interval between bursts of frames with tiles: the robot must acknowledge each frame.
+/// Minimum interval between bursts of frames with tiles. It limits the robot's acknowledgements,
+/// since it must acknowledge each frame.
 const BURST_INTERVAL: Duration = Duration::from_millis(400);
 
 /// The tiles of the fused and the coverage layer in the robot's window.
@@ -46,13 +47,13 @@ impl Tiles {
         }
     }
 
-    /// Moves the window; the robot has dropped the tiles outside.
+    /// Moves the window. The robot has dropped the tiles outside of the new one.
     pub(super) fn move_window(&mut self, interest: Interest) {
         let newer = self.interest.is_none_or(|now| now.number < interest.number);
         if !newer || interest.tiles() > u32::from(self.capacity) {
             return;
         }
-        // If a window in between was lost, the robot may have dropped further tiles for it.
+        // If a message with a window in between was lost, the robot may have dropped further tiles.
         let next = self.interest.is_none_or(|now| now.number.wrapping_add(1) == interest.number);
         self.fused.retain(|id: TileId| next && interest.contains(id));
         self.coverage.retain(|id: TileId| next && interest.contains(id));
@@ -86,8 +87,8 @@ impl Tiles {
         }
     }
 
-    /// Adds due tiles to an empty frame; otherwise adds digests. The two layers take turns in going
-    /// first.
+    /// Adds due tiles to an empty frame, or digests if no tile is due. The two layers take turns in
+    /// going first.
     pub(super) fn write(
         &mut self,
         snapshot: &Snapshot<'_>,
@@ -121,7 +122,7 @@ impl Tiles {
         }
     }
 
-    /// When the next message is due; tiles only if a reliable frame can be sent.
+    /// When the next message is due. Tiles and digests count only if a reliable frame can be sent.
     pub(super) fn poll_timeout(&self, snapshot: &Snapshot<'_>, reliable: bool) -> Option<Instant> {
         let interest = self.interest.as_ref()?;
         let confirmation = self.coverage.next_confirmation(snapshot, interest);

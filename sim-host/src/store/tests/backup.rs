@@ -30,8 +30,8 @@ fn a_store_in_use_is_copied_with_everything_stored() {
     assert_eq!(tiles(&path).len(), 3);
 }
 
-/// Batches of tiles of one version, while backups are made: each copy holds one batch as a whole,
-/// and all that was stored before it began.
+/// Writes batches of tiles, each batch with one version, while backups are made. Each copy must
+/// contain a complete batch, and everything that was stored before the copy began.
 #[test]
 fn a_copy_is_consistent_while_the_writer_is_busy() {
     use std::sync::atomic::{AtomicU32, Ordering};
@@ -106,7 +106,7 @@ fn a_damaged_store_does_not_replace_its_backup() {
     assert!(told.contains("map.db: 1 of its rows are damaged"), "{told}");
     assert_eq!(std::fs::read(&copy).unwrap(), good);
     drop(store);
-    // Opening it leaves out the row.
+    // Opening the store deletes the damaged row.
     drop(Store::open(&path, CELLS).unwrap());
     assert_eq!(backup(&path, &copy).unwrap(), 0);
 }

@@ -1,4 +1,4 @@
-//! A disk that changes what was written: all of it is noticed, or changes nothing.
+//! A disk that changes written data: each change must be noticed or harmless.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 
-/// Everything in a file that matters.
+/// All contents of a store that matter.
 #[derive(Debug, PartialEq)]
 struct Content {
     tiles: BTreeMap<(RobotId, TileId, Stamp), TileRecord>,
@@ -102,7 +102,7 @@ fn below(random: &mut ChaCha8Rng, limit: usize) -> usize {
     (random.next_u64() % limit as u64) as usize
 }
 
-/// Every bit of a row counts.
+/// The checksum covers every bit of a row.
 #[test]
 fn a_flipped_bit_in_a_row_is_noticed() {
     let folder = Folder::new("store-cells");
@@ -155,7 +155,7 @@ fn damage_of_the_first_page_is_noticed_or_harmless() {
     assert!(noticed > 20, "{noticed}");
 }
 
-/// SQLite goes back to the state before a damaged frame of its log, and says nothing.
+/// SQLite silently returns to the state before a damaged frame of its log.
 #[test]
 fn damage_of_the_log_is_noticed_or_costs_the_last_commit() {
     const COMMITS: usize = 20;
@@ -167,7 +167,7 @@ fn damage_of_the_log_is_noticed_or_costs_the_last_commit() {
     }
     let [database, log] = ["map.db", "map.db-wal"].map(|it| folder.path().join(it));
     let [database, log] = [database, log].map(|it| std::fs::read(it).unwrap());
-    // What a kill leaves.
+    // The files that a killed process leaves.
     let killed = folder.path().join("killed.db");
     let mut noticed = 0;
     let mut opened = |log: &[u8]| {
@@ -188,7 +188,7 @@ fn damage_of_the_log_is_noticed_or_costs_the_last_commit() {
     for seed in 0..100 {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut log = log.clone();
-        // Not the last frame, which may be incomplete.
+        // Damages any frame except the last one, which may be incomplete.
         let at = below(&mut random, log.len() - 4_120);
         log[at] ^= 1 << below(&mut random, 8);
         let (count, is_told) = opened(&log);

@@ -1,15 +1,15 @@
-//! Closed epochs are joined, which changes nothing but the memory they take.
+//! Joining closed epochs saves memory and must not change the layer.
 
 use proptest::prelude::*;
 
 use super::*;
 
-/// A layer that keeps every epoch of each tile.
+/// Reference: a layer that keeps every epoch of each tile.
 #[derive(Clone, Debug, Default)]
 struct Plain(BTreeMap<(TileId, Epoch), Tile>);
 
 impl Plain {
-    /// Each cell from the newest epoch that knows it.
+    /// The tile with each cell from the newest epoch that knows it.
     fn joined(&self, id: TileId) -> Tile {
         let mut joined = Tile::UNKNOWN;
         for (_, tile) in self.0.iter().filter(|((other, _), _)| *other == id) {
@@ -23,14 +23,15 @@ impl Plain {
     }
 }
 
-/// What the robot holds of a tile.
+/// The robot's current state of a tile.
 #[derive(Clone, Copy, Debug)]
 struct Live {
     stamp: Stamp,
     tile: Tile,
 }
 
-/// A robot that draws a few tiles, gives them up and meets them again; the layer; and its disk.
+/// A robot that draws a few tiles, evicts them and draws them again; its layer on the server; and
+/// the server's disk.
 #[derive(Debug, Default)]
 struct Story {
     epoch: u32,
@@ -39,11 +40,11 @@ struct Story {
     sent: Vec<Vec<u8>>,
     layer: RobotLayer,
     plain: Plain,
-    /// The first epoch that the robot was told, and its answer has not arrived.
+    /// The first epoch that the robot was asked to use, until its answer arrives.
     first: Option<Epoch>,
     unsaved: BTreeSet<(TileId, Epoch)>,
     disk: BTreeMap<(TileId, Epoch), TileRecord>,
-    /// What the disk must make.
+    /// Reference for the layer that is restored from the disk.
     stored: Plain,
 }
 
@@ -56,7 +57,7 @@ impl Story {
         for step in 0..1 + seed % 7 {
             let place = seed.wrapping_mul(2_654_435_761).wrapping_add(step * 37) >> 7;
             let code = [Cell::Free, Cell::Occupied, Cell::Movable][(place >> 10) as usize % 3];
-            // A few rows, so that epochs overlap.
+            // Draws in a few rows only, so that epochs overlap.
             live.tile.set(place as usize % TILE_SIDE, place as usize / TILE_SIDE % 3, code);
         }
         live.stamp.version.0 += 1;
@@ -79,7 +80,8 @@ impl Story {
         assert!(updated.tiles.is_empty() && updated.folded.is_empty(), "{updated:?}");
     }
 
-    /// The robot gives up all tiles; the server voids them when it hears of it.
+    /// The first call makes the robot discard all tiles; the next one tells the server, which voids
+    /// them.
     fn begin_anew(&mut self) {
         match self.first.take() {
             Some(first) => {
@@ -130,8 +132,8 @@ impl Story {
 }
 
 proptest! {
-    /// Also with late copies, while old epochs are about to become void, and whatever part of it is
-    /// on disk.
+    /// Also holds with late copies, while old epochs are about to become void, and for any part of
+    /// the layer on disk.
     #[test]
     fn a_layer_that_folds_is_like_one_that_keeps_all_epochs(
         steps in proptest::collection::vec((0u8..16, 0i16..3, any::<u32>()), 1..120),
@@ -155,7 +157,7 @@ proptest! {
     }
 }
 
-/// A robot that meets its tiles again for weeks.
+/// Simulates a robot that evicts and redraws its tiles for weeks.
 #[test]
 fn epochs_take_no_more_memory_with_time() {
     let mut story = Story { epoch: 1, ..Story::default() };
@@ -174,7 +176,7 @@ fn epochs_take_no_more_memory_with_time() {
     assert!(memory[3..].iter().all(|it| *it == memory[3]));
 }
 
-/// The cells of a delta can't be read without its base, so neither can the tiles after it.
+/// Without its base a delta can't be decoded, and neither can the tiles after it.
 #[test]
 fn late_updates_of_closed_epochs_change_nothing() {
     let [first, second] =

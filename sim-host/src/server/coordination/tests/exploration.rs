@@ -29,8 +29,9 @@ fn exploring(plan: Plan, starts: &[Point], seed: u64) -> Floor {
     floor
 }
 
-/// Runs until all ground is known, or for a limited time. Checks that no two robots go to one
-/// frontier at a time; returns the seconds, and the known share of the ground that can be known.
+/// Runs until all ground is known, or for a limited time. Checks that no two robots go to the same
+/// frontier at the same time. Returns the duration in seconds, the known fraction of the ground
+/// that can be seen, and the floor.
 fn explore(mut floor: Floor) -> (u64, f64, Floor) {
     let robots = floor.bodies.len();
     let mut looked = 0;
@@ -148,7 +149,7 @@ fn ground_out_of_reach_is_left_alone() {
     );
 }
 
-/// A person was drawn as a wall in a doorway, and left.
+/// A person in a doorway was drawn as a wall, and then left.
 #[test]
 fn a_stale_obstacle_in_the_only_way_is_checked_again() {
     let mut plan = Plan::room(9.0, 4.0);

@@ -32,7 +32,7 @@ pub(super) struct Body {
     path: VecDeque<Point>,
     is_done: bool,
     stands_until: Instant,
-    /// Since when a person has stood in its way.
+    /// When a person or a wall began to block its way.
     blocked_since: Option<Instant>,
     pub(super) has_session: bool,
     /// Paths on their way to the robot, and pose reports on their way from it.
@@ -51,7 +51,8 @@ pub(super) struct Floor {
     pub(super) fused: ServedLayer,
     pub(super) now: Instant,
     pub(super) notices: Vec<(Instant, RobotId, Notice)>,
-    /// Pairs of robots whose discs overlapped, and robots in walls, summed over the steps.
+    /// Number of pairs of robots whose discs overlapped, and of robots in walls, each summed over
+    /// all steps.
     pub(super) overlaps: u32,
     pub(super) collisions: u32,
     pub(super) slowest_tick: std::time::Duration,
@@ -65,7 +66,7 @@ pub(super) fn id(index: usize) -> RobotId {
 }
 
 impl Floor {
-    /// A floor on which all cells are known except the hidden ones.
+    /// A floor on which all cells are known except those for which `hides` is true.
     pub(super) fn new(
         plan: Plan,
         starts: &[Point],
@@ -120,7 +121,7 @@ impl Floor {
         self.overlaps + self.collisions > 0
     }
 
-    /// Runs until a condition holds, or for a limited time. Returns whether it held.
+    /// Runs until `until` returns true, but at most for `seconds`. Returns whether it did.
     pub(super) fn run(&mut self, seconds: u64, mut until: impl FnMut(&mut Self) -> bool) -> bool {
         let end = self.now + Duration::from_secs(seconds);
         while self.now < end {
@@ -267,7 +268,8 @@ impl Floor {
         }
     }
 
-    /// Lets all robots see the cells in sight and range. Returns the number of new cells.
+    /// Lets all robots see the cells within sight and range. Returns the number of cells that were
+    /// unknown before.
     pub(super) fn look_around(&mut self) -> usize {
         let unknown: Vec<(i32, i32)> = self
             .plan
@@ -297,7 +299,7 @@ impl Floor {
                 .all(|step| self.plan.room_around(from + way * (step as f64 / steps as f64)) > 0.0)
     }
 
-    /// A random place in a rectangle with `room` around it and from the others.
+    /// A random place in a rectangle, with clearance from walls and from `others`.
     pub(super) fn free_place(
         plan: &Plan,
         rng: &mut ChaCha8Rng,

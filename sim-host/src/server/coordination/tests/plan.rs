@@ -12,7 +12,8 @@ use crate::{
 
 pub(in crate::server::coordination) const SIDE_M: f64 = 0.05;
 
-/// A hall from the origin to the north-east, and its walls as west, south, east and north.
+/// A hall whose south-western corner is the origin, and its walls, given by their western,
+/// southern, eastern and northern edges.
 #[derive(Clone, Debug)]
 pub(in crate::server::coordination) struct Plan {
     pub(super) width: f64,
@@ -91,7 +92,7 @@ pub(super) fn set(layer: &mut ServedLayer, cells: impl Iterator<Item = ((i32, i3
     }
 }
 
-/// The ground of a plan, unknown where it is hidden.
+/// The ground of a plan, unknown where `hides` is true.
 pub(in crate::server::coordination) fn drawn(
     plan: &Plan,
     hides: impl Fn(f64, f64) -> bool,

@@ -20,7 +20,7 @@ fn two_rooms() -> Plan {
 const WEST: [f64; 4] = [0.0, 0.0, 4.5, 6.0];
 const EAST: [f64; 4] = [5.5, 0.0, 10.0, 6.0];
 
-/// The goals of the robots of each room in the other one.
+/// Where in the other room the goals of each room's robots are.
 #[derive(Clone, Copy, Debug)]
 enum Goals {
     /// Anywhere.
@@ -96,7 +96,7 @@ fn ten_robots_pass_one_door_from_both_sides() {
     cross(0..10, Goals::Anywhere);
 }
 
-/// No order is safe in which each drives its whole route at once: they must make way.
+/// There is no order in which each robot can drive its whole route at once, so they must make way.
 #[test]
 fn robots_of_two_rooms_change_places_through_one_door() {
     cross(0..5, Goals::Exchange);
