@@ -136,7 +136,7 @@ impl SerialPort {
     }
 
     /// Queues bytes for writing: all of them or, on error, none. Bytes that are queued when the
-    /// port is dropped are still written if the peer accepts them within [`WRITE_TIMEOUT`].
+    /// port is dropped are still written if the peer accepts them before the write timeout.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
         let Some(writes) = &self.writes else { return Err(self.hung_up()) };
         writes.try_send(bytes.to_vec()).map_err(|error| match error {
