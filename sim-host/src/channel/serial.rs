@@ -254,7 +254,8 @@ mod tests {
         let start = Instant::now();
         let frame = [0x5A; 250];
         let mut queued = 0;
-        // Nobody reads: the operating system's buffer fills first (tens of kilobytes), then the queue.
+        // As the other end does not read, first the operating system's buffer (tens of kilobytes)
+        // becomes full, then the queue.
         while port.write(&frame).is_ok() {
             queued += frame.len();
             assert!(queued < 10_000_000, "{queued} bytes accepted without a reader");

@@ -31,8 +31,8 @@ pub struct Batch {
     pub clock: Instant,
     /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
-    /// Progress of cures. Delete the robot's tiles below a record's first epoch before writing the
-    /// tiles of this batch.
+    /// Progress of cures (corrections of robots' constant errors). Before writing the tiles of this
+    /// batch, delete the tiles of each record's robot in epochs below its `first_epoch`.
     pub cures: Vec<CureRecord>,
     /// States of robots' tiles.
     pub tiles: Vec<(RobotId, TileRecord)>,
@@ -54,7 +54,7 @@ pub(super) struct Keeping {
 }
 
 impl Keeping {
-    /// Starts at the beginning of a life.
+    /// Starts at the time `begins`, when a life begins.
     pub(super) fn new(begins: Instant) -> Self {
         let next_camera_tiles = begins + CAMERA_INTERVAL;
         Self { next_commit: begins, next_camera_tiles, is_writing: false }

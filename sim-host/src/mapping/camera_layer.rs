@@ -47,8 +47,8 @@ pub struct CameraTile {
 
 impl CameraLayer {
     /// Adds the cells of a frame, except those known from a newer one; a frame without cells has no
-    /// effect. Returns the tiles that have changed, or have cells that were out of view for some
-    /// time.
+    /// effect. Returns the tiles that have changed, or have cells that were out of view for longer
+    /// than [`CELL_AWAY`].
     pub fn observe(&mut self, observation: &Observation) -> BTreeSet<TileId> {
         let mut changed = BTreeSet::new();
         if observation.cells.is_empty() {

@@ -107,8 +107,8 @@ pub struct ConstantErrors {
 }
 
 impl ConstantErrors {
-    /// Adds a camera fix, `seen` at `moment`, to the estimate unless it is older than the previous
-    /// one. Returns it with the identifier's error subtracted.
+    /// Adds a camera fix, `seen` at `moment`, to the estimate if it is newer than the previous one.
+    /// Returns it with the identifier's error subtracted.
     pub fn fix(&mut self, moment: Instant, seen: Pose) -> Pose {
         let before = self.stretch.measured;
         if let Some(measured) = self.stretch.go(moment, seen) {

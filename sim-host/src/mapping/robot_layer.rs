@@ -378,7 +378,7 @@ impl RobotLayer {
         updated
     }
 
-    /// The first epoch after all that the robot has used.
+    /// The lowest epoch that is not void and higher than all that the robot has used.
     pub fn next_epoch(&self) -> Epoch {
         Epoch(self.newest.0.saturating_add(1)).max(self.first_epoch)
     }
