@@ -16,8 +16,8 @@ const COMMIT_INTERVAL: Duration = Duration::from_millis(250);
 /// Maximum number of robots' tiles in a batch: 1.3 MB, so that writing a batch does not delay fixes
 /// for long.
 const MAX_TILES: usize = 256;
-/// Interval between batches of camera tiles. Longer than the other one, because cameras see most of
-/// these cells again after a restart.
+/// Interval between batches of camera tiles. Longer than [`COMMIT_INTERVAL`], because cameras see
+/// most of these cells again after a restart.
 const CAMERA_INTERVAL: Duration = Duration::from_secs(10);
 /// Delay before a failed batch is written again.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);

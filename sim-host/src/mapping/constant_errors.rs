@@ -96,8 +96,8 @@ pub struct ConstantErrors {
     /// For each completed stretch, heading minus course, and the standard deviation of this
     /// difference, in degrees.
     askew: VecDeque<(f64, f64)>,
-    /// For each distance vector, its rotation relative to the map if drawn at the uncorrected
-    /// heading that cameras see, and the standard deviation, in degrees.
+    /// For each distance vector, its rotation relative to the map, measured from the uncorrected
+    /// heading that cameras see, and the standard deviation, both in degrees.
     turned: VecDeque<(f64, f64)>,
     /// Estimates from `askew` (with the current stretch) and from `turned`, updated with each
     /// measurement.

@@ -162,8 +162,8 @@ impl Store {
     /// by the server's clock.
     ///
     /// # Errors
-    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it is
-    /// [gone](Trouble::Gone).
+    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it
+    /// is [gone](Trouble::Gone).
     pub fn keep(
         &mut self,
         records: &[(RobotId, TileRecord)],
@@ -175,8 +175,8 @@ impl Store {
     /// Replaces camera tiles in one transaction. `now` is by the server's clock.
     ///
     /// # Errors
-    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it is
-    /// [gone](Trouble::Gone).
+    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it
+    /// is [gone](Trouble::Gone).
     pub fn keep_camera_tiles(
         &mut self,
         tiles: &[CameraTile],
@@ -188,8 +188,8 @@ impl Store {
     /// Stores the progress of a robot's cure, and deletes the robot's void tiles.
     ///
     /// # Errors
-    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it is
-    /// [gone](Trouble::Gone).
+    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it
+    /// is [gone](Trouble::Gone).
     pub fn cure(&mut self, record: &CureRecord) -> Result<(), StoreError> {
         let CureRecord { robot, cured: Cured { taken_out, added }, first_epoch, is_over } = *record;
         self.write(self.server, |transaction| {
