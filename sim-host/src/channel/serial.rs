@@ -136,7 +136,7 @@ impl SerialPort {
     }
 
     /// Queues bytes for writing: all of them or, on error, none. Bytes that are queued when the
-    /// port is dropped are still written if the peer accepts them within [`WRITE_TIMEOUT`].
+    /// port is dropped are still written if the peer accepts them before the write timeout.
     pub fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
         let Some(writes) = &self.writes else { return Err(self.hung_up()) };
         writes.try_send(bytes.to_vec()).map_err(|error| match error {
@@ -254,7 +254,8 @@ mod tests {
         let start = Instant::now();
         let frame = [0x5A; 250];
         let mut queued = 0;
-        // Nobody reads: the operating system's buffer fills first (tens of kilobytes), then the queue.
+        // As the other end does not read, first the operating system's buffer (tens of kilobytes)
+        // becomes full, then the queue.
         while port.write(&frame).is_ok() {
             queued += frame.len();
             assert!(queued < 10_000_000, "{queued} bytes accepted without a reader");

@@ -98,6 +98,6 @@ pub struct Kept {
     pub damaged_tiles: Vec<(RobotId, TileId, Epoch)>,
     /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
-    /// Progress of the robots' cures.
+    /// Progress of the robots' cures (corrections of their constant errors).
     pub cures: Vec<CureRecord>,
 }

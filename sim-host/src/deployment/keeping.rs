@@ -16,8 +16,8 @@ const COMMIT_INTERVAL: Duration = Duration::from_millis(250);
 /// Maximum number of robots' tiles in a batch: 1.3 MB, so that writing a batch does not delay fixes
 /// for long.
 const MAX_TILES: usize = 256;
-/// Interval between batches of camera tiles. Longer than the other one, because cameras see most of
-/// these cells again after a restart.
+/// Interval between batches of camera tiles. Longer than [`COMMIT_INTERVAL`], because cameras see
+/// most of these cells again after a restart.
 const CAMERA_INTERVAL: Duration = Duration::from_secs(10);
 /// Delay before a failed batch is written again.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
@@ -31,8 +31,8 @@ pub struct Batch {
     pub clock: Instant,
     /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
-    /// Progress of cures. Delete the robot's tiles below a record's first epoch before writing the
-    /// tiles of this batch.
+    /// Progress of cures (corrections of robots' constant errors). Before writing the tiles of this
+    /// batch, delete the tiles of each record's robot in epochs below its `first_epoch`.
     pub cures: Vec<CureRecord>,
     /// States of robots' tiles.
     pub tiles: Vec<(RobotId, TileRecord)>,
@@ -54,7 +54,7 @@ pub(super) struct Keeping {
 }
 
 impl Keeping {
-    /// Starts at the beginning of a life.
+    /// Starts at the time `begins`, when a life begins.
     pub(super) fn new(begins: Instant) -> Self {
         let next_camera_tiles = begins + CAMERA_INTERVAL;
         Self { next_commit: begins, next_camera_tiles, is_writing: false }

@@ -84,7 +84,7 @@ const MAX_EVENTS: usize = 1_000;
 /// let mut now = Instant(0);
 /// for tenth in 0..10 {
 ///     let frame = Instant(0) + Duration::from_millis(100 * tenth);
-///     // First do what is due before the frame.
+///     // First do everything that is due before the frame.
 ///     while let Some(due) = deployment.poll_timeout(now).filter(|due| *due < frame) {
 ///         now = now.max(due);
 ///         deployment.timeout(now);

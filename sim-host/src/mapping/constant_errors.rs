@@ -96,8 +96,8 @@ pub struct ConstantErrors {
     /// For each completed stretch, heading minus course, and the standard deviation of this
     /// difference, in degrees.
     askew: VecDeque<(f64, f64)>,
-    /// For each distance vector, its rotation relative to the map if drawn at the uncorrected
-    /// heading that cameras see, and the standard deviation, in degrees.
+    /// For each distance vector, its rotation relative to the map, measured from the uncorrected
+    /// heading that cameras see, and the standard deviation, both in degrees.
     turned: VecDeque<(f64, f64)>,
     /// Estimates from `askew` (with the current stretch) and from `turned`, updated with each
     /// measurement.
@@ -107,8 +107,8 @@ pub struct ConstantErrors {
 }
 
 impl ConstantErrors {
-    /// Adds a camera fix, `seen` at `moment`, to the estimate unless it is older than the previous
-    /// one. Returns it with the identifier's error subtracted.
+    /// Adds a camera fix, `seen` at `moment`, to the estimate if it is newer than the previous one.
+    /// Returns it with the identifier's error subtracted.
     pub fn fix(&mut self, moment: Instant, seen: Pose) -> Pose {
         let before = self.stretch.measured;
         if let Some(measured) = self.stretch.go(moment, seen) {

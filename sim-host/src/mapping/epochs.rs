@@ -106,7 +106,8 @@ impl Epochs {
         self.open.len() + usize::from(self.closed.is_some())
     }
 
-    /// Whether an epoch can no longer change: it is joined with others, or older than all open ones.
+    /// Whether an epoch can no longer change: it is joined with others, or older than the two open
+    /// ones.
     pub(super) fn is_closed(&self, epoch: Epoch) -> bool {
         let is_below_closed = self.closed.as_ref().is_some_and(|closed| epoch <= closed.newest);
         let is_below_open = self.open.first_key_value().is_some_and(|(&oldest, _)| epoch < oldest);

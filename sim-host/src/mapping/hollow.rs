@@ -1,4 +1,4 @@
-//! Reduces fixed objects to their surfaces: of a wall or a cupboard, only those cells are published
+//! Reduces fixed objects to their surfaces: only those cells of a wall or a cupboard are published
 //! that an observer can have seen.
 
 use ubimap_protocol::tile::{Cell, TILE_CELLS, TILE_SIDE, Tile};

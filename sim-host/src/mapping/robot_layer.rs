@@ -216,7 +216,7 @@ impl RobotLayer {
 
     /// The tile to request if the update was coded relative to cells other than those held here:
     /// the first tile that names a base, if the update can't be decoded up to its end. The update
-    /// is decoded into copies, since the error may show as late as that.
+    /// is decoded into copies, since an error may only show at the end.
     fn wrong_base(&self, coded: &[u8]) -> Option<TileId> {
         let mut copies = BTreeMap::<(TileId, Epoch), Replica>::new();
         let mut decoder = TileDecoder::new(coded);
@@ -378,7 +378,7 @@ impl RobotLayer {
         updated
     }
 
-    /// The first epoch after all that the robot has used.
+    /// The lowest epoch that is not void and higher than all that the robot has used.
     pub fn next_epoch(&self) -> Epoch {
         Epoch(self.newest.0.saturating_add(1)).max(self.first_epoch)
     }

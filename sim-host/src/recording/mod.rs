@@ -14,8 +14,8 @@
 //!
 //! [`write_carmen`] writes the scans of robots as a CARMEN log.
 //!
-//! [`RecordedFrames`] plays the frames of RGB-D cameras, and [`Recorder`] writes them; [`frames`] describes
-//! the layout on disk.
+//! [`RecordedFrames`] plays the frames of RGB-D cameras, and [`Recorder`] writes them. [`frames`]
+//! describes the layout on disk.
 
 mod camera_poses;
 mod depth_image;

@@ -6,8 +6,8 @@ use serde::Serialize;
 
 /// The figures of a placement.
 ///
-/// In JSON, `schema` and `version` identify the format: within a version, names keep their meaning and
-/// new ones may be added.
+/// In the JSON, `schema` and `version` identify the format: within a version, names keep their
+/// meaning, and new ones may be added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlaceReport {
     /// Always "ubimap-place".

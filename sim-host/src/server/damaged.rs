@@ -43,7 +43,7 @@ impl Damaged {
         }
     }
 
-    /// Records that complete states of these tiles and epochs have arrived.
+    /// Removes tiles and epochs with complete states that have arrived from the robot.
     pub(super) fn came(&mut self, robot: RobotId, complete: &BTreeSet<(TileId, Epoch)>) {
         if let Some(awaited) = self.robots.get_mut(&robot) {
             awaited.tiles.retain(|tile| !complete.contains(tile));

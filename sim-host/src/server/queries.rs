@@ -53,7 +53,7 @@ impl Server {
     }
 
     /// The cells of a tile that are below robots, as cameras last saw the robots. The fused layer
-    /// is not occupied there, whatever the other layers contain.
+    /// is not occupied there, even if other layers are.
     pub fn under(&self, id: TileId) -> Mask {
         self.map.under(id)
     }

@@ -26,8 +26,8 @@ impl Unsaved {
         Self { stores, changed: BTreeSet::new(), cures: VecDeque::new() }
     }
 
-    /// Queues the complete states of an update, and the epochs that it closed. Notifies the robot of
-    /// states that are already on disk.
+    /// Queues the complete states of an update, and the epochs that it closed. States that are
+    /// already on disk are reported to the robot.
     pub(super) fn came(&mut self, session: &mut Session, layer: &RobotLayer, updated: &Updated) {
         self.folded(session.robot(), &updated.folded);
         for &(id, epoch) in updated.complete.iter().filter(|_| self.stores) {

@@ -18,7 +18,7 @@ pub enum Damage {
     Times(RobotId, TileId),
     /// A tile of the cameras.
     CameraTile(TileId),
-    /// The progress of a robot's cure.
+    /// The progress of a robot's cure (the correction of its constant errors).
     Cure(RobotId),
     /// SQLite's log. The newest records may be missing.
     Log,

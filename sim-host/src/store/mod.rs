@@ -123,7 +123,7 @@ impl Store {
         self.select("SELECT x, y, cells, seconds, cameras FROM camera ORDER BY x, y", camera_tile)
     }
 
-    /// Reads the progress of the robots' cures.
+    /// Reads the progress of the robots' cures (corrections of their constant errors).
     ///
     /// # Errors
     /// [`StoreError`].
@@ -158,12 +158,12 @@ impl Store {
     }
 
     /// Writes records in one transaction, which is durably on disk when this returns. A
-    /// [closed](TileRecord::is_closed) record replaces those of all epochs up to its own. `now` is by
-    /// the server's clock.
+    /// [closed](TileRecord::is_closed) record replaces those of all epochs up to its own. `now` is
+    /// by the server's clock.
     ///
     /// # Errors
-    /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
-    /// [gone](Trouble::Gone).
+    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it
+    /// is [gone](Trouble::Gone).
     pub fn keep(
         &mut self,
         records: &[(RobotId, TileRecord)],
@@ -175,8 +175,8 @@ impl Store {
     /// Replaces camera tiles in one transaction. `now` is by the server's clock.
     ///
     /// # Errors
-    /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
-    /// [gone](Trouble::Gone).
+    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it
+    /// is [gone](Trouble::Gone).
     pub fn keep_camera_tiles(
         &mut self,
         tiles: &[CameraTile],
@@ -188,8 +188,8 @@ impl Store {
     /// Stores the progress of a robot's cure, and deletes the robot's void tiles.
     ///
     /// # Errors
-    /// [`StoreError`]; nothing of it may be acknowledged. The file is unchanged, unless it is
-    /// [gone](Trouble::Gone).
+    /// [`StoreError`]; none of it may be acknowledged as stored. The file is unchanged, unless it
+    /// is [gone](Trouble::Gone).
     pub fn cure(&mut self, record: &CureRecord) -> Result<(), StoreError> {
         let CureRecord { robot, cured: Cured { taken_out, added }, first_epoch, is_over } = *record;
         self.write(self.server, |transaction| {

@@ -102,8 +102,8 @@ fn furnished() -> WalledRoom {
     WalledRoom::new(walls, [[0.05, 0.05], [6.0, 4.0]])
 }
 
-/// If too little is in view, there may be no match, but a match must be within its claimed
-/// deviations.
+/// If too little is in view, there may be no match. The errors of 99 % of the matches must be
+/// within three of their stated standard deviations.
 #[test]
 fn matches_are_within_their_claimed_deviations() {
     let room = furnished();
@@ -138,7 +138,7 @@ fn matches_are_within_their_claimed_deviations() {
     assert!(100 * claimed >= 99 * found, "{claimed} of {found}");
 }
 
-/// A search around a wrong position may match there, but never outside its range.
+/// A search around a wrong position may find a match there, but never outside the search range.
 #[test]
 fn matches_are_within_the_search_range() {
     let room = furnished();
@@ -259,7 +259,7 @@ fn hall(more: &[[[f64; 2]; 2]]) -> WalledRoom {
 
 #[test]
 fn points_at_the_end_of_the_range_are_on_their_surface() {
-    // The walls on both sides extend beyond the range, so the last column of each has only one
+    // The walls on both sides extend beyond the range, so the last column on each wall has only one
     // neighbour.
     let room = hall(&[]);
     for degrees in [-3.0f64, 0.0, 3.0] {

@@ -35,8 +35,8 @@ pub struct Trail {
 
 impl Trail {
     /// Adds the points (from [`points`](super::points)) seen from a pose; three neighbours on a
-    /// line form a surface. If the trail already has more than the maximum number of cells, it is
-    /// cleared first.
+    /// line form a surface. If any quadrant already has more than the maximum number of cells, the
+    /// trail is cleared first.
     pub fn add(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
         if self.seen.iter().any(|seen| seen.len() > MAX_CELLS) {
             *self = Self::default();

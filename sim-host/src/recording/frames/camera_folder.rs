@@ -94,7 +94,8 @@ pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
 }
 
 impl CameraFolder {
-    /// Reads everything except the pixels, and checks that the images have the size in the intrinsics.
+    /// Reads everything except the pixels, and checks that the images have the size stated in the
+    /// intrinsics.
     pub(super) fn open(path: &Path) -> Result<Self, FramesError> {
         let times_file = path.join(TIMES_FILE);
         let (depth_files, picture_files) = image_files(path, times_file.is_file())?;

@@ -15,8 +15,8 @@ pub(super) const TIMES_FILE: &str = "times.txt";
 
 /// Maximum time stamp in seconds: a larger one is probably in milliseconds or a smaller unit.
 const MAX_TIME_S: f64 = 1e11;
-/// Maximum time between frames, and between the starts of cameras, in seconds. A longer time means
-/// that clocks differ, or that a clock was set.
+/// Maximum time in seconds between frames, between capture and arrival, and between the starts of
+/// cameras. A longer time means that clocks differ, or that a clock was set.
 pub(super) const MAX_SPAN_S: f64 = 86_400.0;
 
 /// The times of a frame, in seconds of the recording's clock.

@@ -1,4 +1,4 @@
-//! Recorded frames of one or more fixed RGB-D cameras: the layout on disk, its player and its writer.
+//! Recorded frames of one or more fixed RGB-D cameras: their layout on disk, a player and a writer.
 //!
 //! ```text
 //! robots.toml           the robots and their markers: see `deployment::registry`

@@ -1,7 +1,8 @@
 //! The log of CoreSLAM's mine robot: a Hokuyo URG-04LX and two wheel encoders.
 //!
-//! Each line has 707 numbers: \[0\] microseconds, \[2\] and \[3\] ticks of the left and the right wheel,
-//! \[24\] to \[705\] 682 ranges in millimetres over 240 degrees, beam 0 to the right. There are no poses.
+//! Each line has 707 numbers. Number 0 is the time in microseconds, 2 and 3 are the ticks of the
+//! left and the right wheel, and 24 to 705 are 682 ranges in millimetres over 240 degrees, with
+//! beam 0 to the right. There are no poses.
 
 use std::{f64::consts::PI, path::Path};
 

@@ -79,8 +79,8 @@ impl<'g> Canvas<'g> {
         self.scale as f64 / self.grid.resolution_m()
     }
 
-    /// Converts an angle of `map` to the picture, whose y axis points down: counter-clockwise from the
-    /// right, in radians.
+    /// Converts an angle in `map` to an angle in the picture, counter-clockwise from the right,
+    /// both in radians.
     pub(super) fn angle(&self, heading_rad: f64) -> f64 {
         heading_rad - self.grid.yaw_rad()
     }

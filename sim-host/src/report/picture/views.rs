@@ -38,8 +38,8 @@ pub struct Moment {
     pub markers: Vec<Marker>,
 }
 
-/// Draws a map with its markers. Cells are 2 to 8 pixels wide, so that pictures of rooms and buildings
-/// have about the same size; cells of huge maps are one pixel.
+/// Draws a map with its markers. Cells are 2 to 8 pixels wide, so that pictures of rooms and of
+/// buildings have about the same size. Cells of huge maps are one pixel wide.
 pub fn render(grid: &OccupancyGrid, markers: &[Marker], caption: &Caption) -> RgbImage {
     let canvas = Canvas::new(grid, scale_of(grid), map_colour(grid));
     finish(canvas, markers, caption, &MAP)

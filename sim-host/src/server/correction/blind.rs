@@ -28,7 +28,8 @@ pub(super) struct BlindTrip {
     trail: Trail,
     /// The pose that the robot last reported.
     last: Pose,
-    /// Distance driven in millimetres, and angle turned in radians, since the last match.
+    /// Distance driven in millimetres, and angle turned in radians, since the robot's pose was last
+    /// known from cameras or a match.
     way_mm: f64,
     turned: f64,
 }

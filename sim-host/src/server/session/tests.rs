@@ -120,7 +120,7 @@ fn tiles_are_sent_again_after_a_lost_window() {
     let mut session = level(&fused);
     session.interested(window(2, 1));
     assert!(session.is_level(&snapshot(&fused)), "the robot kept the tile");
-    // The lost third window may have excluded the tile.
+    // The message with the third window was lost. That window may have excluded the tile.
     session.interested(window(4, 0));
     assert!(!session.is_level(&snapshot(&fused)));
     assert!(session.poll_timeout(&snapshot(&fused), true, Instant(0)).is_some());
@@ -224,7 +224,8 @@ fn coverage_is_confirmed_while_the_robot_has_it() {
     let surroundings = Surroundings::default();
     let mut session = new_session();
     session.interested(window(1, 0));
-    // The time of the last confirmation before `until`; if `lost`, frames with tiles are lost.
+    // Runs to `until` (ms). Returns the time of the last confirmation. If `lost`, all frames with
+    // tiles are lost.
     let mut confirmed = |coverage: &ServedLayer, until: u64, lost: bool| {
         let snapshot =
             Snapshot { epoch: Epoch(1), fused: &fused, coverage, surroundings: &surroundings };
@@ -252,6 +253,6 @@ fn coverage_is_confirmed_while_the_robot_has_it() {
     assert_eq!(confirmed(&coverage, 3_000, false), Some(2_500));
     tile.set(4, 3, Cell::Free);
     coverage.set(ID, tile);
-    // Until now, the robot had acknowledged the newest state.
+    // The robot had the newest state until the tile changed at 3 s.
     assert_eq!(confirmed(&coverage, 6_000, true), Some(3_000));
 }

@@ -12,7 +12,7 @@ fn a_store_in_use_is_copied_with_everything_stored() {
     let mut store = Store::open(&path, CELLS).unwrap();
     store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(7)).unwrap();
     assert_eq!(backup(&path, &copy).unwrap(), 1);
-    // The writer goes on, and an earlier backup is replaced.
+    // The writer continues, and the earlier backup is replaced.
     store.keep(&[(RobotId(1), record(1, 1, 1))], Instant(8)).unwrap();
     assert_eq!(backup(&path, &copy).unwrap(), 2);
     store.keep(&[(RobotId(1), record(2, 1, 1))], Instant(9)).unwrap();

@@ -59,7 +59,7 @@ fn is_noticed(path: &Path, before: &Content) -> bool {
     let damage = store.damage().to_vec();
     for (key, record) in &mut after.tiles {
         let original = before.tiles.get(key).expect("no tile is invented");
-        // Without its times, a tile's cells are still right.
+        // The cells of a tile must be right even if its times are lost.
         if record.seconds == [0; TILE_CELLS as usize] && !damage.is_empty() {
             record.seconds = original.seconds;
         }
@@ -71,7 +71,7 @@ fn is_noticed(path: &Path, before: &Content) -> bool {
     let count = |it: &Content| it.tiles.len() + it.camera_tiles.len() + it.cures.len();
     assert!(count(before) - count(&after) <= damage.len(), "{damage:?}");
 
-    // What is left works, and the damage is gone.
+    // The remaining rows can be used, and the damage is no longer reported.
     store.keep(&[(RobotId(5), record(0, 1, 1))], Instant(80)).unwrap();
     drop(store);
     let store = Store::open(path, CELLS).unwrap();
@@ -80,7 +80,7 @@ fn is_noticed(path: &Path, before: &Content) -> bool {
     !damage.is_empty()
 }
 
-/// Damages a file in many ways; returns the number of times that it was noticed.
+/// Damages a file `times` times with `spoil`. Returns how often that was noticed.
 fn count_noticed(name: &str, times: u64, mut spoil: impl FnMut(&mut [u8], &mut ChaCha8Rng)) -> u64 {
     let folder = Folder::new(name);
     let path = folder.path().join("map.db");
@@ -181,7 +181,7 @@ fn damage_of_the_log_is_noticed_or_costs_the_last_commit() {
         (records.len(), is_told)
     };
     assert_eq!(opened(&log), (COMMITS, false));
-    // A kill in the middle of a write.
+    // The process was killed in the middle of a write.
     for cut in [log.len() - 1, log.len() - 4_096, log.len() - 4_100, log.len() / 2] {
         assert!(!opened(&log[..cut]).1);
     }

@@ -132,8 +132,8 @@ impl Story {
 }
 
 proptest! {
-    /// Also holds with late copies, while old epochs are about to become void, and for any part of
-    /// the layer on disk.
+    /// This must also hold with late copies, while old epochs are about to become void, and while
+    /// only a part of the layer is on disk.
     #[test]
     fn a_layer_that_folds_is_like_one_that_keeps_all_epochs(
         steps in proptest::collection::vec((0u8..16, 0i16..3, any::<u32>()), 1..120),

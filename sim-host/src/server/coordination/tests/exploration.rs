@@ -134,7 +134,7 @@ fn a_goal_takes_precedence_over_exploration() {
     assert!(floor.run(3, |floor| floor.coordinator.target(id(0)).is_some()));
 }
 
-/// Ground behind a wall without a door can't be known; attempts must end.
+/// Ground behind a wall without a door can't be explored; robots must stop trying.
 #[test]
 fn ground_out_of_reach_is_left_alone() {
     let mut plan = Plan::room(6.0, 4.0);

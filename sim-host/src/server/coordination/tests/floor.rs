@@ -35,7 +35,7 @@ pub(super) struct Body {
     /// When a person or a wall began to block its way.
     blocked_since: Option<Instant>,
     pub(super) has_session: bool,
-    /// Paths on their way to the robot, and pose reports on their way from it.
+    /// Paths in flight to the robot, and pose reports in flight from it.
     mail: VecDeque<(Instant, Vec<Point>)>,
     reports: VecDeque<(Instant, Instant, Point)>,
     reported: (Instant, Point),
@@ -112,7 +112,7 @@ impl Floor {
             paths: 0,
             rng,
         };
-        // One tick, after which all robots are known.
+        // After one tick, the coordinator knows all robots.
         floor.tick();
         floor
     }

@@ -1,4 +1,4 @@
-//! Robots that meet.
+//! Drives of robots whose routes meet.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -221,7 +221,8 @@ fn the_time_of_a_tick() {
         let place = Floor::free_place(&plan, &mut rng, [0.0, 0.0, 20.0, 15.0], &starts);
         starts.push(place);
     }
-    // Runs the same ticks several times: the minimum of each is the least disturbed by other load.
+    // Runs the same ticks several times. The minimum duration of each tick is the least affected by
+    // other load.
     let mut least: Vec<std::time::Duration> = Vec::new();
     for _ in 0..5 {
         let mut floor = Floor::new(plan.clone(), &starts, 1, |place| place.x > 10.0);
