@@ -34,9 +34,15 @@ fn wrong_usage_and_invalid_input_are_refused_in_one_line() {
     refused(&["frob"], "frob");
     refused(&["simulat"], "did you mean simulate?");
     refused(&["simulate", "--duratio", "1"], "did you mean --duration?");
-    refused(&["simulate", "rom"], "no scenario \"rom\"; did you mean \"room\"? There are room, ");
-    refused(&["simulate", "zzz"], "no scenario \"zzz\"; there are room, warehouse, ");
+    refused(
+        &["simulate", "rom"],
+        "no scenario \"rom\"; did you mean \"room\"? The built-in ones are",
+    );
+    refused(&["simulate", "zzz"], "no scenario \"zzz\"; the built-in ones are room, ");
     refused(&["simulate", "-q", "-v"], "--quiet");
+    refused(&["simulate", "--outside", "a,b"], "must be three ports");
+    refused(&["simulate", "--outside", "a,b,c"], "choose one with --robots 1");
+    refused(&["simulate", "--robots", "1", "--outside", "/no/a,b,c"], "/no/a: ");
     refused(&["simulate", "room", "--map", "bad.yaml"], "scenario room with --map bad.yaml: ");
     refused(&["simulate", "--out", "/dev/null/x"], "/dev/null/x: ");
     refused(&["replay"], "LOG");

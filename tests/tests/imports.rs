@@ -13,7 +13,7 @@ use graph::Graph;
 mod graph;
 
 /// The folders of `sim-host`, with the folders that each may import.
-const HOST: [(&str, &[&str]); 16] = [
+const HOST: [(&str, &[&str]); 17] = [
     ("timing", &[]),
     ("files", &[]),
     ("rounding", &[]),
@@ -29,12 +29,14 @@ const HOST: [(&str, &[&str]); 16] = [
     ("channel", &[]),
     ("report", &["files", "grid", "camera", "perception", "mapping", "server"]),
     ("world", &["files", "rounding", "grid", "camera"]),
+    ("devices", &[]),
     (
         "run",
         &[
             "camera",
             "channel",
             "deployment",
+            "devices",
             "files",
             "grid",
             "mapping",

@@ -30,7 +30,12 @@ impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Observed(Observation { camera, robots, cells, .. }) => {
-                write!(f, "camera {camera}: {} robots localised, {} cells observed", robots.len(), cells.len())
+                write!(
+                    f,
+                    "camera {camera}: {} robots localised, {} cells observed",
+                    robots.len(),
+                    cells.len()
+                )
             }
             Self::Frame(error) => error.fmt(f),
             Self::Server(event) => event.fmt(f),

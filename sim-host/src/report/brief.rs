@@ -54,7 +54,10 @@ impl Brief for Report {
     }
 
     fn time(&self) -> String {
-        format!("{:.0} s of simulated or recorded time, processed in {:.0} s", self.simulated_s, self.elapsed_s)
+        format!(
+            "{:.0} s of simulated or recorded time, processed in {:.0} s",
+            self.simulated_s, self.elapsed_s
+        )
     }
 }
 

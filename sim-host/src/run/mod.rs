@@ -26,6 +26,7 @@ pub mod scan_log;
 pub mod scoring;
 pub mod serve;
 pub mod simulate;
+mod stage;
 pub mod terminal;
 mod time_lapse;
 pub mod watch;

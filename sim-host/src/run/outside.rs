@@ -9,7 +9,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-use super::fleet::Stage;
+use super::stage::Stage;
 use crate::{
     channel::serial::{SerialError, SerialPort},
     deployment::{Deployment, PortId},

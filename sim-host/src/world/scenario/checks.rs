@@ -35,7 +35,10 @@ impl Scenario {
             let key = format!("robots[{index}]");
             self.check_robot(&key, robot)?;
             if let Some(first) = self.robots[..index].iter().position(|r| r.id == robot.id) {
-                let problem = format!("is {}, but robots[{first}] already has this id; choose another", robot.id);
+                let problem = format!(
+                    "is {}, but robots[{first}] already has this id; choose another",
+                    robot.id
+                );
                 return Err(self.invalid(format!("{key}.id"), problem));
             }
         }
