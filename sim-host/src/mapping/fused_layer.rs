@@ -197,6 +197,30 @@ mod tests {
         }
     }
 
+    /// A tile is the fusion of its cells, each by itself.
+    #[test]
+    fn cells_are_fused_at_their_places() {
+        let mut tile = Tile::UNKNOWN;
+        tile.set(31, 0, Occupied);
+        tile.set(0, 31, Free);
+        tile.set(12, 17, Movable);
+        let robot = SeenTile { tile, seconds: [5; TILE_CELLS as usize] };
+        let fused = fuse(&SeenTile::NOTHING, &[(Weight::FULL, &robot)], MapTime::default());
+        assert_eq!(fused, tile);
+    }
+
+    /// A free claim from the server's first second is no claim that cameras could have revoked.
+    #[test]
+    fn what_cameras_have_never_seen_is_not_revoked() {
+        assert_eq!(fused((Unknown, 0), &[(Free, 0, Weight::FULL)], 40), Free);
+        assert_eq!(fused((Unknown, 1), &[(Free, 1, Weight::FULL)], 40), Unknown);
+        // A claim of the cameras is no revocation, and three alternations are enough.
+        assert_eq!(fused((Occupied, 4), &[(Free, 7, Weight::FULL)], 40), Free);
+        let words = [(Free, 3), (Occupied, 3), (Free, 13), (Occupied, 23)];
+        let words = words.map(|(cell, second)| (cell, second, Weight::FULL));
+        assert_eq!(fused((Unknown, 0), &words, 40), Occupied, "two of them in the same second");
+    }
+
     #[test]
     fn claims_of_lower_weight_count_as_older() {
         let never = (Unknown, 0);
@@ -240,5 +264,11 @@ mod tests {
         assert_eq!(at(0), at(9_999_999));
         assert_eq!(at(0).next(), Instant(10_000_000));
         assert_eq!(MapTime::at(at(0).next()).next(), Instant(20_000_000));
+        // A second is recent from the step before the current one on.
+        let time = at(57_000_000);
+        assert_eq!(
+            [39, 40, 50, 59, 70].map(|second| time.is_recent(second)),
+            [false, true, true, true, true]
+        );
     }
 }

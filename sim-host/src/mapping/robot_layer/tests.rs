@@ -1,4 +1,5 @@
 mod folding;
+mod limits;
 
 use super::*;
 use ubimap_protocol::tile::{Cell, TileEncoder, Version};
