@@ -195,3 +195,190 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
         self.wheels.drive(self.command(), now);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Bounds, Config, Memory,
+        device::{Scan, SensorCounters, create2::Create2},
+        drive::{Drives, Seen, Surroundings},
+        memory,
+        sense::SensorModel,
+    };
+    use std::{boxed::Box, vec, vec::Vec};
+    use ubimap_protocol::units::{Millimetres, RobotId};
+
+    const BOUNDS: Bounds = Bounds::SMALL;
+
+    /// A drive that always drives ahead and turns.
+    #[derive(Debug)]
+    struct Ahead;
+
+    const AHEAD: DriveCommand = DriveCommand { speed: 200, turn: 300 };
+
+    impl Drive for Ahead {
+        type Memory = ();
+        const EMPTY: () = ();
+        type State<'b> = Self;
+
+        fn begin(self, _: Millimetres, (): &mut ()) -> Self {
+            self
+        }
+    }
+
+    impl Drives for Ahead {
+        fn wants_scan(&mut self, _: Instant, _: Option<Instant>) -> bool {
+            true
+        }
+
+        fn see(&mut self, _: &Seen<'_>) {}
+
+        fn poll_timeout(&self) -> Option<Instant> {
+            None
+        }
+
+        fn step(&mut self, _: &Surroundings<'_, '_>) -> Option<EventCode> {
+            None
+        }
+
+        fn command(&self) -> DriveCommand {
+            AHEAD
+        }
+    }
+
+    /// A sensor that never reports.
+    struct Blind;
+
+    impl DepthSensor for Blind {
+        fn receive(&mut self, bytes: &mut &[u8], _: Instant) -> Option<Scan<'_>> {
+            *bytes = &[];
+            None
+        }
+
+        fn poll_transmit(&mut self, _: Instant, _: &mut [u8]) -> Option<usize> {
+            None
+        }
+
+        fn poll_timeout(&self) -> Instant {
+            Instant(u64::MAX)
+        }
+
+        fn counters(&self) -> SensorCounters {
+            SensorCounters::default()
+        }
+    }
+
+    /// A machine and the time since it was switched on, in milliseconds.
+    struct Bench<'b> {
+        machine: Machine<'b, Blind, Create2, Ahead>,
+        millis: u64,
+    }
+
+    impl Bench<'_> {
+        fn now(&self) -> Instant {
+            Instant(self.millis * 1_000)
+        }
+
+        /// The base reports these contacts once; `None`: it is silent. Returns what the machine then
+        /// sends to it, after 15 ms.
+        fn report(&mut self, contact: Option<u8>) -> Vec<Vec<u8>> {
+            self.millis += 15;
+            let now = self.now();
+            if let Some(contact) = contact {
+                let mut frame = vec![19, 10, 7, contact, 35, 2, 43, 0, 0, 44, 0, 0];
+                let sum = frame.iter().fold(0, |sum: u8, &byte| sum.wrapping_add(byte));
+                frame.push(sum.wrapping_neg());
+                self.machine.receive(Port::Wheels, &frame, now);
+            }
+            self.machine.timeout(now);
+            let (mut out, mut sent) = ([0; 16], Vec::new());
+            while let Some(count) = self.machine.poll_transmit(Port::Wheels, now, &mut out) {
+                sent.push(out[..count].to_vec());
+            }
+            sent
+        }
+    }
+
+    /// Calls `test` with a machine that has driven for a second.
+    fn driving(test: impl FnOnce(Bench<'_>)) {
+        let model = SensorModel::Radial { first: 0.0, step: 0.1 };
+        let config = Config::new(RobotId(1), model, BOUNDS).with_drive(Ahead);
+        let mut memory: Box<memory!(BOUNDS, Ahead)> = Box::new(Memory::EMPTY);
+        let robot = Robot::new(config, &mut memory).unwrap();
+        let mut bench = Bench { machine: Machine::new(robot, Blind, Create2::new()), millis: 0 };
+        (0..70).for_each(|_| drop(bench.report(Some(0))));
+        assert_eq!((bench.machine.command(), bench.machine.robot().stopped()), (AHEAD, None));
+        test(bench);
+    }
+
+    const STANDING: [u8; 5] = [145, 0, 0, 0, 0];
+
+    #[test]
+    fn a_bumper_stops_the_wheels_in_the_same_step_and_then_allows_turns() {
+        driving(|mut bench| {
+            assert_eq!(bench.report(Some(1)), [STANDING]);
+            assert_eq!(bench.machine.robot().stopped(), Some(StopReason::Bumper));
+            // While it stays pressed, the robot stands for two seconds, then turns away.
+            for _ in 0..132 {
+                bench.report(Some(1));
+                assert_eq!(bench.machine.command(), DriveCommand::STAND);
+            }
+            (0..3).for_each(|_| drop(bench.report(Some(1))));
+            let turn = DriveCommand { speed: 0, ..AHEAD };
+            assert_eq!((bench.machine.command(), bench.machine.robot().stopped()), (turn, None));
+            // Free again, it drives on, and a new contact stops it again.
+            bench.report(Some(0));
+            assert_eq!(bench.machine.command(), AHEAD);
+            assert_eq!(bench.report(Some(2)), [STANDING]);
+        });
+    }
+
+    #[test]
+    fn a_wheel_drop_stops_the_wheels_until_it_is_over() {
+        driving(|mut bench| {
+            assert_eq!(bench.report(Some(4)), [STANDING]);
+            for _ in 0..200 {
+                bench.report(Some(12));
+                assert_eq!(bench.machine.robot().stopped(), Some(StopReason::WheelDrop));
+            }
+            (0..32).for_each(|_| drop(bench.report(Some(0))));
+            assert_eq!(bench.machine.command(), DriveCommand::STAND);
+            (0..3).for_each(|_| drop(bench.report(Some(0))));
+            assert_eq!(bench.machine.command(), AHEAD);
+        });
+    }
+
+    #[test]
+    fn a_silent_base_stands_within_600_ms_and_is_started_again() {
+        driving(|mut bench| {
+            let began = bench.millis;
+            let mut sent = Vec::new();
+            while bench.millis < began + 600 {
+                sent.extend(bench.report(None));
+            }
+            assert_eq!(bench.machine.command(), DriveCommand::STAND);
+            assert_eq!(bench.machine.robot().stopped(), Some(StopReason::WheelsSilent));
+            assert!(sent.contains(&vec![128]), "{sent:?}");
+            // It is back: after half a second the robot drives on.
+            (0..40).for_each(|_| drop(bench.report(Some(0))));
+            assert_eq!((bench.machine.command(), bench.machine.robot().stopped()), (AHEAD, None));
+        });
+    }
+
+    #[test]
+    fn a_button_stops_until_the_robot_is_told_to_go_on() {
+        driving(|mut bench| {
+            let now = bench.now();
+            bench.machine.stop(StopReason::Button, None, now);
+            (0..1_000).for_each(|_| drop(bench.report(Some(0))));
+            // A bump meanwhile does not shorten the stop.
+            bench.report(Some(1));
+            (0..1_000).for_each(|_| drop(bench.report(Some(0))));
+            assert_eq!(bench.machine.command(), DriveCommand::STAND);
+            bench.machine.resume();
+            bench.report(Some(0));
+            assert_eq!(bench.machine.command(), AHEAD);
+        });
+    }
+}

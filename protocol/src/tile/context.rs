@@ -139,3 +139,85 @@ pub(super) const PRIORS: [u8; CONTEXTS] = [
     68, 26, 199, 122, 108, 71, 218, 170, 114, 100, 243, 221, 222, 200, 51, 2, 2, 2,
     25, 8, 2, 2, 239, 186, 131, 67, 108, 2, 25, 2, 2, 234,
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NONE: Surroundings = Surroundings {
+        west: 0,
+        south: 0,
+        south_east: 0,
+        east: 0,
+        west_changed: false,
+        south_changed: false,
+    };
+
+    /// The contexts are numbered without gaps, in the order of the loops (SPEC 8.6).
+    #[test]
+    fn contexts_are_numbered_in_order() {
+        let mut next = KNOWN;
+        for (west, south) in (0..3).flat_map(|west| (0..3).map(move |south| (west, south))) {
+            for south_east in 0..3 {
+                for is_east_known in [false, true] {
+                    for east in if is_east_known { 1..3 } else { 0..1 } {
+                        let around = Surroundings { west, south, south_east, east, ..NONE };
+                        assert_eq!(around.of_unknown(), next, "{around:?}");
+                        let entry = west | south << 2 | south_east << 4;
+                        let entry = OF_UNKNOWN[entry | usize::from(is_east_known) << 6];
+                        assert_eq!(usize::from(entry), next, "{around:?}");
+                    }
+                    next += 1;
+                }
+            }
+        }
+        assert_eq!(next, OCCUPIED);
+
+        let mut next = CHANGED;
+        for old in 1..4 {
+            for occupied in 0..3 {
+                for south_changed in [false, true] {
+                    for west_changed in [false, true] {
+                        for [west, south, east] in with_occupied(occupied) {
+                            let changed = Surroundings { west_changed, south_changed, ..NONE };
+                            let around = Surroundings { west, south, east, ..changed };
+                            assert_eq!(around.of_known(old), next, "{around:?}, {old}");
+                            let is = |code| usize::from(code == 2);
+                            let entry = is(west)
+                                | usize::from(west_changed) << 1
+                                | old << 2
+                                | is(south) << 4
+                                | is(east) << 5
+                                | usize::from(south_changed) << 6;
+                            assert_eq!(usize::from(OF_KNOWN[entry]), next, "{around:?}, {old}");
+                        }
+                        next += 1;
+                    }
+                }
+            }
+        }
+        assert_eq!(next, USUAL);
+    }
+
+    /// The neighbours with this number of occupied ones; 2 stands for two or three.
+    fn with_occupied(number: usize) -> impl Iterator<Item = [usize; 3]> {
+        let codes = || 0..3usize;
+        let all =
+            codes().flat_map(move |a| codes().flat_map(move |b| codes().map(move |c| [a, b, c])));
+        all.filter(move |all| all.iter().filter(|code| **code == 2).count().min(2) == number)
+    }
+
+    #[test]
+    fn entries_of_impossible_neighbours_are_valid() {
+        // 3 stands for no code of a neighbour, and 0 for none of a known cell.
+        for index in 0..128 {
+            let [west, south, south_east] = [0, 2, 4].map(|shift| index >> shift & 3);
+            if [west, south, south_east].contains(&3) {
+                assert_eq!(usize::from(OF_UNKNOWN[index]), KNOWN);
+            }
+            if index >> 2 & 3 == 0 {
+                assert_eq!(usize::from(OF_KNOWN[index]), CHANGED);
+            }
+        }
+    }
+}
