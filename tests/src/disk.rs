@@ -1,5 +1,5 @@
-//! A model of the disk of a server that may be killed at any time: confirmed writes survive, and an
-//! arbitrary part of the others.
+//! A model of the disk of a server that may be killed at any time: confirmed writes survive, and so
+//! does an arbitrary part of the unconfirmed ones.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -47,21 +47,22 @@ pub struct Disk {
     backup: Contents,
     /// Writes in progress, with the time at which each will be confirmed.
     writes: VecDeque<(Instant, RobotId, TileRecord)>,
-    /// Until then all writes fail.
+    /// All writes before this time fail.
     fails_until: Instant,
     copy: Option<Copy>,
 }
 
-/// A real store with the same contents.
+/// A real store that is given the same records as this model.
 #[derive(Debug)]
 struct Copy {
     store: Store,
-    /// What it lacks.
+    /// Records that have not been written to it yet.
     unwritten: Vec<(RobotId, TileRecord)>,
 }
 
 impl Disk {
-    /// Starts the server's pending writes, and confirms those due by `now`, but for some that fail.
+    /// Starts the server's pending writes, and confirms those due by `now`, except a share that
+    /// fails.
     pub fn work(&mut self, server: &mut Server, now: Instant, rng: &mut ChaCha8Rng) {
         while let Some((robot, record)) = server.poll_store() {
             let at = now + Duration(rng.random_range(0..SLOWEST));
@@ -101,7 +102,7 @@ impl Disk {
         self.contents.cures.insert(record.robot, record);
     }
 
-    /// The robots whose cures are not over.
+    /// The robots with a cure (a correction of a constant error) in progress.
     pub fn curing(&self) -> impl Iterator<Item = RobotId> {
         let cures = self.contents.cures.values().filter(|record| !record.is_over);
         cures.map(|record| record.robot)
@@ -112,7 +113,7 @@ impl Disk {
         self.backup = self.contents.clone();
     }
 
-    /// Replaces what is written by the last copy, of an empty disk if there is none.
+    /// Replaces the contents by those of the last copy; empties the disk if there is none.
     pub fn revert(&mut self) {
         self.contents = self.backup.clone();
         self.writes.clear();
@@ -123,7 +124,7 @@ impl Disk {
         self.writes.len()
     }
 
-    /// Makes all writes fail until then.
+    /// Makes all writes before `until` fail.
     pub fn fail_until(&mut self, until: Instant) {
         self.fails_until = self.fails_until.max(until);
     }
@@ -196,8 +197,8 @@ impl Disk {
         }
     }
 
-    /// Checks that each tile is stored that a robot believes to be stored, or that it has discarded
-    /// since `before`; not of a robot that `is_excused`.
+    /// Checks that every tile is stored that the robot believes to be stored, or has discarded
+    /// since `before`. Nothing is checked if `is_excused`.
     ///
     /// # Panics If such a tile is not stored.
     pub fn check_robot(

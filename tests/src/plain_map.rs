@@ -1,5 +1,6 @@
 //! The server's map of robots' layers, cell by cell: an independent version of what the server
-//! computes with whole words. Cameras have seen only free ground beyond the robots' reach.
+//! computes for 32 cells at a time. The cameras have seen nothing but free ground, all of it out of
+//! the robots' reach.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,7 +16,7 @@ use ubimap_sim_host::{
 const SIDE: i32 = TILE_SIDE as i32;
 /// Age at which a movable cell is forgotten, in seconds.
 const MOVABLE_S: i64 = 300;
-/// A claim counts as this much older per grade below the full weight, in seconds.
+/// Time in seconds by which a claim counts as older, for each grade of weight that its robot lacks.
 const GRADE_S: i64 = 60;
 
 /// The claims of all robots, and the time by which the map ages.
@@ -78,7 +79,7 @@ impl<'s> PlainMap<'s> {
                 claims.push((second - GRADE_S * i64::from(weight.short_of_full()), cell));
             }
         }
-        // The newest claim; among those of one second movable before occupied before free.
+        // The newest claim wins; of those in one second movable beats occupied, which beats free.
         claims.sort_by_key(|&(second, cell)| (second, cell.code()));
         let Some(&(_, newest)) = claims.last() else { return Cell::Unknown };
         let alternations = claims.windows(2).filter(|pair| {
@@ -87,8 +88,8 @@ impl<'s> PlainMap<'s> {
         if newest == Cell::Occupied && alternations.count() >= 3 { Cell::Movable } else { newest }
     }
 
-    /// Whether an occupied cell is close enough to free ground: at most two cells, or three with
-    /// nothing fixed in between.
+    /// Whether an occupied cell is close enough to free ground to have been seen: at most two
+    /// cells, or three with nothing fixed in between.
     fn can_be_seen(&self, at: (i32, i32)) -> bool {
         self.is_near(at, 2)
             || self.is_near(at, 3) && !around(at, 1).any(|beside| self.is_second(beside))

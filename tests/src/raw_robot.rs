@@ -46,7 +46,7 @@ impl RawRobot {
         server.receive(port, &Self::hello(id, 7), now).expect("the port is open");
         let session = loop {
             let len = server.poll_transmit(port, now, &mut out)?;
-            // Frames of the port's last session may come first.
+            // Frames of the previous session on this port may come first.
             if let Some(Received::Handshake(message)) = link.receive(&mut &out[..len], now) {
                 break message.decode::<Welcome>().ok()?.session;
             }

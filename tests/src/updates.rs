@@ -16,9 +16,9 @@ use ubimap_protocol::{
 pub struct TileChange {
     /// The tile's header in the update.
     pub header: TileHeader,
-    /// The receiver's state before.
+    /// The cells at the receiver before the update.
     pub old: Tile,
-    /// The receiver's state after all parts have arrived.
+    /// The cells at the receiver after all parts of the update have arrived.
     pub new: Tile,
 }
 
@@ -27,7 +27,7 @@ pub struct TileChange {
 pub struct Update {
     /// Direction of the frame.
     pub direction: Direction,
-    /// Space for it in the frame, in bytes.
+    /// Space for the update in the frame, in bytes.
     pub room: usize,
     /// The coded update.
     pub coded: Vec<u8>,

@@ -1,5 +1,5 @@
-//! Rows of a store that a disk has changed: their tiles are asked for again, and what no robot holds
-//! any longer is reported as lost.
+//! Rows of a store that were damaged on disk: the server requests their tiles again, and reports
+//! those as lost that no robot holds any longer.
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
@@ -34,7 +34,7 @@ fn record(id: TileId, row: u32) -> TileRecord {
     TileRecord { id, stamp, cells, known: cells, seconds: [1; 1_024] }
 }
 
-/// The events of the robot with a session, whose server is at `now`.
+/// The robot events of a server, polled at `now`.
 fn events(server: &mut Server, now: Instant) -> Vec<RobotEvent> {
     server.timeout(now);
     let mut out = [0; MAX_FRAME];
@@ -83,7 +83,7 @@ fn damaged_tiles_are_asked_for_again_or_reported_as_lost() {
     let nothing = Interest { number: 1, from: HELD, to: HELD };
     robot.say(&mut server, at(159), &nothing);
     assert_eq!(events(&mut server, at(159)), []);
-    // Once, with the number of tiles.
+    // The loss is reported once, with the number of tiles.
     let lost = RobotEvent::LostTiles(ROBOT, 1);
     for second in [160, 161, 300] {
         robot.say(&mut server, at(second), &nothing);

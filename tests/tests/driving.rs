@@ -1,4 +1,4 @@
-//! Autonomous robots coordinated by the server map the blind ground without collisions, also while
+//! Autonomous robots coordinated by the server map the blind ground without collisions, even while
 //! links are cut. `cargo driving` prints the tables over ten seeds.
 
 use std::{env, fs, path::Path};

@@ -1,5 +1,6 @@
-//! Memory and disk of a server are bounded over all robots together: somebody who sends valid tiles
-//! under ever new numbers gets no more than the limits, and disturbs nobody.
+//! Memory and disk of a server are bounded over all robots together: an attacker who sends valid
+//! tiles under ever new robot numbers can use no more than the limits, and does not disturb other
+//! robots.
 
 use std::{fs, path::Path};
 
@@ -39,7 +40,7 @@ fn floor(rows: usize) -> Tile {
     tile
 }
 
-/// Sends valid tiles at full speed, each number as many as fit in some frames.
+/// Sends valid tiles at full speed; each robot number is used for the tiles of a few frames.
 #[derive(Default)]
 struct Attacker {
     robot: Option<RawRobot>,
@@ -81,7 +82,7 @@ impl Attacker {
     }
 }
 
-/// What the neighbour got, and what was said.
+/// What was sent to the neighbour, and the server's events.
 #[derive(Debug, Default)]
 struct Outcome {
     /// Bytes to the neighbour in each step of 50 ms.
@@ -175,7 +176,7 @@ fn ever_new_numbers_fill_no_memory_and_disturb_nobody() {
     assert!(events.iter().any(|event| matches!(event, RobotEvent::TooMany(_))));
     assert!(events.len() as u64 <= SECONDS * 2 + 20, "{}", events.len());
 
-    // Who is known keeps what it has, and some room.
+    // A robot that is known keeps its tiles, and still has room for a few more.
     let now = at(SECONDS * 1_000 + 50);
     neighbour.draw(&mut server, now, HOME, &floor(9));
     let more = TileId { x: -6, y: -5 };
@@ -183,7 +184,7 @@ fn ever_new_numbers_fill_no_memory_and_disturb_nobody() {
     let layer = server.layer(NEIGHBOUR).unwrap();
     assert_eq!(layer.seen(HOME).unwrap().tile, floor(9));
     assert_eq!(layer.seen(more).unwrap().tile, floor(2));
-    // What was refused is neither in the map nor handed out for storage.
+    // A refused tile is neither in the map nor handed out for storage.
     let drawn = |server: &Server| server.fused().tiles().count();
     assert!(drawn(&server) < 20_000);
     while server.poll_store().is_some() {}
@@ -193,6 +194,6 @@ fn ever_new_numbers_fill_no_memory_and_disturb_nobody() {
     known.draw(&mut server, now, last, &floor(1));
     assert_eq!(server.layer(known.id).unwrap().seen(last), None);
     assert!(server.poll_store().is_none());
-    // The robot is asked for the tile, so that it keeps it.
+    // The server requests the tile, so the robot does not evict it.
     assert_eq!(server.waiting(known.id), 1);
 }

@@ -1,5 +1,5 @@
 //! Merging: in whatever order the states of a robot's tile arrive, and however often, the server
-//! ends with the same layer. Of older epochs than the two newest only late copies can arrive.
+//! ends with the same layer. Of epochs older than the two newest, only late copies can arrive.
 
 use proptest::prelude::*;
 use ubimap_protocol::tile::{Cell, Epoch, Stamp, TILE_SIDE, Tile, TileEncoder, TileId, Version};

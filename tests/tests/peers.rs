@@ -51,7 +51,7 @@ enum Told {
     Of(PeerMask),
 }
 
-/// Cells reported as occupied at any time.
+/// The cells that the robot reported as occupied at any time.
 struct Drawn {
     /// Occupied cells where there is no wall.
     wrong: BTreeSet<(i32, i32)>,

@@ -92,7 +92,8 @@ struct Ghosts {
     most: usize,
     most_about: usize,
     looks: u32,
-    /// The maximum number left behind by the clearing rule of ROS, which frees no such cells.
+    /// The maximum number of cells left behind under the merging rule of ROS, which never frees
+    /// such cells.
     most_by_ros: usize,
 }
 

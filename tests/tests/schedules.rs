@@ -90,7 +90,8 @@ fn without_retransmission_a_lossy_wire_leaves_the_map_incomplete() {
     }
 }
 
-/// What a robot draws in an epoch that its double has closed would be lost.
+/// A robot whose tile's epoch was closed by a second robot with its number must move the tile to a
+/// new epoch; otherwise what it draws would be lost.
 #[test]
 fn a_robot_loses_nothing_when_its_number_is_used_meanwhile() {
     let closed: usize = (0..6).map(|seed| Schedule::newcomer(seed).take_over()).sum();

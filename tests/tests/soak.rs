@@ -17,16 +17,16 @@ const SEED: u64 = 18;
 const EPOCHS: usize = 3;
 /// The server's estimate of the memory of a tile with that many epochs, in bytes.
 const TILE_MEMORY: usize = 8_064;
-/// Bytes on disk that SQLite may take for itself, about 1 %: a cure deletes rows, and those that follow need not
-/// fit their pages.
+/// Bytes on disk that SQLite may take for itself, about 1 %: a cure deletes rows, and the rows that
+/// follow may not fit into the pages that become free.
 const PAGES: u64 = 48 << 10;
 /// Resident memory that the allocator may keep for itself, in bytes.
 const SLACK: u64 = 1 << 20;
 
-/// Flat means: in the second half of the time the number of tiles never exceeds its maximum in the first
-/// half, nor the disk by more than a few pages, nor the resident memory by more than a mebibyte; and at any
-/// time a tile takes at most three epochs and their memory. In every calm all maps converge and all
-/// tiles are stored; no message waits in those that are measured.
+/// Flat means: in the second half of the time the number of tiles never exceeds its maximum in the
+/// first half, nor the disk by more than a few pages, nor the resident memory by more than a
+/// mebibyte; and at any time a tile takes at most three epochs and their memory. In every calm all
+/// maps converge and all tiles are stored; and in the calms that are measured no message waits.
 #[test]
 #[ignore = "long: cargo soak"]
 fn nothing_grows_in_eight_hours() {

@@ -49,7 +49,7 @@ const UNTIL_COMPARED: Duration = Duration::from_secs(5 * 36 * 10);
 /// Duration of silence required after convergence.
 const QUIET: Duration = Duration::from_secs(3);
 
-/// The memory of a robot between two boots.
+/// The memory that a robot uses from one boot to the next.
 type Life = Memory<Heap>;
 
 /// An event at some time.
@@ -74,9 +74,10 @@ enum Happening {
     BackUp,
     /// For a while a camera sees free ground beyond a wall of the room.
     Look { side: usize, length: Duration },
-    /// Another robot with the number of one is switched on, at a port of its own, or off.
+    /// Another robot that has the number of the first one is switched on, at a port of its own, or
+    /// off.
     Twin { is_on: bool },
-    /// No write of the server's disk succeeds.
+    /// For a while every write to the server's disk fails.
     StoreFails { length: Duration },
     /// Random bytes.
     Garbage { robot: usize, direction: Direction },
@@ -100,7 +101,7 @@ pub struct Schedule {
     world: Boxes,
     sensor: Fan,
     plans: Vec<Plan>,
-    /// A robot with the number of another, which is switched on at times.
+    /// A robot that has the number of the first one; it is switched on and off.
     twin: Option<Plan>,
     ports: usize,
     frame: u16,
@@ -224,8 +225,8 @@ impl Schedule {
         schedule
     }
 
-    /// A schedule whose only faults are lost frames, with this probability. Some robots map, and
-    /// finish.
+    /// A schedule whose only faults are lost frames, with this probability. Some robots map for a
+    /// while and then stop.
     pub fn lossy(seed: u64, loss: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut schedule = Self::quiet(seed, &mut rng, 2, Instant(10_000_000));
@@ -306,7 +307,8 @@ impl Schedule {
         self.settle(&mut star)
     }
 
-    /// Moves the robots, with all that happens meanwhile, from the star's time to the calm.
+    /// Moves the robots from the present time to the beginning of the calm, and lets all events
+    /// happen that are due meanwhile.
     fn storm<'l>(&self, star: &mut Star<'l>, lives: &mut impl Iterator<Item = &'l mut Life>) {
         let mut happenings = self.happenings.iter().peekable();
         let mut step = star.now().micros().div_ceil(STEP.0);
@@ -367,7 +369,7 @@ impl Schedule {
                     }),
                     kind => Command::Stop(Stop { number, stop: kind == 1 }),
                 };
-                // Without a session there is nobody to command.
+                // A robot without a session can't be commanded.
                 let _ = star.command(robot, command);
             }
             Happening::Weather { robot, up, down } => {
@@ -419,7 +421,8 @@ impl Schedule {
         }
     }
 
-    /// Maps nothing new, waits for convergence, and then for silence.
+    /// Stops mapping, waits until all maps have converged, and then checks that nothing more is
+    /// sent.
     fn settle(&self, star: &mut Star<'_>) -> Ending {
         let patience = match star.repeats_epoch() {
             true => UNTIL_COMPARED,

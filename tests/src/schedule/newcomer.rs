@@ -1,5 +1,5 @@
-//! How long a robot that joins or reboots takes to hold the map around it, and what becomes of a
-//! robot whose number another one uses meanwhile.
+//! How long a robot that joins or reboots takes to get the map around it; and whether a robot loses
+//! tiles while another one uses its number.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,7 +18,7 @@ use crate::star::{Member, Star};
 /// Time resolution for a newcomer.
 const TICK: Duration = Duration::from_millis(1);
 
-/// How a robot comes to hold none of the server's tiles.
+/// Why a robot holds none of the server's tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Newcomer {
     /// The robot is new.
@@ -27,7 +27,7 @@ pub enum Newcomer {
     Reboots,
 }
 
-/// How long a newcomer took to hold its window.
+/// How long a newcomer took to get all tiles of its window.
 #[derive(Clone, Copy, Debug)]
 pub struct Level {
     /// Time since its boot.

@@ -21,9 +21,9 @@ use crate::{
 const ROBOTS: usize = 4;
 /// Time from the end of a calm to the next one.
 const STORM: Duration = Duration::from_secs(240);
-/// Time between two faults, beside the weather of all links.
+/// Time between two faults; the links' faults change apart from this.
 const BETWEEN: Duration = Duration::from_secs(16);
-/// Number of storms from one cure of a robot to the next.
+/// A robot is cured in every storm whose number is a multiple of this.
 const CURE: usize = 5;
 /// Range of the sensors in millimetres, and tiles of a robot's pool: a few more than one scan
 /// touches, so that a robot on its way gives up tiles all the time.
@@ -41,9 +41,9 @@ pub struct Row {
     pub memory: usize,
     /// Bytes of the store's files.
     pub disk: u64,
-    /// Number of tiles that the server holds, each robot's counted apart.
+    /// Number of tiles in the layers of all robots.
     pub tiles: usize,
-    /// Number of epochs of these tiles that the server holds.
+    /// Number of epochs held of these tiles.
     pub epochs: usize,
     /// Maximum number of messages that waited for one robot, and of tiles being written, since the
     /// last row.
@@ -91,7 +91,7 @@ impl Soak {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut schedule = Schedule::quiet(seed, &mut rng, ROBOTS, Instant(0));
         (schedule.stores, schedule.repeats_epochs) = (true, false);
-        // A sensor that sees all around and scans often sees all that there is soon.
+        // With a sensor that sees all around and scans often, robots soon see the whole room.
         schedule.sensor = Fan { beams: 72, angle: 6.2 };
         for plan in &mut schedule.plans {
             let Config { robot, pose_source, .. } = plan.config;
@@ -104,8 +104,8 @@ impl Soak {
         Self { schedule, rng, length }
     }
 
-    /// Runs the soak, with the server's store in a new file. Passes on each row as soon as it is
-    /// there, and returns all of them.
+    /// Runs the soak, with the server's store in a new file. Passes each row to `tell` as soon as
+    /// it is measured, and returns all rows.
     ///
     /// # Errors
     /// Why the maps have not converged in a calm.

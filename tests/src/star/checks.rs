@@ -98,9 +98,9 @@ impl<'b> Star<'b> {
         wanted.find(lacks).map(|id| format!("it lacks {id:?} of the {layer:?} layer"))
     }
 
-    /// A cell that a robot knows and the server does not: it has not been told of it, nor has any other
-    /// robot seen it, or it was told something else. Not in a life that repeats an epoch: there a robot
-    /// may believe for ever that the map has what an earlier life's had.
+    /// A cell that the robot knows and the server's layer of it lacks or contradicts, unless
+    /// another robot has reported it. Nothing is checked if this life of the server repeats an
+    /// epoch: a robot may then believe for ever that the map has what an earlier life's map had.
     fn untold_by(&self, member: &Member<'b>, robot: &Robot<'b>) -> Option<String> {
         if self.repeats_epoch {
             return None;
@@ -115,7 +115,7 @@ impl<'b> Star<'b> {
                 let known = known.cell(x, y);
                 let held = held.map_or(Cell::Unknown, |(_, cells)| cells.cell(x, y));
                 let is_told = match held {
-                    // A robot that agrees with the map is silent.
+                    // A robot does not report a cell that the map already has.
                     Cell::Unknown => layers.iter().any(|it| it.cell(x, y) != Cell::Unknown),
                     held => known == held,
                 };
@@ -175,7 +175,7 @@ impl<'b> Star<'b> {
         }
     }
 
-    /// Notes how long the queues are before they are drained.
+    /// Records the lengths of the queues before they are drained.
     pub(super) fn watch_queues(&mut self) {
         let waiting = self.members.iter().map(|member| self.server.waiting(member.id));
         let writes = self.disk.as_ref().map_or(0, Disk::writes);
@@ -248,7 +248,7 @@ impl<'b> Star<'b> {
         whole
     }
 
-    /// The robots, each once: two may have one number.
+    /// The ids of all robots, each once: two robots may share one.
     fn robots(&self) -> BTreeSet<RobotId> {
         self.members.iter().map(|member| member.id).collect()
     }
@@ -309,7 +309,8 @@ impl<'b> Star<'b> {
         for member in &mut self.members {
             let Some(robot) = &member.robot else { continue };
             if let Some(disk) = &self.disk {
-                // It has dropped what was drawn wrongly, or does not know yet what its server lost.
+                // The robot has discarded tiles that it drew from wrong poses, or does not know yet
+                // which tiles the server has lost.
                 let is_excused = self.curing.contains(&member.id)
                     || robot.server_epoch() != Some(self.server.epoch());
                 disk.check_robot(member.id, robot.own_tiles(), &mut member.own, is_excused);

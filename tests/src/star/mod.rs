@@ -27,7 +27,8 @@ pub use way::Way;
 
 use crate::disk::{Disk, Held};
 
-/// Maximum number of rounds of input and output at one point in time; more mean that time is stuck.
+/// Maximum number of rounds of input and output at one point in time; more of them mean that time
+/// does not advance.
 const MAX_ROUNDS: u32 = 2_000;
 
 /// A robot, across its reboots.
@@ -42,7 +43,7 @@ pub struct Member<'b> {
     /// The direction to the robot.
     pub down: Way,
     robot: Option<Robot<'b>>,
-    /// When it booted or its clock jumped last, and what its clock showed then.
+    /// The last time at which the robot booted or its clock jumped, and what its clock showed then.
     booted: (Instant, u64),
     /// By how much its clock runs fast, in parts per million.
     drift_ppm: i64,
@@ -98,7 +99,7 @@ pub enum Finds {
     Disk,
     /// An earlier copy.
     Backup,
-    /// The same as before, and the beginning of a cure of this member.
+    /// As `Disk`, and the record of a cure of this member that has just begun.
     Cure(usize),
 }
 
@@ -116,7 +117,8 @@ pub struct Star<'b> {
     /// may believe for a while that it holds what it does not.
     used_epochs: BTreeSet<u32>,
     repeats_epoch: bool,
-    /// The robots whose cures are not over, and whether there was any in this life of the server.
+    /// The robots with a cure in progress, and whether any robot was cured in this life of the
+    /// server.
     curing: BTreeSet<RobotId>,
     has_cured: bool,
     /// Whether a server has found a backup on its disk.
@@ -217,10 +219,10 @@ impl<'b> Star<'b> {
         member.bytes_at_boot = member.up.bytes();
     }
 
-    /// Kills the server and restarts it: from its disk, with its previous clock, or with an empty map
-    /// and another clock. If `repeats_epochs`, its epoch is drawn from few, so that lives without a
-    /// disk may share one; a disk excludes only that of the life before, and a backup all, in later
-    /// lives as well.
+    /// Kills the server and restarts it: from its disk, with its previous clock, or with an empty
+    /// map and another clock. If `repeats_epochs`, its epoch is drawn from a small set, so that two
+    /// lives without a disk may share one. With a disk it differs from that of the previous life;
+    /// once a backup was found, from those of all earlier lives.
     pub fn restart_server(&mut self, frame: u16, finds: Finds, repeats_epochs: bool) {
         self.draw_epoch(finds, repeats_epochs);
         self.terms.frame = frame;

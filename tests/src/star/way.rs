@@ -8,21 +8,21 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::channel::fault::{FaultWire, Faults};
 
-/// Number of frames remembered for replays: the first and the last.
+/// Number of the first frames, and of the last ones, that are remembered for replays.
 const REMEMBERED: usize = 40;
 
 /// One direction of a robot's channel.
 #[derive(Debug)]
 pub struct Way {
-    /// The last one takes new frames; the others still deliver their frames in flight.
+    /// New frames go to the last wire; the others still deliver the frames that they hold.
     wires: Vec<FaultWire>,
     cut_until: Instant,
     remembered: Vec<Vec<u8>>,
     sent: usize,
-    /// The session frames so far, if repeated frames are dropped.
+    /// The frames of sessions sent so far, if repeated frames are to be dropped.
     once: Option<BTreeSet<Vec<u8>>>,
     direction: Direction,
-    /// Bytes given to it, delivered or not.
+    /// Total bytes sent, delivered or not.
     bytes: u64,
 }
 
@@ -61,7 +61,7 @@ impl Way {
         self.once = Some(BTreeSet::new());
     }
 
-    /// Total bytes given to it, delivered or not.
+    /// Total bytes sent, delivered or not.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
