@@ -225,7 +225,9 @@ impl Follower {
         let gained = self.speed + self.motion.acceleration * sight.elapsed;
         // Braking is not limited here: the allowed speed already includes the braking distance.
         self.speed = speed.min(gained);
-        self.turn = (self.speed * curvature).clamp(-self.motion.top_turn, self.motion.top_turn);
+        // `clamp` would panic on a maximum that is not a number.
+        let most = self.motion.top_turn;
+        self.turn = (self.speed * curvature).max(-most).min(most);
         (self.command(), hindrance)
     }
 
