@@ -12,7 +12,8 @@
 //! 7. `robot`: [`Robot`] ties them together; it is built from a [`Config`] in a [`Memory`], and the
 //!    server can change each [`Parameter`] at run time;
 //! 8. [`device`]: drivers of depth sensors and wheels, from and to the bytes of their ports;
-//! 9. `machine`: a [`Machine`] is a robot with its devices, behind three ports.
+//! 9. `machine`: a [`Machine`] is a robot with its devices, behind three ports;
+//! 10. [`journal`]: a machine's inputs and outputs, from which its run can be repeated.
 //!
 //! A scan is one borrowed row of readings: [`Robot::scan`] takes a lidar's readings, or a row of a
 //! depth frame, directly from memory. A [`sense::Slicer`] makes the row from a frame that arrives
@@ -29,6 +30,7 @@ extern crate std;
 
 pub mod device;
 pub mod drive;
+pub mod journal;
 pub mod locate;
 mod machine;
 pub mod map;

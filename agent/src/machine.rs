@@ -6,7 +6,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    Robot,
+    Config, ConfigError, Memory, Robot, Slices, Storage,
     device::{DepthSensor, WheelReport, Wheels},
     drive::{Drive, DriveCommand, NoDrive, StopReason},
 };
@@ -38,7 +38,7 @@ pub enum Port {
 ///
 /// ```
 /// use ubimap_agent::{
-///     Bounds, Config, Machine, Memory, Port, Robot,
+///     Bounds, Config, Machine, Memory, Port,
 ///     device::{
 ///         a010::{A010, A010Config},
 ///         create2::Create2,
@@ -57,10 +57,11 @@ pub enum Port {
 /// let camera = Camera::new((15.4, 15.4), (12.0, 12.0));
 /// let config = Config::new(RobotId(1), SLICE.sensor(camera), BOUNDS);
 /// let mut memory: Box<memory!(BOUNDS, Driving)> = Box::new(Memory::EMPTY);
-/// let robot = Robot::new(config.with_drive(Driving::default()), &mut memory)?;
 /// let mut buffer = [0; SLICE.buffer_len(SIDE)];
 /// let slicer = Slicer::new(SLICE, camera, SIDE, Validity::default(), &mut buffer)?;
-/// let mut machine = Machine::new(robot, A010::new(SENSOR, slicer)?, Create2::new());
+/// let sensor = A010::new(SENSOR, slicer)?;
+/// let config = config.with_drive(Driving::default());
+/// let mut machine = Machine::new(config, &mut memory, sensor, Create2::new())?;
 ///
 /// let (now, mut out) = (Instant(0), [0; 250]);
 /// for port in [Port::Server, Port::Sensor, Port::Wheels] {
@@ -81,12 +82,31 @@ pub struct Machine<'b, S, W, D: Drive = NoDrive> {
 }
 
 impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
-    /// A robot with its devices, none of which has been heard yet.
-    pub fn new(robot: Robot<'b, D>, sensor: S, wheels: W) -> Self {
-        Self { robot, sensor, wheels, is_touching: false }
+    /// A freshly booted robot with its devices, none of which has been heard yet. It is built in
+    /// place, as [`Robot::new`].
+    ///
+    /// # Errors
+    /// [`ConfigError`]: the configuration is invalid, or the memory is too small for it.
+    #[inline(never)]
+    pub fn new(
+        config: Config<D>,
+        memory: &'b mut Memory<impl Storage, D>,
+        sensor: S,
+        wheels: W,
+    ) -> Result<Self, ConfigError> {
+        let slices = Robot::check(&config, memory)?;
+        Ok(Self::assembled(config, slices, sensor, wheels))
+    }
+
+    // Not inlined, so that the result is written in place.
+    #[inline(never)]
+    fn assembled(config: Config<D>, slices: Slices<'b, D>, sensor: S, wheels: W) -> Self {
+        Self { robot: Robot::assembled(config, slices), sensor, wheels, is_touching: false }
     }
 
     /// Processes bytes that had arrived at a port by `now`, in pieces of any size.
+    // Neither this nor `timeout` is inlined, so that their stacks do not add up.
+    #[inline(never)]
     pub fn receive(&mut self, port: Port, mut bytes: &[u8], now: Instant) {
         match port {
             Port::Server => self.robot.receive(bytes, now),
@@ -107,6 +127,7 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
     }
 
     /// Does the work that is due at `now`.
+    #[inline(never)]
     pub fn timeout(&mut self, now: Instant) {
         if self.wheels.is_silent(now) {
             self.robot.stop(StopReason::WheelsSilent, Some(now + AFTER_STOP), now);
@@ -305,8 +326,8 @@ mod tests {
         let model = SensorModel::Radial { first: 0.0, step: 0.1 };
         let config = Config::new(RobotId(1), model, BOUNDS).with_drive(Ahead);
         let mut memory: Box<memory!(BOUNDS, Ahead)> = Box::new(Memory::EMPTY);
-        let robot = Robot::new(config, &mut memory).unwrap();
-        let mut bench = Bench { machine: Machine::new(robot, Blind, Create2::new()), millis: 0 };
+        let machine = Machine::new(config, &mut memory, Blind, Create2::new()).unwrap();
+        let mut bench = Bench { machine, millis: 0 };
         (0..70).for_each(|_| drop(bench.report(Some(0))));
         assert_eq!((bench.machine.command(), bench.machine.robot().stopped()), (AHEAD, None));
         test(bench);

@@ -1,27 +1,36 @@
 //! Builds the firmware for the reference board and runs it in QEMU.
 //!
-//! [`image`] builds an image. [`Emulator::start`] runs it with its serial port on a
-//! pseudo-terminal, and [`count`] runs an image that counts instructions until it ends. If the
-//! tools are missing, [`leave_out`] prints one line, or fails if `CI` or `UBIMAP_REQUIRE_EMULATOR`
-//! is set.
+//! [`image`] builds an image. [`Emulator::start`] runs it with its serial ports on pseudo-terminals,
+//! [`count`] runs an image that counts instructions until it ends, and [`replay`] the image that
+//! replays a journal. If the tools are missing, [`leave_out`] prints one line, or fails if `CI` or
+//! `UBIMAP_REQUIRE_EMULATOR` is set.
 
 use std::{
-    env, fmt,
+    env, fmt, fs,
     io::{self, BufRead, BufReader, Read, Write},
+    os::unix::net::UnixStream,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
-    sync::{OnceLock, mpsc},
+    process::{self, Child, Command, Stdio},
+    sync::{
+        OnceLock,
+        atomic::{AtomicU32, Ordering},
+        mpsc,
+    },
     thread,
     time::Duration,
 };
 
-/// The core for which an image is built; the emulator's core runs images for both.
+use crate::elf::Image;
+
+/// The core for which an image is built; the emulated Cortex-M4 runs images for a Cortex-M0+ as well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Core {
     /// The reference board's Cortex-M4 with floating point.
     M4,
     /// A Cortex-M0+, without division instructions or floating point.
     M0,
+    /// A 32-bit RISC-V without floating point.
+    RiscV,
 }
 
 impl Core {
@@ -30,6 +39,7 @@ impl Core {
         match self {
             Self::M4 => "thumbv7em-none-eabihf",
             Self::M0 => "thumbv6m-none-eabi",
+            Self::RiscV => "riscv32imac-unknown-none-elf",
         }
     }
 
@@ -38,12 +48,18 @@ impl Core {
         match self {
             Self::M4 => "firmware",
             Self::M0 => "cortex",
+            Self::RiscV => "player",
+        }
+    }
+
+    /// The emulator, with the arguments that choose its machine.
+    fn machine(self) -> (&'static str, &'static [&'static str]) {
+        match self {
+            Self::M4 | Self::M0 => ("qemu-system-arm", &["-M", "netduinoplus2"]),
+            Self::RiscV => ("qemu-system-riscv32", &["-M", "virt", "-bios", "none"]),
         }
     }
 }
-
-/// The emulator.
-const QEMU: &str = "qemu-system-arm";
 
 /// Timeout for the emulator to name its serial port.
 const START_TIMEOUT: Duration = Duration::from_secs(30);
@@ -89,24 +105,46 @@ pub fn firmware() -> Result<PathBuf, EmulatorError> {
 /// Runs an image that counts instructions (one per nanosecond of its clock) until it ends. `input`
 /// is sent to its serial port after its first line of output. Returns the output.
 pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
-    let mut qemu = qemu(image)
+    let mut qemu = qemu(Core::M4, image)
         .args(["-chardev", "stdio,id=input,signal=off", "-serial", "chardev:input"])
-        .args(["-icount", "shift=0", "-semihosting-config", "enable=on,target=native"])
+        .args([
+            "-monitor",
+            "none",
+            "-icount",
+            "shift=0",
+            "-semihosting-config",
+            "enable=on,target=native",
+        ])
         .stdin(Stdio::piped())
         .spawn()
-        .map_err(missing_or_failed)?;
+        .map_err(|error| missing_or_failed(Core::M4, &error))?;
     let mut port = qemu.stdin.take();
     let mut said = String::new();
     for line in qemu.stdout.take().into_iter().flat_map(|out| BufReader::new(out).lines()) {
-        said.extend([&line.map_err(missing_or_failed)?, "\n"]);
+        said.extend([&line.map_err(|error| missing_or_failed(Core::M4, &error))?, "\n"]);
         if let Some(mut port) = port.take() {
             let input = input.clone();
             // The image may end before it has read everything.
             thread::spawn(move || port.write_all(&input));
         }
     }
-    let output = qemu.wait_with_output().map_err(missing_or_failed)?;
+    let output = qemu.wait_with_output().map_err(|error| missing_or_failed(Core::M4, &error))?;
     said.push_str(&String::from_utf8_lossy(&output.stderr));
+    if output.status.success() { Ok(said) } else { Err(EmulatorError::Failed(said)) }
+}
+
+/// Runs the image that replays the file `journal` of a folder. Returns its output.
+pub fn replay(core: Core, folder: &Path) -> Result<String, EmulatorError> {
+    let image = built("journal", core, "player")?;
+    let output = qemu(core, &image)
+        .args(["-monitor", "none", "-serial", "none"])
+        .args(["-semihosting-config", "enable=on,target=native"])
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .output()
+        .map_err(|error| missing_or_failed(core, &error))?;
+    let said = [output.stdout, output.stderr].concat();
+    let said = String::from_utf8_lossy(&said).into_owned();
     if output.status.success() { Ok(said) } else { Err(EmulatorError::Failed(said)) }
 }
 
@@ -123,7 +161,12 @@ pub fn lines(table: &str) -> impl Iterator<Item = (u64, &str)> {
 pub struct Emulator {
     qemu: Child,
     ports: [PathBuf; 3],
+    /// The socket of the emulator's command line.
+    monitor: PathBuf,
 }
+
+/// The board's RAM: its first address and its size in bytes.
+const RAM: (usize, usize) = (0x2000_0000, 0x2_0000);
 
 /// The emulator's USARTs 1 to 6: those that the firmware of the Feather uses are pseudo-terminals.
 const USARTS: [&str; 6] = ["pty", "null", "pty", "null", "null", "pty"];
@@ -131,14 +174,32 @@ const USARTS: [&str; 6] = ["pty", "null", "pty", "null", "null", "pty"];
 impl Emulator {
     /// Runs an image.
     pub fn start(image: &Path) -> Result<Self, EmulatorError> {
-        let mut qemu = qemu(image)
-            .args(USARTS.iter().flat_map(|usart| ["-serial", usart]))
+        Self::start_with(image, USARTS)
+    }
+
+    /// Runs an image that writes a journal, into a file.
+    pub fn start_with_journal(image: &Path, journal: &Path) -> Result<Self, EmulatorError> {
+        let journal = format!("file:{}", journal.display());
+        let mut usarts = USARTS;
+        usarts[3] = &journal;
+        Self::start_with(image, usarts)
+    }
+
+    fn start_with(image: &Path, usarts: [&str; 6]) -> Result<Self, EmulatorError> {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let number = COUNT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("ubimap-emulator-{}-{number}", process::id());
+        // A socket's path is short.
+        let monitor = env::temp_dir().join(name);
+        let mut qemu = qemu(Core::M4, image)
+            .args(usarts.iter().flat_map(|usart| ["-serial", usart]))
+            .args(["-monitor", &format!("unix:{},server=on,wait=off", monitor.display())])
             .stdin(Stdio::null())
             .spawn()
-            .map_err(missing_or_failed)?;
+            .map_err(|error| missing_or_failed(Core::M4, &error))?;
         let said = qemu.stdout.take();
         // From here on, dropping the value stops the emulator.
-        let mut emulator = Self { qemu, ports: Default::default() };
+        let mut emulator = Self { qemu, ports: Default::default(), monitor };
         let (found, named) = mpsc::channel();
         thread::spawn(move || {
             // Keeps reading, so that further output does not block the emulator.
@@ -154,7 +215,7 @@ impl Emulator {
                 Ok(path) => emulator.ports[port] = path,
                 Err(_) => {
                     let said = emulator.last_words();
-                    return Err(EmulatorError::Failed(format!("{QEMU}: {said}")));
+                    return Err(EmulatorError::Failed(format!("the emulator: {said}")));
                 }
             }
         }
@@ -164,6 +225,46 @@ impl Emulator {
     /// The robot's serial ports to the server, the depth sensor and the wheels.
     pub fn ports(&self) -> &[PathBuf; 3] {
         &self.ports
+    }
+
+    /// Resets the board; its memory keeps its contents.
+    ///
+    /// # Errors
+    /// The emulator has ended.
+    pub fn reset(&self) -> io::Result<()> {
+        self.command("system_reset")
+    }
+
+    /// Maximum depth of the stack so far, in bytes. `image` is the one that runs.
+    ///
+    /// # Errors
+    /// The emulator has ended.
+    pub fn stack(&self, image: &Image) -> io::Result<usize> {
+        let (first, size) = RAM;
+        let path = self.monitor.with_extension("ram");
+        self.command(&format!("pmemsave {first:#x} {size:#x} \"{}\"", path.display()))?;
+        let memory = fs::read(&path)?;
+        fs::remove_file(path)?;
+        // The emulator's memory is zero at the start, and the stack grows down to the statics.
+        let free = memory.iter().skip(image.ram).take_while(|&&byte| byte == 0).count();
+        Ok(memory.len() - image.ram - free)
+    }
+
+    /// Types a command and waits for the next prompt.
+    fn command(&self, command: &str) -> io::Result<()> {
+        let mut monitor = UnixStream::connect(&self.monitor)?;
+        monitor.set_read_timeout(Some(START_TIMEOUT))?;
+        monitor.write_all(format!("{command}\n").as_bytes())?;
+        let mut said = String::new();
+        let mut bytes = [0; 512];
+        while said.matches("(qemu) ").count() < 2 {
+            let count = monitor.read(&mut bytes)?;
+            if count == 0 {
+                return Err(io::ErrorKind::UnexpectedEof.into());
+            }
+            said.push_str(&String::from_utf8_lossy(&bytes[..count]));
+        }
+        Ok(())
     }
 
     fn last_words(&mut self) -> String {
@@ -180,21 +281,24 @@ impl Drop for Emulator {
     fn drop(&mut self) {
         let _ = self.qemu.kill();
         let _ = self.qemu.wait();
+        let _ = fs::remove_file(&self.monitor);
     }
 }
 
 /// The emulator with this image and piped output.
-fn qemu(image: &Path) -> Command {
-    let mut qemu = Command::new(QEMU);
-    qemu.args(["-M", "netduinoplus2", "-display", "none", "-monitor", "none", "-kernel"]);
+fn qemu(core: Core, image: &Path) -> Command {
+    let (program, machine) = core.machine();
+    let mut qemu = Command::new(program);
+    qemu.args(machine).args(["-display", "none", "-kernel"]);
     qemu.arg(image).stdout(Stdio::piped()).stderr(Stdio::piped());
     qemu
 }
 
-fn missing_or_failed(error: io::Error) -> EmulatorError {
+fn missing_or_failed(core: Core, error: &io::Error) -> EmulatorError {
+    let (program, _) = core.machine();
     match error.kind() {
-        io::ErrorKind::NotFound => EmulatorError::Missing(QEMU),
-        _ => EmulatorError::Failed(format!("{QEMU}: {error}")),
+        io::ErrorKind::NotFound => EmulatorError::Missing(program),
+        _ => EmulatorError::Failed(format!("{program}: {error}")),
     }
 }
 
@@ -203,13 +307,26 @@ fn pseudo_terminal(line: &str) -> Option<&str> {
     line.strip_prefix("char device redirected to ")?.split_whitespace().next()
 }
 
+/// The firmware that writes a journal, in a folder of its own.
+pub fn journalled_firmware(folder: &Path) -> Result<PathBuf, EmulatorError> {
+    let image = built("firmware", Core::M4, "journal")?;
+    // Copied, because the firmware without a journal is built at the same place.
+    let copy = folder.join("firmware");
+    let copied = fs::copy(image, &copy).map_err(|error| missing_or_failed(Core::M4, &error));
+    copied.map(|_| copy)
+}
+
 /// Builds one of the agent's images.
 pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
+    built(name, core, core.features())
+}
+
+fn built(name: &str, core: Core, features: &str) -> Result<PathBuf, EmulatorError> {
     let target = core.target();
     let mut cargo = compiler(target)?;
     let output = cargo
         .args(["--locked", "--package", "ubimap-agent", "--bin", name])
-        .args(["--features", core.features(), "--target", target, "--profile", "firmware"])
+        .args(["--features", features, "--target", target, "--profile", "firmware"])
         .arg("--message-format=json-render-diagnostics")
         .current_dir(workspace())
         // Compiler flags for the host do not apply to the board, and would replace those of
@@ -260,7 +377,8 @@ fn compiler(target: &'static str) -> Result<Command, EmulatorError> {
         .env("RUSTC", rustc)
         .env("RUSTC_BOOTSTRAP", "1")
         .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker)
-        .env("CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER", linker);
+        .env("CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER", linker)
+        .env("CARGO_TARGET_RISCV32IMAC_UNKNOWN_NONE_ELF_LINKER", linker);
     Ok(command)
 }
 

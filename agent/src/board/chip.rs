@@ -3,7 +3,7 @@
 //! The same image runs on the chip and in QEMU's `netduinoplus2`, which does not model the clock
 //! control (RCC): its core always runs at 168 MHz, and no ready bit is ever set.
 
-use core::cell::Cell;
+use core::{cell::Cell, sync::atomic::AtomicU8};
 
 use cortex_m::{
     asm,
@@ -14,7 +14,7 @@ use cortex_m_rt::exception;
 use embedded_hal::delay::DelayNs;
 use stm32f4xx_hal::{
     interrupt,
-    pac::{FLASH, IWDG, Interrupt, RCC, RNG, TIM2, usart1},
+    pac::{FLASH, IWDG, Interrupt, RCC, RNG, TIM2, UART4, usart1},
     rcc::{Enable, Rcc},
     signature::Uid,
 };
@@ -167,15 +167,15 @@ fn TIM2() {
 
 /// Bytes between the main loop and the interrupt of a port.
 pub(super) struct Queues {
-    /// Received bytes waiting for the main loop: 44 ms at 115,200 baud.
-    received: Ring<512>,
-    /// Bytes waiting to be sent: two frames of the link.
-    queued: Ring<512>,
+    /// Received bytes waiting for the main loop.
+    received: Ring,
+    /// Bytes waiting to be sent.
+    queued: Ring,
 }
 
 impl Queues {
-    pub(super) const fn new() -> Self {
-        Self { received: Ring::new(), queued: Ring::new() }
+    pub(super) const fn new(received: &'static [AtomicU8], queued: &'static [AtomicU8]) -> Self {
+        Self { received: Ring::new(received), queued: Ring::new(queued) }
     }
 }
 
@@ -224,6 +224,14 @@ impl Serial {
         NVIC::pend(self.interrupt);
     }
 }
+
+/// Sizes of the queues of the port to the server, in bytes: 44 ms of received bytes at 115,200 baud,
+/// and two frames of the link to be sent.
+pub(super) const SERVER_QUEUES: [usize; 2] = [512, 512];
+
+/// Sizes of the queues of a device's port: 22 ms of received bytes, several times what the main loop
+/// takes at the most, and a command to be sent.
+pub(super) const DEVICE_QUEUES: [usize; 2] = [256, 32];
 
 /// Sleeps until bytes arrive at a port or the alarm fires, which is at most one millisecond.
 pub(crate) fn wait(ports: &[Serial]) {
@@ -278,11 +286,11 @@ pub(super) fn serve(usart: &usart1::RegisterBlock, queues: &Queues) {
     usart.cr1().modify(|_, w| w.rxneie().bit(received.room() > 0).txeie().bit(!queued.is_empty()));
 }
 
-/// Starts a USART as a port with queues and an interrupt of its own. Needs `Rcc` and the baud rate;
-/// returns an `Option<Serial>`. Use it once per USART.
+/// Starts a USART as a port with queues, whose sizes are given in bytes, and an interrupt of its own.
+/// Needs `Rcc` and the baud rate; returns an `Option<Serial>`. Use it once per USART.
 macro_rules! port {
-    ($usart:ident, $hz:expr, $chip:expr, $baud:expr, $rcc:expr) => {{
-        use core::cell::Cell;
+    ($usart:ident, $hz:expr, $chip:expr, $baud:expr, $sizes:expr, $rcc:expr) => {{
+        use core::{cell::Cell, sync::atomic::AtomicU8};
         use cortex_m::interrupt::{self as interrupts, Mutex};
         use stm32f4xx_hal::{
             interrupt,
@@ -292,7 +300,10 @@ macro_rules! port {
 
         use crate::board::chip::{Queues, serve, start_port, unmask};
 
-        static QUEUES: Queues = Queues::new();
+        const SIZES: [usize; 2] = $sizes;
+        static RECEIVED: [AtomicU8; SIZES[0]] = [const { AtomicU8::new(0) }; _];
+        static QUEUED: [AtomicU8; SIZES[1]] = [const { AtomicU8::new(0) }; _];
+        static QUEUES: Queues = Queues::new(&RECEIVED, &QUEUED);
         /// Hands the USART from the setup to the interrupt, which then owns it.
         static USART: Mutex<Cell<Option<$usart>>> = Mutex::new(Cell::new(None));
 
@@ -316,6 +327,48 @@ macro_rules! port {
     }};
 }
 pub(super) use port;
+
+/// The port that a journal is written to: UART4, at 2,000,000 baud. The main loop waits for it. No
+/// pin is set up, so it leads out of an emulator alone.
+#[cfg(feature = "journal")]
+pub(crate) struct JournalPort(UART4);
+
+#[cfg(feature = "journal")]
+impl JournalPort {
+    pub(crate) const IS_OPEN: bool = true;
+
+    pub(super) fn open(usart: UART4, rcc: &mut Rcc) -> Self {
+        UART4::enable(rcc);
+        let divisor = APB1_HZ / 2_000_000;
+        usart.brr().write(|w| {
+            w.div_mantissa().set((divisor >> 4) as u16).div_fraction().set((divisor & 0xF) as u8)
+        });
+        usart.cr1().write(|w| w.ue().set_bit().te().set_bit());
+        Self(usart)
+    }
+
+    pub(crate) fn write(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            while self.0.sr().read().txe().bit_is_clear() {}
+            self.0.dr().write(|w| w.dr().set(byte.into()));
+        }
+    }
+}
+
+/// No port, because the image is built without a journal.
+#[cfg(not(feature = "journal"))]
+pub(crate) struct JournalPort;
+
+#[cfg(not(feature = "journal"))]
+impl JournalPort {
+    pub(crate) const IS_OPEN: bool = false;
+
+    pub(super) fn open(_: UART4, _: &mut Rcc) -> Self {
+        Self
+    }
+
+    pub(crate) fn write(&mut self, _: &[u8]) {}
+}
 
 /// The watchdog resets the robot if the main loop has not run for 2 s.
 pub(crate) struct Watchdog(IWDG);

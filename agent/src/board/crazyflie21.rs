@@ -16,7 +16,7 @@ use stm32f4xx_hal::{
 
 use super::{
     Board,
-    chip::{self, APB1_HZ, APB2_HZ, port},
+    chip::{self, APB1_HZ, APB2_HZ, DEVICE_QUEUES, SERVER_QUEUES, port},
 };
 
 /// The status LED.
@@ -36,20 +36,21 @@ impl Board {
         let pins = chip.GPIOC.split(&mut rcc);
         pins.pc10.into_alternate::<7>();
         pins.pc11.into_alternate::<7>();
-        let server = port!(USART3, APB1_HZ, chip.USART3, server, &mut rcc)?;
+        let server = port!(USART3, APB1_HZ, chip.USART3, server, SERVER_QUEUES, &mut rcc)?;
         let led = pins.pc1.into_push_pull_output();
         let pins = chip.GPIOA.split(&mut rcc);
         pins.pa2.into_alternate::<7>();
         pins.pa3.into_alternate::<7>();
-        let sensor = port!(USART2, APB1_HZ, chip.USART2, sensor, &mut rcc)?;
+        let sensor = port!(USART2, APB1_HZ, chip.USART2, sensor, DEVICE_QUEUES, &mut rcc)?;
         let pins = chip.GPIOB.split(&mut rcc);
         pins.pb6.into_alternate::<7>();
         pins.pb7.into_alternate::<7>();
-        let wheels = port!(USART1, APB2_HZ, chip.USART1, wheels, &mut rcc)?;
+        let wheels = port!(USART1, APB2_HZ, chip.USART1, wheels, DEVICE_QUEUES, &mut rcc)?;
 
+        let journal = chip::JournalPort::open(chip.UART4, &mut rcc);
         let nonce = chip::boot_nonce(&chip.RNG, &mut rcc);
         let watchdog = chip::Watchdog::start(chip.IWDG);
         let ports = [server, sensor, wheels];
-        Some(Self { clock, ports, led, watchdog, was_reset_by_watchdog, nonce })
+        Some(Self { clock, ports, journal, led, watchdog, was_reset_by_watchdog, nonce })
     }
 }

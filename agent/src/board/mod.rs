@@ -10,7 +10,7 @@ mod pins;
 mod pins;
 mod ring;
 
-pub(crate) use chip::{Clock, Serial, Watchdog, wait};
+pub(crate) use chip::{Clock, JournalPort, Serial, Watchdog, wait};
 pub(crate) use pins::Led;
 
 /// The devices of a board that the firmware uses.
@@ -19,6 +19,8 @@ pub(crate) struct Board {
     pub(crate) clock: Clock,
     /// The serial ports to the server, the depth sensor and the wheels.
     pub(crate) ports: [Serial; 3],
+    /// The port that a journal is written to, if the image is built with it.
+    pub(crate) journal: JournalPort,
     /// The status LED.
     pub(crate) led: Led,
     /// Resets the robot if the main loop hangs.

@@ -3,31 +3,28 @@
 use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
 /// A byte queue between the main loop and an interrupt: one side puts bytes, the other takes them.
-pub(super) struct Ring<const N: usize> {
-    bytes: [AtomicU8; N],
+pub(super) struct Ring {
+    bytes: &'static [AtomicU8],
     /// Total numbers of bytes put and taken; both wrap.
     put: AtomicUsize,
     taken: AtomicUsize,
 }
 
-impl<const N: usize> Ring<N> {
-    pub(super) const fn new() -> Self {
-        // The counters must wrap at a multiple of the size.
-        assert!(N.is_power_of_two());
-        Self {
-            bytes: [const { AtomicU8::new(0) }; N],
-            put: AtomicUsize::new(0),
-            taken: AtomicUsize::new(0),
-        }
+impl Ring {
+    /// An empty queue in memory whose size is a power of two, so that the counters wrap at a
+    /// multiple of it.
+    pub(super) const fn new(bytes: &'static [AtomicU8]) -> Self {
+        assert!(bytes.len().is_power_of_two());
+        Self { bytes, put: AtomicUsize::new(0), taken: AtomicUsize::new(0) }
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.room() == N
+        self.room() == self.bytes.len()
     }
 
     pub(super) fn room(&self) -> usize {
         let (put, taken) = (self.put.load(Ordering::Acquire), self.taken.load(Ordering::Acquire));
-        N - put.wrapping_sub(taken).min(N)
+        self.bytes.len() - put.wrapping_sub(taken).min(self.bytes.len())
     }
 
     /// Puts a byte; `false` if the queue is full.
@@ -36,7 +33,8 @@ impl<const N: usize> Ring<N> {
         if self.room() == 0 {
             return false;
         }
-        self.bytes[put % N].store(byte, Ordering::Relaxed);
+        let Some(place) = self.bytes.get(put & (self.bytes.len() - 1)) else { return false };
+        place.store(byte, Ordering::Relaxed);
         self.put.store(put.wrapping_add(1), Ordering::Release);
         true
     }
@@ -47,7 +45,7 @@ impl<const N: usize> Ring<N> {
         if self.is_empty() {
             return None;
         }
-        let byte = self.bytes[taken % N].load(Ordering::Relaxed);
+        let byte = self.bytes.get(taken & (self.bytes.len() - 1))?.load(Ordering::Relaxed);
         self.taken.store(taken.wrapping_add(1), Ordering::Release);
         Some(byte)
     }

@@ -189,6 +189,8 @@ impl<'b> Driver<'b> {
     /// Makes a step, and returns the wheels' command until the next one. `ground(column, row)`
     /// returns the 32 map cells in a column of tiles and a row of cells. Must be called at 10 Hz or
     /// more.
+    // Not inlined: its stack need not add up with that of mapping and of the link.
+    #[inline(never)]
     pub fn step(
         &mut self,
         inputs: &Inputs<'_>,

@@ -190,13 +190,21 @@ impl<'b, D: Drive> Robot<'b, D> {
         config: Config<D>,
         memory: &'b mut Memory<impl Storage, D>,
     ) -> Result<Self, ConfigError> {
+        let slices = Self::check(&config, memory)?;
+        Ok(Self::assembled(config, slices))
+    }
+
+    /// The parts of the memory that a configuration needs.
+    pub(crate) fn check(
+        config: &Config<D>,
+        memory: &'b mut Memory<impl Storage, D>,
+    ) -> Result<Slices<'b, D>, ConfigError> {
         config.check()?;
-        let memory = memory.slices().cut_to(&config.bounds)?;
-        Ok(Self::assembled(config, memory))
+        memory.slices().cut_to(&config.bounds)
     }
 
     #[inline(never)]
-    fn assembled(config: Config<D>, memory: Slices<'b, D>) -> Self {
+    pub(crate) fn assembled(config: Config<D>, memory: Slices<'b, D>) -> Self {
         let Slices { beams, waiting, scratch, own, fused, drive } = memory;
         Self {
             mapper: Mapper::new(&config, beams, scratch, own, fused),

@@ -415,6 +415,7 @@ mod tests {
                     tight.bit(&mut models[model], bit);
                 }
             }
+            prop_assert!(!tight.fits(room + 1));
             let fits = tight.fits(0);
             let (wide_len, tight_len) = (wide.finish().unwrap(), tight.finish());
             prop_assert!(!fits || tight_len.is_some());

@@ -8,9 +8,10 @@ use ubimap_agent::{
         create2::Create2,
     },
     drive::{DriveCommand, Driving},
+    journal::Entry,
     sense::{Camera, Pick, SensorModel, Slice, Slicer, Validity},
 };
-use ubimap_protocol::{time::Instant, units::Pose};
+use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant, units::Pose};
 
 use super::heap::Heap;
 use crate::devices::{SimA010, SimCreate2};
@@ -43,7 +44,11 @@ pub(super) struct Wired<'b> {
     machine: Machine<'b, A010<'b>, Create2, Option<Driving>>,
     camera: SimA010,
     base: SimCreate2,
+    journal: Option<Journal<'b>>,
 }
+
+/// Called with every input and output of a machine, and its time by the robot's clock.
+pub(super) type Journal<'j> = Box<dyn FnMut(Instant, Entry<'_>) + 'j>;
 
 impl<'b> Body<'b> {
     /// A robot that has just booted; with a buffer of [`BUFFER`] readings, a machine.
@@ -52,15 +57,14 @@ impl<'b> Body<'b> {
         memory: &'b mut Memory<Heap, Option<Driving>>,
         buffer: Option<&'b mut [u16]>,
     ) -> Result<Self, ConfigError> {
-        let sensor = config.sensor;
-        let robot = Robot::new(config, memory)?;
-        let camera = buffer.and_then(|buffer| camera(sensor, buffer));
+        let camera = buffer.and_then(|buffer| camera(config.sensor, buffer));
         Ok(match camera {
-            None => Self::Robot(Box::new(robot)),
+            None => Self::Robot(Box::new(Robot::new(config, memory)?)),
             Some(camera) => Self::Machine(Box::new(Wired {
-                machine: Machine::new(robot, camera, Create2::new()),
+                machine: Machine::new(config, memory, camera, Create2::new())?,
                 camera: SimA010::new(BAUD),
                 base: SimCreate2::new(),
+                journal: None,
             })),
         })
     }
@@ -73,11 +77,18 @@ impl<'b> Body<'b> {
         }
     }
 
+    /// Calls `journal` with every input and output of a machine from now on.
+    pub(super) fn keep_journal(&mut self, journal: Journal<'b>) {
+        if let Self::Machine(wired) = self {
+            wired.journal = Some(journal);
+        }
+    }
+
     /// Passes bytes from the server.
     pub(super) fn receive(&mut self, bytes: &[u8], local: Instant) {
         match self {
             Self::Robot(robot) => robot.receive(bytes, local),
-            Self::Machine(wired) => wired.machine.receive(Port::Server, bytes, local),
+            Self::Machine(wired) => wired.receive(Port::Server, bytes, local),
         }
     }
 
@@ -113,7 +124,7 @@ impl<'b> Body<'b> {
     pub(super) fn poll_transmit(&mut self, local: Instant, out: &mut [u8]) -> Option<usize> {
         match self {
             Self::Robot(robot) => robot.poll_transmit(local, out),
-            Self::Machine(wired) => wired.machine.poll_transmit(Port::Server, local, out),
+            Self::Machine(wired) => wired.poll_transmit(Port::Server, local, out),
         }
     }
 
@@ -158,24 +169,49 @@ impl<'b> Body<'b> {
 impl Wired<'_> {
     /// Moves bytes between the machine and its devices until there are none.
     fn exchange(&mut self, local: Instant, now: Instant) {
-        let Self { machine, camera, base } = self;
-        machine.receive(Port::Sensor, &camera.poll_transmit(now), local);
-        machine.receive(Port::Wheels, &base.poll_transmit(now), local);
-        machine.timeout(local);
+        let (pixels, frames) = (self.camera.poll_transmit(now), self.base.poll_transmit(now));
+        self.receive(Port::Sensor, &pixels, local);
+        self.receive(Port::Wheels, &frames, local);
+        self.note(local, Entry::Timeout);
+        self.machine.timeout(local);
         let mut bytes = [0; 64];
-        while let Some(count) = machine.poll_transmit(Port::Sensor, local, &mut bytes) {
-            camera.receive(&bytes[..count], now);
+        while let Some(count) = self.poll_transmit(Port::Sensor, local, &mut bytes) {
+            self.camera.receive(&bytes[..count], now);
         }
-        while let Some(count) = machine.poll_transmit(Port::Wheels, local, &mut bytes) {
-            base.receive(&bytes[..count], now);
+        while let Some(count) = self.poll_transmit(Port::Wheels, local, &mut bytes) {
+            self.base.receive(&bytes[..count], now);
+        }
+    }
+
+    /// Passes bytes to the machine, as many at once as a firmware reads.
+    fn receive(&mut self, port: Port, bytes: &[u8], local: Instant) {
+        for bytes in bytes.chunks(DEFAULT_FRAME) {
+            self.note(local, Entry::Received(port, bytes));
+            self.machine.receive(port, bytes, local);
+        }
+    }
+
+    fn poll_transmit(&mut self, port: Port, local: Instant, out: &mut [u8]) -> Option<usize> {
+        let count = self.machine.poll_transmit(port, local, out);
+        let bytes = count.and_then(|count| out.get(..count)).unwrap_or_default();
+        self.note(local, Entry::Transmitted(port, bytes));
+        count
+    }
+
+    fn note(&mut self, local: Instant, entry: Entry<'_>) {
+        if let Some(journal) = &mut self.journal {
+            journal(local, entry);
         }
     }
 }
 
 /// The driver of a depth camera with this model; `None` if it is not the camera of machines.
 fn camera(sensor: SensorModel, buffer: &mut [u16]) -> Option<A010<'_>> {
-    let SensorModel::Pinhole { focal, centre } = sensor else { return None };
-    let camera = Camera::new((focal, focal), (centre, centre));
+    let camera = match sensor {
+        SensorModel::Pinhole { focal, centre } => Camera::new((focal, focal), (centre, centre)),
+        SensorModel::Row { camera, .. } => camera,
+        SensorModel::Radial { .. } => return None,
+    };
     let side = CAMERA.binning.side();
     let slicer = Slicer::new(SLICE, camera, side, Validity::default(), buffer).ok()?;
     A010::new(CAMERA, slicer).ok()

@@ -14,11 +14,11 @@ use ubimap_protocol::{
 pub use super::stage::{Event, Stage};
 use super::{
     RunError,
-    body::BUFFER,
+    body::{BUFFER, Journal},
     heap::Heap,
     interruption,
     keeper::Keeper,
-    member::{Journal, Member},
+    member::Member,
     outside::{Outside, OutsidePorts},
     terminal,
 };
@@ -125,7 +125,7 @@ impl<'b> Fleet<'b> {
         self.tap = Some(tap);
     }
 
-    /// Calls `journal` with every input and output of a robot from now on. `robot` is its index.
+    /// Calls `journal` with every input and output of a machine from now on. `robot` is its index.
     pub fn keep_journal(&mut self, robot: usize, journal: Journal<'b>) {
         if let Some(robot) = self.robots.get_mut(robot) {
             robot.keep_journal(journal);
@@ -267,7 +267,7 @@ impl<'b> Fleet<'b> {
     /// Passes the robots' drive commands to the stage.
     fn turn_wheels(&mut self, stage: &mut dyn Stage) {
         for (index, robot) in self.robots.iter_mut().enumerate() {
-            if let Some(command) = robot.poll_command(self.now) {
+            if let Some(command) = robot.poll_command() {
                 stage.drive(self.now, index, command);
             }
         }

@@ -11,7 +11,10 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-use super::{body::Body, heap::Heap};
+use super::{
+    body::{Body, Journal},
+    heap::Heap,
+};
 use crate::{
     channel::fault::{FaultWire, Faults},
     deployment::PortId,
@@ -55,26 +58,6 @@ impl RobotClock {
     }
 }
 
-/// An input or output of a robot. All entries in order are enough to reproduce the run.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Entry<'e> {
-    /// Bytes received.
-    Received(&'e [u8]),
-    /// Odometry read: the pose of `base_link` in `odom`.
-    Odometry(Pose),
-    /// A scan taken: readings in millimetres.
-    Scan(&'e [u16]),
-    /// A call of `timeout`.
-    Timeout,
-    /// A frame sent, or `None` if there was nothing to send.
-    Transmit(Option<&'e [u8]>),
-    /// A new drive command.
-    Commanded(DriveCommand),
-}
-
-/// Called with every input and output of a robot, and its time by the robot's clock.
-pub type Journal<'j> = Box<dyn FnMut(Instant, Entry<'_>) + 'j>;
-
 /// A robot with its clock and its channel to a port of the deployment. Times count from the start
 /// of the run.
 pub struct Member<'b> {
@@ -85,7 +68,6 @@ pub struct Member<'b> {
     down: FaultWire,
     /// The robot's last drive command.
     commanded: DriveCommand,
-    journal: Option<Journal<'b>>,
     path: Vec<(Instant, Pose)>,
     published: Published,
     /// The robot's map traffic in bytes when `published` was last updated.
@@ -112,7 +94,6 @@ impl<'b> Member<'b> {
             up: wire(1),
             down: wire(2),
             commanded: DriveCommand::STAND,
-            journal: None,
             path: Vec::new(),
             published: Published::default(),
             bytes_noted: 0,
@@ -134,15 +115,9 @@ impl<'b> Member<'b> {
         self.body.robot()
     }
 
-    /// Calls `journal` with every input and output of the robot from now on.
+    /// Calls `journal` with every input and output of a machine from now on.
     pub(super) fn keep_journal(&mut self, journal: Journal<'b>) {
-        self.journal = Some(journal);
-    }
-
-    fn note(&mut self, local: Instant, entry: Entry<'_>) {
-        if let Some(journal) = &mut self.journal {
-            journal(local, entry);
-        }
+        self.body.keep_journal(journal);
     }
 
     /// Time of the next delivery at either end of its channel, or of the robot's timeout.
@@ -168,17 +143,14 @@ impl<'b> Member<'b> {
     pub(super) fn deliver(&mut self, now: Instant) {
         let local = self.clock.local(now);
         while let Some(bytes) = self.down.poll(now) {
-            self.note(local, Entry::Received(&bytes));
             self.body.receive(&bytes, local);
         }
-        self.note(local, Entry::Timeout);
         self.body.timeout(local, now);
     }
 
     /// Passes a scan to the robot.
     pub(super) fn scan(&mut self, readings: &[u16], now: Instant) {
         let local = self.clock.local(now);
-        self.note(local, Entry::Scan(readings));
         self.body.scan(readings, local, now);
     }
 
@@ -190,7 +162,6 @@ impl<'b> Member<'b> {
     /// Passes odometry to the robot.
     pub(super) fn odometry(&mut self, pose: Pose, now: Instant) {
         let local = self.clock.local(now);
-        self.note(local, Entry::Odometry(pose));
         self.body.odometry(pose, local);
     }
 
@@ -209,7 +180,6 @@ impl<'b> Member<'b> {
     pub(super) fn poll_transmit(&mut self, now: Instant, frame: &mut [u8]) -> Option<usize> {
         let local = self.clock.local(now);
         let len = self.body.poll_transmit(local, &mut frame[..DEFAULT_FRAME]);
-        self.note(local, Entry::Transmit(len.and_then(|len| frame.get(..len))));
         match len {
             Some(len) => {
                 self.up.send(now, &frame[..len]);
@@ -220,13 +190,12 @@ impl<'b> Member<'b> {
     }
 
     /// The drive command, if it has changed.
-    pub(super) fn poll_command(&mut self, now: Instant) -> Option<DriveCommand> {
+    pub(super) fn poll_command(&mut self) -> Option<DriveCommand> {
         let command = self.body.command();
         if command == self.commanded {
             return None;
         }
         self.commanded = command;
-        self.note(self.clock.local(now), Entry::Commanded(command));
         Some(command)
     }
 

@@ -1,50 +1,73 @@
-//! Replays a robot's journal, received on USART1, and prints the robot's outputs.
-//! `cargo test --package ubimap-tests --test journal -- --ignored` compares them with those of the
-//! same robot on a PC.
+//! Replays the journal of a robot, the file `journal` of the emulator's folder, on a Cortex-M or a
+//! RISC-V, and prints the robot's outputs. `cargo test --package ubimap-tests --test journal --
+//! --ignored` compares them with those of the same robot on a PC.
 #![no_std]
 #![no_main]
 
-mod ending;
+#[path = "../firmware/configuration.rs"]
+mod configuration;
+#[path = "../firmware/driving.rs"]
+mod driving;
 mod player;
-#[expect(dead_code, reason = "a journal is read byte by byte")]
-mod port;
 
-use core::fmt;
+use core::{fmt, panic::PanicInfo};
 
+use configuration::{BOUNDS, SLICE_LENGTH};
+#[cfg(target_arch = "arm")]
 use cortex_m_rt::entry;
-use cortex_m_semihosting::{
-    hio::{HostStream, hstdout},
-    hprintln,
-};
-use ending::end;
 use heapless::String;
-use player::{BOUNDS, config, play};
-use port::Port;
-use ubimap_agent::{Memory, Robot, drive::Driving, memory};
+#[cfg(target_arch = "riscv32")]
+use riscv_rt::entry;
+use semihosting::{
+    fs::File,
+    io::{self, Read, Stdout, Write},
+    process,
+};
+// Links the interrupt vectors of the chip.
+#[cfg(feature = "firmware")]
+use stm32f4xx_hal as _;
+use ubimap_agent::{Memory, drive::Driving, memory};
 use ubimap_protocol::frame::DEFAULT_FRAME;
 
-/// Maximum length of a line: a frame, in two hexadecimal digits per byte.
-const LINE: usize = 2 * DEFAULT_FRAME + 8;
+/// Maximum length of a line: a name and a frame, in two hexadecimal digits per byte.
+const LINE: usize = 2 * DEFAULT_FRAME + 16;
 
 #[entry]
 fn main() -> ! {
-    static mut MEMORY: memory!(BOUNDS, Driving) = Memory::EMPTY;
-
-    end(run(MEMORY))
+    process::exit(i32::from(replay().is_none()))
 }
 
-fn run(memory: &'static mut memory!(BOUNDS, Driving)) -> Option<()> {
-    let mut port = Port::open()?;
-    let mut robot = Robot::new(config(), memory).ok()?;
-    let mut lines = Lines { host: hstdout().ok()?, line: String::new() };
-    // Bytes sent before the port is open are lost: the sender waits for this line.
-    hprintln!("a journal, please");
-    play(&mut robot, || Some(port.byte()), &mut lines).ok()
+fn replay() -> Option<()> {
+    let mut memory: memory!(BOUNDS, Driving) = Memory::EMPTY;
+    let mut slice = [0; SLICE_LENGTH];
+    let mut file = Buffered { file: File::open(c"journal").ok()?, bytes: [0; 512], at: 0, end: 0 };
+    let mut lines = Lines { host: io::stdout().ok()?, line: String::new() };
+    player::play(&mut memory, &mut slice, || file.byte(), &mut lines).ok()
 }
 
-/// Prints line by line, because each call to the host is slow.
+/// Reads a file in pieces, because each call to the host is slow.
+struct Buffered {
+    file: File,
+    bytes: [u8; 512],
+    at: usize,
+    end: usize,
+}
+
+impl Buffered {
+    fn byte(&mut self) -> Option<u8> {
+        if self.at == self.end {
+            self.at = 0;
+            self.end = self.file.read(&mut self.bytes).ok()?;
+        }
+        let byte = self.bytes.get(..self.end)?.get(self.at)?;
+        self.at += 1;
+        Some(*byte)
+    }
+}
+
+/// Prints line by line, for the same reason.
 struct Lines {
-    host: HostStream,
+    host: Stdout,
     line: String<LINE>,
 }
 
@@ -52,9 +75,14 @@ impl fmt::Write for Lines {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         self.line.push_str(text).map_err(|_| fmt::Error)?;
         if self.line.ends_with('\n') {
-            self.host.write_all(self.line.as_bytes()).map_err(|()| fmt::Error)?;
+            self.host.write_all(self.line.as_bytes()).map_err(|_| fmt::Error)?;
             self.line.clear();
         }
         Ok(())
     }
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    process::exit(1)
 }

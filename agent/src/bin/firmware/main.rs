@@ -4,19 +4,16 @@
 
 #[path = "../../board/mod.rs"]
 mod board;
+mod configuration;
+mod driving;
+mod journal;
 mod robot;
 
 use board::Board;
+use configuration::{BAUDS, BOUNDS, SLICE_LENGTH};
 use cortex_m_rt::entry;
-use robot::{BAUDS, BOUNDS, SLICE_LENGTH};
-use ubimap_agent::{
-    Memory,
-    drive::{Driving, Gaze, Motion},
-    memory,
-};
-
-/// The radius of the robot, in millimetres.
-const RADIUS: u16 = 180;
+use driving::driving;
+use ubimap_agent::{Memory, drive::Driving, memory};
 
 #[entry]
 fn main() -> ! {
@@ -28,12 +25,4 @@ fn main() -> ! {
         Some(board) => robot::run(board, driving(), MEMORY, SLICE),
         None => robot::reset(),
     }
-}
-
-/// The drive of a robot that follows the server's paths.
-fn driving() -> Driving {
-    let motion = Motion { radius: RADIUS, top_speed: 450.0, ..Motion::default() };
-    // Half the field of view, in radians.
-    let gaze = Gaze { half_view: 0.61, reach: 2_500, radius: RADIUS };
-    Driving { motion, looks_at_goal: Some(gaze), ..Driving::default() }
 }

@@ -5,11 +5,13 @@
 
 #[path = "../../board/mod.rs"]
 mod board;
+mod configuration;
+mod journal;
 mod robot;
 
 use board::Board;
+use configuration::{BAUDS, BOUNDS, SLICE_LENGTH};
 use cortex_m_rt::entry;
-use robot::{BAUDS, BOUNDS, SLICE_LENGTH};
 use ubimap_agent::{Memory, drive::NoDrive, memory};
 
 #[entry]

@@ -1,58 +1,22 @@
-//! What the images have in common: the robot's configuration and its main loop. Change the constants
-//! for another robot.
+//! What the images have in common: a robot and its main loop.
 
 use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
 use ubimap_agent::{
-    Bounds, Config, Machine, Memory, Port, Robot, Storage,
-    device::{
-        a010::{A010, A010Config},
-        create2::Create2,
-    },
+    ConfigError, Machine, Memory, Port, Storage,
+    device::{a010::A010, create2::Create2},
     drive::Drive,
-    sense::{Camera, Pick, Slice, Slicer, Validity},
+    journal::Entry,
 };
-use ubimap_protocol::{
-    frame::DEFAULT_FRAME,
-    time::Instant,
-    units::{Angle, Millimetres, Pose, RobotId},
+use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant};
+
+use crate::{
+    board::{self, Board, Clock, Led},
+    configuration,
+    journal::Journal,
 };
-
-use crate::board::{self, Board, Clock, Led};
-
-/// The robot's id, unique in a deployment.
-const ROBOT: RobotId = RobotId(1);
-
-/// The baud rates of the ports to the server, the depth sensor and the wheels.
-pub(crate) const BAUDS: [u32; 3] = [115_200; 3];
-
-/// The depth sensor: as fine as its port carries ten frames per second.
-const SENSOR: A010Config = A010Config::for_port(BAUDS[1]).expect("the port is too slow");
-
-/// Pixels per row of the sensor.
-const SIDE: usize = SENSOR.binning.side();
-
-/// The middle of the image, in pixels.
-const MIDDLE: f32 = (SIDE - 1) as f32 / 2.0;
-
-/// The focal length in pixels: half the width divided by the tangent of half the field of view of 70
-/// degrees.
-const FOCAL: f32 = SIDE as f32 / 2.0 / 0.700_207_5;
-
-/// The sensor in `base_link`: 10 cm ahead of the middle between the wheels, facing ahead.
-const MOUNTING: Pose = Pose { x: Millimetres(100), y: Millimetres(0), heading: Angle(0) };
-
-/// The rows of the image that are mapped: the middle one and its neighbours, for a sensor that looks
-/// straight ahead above the highest bump of the floor.
-const SLICE: Slice = Slice::Band { first: (SIDE / 2 - 1) as u16, rows: 3, pick: Pick::Nearest };
-
-/// Size of the slicer's buffer, in readings.
-pub(crate) const SLICE_LENGTH: usize = SLICE.buffer_len(SIDE);
-
-/// The sizes of the robot's memory. The side of a cell must equal the server's.
-pub(crate) const BOUNDS: Bounds = Bounds { readings: SIDE, own_tiles: 12, ..Bounds::REFERENCE };
 
 /// Without a session the status LED blinks: this is the time for which it is on, and then off, as a
 /// power of two in microseconds: 2^18 us, 0.26 s.
@@ -65,45 +29,69 @@ pub(crate) fn run<D: Drive>(
     memory: &'static mut Memory<impl Storage, D>,
     slice: &'static mut [u16],
 ) -> ! {
-    let camera = Camera::new((FOCAL, FOCAL), (MIDDLE, MIDDLE));
-    let config = Config {
-        boot_nonce: (board.nonce ^ board.nonce >> 32) as u32,
-        mounting: MOUNTING,
-        ..Config::new(ROBOT, SLICE.sensor(camera), BOUNDS)
-    };
-    let slicer = Slicer::new(SLICE, camera, SIDE, Validity::default(), slice);
-    let Some(sensor) = slicer.ok().and_then(|slicer| A010::new(SENSOR, slicer).ok()) else {
-        fail(&mut board, Fault::Sensor)
-    };
-    let robot = match Robot::new(config.with_drive(drive), memory) {
-        Ok(robot) => robot,
-        Err(_) => fail(&mut board, Fault::Robot),
-    };
-    let mut machine = Machine::new(robot, sensor, Create2::new());
-    if board.was_reset_by_watchdog {
-        machine.report_watchdog(board.clock.now());
+    let nonce = (board.nonce ^ board.nonce >> 32) as u32;
+    // Borrowed, because moving it would take twice its size of stack.
+    match &mut machine(nonce, drive, memory, slice) {
+        Some(Ok(machine)) => {
+            if board.was_reset_by_watchdog {
+                machine.report_watchdog(board.clock.now());
+            }
+            let journal = Journal::begin(&mut board.journal, nonce);
+            turn(&mut board, machine, journal)
+        }
+        Some(Err(_)) => fail(&mut board, Fault::Robot),
+        None => fail(&mut board, Fault::Sensor),
     }
-    turn(&mut board, &mut machine)
+}
+
+/// The robot with its devices; `None` if the slice is not one of the sensor's images.
+// Not inlined, so that the parts that it is made of leave the stack. The result is written in place.
+#[inline(never)]
+fn machine<D: Drive>(
+    boot_nonce: u32,
+    drive: D,
+    memory: &'static mut Memory<impl Storage, D>,
+    slice: &'static mut [u16],
+) -> Option<Result<Machine<'static, A010<'static>, Create2, D>, ConfigError>> {
+    let sensor = configuration::sensor(slice)?;
+    let config = configuration::config(boot_nonce).with_drive(drive);
+    Some(Machine::new(config, memory, sensor, Create2::new()))
 }
 
 /// The main loop: after every input it drains the outputs, then sleeps until the next deadline or
 /// byte.
-fn turn<D: Drive>(board: &mut Board, machine: &mut Machine<'_, A010<'_>, Create2, D>) -> ! {
+fn turn<D: Drive>(
+    board: &mut Board,
+    machine: &mut Machine<'_, A010<'_>, Create2, D>,
+    mut journal: Journal,
+) -> ! {
     let mut bytes = [0; DEFAULT_FRAME];
     loop {
         let mut is_quiet = true;
         for (serial, port) in board.ports.iter_mut().zip(PORTS) {
             let count = serial.read(&mut bytes);
-            is_quiet &= count == 0;
-            machine.receive(port, bytes.get(..count).unwrap_or_default(), board.clock.now());
+            if let Some(received @ [_, ..]) = bytes.get(..count) {
+                is_quiet = false;
+                let now = board.clock.now();
+                journal.note(&mut board.journal, now, Entry::Received(port, received));
+                machine.receive(port, received, now);
+            }
         }
-        machine.timeout(board.clock.now());
+        let now = board.clock.now();
+        journal.note(&mut board.journal, now, Entry::Timeout);
+        machine.timeout(now);
         for (serial, port) in board.ports.iter_mut().zip(PORTS) {
+            let largest = if port == Port::Server { DEFAULT_FRAME } else { MAX_COMMAND };
             // The port's interrupt makes room meanwhile.
-            while serial.room() >= DEFAULT_FRAME
-                && let Some(count) = machine.poll_transmit(port, board.clock.now(), &mut bytes)
-            {
-                serial.write(bytes.get(..count).unwrap_or_default());
+            while serial.room() >= largest {
+                let now = board.clock.now();
+                let count = machine.poll_transmit(port, now, &mut bytes).unwrap_or_default();
+                let transmitted = bytes.get(..count).unwrap_or_default();
+                journal.note(&mut board.journal, now, Entry::Transmitted(port, transmitted));
+                if transmitted.is_empty() {
+                    break;
+                }
+                serial.write(transmitted);
             }
         }
         board.watchdog.feed();
@@ -114,6 +102,9 @@ fn turn<D: Drive>(board: &mut Board, machine: &mut Machine<'_, A010<'_>, Create2
         }
     }
 }
+
+/// Maximum length of a command to a device, in bytes.
+const MAX_COMMAND: usize = 32;
 
 /// The machine's ports in the order of the board's.
 const PORTS: [Port; 3] = [Port::Server, Port::Sensor, Port::Wheels];
