@@ -162,7 +162,7 @@ mod tests {
     #[test]
     fn the_table_of_cases() {
         let never = (Unknown, 0);
-        let cases: [(_, &[_], _); 22] = [
+        let cases: [(_, &[_], _); 23] = [
             (never, &[], Unknown),
             (never, &[(Unknown, 3), (Unknown, 4)], Unknown),
             (never, &[(Free, 3), (Unknown, 4)], Free),
@@ -189,6 +189,7 @@ mod tests {
             (never, &[(Free, 3), (Occupied, 3), (Free, 3), (Occupied, 3)], Occupied),
             ((Free, 3), &[(Occupied, 13), (Free, 23), (Occupied, 33)], Movable),
             ((Occupied, 39), &[(Free, 3), (Occupied, 13), (Free, 23), (Occupied, 33)], Occupied),
+            ((Occupied, 13), &[(Free, 3), (Free, 23), (Occupied, 33)], Movable),
         ];
         for (camera, robots, expected) in cases {
             let robots: Vec<(Cell, u32, Weight)> =

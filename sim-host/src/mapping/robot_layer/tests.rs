@@ -118,8 +118,9 @@ fn epochs_that_were_never_granted_are_refused() {
         assert_eq!(layer.update(&update(epoch, 1, None, &cells), 5), malformed, "{epoch}");
     }
     assert_eq!((layer.next_epoch(), layer.tiles().count()), (Epoch(1), 0));
-    assert_eq!(layer.update(&update(EPOCHS_AHEAD, 1, None, &cells), 5).1, Ok(()));
-    assert_eq!(layer.next_epoch(), Epoch(EPOCHS_AHEAD + 1));
+    let last = EPOCHS_AHEAD + 1;
+    assert_eq!(layer.update(&update(last, 1, None, &cells), 5).1, Ok(()));
+    assert_eq!(layer.next_epoch(), Epoch(last + 1));
     // A cure (a correction of the robot's constant errors) grants epochs further ahead.
     layer.retire(Epoch(1 << 20));
     assert_eq!(layer.update(&update((1 << 20) + 1, 1, None, &cells), 5).1, Ok(()));
@@ -142,6 +143,31 @@ fn a_discarded_state_is_replaced_by_the_same_version() {
     assert_eq!(layer.on_disk(ID, Epoch(1)), None, "the record holds the discarded state");
     layer.kept(&layer.record(ID, Epoch(1)).unwrap());
     assert!(layer.on_disk(ID, Epoch(1)).is_some());
+}
+
+#[test]
+fn a_record_of_a_discarded_newer_state_is_not_the_held_one() {
+    let mut layer = RobotLayer::default();
+    assert_eq!(layer.update(&update(1, 4, None, &tile(&[(0, Cell::Occupied)])), 5).1, Ok(()));
+    let written = layer.record(ID, Epoch(1)).unwrap();
+    layer.discard(ID, written.stamp);
+    assert_eq!(layer.update(&update(1, 3, None, &tile(&[(0, Cell::Free)])), 6).1, Ok(()));
+    layer.kept(&written);
+    assert_eq!(layer.on_disk(ID, Epoch(1)), None);
+}
+
+#[test]
+fn restored_closed_epochs_replace_open_ones() {
+    let mut layer = RobotLayer::default();
+    let record = |epoch, version, cells: Tile| {
+        let stamp = Stamp { epoch: Epoch(epoch), version: Version(version) };
+        TileRecord { id: ID, stamp, cells, known: cells, seconds: [5; TILE_CELLS as usize] }
+    };
+    let closed = tile(&[(0, Cell::Free)]);
+    layer.restore(&record(3, 7, tile(&[(0, Cell::Occupied)])));
+    layer.restore(&record(5, 0, closed));
+    assert_eq!((layer.epochs(), layer.held(ID, Epoch(3))), (1, None));
+    assert_eq!(layer.seen(ID).unwrap().tile, closed);
 }
 
 #[test]

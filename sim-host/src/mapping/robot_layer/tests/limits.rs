@@ -45,6 +45,26 @@ fn a_limit_is_used_up_exactly() {
 }
 
 #[test]
+fn a_lower_limit_refuses_only_growth() {
+    let mut layer = limited(1 << 20);
+    assert_eq!(refused(&mut layer, 0, 1, 1), None);
+    layer.set_limit(1);
+    assert_eq!(refused(&mut layer, 0, 1, 2), None, "what is held can always be updated");
+    assert_eq!(refused(&mut layer, 1, 1, 1), Some(Limit::AllRobots));
+}
+
+#[test]
+fn a_robot_has_at_most_24_576_epochs() {
+    let mut layer = RobotLayer::default();
+    assert_eq!(refused(&mut layer, 0, 1, 1), None);
+    layer.epochs = 24_575;
+    assert_eq!(refused(&mut layer, 1, 1, 1), None, "the last one");
+    assert_eq!(layer.epochs, 24_576);
+    assert_eq!(refused(&mut layer, 1, 1, 2), None, "what is held can always be updated");
+    assert_eq!(refused(&mut layer, 1, 2, 1), Some(Limit::Robot));
+}
+
+#[test]
 fn a_closed_epoch_makes_room_for_the_next_one() {
     let full = TILE_MEMORY + MAX_HELD * EPOCH_MEMORY;
     let mut layer = limited(full);
