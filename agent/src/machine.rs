@@ -7,7 +7,10 @@ use ubimap_protocol::{
 
 use crate::{
     Config, ConfigError, Memory, Robot, Slices, Storage,
-    device::{DepthSensor, WheelReport, Wheels},
+    device::{
+        DepthSensor, WheelReport, Wheels,
+        pwm_motors::{PoweredMotor, PwmMotors},
+    },
     drive::{Drive, DriveCommand, NoDrive, StopReason},
 };
 
@@ -214,6 +217,19 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
     /// Passes the command to the wheels.
     fn drive(&mut self, now: Instant) {
         self.wheels.drive(self.command(), now);
+    }
+}
+
+impl<S: DepthSensor, L: PoweredMotor, R: PoweredMotor, D: Drive>
+    Machine<'_, S, PwmMotors<L, R>, D>
+{
+    /// Processes the counts of the left and the right wheel's encoder since the last call, and sets
+    /// the motors' powers. Call it at 50 to 100 Hz.
+    pub fn counts(&mut self, counts: [i32; 2], now: Instant) {
+        let report = self.wheels.count(counts, now);
+        self.robot.odometry(report.moment, report.pose, now);
+        self.heed(&report, now);
+        self.drive(now);
     }
 }
 

@@ -44,6 +44,24 @@ impl WheelBase {
             slew,
         }
     }
+
+    /// Maximum speed of a wheel, in mm/s.
+    pub const fn top_speed(&self) -> u16 {
+        self.top_speed
+    }
+
+    /// The way of a wheel in micrometres for this number of counts, at most 2 km either way.
+    pub const fn way_um(&self, counts: i32) -> i32 {
+        // Half a count in 2^-32 mm, in micrometres: times 2,000, in 2^-32.
+        let way = (self.half_count as i128 * counts as i128 * 2_000) >> 32;
+        if way > i32::MAX as i128 {
+            i32::MAX
+        } else if way < i32::MIN as i128 {
+            i32::MIN
+        } else {
+            way as i32
+        }
+    }
 }
 
 /// The odometry of two driven wheels: `base_link`, the middle between the wheels, in `odom`.

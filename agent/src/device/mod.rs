@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`a010`] | the depth camera Sipeed MaixSense A010 |
 //! | [`create2`] | the mobile base iRobot Create 2 |
+//! | [`pwm_motors`] | two DC motors with encoders, on drivers with direction pins and PWM |
 //! | [`diff_drive`] | the geometry of two driven wheels |
 //!
 //! A [`DepthSensor`] makes scans of bytes, [`Wheels`] make odometry of bytes and bytes of commands. A
@@ -14,6 +15,7 @@ pub mod a010;
 pub mod create2;
 mod depth_sensor;
 pub mod diff_drive;
+pub mod pwm_motors;
 mod wheels;
 
 pub use depth_sensor::{DepthSensor, Scan, SensorCounters};

@@ -13,6 +13,8 @@ pub enum StopReason {
     Cliff,
     /// The wheels do not report.
     WheelsSilent,
+    /// A motor is blocked, or its driver refuses a command.
+    WheelsFaulty,
     /// Somebody pressed a button.
     Button,
 }
@@ -22,7 +24,9 @@ impl StopReason {
     pub fn event_code(self) -> Option<EventCode> {
         match self {
             Self::Bumper => Some(EventCode::Collision),
-            Self::WheelDrop | Self::Cliff | Self::WheelsSilent => Some(EventCode::DriveFault),
+            Self::WheelDrop | Self::Cliff | Self::WheelsSilent | Self::WheelsFaulty => {
+                Some(EventCode::DriveFault)
+            }
             Self::Button => None,
         }
     }
