@@ -260,7 +260,7 @@ fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
 fn without_a_server_a_robot_explores_and_returns_home() {
     let (mut sum, mut squares) = (0.0, 0.0);
     for seed in 1..=5 {
-        let Alone { known, believed_m, away_m } = explored_alone(seed);
+        let Alone { known, believed_m, away_m, .. } = explored_alone(seed);
         assert!(known >= 0.85 && believed_m < 0.2, "seed {seed}: {known}, {believed_m} m");
         sum += known;
         squares += away_m * away_m;
@@ -270,6 +270,14 @@ fn without_a_server_a_robot_explores_and_returns_home() {
     assert!(squares <= 5.0 * 0.6 * 0.6, "{squares} m^2 of 5");
 }
 
+/// "Explored" would not be true.
+#[test]
+fn a_robot_without_room_for_its_map_says_so() {
+    let Alone { reason, known, believed_m, .. } = explored_alone_with(8, 1);
+    assert_eq!(reason, Reason::PoolFull);
+    assert!(known < 0.7 && believed_m < 0.2, "{known}, {believed_m} m");
+}
+
 /// The result of a robot that explored alone.
 struct Alone {
     /// The fraction of the ground that the robot knows.
@@ -277,16 +285,34 @@ struct Alone {
     /// The robot's distance from home in metres: according to its own pose, and in truth.
     believed_m: f64,
     away_m: f64,
+    /// Why it ended.
+    reason: Reason,
 }
+
+/// Number of tiles for both rooms.
+const ENOUGH_TILES: usize = 32;
 
 /// Lets a robot explore two rooms alone.
 fn explored_alone(seed: u64) -> Alone {
+    let alone = explored_alone_with(ENOUGH_TILES, seed);
+    assert_eq!(alone.reason, Reason::Explored);
+    alone
+}
+
+/// The world of two rooms.
+fn two_rooms(seed: u64) -> World {
     let scenario = Scenario::from_toml(TWO_ROOMS, "two_rooms.toml").unwrap();
-    let mut world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
+    World::new(&scenario, None, RESOLUTION, seed).unwrap()
+}
+
+/// The same with this number of tiles.
+fn explored_alone_with(own_tiles: usize, seed: u64) -> Alone {
+    let mut world = two_rooms(seed);
     world.tell_wheels(1, 0.0, 0.0);
     let simulated = &world.robots()[0];
     let home = simulated.truth();
-    let own = simulate::config(simulated, 1);
+    let mut own = simulate::config(simulated, 1);
+    own.bounds.own_tiles = own_tiles;
     let [speed, turn, _] = simulated.limits();
     let motion =
         Motion { top_speed: speed as f32 * 1e3, top_turn: turn as f32, ..Motion::default() };
@@ -297,7 +323,7 @@ fn explored_alone(seed: u64) -> Alone {
     let mut robot = Robot::new(own, &mut memory).unwrap();
     let mut now = Instant(0);
     let mut frame = [0; DEFAULT_FRAME];
-    while robot.drive().driver().reason() != Reason::Explored {
+    while !matches!(robot.drive().driver().reason(), Reason::Explored | Reason::PoolFull) {
         now = now + Duration::from_millis(10);
         assert!(now < Instant(400_000_000), "{:?}", robot.drive().driver().reason());
         world.advance(now);
@@ -328,5 +354,6 @@ fn explored_alone(seed: u64) -> Alone {
     let away_m = from_home(world.robots()[0].truth());
     let believed_m = from_home(robot.pose_at(now).unwrap().0);
     println!("alone, seed {seed}: {known} of {all} cells in {now:?}, {away_m:.2} m from home");
-    Alone { known: known as f64 / all as f64, believed_m, away_m }
+    let reason = robot.drive().driver().reason();
+    Alone { known: known as f64 / all as f64, believed_m, away_m, reason }
 }

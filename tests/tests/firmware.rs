@@ -1,6 +1,6 @@
 //! The firmware in an emulated STM32F405, over its serial port.
 
-use std::time::Duration;
+use std::{sync::Mutex, time::Duration};
 
 use clap::Parser;
 
@@ -13,6 +13,7 @@ use ubimap_sim_host::{
     channel::serial::{SerialError, SerialPort},
     channel::wire::Wire,
     deployment::Life,
+    report::Report,
     run::{
         options::SimulateOptions,
         serve::{Attached, CAPTURE_INTERVAL, Station},
@@ -21,7 +22,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{
     elf::Image,
-    emulator::{Core, Emulator, firmware, image, leave_out},
+    emulator::{Core, Emulator, EmulatorError, firmware, image, leave_out},
 };
 
 /// The firmware's robot id.
@@ -42,40 +43,85 @@ struct CommandLine {
 const FITS: [(&str, [usize; 2]); 2] =
     [("mapping", [78 * 1024, 24 * 1024]), ("firmware", [105 * 1024, 36 * 1024])];
 
+/// Only one emulator runs at a time, because the runs are in real time.
+static ALONE: Mutex<()> = Mutex::new(());
+
 /// The unmodified images map, and one drives, in the simulated room, by the bytes of a simulated A010
 /// and Create 2; and they fit.
 #[test]
 #[ignore = "runs an image in the emulator: cargo thorough"]
-fn the_images_map_drive_and_fit() {
+fn the_images_fit() {
     let mut table =
         String::from("| image | flash | static RAM | with the stack |\n|---|---|---|---|\n");
-    for ((name, [flash, ram]), seconds) in FITS.into_iter().zip(["20", "60"]) {
-        let started = image(name, Core::M4).and_then(|path| Ok((Emulator::start(&path)?, path)));
-        let (emulator, path) = match started {
-            Ok(started) => started,
+    for (name, [flash, ram]) in FITS {
+        let run = match run(name, "1", "40") {
+            Ok(run) => run,
             Err(error) => return leave_out("the firmware in the simulated room", &error),
         };
-        let image = Image::parse(&std::fs::read(path).unwrap()).unwrap();
+        let Run { image, stack, report } = run;
         assert!(image.symbols.iter().any(|name| name == "main"), "no symbols: {image:?}");
         assert_eq!(image.panics_and_heap(), [""; 0]);
-
-        let ports = emulator.ports().each_ref().map(|port| port.display().to_string()).join(",");
-        let line = ["simulate", "--robots", "1", "--ideal-cameras", "--outside", &ports];
-        let line = line.into_iter().chain(["--duration", seconds]);
-        let report = simulate::run(&CommandLine::parse_from(line).options).unwrap().report;
-        let driving = report.driving.unwrap();
-        println!("{name}: {driving:?}, {:?}, {:?}", report.truth.unwrap(), report.pose);
-        assert_eq!(driving.collisions, 0);
         assert!(report.map.converged);
-        assert!(name == "mapping" || driving.blind_mapped > 0.1, "{driving:?}");
 
-        let deep = image.ram + emulator.stack(&image).unwrap();
+        let deep = image.ram + stack;
         let [kib, fixed, all] = [image.flash, image.ram, deep].map(|it| it as f64 / 1024.0);
         table += &format!("| {name} | {kib:.1} KiB | {fixed:.1} KiB | {all:.1} KiB |\n");
         assert!(image.flash <= flash, "{name}: {} bytes of flash", image.flash);
         assert!(deep <= ram, "{name}: {deep} bytes of RAM");
     }
     println!("{table}");
+}
+
+/// The unmodified image drives alone, without a collision, to the ground that no camera sees.
+#[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
+fn the_image_maps_the_blind_ground() {
+    println!("| seed | blind ground | F1 | poses, RMS | collisions |\n|---|---|---|---|---|");
+    for seed in ["1", "2", "3"] {
+        let report = match run("firmware", seed, "150") {
+            Ok(run) => run.report,
+            Err(error) => return leave_out("the firmware drives", &error),
+        };
+        let (driving, truth, pose) =
+            (report.driving.unwrap(), report.truth.unwrap(), report.pose.unwrap());
+        println!(
+            "| {seed} | {:.1} % | {:.3} | {:.1} cm, {:.2} degrees | {} |",
+            100.0 * driving.blind_mapped,
+            truth.f1_occupied,
+            100.0 * pose.rmse_m,
+            pose.rmse_deg,
+            driving.collisions,
+        );
+        assert_eq!(driving.collisions, 0);
+        assert!(driving.blind_mapped >= BLIND_MAPPED, "{driving:?}");
+        assert!(report.map.converged);
+    }
+}
+
+/// Minimum share of the blind ground mapped after 150 s: runs in real time differ, by some 15 % so far.
+/// The target is 0.95.
+const BLIND_MAPPED: f64 = 0.75;
+
+/// A run of an image.
+struct Run {
+    image: Image,
+    /// Maximum depth of its stack in bytes.
+    stack: usize,
+    report: Report,
+}
+
+/// Runs an image as the only robot of the default scenario, with ideal cameras, in real time.
+fn run(name: &str, seed: &str, seconds: &str) -> Result<Run, EmulatorError> {
+    let _alone = ALONE.lock();
+    let path = image(name, Core::M4)?;
+    let emulator = Emulator::start(&path)?;
+    let image = Image::parse(&std::fs::read(path).unwrap()).unwrap();
+    let ports = emulator.ports().each_ref().map(|port| port.display().to_string()).join(",");
+    let line = ["simulate", "--robots", "1", "--ideal-cameras", "--outside", &ports];
+    let line = line.into_iter().chain(["--seed", seed, "--duration", seconds]);
+    let report = simulate::run(&CommandLine::parse_from(line).options).unwrap().report;
+    let stack = emulator.stack(&image).unwrap();
+    Ok(Run { image, stack, report })
 }
 
 #[test]

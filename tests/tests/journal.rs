@@ -96,7 +96,7 @@ fn folder(test: &str) -> PathBuf {
 /// frames.
 fn simulated() -> Vec<u8> {
     let mut scenario = Scenario::from_toml(ROOMS, "the rooms").unwrap();
-    scenario.robots[0].sensor = scenario.robots[0].sensor.to_a010(BOUNDS.readings);
+    scenario.robots[0] = scenario.robots[0].on_create2(BOUNDS.readings);
     let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
     let nonce = 77_u32;
     let config = configuration::config(nonce).with_drive(Some(driving()));

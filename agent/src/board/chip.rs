@@ -226,8 +226,8 @@ impl Serial {
 }
 
 /// Sizes of the queues of the port to the server, in bytes: 44 ms of received bytes at 115,200 baud,
-/// and two frames of the link to be sent.
-pub(super) const SERVER_QUEUES: [usize; 2] = [512, 512];
+/// and a frame of the link to be sent.
+pub(super) const SERVER_QUEUES: [usize; 2] = [512, 256];
 
 /// Sizes of the queues of a device's port: 22 ms of received bytes, several times what the main loop
 /// takes at the most, and a command to be sent.

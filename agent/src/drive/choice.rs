@@ -68,6 +68,8 @@ pub struct Surroundings<'r, 'b> {
     pub gate: Gate,
     /// The server's commands, and its reports on other robots and obstacles.
     pub commands: &'r Commands,
+    /// Number of cells not mapped so far because the pool of own tiles was full.
+    pub cells_refused: u32,
     /// The robot's own tiles.
     pub own: &'r Pool<'b>,
     /// The server's tiles.

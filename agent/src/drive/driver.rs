@@ -44,6 +44,8 @@ pub struct Inputs<'i> {
     pub near: &'i NearPoints,
     /// Objects that the cameras see but the map does not contain: people, other robots, things.
     pub movers: &'i [Mover],
+    /// Number of cells not mapped so far because the pool was full.
+    pub cells_refused: u32,
 }
 
 /// Distance that the robot must drive before a hindrance counts as over, in millimetres.
@@ -106,6 +108,8 @@ pub struct Driver<'b> {
     is_begun: bool,
     /// Whether exploring is complete and the robot is driving home.
     goes_home: bool,
+    /// Numbers of refused cells: when the task began, and now.
+    refused: Option<[u32; 2]>,
     last: Option<Instant>,
     looked: Instant,
     planned: Instant,
@@ -132,6 +136,7 @@ impl<'b> Driver<'b> {
             has_path: false,
             is_begun: false,
             goes_home: false,
+            refused: None,
             last: None,
             looked: Instant(0),
             planned: Instant(0),
@@ -147,6 +152,7 @@ impl<'b> Driver<'b> {
     pub fn set_task(&mut self, task: Task) {
         self.task = task;
         self.goes_home = false;
+        self.refused = None;
         self.search.forget();
         self.safety.forgive();
         self.set_out();
@@ -187,9 +193,8 @@ impl<'b> Driver<'b> {
     }
 
     /// Makes a step, and returns the wheels' command until the next one. `ground(column, row)`
-    /// returns the 32 map cells in a column of tiles and a row of cells. Must be called at 10 Hz or
-    /// more.
-    // Not inlined: its stack need not add up with that of mapping and of the link.
+    /// returns the 32 map cells in a column of tiles and a row of cells. Call it at 10 Hz or more.
+    // Not inlined, so that its stack does not add up with that of mapping.
     #[inline(never)]
     pub fn step(
         &mut self,
@@ -197,6 +202,7 @@ impl<'b> Driver<'b> {
         ground: impl Fn(i32, i32) -> GroundRow,
     ) -> DriveCommand {
         let now = inputs.health.now;
+        self.refused.get_or_insert([inputs.cells_refused; 2])[1] = inputs.cells_refused;
         let since = self.last.map_or(0, |last| now.since(last).micros());
         let elapsed = (since as f32 * 1.0e-6).min(MAX_STEP);
         self.last = Some(now);
@@ -305,7 +311,7 @@ impl<'b> Driver<'b> {
 
     /// Exploring is complete: drives home, if there is a home.
     fn come_home(&mut self, home: Option<Waypoint>) {
-        self.phase = Phase::Resting(Reason::Explored);
+        self.phase = Phase::Resting(Reason::explored(self.refused));
         if home.is_some() {
             self.goes_home = true;
             self.set_out();
@@ -421,7 +427,8 @@ impl<'b> Driver<'b> {
                 Reason::Driving
             }
             End::Goal => {
-                let reason = if self.goes_home { Reason::Explored } else { Reason::Arrived };
+                let reason =
+                    if self.goes_home { Reason::explored(self.refused) } else { Reason::Arrived };
                 self.phase = Phase::Resting(reason);
                 reason
             }
@@ -471,8 +478,9 @@ impl<'b> Driver<'b> {
             let view = self.view(step, &none);
             self.search.fill(look.level, &view, ground);
             let is_blind = self.search.is_frontier(look.at);
-            if is_blind && done && !self.search.give_up(look.at, look.level, &view) {
-                // The list of given-up places is full: stop exploring.
+            let is_full = Reason::explored(self.refused) == Reason::PoolFull;
+            if is_blind && done && (is_full || !self.search.give_up(look.at, look.level, &view)) {
+                // The pool or the list of given-up places is full: stop exploring.
                 self.fail(PlanError::NoFrontier, step.now);
             } else if done || !is_blind {
                 self.set_out();

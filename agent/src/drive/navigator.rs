@@ -162,7 +162,8 @@ impl Drives for Navigator<'_> {
         let movers = surroundings.pose.map(|(pose, _)| movers(surroundings, pose, self.radius));
         let movers = movers.unwrap_or_default();
         let health = self.health(surroundings);
-        let inputs = Inputs { health, near: &self.near, movers: &movers };
+        let cells_refused = surroundings.cells_refused;
+        let inputs = Inputs { health, near: &self.near, movers: &movers, cells_refused };
         self.command = self.driver.step(&inputs, |column, row| ground(surroundings, column, row));
         let code = self.driver.poll_event().and_then(Reason::event_code);
         // Only the last point counts as the end of the path.

@@ -16,6 +16,8 @@ pub enum Reason {
     Arrived,
     /// All reachable ground is mapped.
     Explored,
+    /// What is left to explore has no room in the pool of tiles, which only a server empties.
+    PoolFull,
     /// There is no path.
     NoWay(PlanError),
     /// An obstacle is in the way.
@@ -39,11 +41,19 @@ pub enum Reason {
 }
 
 impl Reason {
+    /// Why exploring has ended, by the numbers of cells that had been refused when it began and at
+    /// the end.
+    pub(super) fn explored(refused: Option<[u32; 2]>) -> Self {
+        let is_full = refused.is_some_and(|[before, now]| now != before);
+        if is_full { Self::PoolFull } else { Self::Explored }
+    }
+
     /// The event code that reports this reason to the server, if there is one.
     pub fn event_code(self) -> Option<EventCode> {
         Some(match self {
             Self::NoTask | Self::Driving | Self::Stopped | Self::LinkLost => return None,
             Self::Arrived | Self::Explored => EventCode::PathDone,
+            Self::PoolFull => EventCode::PoolFull,
             Self::NoWay(_) | Self::Blocked | Self::OutsideMap => EventCode::PathBlocked,
             Self::Person => EventCode::StoppedByPerson,
             Self::PoseLost => EventCode::PoseLost,

@@ -29,6 +29,7 @@ impl<'b> Mapper<'b> {
             is_halted,
             gate: self.settings.gate,
             commands: &self.commands,
+            cells_refused: self.statistics.cells_refused,
             own: &self.map.pool,
             fused: &self.fused,
         }

@@ -132,7 +132,7 @@ fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
     }
     if options.outside.is_some() || options.drivers {
         for robot in &mut scenario.robots {
-            robot.sensor = robot.sensor.to_a010(CAMERA.binning.side());
+            *robot = robot.on_create2(CAMERA.binning.side());
         }
     }
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;

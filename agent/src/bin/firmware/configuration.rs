@@ -41,7 +41,7 @@ const SLICE: Slice = Slice::Band { first: (SIDE / 2 - 1) as u16, rows: 3, pick: 
 pub(crate) const SLICE_LENGTH: usize = SLICE.buffer_len(SIDE);
 
 /// The sizes of the robot's memory. The side of a cell must equal the server's.
-pub(crate) const BOUNDS: Bounds = Bounds { readings: SIDE, ..Bounds::REFERENCE };
+pub(crate) const BOUNDS: Bounds = Bounds { readings: SIDE, max_range: 2_500, ..Bounds::REFERENCE };
 
 /// The robot's configuration without a drive, for a random number that differs from boot to boot.
 pub(crate) fn config(boot_nonce: u32) -> Config {

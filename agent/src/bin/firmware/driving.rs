@@ -3,7 +3,7 @@
 use ubimap_agent::drive::{Driving, Gaze, Motion};
 
 /// The radius of the robot, in millimetres.
-const RADIUS: u16 = 180;
+const RADIUS: u16 = 170;
 
 /// The configuration of the drive.
 pub(crate) fn driving() -> Driving {

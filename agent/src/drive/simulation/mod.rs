@@ -320,7 +320,7 @@ impl Simulation {
             is_person: true,
         });
         let movers = movers.collect::<Vec<_>>();
-        let inputs = Inputs { health, near: &self.near, movers: &movers };
+        let inputs = Inputs { health, near: &self.near, movers: &movers, cells_refused: 0 };
         let map = &self.map;
         self.command = self.driver.step(&inputs, |column, row| Self::known(map, column, row));
         self.told.extend(self.driver.poll_event());

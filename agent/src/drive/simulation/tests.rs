@@ -313,7 +313,7 @@ proptest! {
                 radius,
                 is_person,
             };
-            let inputs = Inputs { health, near: &near, movers: &[mover] };
+            let inputs = Inputs { health, near: &near, movers: &[mover], cells_refused: 0 };
             let cells = Row { low: ground.0, high: ground.1 };
             for _ in 0..8 {
                 let command = driver.step(&inputs, |column, row| {

@@ -49,6 +49,14 @@ impl RobotConfig {
         pairs.cycle().nth(usize::from(self.id) % 15).unwrap_or([0, 1])
     }
 
+    /// This robot as a Create 2 that carries an A010 with this number of columns: 340 mm wide, up to
+    /// 0.5 m/s, and the sensor mounted as the robot's own.
+    pub fn on_create2(&self, columns: usize) -> Self {
+        let route = RouteConfig { speed_m_s: 0.5, ..self.route.clone() };
+        let sensor = self.sensor.to_a010(columns);
+        Self { radius_m: 0.17, box_m: None, sensor, route, ..self.clone() }
+    }
+
     /// The default robot, with a route through these points.
     pub(in super::super) fn at(id: u16, start: StartConfig, waypoints_m: Vec<[f64; 2]>) -> Self {
         Self {
@@ -193,7 +201,7 @@ impl SensorPreset {
 
 impl SensorConfig {
     /// An A010 depth camera with this number of columns, mounted as this sensor.
-    pub fn to_a010(&self, columns: usize) -> Self {
+    fn to_a010(&self, columns: usize) -> Self {
         let &Self { x_m, y_m, height_m, heading_deg, askew_deg, .. } = self;
         let camera = SensorPreset::Tof100.sensor();
         Self { x_m, y_m, height_m, heading_deg, askew_deg, beams: columns, ..camera }
