@@ -158,7 +158,7 @@ impl Bench {
             let [x, y, heading] = self.pose;
             let (way, turned) = ((left + right) / 2.0, (right - left) / 120.0);
             self.pose = [x + way * heading.cos(), y + way * heading.sin(), heading + turned];
-            if self.micros % 10_000 == 0 {
+            if self.micros.is_multiple_of(10_000) {
                 let counted = self.ways.map(|way| (way / 0.2).floor() as i32);
                 let counts = [0, 1].map(|motor| counted[motor] - self.counted[motor]);
                 self.counted = counted;
