@@ -1,0 +1,224 @@
+//! The options of `ubimap`'s commands, checked as they are parsed.
+
+mod replay;
+mod simulate;
+mod values;
+
+use std::path::PathBuf;
+
+use clap::{ArgAction, Args, value_parser};
+use log::LevelFilter;
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::{Millimetres, Pose},
+};
+
+pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
+pub use simulate::{MotionName, SimulateOptions};
+pub(super) use values::{OptionError, number};
+use values::{milliseconds, pose, probability, resolution, seconds, tolerance};
+
+use crate::channel::fault::Faults;
+
+/// Options of `ubimap watch`.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Recording")]
+pub struct WatchOptions {
+    /// Folders of cameras, or of such folders: pose.txt, intrinsics.toml, depth/*.png, color/*.png
+    /// (with a pose.txt and intrinsics.toml of its own, if it has them), and times.txt
+    #[arg(required = true, value_name = "FOLDER")]
+    pub folders: Vec<PathBuf>,
+
+    /// The robots and their markers, instead of the robots.toml in a folder
+    #[arg(long, value_name = "TOML")]
+    pub robots: Option<PathBuf>,
+
+    /// Side of a cell in metres
+    #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
+    pub resolution: Millimetres,
+
+    /// Options for the results.
+    #[command(flatten)]
+    pub results: ResultOptions,
+}
+
+/// Options of `ubimap serve`.
+#[derive(Args, Clone, Debug)]
+pub struct ServeOptions {
+    /// Serial ports, with one robot behind each
+    #[arg(required = true, value_name = "PORT")]
+    pub ports: Vec<PathBuf>,
+
+    /// Speed of the ports in bits per second
+    #[arg(long, value_name = "N", default_value_t = 115_200, value_parser = value_parser!(u32).range(1_200..=12_000_000))]
+    pub baud: u32,
+
+    /// Pose of the robot on the bench, in metres and degrees, in place of cameras; once for all ports,
+    /// or once for each in their order. Without it no fix is sent
+    #[arg(long, value_name = "X,Y,DEG", value_parser = pose, allow_hyphen_values = true)]
+    pub pose: Vec<Pose>,
+
+    /// Side of a cell in metres; the robots' must be the same
+    #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
+    pub resolution: Millimetres,
+
+    /// Store the map in this file, and continue from its content; without it, the map is lost when
+    /// the server ends. Copy it with `ubimap backup`
+    #[arg(long, value_name = "FILE")]
+    pub store: Option<PathBuf>,
+
+    /// Duration in seconds; without it, until stopped
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
+    pub duration: Option<Duration>,
+
+    /// Print only the report, as JSON, to standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options common to all runs.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Run")]
+pub struct RunOptions {
+    /// Faults of the channels.
+    #[command(flatten)]
+    pub channel: ChannelOptions,
+
+    /// Seed of all random numbers: the same seed gives the same report
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+
+    /// Tiles in each robot's pool, instead of the firmware's bound
+    #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..=65_536))]
+    pub tiles: Option<u32>,
+
+    /// Store the map in this file, and continue from its content
+    #[arg(long, value_name = "FILE", help_heading = "Results")]
+    pub store: Option<PathBuf>,
+
+    /// Options for the results.
+    #[command(flatten)]
+    pub results: ResultOptions,
+}
+
+/// Options for the results of a run.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Results")]
+pub struct ResultOptions {
+    /// Folder for the map (map.pgm, map.yaml), the pictures (*.png), report.json and, of watch, robots.csv.
+    /// Results of an earlier run in it are replaced when the run has succeeded
+    #[arg(long, value_name = "DIR", default_value = "ubimap-out")]
+    pub out: PathBuf,
+
+    /// Print only the report, as JSON, to standard output; the folder is written as well
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What is logged to standard error. `RUST_LOG` overrides it.
+#[derive(Args, Clone, Copy, Debug)]
+#[command(next_help_heading = "Messages")]
+pub struct Verbosity {
+    /// More messages, and all figures at the end; -vv for details
+    #[arg(short, long, action = ArgAction::Count, global = true)]
+    pub verbose: u8,
+
+    /// Errors only: no warnings and no progress
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+}
+
+impl Verbosity {
+    /// The least important level that is logged.
+    pub fn level(self) -> LevelFilter {
+        match self.verbose {
+            _ if self.quiet => LevelFilter::Error,
+            0 => LevelFilter::Warn,
+            1 => LevelFilter::Info,
+            2 => LevelFilter::Debug,
+            _ => LevelFilter::Trace,
+        }
+    }
+}
+
+/// Faults of the channel between the server and each robot, in both directions. Probabilities are
+/// from 0 to 1.
+#[derive(Args, Clone, Copy, Debug, Default, PartialEq)]
+#[command(next_help_heading = "Channel between the server and each robot")]
+pub struct ChannelOptions {
+    /// Probability that a frame is lost
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub loss: f64,
+
+    /// Probability that a frame arrives twice
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub duplicate: f64,
+
+    /// Probability that a frame is overtaken by later ones
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub reorder: f64,
+
+    /// Probability that bits of a frame are flipped
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = probability, allow_negative_numbers = true)]
+    pub corrupt: f64,
+
+    /// Delay of a frame, in milliseconds
+    #[arg(long, value_name = "MS", default_value = "0", value_parser = milliseconds, allow_negative_numbers = true)]
+    pub latency: Duration,
+
+    /// Interrupt the channel for ten seconds, from this second on
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
+    pub cut: Option<Duration>,
+}
+
+/// Duration of an interruption.
+const CUT: Duration = Duration::from_secs(10);
+
+impl ChannelOptions {
+    /// Converts to the faults of a wire.
+    pub fn faults(&self) -> Faults {
+        Faults {
+            loss: self.loss,
+            duplicate: self.duplicate,
+            reorder: self.reorder,
+            corrupt: self.corrupt,
+            latency: self.latency,
+            cut: self.cut.map(|from| (Instant(0) + from, Instant(0) + from + CUT)),
+            ..Faults::default()
+        }
+    }
+}
+
+/// Options of `ubimap backup`.
+#[derive(Args, Clone, Debug)]
+pub struct BackupOptions {
+    /// The file of `--store`; the program that uses it may be running
+    #[arg(value_name = "STORE")]
+    pub store: PathBuf,
+
+    /// The copy, a file that `--store` accepts; an earlier backup is replaced once the new one is
+    /// complete and checked
+    #[arg(value_name = "FILE")]
+    pub to: PathBuf,
+}
+
+/// Options of `ubimap compare`.
+#[derive(Args, Clone, Debug)]
+pub struct CompareOptions {
+    /// The map's YAML file, in the format of ROS's map_server
+    #[arg(value_name = "MAP.yaml")]
+    pub map: PathBuf,
+
+    /// The YAML file of the reference map
+    #[arg(value_name = "REFERENCE.yaml")]
+    pub reference: PathBuf,
+
+    /// Maximum distance between matching occupied cells, in metres [default: one cell of the
+    /// reference]
+    #[arg(long, value_name = "M", value_parser = tolerance, allow_negative_numbers = true)]
+    pub tolerance: Option<f64>,
+
+    /// Print the scores as JSON
+    #[arg(long)]
+    pub json: bool,
+}

@@ -1,0 +1,125 @@
+//! The options of `ubimap replay`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use ubimap_agent::map::Policy;
+use ubimap_protocol::units::Millimetres;
+
+use super::{
+    RunOptions,
+    values::{max_range, resolution, robots},
+};
+use crate::recording::{DepthSlice, Format, PixelModel, Slicing, UpAxis};
+
+/// Options of `ubimap replay`.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Log")]
+pub struct ReplayOptions {
+    /// Recorded logs of one sensor: files, or folders of depth images
+    #[arg(required = true, value_name = "LOG")]
+    pub logs: Vec<PathBuf>,
+
+    /// Format of the logs
+    #[arg(long, value_enum, default_value_t)]
+    pub format: FormatChoice,
+
+    /// Number of robots: the log is cut into as many consecutive segments, played at the same time
+    #[arg(long, help_heading = "Robots and map", value_name = "N", default_value_t = 1, value_parser = robots(), allow_negative_numbers = true)]
+    pub robots: u16,
+
+    /// Side of a cell in metres
+    #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
+    pub resolution: Millimetres,
+
+    /// Maximum range that is mapped, in metres
+    #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
+    pub max_range: Millimetres,
+
+    /// Which readings are mapped, after Aluckal et al.: all; scans after a motion; without what was in
+    /// view before a turn; without what is already known
+    #[arg(long, help_heading = "Robots and map", value_name = "P", value_enum, default_value_t = PolicyName::Full)]
+    pub policy: PolicyName,
+
+    /// How depth images become scans.
+    #[command(flatten)]
+    pub slicing: SlicingOptions,
+
+    /// Options common to all runs.
+    #[command(flatten)]
+    pub run: RunOptions,
+}
+
+/// How depth images become scans.
+#[derive(Args, Clone, Copy, Debug)]
+#[command(next_help_heading = "Depth images")]
+pub struct SlicingOptions {
+    /// Which part of a depth image is mapped
+    #[arg(long, value_enum, default_value_t)]
+    pub slice: DepthSlice,
+
+    /// What a column of a depth image means
+    #[arg(long, value_enum, default_value_t)]
+    pub pixel_model: PixelModel,
+
+    /// Which axis of the cameras' poses points up
+    #[arg(long, value_enum, value_name = "AXIS", default_value_t, allow_hyphen_values = true)]
+    pub up: UpAxis,
+}
+
+impl SlicingOptions {
+    /// Converts to the options of the log reader.
+    pub fn slicing(&self) -> Slicing {
+        Slicing { slice: self.slice, pixels: self.pixel_model, up: self.up }
+    }
+}
+
+/// The requested format of a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum FormatChoice {
+    /// Detected from the content
+    #[default]
+    Auto,
+    /// CARMEN text with FLASER records, plain or gzipped
+    Carmen,
+    /// CoreSLAM's mine robot, plain or gzipped
+    Mines,
+    /// A folder of depth images with poses and intrinsics
+    Rgbd,
+}
+
+impl FormatChoice {
+    /// The format, or `None` to detect it from the content.
+    pub fn format(self) -> Option<Format> {
+        match self {
+            Self::Auto => None,
+            Self::Carmen => Some(Format::Carmen),
+            Self::Mines => Some(Format::Mines),
+            Self::Rgbd => Some(Format::Rgbd),
+        }
+    }
+}
+
+/// The names of the policies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PolicyName {
+    /// All readings of all scans.
+    Pilot,
+    /// All readings of scans after a motion.
+    Threshold,
+    /// The same, without what was in view before the robot turned.
+    Omission,
+    /// The same, without what is already known.
+    Full,
+}
+
+impl From<PolicyName> for Policy {
+    fn from(name: PolicyName) -> Self {
+        match name {
+            PolicyName::Pilot => Self::Pilot,
+            PolicyName::Threshold => Self::Threshold,
+            PolicyName::Omission => Self::Omission,
+            PolicyName::Full => Self::Full,
+        }
+    }
+}

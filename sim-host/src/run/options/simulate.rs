@@ -1,0 +1,82 @@
+//! The options of `ubimap simulate`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use ubimap_protocol::time::Duration;
+
+use super::{
+    RunOptions,
+    values::{robots, seconds},
+};
+use crate::{run::outside::OutsidePorts, world::NAMED};
+
+/// Options of `ubimap simulate`.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Scenario")]
+pub struct SimulateOptions {
+    /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
+    /// changing, office or ahmed-2013
+    #[arg(default_value = NAMED[0].0)]
+    pub scenario: PathBuf,
+
+    /// ROS map (map.yaml) with the walls, for a scenario without an outline of its own: of the built-in
+    /// ones, office
+    #[arg(long, value_name = "YAML")]
+    pub map: Option<PathBuf>,
+
+    /// Use ideal cameras that know what is in view, instead of rendering and analysing their frames:
+    /// faster, and more accurate than any camera
+    #[arg(long, help_heading = "Cameras and robots")]
+    pub ideal_cameras: bool,
+
+    /// Let the robots drive the scenario's routes, instead of exploring by themselves under the
+    /// server's coordination
+    #[arg(long, help_heading = "Cameras and robots")]
+    pub scripted: bool,
+
+    /// When robots that drive themselves take scans
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
+    pub motion: MotionName,
+
+    /// Number of robots, instead of the scenario's
+    #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
+    pub robots: Option<u16>,
+
+    /// Let the robots read an A010 depth camera and drive a Create 2, byte by byte through the drivers
+    /// of a real robot; their own sensors are replaced
+    #[arg(long, help_heading = "Cameras and robots", conflicts_with_all = ["scripted", "outside"])]
+    pub drivers: bool,
+
+    /// Let a robot outside, such as a board or an emulator, be the scenario's robot, in real time: its
+    /// serial ports to the server, to a simulated A010 depth camera and to a simulated Create 2
+    #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with_all = ["scripted", "motion", "tiles"])]
+    pub outside: Option<OutsidePorts>,
+
+    /// Duration in seconds, instead of the scenario's
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
+    pub duration: Option<Duration>,
+
+    /// Write the frames of the cameras to this folder, new or empty, for ubimap watch
+    #[arg(long, help_heading = "Results", value_name = "DIR", conflicts_with = "ideal_cameras")]
+    pub record: Option<PathBuf>,
+
+    /// Write the robots' scans to this file, a CARMEN log for ubimap replay: one robot after another,
+    /// so that --robots N plays N of them at once; gzipped if the name ends with .gz
+    #[arg(long, help_heading = "Results", value_name = "FILE")]
+    pub log: Option<PathBuf>,
+
+    /// Options common to all runs.
+    #[command(flatten)]
+    pub run: RunOptions,
+}
+
+/// When self-driving robots take scans.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum MotionName {
+    /// They scan as they drive
+    #[default]
+    OnTheMove,
+    /// They stop for each scan until the cameras have localised them there, as Ahmed et al. did
+    StopAndWait,
+}
