@@ -57,6 +57,9 @@ pub struct Health {
 
 /// Interval over which the wheels are compared with their commands and with the pose.
 const SPAN: Duration = Duration::from_secs(1);
+/// End of that interval in which commands do not count: wheels need time to follow a new command, and
+/// odometry to arrive.
+const LAG: Duration = Duration::from_millis(300);
 /// Number of consecutive faults after which the wheels are not tried again.
 const TRIES: u8 = 3;
 
@@ -169,8 +172,10 @@ impl Safety {
             measured: (0.0, 0.0),
         });
         let elapsed = now.since(watch.last).micros().min(SPAN.micros()) as f32 * 1.0e-6;
-        watch.commanded.0 += f32::from(command.speed).abs() * elapsed;
-        watch.commanded.1 += f32::from(command.turn).abs() * 1.0e-3 * elapsed;
+        if now.since(watch.since) + LAG <= SPAN {
+            watch.commanded.0 += f32::from(command.speed).abs() * elapsed;
+            watch.commanded.1 += f32::from(command.turn).abs() * 1.0e-3 * elapsed;
+        }
         watch.measured.0 += way(watch.seen, odometry);
         let turned = f32::from(watch.seen.heading.distance(odometry.heading));
         watch.measured.1 += turned * (core::f32::consts::PI / 32_768.0);
@@ -191,13 +196,13 @@ impl Safety {
         // The difference is larger than what corrections of the pose explain.
         let corrected = 100.0 + 2.0 * watch.unsure;
         let slips = (by_map - by_wheels).abs() > corrected + 0.3 * by_map.min(by_wheels);
-        if stuck(commanded.0, measured.0, 100.0) || stuck(commanded.1, measured.1, 0.4) {
+        if stuck(commanded.0, measured.0, 70.0) || stuck(commanded.1, measured.1, 0.3) {
             return Some(Reason::WheelsStuck);
         }
         if slips {
             return Some(Reason::WheelsSlip);
         }
-        if commanded.0 > 100.0 {
+        if commanded.0 > 70.0 {
             self.forgive();
         }
         None
@@ -313,6 +318,37 @@ mod tests {
             let fault = Some(fault);
             let expected = [None, fault, None, fault, None, fault];
             assert_eq!(driven(command, by_map, by_wheels), expected, "{command:?}");
+        }
+    }
+
+    #[test]
+    fn wheels_that_follow_a_new_command_300_ms_later_are_well() {
+        const LATE: usize = 6;
+        for command in
+            [DriveCommand { speed: 450, turn: 0 }, DriveCommand { speed: 0, turn: 1_300 }]
+        {
+            for begin in 0..40usize {
+                let mut safety = Safety::new(SafetyLimits::default());
+                let commanded = |step: usize| {
+                    if (begin..begin + 10).contains(&step) { command } else { DriveCommand::STAND }
+                };
+                let (mut way, mut turned) = (0.0, 0.0);
+                for step in 0..80usize {
+                    let done = step.checked_sub(LATE).map_or(DriveCommand::STAND, commanded);
+                    way += f32::from(done.speed) * 0.05;
+                    turned += f32::from(done.turn) * 0.05e-3 * 10_430.0;
+                    let pose = Pose {
+                        x: Millimetres(way as i32),
+                        y: Millimetres(0),
+                        heading: Angle(turned as i32 as u16),
+                    };
+                    let now = at(1_000 + 50 * step as u64);
+                    let (pose, odometry) = (Some((pose, 10.0)), Some(pose));
+                    let health = Health { pose, odometry, ..well(now) };
+                    let reason = safety.check(&health, commanded(step));
+                    assert_eq!(reason, None, "{command:?} from step {begin}, at step {step}");
+                }
+            }
         }
     }
 }

@@ -120,6 +120,7 @@ impl Coordinator {
                     target.looked = Some(now);
                 }
             }
+            EventCode::StoppedByPerson => self.members[index].stood_for_person = Some(now),
             EventCode::PathBlocked | EventCode::Collision | EventCode::DriveFault
                 if self.members[index].can_drive() =>
             {

@@ -121,7 +121,10 @@ impl Coordinator {
         let before_m = member.radius_m + costs.held_up_m / 2.0;
         let centre = self.reservations.claim(index).point_before(before_m);
         let disc = Disc { centre, radius: costs.held_up_m };
-        self.held_up.push((disc, now + costs.held_up_for));
+        // People go away sooner than things.
+        let is_person = member.is_behind_person(&self.settings.following, now);
+        let time = if is_person { costs.held_up_by_person_for } else { costs.held_up_for };
+        self.held_up.push((disc, now + time));
         self.notices.push_back((member.id, Notice::Blocked));
         self.halt(index, now);
     }

@@ -24,6 +24,8 @@ pub(super) struct Member {
     pub(super) halted: Option<Instant>,
     /// When a person began to block the robot's way.
     pub(super) held_up: Option<Instant>,
+    /// When the robot last reported that it stood for a person.
+    pub(super) stood_for_person: Option<Instant>,
     /// When the robot began to wait for a route, and when the search is repeated.
     pub(super) waits_since: Option<Instant>,
     pub(super) retry: Instant,
@@ -49,6 +51,7 @@ impl Member {
             target: None,
             halted: None,
             held_up: None,
+            stood_for_person: None,
             waits_since: None,
             retry: Instant(0),
             is_told: false,
@@ -103,6 +106,11 @@ impl Member {
     /// Whether the robot can be commanded to drive.
     pub(super) fn can_drive(&self) -> bool {
         self.lost.is_none() && self.halted.is_none()
+    }
+
+    /// Whether the robot stands, or stood until a moment ago, because a person was in its way.
+    pub(super) fn is_behind_person(&self, rules: &FollowingRules, now: Instant) -> bool {
+        self.stood_for_person.is_some_and(|then| now.since(then) <= rules.behind_person)
     }
 
     /// Prepares for a new destination.

@@ -65,7 +65,10 @@ impl Coordinator {
                     member.is_told = true;
                     self.notices.push_back((member.id, Notice::NoWay));
                 }
-                self.give_up_target(index, now);
+                // A person who stands in a door shuts the only way, until the robot sees them leave.
+                if !member.is_behind_person(&self.settings.following, now) {
+                    self.give_up_target(index, now);
+                }
             }
         }
     }

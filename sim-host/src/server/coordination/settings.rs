@@ -145,6 +145,9 @@ pub struct FollowingRules {
     pub lost: Duration,
     /// Time for the last tiles to reach the map after a robot has looked around.
     pub tiles_arrive: Duration,
+    /// Time since a robot stopped for a person in which whatever is in its way is taken for that
+    /// person, who will leave.
+    pub behind_person: Duration,
 }
 
 impl Default for FollowingRules {
@@ -161,6 +164,7 @@ impl Default for FollowingRules {
             reported: Duration::from_millis(3_500),
             lost: Duration::from_secs(5),
             tiles_arrive: Duration::from_millis(500),
+            behind_person: Duration::from_secs(12),
         }
     }
 }
@@ -210,6 +214,8 @@ pub struct CrossingCosts {
     pub held_up_m: f64,
     /// Time for which that place is avoided: the obstacle may leave.
     pub held_up_for: Duration,
+    /// The same if a person was in the way.
+    pub held_up_by_person_for: Duration,
 }
 
 impl Default for CrossingCosts {
@@ -221,6 +227,7 @@ impl Default for CrossingCosts {
             held_up: 40,
             held_up_m: 0.4,
             held_up_for: Duration::from_secs(20),
+            held_up_by_person_for: Duration::from_secs(5),
         }
     }
 }
@@ -329,7 +336,7 @@ pub struct ExplorationRules {
 impl Default for ExplorationRules {
     fn default() -> Self {
         Self {
-            worth_m: 0.2,
+            worth_m: 0.4,
             neighbours_m: 2.0,
             neighbours_cost: 2.0,
             same_m: 1.0,

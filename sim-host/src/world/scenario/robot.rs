@@ -52,7 +52,7 @@ impl RobotConfig {
     /// This robot as a Create 2 that carries an A010 with this number of columns: 340 mm wide, up to
     /// 0.5 m/s, and the sensor mounted as the robot's own.
     pub fn on_create2(&self, columns: usize) -> Self {
-        let route = RouteConfig { speed_m_s: 0.5, ..self.route.clone() };
+        let route = RouteConfig { speed_m_s: 0.5, turn_rate_deg_s: 75.0, ..self.route.clone() };
         let sensor = self.sensor.to_a010(columns);
         Self { radius_m: 0.17, box_m: None, sensor, route, ..self.clone() }
     }

@@ -171,3 +171,31 @@ fn a_stale_obstacle_in_the_only_way_is_checked_again() {
     let (seconds, known, floor) = explore(floor);
     report(&floor, known, seconds);
 }
+
+/// A person stops in the only door, is drawn there, and leaves: the robot does not set out for the far
+/// end meanwhile.
+#[test]
+fn a_person_in_the_only_door_does_not_cost_the_target() {
+    let mut plan = Plan::room(12.0, 4.0);
+    plan.wall(8.0, 0.0, 8.1, 1.5);
+    plan.wall(8.0, 2.5, 8.1, 4.0);
+    let is_hidden = |place: Point| place.x > 10.0 || place.x < 1.0;
+    let mut floor = Floor::new(plan, &[Point::new(6.2, 2.0)], 1, is_hidden);
+    let body = (29..50).flat_map(|y| (157..162).map(move |x| (x, y)));
+    assert!(floor.coordinator.set_exploring(id(0), true));
+    assert!(floor.run(20, |floor| floor.bodies[0].place.x > 7.2), "it does not go to the door");
+    floor.people = vec![(Point::new(8.0, 2.0), 0.0)];
+    assert!(floor.run(1, |floor| floor.bodies[0].is_blocked()));
+    set(&mut floor.fused, body.clone().map(|it| (it, Cell::Occupied)));
+    let keeps_target = |floor: &mut Floor| {
+        if let Some([x, _]) = floor.coordinator.target(id(0)) {
+            assert!(x > 8.0, "at {:?} it goes to {x}", floor.now);
+        }
+        floor.bodies[0].place.x > 8.5
+    };
+    assert!(!floor.run(5, keeps_target));
+    assert_eq!(floor.count(Notice::Blocked), 1);
+    floor.people.clear();
+    set(&mut floor.fused, body.map(|it| (it, Cell::Free)));
+    assert!(floor.run(12, keeps_target), "it is still at {}", floor.bodies[0].place);
+}

@@ -65,6 +65,13 @@ pub(super) fn id(index: usize) -> RobotId {
     RobotId(index as u16 + 1)
 }
 
+impl Body {
+    /// Whether a person or a wall blocks its way.
+    pub(super) fn is_blocked(&self) -> bool {
+        self.blocked_since.is_some()
+    }
+}
+
 impl Floor {
     /// A floor on which all cells are known except those for which `hides` is true.
     pub(super) fn new(
@@ -184,7 +191,9 @@ impl Floor {
                     let is_wall = room_m < RADIUS_M.min(self.plan.room_around(body.place));
                     if is_wall || self.people.iter().any(is_near) {
                         let since = *body.blocked_since.get_or_insert(now);
-                        if now.since(since) == Duration::from_secs(2) {
+                        if now == since && !is_wall {
+                            event = Some(EventCode::StoppedByPerson);
+                        } else if now.since(since) == Duration::from_secs(2) {
                             event = Some(EventCode::PathBlocked);
                         }
                     } else if way.norm() < 0.05 {
