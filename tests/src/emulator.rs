@@ -29,6 +29,8 @@ pub enum Core {
     M4,
     /// A Cortex-M0+, without division instructions or floating point.
     M0,
+    /// A Cortex-M33 with floating point.
+    M33,
     /// A 32-bit RISC-V without floating point.
     RiscV,
 }
@@ -39,6 +41,7 @@ impl Core {
         match self {
             Self::M4 => "thumbv7em-none-eabihf",
             Self::M0 => "thumbv6m-none-eabi",
+            Self::M33 => "thumbv8m.main-none-eabihf",
             Self::RiscV => "riscv32imac-unknown-none-elf",
         }
     }
@@ -48,7 +51,7 @@ impl Core {
         match self {
             Self::M4 => "firmware",
             Self::M0 => "cortex",
-            Self::RiscV => "player",
+            Self::M33 | Self::RiscV => "player",
         }
     }
 
@@ -56,6 +59,7 @@ impl Core {
     fn machine(self) -> (&'static str, &'static [&'static str]) {
         match self {
             Self::M4 | Self::M0 => ("qemu-system-arm", &["-M", "netduinoplus2"]),
+            Self::M33 => ("qemu-system-arm", &["-M", "mps2-an505"]),
             Self::RiscV => ("qemu-system-riscv32", &["-M", "virt", "-bios", "none"]),
         }
     }
@@ -378,6 +382,7 @@ fn compiler(target: &'static str) -> Result<Command, EmulatorError> {
         .env("RUSTC_BOOTSTRAP", "1")
         .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker)
         .env("CARGO_TARGET_THUMBV6M_NONE_EABI_LINKER", linker)
+        .env("CARGO_TARGET_THUMBV8M_MAIN_NONE_EABIHF_LINKER", linker)
         .env("CARGO_TARGET_RISCV32IMAC_UNKNOWN_NONE_ELF_LINKER", linker);
     Ok(command)
 }

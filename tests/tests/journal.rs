@@ -198,7 +198,7 @@ fn assert_same(one: &str, other: &str) {
 /// Compares the outputs on the emulated cores with those here.
 fn assert_same_on_all_cores(folder: &Path, journal: &[u8], given: &str) {
     fs::write(folder.join("journal"), journal).unwrap();
-    for core in [Core::M4, Core::M0, Core::RiscV] {
+    for core in [Core::M4, Core::M0, Core::M33, Core::RiscV] {
         match replay(core, folder) {
             Ok(told) => assert_same(&told, given),
             Err(error) => leave_out(&format!("a journal on an emulated {core:?}"), &error),
@@ -208,7 +208,7 @@ fn assert_same_on_all_cores(folder: &Path, journal: &[u8], given: &str) {
 
 #[test]
 #[ignore = "runs an image in the emulator: cargo thorough"]
-fn a_journal_gives_the_same_on_three_cores_and_here() {
+fn a_journal_gives_the_same_on_four_cores_and_here() {
     let journal = simulated();
     let given = played(&journal);
     assert_repeats(&given);
