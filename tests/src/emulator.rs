@@ -137,11 +137,12 @@ pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
     if output.status.success() { Ok(said) } else { Err(EmulatorError::Failed(said)) }
 }
 
-/// Runs the image that replays the file `journal` of a folder. Returns its output.
+/// Runs the image that replays the file `journal` of a folder, with one instruction per nanosecond of
+/// its clock. Returns its output.
 pub fn replay(core: Core, folder: &Path) -> Result<String, EmulatorError> {
     let image = built("journal", core, "player")?;
     let output = qemu(core, &image)
-        .args(["-monitor", "none", "-serial", "none"])
+        .args(["-monitor", "none", "-serial", "none", "-icount", "shift=0"])
         .args(["-semihosting-config", "enable=on,target=native"])
         .current_dir(folder)
         .stdin(Stdio::null())

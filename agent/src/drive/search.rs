@@ -63,6 +63,17 @@ struct Attempt {
     via: Option<(Waypoint, End)>,
 }
 
+/// The stages of an attempt. Each is a step of its own, which bounds the instructions of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Fills the window.
+    Fill,
+    /// Finds the window's corners.
+    Begin,
+    /// Expands corners.
+    Expand,
+}
+
 /// Working memory of a search: a window of the map and the planner, 7.6 KiB.
 #[derive(Debug)]
 pub struct Workspace {
@@ -83,8 +94,8 @@ pub(super) struct Search<'b> {
     /// The goal; `None` for the best frontier.
     goal: Option<Waypoint>,
     attempt: Attempt,
-    /// Whether the planner has started on the current attempt.
-    is_begun: bool,
+    /// What the next step does for it.
+    stage: Stage,
     target: Target,
     route: Route,
 }
@@ -96,7 +107,7 @@ impl<'b> Search<'b> {
             given_up: Vec::new(),
             goal: None,
             attempt: Attempt { level: 0, finest: 0, beyond: false, via: None },
-            is_begun: false,
+            stage: Stage::Fill,
             target: Target::Frontier,
             route: Route::new(),
         }
@@ -121,30 +132,36 @@ impl<'b> Search<'b> {
         let finest = (0..MAX_LEVEL).find(holds).unwrap_or(MAX_LEVEL);
         self.goal = goal;
         self.attempt = Attempt { level: finest, finest, beyond: false, via: None };
-        self.is_begun = false;
+        self.stage = Stage::Fill;
     }
 
-    /// Continues the search, expanding at most `corners` corners. Each step either fills a window
-    /// or plans in it.
+    /// Continues the search by one stage, expanding at most `corners` corners.
     pub(super) fn step(
         &mut self,
         view: &WindowInputs<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
         corners: usize,
     ) -> Outcome {
-        let progress = if self.is_begun {
-            let Workspace { window, planner } = &mut *self.workspace;
-            planner.step(window, corners)
-        } else {
-            self.is_begun = true;
-            let level = if self.attempt.via.is_some() { 0 } else { self.attempt.level };
-            self.fill(level, view, ground);
-            self.target = self.target();
-            let Workspace { window, planner } = &mut *self.workspace;
-            let start = window.place(Waypoint { x: view.pose.x, y: view.pose.y });
-            match planner.begin(window, start.unwrap_or_default(), self.target) {
-                Ok(()) => Progress::Searching,
-                Err(error) => Progress::Failed(error),
+        let progress = match self.stage {
+            Stage::Fill => {
+                let level = if self.attempt.via.is_some() { 0 } else { self.attempt.level };
+                self.fill(level, view, ground);
+                self.stage = Stage::Begin;
+                Progress::Searching
+            }
+            Stage::Begin => {
+                self.stage = Stage::Expand;
+                self.target = self.target();
+                let Workspace { window, planner } = &mut *self.workspace;
+                let start = window.place(Waypoint { x: view.pose.x, y: view.pose.y });
+                match planner.begin(window, start.unwrap_or_default(), self.target) {
+                    Ok(()) => Progress::Searching,
+                    Err(error) => Progress::Failed(error),
+                }
+            }
+            Stage::Expand => {
+                let Workspace { window, planner } = &mut *self.workspace;
+                planner.step(window, corners)
             }
         };
         match progress {
@@ -240,7 +257,7 @@ impl<'b> Search<'b> {
         // reach is a frontier or an intermediate point.
         let end = if is_end && end != End::Goal { end } else { End::OnTheWay };
         self.attempt.via = Some((via, end));
-        self.is_begun = false;
+        self.stage = Stage::Fill;
         Outcome::Searching
     }
 
@@ -279,7 +296,7 @@ impl<'b> Search<'b> {
 
     fn attempt_at(&mut self, level: u32, beyond: bool) -> Outcome {
         self.attempt = Attempt { level, beyond, via: None, ..self.attempt };
-        self.is_begun = false;
+        self.stage = Stage::Fill;
         Outcome::Searching
     }
 }

@@ -50,7 +50,11 @@ impl Bench {
     fn ticks<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
         // SysTick counts down, and wraps at most once within a period.
         self.systick.has_wrapped();
-        let start = SYST::get_current();
+        let mut start = SYST::get_current();
+        if self.systick.has_wrapped() {
+            // It wrapped in between.
+            start = SYST::get_current();
+        }
         let result = black_box(stage());
         let end = SYST::get_current();
         let wrapped = self.systick.has_wrapped();

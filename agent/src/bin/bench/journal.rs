@@ -1,14 +1,18 @@
 //! Replays the journal of a robot, the file `journal` of the emulator's folder, on a Cortex-M or a
-//! RISC-V, and prints the robot's outputs. `cargo test --package ubimap-tests --test journal --
-//! --ignored` compares them with those of the same robot on a PC.
+//! RISC-V, and prints the robot's outputs, and on a Cortex-M how long it took. `cargo test --package
+//! ubimap-tests --test journal -- --ignored` compares them with those of the same robot on a PC.
 #![no_std]
 #![no_main]
 
 #[path = "../firmware/configuration.rs"]
 mod configuration;
+#[cfg(target_arch = "arm")]
+mod counter;
 #[path = "../firmware/driving.rs"]
 mod driving;
 mod player;
+#[cfg(target_arch = "arm")]
+mod stopwatch;
 
 use core::{fmt, panic::PanicInfo};
 
@@ -42,7 +46,14 @@ fn replay() -> Option<()> {
     let mut slice = [0; SLICE_LENGTH];
     let mut file = Buffered { file: File::open(c"journal").ok()?, bytes: [0; 512], at: 0, end: 0 };
     let mut lines = Lines { host: io::stdout().ok()?, line: String::new() };
-    player::play(&mut memory, &mut slice, || file.byte(), &mut lines).ok()
+    #[cfg(target_arch = "arm")]
+    let mut watch = stopwatch::Stopwatch::new()?;
+    #[cfg(target_arch = "riscv32")]
+    let mut watch = ();
+    player::play(&mut memory, &mut slice, || file.byte(), &mut lines, &mut watch).ok()?;
+    #[cfg(target_arch = "arm")]
+    watch.write(&mut lines).ok()?;
+    Some(())
 }
 
 /// Reads a file in pieces, because each call to the host is slow.

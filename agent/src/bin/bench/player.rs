@@ -15,6 +15,30 @@ use ubimap_protocol::{
 
 use crate::{configuration, driving::driving};
 
+/// A call of the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Call {
+    /// Bytes arrived at a port.
+    Receive(Port),
+    /// The work that was due: a step of the drive, unless nothing but a message was.
+    Timeout,
+    /// Bytes for a port.
+    Transmit(Port),
+}
+
+/// Watches the calls of the robot.
+pub(crate) trait Watch {
+    /// Runs a call once. It returns what it was, and whether it mapped a scan.
+    fn watch(&mut self, call: impl FnOnce() -> (Call, bool));
+}
+
+/// Nothing watches.
+impl Watch for () {
+    fn watch(&mut self, call: impl FnOnce() -> (Call, bool)) {
+        call();
+    }
+}
+
 /// Replays the journal of a robot in `memory`, with the firmware's configuration, and writes a line
 /// for everything that it transmits, with another line if the journal says otherwise, and at the end
 /// a line for each tile and for the counters.
@@ -26,6 +50,7 @@ pub(crate) fn play(
     slice: &mut [u16],
     mut byte: impl FnMut() -> Option<u8>,
     out: &mut impl fmt::Write,
+    watch: &mut impl Watch,
 ) -> fmt::Result {
     let mut nonce = [0; 4];
     for place in &mut nonce {
@@ -39,12 +64,23 @@ pub(crate) fn play(
     let mut recorded = [0; DEFAULT_FRAME];
     loop {
         let (now, entry) = journal.entry(&mut recorded).map_err(|_| fmt::Error)?;
+        let mapped = machine.robot().statistics().mapped;
         match entry {
-            Entry::Received(port, bytes) => machine.receive(port, bytes, now),
-            Entry::Timeout => machine.timeout(now),
+            Entry::Received(port, bytes) => watch.watch(|| {
+                machine.receive(port, bytes, now);
+                (Call::Receive(port), machine.robot().statistics().mapped != mapped)
+            }),
+            Entry::Timeout => watch.watch(|| {
+                machine.timeout(now);
+                (Call::Timeout, machine.robot().statistics().mapped != mapped)
+            }),
             Entry::Transmitted(port, recorded) => {
                 let mut bytes = [0; DEFAULT_FRAME];
-                let count = machine.poll_transmit(port, now, &mut bytes).unwrap_or_default();
+                let mut count = 0;
+                watch.watch(|| {
+                    count = machine.poll_transmit(port, now, &mut bytes).unwrap_or_default();
+                    (Call::Transmit(port), false)
+                });
                 let bytes = bytes.get(..count).unwrap_or_default();
                 if !bytes.is_empty() {
                     write_bytes(name(port), bytes, out)?;
