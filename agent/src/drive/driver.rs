@@ -285,7 +285,7 @@ impl<'b> Driver<'b> {
         }
         let none = NearPoints::default();
         let view = self.view(step, &none);
-        match self.search.step(&view, ground, self.config.corners_per_step) {
+        match self.search.step(&view, ground, self.config.pairs_per_step) {
             Outcome::Searching => {}
             Outcome::Found(end) => {
                 self.follower.take(self.search.route());

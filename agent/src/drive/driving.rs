@@ -26,13 +26,13 @@ pub struct Driving {
     /// If given, a robot that has arrived at a goal turns until it has seen the blind ground around
     /// it, and only then reports the arrival.
     pub looks_at_goal: Option<Gaze>,
-    /// Maximum number of obstacle corners that a search expands in a step, about 5,000 instructions
-    /// each.
-    pub corners_per_step: usize,
+    /// Maximum number of pairs of obstacle corners that a search examines in a step, 50 to 250
+    /// instructions each.
+    pub pairs_per_step: usize,
 }
 
 impl Default for Driving {
-    /// A step every 50 ms with at most eight corners, and no stops for scans.
+    /// A step every 50 ms with at most 1,000 pairs of corners, and no stops for scans.
     fn default() -> Self {
         Self {
             motion: Motion::default(),
@@ -42,7 +42,7 @@ impl Default for Driving {
             alone: None,
             explore_covered: false,
             looks_at_goal: None,
-            corners_per_step: 8,
+            pairs_per_step: 1_000,
         }
     }
 }

@@ -152,7 +152,7 @@ fn plan(window: &PlanningWindow, start: Place, target: Target) -> Result<Path, P
     let mut planner = std::boxed::Box::new(Planner::EMPTY);
     planner.begin(window, start, target)?;
     for _ in 0..SIDE * SIDE {
-        match planner.step(window, 7) {
+        match planner.step(window, 70) {
             Progress::Searching => {}
             Progress::Found(_) => return Ok(planner.path()),
             Progress::Failed(error) => return Err(error),

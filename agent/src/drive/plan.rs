@@ -256,15 +256,26 @@ impl Planner {
         (self.nodes.len(), done.count())
     }
 
-    /// Expands at most `most` corners. Each takes about 200 instructions per corner of the window.
+    /// Continues the search until it has examined about `most` pairs of corners, at least those of one
+    /// corner. A pair takes up to 250 instructions, most take 50.
     pub fn step(&mut self, window: &PlanningWindow, most: usize) -> Progress {
-        for _ in 0..most {
-            let Some(index) = self.next(window) else {
+        for _ in 0..(most / self.nodes.len().max(1)).max(1) {
+            let Some((index, node)) = self.most_promising() else {
                 return Progress::Failed(match self.target {
                     Target::Frontier => PlanError::NoFrontier,
                     _ => PlanError::Unreachable,
                 });
             };
+            if node.state != State::Seen {
+                let settled = self.settled(index, node, window);
+                if let Some(node) = self.nodes.get_mut(index) {
+                    *node = settled;
+                }
+                if settled.promise > node.promise {
+                    // Another may be more promising now.
+                    continue;
+                }
+            }
             let Some(node) = self.nodes.get_mut(index) else { break };
             // Expanded nodes must never be the most promising.
             (node.state, node.promise) = (State::Done, f32::MAX);
@@ -279,25 +290,15 @@ impl Planner {
         Progress::Searching
     }
 
-    /// The most promising node that is visible from its parent.
-    fn next(&mut self, window: &PlanningWindow) -> Option<usize> {
-        loop {
-            let (mut best, mut least) = (None, f32::MAX);
-            for (index, node) in self.nodes.iter().enumerate() {
-                if node.promise < least {
-                    (best, least) = (Some(index), node.promise);
-                }
-            }
-            let index = best?;
-            let mut node = *self.nodes.get(index)?;
-            if node.state != State::Seen {
-                node = self.settled(index, node, window);
-                *self.nodes.get_mut(index)? = node;
-            }
-            if node.promise <= least {
-                return best;
+    /// The node with the least promise, and its index.
+    fn most_promising(&self) -> Option<(usize, Node)> {
+        let (mut best, mut least) = (None, f32::MAX);
+        for (index, node) in self.nodes.iter().enumerate() {
+            if node.promise < least {
+                (best, least) = (Some((index, *node)), node.promise);
             }
         }
+        best
     }
 
     /// Checks a node, and gives it the best parent among the expanded nodes that see it.

@@ -176,17 +176,21 @@ impl PlanningWindow {
         for y in 0..SIDE {
             let (mut free, mut movable, mut settled, mut fixed) = (0, 0, 0, 0);
             let row = south.saturating_add(y as i32).saturating_mul(1 << level);
-            for row in row..row.saturating_add(1 << level) {
-                for column in column..column.saturating_add(columns) {
+            for column in column..column.saturating_add(columns) {
+                // The rows that share a cell, before their columns that do: fewer steps.
+                let mut merged = [0; 4];
+                for row in row..row.saturating_add(1 << level) {
                     let GroundRow { cells: Row { low, high }, covered } = ground(column, row);
-                    let east = column.saturating_mul(TILE_SIDE as i32).saturating_sub(first);
-                    let at = |cells| shifted(squeezed(cells, level), east >> level);
-                    free |= at(low & !high);
-                    movable |= at(low & high);
-                    fixed |= at(high & !low);
                     let seen = if explore_covered { 0 } else { covered };
-                    settled |= at(low | high | seen);
+                    let states = [low & !high, low & high, high & !low, low | high | seen];
+                    merged.iter_mut().zip(states).for_each(|(merged, state)| *merged |= state);
                 }
+                let east = column.saturating_mul(TILE_SIDE as i32).saturating_sub(first);
+                let at = |cells| shifted(squeezed(cells, level), east >> level);
+                free |= at(merged[0]);
+                movable |= at(merged[1]);
+                fixed |= at(merged[2]);
+                settled |= at(merged[3]);
             }
             *self.free.row_mut(y) = free | movable;
             *self.dear.row_mut(y) = movable;

@@ -135,12 +135,12 @@ impl<'b> Search<'b> {
         self.stage = Stage::Fill;
     }
 
-    /// Continues the search by one stage, expanding at most `corners` corners.
+    /// Continues the search by one stage, examining about `pairs` pairs of corners.
     pub(super) fn step(
         &mut self,
         view: &WindowInputs<'_>,
         ground: &impl Fn(i32, i32) -> GroundRow,
-        corners: usize,
+        pairs: usize,
     ) -> Outcome {
         let progress = match self.stage {
             Stage::Fill => {
@@ -161,7 +161,7 @@ impl<'b> Search<'b> {
             }
             Stage::Expand => {
                 let Workspace { window, planner } = &mut *self.workspace;
-                planner.step(window, corners)
+                planner.step(window, pairs)
             }
         };
         match progress {

@@ -129,7 +129,7 @@ fn plan(
 ) -> Result<usize, PlanError> {
     planner.begin(window, black_box(start), target)?;
     loop {
-        match planner.step(window, 8) {
+        match planner.step(window, 1_000) {
             Progress::Searching => {}
             Progress::Found(_) => return Ok(planner.path().places.len()),
             Progress::Failed(error) => return Err(error),
