@@ -14,6 +14,8 @@ use crate::trigonometry::{angle, radians, sin_cos};
 const RAYS: u32 = 32;
 /// Minimum number of consecutive blind cells that count as blind ground; fewer are noise.
 const MIN_CELLS: u32 = 3;
+/// Maximum side of a cell for which places in it are computed, in millimetres.
+const MAX_CELL: i32 = 32_767;
 /// Usable part of half the field of view: closer to the edge, ground may be missed.
 const SURE: f32 = 0.9;
 
@@ -45,20 +47,32 @@ impl Gaze {
         explore_covered: bool,
         ground: &impl Fn(i32, i32) -> GroundRow,
     ) -> u32 {
-        let cell = resolution.0.max(1) as f32;
-        let (first, last) = (u32::from(self.radius), u32::from(self.reach));
-        let steps = |millimetres: u32| millimetres / resolution.0.max(1).unsigned_abs();
+        let cell = resolution.0.max(1);
+        let steps = |millimetres: u16| i32::from(millimetres) / cell;
+        // The robot's cell, and its place in it, in 2^-16 cells.
+        let part = |from: Millimetres| (from.0.rem_euclid(cell).min(MAX_CELL) << 16) / cell;
+        let [(cell_x, part_x), (cell_y, part_y)] =
+            [pose.x, pose.y].map(|from| (from.0.div_euclid(cell), part(from)));
         let mut rays = 0;
         for ray in 0..RAYS {
             let (sin, cos) = sin_cos(ray as f32 * (TAU / RAYS as f32));
+            // A step is one cell long.
+            let [step_x, step_y] = [cos, sin].map(|it| (it * 65_536.0) as i32);
             let mut blind = 0;
-            for step in steps(first) + 1..=steps(last) {
-                let along = |from: Millimetres, part: f32| {
-                    libm::floorf(from.0 as f32 / cell + part * step as f32) as i32
+            // The last row read, which adjacent cells often share.
+            let (mut place, mut read) = ((i32::MIN, i32::MIN), GroundRow::default());
+            for step in steps(self.radius) + 1..=steps(self.reach) {
+                let along = |cell: i32, part: i32, along: i32| {
+                    cell.wrapping_add(part.wrapping_add(along.wrapping_mul(step)) >> 16)
                 };
-                let (x, y) = (along(pose.x, cos), along(pose.y, sin));
+                let x = along(cell_x, part_x, step_x);
+                let y = along(cell_y, part_y, step_y);
                 let side = TILE_SIDE as i32;
-                let GroundRow { cells: Row { low, high }, covered } = ground(x.div_euclid(side), y);
+                if place != (x.div_euclid(side), y) {
+                    place = (x.div_euclid(side), y);
+                    read = ground(place.0, place.1);
+                }
+                let GroundRow { cells: Row { low, high }, covered } = read;
                 let has = |row: u32| row >> x.rem_euclid(side) & 1 != 0;
                 if has(high) {
                     break;

@@ -48,20 +48,18 @@ impl Bench {
 
     /// Like `count`, including the overhead of measuring.
     fn ticks<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
-        // SysTick counts down, and wraps at most once within a period.
+        // SysTick counts down, and wraps at most once within a period. The emulator may set the flag a
+        // little after the counter has wrapped.
         self.systick.has_wrapped();
-        let mut start = SYST::get_current();
-        if self.systick.has_wrapped() {
-            // It wrapped in between.
-            start = SYST::get_current();
-        }
+        let start = SYST::get_current();
         let result = black_box(stage());
         let end = SYST::get_current();
-        let wrapped = self.systick.has_wrapped();
-        let ticks = match (wrapped, start.checked_sub(end)) {
-            (false, ticks) => ticks,
-            (true, None) => Some(start + PERIOD - end),
-            (true, Some(_)) => None,
+        let has_just_wrapped = start > PERIOD - 64;
+        let wrapped = self.systick.has_wrapped() && !has_just_wrapped;
+        let ticks = match start.checked_sub(end) {
+            None => Some(start + PERIOD - end),
+            Some(_) if wrapped => None,
+            ticks => ticks,
         };
         (result, ticks)
     }
