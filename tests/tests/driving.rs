@@ -258,16 +258,20 @@ fn on_the_move_is_four_times_as_fast_as_stop_and_wait_and_as_good() {
 /// With odometry alone, walls are displaced by some cells, and the known ground with them.
 #[test]
 fn without_a_server_a_robot_explores_and_returns_home() {
+    const SEEDS: u8 = 20;
     let (mut sum, mut squares) = (0.0, 0.0);
-    for seed in 1..=5 {
-        let Alone { known, believed_m, away_m, .. } = explored_alone(seed);
-        assert!(known >= 0.85 && believed_m < 0.2, "seed {seed}: {known}, {believed_m} m");
+    for seed in 1..=SEEDS {
+        let Alone { known, believed_m, away_m, .. } = explored_alone(seed.into());
+        // Drift may have put a wall on home: then the robot ends at the nearest free cell.
+        assert!(known >= 0.85 && believed_m < 0.35, "seed {seed}: {known}, {believed_m} m");
         sum += known;
         squares += away_m * away_m;
     }
-    assert!(sum >= 5.0 * 0.9, "{sum} of 5");
+    let (known, away_m) = (sum / f64::from(SEEDS), (squares / f64::from(SEEDS)).sqrt());
+    println!("alone: {known:.3} known, {away_m:.2} m from home (root mean square)");
+    assert!(known >= 0.9, "{known}");
     // The robot can be off by as much as its wheels slip, which it can't detect.
-    assert!(squares <= 5.0 * 0.6 * 0.6, "{squares} m^2 of 5");
+    assert!(away_m <= 0.75, "{away_m} m");
 }
 
 /// "Explored" would not be true.

@@ -15,7 +15,7 @@ use super::{
     planning_window::{GroundRow, Mover, PlanningWindow, WindowInputs},
     reason::Reason,
     safety::{Health, Safety},
-    search::{End, Outcome, Search, Workspace},
+    search::{End, Outcome, Search, Sought, Workspace},
 };
 use crate::{
     timing::{AVOIDED_FOR, HINDERED_WAIT, MAP_LOOK_INTERVAL, NO_WAY_RETRY, REPLAN_INTERVAL},
@@ -268,12 +268,12 @@ impl<'b> Driver<'b> {
         }
     }
 
-    /// The point to drive to: the goal or home; `None` while exploring or without a task.
-    fn goal(&self) -> Option<Waypoint> {
+    /// What to drive to.
+    fn sought(&self) -> Sought {
         match self.task {
-            Task::Go(goal) => Some(goal),
-            Task::Explore(home) if self.goes_home => home,
-            _ => None,
+            Task::Go(goal) => Sought::Goal(goal),
+            Task::Explore(Some(home)) if self.goes_home => Sought::Home(home),
+            _ => Sought::Frontier,
         }
     }
 
@@ -281,7 +281,7 @@ impl<'b> Driver<'b> {
     fn search(&mut self, step: &StepContext<'_>, ground: &impl Fn(i32, i32) -> GroundRow) {
         if !self.is_begun {
             self.is_begun = true;
-            self.search.begin(self.goal(), step.pose, self.resolution);
+            self.search.begin(self.sought(), step.pose, self.resolution);
         }
         let none = NearPoints::default();
         let view = self.view(step, &none);

@@ -24,6 +24,27 @@ use super::{
 /// The points of a route.
 pub(super) type Route = Vec<Waypoint, MAX_POINTS>;
 
+/// What a route is searched to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Sought {
+    /// The best frontier.
+    Frontier,
+    /// A goal.
+    Goal(Waypoint),
+    /// A goal that drift may have moved into a wall: the route ends at the free cell nearest to it.
+    Home(Waypoint),
+}
+
+impl Sought {
+    /// The point searched for, if it is known.
+    fn point(self) -> Option<Waypoint> {
+        match self {
+            Self::Frontier => None,
+            Self::Goal(at) | Self::Home(at) => Some(at),
+        }
+    }
+}
+
 /// Maximum distance in cells between a goal and the free cell that stands in for it: less than the
 /// distance from a wall to the first free cell.
 const BESIDE: u8 = 3;
@@ -91,8 +112,7 @@ impl Workspace {
 pub(super) struct Search<'b> {
     workspace: &'b mut Workspace,
     given_up: Vec<GivenUp, MAX_GIVEN_UP>,
-    /// The goal; `None` for the best frontier.
-    goal: Option<Waypoint>,
+    sought: Sought,
     attempt: Attempt,
     /// What the next step does for it.
     stage: Stage,
@@ -105,7 +125,7 @@ impl<'b> Search<'b> {
         Self {
             workspace,
             given_up: Vec::new(),
-            goal: None,
+            sought: Sought::Frontier,
             attempt: Attempt { level: 0, finest: 0, beyond: false, via: None },
             stage: Stage::Fill,
             target: Target::Frontier,
@@ -123,14 +143,14 @@ impl<'b> Search<'b> {
         &self.route
     }
 
-    /// Restarts the search at `pose`. Without a goal it searches for the best frontier.
-    pub(super) fn begin(&mut self, goal: Option<Waypoint>, pose: Pose, resolution: Millimetres) {
+    /// Restarts the search at `pose`.
+    pub(super) fn begin(&mut self, sought: Sought, pose: Pose, resolution: Millimetres) {
         let side = resolution.0.max(1).saturating_mul(SIDE as i32 / 2 - 3).unsigned_abs();
         let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
-        let far = goal.map_or(0, |goal| far(goal.x, pose.x).max(far(goal.y, pose.y)));
+        let far = sought.point().map_or(0, |goal| far(goal.x, pose.x).max(far(goal.y, pose.y)));
         let holds = |&level: &u32| far <= side.saturating_mul(1 << level);
         let finest = (0..MAX_LEVEL).find(holds).unwrap_or(MAX_LEVEL);
-        self.goal = goal;
+        self.sought = sought;
         self.attempt = Attempt { level: finest, finest, beyond: false, via: None };
         self.stage = Stage::Fill;
     }
@@ -204,7 +224,7 @@ impl<'b> Search<'b> {
     }
 
     fn target(&self) -> Target {
-        let goal = match (self.attempt.via, self.goal) {
+        let goal = match (self.attempt.via, self.sought.point()) {
             (Some((via, _)), _) => via,
             (None, Some(goal)) => goal,
             (None, None) => return Target::Frontier,
@@ -217,9 +237,10 @@ impl<'b> Search<'b> {
             return Target::Beyond(far(x), far(y));
         };
         // In a coarse window, or for an intermediate point, any free cell nearby will do, because
-        // another window decides. For the goal itself the free cell must be within `BESIDE`:
-        // otherwise the goal is inside or behind an obstacle.
-        let is_rough = self.attempt.via.is_some() || self.attempt.level > 0;
+        // another window decides. For a goal itself the free cell must be within `BESIDE`: otherwise
+        // the goal is inside or behind an obstacle.
+        let is_home = matches!(self.sought, Sought::Home(_));
+        let is_rough = self.attempt.via.is_some() || self.attempt.level > 0 || is_home;
         let is_beside = |near: &Place| {
             let (across, up) = (near.x.abs_diff(place.x), near.y.abs_diff(place.y));
             across.max(up) <= BESIDE
@@ -237,7 +258,7 @@ impl<'b> Search<'b> {
             let _ = route.push(self.workspace.window.middle(place));
         }
         let whole = path.is_whole;
-        let end = match (self.target, self.goal) {
+        let end = match (self.target, self.sought.point()) {
             (Target::Frontier, _) if whole => {
                 End::Frontier(self.workspace.window.middle(place), self.attempt.level)
             }
@@ -263,7 +284,7 @@ impl<'b> Search<'b> {
 
     /// Stores the route, with the goal itself in place of its cell's centre.
     fn keep(&mut self, mut route: Route, end: End) -> Outcome {
-        if let (End::Goal, Some(goal), Some(last)) = (end, self.goal, route.last_mut()) {
+        if let (End::Goal, Sought::Goal(goal), Some(last)) = (end, self.sought, route.last_mut()) {
             *last = goal;
         }
         self.route = route;
@@ -289,7 +310,7 @@ impl<'b> Search<'b> {
             return self.attempt_at(level + 1, false);
         }
         match (if beyond { level } else { finest }).checked_sub(1) {
-            Some(level) if self.goal.is_some() => self.attempt_at(level, true),
+            Some(level) if self.sought != Sought::Frontier => self.attempt_at(level, true),
             _ => Outcome::Failed(error),
         }
     }
