@@ -140,7 +140,11 @@ pub fn count(image: &Path, input: Vec<u8>) -> Result<String, EmulatorError> {
 /// Runs the image that replays the file `journal` of a folder, with one instruction per nanosecond of
 /// its clock. Returns its output.
 pub fn replay(core: Core, folder: &Path) -> Result<String, EmulatorError> {
-    let image = built("journal", core, "player")?;
+    let features = match core {
+        Core::M4 | Core::M0 => "cortex,player",
+        Core::M33 | Core::RiscV => "player",
+    };
+    let image = built("journal", core, features)?;
     let output = qemu(core, &image)
         .args(["-monitor", "none", "-serial", "none", "-icount", "shift=0"])
         .args(["-semihosting-config", "enable=on,target=native"])

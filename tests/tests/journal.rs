@@ -291,8 +291,12 @@ fn flipped_bits_are_detected() {
     let given = played(&journal);
     // A flip breaks the checksum of a frame, which is then lost. Some flips have no effect: in frames
     // that the channel has damaged already.
-    for port in [Port::Server, Port::Sensor, Port::Wheels] {
+    // The wheels' counts are totals, so most often the next frame makes up for a lost one.
+    for (port, least) in
+        [(Port::Server, TRIED / 2), (Port::Sensor, TRIED / 2), (Port::Wheels, TRIED / 8)]
+    {
         let count = noticed(&journal, &given, port);
-        assert!(count >= TRIED / 2, "{count} of {TRIED}: {port:?}");
+        println!("{count} of {TRIED}: {port:?}");
+        assert!(count >= least, "{count} of {TRIED}: {port:?}");
     }
 }

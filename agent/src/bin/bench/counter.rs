@@ -4,18 +4,19 @@ use core::hint::black_box;
 
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
 
-/// SysTick's clock in the emulator.
-const CORE_HZ: u64 = 168_000_000;
+/// SysTick's clock in the emulated STM32F405; in the emulated Cortex-M33, for which the image is built
+/// without `cortex`.
+const SYSTICK_HZ: u64 = if cfg!(feature = "cortex") { 168_000_000 } else { 20_000_000 };
 
 /// In the emulator one instruction takes one nanosecond.
 const INSTRUCTIONS_PER_SECOND: u64 = 1_000_000_000;
 
-/// SysTick's maximum period: 99.8 million instructions.
+/// SysTick's maximum period: at least 99.8 million instructions.
 const PERIOD: u32 = 1 << 24;
 
 /// Converts ticks to instructions.
 pub(crate) fn instructions(ticks: u64) -> u64 {
-    ticks * INSTRUCTIONS_PER_SECOND / CORE_HZ
+    ticks * INSTRUCTIONS_PER_SECOND / SYSTICK_HZ
 }
 
 /// Measures with SysTick.
@@ -39,8 +40,8 @@ impl Bench {
         bench
     }
 
-    /// Runs a stage once. Returns its result and its duration in ticks of six instructions; `None`
-    /// instead of the duration if it may exceed SysTick's period.
+    /// Runs a stage once. Returns its result and its duration in ticks, `None` instead
+    /// of the duration if it may exceed SysTick's period.
     pub(crate) fn count<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
         let (result, ticks) = self.ticks(stage);
         (result, ticks.map(|ticks| ticks.saturating_sub(self.overhead)))
