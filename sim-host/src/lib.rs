@@ -10,7 +10,8 @@
 //! 6. [`deployment`]: perception, the server and persistence behind one interface.
 //! 7. [`run`]: the drivers of a deployment, one file per `ubimap` command.
 //!
-//! Beside them: [`placement`] (where to hang cameras), [`channel`] (fault channel, serial ports),
+//! Beside them: [`placement`] (where to hang cameras), [`calibration`] (where they
+//! hang), [`channel`] (fault channel, serial ports),
 //! [`store`] (layers on disk), [`recording`] (recorded logs and frames), [`report`] (figures and
 //! pictures) and [`timing`] (age limits of data). [`world`] is the simulated room, and [`devices`] are
 //! simulated sensors and wheels; only [`run`] may import them.
@@ -28,6 +29,7 @@
 //! ([`run::fleet`]), a recording uses its time stamps ([`run::watch`]), and serial ports use the
 //! wall clock ([`run::serve`]).
 
+pub mod calibration;
 pub mod camera;
 pub mod channel;
 pub mod deployment;

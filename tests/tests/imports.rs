@@ -13,7 +13,7 @@ use graph::Graph;
 mod graph;
 
 /// The folders of `sim-host`, with the folders that each may import.
-const HOST: [(&str, &[&str]); 17] = [
+const HOST: [(&str, &[&str]); 18] = [
     ("timing", &[]),
     ("files", &[]),
     ("rounding", &[]),
@@ -26,6 +26,7 @@ const HOST: [(&str, &[&str]); 17] = [
     ("deployment", &["grid", "camera", "perception", "mapping", "server"]),
     ("store", &["mapping", "server"]),
     ("placement", &["grid"]),
+    ("calibration", &["camera"]),
     ("channel", &[]),
     ("report", &["files", "grid", "camera", "perception", "mapping", "server"]),
     ("world", &["files", "rounding", "grid", "camera"]),
@@ -33,6 +34,7 @@ const HOST: [(&str, &[&str]); 17] = [
     (
         "run",
         &[
+            "calibration",
             "camera",
             "channel",
             "deployment",

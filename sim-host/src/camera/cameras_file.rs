@@ -1,6 +1,6 @@
 //! `cameras.toml`: the poses and fields of view of a room's cameras.
 //!
-//! All commands use the same form: `ubimap place` writes it; its `[[cameras]]` can be copied into a
+//! All commands use the same form: `ubimap place` and `ubimap calibrate` write it; its `[[cameras]]` can be copied into a
 //! scenario of `ubimap simulate`; and `ubimap watch` takes from it the pose of each camera whose
 //! folder has no `pose.txt`, by the folder's name.
 //!
@@ -15,13 +15,14 @@
 //! range_m = 8.0
 //! ```
 //!
-//! Instead of heading and tilt, `look_at_m` can give the point in the centre of the image. Other
-//! keys of a scenario's cameras are allowed, and are kept.
+//! Instead of heading and tilt, `look_at_m` can give the point in the centre of the image. With heading
+//! and tilt, `roll_deg` can give the angle by which the right side of the image is below the
+//! horizontal (see [`Orientation`]). Other keys of a scenario's cameras are allowed, and are kept.
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Translation3};
 use serde::{Deserialize, Serialize};
 
-use super::Intrinsics;
+use super::{Intrinsics, Orientation};
 
 /// The name of the file in the folder of a recording.
 pub const CAMERAS_FILE: &str = "cameras.toml";
@@ -51,6 +52,10 @@ pub struct MountedCamera {
     /// Downward tilt in degrees: 0 is level, 90 straight down.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt_deg: Option<f64>,
+    /// Angle by which the right side of the image is below the horizontal, in degrees; zero if not
+    /// stated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub roll_deg: Option<f64>,
     /// Angle from the left to the right edge of the depth image, in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub horizontal_fov_deg: Option<f64>,
@@ -73,9 +78,11 @@ impl CamerasFile {
         let file: Self =
             toml::from_str(text).map_err(|error| error.message().replace('\n', ", "))?;
         for (index, camera) in file.cameras.iter().enumerate() {
-            if camera.direction().is_none() {
+            if camera.orientation().is_none() {
                 let key = format!("cameras[{index}]");
-                return Err(format!("{key} needs either look_at_m, or heading_deg and tilt_deg"));
+                return Err(format!(
+                    "{key} needs either look_at_m, or heading_deg and tilt_deg (with them also roll_deg)"
+                ));
             }
         }
         Ok(file)
@@ -94,19 +101,22 @@ impl CamerasFile {
 }
 
 impl MountedCamera {
-    /// The pose of the optical frame (x right, y down, z forward) in `map`, in metres. Its x axis
-    /// is level. `None` if no direction is stated, or two.
+    /// The pose of the optical frame (x right, y down, z forward) in `map`, in metres. `None` if no
+    /// direction is stated, or two.
     pub fn pose(&self) -> Option<Isometry3<f64>> {
-        let [heading, tilt] = self.direction()?;
-        let (sin, cos) = (libm::sin(heading), libm::cos(heading));
-        let (sin_tilt, cos_tilt) = (libm::sin(tilt), libm::cos(tilt));
-        let right = Vector3::new(sin, -cos, 0.0);
-        let forward = Vector3::new(cos * cos_tilt, sin * cos_tilt, -sin_tilt);
-        let axes = Matrix3::from_columns(&[right, forward.cross(&right), forward]);
-        Some(Isometry3::from_parts(
-            Translation3::from(self.position_m),
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
-        ))
+        let rotation = self.orientation()?.rotation();
+        Some(Isometry3::from_parts(Translation3::from(self.position_m), rotation))
+    }
+
+    /// States the pose of the optical frame in `map` by position, heading, tilt and, if the x axis
+    /// of the image is not level, roll.
+    pub fn set_pose(&mut self, pose: &Isometry3<f64>) {
+        let Orientation { heading_rad, tilt_rad, roll_rad } = Orientation::of(&pose.rotation);
+        self.position_m = pose.translation.vector.into();
+        self.look_at_m = None;
+        self.heading_deg = Some(heading_rad.to_degrees());
+        self.tilt_deg = Some(tilt_rad.to_degrees());
+        self.roll_deg = Some(roll_rad.to_degrees()).filter(|it| *it != 0.0);
     }
 
     /// A pinhole with the stated fields of view for an image of this size, in pixels; `None` if they
@@ -118,13 +128,21 @@ impl MountedCamera {
         Some(Intrinsics { fx, fy, ..Intrinsics::pinhole(width, height, 1.0) })
     }
 
-    /// Heading and tilt in radians.
-    fn direction(&self) -> Option<[f64; 2]> {
-        match (self.look_at_m, self.heading_deg, self.tilt_deg) {
-            (None, Some(heading), Some(tilt)) => Some([heading.to_radians(), tilt.to_radians()]),
-            (Some(look_at), None, None) => {
+    /// The stated orientation.
+    fn orientation(&self) -> Option<Orientation> {
+        match (self.look_at_m, self.heading_deg, self.tilt_deg, self.roll_deg) {
+            (None, Some(heading), Some(tilt), roll) => Some(Orientation {
+                heading_rad: heading.to_radians(),
+                tilt_rad: tilt.to_radians(),
+                roll_rad: roll.unwrap_or(0.0).to_radians(),
+            }),
+            (Some(look_at), None, None, None) => {
                 let [x, y, z] = [0, 1, 2].map(|axis| look_at[axis] - self.position_m[axis]);
-                Some([libm::atan2(y, x), libm::atan2(-z, libm::hypot(x, y))])
+                Some(Orientation {
+                    heading_rad: libm::atan2(y, x),
+                    tilt_rad: libm::atan2(-z, libm::hypot(x, y)),
+                    roll_rad: 0.0,
+                })
             }
             _ => None,
         }
@@ -175,8 +193,25 @@ mod tests {
     }
 
     #[test]
+    fn a_pose_is_written_and_read_again() {
+        for turn in [[0.1, -2.0, 0.7], [3.0, 0.2, -0.4], [2.2, 2.2, 0.0]] {
+            let pose = Isometry3::new([1.0, -2.0, 2.9].into(), turn.into());
+            let mut camera = MountedCamera { name: "a".into(), ..MountedCamera::default() };
+            camera.set_pose(&pose);
+            let text = CamerasFile { cameras: vec![camera] }.to_toml();
+            let again = CamerasFile::parse(&text).unwrap().cameras[0].pose().unwrap();
+            assert!((again.to_homogeneous() - pose.to_homogeneous()).norm() < 1e-12, "{text}");
+        }
+    }
+
+    #[test]
     fn a_direction_is_stated_once() {
-        for text in ["", "heading_deg = 0.0", "tilt_deg = 1.0\nlook_at_m = [0.0, 0.0, 0.0]"] {
+        for text in [
+            "",
+            "heading_deg = 0.0",
+            "tilt_deg = 1.0\nlook_at_m = [0.0, 0.0, 0.0]",
+            "roll_deg = 1.0\nlook_at_m = [0.0, 0.0, 0.0]",
+        ] {
             let text = format!("[[cameras]]\nposition_m = [1.0, 2.0, 3.0]\n{text}");
             assert!(CamerasFile::parse(&text).unwrap_err().contains("cameras[0] needs either"));
         }

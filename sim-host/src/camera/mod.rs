@@ -9,6 +9,7 @@ mod cameras_file;
 mod depth_noise;
 mod error;
 mod frame;
+mod orientation;
 mod thing;
 
 use ubimap_protocol::{
@@ -23,6 +24,7 @@ pub use cameras_file::{CAMERAS_FILE, CamerasFile, MountedCamera};
 pub use depth_noise::DepthNoise;
 pub use error::CalibrationError;
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
+pub use orientation::Orientation;
 pub use thing::{LAYERS, Thing};
 
 /// The result of perception for one frame of one camera.

@@ -12,7 +12,7 @@ use crate::camera::{CalibrationError, Intrinsics, Lens};
 pub(super) struct Mounting {
     pub(super) position: DVec3,
     pub(super) forward: DVec3,
-    /// The horizontal axis, to the right in the image.
+    /// The x axis, to the right in the image; level without roll.
     pub(super) right: DVec3,
     pub(super) up: DVec3,
 }
@@ -31,8 +31,16 @@ impl Mounting {
             ),
         };
         let level = DVec3::new(cos(heading), sin(heading), 0.0);
-        let right = DVec3::new(level.y, -level.x, 0.0);
-        let forward = level * cos(tilt) - DVec3::Z * sin(tilt);
+        let across = DVec3::new(level.y, -level.x, 0.0);
+        let roll = config.roll_deg.unwrap_or_default().to_radians();
+        // Without roll nothing is multiplied, so that the same bits come out as ever.
+        let (right, above) = if roll == 0.0 {
+            (across, DVec3::Z)
+        } else {
+            let (sin, cos) = (sin(roll), cos(roll));
+            (across * cos - DVec3::Z * sin, DVec3::Z * cos + across * sin)
+        };
+        let forward = level * cos(tilt) - above * sin(tilt);
         Self { position, forward, right, up: right.cross(forward) }
     }
 

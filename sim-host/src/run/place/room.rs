@@ -80,10 +80,17 @@ pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Tab
             let refuse = |reason: String| PlaceFault::in_file(path, &reason);
             let mut keys: toml::Table = toml::from_str(&text)
                 .map_err(|error| refuse(error.message().replace('\n', ", ")))?;
-            if let Some(key) =
-                ["name", "position_m", "look_at_m", "heading_deg", "tilt_deg", "cameras"]
-                    .into_iter()
-                    .find(|key| keys.contains_key(*key))
+            if let Some(key) = [
+                "name",
+                "position_m",
+                "look_at_m",
+                "heading_deg",
+                "tilt_deg",
+                "roll_deg",
+                "cameras",
+            ]
+            .into_iter()
+            .find(|key| keys.contains_key(*key))
             {
                 return Err(refuse(format!("{key} is a result of the placement; remove it")).into());
             }

@@ -17,6 +17,8 @@ pub struct CameraConfig {
     pub heading_deg: Option<f64>,
     /// Downward tilt: 0 is level, 90 straight down.
     pub tilt_deg: Option<f64>,
+    /// Angle by which the right side of the image is below the horizontal; with heading and tilt.
+    pub roll_deg: Option<f64>,
     /// Horizontal field of view.
     #[serde(default = "defaults::horizontal_fov_deg")]
     pub horizontal_fov_deg: f64,
@@ -71,6 +73,7 @@ impl CameraConfig {
             look_at_m: None,
             heading_deg: Some(0.0),
             tilt_deg: Some(90.0),
+            roll_deg: None,
             horizontal_fov_deg: defaults::horizontal_fov_deg(),
             vertical_fov_deg: defaults::vertical_fov_deg(),
             range_m: defaults::range_m(),

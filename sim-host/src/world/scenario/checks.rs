@@ -173,7 +173,7 @@ impl Scenario {
         self.point(&position, &[camera.position_m[0], camera.position_m[1]])?;
         self.number(&position, camera.position_m[2], 0.01..=self.room.height_m)?;
         match (camera.look_at_m, camera.heading_deg, camera.tilt_deg) {
-            (Some(look_at), None, None) => {
+            (Some(look_at), None, None) if camera.roll_deg.is_none() => {
                 let key = format!("{key}.look_at_m");
                 for coordinate in look_at {
                     self.number(&key, coordinate, -1e4..=1e4)?;
@@ -184,10 +184,14 @@ impl Scenario {
             }
             (None, Some(heading), Some(tilt)) => {
                 self.angle(&format!("{key}.heading_deg"), heading)?;
-                self.number(&format!("{key}.tilt_deg"), tilt, -90.0..=90.0)?;
+                // A calibrated camera that looks straight down can be slightly beyond 90 degrees.
+                self.number(&format!("{key}.tilt_deg"), tilt, -180.0..=180.0)?;
+                let roll = camera.roll_deg.unwrap_or(0.0);
+                self.number(&format!("{key}.roll_deg"), roll, -180.0..=180.0)?;
             }
             _ => {
-                let problem = "needs either look_at_m, or heading_deg and tilt_deg";
+                let problem =
+                    "needs either look_at_m, or heading_deg and tilt_deg (with them also roll_deg)";
                 return Err(self.invalid(key, problem));
             }
         }
