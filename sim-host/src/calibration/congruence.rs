@@ -19,7 +19,7 @@ use super::{
     icp::{Sets, trimmed_icp},
     observations::Landmark,
     pairing::{PairFault, PairwiseOptions},
-    tie::{Tie, closed_form, rotated},
+    tie::{Tie, rotated, weighted},
 };
 
 /// Maximum expected number of chance matches of an accepted hypothesis, as a logarithm to base 10.
@@ -45,7 +45,7 @@ pub(super) fn find(sets: Sets<'_>, options: &PairwiseOptions) -> Result<Vec<Tie>
     let mut seen = BTreeSet::new();
     let mut found: Vec<(f64, Vec<Tie>)> = Vec::new();
     search.hypotheses(options.seed, &mut |triple| {
-        let Some(start) = closed_form(triple) else { return };
+        let Some(start) = weighted(triple) else { return };
         let Some(ties) = trimmed_icp(start, sets, gates, options.convergence_m) else { return };
         let is_new = seen.insert(ties.iter().map(|it| it.index).collect::<Vec<_>>());
         if is_new && ties.len() > 3 {
@@ -160,7 +160,7 @@ impl Search<'_> {
     fn false_alarms(&self, ties: &[Tie]) -> f64 {
         let [n, m] = self.sets.map(|it| it.len() as f64);
         let tests = n * (n - 1.0) * (n - 2.0) / 6.0 * (m * (m - 1.0) * (m - 2.0));
-        let t_ij = closed_form(ties).unwrap_or_default();
+        let t_ij = weighted(ties).unwrap_or_default();
         let count = ties.len() as f64;
         let spread = ties
             .iter()

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     pairing::{PairFault, PairwiseOptions},
-    tie::{Tie, closed_form},
+    tie::{Tie, weighted},
 };
 
 /// Maximum number of samples; below it, all triples are tried. With 40 % wrong labels 500 samples
@@ -71,7 +71,7 @@ impl Hypothesis {
     }
 
     fn of(ties: &[Tie], used: &[usize], gate: f64) -> Option<Self> {
-        let t_ij = closed_form(used.iter().map(|&it| &ties[it]))?;
+        let t_ij = weighted(used.iter().map(|&it| &ties[it]))?;
         let distances: Vec<f64> = ties.iter().map(|it| it.distance2(&t_ij)).collect();
         let agreeing = (0..ties.len()).filter(|&it| distances[it] <= gate * gate).collect();
         let cost = distances.iter().map(|it| it.min(gate * gate)).sum();

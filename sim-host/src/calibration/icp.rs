@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Point3};
 
 use super::{
     observations::Landmark,
-    tie::{Tie, closed_form},
+    tie::{Tie, weighted},
 };
 
 /// Maximum number of iterations.
@@ -32,7 +32,7 @@ pub(super) fn trimmed_icp(
     let (mut t_ij, mut mean, mut width) = (start, f64::INFINITY, wide);
     for _ in 0..ITERATIONS {
         let ties = closest(&t_ij, sets, width);
-        t_ij = closed_form(&ties)?;
+        t_ij = weighted(&ties)?;
         let distances = ties.iter().map(|it| it.residual(&t_ij).norm());
         let next = distances.sum::<f64>() / ties.len() as f64;
         let is_final = width <= gate;

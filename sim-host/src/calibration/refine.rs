@@ -8,14 +8,12 @@
 //! the pose of j in i, as in `T_0k = T_0i T_ij T_jk`, and the residual is `T_0i p_i - T_0j p_j` in
 //! `R0`, which has the same length.
 
-use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3,
-};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector3, Vector6};
 
 use super::{
     levenberg_marquardt::{LeastSquares, minimise},
     observations::Floor,
-    tie::{Jacobian, Tie, jacobian, rotated},
+    tie::{self, Jacobian, Tie, jacobian, rotated},
 };
 
 /// How residuals are weighted.
@@ -304,12 +302,7 @@ impl LeastSquares for Weighted<'_> {
             self.columns[camera][index].map_or(0.0, |column| step[column])
         };
         let moved = poses.iter().enumerate().map(|(camera, pose)| {
-            let turn = Vector3::from_fn(|axis, _| of(camera, axis));
-            let shift = Vector3::from_fn(|axis, _| of(camera, 3 + axis));
-            Isometry3::from_parts(
-                Translation3::from(pose.translation.vector + shift),
-                UnitQuaternion::new(turn) * pose.rotation,
-            )
+            tie::moved(pose, &Vector6::from_fn(|index, _| of(camera, index)))
         });
         moved.collect()
     }
