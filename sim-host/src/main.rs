@@ -13,9 +13,11 @@ use clap::{
 use log::LevelFilter;
 use serde::Serialize;
 use ubimap_sim_host::{
-    report::{Brief, OutputFolder, brief, json_pretty},
+    report::{Brief, OutputFile, OutputFolder, brief, json_pretty},
     run::{
-        Outcome, RunError, backup, compare, interruption,
+        Outcome, RunError, backup,
+        calibrate::{self, options::CalibrateOptions},
+        compare, interruption,
         options::{
             BackupOptions, CompareOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
@@ -50,6 +52,8 @@ enum Command {
     Watch(WatchOptions),
     /// Find out where to hang a room's cameras
     Place(PlaceOptions),
+    /// Find out where cameras hang, from landmarks that they see in common
+    Calibrate(CalibrateOptions),
     /// Serve real robots on serial ports
     Serve(ServeOptions),
     /// Copy the file of --store, even while the server is running
@@ -63,7 +67,7 @@ fn main() -> ExitCode {
         Ok(command_line) => command_line,
         Err(error) => return refuse_use(&error),
     };
-    if !matches!(command, Command::Compare(_) | Command::Backup(_)) {
+    if !matches!(command, Command::Calibrate(_) | Command::Compare(_) | Command::Backup(_)) {
         interruption::listen();
     }
     let level = match command {
@@ -86,6 +90,7 @@ fn main() -> ExitCode {
             finish((&options.results, is_verbose), || watch::run(&options), |_| true)
         }
         Command::Place(options) => place(&options),
+        Command::Calibrate(options) => calibrate(&options),
         Command::Serve(options) => serve(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
@@ -142,6 +147,20 @@ fn place(options: &PlaceOptions) -> Result<ExitCode, RunError> {
         ))?;
     }
     Ok(status(!options.connect || report.is_connected()))
+}
+
+/// Succeeds if every camera has a pose.
+fn calibrate(options: &CalibrateOptions) -> Result<ExitCode, RunError> {
+    let file = OutputFile::create(&options.out)?;
+    let outcome = calibrate::run(options)?;
+    file.finish(outcome.cameras.as_bytes())?;
+    let report = &outcome.report;
+    if options.json {
+        print(&json_pretty(report))?;
+    } else {
+        print(&format!("{report}cameras: in {}\n", options.out.display()))?;
+    }
+    Ok(status(report.is_complete()))
 }
 
 fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {

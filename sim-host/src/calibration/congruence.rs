@@ -24,8 +24,6 @@ use super::{
 
 /// Maximum expected number of chance matches of an accepted hypothesis, as a logarithm to base 10.
 const ACCEPTED: f64 = -4.0;
-/// A second hypothesis below this number makes the first ambiguous.
-const RIVAL: f64 = -3.0;
 /// Maximum number of triples of camera i that are tried; below it, all are.
 const TRIPLES: usize = 4000;
 /// Maximum number of hypotheses.
@@ -57,7 +55,7 @@ pub(super) fn find(sets: Sets<'_>, options: &PairwiseOptions) -> Result<Vec<Tie>
     let Some((_, best)) = best else { return Err(PairFault::NoMatch) };
     let rival = found.iter().filter(|(_, ties)| is_other(ties, best)).min_by(is_better);
     match rival {
-        Some((alarms, ties)) if *alarms <= RIVAL => {
+        Some((alarms, ties)) if *alarms <= ACCEPTED => {
             Err(PairFault::TwoMatches { first: best.len(), second: ties.len() })
         }
         _ => Ok(best.clone()),

@@ -5,8 +5,10 @@
 //! writes either all files or none.
 
 mod brief;
+mod calibrating;
 mod comparison;
 mod output;
+mod output_file;
 mod picture;
 mod placing;
 mod serving;
@@ -16,8 +18,10 @@ mod watching;
 use serde::Serialize;
 
 pub use brief::{Brief, brief};
+pub use calibrating::{CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult};
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
+pub use output_file::OutputFile;
 pub use picture::{
     Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error, render_frames,
     render_overlap,

@@ -4,6 +4,7 @@
 
 pub mod backup;
 mod body;
+pub mod calibrate;
 pub mod compare;
 mod convergence;
 mod driving;
@@ -170,6 +171,9 @@ pub enum RunError {
         /// Maximum number of tiles of all robots.
         most: usize,
     },
+    /// Cameras can't be calibrated.
+    #[error(transparent)]
+    Calibrate(#[from] calibrate::CalibrateFault),
     /// Cameras can't be placed.
     #[error(transparent)]
     Place(#[from] place::PlaceFault),
@@ -201,6 +205,7 @@ impl RunError {
             | Self::TooManyRobots { .. }
             | Self::OneRobot { .. }
             | Self::TooManyTiles { .. }
+            | Self::Calibrate(_)
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
             Self::Print(_) | Self::Grid(_) | Self::Picture(_) | Self::Randomness(_) => false,

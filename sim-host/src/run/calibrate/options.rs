@@ -1,0 +1,48 @@
+//! The options of `ubimap calibrate`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::super::options::{OptionError, number};
+
+/// Options of `ubimap calibrate`.
+#[derive(Args, Clone, Debug)]
+pub struct CalibrateOptions {
+    /// The landmarks that each camera sees (TOML): per camera a name and rows of label, x, y, z in
+    /// metres, in the optical frame; optionally its floor and noise
+    #[arg(value_name = "OBSERVATIONS")]
+    pub observations: PathBuf,
+
+    /// The camera whose pose is given by --cameras, or else defines the origin [default: the first
+    /// one]
+    #[arg(long, value_name = "CAMERA")]
+    pub reference: Option<String>,
+
+    /// A cameras.toml with the pose of the reference. Other keys of its cameras are kept, other
+    /// poses are ignored. Without it the floor gives height and tilt if a camera sees it, and the
+    /// reference stands at x = y = 0 with heading 0
+    #[arg(long, value_name = "FILE")]
+    pub cameras: Option<PathBuf>,
+
+    /// Weight all landmarks equally, as in UbiSLAM's cost C, instead of by their noise
+    #[arg(long)]
+    pub unweighted: bool,
+
+    /// Maximum distance between the two measurements of a landmark, in standard deviations of their
+    /// noise
+    #[arg(long, value_name = "SIGMAS", default_value = "4", value_parser = gate, allow_negative_numbers = true)]
+    pub gate: f64,
+
+    /// File for the calibrated cameras, in the form of cameras.toml
+    #[arg(long, value_name = "FILE", default_value = "calibrated-cameras.toml")]
+    pub out: PathBuf,
+
+    /// Print the report as JSON, and nothing else, on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn gate(text: &str) -> Result<f64, OptionError> {
+    number(text, 1.0, 100.0, "sigma")
+}
