@@ -29,6 +29,17 @@ pub(crate) struct Instance {
     pub(crate) truth: Vec<Isometry3<f64>>,
 }
 
+impl Instance {
+    /// The observations, to hundredths of a millimetre.
+    pub(crate) fn rounded(&self) -> Observations {
+        let mut rounded = self.observations.clone();
+        for landmark in rounded.cameras.iter_mut().flat_map(|it| &mut it.landmarks) {
+            landmark.position.iter_mut().for_each(|it| *it = (*it * 1e5).round() / 1e5);
+        }
+        rounded
+    }
+}
+
 /// How a ring of eight cameras is seen.
 #[derive(Clone, Copy)]
 pub(crate) struct Ring {
