@@ -26,7 +26,7 @@ const HOST: [(&str, &[&str]); 18] = [
     ("deployment", &["grid", "camera", "perception", "mapping", "server"]),
     ("store", &["mapping", "server"]),
     ("placement", &["grid"]),
-    ("calibration", &["camera"]),
+    ("calibration", &["camera", "perception"]),
     ("channel", &[]),
     ("report", &["files", "grid", "camera", "perception", "mapping", "server"]),
     ("world", &["files", "rounding", "grid", "camera"]),

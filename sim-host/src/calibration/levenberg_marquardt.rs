@@ -73,7 +73,6 @@ pub(super) fn minimise<P: LeastSquares>(problem: &P, start: &P::State) -> P::Sta
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{dmatrix, dvector};
 
     /// Rosenbrock's valley: residuals 10 (y - x^2) and 1 - x.
     struct Valley;
@@ -82,8 +81,8 @@ mod tests {
         type State = [f64; 2];
 
         fn normal_equations(&self, [x, y]: &[f64; 2]) -> (DVector<f64>, DMatrix<f64>) {
-            let jacobian = dmatrix![-20.0 * x, 10.0; -1.0, 0.0];
-            let residuals = dvector![10.0 * (y - x * x), 1.0 - x];
+            let jacobian = DMatrix::from_row_slice(2, 2, &[-20.0 * x, 10.0, -1.0, 0.0]);
+            let residuals = DVector::from_vec(vec![10.0 * (y - x * x), 1.0 - x]);
             (jacobian.transpose() * residuals, jacobian.transpose() * &jacobian)
         }
 

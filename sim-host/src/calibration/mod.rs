@@ -8,7 +8,8 @@
 //! Files in the order in which data passes through them:
 //!
 //! 1. [`point_noise`] and [`observations`] (the paper's `P_i`): what the cameras have seen, in their
-//!    optical frames; [`observations_file`]: the same as TOML.
+//!    optical frames; [`observations_file`]: the same as TOML; [`landmark_finder`]: the same from
+//!    frames, in which robots' markers are `moving_landmarks`.
 //! 2. `tie` (a landmark that two cameras see), [`closed_form`], `consensus` (leaves wrong
 //!    labels out), `icp` and `congruence` (landmarks without labels), [`pairing`]; [`pairwise`]:
 //!    `T_ij`.
@@ -24,7 +25,9 @@ mod consensus;
 mod frame;
 pub mod graph;
 mod icp;
+pub mod landmark_finder;
 mod levenberg_marquardt;
+mod moving_landmarks;
 pub mod observations;
 pub mod observations_file;
 pub mod pairing;
@@ -33,6 +36,3 @@ pub mod point_noise;
 pub mod refine;
 mod sharing;
 mod tie;
-
-#[cfg(test)]
-mod tests;

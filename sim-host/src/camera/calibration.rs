@@ -165,6 +165,27 @@ impl Lens {
     }
 }
 
+impl Calibration {
+    /// The pose of the camera in `map`, in metres: that of its depth sensor or, without one, of its
+    /// picture sensor.
+    pub fn pose(&self) -> Option<&Isometry3<f64>> {
+        self.depth.as_ref().or(self.picture.as_ref()).map(Lens::pose)
+    }
+
+    /// The same camera at another pose; its sensors keep their poses relative to each other.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Pose`] if the pose is not finite.
+    pub fn at(&self, pose: Isometry3<f64>) -> Result<Self, CalibrationError> {
+        let Some(old) = self.pose() else { return Ok(*self) };
+        let moved = |lens: Option<Lens>| {
+            let lens = lens.map(|lens| Lens::new(lens.intrinsics, pose * old.inv_mul(&lens.pose)));
+            lens.transpose()
+        };
+        Ok(Self { depth: moved(self.depth)?, picture: moved(self.picture)?, ..*self })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -198,6 +198,11 @@ impl Registry {
         Observer::new(cameras, &known, Survey { side, robot_height, ..Survey::default() })
     }
 
+    /// The markers of the robots.
+    pub fn markers(&self) -> impl Iterator<Item = (Identifier, Mount)> {
+        self.robots.iter().map(|robot| (robot.identifier(), robot.mount()))
+    }
+
     /// The footprint of each robot.
     pub fn footprints(&self) -> impl Iterator<Item = (RobotId, Footprint)> {
         self.robots.iter().map(|robot| (RobotId(robot.id), robot.footprint()))

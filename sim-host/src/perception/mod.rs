@@ -3,7 +3,7 @@
 //! An [`Eye`] is one fixed depth camera: its [`RayTable`] is computed once, its [`Background`] is learnt
 //! from the empty room, and the [`Evidence`] of each image gives cells and objects. [`Tracks`] follow the
 //! objects over all cameras. The [`robots::Localiser`] localises robots by their [`markers`]. The
-//! [`Observer`] combines both.
+//! [`Observer`] combines both. A [`FloorPlane`] is found without a pose, for the calibration.
 
 mod background;
 mod cells;
@@ -12,6 +12,7 @@ mod depth_sigma;
 mod detector;
 mod evidence;
 mod eye;
+mod floor_plane;
 mod footprint;
 pub mod markers;
 mod motion;
@@ -27,6 +28,7 @@ pub use background::Background;
 pub use detector::{Detection, Detector};
 pub use evidence::{Evidence, Figure};
 pub use eye::{Eye, FrameError};
+pub use floor_plane::{DepthSamples, FloorPlane};
 pub use footprint::Footprint;
 pub use observer::Observer;
 pub use ray_table::{RayTable, Survey};

@@ -29,7 +29,8 @@ pub use picture::{
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
 pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
 pub use summary::{
-    DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report, RobotSummary, TruthScores,
+    CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
+    RobotSummary, TruthScores,
 };
 pub use watching::{CameraSummary, PassedEvent, SeenMap, SeenRobot, SeenThing, WatchReport};
 

@@ -42,6 +42,9 @@ pub struct Report {
     /// Errors of the poses of driving robots as measured by cameras; only for simulated rooms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sighted: Option<PoseErrors>,
+    /// Errors of the cameras' poses; only if the run has calibrated them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationErrors>,
 }
 
 /// Results of one robot.
@@ -92,6 +95,17 @@ pub struct Pixels {
     pub omitted: u64,
     /// Readings without a usable value.
     pub invalid: u64,
+}
+
+/// Errors of calibrated cameras against their true poses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct CalibrationErrors {
+    /// Number of pairs of a landmark in two cameras.
+    pub landmarks: u64,
+    /// Maximum error of a position, in metres.
+    pub position_m: f64,
+    /// Maximum error of an orientation, in degrees.
+    pub angle_deg: f64,
 }
 
 /// Results for the fused map.
@@ -205,6 +219,7 @@ impl Report {
             pose: None,
             driving: None,
             sighted: None,
+            calibration: None,
         }
     }
 
@@ -313,6 +328,13 @@ impl Report {
                 f,
                 "cameras: {} poses of driving robots, {:.4} m and {:.2} degrees off (RMS)",
                 sighted.count, sighted.rmse_m, sighted.rmse_deg
+            )?;
+        }
+        if let Some(calibration) = self.calibration {
+            writeln!(
+                f,
+                "calibration: {} landmarks, cameras within {:.4} m and {:.3} degrees of the truth",
+                calibration.landmarks, calibration.position_m, calibration.angle_deg
             )?;
         }
         Ok(())

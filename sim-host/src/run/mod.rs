@@ -5,6 +5,7 @@
 pub mod backup;
 mod body;
 pub mod calibrate;
+pub mod calibration_drive;
 pub mod compare;
 mod convergence;
 mod driving;

@@ -13,6 +13,7 @@ use ubimap_protocol::{
 use super::{
     Outcome, RunError,
     body::{BUFFER, CAMERA},
+    calibration_drive,
     driving::{self, BlindGround},
     figures,
     fleet::Fleet,
@@ -44,12 +45,23 @@ pub const RESOLUTION: Millimetres = Millimetres(50);
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
-    let (scenario, world) = furnished(options)?;
+    let Furnished { scenario, walls, world } = furnished(options)?;
+    let calibrated = if options.calibrate {
+        Some(calibration_drive::calibrated(&scenario, walls.as_ref(), !options.run.seed)?)
+    } else {
+        None
+    };
+    let calibration_errors = calibrated.as_ref().map(|(_, errors)| *errors);
+    let cameras = calibrated.map(|(cameras, _)| cameras);
     let configs = if options.outside.is_some() { Vec::new() } else { robots(options, &world) };
     check_tiles(configs.len(), own_tiles(options))?;
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
-    let mut deployment = Deployment::new(deployed(options, &scenario, &world), life)?;
+    let mut config = deployed(options, &scenario, &world);
+    if let Some(cameras) = cameras {
+        config.cameras = cameras;
+    }
+    let mut deployment = Deployment::new(config, life)?;
     for robot in world.robots().iter().filter(|robot| robot.drives() && !options.scripted) {
         deployment.explore(robot.id(), true);
     }
@@ -99,6 +111,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let map = time_lapse::grid(&fleet)?;
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles(options));
     report.truth = Some(scoring::score(&map, stage.world())?);
+    report.calibration = calibration_errors;
     report.pose = Some(scoring::pose_errors(&fleet, stage.tracks()));
     let sighted = scoring::sighting_errors(&fleet, stage.tracks());
     report.sighted = (!options.ideal_cameras).then_some(sighted);
@@ -110,8 +123,14 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
 }
 
-/// The requested scenario and its world.
-fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
+/// The requested scenario, the walls of its map, if it has one, and its world.
+struct Furnished {
+    scenario: Scenario,
+    walls: Option<WallGrid>,
+    world: World,
+}
+
+fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     let mut scenario = Scenario::read_with(&options.scenario, options.map.as_deref())?;
     let map = scenario.room.map.as_deref().map(straight_map).transpose()?;
     let walls = map.as_ref().map(wall_grid);
@@ -136,7 +155,7 @@ fn furnished(options: &SimulateOptions) -> Result<(Scenario, World), RunError> {
         }
     }
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;
-    Ok((scenario, world))
+    Ok(Furnished { scenario, walls, world })
 }
 
 /// Number of own tiles per robot.

@@ -34,6 +34,7 @@ mod shapes;
 mod stereo;
 mod streams;
 mod tag;
+mod tour;
 mod truth;
 
 #[cfg(test)]
@@ -119,6 +120,9 @@ pub struct World {
     contacts: Contacts,
     scans: VecDeque<ScanEvent>,
 }
+
+/// Clearance of a tour, in metres: its lines pass the centres of its cells at up to half their diagonal.
+const TOUR_CLEARANCE_M: f64 = 0.08;
 
 impl World {
     /// A world at time zero. `walls` are those of the scenario's map, if it names one; `resolution` is the
@@ -255,6 +259,24 @@ impl World {
         let starts = driving.into_iter().map(|(_, &start)| start);
         let sizes = [radius_m, room_m, height];
         reachable::ground(&self.room, self.cells, starts, &standing, sizes)
+    }
+
+    /// The stops of a closed tour of the first robot from its start through the overlaps of all
+    /// pictures, in metres, without the start. Empty if there is none.
+    pub fn tour(&self) -> Vec<[f64; 2]> {
+        let (Some(robot), Some(&start)) = (self.robots.first(), self.starts.first()) else {
+            return Vec::new();
+        };
+        let apart = robot.body().radius + TOUR_CLEARANCE_M;
+        let height = robot.height_m();
+        let starts = std::iter::once(start);
+        let free = reachable::ground(&self.room, self.cells, starts, &[], [0.0, apart, height]);
+        let lenses = self.filming.calibrations().iter().filter_map(|camera| camera.picture);
+        let lenses: Vec<_> = lenses.collect();
+        let free = free.into_iter().collect();
+        let start = self.cells.cell_at(start);
+        let stops = tour::tour(&self.room, self.cells, &lenses, &free, start, height);
+        stops.into_iter().map(Into::into).collect()
     }
 
     /// The cells whose centres have been within three metres of a robot's sensor, in its field of view (as

@@ -30,6 +30,11 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Cameras and robots")]
     pub ideal_cameras: bool,
 
+    /// Calibrate the cameras first, by what they see while one robot is steered through their views for a
+    /// minute, and use the poses found instead of the true ones; only the first camera's pose is known
+    #[arg(long, help_heading = "Cameras and robots", conflicts_with = "ideal_cameras")]
+    pub calibrate: bool,
+
     /// Let the robots drive the scenario's routes, instead of exploring by themselves under the
     /// server's coordination
     #[arg(long, help_heading = "Cameras and robots")]

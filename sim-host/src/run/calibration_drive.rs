@@ -1,0 +1,84 @@
+//! A simulated calibration: one robot is steered through the overlaps of the cameras, whose poses
+//! are then those that its markers give. True poses serve for the tour and the comparison alone.
+
+use nalgebra::Isometry3;
+use ubimap_protocol::time::{Duration, Instant};
+
+use super::{
+    RunError,
+    calibrate::CalibrateFault,
+    simulate::{RESOLUTION, registry},
+};
+use crate::{
+    calibration::{
+        calibrating::{Calibrated, Options, calibrate},
+        landmark_finder::LandmarkFinder,
+    },
+    camera::{Calibration, FrameSource},
+    report::CalibrationErrors,
+    world::{Scenario, WallGrid, World},
+};
+
+/// Minimum duration of a calibration.
+pub const CALIBRATION: Duration = Duration::from_secs(60);
+
+/// Calibrates the cameras of a scenario by what they see while its first robot is steered through
+/// their views. The pose of the first camera is known. Returns all cameras in the poses found.
+///
+/// # Errors
+/// [`RunError::Calibrate`] if a camera gets no pose, with the reason.
+pub fn calibrated(
+    scenario: &Scenario,
+    walls: Option<&WallGrid>,
+    seed: u64,
+) -> Result<(Vec<Calibration>, CalibrationErrors), RunError> {
+    let mut scenario = scenario.clone();
+    scenario.robots.truncate(1);
+    let world = World::new(&scenario, walls, RESOLUTION, seed)?;
+    if let Some(robot) = scenario.robots.first_mut() {
+        robot.route.waypoints_m = world.tour();
+    }
+    let mut world = World::new(&scenario, walls, RESOLUTION, seed)?;
+    let cameras = FrameSource::cameras(&world).to_vec();
+    let mut finder = LandmarkFinder::new(&cameras, registry(&scenario).markers());
+    let end = Instant(0) + CALIBRATION;
+    while let Some(next) = FrameSource::next_arrival(&world).filter(|next| *next <= end) {
+        while let Some(frame) = FrameSource::poll(&mut world, next) {
+            finder.add(&frame);
+        }
+    }
+
+    let refuse = |reason: String| CalibrateFault::of("--calibrate", &reason);
+    let names: Vec<String> = (0..cameras.len()).map(|index| format!("camera-{index:02}")).collect();
+    let (observations, unseen) = finder.finish(&names);
+    if let Some((camera, reason)) = unseen.first() {
+        return Err(refuse(format!("{}: {reason}", names[*camera])).into());
+    }
+    let reference_pose = cameras.first().and_then(|camera| camera.pose().copied());
+    let options = Options { reference_pose, ..Options::default() };
+    let found = calibrate(&observations, &options).map_err(|error| refuse(error.to_string()))?;
+    let moved = cameras.iter().zip(&found.cameras).zip(&names).map(|((camera, found), name)| {
+        let pose =
+            found.pose.ok_or_else(|| refuse(format!("no overlap ties {name} to the others")))?;
+        camera.at(pose).map_err(|error| refuse(format!("{name}: {error}")))
+    });
+    let moved = moved.collect::<Result<Vec<_>, _>>()?;
+    Ok((moved, errors(&cameras, &found)))
+}
+
+/// The errors of the poses except the reference's.
+fn errors(cameras: &[Calibration], found: &Calibrated) -> CalibrationErrors {
+    let pairs = cameras.iter().zip(&found.cameras).skip(1);
+    let pairs = pairs.filter_map(|(camera, found)| Some((*camera.pose()?, found.pose?)));
+    let pairs: Vec<(Isometry3<f64>, Isometry3<f64>)> = pairs.collect();
+    let metres = pairs
+        .iter()
+        .map(|(truth, pose)| (pose.translation.vector - truth.translation.vector).norm());
+    let degrees =
+        pairs.iter().map(|(truth, pose)| pose.rotation.angle_to(&truth.rotation).to_degrees());
+    CalibrationErrors {
+        landmarks: found.edges.iter().map(|edge| edge.edge.transform.pairs.len() as u64).sum(),
+        position_m: metres.fold(0.0, f64::max),
+        angle_deg: degrees.fold(0.0, f64::max),
+    }
+}
