@@ -7,14 +7,20 @@ use rand_chacha::ChaCha8Rng;
 use crate::camera::{DepthImage, DepthNoise, Intrinsics};
 
 /// Approximate number of sampled columns of an image.
-const COLUMNS: u32 = 80;
-/// Maximum number of images: their median has a sixth of the noise of one.
+const COLUMNS: u32 = 160;
+/// Maximum number of images: their mean has a sixth of the noise of one.
 const MOST_IMAGES: usize = 31;
 /// Number of random planes, of which the best is refined. A plane through a fifth of the pixels is
 /// missed in one of 50 cases.
 const TRIALS: usize = 500;
 /// Number of refining steps.
-const STEPS: usize = 10;
+const STEPS: usize = 20;
+/// Distance at which a point has no weight, in standard deviations of the points below the plane. Those
+/// above it have more, from walls and furniture that stand on the floor; a plane through all that is
+/// near would be raised at the walls.
+const TUKEY: f64 = 2.0;
+/// The ratio of a normal distribution's standard deviation and its median absolute deviation.
+const MAD: f64 = 1.4826;
 /// Distance from the plane within which a point belongs to it, in metres and in standard deviations
 /// of its depth.
 const BELONGS_M: f64 = 0.02;
@@ -27,8 +33,8 @@ const BELOW_SHARE: f64 = 0.05;
 const LEAST_HEIGHT_M: f64 = 0.2;
 /// Minimum number of points of a floor.
 const LEAST_POINTS: usize = 50;
-/// The ratio of the standard deviations of a median and of a mean.
-const MEDIAN: f64 = 1.2533;
+/// Difference from the median, in standard deviations, up to which a depth counts.
+const OUTLIER: f64 = 3.0;
 
 /// Depths of some pixels of a camera, over several images.
 #[derive(Clone, Debug)]
@@ -77,7 +83,8 @@ impl DepthSamples {
         }
     }
 
-    /// The medians of pixels that half of the images measure.
+    /// The points of pixels that half of the images measure: means of what is near the median, which
+    /// leaves passers-by out.
     fn points(&self) -> Vec<Sample> {
         let measured = self.pixels.iter().zip(&self.depths);
         let points = measured.filter(|(_, depths)| 2 * depths.len() > self.images);
@@ -85,9 +92,14 @@ impl DepthSamples {
             .map(|((_, ray), depths)| {
                 let mut depths = depths.clone();
                 let middle = depths.len() / 2;
-                let depth_m = f64::from(*depths.select_nth_unstable(middle).1) / 1000.0;
-                let count = depths.len() as f64;
-                (Point3::from(ray * depth_m), MEDIAN * self.noise.sigma_m(depth_m) / count.sqrt())
+                let median = f64::from(*depths.select_nth_unstable(middle).1);
+                let reach = OUTLIER * 1000.0 * self.noise.sigma_m(median / 1000.0);
+                let near = depths.iter().map(|depth| f64::from(*depth));
+                let near = near.filter(|depth| (depth - median).abs() <= reach);
+                let (sum, count) =
+                    near.fold((0.0, 0.0), |(sum, count), it| (sum + it, count + 1.0));
+                let depth_m = sum / count / 1000.0;
+                (Point3::from(ray * depth_m), self.noise.sigma_m(depth_m) / f64::sqrt(count))
             })
             .collect()
     }
@@ -179,20 +191,29 @@ impl FloorPlane {
         points.iter().filter(is_below).count() as f64 <= BELOW_SHARE * points.len() as f64
     }
 
-    /// The weighted least squares plane through the points that belong to this one.
+    /// The weighted least squares plane through the points that belong to this one (Tukey's biweight).
     fn refined(&self, points: &[Sample]) -> Option<Self> {
-        let (mut total, mut sum) = (0.0, Vector3::zeros());
-        for (point, sigma_m) in self.belonging(points) {
-            let weight = 1.0 / (sigma_m * sigma_m);
-            total += weight;
-            sum += point.coords * weight;
+        let errors = self.belonging(points).map(|(point, sigma_m)| self.above_m(point) / sigma_m);
+        let mut below: Vec<f64> = errors.filter(|error| *error < 0.0).map(f64::abs).collect();
+        if below.is_empty() {
+            return None;
         }
+        let middle = below.len() / 2;
+        let scale = MAD * *below.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let weighted = || {
+            self.belonging(points).filter_map(move |(point, sigma_m)| {
+                let ratio = self.above_m(point) / (TUKEY * scale * sigma_m);
+                let tukey = (1.0 - ratio * ratio).max(0.0).powi(2);
+                (tukey > 0.0).then(|| (point.coords, tukey / (sigma_m * sigma_m)))
+            })
+        };
+        let (sum, total) = weighted()
+            .fold((Vector3::zeros(), 0.0), |(sum, total), (at, weight)| {
+                (sum + at * weight, total + weight)
+            });
         let middle = sum / total;
-        let mut scatter = Matrix3::zeros();
-        for (point, sigma_m) in self.belonging(points) {
-            let from_middle = point.coords - middle;
-            scatter += from_middle * from_middle.transpose() / (sigma_m * sigma_m);
-        }
+        let scatter: Matrix3<f64> =
+            weighted().map(|(at, weight)| (at - middle) * (at - middle).transpose() * weight).sum();
         let eigen = scatter.symmetric_eigen();
         let least = eigen.eigenvalues.imin();
         Self::of(eigen.eigenvectors.column(least).into_owned(), &middle.into())

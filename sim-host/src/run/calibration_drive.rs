@@ -20,7 +20,11 @@ use crate::{
 };
 
 /// Minimum duration of a calibration.
-pub const CALIBRATION: Duration = Duration::from_secs(60);
+const LEAST: Duration = Duration::from_secs(60);
+/// Maximum duration, if people keep the robot from completing its tour.
+const MOST: Duration = Duration::from_secs(600);
+/// Distance from its last stop at which a robot has completed the tour, in metres.
+const ARRIVED_M: f64 = 0.1;
 
 /// Calibrates the cameras of a scenario by what they see while its first robot is steered through
 /// their views. The pose of the first camera is known. Returns all cameras in the poses found.
@@ -35,19 +39,47 @@ pub fn calibrated(
     let mut scenario = scenario.clone();
     scenario.robots.truncate(1);
     let world = World::new(&scenario, walls, RESOLUTION, seed)?;
+    let tour = world.tour();
+    let last = tour.last().copied();
     if let Some(robot) = scenario.robots.first_mut() {
-        robot.route.waypoints_m = world.tour();
+        robot.route.waypoints_m = tour;
     }
     let mut world = World::new(&scenario, walls, RESOLUTION, seed)?;
     let cameras = FrameSource::cameras(&world).to_vec();
     let mut finder = LandmarkFinder::new(&cameras, registry(&scenario).markers());
-    let end = Instant(0) + CALIBRATION;
-    while let Some(next) = FrameSource::next_arrival(&world).filter(|next| *next <= end) {
-        while let Some(frame) = FrameSource::poll(&mut world, next) {
+    let mut is_complete = false;
+    let mut now = Instant(0);
+    while let Some(next) = FrameSource::next_arrival(&world)
+        && (now < Instant(0) + LEAST || !is_complete)
+        && now < Instant(0) + MOST
+    {
+        now = next;
+        while let Some(frame) = FrameSource::poll(&mut world, now) {
             finder.add(&frame);
         }
+        let at = world.robots().first().map(|robot| robot.truth());
+        is_complete |= last.zip(at).is_none_or(|([x, y], at)| {
+            libm::hypot(at.x.metres() - x, at.y.metres() - y) < ARRIVED_M
+        });
     }
+    log::info!("calibration: the tour took {:.0} s", now.micros() as f64 / 1e6);
 
+    for (camera, seen) in
+        cameras.iter().zip(&finder.finish(&vec!["x".to_owned(); cameras.len()]).0.cameras)
+    {
+        let (pose, floor) = (camera.pose().unwrap(), seen.floor.unwrap());
+        let up = pose.rotation.inverse() * nalgebra::Vector3::z();
+        eprintln!(
+            "floor {:+.4} m {:.3} deg, {} landmarks",
+            floor.height_m - pose.translation.vector.z,
+            floor.normal.angle(&up).to_degrees(),
+            seen.landmarks.len()
+        );
+        for l in seen.landmarks.iter().step_by(40) {
+            let at = pose * l.position;
+            eprintln!("   z {:.4} {:?}", at.z, l.label);
+        }
+    }
     let refuse = |reason: String| CalibrateFault::of("--calibrate", &reason);
     let names: Vec<String> = (0..cameras.len()).map(|index| format!("camera-{index:02}")).collect();
     let (observations, unseen) = finder.finish(&names);
@@ -63,6 +95,25 @@ pub fn calibrated(
         camera.at(pose).map_err(|error| refuse(format!("{name}: {error}")))
     });
     let moved = moved.collect::<Result<Vec<_>, _>>()?;
+    for (camera, found) in cameras.iter().zip(&found.cameras) {
+        let (t, p) = (camera.pose().unwrap(), found.pose.unwrap());
+        eprintln!(
+            "{:?} mm {:.3} deg, sigma {:.4} {:.3} prop {:?}",
+            (1000.0 * (p.translation.vector - t.translation.vector))
+                .map(|it| it.round())
+                .as_slice(),
+            p.rotation.angle_to(&t.rotation).to_degrees(),
+            found.position_sigma_m(),
+            found.angle_sigma_rad().to_degrees(),
+            (1000.0 * (found.propagated.unwrap().translation.vector - t.translation.vector))
+                .map(|it| it.round())
+                .as_slice()
+        );
+    }
+    for e in &found.edges {
+        eprintln!("{:?} {} {:.4}", e.edge.cameras, e.edge.transform.pairs.len(), e.residual_m);
+    }
+    eprintln!("noise ratio {}", found.noise_ratio);
     Ok((moved, errors(&cameras, &found)))
 }
 

@@ -10,7 +10,9 @@ use super::room::{CellGrid, Room};
 use crate::camera::Lens;
 
 /// Number of places in the overlap of two cameras.
-const PLACES: usize = 4;
+const PLACES: usize = 3;
+/// Distance in metres within which passing a place in the same overlap is as good.
+const NEAR_M: f64 = 0.8;
 /// Minimum distance of a marker from the edge of a picture, in pixels.
 const MARGIN_PX: f64 = 50.0;
 
@@ -26,23 +28,32 @@ pub(super) fn tour(
     start: Cell,
     height_m: f64,
 ) -> Vec<DVec2> {
-    let mut overlaps: BTreeMap<[usize; 2], Vec<Cell>> = BTreeMap::new();
+    let mut overlaps: BTreeMap<[usize; 2], BTreeSet<Cell>> = BTreeMap::new();
     for &cell in free {
         let at = cells.centre(cell);
         let sees = |lens: &Lens| sees(room, lens, Point3::new(at.x, at.y, height_m));
         let seen: Vec<usize> = (0..lenses.len()).filter(|&index| sees(&lenses[index])).collect();
         for (first, &one) in seen.iter().enumerate() {
             for &other in &seen[first + 1..] {
-                overlaps.entry([one, other]).or_default().push(cell);
+                overlaps.entry([one, other]).or_default().insert(cell);
             }
         }
     }
-    let mut places: BTreeSet<Cell> = overlaps.values().flat_map(|cells| spread(cells)).collect();
+    let near = (NEAR_M / cells.side) as i32;
+    let mut places: Vec<(&BTreeSet<Cell>, Cell)> = overlaps
+        .values()
+        .flat_map(|overlap| spread(overlap).into_iter().map(move |place| (overlap, place)))
+        .collect();
     let mut stops = Vec::new();
     let mut here = start;
-    while let Some(path) = nearest(free, here, &places) {
+    loop {
+        let goals = places.iter().map(|(_, place)| *place).collect();
+        let Some(path) = nearest(free, here, &goals) else { break };
         here = *path.last().unwrap_or(&here);
-        places.remove(&here);
+        places.retain(|(overlap, place)| {
+            let is_near = |cell: &&Cell| apart(**cell, *place) <= near * near;
+            !path.iter().filter(is_near).any(|cell| overlap.contains(cell))
+        });
         straighten(&path, free, &mut stops);
     }
     if let Some(home) = nearest(free, here, &BTreeSet::from([start])) {
@@ -64,8 +75,7 @@ fn sees(room: &Room, lens: &Lens, marker: Point3<f64>) -> bool {
 }
 
 /// A few cells far from each other.
-fn spread(cells: &[Cell]) -> Vec<Cell> {
-    let apart = |a: Cell, b: Cell| (a.0 - b.0).pow(2) + (a.1 - b.1).pow(2);
+fn spread(cells: &BTreeSet<Cell>) -> Vec<Cell> {
     let mut chosen: Vec<Cell> = cells.first().copied().into_iter().collect();
     while chosen.len() < PLACES {
         let gap = |cell: &Cell| chosen.iter().map(|it| apart(*it, *cell)).min();
@@ -75,6 +85,11 @@ fn spread(cells: &[Cell]) -> Vec<Cell> {
         }
     }
     chosen
+}
+
+/// The squared distance in cells.
+fn apart(a: Cell, b: Cell) -> i32 {
+    (a.0 - b.0).pow(2) + (a.1 - b.1).pow(2)
 }
 
 /// The shortest path along free cells to the nearest of `goals`, without its start.
@@ -147,9 +162,13 @@ mod tests {
 
     #[test]
     fn places_are_far_apart() {
-        let cells: Vec<Cell> = (0..10).flat_map(|x| (0..10).map(move |y| (x, y))).collect();
-        assert_eq!(spread(&cells), [(0, 0), (9, 9), (9, 0), (0, 9)].map(|it| it));
-        assert_eq!(spread(&[(3, 3)]), [(3, 3)]);
-        assert!(spread(&[]).is_empty());
+        let cells: BTreeSet<Cell> = (0..10).flat_map(|x| (0..5).map(move |y| (x, y))).collect();
+        let places = spread(&cells);
+        assert_eq!(places.len(), PLACES);
+        assert!(
+            places.iter().all(|&it| places.iter().filter(|&&on| apart(it, on) < 16).count() == 1)
+        );
+        assert_eq!(spread(&BTreeSet::from([(3, 3)])), [(3, 3)]);
+        assert!(spread(&BTreeSet::new()).is_empty());
     }
 }
