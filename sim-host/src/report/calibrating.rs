@@ -29,6 +29,17 @@ pub struct CalibrateReport {
     pub edges: Vec<EdgeResult>,
     /// Each pair of cameras whose common landmarks give no transform.
     pub failures: Vec<FailedPair>,
+    /// Each camera of a recording in which no landmarks were found.
+    pub unseen: Vec<UnseenCamera>,
+}
+
+/// A camera without landmarks.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct UnseenCamera {
+    /// The camera's name.
+    pub name: String,
+    /// The reason and what to do.
+    pub reason: String,
 }
 
 /// A camera after calibration.
@@ -109,6 +120,7 @@ impl Default for CalibrateReport {
             cameras: Vec::new(),
             edges: Vec::new(),
             failures: Vec::new(),
+            unseen: Vec::new(),
         }
     }
 }
@@ -166,6 +178,9 @@ impl fmt::Display for CalibrateReport {
         }
         for FailedPair { cameras: [one, other], reason } in &self.failures {
             writeln!(f, "{one} - {other}: {reason}")?;
+        }
+        for UnseenCamera { name, reason } in &self.unseen {
+            writeln!(f, "{name}: {reason}")?;
         }
         let untied: Vec<&str> =
             self.cameras.iter().filter(|it| !it.is_tied).map(|it| it.name.as_str()).collect();

@@ -18,7 +18,9 @@ mod watching;
 use serde::Serialize;
 
 pub use brief::{Brief, brief};
-pub use calibrating::{CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult};
+pub use calibrating::{
+    CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera,
+};
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;

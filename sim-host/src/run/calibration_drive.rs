@@ -64,22 +64,6 @@ pub fn calibrated(
     }
     log::info!("calibration: the tour took {:.0} s", now.micros() as f64 / 1e6);
 
-    for (camera, seen) in
-        cameras.iter().zip(&finder.finish(&vec!["x".to_owned(); cameras.len()]).0.cameras)
-    {
-        let (pose, floor) = (camera.pose().unwrap(), seen.floor.unwrap());
-        let up = pose.rotation.inverse() * nalgebra::Vector3::z();
-        eprintln!(
-            "floor {:+.4} m {:.3} deg, {} landmarks",
-            floor.height_m - pose.translation.vector.z,
-            floor.normal.angle(&up).to_degrees(),
-            seen.landmarks.len()
-        );
-        for l in seen.landmarks.iter().step_by(40) {
-            let at = pose * l.position;
-            eprintln!("   z {:.4} {:?}", at.z, l.label);
-        }
-    }
     let refuse = |reason: String| CalibrateFault::of("--calibrate", &reason);
     let names: Vec<String> = (0..cameras.len()).map(|index| format!("camera-{index:02}")).collect();
     let (observations, unseen) = finder.finish(&names);
@@ -95,25 +79,6 @@ pub fn calibrated(
         camera.at(pose).map_err(|error| refuse(format!("{name}: {error}")))
     });
     let moved = moved.collect::<Result<Vec<_>, _>>()?;
-    for (camera, found) in cameras.iter().zip(&found.cameras) {
-        let (t, p) = (camera.pose().unwrap(), found.pose.unwrap());
-        eprintln!(
-            "{:?} mm {:.3} deg, sigma {:.4} {:.3} prop {:?}",
-            (1000.0 * (p.translation.vector - t.translation.vector))
-                .map(|it| it.round())
-                .as_slice(),
-            p.rotation.angle_to(&t.rotation).to_degrees(),
-            found.position_sigma_m(),
-            found.angle_sigma_rad().to_degrees(),
-            (1000.0 * (found.propagated.unwrap().translation.vector - t.translation.vector))
-                .map(|it| it.round())
-                .as_slice()
-        );
-    }
-    for e in &found.edges {
-        eprintln!("{:?} {} {:.4}", e.edge.cameras, e.edge.transform.pairs.len(), e.residual_m);
-    }
-    eprintln!("noise ratio {}", found.noise_ratio);
     Ok((moved, errors(&cameras, &found)))
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The recording's clock drives the same deployment as in a simulation, but without ports.
 
-use std::{fmt::Write, time};
+use std::{fmt::Write, path::Path, time};
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
@@ -16,11 +16,12 @@ use super::{
     robots_file, terminal,
 };
 use crate::{
-    camera::{FrameSource, Sighting},
+    camera::{CamerasFile, FrameSource, MountedCamera, Sighting},
     deployment::{CameraStatus, Config, Deployment, Life, registry::Registry},
+    files,
     grid::OccupancyGrid,
     mapping::ServedLayer,
-    recording::RecordedFrames,
+    recording::{LogError, RecordedFrames},
     report::{
         self, CameraSummary, Caption, HexDigest, Marker, MarkerKind, PassedEvent, SeenMap,
         SeenRobot, SeenThing, WatchReport,
@@ -34,7 +35,10 @@ use crate::{
 /// [`RunError`] if the recording or the file of robots is invalid.
 pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let started = time::Instant::now();
-    let mut frames = RecordedFrames::open(&options.folders)?;
+    let mut frames = match &options.cameras {
+        Some(path) => placed(RecordedFrames::open_unplaced(&options.folders)?, path)?,
+        None => RecordedFrames::open(&options.folders)?,
+    };
     frames.notes().iter().for_each(|note| log::info!("{note}"));
     let registry = robots_file::find(options.robots.as_deref(), &options.folders)?;
     let config = Config {
@@ -82,6 +86,23 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         tables: vec![("robots.csv", seen.poses_csv())],
         map,
     })
+}
+
+/// The frames of cameras at the poses of a file.
+fn placed(mut frames: RecordedFrames, path: &Path) -> Result<RecordedFrames, RunError> {
+    let refuse = |reason| LogError::Cameras { path: path.to_owned(), reason };
+    let text = files::read_settings(path)
+        .map_err(|error| LogError::Io { path: path.to_owned(), error })?;
+    let file = CamerasFile::parse(&text).map_err(refuse)?;
+    let poses = frames.names().iter().zip(frames.stated_poses()).map(|(name, stated)| {
+        let pose = file.named(name).and_then(MountedCamera::pose).or(stated.copied());
+        pose.ok_or_else(|| {
+            refuse(format!("no camera is named {name:?}, and its folder has no pose"))
+        })
+    });
+    let poses = poses.collect::<Result<Vec<_>, _>>()?;
+    frames.place(&poses).map_err(|error| refuse(error.to_string()))?;
+    Ok(frames)
 }
 
 /// Plays the frames of a recording to a deployment, by the recording's clock, until it ends or a

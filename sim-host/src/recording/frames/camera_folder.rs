@@ -6,7 +6,7 @@ use std::{
 };
 
 use image::ColorType;
-use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
 use super::{
     error::FramesError,
@@ -58,11 +58,25 @@ pub(super) struct CameraFolder {
     pub(super) frames: Vec<FrameFiles>,
     /// Number of frames with a time but without an image.
     pub(super) lost: u64,
+    /// Whether its pose is stated.
+    pub(super) is_placed: bool,
     /// Whether the times come from a clock shared with other cameras.
     pub(super) has_clock: bool,
     /// Notes for the user, one line each.
     pub(super) notes: Vec<String>,
 }
+
+/// Whether the poses of cameras must be stated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Placing {
+    /// Each folder, or `cameras.toml`, states the pose.
+    Stated,
+    /// A camera whose pose is not stated gets [`NOWHERE`].
+    Optional,
+}
+
+/// The pose of a camera that has none: one metre above the origin, looking along z.
+const NOWHERE: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// The depth image and the picture of each frame, by number.
 type Images = BTreeMap<u128, (Option<PathBuf>, Option<PathBuf>)>;
@@ -96,7 +110,7 @@ pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
 impl CameraFolder {
     /// Reads everything except the pixels, and checks that the images have the size stated in the
     /// intrinsics.
-    pub(super) fn open(path: &Path) -> Result<Self, FramesError> {
+    pub(super) fn open(path: &Path, placing: Placing) -> Result<Self, FramesError> {
         let times_file = path.join(TIMES_FILE);
         let (depth_files, picture_files) = image_files(path, times_file.is_file())?;
         let has_pictures = !picture_files.is_empty();
@@ -104,10 +118,10 @@ impl CameraFolder {
 
         let (mut notes, mut depth, mut picture) = (Vec::new(), None, None);
         if !depth_files.is_empty() {
-            depth = Some(SensorFiles::of_depth(path, images.len(), &depth_files)?);
+            depth = Some(SensorFiles::of_depth(path, placing, images.len(), &depth_files)?);
         }
         if has_pictures {
-            picture = Some(SensorFiles::of_pictures(path, images.len(), depth.as_ref())?);
+            picture = Some(SensorFiles::of_pictures(path, placing, images.len(), depth.as_ref())?);
         }
         check_sizes(&images, depth.as_ref(), picture.as_ref())?;
         let calibrations = calibrations(path, images.len(), depth.as_ref(), picture.as_ref())?;
@@ -123,10 +137,12 @@ impl CameraFolder {
         if images.is_empty() {
             notes.push("no image in it: all its frames were lost".to_owned());
         }
+        let is_placed =
+            has_poses(path) || has_poses(&path.join(PICTURES)) || mounted(path)?.is_some();
         let lost = times.keys().filter(|number| !images.contains_key(number)).count() as u64;
         let frames = frames(images, &times, &times_file, calibrations.len())?;
         let path = path.to_owned();
-        Ok(Self { path, calibrations, depth, picture, frames, lost, has_clock, notes })
+        Ok(Self { path, calibrations, depth, picture, frames, lost, is_placed, has_clock, notes })
     }
 
     /// The camera's name, followed by the index of the calibration if each frame has its own.
@@ -138,8 +154,13 @@ impl CameraFolder {
 
 impl SensorFiles {
     /// The files of the depth sensor.
-    fn of_depth(folder: &Path, frames: usize, images: &[PathBuf]) -> Result<Self, FramesError> {
-        let poses = poses(folder, frames)?;
+    fn of_depth(
+        folder: &Path,
+        placing: Placing,
+        frames: usize,
+        images: &[PathBuf],
+    ) -> Result<Self, FramesError> {
+        let poses = poses(folder, placing, frames)?;
         let stated = match intrinsics::stated(folder)? {
             // `cameras.toml` describes only fixed cameras.
             None if poses.len() == 1 => mounted_intrinsics(folder, &images[0])?,
@@ -152,6 +173,7 @@ impl SensorFiles {
     /// The files of the picture sensor. For missing files, those of the depth sensor are used.
     fn of_pictures(
         folder: &Path,
+        placing: Placing,
         frames: usize,
         depth: Option<&Self>,
     ) -> Result<Self, FramesError> {
@@ -171,8 +193,8 @@ impl SensorFiles {
                 own
             }
             Some(depth) => depth.poses.clone(),
-            None if has_poses(pictures) => poses(pictures, frames)?,
-            None => poses(folder, frames)?,
+            None if has_poses(pictures) => poses(pictures, placing, frames)?,
+            None => poses(folder, placing, frames)?,
         };
         Ok(Self { intrinsics, poses })
     }
@@ -315,12 +337,15 @@ fn mounted_intrinsics(folder: &Path, image: &Path) -> Result<Option<IntrinsicsFi
 }
 
 /// The poses in a folder: one, or one for each frame.
-fn poses(folder: &Path, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
-    if !has_poses(folder)
-        && let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose())
-    {
-        let rotation = *pose.rotation.to_rotation_matrix().matrix();
-        return Ok(vec![CameraPose::mounted(pose.translation.vector, rotation)]);
+fn poses(folder: &Path, placing: Placing, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
+    if !has_poses(folder) {
+        if let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose()) {
+            let rotation = *pose.rotation.to_rotation_matrix().matrix();
+            return Ok(vec![CameraPose::mounted(pose.translation.vector, rotation)]);
+        }
+        if placing == Placing::Optional {
+            return Ok(vec![CameraPose::mounted(NOWHERE.into(), Matrix3::identity())]);
+        }
     }
     let (path, poses) = read_poses(folder)?;
     if poses.len() != 1 && poses.len() != frames {

@@ -10,15 +10,16 @@ use std::{
 };
 
 use image::{DynamicImage, imageops::flip_vertical_in_place};
+use nalgebra::Isometry3;
 use ubimap_protocol::time::Instant;
 
 use super::{
-    camera_folder::{self, CameraFolder, FrameFiles, SensorFiles},
+    camera_folder::{self, CameraFolder, FrameFiles, Placing, SensorFiles},
     error::FramesError,
     frame_times::{MAX_SPAN_S, TIMES_FILE},
 };
 use crate::{
-    camera::{Calibration, DepthImage, Frame, FrameSource, Picture},
+    camera::{Calibration, CalibrationError, DepthImage, Frame, FrameSource, Picture},
     grid::raster,
     recording::{
         depth_image::depths_mm,
@@ -34,6 +35,7 @@ const MAX_CAMERAS: usize = 64;
 pub struct RecordedFrames {
     names: Vec<String>,
     calibrations: Vec<Calibration>,
+    is_placed: Vec<bool>,
     frames: Vec<u64>,
     lost: Vec<u64>,
     /// The recording's clock, in whole seconds, when the time of this source is zero.
@@ -63,10 +65,23 @@ impl RecordedFrames {
     /// # Errors
     /// Every [`FramesError`].
     pub fn open(paths: &[PathBuf]) -> Result<Self, FramesError> {
+        Self::open_placed(paths, Placing::Stated)
+    }
+
+    /// Opens camera folders like [`open`](Self::open), also of cameras whose poses are not stated: they
+    /// are all at one pose.
+    ///
+    /// # Errors
+    /// Every [`FramesError`].
+    pub fn open_unplaced(paths: &[PathBuf]) -> Result<Self, FramesError> {
+        Self::open_placed(paths, Placing::Optional)
+    }
+
+    fn open_placed(paths: &[PathBuf], placing: Placing) -> Result<Self, FramesError> {
         let mut folders = Vec::new();
         for path in paths {
             for path in camera_folder::find(path)? {
-                folders.push(Arc::new(CameraFolder::open(&path)?));
+                folders.push(Arc::new(CameraFolder::open(&path, placing)?));
             }
         }
         one_clock(&folders)?;
@@ -78,6 +93,7 @@ impl RecordedFrames {
         let mut all = Self {
             names: Vec::new(),
             calibrations: Vec::new(),
+            is_placed: Vec::new(),
             frames: Vec::new(),
             lost: Vec::new(),
             origin_s,
@@ -96,6 +112,7 @@ impl RecordedFrames {
                 return Err(FramesError::TooMany { path, cameras, most: MAX_CAMERAS });
             }
             all.names.extend((0..cameras - first).map(|index| folder.name(index)));
+            all.is_placed.resize(cameras, folder.is_placed);
             all.frames.resize(cameras, 0);
             all.lost.resize(cameras, 0);
             all.lost[first] = folder.lost;
@@ -116,6 +133,23 @@ impl RecordedFrames {
     /// The names of the cameras.
     pub fn names(&self) -> &[String] {
         &self.names
+    }
+
+    /// The stated poses of the cameras in `map`, in metres: those of their depth sensors.
+    pub fn stated_poses(&self) -> impl Iterator<Item = Option<&Isometry3<f64>>> {
+        let cameras = self.calibrations.iter().zip(&self.is_placed);
+        cameras.map(|(camera, is_placed)| camera.pose().filter(|_| *is_placed))
+    }
+
+    /// Moves the cameras to these poses in `map`, in metres.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Pose`] if a pose is not finite.
+    pub fn place(&mut self, poses: &[Isometry3<f64>]) -> Result<(), CalibrationError> {
+        for (camera, pose) in self.calibrations.iter_mut().zip(poses) {
+            *camera = camera.at(*pose)?;
+        }
+        Ok(())
     }
 
     /// For each camera, the number of frames played so far, and the total number of lost frames.

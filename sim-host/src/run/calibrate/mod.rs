@@ -5,17 +5,21 @@ pub mod options;
 
 use std::path::Path;
 
-use super::RunError;
+use nalgebra::Isometry3;
+
+use super::{RunError, interruption, progress::Progress, robots_file};
 use crate::{
     calibration::{
-        calibrating::{Calibrated, CalibratedCamera, Options, calibrate},
+        calibrating::{CalibrateError, Calibrated, CalibratedCamera, Options, calibrate},
+        landmark_finder::LandmarkFinder,
         observations::Observations,
         pairing::{PairFault, PairwiseOptions},
         refine::Weighting,
     },
-    camera::{CamerasFile, MountedCamera},
+    camera::{CamerasFile, FrameSource, MountedCamera},
     files,
-    report::{CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult},
+    recording::RecordedFrames,
+    report::{CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera},
 };
 pub use fault::CalibrateFault;
 use options::CalibrateOptions;
@@ -29,14 +33,15 @@ pub struct CalibrateOutcome {
     pub cameras: String,
 }
 
-/// Calibrates the cameras of a file of observations.
+/// Calibrates the cameras of a file of observations or of a recording.
 ///
 /// # Errors
-/// [`RunError::Calibrate`] if a file is invalid or no camera can be calibrated.
+/// [`RunError::Calibrate`] if a file is invalid or no camera can be calibrated; [`RunError::Frames`]
+/// and [`RunError::Robots`] for a recording that can't be read.
 pub fn run(options: &CalibrateOptions) -> Result<CalibrateOutcome, RunError> {
     let path = &options.observations;
-    let observations =
-        Observations::parse(&read(path)?).map_err(|error| CalibrateFault::in_file(path, &error))?;
+    let Seen { observations, stated, unseen } =
+        if path.is_dir() { recorded(path, options.robots.as_deref())? } else { listed(path)? };
     let reference = match &options.reference {
         None => 0,
         Some(name) => observations.camera(name).ok_or_else(|| {
@@ -56,13 +61,70 @@ pub fn run(options: &CalibrateOptions) -> Result<CalibrateOutcome, RunError> {
             format!("no camera is named {name:?}, which is the reference; choose with --reference");
         return Err(CalibrateFault::in_file(path, &reason).into());
     }
+    let reference_pose = reference_pose.or(stated.get(reference).copied().flatten());
     let weighting = if options.unweighted { Weighting::Unweighted } else { Weighting::Covariance };
     let pairwise = PairwiseOptions { gate_sigmas: options.gate, ..PairwiseOptions::default() };
     let calibrated =
         calibrate(&observations, &Options { reference, reference_pose, weighting, pairwise })
-            .map_err(|error| CalibrateFault::in_file(path, &error))?;
-    let report = summarise(path, &observations, &calibrated, reference, weighting);
+            .map_err(|error| CalibrateFault::in_file(path, &with_reasons(&error, &unseen)))?;
+    let mut report = summarise(path, &observations, &calibrated, reference, weighting);
+    report.unseen = unseen;
     Ok(CalibrateOutcome { cameras: cameras_file(&report, &calibrated, &mounted), report })
+}
+
+/// What cameras have seen.
+struct Seen {
+    observations: Observations,
+    /// The poses that a recording states, by camera.
+    stated: Vec<Option<Isometry3<f64>>>,
+    /// The cameras without landmarks.
+    unseen: Vec<UnseenCamera>,
+}
+
+/// The landmarks of a file of observations.
+fn listed(path: &Path) -> Result<Seen, RunError> {
+    let observations =
+        Observations::parse(&read(path)?).map_err(|error| CalibrateFault::in_file(path, &error))?;
+    Ok(Seen { observations, stated: Vec::new(), unseen: Vec::new() })
+}
+
+/// The landmarks in the frames of a recording.
+fn recorded(path: &Path, robots: Option<&Path>) -> Result<Seen, RunError> {
+    let folders = [path.to_owned()];
+    let mut frames = RecordedFrames::open_unplaced(&folders)?;
+    let registry = robots_file::find(robots, &folders)?;
+    if registry.robots.is_empty() {
+        let reason = "no robot, whose marker could be a landmark; name a robots.toml with --robots";
+        return Err(CalibrateFault::in_file(path, &reason).into());
+    }
+    let mut finder = LandmarkFinder::new(frames.cameras(), registry.markers());
+    let progress = Progress::new(frames.end());
+    while !interruption::is_requested()
+        && let Some(now) = frames.next_arrival()
+    {
+        while let Some(frame) = frames.poll(now) {
+            finder.add(&frame);
+        }
+        progress.at(now);
+    }
+    drop(progress);
+    if let Some(fault) = frames.take_fault() {
+        return Err(fault.into());
+    }
+    let names = frames.names();
+    let (observations, unseen) = finder.finish(names);
+    let unseen = unseen.into_iter().map(|(camera, reason)| UnseenCamera {
+        name: names[camera].clone(),
+        reason: reason.to_string(),
+    });
+    let stated = frames.stated_poses().map(Option::<&_>::copied).collect();
+    Ok(Seen { observations, stated, unseen: unseen.collect() })
+}
+
+/// The error, and why cameras have no landmarks.
+fn with_reasons(error: &CalibrateError, unseen: &[UnseenCamera]) -> String {
+    let reasons = unseen.iter().map(|camera| format!("; {}: {}", camera.name, camera.reason));
+    std::iter::once(error.to_string()).chain(reasons).collect()
 }
 
 fn read(path: &Path) -> Result<String, CalibrateFault> {

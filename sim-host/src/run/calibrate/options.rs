@@ -9,12 +9,16 @@ use super::super::options::{OptionError, number};
 /// Options of `ubimap calibrate`.
 #[derive(Args, Clone, Debug)]
 pub struct CalibrateOptions {
-    /// The landmarks that each camera sees (TOML): per camera a name and rows of label, x, y, z in
-    /// metres, in the optical frame; optionally its floor and noise
-    #[arg(value_name = "OBSERVATIONS")]
+    /// A folder of recorded frames, of a robot that is steered through the views of all cameras (the
+    /// folders of ubimap watch, of which no poses are needed); or a file of landmarks (TOML)
+    #[arg(value_name = "RECORDING|OBSERVATIONS")]
     pub observations: PathBuf,
 
-    /// The camera whose pose is given by --cameras, or else defines the origin [default: the first
+    /// The robots of a recording and their markers, instead of its robots.toml
+    #[arg(long, value_name = "TOML")]
+    pub robots: Option<PathBuf>,
+
+    /// The camera whose pose is given by --cameras or by the recording, or else defines the origin [default: the first
     /// one]
     #[arg(long, value_name = "CAMERA")]
     pub reference: Option<String>,

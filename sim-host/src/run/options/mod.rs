@@ -33,6 +33,11 @@ pub struct WatchOptions {
     #[arg(long, value_name = "TOML")]
     pub robots: Option<PathBuf>,
 
+    /// Poses of the cameras, by their names, instead of those in the folders: a file that ubimap
+    /// calibrate or place has written
+    #[arg(long, value_name = "FILE")]
+    pub cameras: Option<PathBuf>,
+
     /// Side of a cell in metres
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
