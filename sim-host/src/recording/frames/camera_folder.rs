@@ -343,7 +343,8 @@ fn poses(folder: &Path, placing: Placing, frames: usize) -> Result<Vec<CameraPos
             let rotation = *pose.rotation.to_rotation_matrix().matrix();
             return Ok(vec![CameraPose::mounted(pose.translation.vector, rotation)]);
         }
-        if placing == Placing::Optional {
+        // Without the depth sensor's pose, that of the pictures says nothing.
+        if placing == Placing::Optional && !has_poses(&folder.join(PICTURES)) {
             return Ok(vec![CameraPose::mounted(NOWHERE.into(), Matrix3::identity())]);
         }
     }
