@@ -2,7 +2,7 @@
 //!
 //! A rigid transform keeps distances: three landmarks of camera i and three of camera j with the
 //! same three distances are a hypothesis, from which trimmed ICP collects all landmarks that agree.
-//! A hypothesis is accepted only if it is much better than chance, and if no other one is.
+//! A hypothesis is accepted only if it is much better than chance, and if no other one is nearly as much.
 //!
 //! "Better than chance" is the number of false alarms of an a contrario test (Desolneux, Moisan and
 //! Morel 2000): the expected number of hypotheses with as many agreeing landmarks if all landmarks
@@ -24,6 +24,9 @@ use super::{
 
 /// Maximum expected number of chance matches of an accepted hypothesis, as a logarithm to base 10.
 const ACCEPTED: f64 = -4.0;
+/// Maximum ratio of the false alarms of a hypothesis and of the best one, as a logarithm to base 10, at
+/// which both are plausible.
+const PLAUSIBLE: f64 = 5.0;
 /// Maximum number of triples of camera i that are tried; below it, all are.
 const TRIPLES: usize = 4000;
 /// Maximum number of hypotheses.
@@ -52,10 +55,10 @@ pub(super) fn find(sets: Sets<'_>, options: &PairwiseOptions) -> Result<Vec<Tie>
     });
     let is_better = |a: &&(f64, Vec<Tie>), b: &&(f64, Vec<Tie>)| a.0.total_cmp(&b.0);
     let best = found.iter().min_by(is_better).filter(|it| it.0 <= ACCEPTED);
-    let Some((_, best)) = best else { return Err(PairFault::NoMatch) };
+    let Some((least, best)) = best else { return Err(PairFault::NoMatch) };
     let rival = found.iter().filter(|(_, ties)| is_other(ties, best)).min_by(is_better);
     match rival {
-        Some((alarms, ties)) if *alarms <= ACCEPTED => {
+        Some((alarms, ties)) if *alarms <= ACCEPTED.min(least + PLAUSIBLE) => {
             Err(PairFault::TwoMatches { first: best.len(), second: ties.len() })
         }
         _ => Ok(best.clone()),
