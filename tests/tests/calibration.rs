@@ -163,7 +163,7 @@ fn errors_are_as_large_as_stated() {
                     count += 1.0;
                 }
             }
-            let ratios = sum.map(|it| (it / count as f64).sqrt());
+            let ratios = sum.map(|it| f64::sqrt(it / count));
             println!("{what}, {weighting:?}: errors are {ratios:.2?} times the stated sigmas");
             assert!(ratios.iter().all(|it| (0.7..1.4).contains(it)), "{what}: {ratios:?}");
         }

@@ -84,6 +84,7 @@ fn folder(name: &str) -> PathBuf {
 
 fn watched(folder: &Path) -> Outcome<WatchReport> {
     let options = WatchOptions {
+        cameras: None,
         folders: vec![folder.to_owned()],
         robots: None,
         resolution: RESOLUTION,

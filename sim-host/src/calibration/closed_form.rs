@@ -46,7 +46,7 @@ fn nearest_rotation(matrix: &Matrix3<f64>) -> Option<Rotation3<f64>> {
     let general = DMatrix::from_iterator(3, 3, matrix.iter().copied());
     let svd = general.try_svd(true, true, f64::EPSILON, 1000)?;
     let values = &svd.singular_values;
-    if !(values[1] > LINE * values[0]) {
+    if values[1].is_nan() || values[1] <= LINE * values[0] {
         return None;
     }
     let u: Matrix3<f64> = svd.u?.fixed_view::<3, 3>(0, 0).into();

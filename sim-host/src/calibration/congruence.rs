@@ -152,7 +152,7 @@ impl Search<'_> {
         let longest = ab.norm().max(ac.norm()).max((ac - ab).norm());
         let sigma_m =
             ([a, b, c].iter().map(|it| it.covariance().trace()).sum::<f64>() / 9.0).sqrt();
-        !(ab.cross(&ac).norm() >= longest * FLATTEST * sigma_m)
+        ab.cross(&ac).norm() < longest * FLATTEST * sigma_m
     }
 
     /// The logarithm of the expected number of hypotheses with as many pairs by chance: the number

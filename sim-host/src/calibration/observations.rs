@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use nalgebra::{Matrix3, Point3, UnitVector3, Vector3};
 
-use super::point_noise::PointNoise;
+use super::point_noise::{LateralNoiseError, PointNoise};
 use crate::camera::CalibrationError;
 
 /// The landmarks and floors that the cameras of a room have seen.
@@ -97,11 +97,8 @@ pub enum ObservationsError {
         camera: usize,
     },
     /// The noise across the ray is invalid.
-    #[error("lateral noise of {lateral_m} m; give a standard deviation from 0 to 1 m")]
-    Noise {
-        /// The standard deviation.
-        lateral_m: f64,
-    },
+    #[error(transparent)]
+    Noise(#[from] LateralNoiseError),
     /// The noise of the depth is invalid.
     #[error(transparent)]
     Depth(#[from] CalibrationError),

@@ -81,10 +81,10 @@ fn conclude(
     let t_ij = tie::closed_form(used.iter().copied()).ok_or(PairFault::Line)?;
     let covariance = closed_form_covariance(&t_ij, &used).ok_or(PairFault::Line)?;
     let angles: nalgebra::Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into();
-    let worst = angles.symmetric_eigenvalues().max();
+    let worst_rad = angles.symmetric_eigenvalues().max().sqrt();
     let sigma_m = used.iter().map(|it| it.sigma_m()).sum::<f64>() / used.len() as f64;
     let is_line = [0, 1].iter().any(|&camera| width_m(&used, camera) < WIDTH_SIGMAS * sigma_m);
-    if is_line || !(worst.sqrt() <= MAX_ANGLE_SIGMA_RAD) {
+    if is_line || worst_rad.is_nan() || worst_rad > MAX_ANGLE_SIGMA_RAD {
         return Err(PairFault::Line);
     }
     let rejected = (0..ties.len()).filter(|it| !agreeing.contains(it)).map(|it| ties[it].index);

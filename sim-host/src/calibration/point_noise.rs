@@ -2,7 +2,6 @@
 
 use nalgebra::{Matrix3, Point3};
 
-use super::observations::ObservationsError;
 use crate::camera::DepthNoise;
 
 /// The standard deviations of a measured point: along its ray and across it.
@@ -16,6 +15,11 @@ pub struct PointNoise {
     depth: DepthNoise,
 }
 
+/// The standard deviation across the ray, in metres, is impossible.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("lateral noise of {0} m; give a standard deviation from 0 to 1 m")]
+pub struct LateralNoiseError(f64);
+
 /// Minimum standard deviation: no landmark gets an infinite weight.
 const LEAST_SIGMA_M: f64 = 1e-6;
 
@@ -27,12 +31,12 @@ impl PointNoise {
     /// along it.
     ///
     /// # Errors
-    /// [`ObservationsError::Noise`] if `lateral_m` is negative, above 1 m, or not finite.
-    pub fn new(lateral_m: f64, depth: DepthNoise) -> Result<Self, ObservationsError> {
+    /// [`LateralNoiseError`] if `lateral_m` is negative, above 1 m, or not finite.
+    pub fn new(lateral_m: f64, depth: DepthNoise) -> Result<Self, LateralNoiseError> {
         if (0.0..=1.0).contains(&lateral_m) {
             Ok(Self { lateral_m, depth })
         } else {
-            Err(ObservationsError::Noise { lateral_m })
+            Err(LateralNoiseError(lateral_m))
         }
     }
 

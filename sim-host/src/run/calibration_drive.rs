@@ -2,19 +2,19 @@
 //! are then those that its markers give. True poses serve for the tour and the comparison alone.
 
 use nalgebra::Isometry3;
-use ubimap_protocol::time::{Duration, Instant};
-
-use super::{
-    RunError,
-    calibrate::CalibrateFault,
-    simulate::{RESOLUTION, registry},
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::Millimetres,
 };
+
+use super::{RunError, calibrate::CalibrateFault};
 use crate::{
     calibration::{
         calibrating::{Calibrated, Options, calibrate},
         landmark_finder::LandmarkFinder,
     },
     camera::{Calibration, FrameSource},
+    deployment::registry::Registry,
     report::CalibrationErrors,
     world::{Scenario, WallGrid, World},
 };
@@ -27,26 +27,28 @@ const MOST: Duration = Duration::from_secs(600);
 const ARRIVED_M: f64 = 0.1;
 
 /// Calibrates the cameras of a scenario by what they see while its first robot is steered through
-/// their views. The pose of the first camera is known. Returns all cameras in the poses found.
+/// their views. `resolution` is the side of the cells of the tour. The pose of the first camera is known. Returns all cameras in the poses found.
 ///
 /// # Errors
 /// [`RunError::Calibrate`] if a camera gets no pose, with the reason.
 pub fn calibrated(
     scenario: &Scenario,
     walls: Option<&WallGrid>,
+    resolution: Millimetres,
+    registry: &Registry,
     seed: u64,
 ) -> Result<(Vec<Calibration>, CalibrationErrors), RunError> {
     let mut scenario = scenario.clone();
     scenario.robots.truncate(1);
-    let world = World::new(&scenario, walls, RESOLUTION, seed)?;
+    let world = World::new(&scenario, walls, resolution, seed)?;
     let tour = world.tour();
     let last = tour.last().copied();
     if let Some(robot) = scenario.robots.first_mut() {
         robot.route.waypoints_m = tour;
     }
-    let mut world = World::new(&scenario, walls, RESOLUTION, seed)?;
+    let mut world = World::new(&scenario, walls, resolution, seed)?;
     let cameras = FrameSource::cameras(&world).to_vec();
-    let mut finder = LandmarkFinder::new(&cameras, registry(&scenario).markers());
+    let mut finder = LandmarkFinder::new(&cameras, registry.markers());
     let mut is_complete = false;
     let mut now = Instant(0);
     while let Some(next) = FrameSource::next_arrival(&world)

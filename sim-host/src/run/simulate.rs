@@ -47,7 +47,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let Furnished { scenario, walls, world } = furnished(options)?;
     let calibrated = if options.calibrate {
-        Some(calibration_drive::calibrated(&scenario, walls.as_ref(), !options.run.seed)?)
+        let (walls, registry, seed) = (walls.as_ref(), registry(&scenario), !options.run.seed);
+        Some(calibration_drive::calibrated(&scenario, walls, RESOLUTION, &registry, seed)?)
     } else {
         None
     };
