@@ -74,13 +74,13 @@ mod tests {
         let mut n = Matrix4::zeros();
         for (p, q) in pairs {
             let (a, b) = (p.coords - from, q.coords - to);
-            // |q a - b q|^2 as a quadratic form of the quaternion (w, x, y, z), negated.
+            // |b q - q a|^2 as a quadratic form of the quaternion (w, x, y, z), negated.
             let (d, s) = (b - a, a + b);
             let m = Matrix4::new(
                 0.0, -d.x, -d.y, -d.z, //
-                d.x, 0.0, s.z, -s.y, //
-                d.y, -s.z, 0.0, s.x, //
-                d.z, s.y, -s.x, 0.0,
+                d.x, 0.0, -s.z, s.y, //
+                d.y, s.z, 0.0, -s.x, //
+                d.z, -s.y, s.x, 0.0,
             );
             n -= m.transpose() * m;
         }
@@ -137,7 +137,8 @@ mod tests {
             points in points(), truth in transforms(),
             noise in prop::collection::vec(prop::array::uniform3(-0.05..0.05), 12),
         ) {
-            prop_assume!(width(&points) > 0.3);
+            let points = &points[..points.len().min(noise.len())];
+            prop_assume!(width(points) > 0.3);
             let pairs: Vec<_> = points
                 .iter()
                 .zip(&noise)

@@ -62,10 +62,10 @@ fn has_moved(before: &BTreeMap<usize, Point3<f64>>, seen: &BTreeMap<usize, Point
 mod tests {
     use super::*;
 
-    /// Sightings of a marker that moves along x with 0.3 m/s, from `first_ms` on.
+    /// Sightings of a marker that moves along x with 0.4 m/s, from `first_ms` on.
     fn trail(first_ms: u64, interval_ms: u64, count: u64) -> Trail {
         let times = (0..count).map(|index| first_ms + interval_ms * index);
-        let seen = |ms| (Instant(1000 * ms), Point3::new(0.0003 * ms as f64, 1.0, 2.0));
+        let seen = |ms| (Instant(1000 * ms), Point3::new(0.0004 * ms as f64, 1.0, 2.0));
         times.map(seen).collect()
     }
 
@@ -73,9 +73,9 @@ mod tests {
     fn positions_are_those_of_one_moment() {
         let trails = BTreeMap::from([(0, trail(5, 66, 30)), (3, trail(40, 70, 30))]);
         let places = places(&trails);
-        assert_eq!(places.len(), 18);
+        assert_eq!(places.len(), 19);
         for (moment, seen) in places {
-            let x = 0.3 * moment.micros() as f64 / 1e6;
+            let x = 0.4 * moment.micros() as f64 / 1e6;
             assert_eq!(seen.len(), 2);
             assert!(seen.values().all(|at| (at - Point3::new(x, 1.0, 2.0)).norm() < 1e-9));
         }
