@@ -8,7 +8,7 @@ use std::{
 };
 
 use image::{ImageBuffer, Luma};
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use ubimap_protocol::{
     message::ObstacleClass,
     time::{Duration, Instant},
@@ -17,11 +17,11 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     channel::fault::Faults,
     deployment::Config,
-    report::WatchReport,
+    report::{SeenFloor, WatchReport},
     run::{
         Outcome,
         fleet::Fleet,
-        options::{ResultOptions, WatchOptions},
+        options::{ResultOptions, TrustFloor, WatchOptions},
         record::{Recorded, Recording},
         room_stage::RoomStage,
         simulate::{RESOLUTION, deployment_config},
@@ -83,10 +83,16 @@ fn folder(name: &str) -> PathBuf {
 }
 
 fn watched(folder: &Path) -> Outcome<WatchReport> {
+    watched_with(folder, TrustFloor::default())
+}
+
+fn watched_with(folder: &Path, trust_floor: TrustFloor) -> Outcome<WatchReport> {
     let options = WatchOptions {
         cameras: None,
         folders: vec![folder.to_owned()],
         robots: None,
+        trust_floor,
+        obstacles: None,
         resolution: RESOLUTION,
         results: ResultOptions { out: PathBuf::new(), json: true },
     };
@@ -192,7 +198,7 @@ const STILLS: [Still; 2] = [
 impl Still {
     /// The camera above the origin of `map`; its pitch, roll and height follow from three points on
     /// the floor.
-    fn pose(&self, image: &ImageBuffer<Luma<u16>, Vec<u16>>) -> String {
+    fn pose(&self, image: &ImageBuffer<Luma<u16>, Vec<u16>>) -> Isometry3<f64> {
         let [fx, fy, cx, cy] = self.intrinsics;
         let point = |[column, row]: [u32; 2]| {
             let about =
@@ -210,26 +216,22 @@ impl Still {
         let axes = [forward, up.cross(&forward), up].map(|axis| axis.transpose());
         let turn = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&axes));
         let turn = UnitQuaternion::from_rotation_matrix(&turn);
-        format!("0 0 {} {} {} {} {}\n", -up.dot(&a), turn.i, turn.j, turn.k, turn.w)
+        Isometry3::from_parts(Translation3::new(0.0, 0.0, -up.dot(&a)), turn)
     }
-}
 
-/// A depth image of a real room, repeated as if a fixed camera had taken it several times.
-#[test]
-fn real_depth_images_are_watched() {
-    for still in STILLS {
-        let Some(data) = data::file(still.name) else { continue };
-        let path = folder(still.name);
+    /// Writes the image twenty times, as if a fixed camera had taken it. `None` without the data.
+    fn recording(&self) -> Option<(PathBuf, Isometry3<f64>)> {
+        let data = data::file(self.name)?;
+        let path = folder(self.name);
         fs::create_dir_all(path.join("depth")).unwrap();
-        let original = data.join("depth").join(still.depth);
+        let original = data.join("depth").join(self.depth);
         let image = image::open(&original).unwrap().into_luma16();
-        let pose = still.pose(&image);
-        fs::write(path.join("pose.txt"), &pose).unwrap();
-        let [fx, fy, cx, cy] = still.intrinsics;
+        let pose = self.pose(&image);
+        let [fx, fy, cx, cy] = self.intrinsics;
         let intrinsics = format!(
             "width = 640\nheight = 480\nfx = {fx}\nfy = {fy}\ncx = {cx}\ncy = {cy}\n\
              depth_per_metre = {}\n",
-            still.per_metre
+            self.per_metre
         );
         fs::write(path.join("intrinsics.toml"), intrinsics).unwrap();
         let mut times = String::new();
@@ -239,13 +241,66 @@ fn real_depth_images_are_watched() {
             times += &format!("{number} {}\n", 0.3 * f64::from(number));
         }
         fs::write(path.join("times.txt"), times).unwrap();
-        let WatchReport { cameras, map, things, .. } = watched(&path).report;
-        println!("{}: at {pose}{cameras:?}, {map:?}", still.name);
-        assert_eq!((cameras[0].frames, cameras[0].lost), (20, 0));
-        // The camera has learnt the room, and sees the floor and the furniture; nothing has moved.
-        assert!(cameras[0].looks >= 3 && map.free > 50 && map.occupied > 20, "{map:?}");
-        assert!(things.is_empty(), "{things:?}");
+        Some((path, pose))
     }
+}
+
+fn write_pose(folder: &Path, pose: &Isometry3<f64>) {
+    let (at, turn) = (pose.translation, pose.rotation);
+    let [i, j, k, w] = [turn.i, turn.j, turn.k, turn.w];
+    let line = format!("{} {} {} {i} {j} {k} {w}\n", at.x, at.y, at.z);
+    fs::write(folder.join("pose.txt"), line).unwrap();
+}
+
+/// Free and occupied cells of a still image, with its pose off by a height in metres and a tilt in
+/// degrees.
+fn cells(
+    path: &Path,
+    pose: &Isometry3<f64>,
+    off: [f64; 2],
+    trust: TrustFloor,
+) -> ([i64; 2], Option<SeenFloor>) {
+    let tilt = UnitQuaternion::from_euler_angles(0.0, off[1].to_radians(), 0.0);
+    let rotation = pose.rotation * pose.rotation.inverse() * tilt * pose.rotation;
+    let height = Translation3::new(0.0, 0.0, off[0]);
+    write_pose(path, &Isometry3::from_parts(height * pose.translation, rotation));
+    let WatchReport { cameras, map, things, .. } = watched_with(path, trust).report;
+    assert_eq!((cameras[0].frames, cameras[0].lost), (20, 0));
+    assert!(cameras[0].looks >= 3 && things.is_empty(), "{things:?}");
+    ([map.free as i64, map.occupied as i64], cameras[0].floor)
+}
+
+/// A depth image of a real room, repeated as if a fixed camera had taken it several times: the camera
+/// learns the room, and sees the floor and the furniture; nothing has moved. If its pose is off, its
+/// floor tells.
+#[test]
+fn real_depth_images_are_watched_and_wrong_poses_corrected() {
+    println!(
+        "| image | pose off by | free and occupied cells | corrected | floor off by |\n|---|---|---|---|---|"
+    );
+    let (mut found, mut there) = (0, 0);
+    for still in STILLS {
+        let Some((path, pose)) = still.recording() else { continue };
+        there += 1;
+        let ([free, occupied], _) = cells(&path, &pose, [0.0; 2], TrustFloor::Always);
+        assert!(free > 50 && occupied > 20, "{free} {occupied}");
+        for off in [[0.0, 0.0], [0.05, 0.0], [-0.05, 0.0], [0.0, 2.0], [0.0, -2.0]] {
+            let (as_stated, floor) = cells(&path, &pose, off, TrustFloor::Never);
+            let (corrected, _) = cells(&path, &pose, off, TrustFloor::Auto);
+            let seen = floor.map_or("no floor".to_owned(), |floor| floor.to_string());
+            println!("| {} | {off:?} | {as_stated:?} | {corrected:?} | {seen} |", still.name);
+            if floor.is_none() {
+                assert_eq!(corrected, as_stated);
+                continue;
+            }
+            found += 1;
+            let differs =
+                (corrected[0] - free).abs() * 50 > free || (corrected[1] - occupied).abs() > 10;
+            assert!(!differs, "{corrected:?} instead of {free}, {occupied}");
+        }
+    }
+    // The floor of one of them fills less than a twentieth of the view.
+    assert!(there == 0 || found == 5, "{found} floors");
 }
 
 /// Five images of a hand-held camera count as five cameras, none of which has enough time to learn

@@ -1,6 +1,6 @@
 //! From observations to the cameras' poses.
 
-use nalgebra::{Isometry3, Matrix6, Vector3};
+use nalgebra::{Isometry3, Matrix6};
 
 use super::{
     frame::Frame,
@@ -12,6 +12,7 @@ use super::{
     sharing::links,
     tie::Tie,
 };
+use crate::perception::FloorError;
 
 /// How cameras are calibrated.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -61,15 +62,6 @@ pub struct CalibratedCamera {
     pub neighbours: Vec<usize>,
     /// How far its floor is from z = 0, if it sees the floor.
     pub floor: Option<FloorError>,
-}
-
-/// The difference between a camera's floor and z = 0.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FloorError {
-    /// Height of the camera in `R0` less that above its floor, in metres.
-    pub height_m: f64,
-    /// Angle between the floor's normal and the z axis, in radians.
-    pub tilt_rad: f64,
 }
 
 /// A pair of cameras after calibration.
@@ -291,7 +283,7 @@ impl Solution {
                 residual_m: rms(&mut of_camera()),
                 landmarks: landmarks.len(),
                 neighbours: of_camera().filter_map(neighbour).collect(),
-                floor: observations.cameras[camera].floor.map(|it| FloorError::new(&it, &pose)),
+                floor: floor_error(observations.cameras[camera].floor, &pose),
             }
         });
         let after = edges.iter().enumerate().filter(|(index, _)| !self.ties[*index].is_empty());
@@ -305,16 +297,6 @@ impl Solution {
                 .collect(),
             failures,
             noise_ratio: self.refined.noise_ratio,
-        }
-    }
-}
-
-impl FloorError {
-    fn new(floor: &Floor, pose: &Isometry3<f64>) -> Self {
-        let normal = pose.rotation * floor.normal;
-        Self {
-            height_m: pose.translation.z - floor.height_m,
-            tilt_rad: normal.angle(&Vector3::z()),
         }
     }
 }
@@ -340,4 +322,8 @@ impl Calibrated {
     pub fn untied(&self) -> impl Iterator<Item = usize> + '_ {
         self.cameras.iter().enumerate().filter(|(_, it)| it.pose.is_none()).map(|(index, _)| index)
     }
+}
+
+fn floor_error(floor: Option<Floor>, pose: &Isometry3<f64>) -> Option<FloorError> {
+    floor.map(|floor| FloorError::new(pose, &floor.normal, floor.height_m))
 }

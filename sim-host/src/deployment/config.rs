@@ -27,6 +27,9 @@ pub struct Config {
     pub cameras: Vec<Calibration>,
     /// The robots and their markers.
     pub registry: Registry,
+    /// The heights between which things block robots; lower ones are floor. `None`: from 30 mm to the
+    /// height of the tallest robot, or 300 mm.
+    pub obstacle_heights: Option<[Millimetres; 2]>,
     /// Settings of the coordinator, which decides where robots drive; `None` for no coordinator.
     pub coordination: Option<Settings>,
     /// Whether constant errors of robots are corrected, and robots in blind ground get fixes.
@@ -44,6 +47,7 @@ impl Config {
             resolution,
             cameras: Vec::new(),
             registry: Registry::default(),
+            obstacle_heights: None,
             coordination: None,
             corrects_errors: true,
             keeps_sightings: false,

@@ -146,7 +146,8 @@ impl Deployment {
     /// # Errors
     /// Every [`RegistryError`]: the robots' markers can't be told apart.
     pub fn new(config: Config, life: Life) -> Result<Self, RegistryError> {
-        let observer = config.registry.observer(&config.cameras, config.resolution)?;
+        let survey = config.registry.survey(config.resolution, config.obstacle_heights);
+        let observer = config.registry.observer(&config.cameras, survey)?;
         let began = life.begins();
         Ok(Self {
             server: server(&config, life),

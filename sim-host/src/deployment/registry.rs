@@ -163,7 +163,7 @@ impl Registry {
             }
         }
         // No cameras are needed to check whether markers are unique.
-        match registry.observer(&[], Survey::default().side) {
+        match registry.observer(&[], Survey::default()) {
             Ok(_) => Ok(registry),
             Err(error @ RegistryError::Twice(..)) => {
                 Err(BadRegistry(format!("{error}; each needs its own")))
@@ -178,24 +178,35 @@ impl Registry {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Creates perception for these cameras and robots, with cells of the given side length.
+    /// The settings of perception for cells of this side length, and for obstacles between two heights;
+    /// `None`: from the default tolerance to the tallest robot, as higher ones do not block robots.
+    pub fn survey(&self, side: Millimetres, heights: Option<[Millimetres; 2]>) -> Survey {
+        let tallest_m = self.robots.iter().map(|robot| robot.height_m).reduce(f64::max);
+        let tallest = Millimetres::from_metres(tallest_m.unwrap_or(USUAL_HEIGHT_M));
+        let usual = Survey { side, robot_height: tallest, ..Survey::default() };
+        let between = |[floor_tolerance, robot_height]: [Millimetres; 2]| Survey {
+            floor_tolerance,
+            robot_height,
+            ..usual
+        };
+        heights.map_or(usual, between)
+    }
+
+    /// Creates perception for these cameras and robots.
     ///
     /// # Errors
     /// Every [`RegistryError`].
     pub fn observer(
         &self,
         cameras: &[Calibration],
-        side: Millimetres,
+        survey: Survey,
     ) -> Result<Observer, RegistryError> {
-        let robots = self.robots.iter();
-        let known: Vec<_> = robots
-            .clone()
+        let known: Vec<_> = self
+            .robots
+            .iter()
             .map(|robot| (robot.identifier(), robot.mount(), robot.footprint()))
             .collect();
-        // Obstacles above the tallest robot do not block robots.
-        let tallest_m = robots.map(|robot| robot.height_m).reduce(f64::max);
-        let robot_height = Millimetres::from_metres(tallest_m.unwrap_or(USUAL_HEIGHT_M));
-        Observer::new(cameras, &known, Survey { side, robot_height, ..Survey::default() })
+        Observer::new(cameras, &known, survey)
     }
 
     /// The markers of the robots.

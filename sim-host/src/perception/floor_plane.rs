@@ -1,6 +1,6 @@
 //! The plane of the floor in a camera's optical frame, from its depth images alone.
 
-use nalgebra::{Matrix3, Point3, UnitVector3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, UnitVector3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -10,6 +10,8 @@ use crate::camera::{DepthImage, DepthNoise, Intrinsics};
 const COLUMNS: u32 = 160;
 /// Maximum number of images: their mean has a sixth of the noise of one.
 const MOST_IMAGES: usize = 31;
+/// Number of images that leave passers-by out.
+const LEAST_IMAGES: usize = 5;
 /// Number of random planes, of which the best is refined. A plane through a fifth of the pixels is
 /// missed in one of 50 cases.
 const TRIALS: usize = 500;
@@ -65,6 +67,11 @@ impl DepthSamples {
         };
         let pixels: Vec<_> = pixels.map(ray).collect();
         Self { noise, depths: vec![Vec::new(); pixels.len()], pixels, images: 0 }
+    }
+
+    /// Whether there are enough images to tell the floor.
+    pub fn is_enough(&self) -> bool {
+        self.images >= LEAST_IMAGES
     }
 
     /// Whether no more images are needed.
@@ -146,6 +153,16 @@ impl FloorPlane {
         (count >= LEAST_POINTS && accepts(&plane)).then_some(plane)
     }
 
+    /// The pose of the camera in `map`, in metres, whose floor is at z = 0: `pose` with another height,
+    /// turned about a horizontal axis.
+    pub fn level(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
+        let normal = pose.rotation * self.normal;
+        let turn = UnitQuaternion::rotation_between(&normal, &Vector3::z()).unwrap_or_default();
+        let mut level = Isometry3::from_parts(pose.translation, turn * pose.rotation);
+        level.translation.z = self.height_m;
+        level
+    }
+
     /// The point at a height above the floor that a ray sees, in the optical frame.
     pub fn point_at(
         &self,
@@ -220,9 +237,29 @@ impl FloorPlane {
     }
 }
 
+/// The difference between a camera's floor and z = 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FloorError {
+    /// Height of the camera in its pose less that above its floor, in metres.
+    pub height_m: f64,
+    /// Angle between the floor's normal and the z axis, in radians.
+    pub tilt_rad: f64,
+}
+
+impl FloorError {
+    /// The error of a camera whose optical frame has this pose in `map`, and sees the floor's normal and
+    /// its height above the floor.
+    pub fn new(pose: &Isometry3<f64>, normal: &UnitVector3<f64>, height_m: f64) -> Self {
+        Self {
+            height_m: pose.translation.z - height_m,
+            tilt_rad: (pose.rotation * normal).angle(&Vector3::z()),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Isometry3, Translation3};
+    use nalgebra::Translation3;
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
@@ -262,6 +299,24 @@ mod tests {
             let tilt_deg = found.normal.angle(&up).to_degrees();
             assert!((found.height_m - 2.8).abs() < 0.003 && tilt_deg < 0.08, "{found:?}");
         }
+    }
+
+    #[test]
+    fn a_pose_is_levelled_by_its_floor() {
+        let rotation = Orientation { tilt_rad: 0.9, heading_rad: 0.4, roll_rad: 0.0 }.rotation();
+        let truth = Isometry3::from_parts(Translation3::new(1.0, 2.0, 2.8), rotation);
+        let normal = UnitVector3::new_normalize(rotation.inverse() * Vector3::z());
+        let plane = FloorPlane { normal, height_m: 2.8, share: 1.0 };
+        // Tilt, roll and height are wrong; the floor can't tell the heading.
+        let turn = UnitQuaternion::from_euler_angles(0.03, -0.02, 0.0);
+        let stated = Isometry3::from_parts(Translation3::new(1.0, 2.0, 2.85), turn * rotation);
+        let error = FloorError::new(&stated, &plane.normal, plane.height_m);
+        assert!((error.height_m - 0.05).abs() < 1e-12);
+        assert!((error.tilt_rad - 0.036).abs() < 1e-3, "{error:?}");
+        let level = plane.level(&stated);
+        assert_eq!(FloorError::new(&level, &plane.normal, plane.height_m).height_m, 0.0);
+        assert!((level.translation.vector - truth.translation.vector).norm() < 1e-12);
+        assert!(level.rotation.angle_to(&truth.rotation) < 1e-3);
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub use background::Background;
 pub use detector::{Detection, Detector};
 pub use evidence::{Evidence, Figure};
 pub use eye::{Eye, FrameError};
-pub use floor_plane::{DepthSamples, FloorPlane};
+pub use floor_plane::{DepthSamples, FloorError, FloorPlane};
 pub use footprint::Footprint;
 pub use observer::Observer;
 pub use ray_table::{RayTable, Survey};

@@ -75,7 +75,21 @@ impl Brief for WatchReport {
 
     fn agreement(&self) -> String {
         let looked = self.cameras.iter().filter(|camera| camera.looks > 0).count();
-        format!("{looked} of {} drew the map", count(self.cameras.len(), "camera"))
+        let drew = format!("{looked} of {} drew the map", count(self.cameras.len(), "camera"));
+        let floors = || self.cameras.iter().filter_map(|camera| camera.floor);
+        if floors().count() == 0 {
+            return drew;
+        }
+        let height_m = floors().map(|floor| floor.height_m.abs()).fold(0.0, f64::max);
+        let tilt_deg = floors().map(|floor| floor.tilt_deg).fold(0.0, f64::max);
+        let corrected = match floors().filter(|floor| floor.is_corrected).count() {
+            0 => String::new(),
+            number => format!(", {number} corrected"),
+        };
+        format!(
+            "{drew}; floors within {:.1} cm and {tilt_deg:.2} degrees of z = 0{corrected}",
+            100.0 * height_m
+        )
     }
 
     fn time(&self) -> String {

@@ -34,7 +34,9 @@ pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
     RobotSummary, TruthScores,
 };
-pub use watching::{CameraSummary, PassedEvent, SeenMap, SeenRobot, SeenThing, WatchReport};
+pub use watching::{
+    CameraSummary, PassedEvent, SeenFloor, SeenMap, SeenRobot, SeenThing, WatchReport,
+};
 
 /// A report as indented JSON with a trailing line break.
 pub fn json_pretty(report: &impl Serialize) -> String {

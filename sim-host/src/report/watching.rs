@@ -44,6 +44,29 @@ pub struct CameraSummary {
     pub lost: u64,
     /// Frames whose depth image was evaluated and reported the state of cells.
     pub looks: u64,
+    /// The floor that it sees, against z = 0 in its stated pose; `None` if there were too few depth images
+    /// or it sees none.
+    pub floor: Option<SeenFloor>,
+}
+
+/// A camera's floor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SeenFloor {
+    /// Stated height of the camera less that above its floor, in metres.
+    pub height_m: f64,
+    /// Angle between the floor and the horizontal, in degrees.
+    pub tilt_deg: f64,
+    /// The part of the measured pixels that see the floor.
+    pub share: f64,
+    /// Whether height and tilt of the camera were corrected.
+    pub is_corrected: bool,
+}
+
+impl fmt::Display for SeenFloor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:+.1} cm, {:.2} degrees", 100.0 * self.height_m, self.tilt_deg)?;
+        if self.is_corrected { write!(f, ", corrected") } else { Ok(()) }
+    }
 }
 
 /// The sightings of a robot.
@@ -126,9 +149,10 @@ impl Default for WatchReport {
 /// A table of the cameras and one of the robots, and a line for each of the other figures.
 impl fmt::Display for WatchReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "{:<20} {:>7} {:>5} {:>6}", "camera", "frames", "lost", "looks")?;
-        for CameraSummary { name, frames, lost, looks } in &self.cameras {
-            writeln!(f, "{name:<20} {frames:>7} {lost:>5} {looks:>6}")?;
+        writeln!(f, "{:<20} {:>7} {:>5} {:>6}  floor off by", "camera", "frames", "lost", "looks")?;
+        for CameraSummary { name, frames, lost, looks, floor } in &self.cameras {
+            let floor = floor.map_or("not found".to_owned(), |floor| floor.to_string());
+            writeln!(f, "{name:<20} {frames:>7} {lost:>5} {looks:>6}  {floor}")?;
         }
         if !self.robots.is_empty() {
             writeln!(f, "robot    seen    last (s)     x (m)    y (m)  heading (degrees)")?;

@@ -11,6 +11,7 @@ mod convergence;
 mod driving;
 mod figures;
 pub mod fleet;
+mod floors;
 pub mod heap;
 pub mod interruption;
 pub mod keeper;

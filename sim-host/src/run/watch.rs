@@ -12,7 +12,7 @@ use ubimap_protocol::{
 };
 
 use super::{
-    Outcome, RunError, interruption, markers, options::WatchOptions, progress::Progress,
+    Outcome, RunError, floors, interruption, markers, options::WatchOptions, progress::Progress,
     robots_file, terminal,
 };
 use crate::{
@@ -23,8 +23,8 @@ use crate::{
     mapping::ServedLayer,
     recording::{LogError, RecordedFrames},
     report::{
-        self, CameraSummary, Caption, HexDigest, Marker, MarkerKind, PassedEvent, SeenMap,
-        SeenRobot, SeenThing, WatchReport,
+        self, CameraSummary, Caption, HexDigest, Marker, MarkerKind, PassedEvent, SeenFloor,
+        SeenMap, SeenRobot, SeenThing, WatchReport,
     },
     server::Server,
 };
@@ -39,12 +39,14 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         Some(path) => placed(RecordedFrames::open_unplaced(&options.folders)?, path)?,
         None => RecordedFrames::open(&options.folders)?,
     };
+    let floors = floors::check(&options.folders, &mut frames, options.trust_floor)?;
     frames.notes().iter().for_each(|note| log::info!("{note}"));
     let registry = robots_file::find(options.robots.as_deref(), &options.folders)?;
     let config = Config {
         cameras: frames.cameras().to_vec(),
         registry: registry.clone(),
         keeps_sightings: true,
+        obstacle_heights: options.obstacles,
         ..Config::new(options.resolution)
     };
     let mut deployment = Deployment::new(config, Life::default())?;
@@ -59,7 +61,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let server = deployment.server();
     let (map, coverage) = (seen.grid(server.fused())?, seen.grid(server.coverage())?);
     let report = WatchReport {
-        cameras: seen.cameras(),
+        cameras: seen.cameras(&floors),
         robots: seen.robots(&registry),
         things: markers::followed(&deployment, end).iter().map(thing).collect(),
         events: events(server, &frames),
@@ -168,7 +170,7 @@ impl Seen<'_> {
     }
 
     /// The figures of each camera. Warns of cameras that have contributed nothing.
-    fn cameras(&self) -> Vec<CameraSummary> {
+    fn cameras(&self, floors: &[Option<SeenFloor>]) -> Vec<CameraSummary> {
         let (status, frames) = (self.deployment.status(), self.frames);
         let cameras = frames.cameras().iter().zip(frames.names()).zip(frames.counts());
         let summaries = cameras.enumerate().map(|(camera, ((calibration, name), counts))| {
@@ -181,7 +183,8 @@ impl Seen<'_> {
                      apart, to learn the background; otherwise check its pose (z up, floor at 0)"
                 );
             }
-            CameraSummary { name: name.clone(), frames, lost, looks }
+            let floor = floors.get(camera).copied().flatten();
+            CameraSummary { name: name.clone(), frames, lost, looks, floor }
         });
         summaries.collect()
     }

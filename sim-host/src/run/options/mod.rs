@@ -6,7 +6,7 @@ mod values;
 
 use std::path::PathBuf;
 
-use clap::{ArgAction, Args, value_parser};
+use clap::{ArgAction, Args, ValueEnum, value_parser};
 use log::LevelFilter;
 use ubimap_protocol::{
     time::{Duration, Instant},
@@ -16,7 +16,7 @@ use ubimap_protocol::{
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
 pub(super) use values::{OptionError, number};
-use values::{milliseconds, pose, probability, resolution, seconds, tolerance};
+use values::{heights, milliseconds, pose, probability, resolution, seconds, tolerance};
 
 use crate::channel::fault::Faults;
 
@@ -38,6 +38,16 @@ pub struct WatchOptions {
     #[arg(long, value_name = "FILE")]
     pub cameras: Option<PathBuf>,
 
+    /// When to correct the height and the tilt of a camera by the floor that it sees: if the floor is off by
+    /// more than 1 cm or 0.5 degrees and fills a tenth of the view, whenever it is found, or never
+    #[arg(long, value_name = "WHEN", value_enum, default_value_t)]
+    pub trust_floor: TrustFloor,
+
+    /// Heights above the floor in metres between which things block robots [default: 0.03 to the height of
+    /// the tallest robot, or 0.3]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = heights, allow_negative_numbers = true)]
+    pub obstacles: Option<[Millimetres; 2]>,
+
     /// Side of a cell in metres
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
@@ -45,6 +55,18 @@ pub struct WatchOptions {
     /// Options for the results.
     #[command(flatten)]
     pub results: ResultOptions,
+}
+
+/// When a camera's pose is corrected by its floor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum TrustFloor {
+    /// If it is clearly off, and fills enough of the view
+    #[default]
+    Auto,
+    /// Whenever it is found
+    Always,
+    /// Not at all: only report it
+    Never,
 }
 
 /// Options of `ubimap serve`.

@@ -17,6 +17,8 @@ pub(in crate::run) enum OptionError {
     FractionOfMillimetre,
     #[error("must be X,Y,DEG: metres, metres, degrees")]
     NotAPose,
+    #[error("must be LOW,HIGH: two heights in metres, the lower one first")]
+    NotHeights,
 }
 
 pub(super) fn robots() -> clap::builder::RangedI64ValueParser<u16> {
@@ -48,6 +50,17 @@ pub(super) fn resolution(text: &str) -> Result<Millimetres, OptionError> {
         return Err(OptionError::FractionOfMillimetre);
     }
     Ok(Millimetres::from_metres(metres))
+}
+
+/// Two heights, the lower one first, in whole millimetres.
+pub(super) fn heights(text: &str) -> Result<[Millimetres; 2], OptionError> {
+    let (low, high) = text.split_once(',').ok_or(OptionError::NotHeights)?;
+    let height = |text: &str| {
+        number(text.trim(), 0.005, 10.0, "m")
+            .map(|metres| Millimetres((metres * 1000.0).round() as i32))
+    };
+    let heights = [height(low)?, height(high)?];
+    if heights[0] < heights[1] { Ok(heights) } else { Err(OptionError::NotHeights) }
 }
 
 pub(super) fn max_range(text: &str) -> Result<Millimetres, OptionError> {
@@ -92,6 +105,10 @@ mod tests {
         assert_eq!(resolution("0.029"), Ok(Millimetres(29)));
         assert_eq!(resolution("0.0505"), Err(OptionError::FractionOfMillimetre));
         assert!(resolution("0").is_err() && max_range("-4").is_err());
+        assert_eq!(heights("0.03, 0.4"), Ok([Millimetres(30), Millimetres(400)]));
+        assert_eq!(heights("0.4,0.03"), Err(OptionError::NotHeights));
+        assert_eq!(heights("0.4"), Err(OptionError::NotHeights));
+        assert!(heights("0,0.4").is_err() && heights("0.1,x").is_err());
         assert_eq!(milliseconds("0.25"), Ok(Duration::from_micros(250)));
         assert_eq!(pose("-1.5, 2,90"), Ok(Pose::from_metres(-1.5, 2.0, FRAC_PI_2)));
         assert_eq!(pose("1,2"), Err(OptionError::NotAPose));
