@@ -42,7 +42,10 @@ pub fn calibrated(
     scenario.robots.truncate(1);
     let world = World::new(&scenario, walls, resolution, seed)?;
     let tour = world.tour();
-    let last = tour.last().copied();
+    let Some(&last) = tour.last() else {
+        let reason = "no marker of a robot can be in the pictures of two cameras at once; let their views overlap more";
+        return Err(CalibrateFault::of("--calibrate", &reason).into());
+    };
     if let Some(robot) = scenario.robots.first_mut() {
         robot.route.waypoints_m = tour;
     }
@@ -60,7 +63,8 @@ pub fn calibrated(
             finder.add(&frame);
         }
         let at = world.robots().first().map(|robot| robot.truth());
-        is_complete |= last.zip(at).is_none_or(|([x, y], at)| {
+        is_complete |= at.is_none_or(|at| {
+            let [x, y] = last;
             libm::hypot(at.x.metres() - x, at.y.metres() - y) < ARRIVED_M
         });
     }
