@@ -51,7 +51,7 @@ fn simulated(words: &[&str]) -> Report {
 }
 
 #[test]
-#[ignore = "long: cargo thorough"]
+#[ignore = "long: cargo camera-server"]
 fn a_room_on_calibrated_cameras_is_as_good() {
     println!("| seed | true poses | calibrated | cameras within |\n|---|---|---|---|");
     for seed in seeds(1) {
