@@ -366,6 +366,7 @@ impl Deployment {
             robot,
             state: robot.and_then(|robot| self.server.state(robot)),
             link: self.server.link_counters(port),
+            messages: self.server.message_counters(port),
             bytes_sent: self.server.bytes_sent(port),
         }
     }

@@ -7,6 +7,7 @@
 mod brief;
 mod calibrating;
 mod comparison;
+mod link;
 mod output;
 mod output_file;
 mod picture;
@@ -22,6 +23,7 @@ pub use calibrating::{
     CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera,
 };
 pub use comparison::{Comparison, Published};
+pub use link::LinkSummary;
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
 pub use picture::{

@@ -9,8 +9,8 @@ use super::{fleet::Fleet, member::Member};
 use crate::{
     deployment::PortId,
     grid::OccupancyGrid,
-    report::{Comparison, HexDigest, MapSummary, Pixels, Report, RobotSummary},
-    server::EventLog,
+    report::{Comparison, HexDigest, LinkSummary, MapSummary, Pixels, Report, RobotSummary},
+    server::{EventLog, MessageCounters},
 };
 
 /// The report of a run, without the figures that only the command knows.
@@ -62,6 +62,14 @@ fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary 
         bytes_up: counted.bytes_sent,
         bytes_up_map: counted.bytes_sent_map,
         retransmissions: robot.robot().link_counters().retransmissions.into(),
+        link: LinkSummary::new(
+            robot.robot().link_counters(),
+            MessageCounters {
+                unknown: counted.unknown_messages,
+                malformed: counted.malformed_messages,
+                late: 0,
+            },
+        ),
         frames_lost: robot.frames_lost(),
         tiles: tiles as u64,
         tiles_evicted: robot.robot().own_tiles().evicted().into(),
@@ -82,6 +90,9 @@ fn known_to_the_server(fleet: &Fleet<'_>, robot: RobotId, port: PortId) -> Robot
     RobotSummary {
         id: robot.0,
         bytes_down: port.map_or(0, |port| port.bytes_sent),
+        server_link: port
+            .map(|port| LinkSummary::new(port.link, port.messages))
+            .unwrap_or_default(),
         events: server.events(robot).map_or(0, EventLog::count),
         news_left_out: server.left_out(robot),
         digest: HexDigest(digest.0),

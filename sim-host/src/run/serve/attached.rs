@@ -4,7 +4,6 @@
 use std::time;
 
 use ubimap_protocol::{
-    link::Counters,
     message::{Event, State},
     time::{Duration, Instant},
     units::{Pose, RobotId},
@@ -13,7 +12,7 @@ use ubimap_protocol::{
 use crate::{
     channel::{serial::SerialError, wire::Wire},
     deployment::PortStatus,
-    report::{EventSummary, PortSummary, StateSummary},
+    report::{EventSummary, LinkSummary, PortSummary, StateSummary},
     server::{self, EventLog, Server},
 };
 
@@ -39,7 +38,7 @@ pub struct Attached {
     bytes_up: u64,
     bytes_down: u64,
     /// Counters of the links that ended with a hang-up.
-    ended: Counters,
+    ended: LinkSummary,
 }
 
 impl Attached {
@@ -65,7 +64,7 @@ impl Attached {
             is_stalled: false,
             bytes_up: 0,
             bytes_down: 0,
-            ended: Counters::default(),
+            ended: LinkSummary::default(),
         })
     }
 
@@ -151,22 +150,13 @@ impl Attached {
     }
 
     /// Counters of all links so far: those that ended, and the one with this status.
-    fn counters(&self, status: Option<&PortStatus>) -> Counters {
-        let link = status.map(|status| status.link).unwrap_or_default();
-        let ended = self.ended;
-        Counters {
-            sent: ended.sent.wrapping_add(link.sent),
-            retransmissions: ended.retransmissions.wrapping_add(link.retransmissions),
-            received: ended.received.wrapping_add(link.received),
-            duplicates: ended.duplicates.wrapping_add(link.duplicates),
-            bad: ended.bad.wrapping_add(link.bad),
-            refused: ended.refused.wrapping_add(link.refused),
-        }
+    fn counters(&self, status: Option<&PortStatus>) -> LinkSummary {
+        let current = status.map(|status| LinkSummary::new(status.link, status.messages));
+        self.ended.plus(current.unwrap_or_default())
     }
 
     /// The report on the port. `status` is the status of its current link; `None` if none is open.
     pub(super) fn summary(&self, status: Option<&PortStatus>, server: &Server) -> PortSummary {
-        let link = self.counters(status);
         let events = self.robot.and_then(|robot| server.events(robot));
         PortSummary {
             port: self.name.clone(),
@@ -177,9 +167,7 @@ impl Attached {
             events: events.map_or(0, EventLog::count),
             newest_events: events.map(summaries).unwrap_or_default(),
             time_requests: self.robot.map_or(0, |robot| server.time_requests(robot)),
-            frames_received: link.received,
-            frames_bad: link.bad,
-            retransmissions: link.retransmissions,
+            link: self.counters(status),
             bytes_up: self.bytes_up,
             bytes_down: self.bytes_down,
         }
