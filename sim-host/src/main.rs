@@ -17,7 +17,10 @@ use ubimap_sim_host::{
     run::{
         Outcome, RunError, backup,
         calibrate::{self, options::CalibrateOptions},
-        compare, interruption,
+        compare,
+        conformance::{self, options::ConformanceOptions},
+        decode::{self, DecodeOptions},
+        interruption,
         options::{
             BackupOptions, CompareOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
@@ -60,6 +63,10 @@ enum Command {
     Backup(BackupOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
+    /// Check another implementation of the protocol, robot or server, against SPEC.md
+    Conformance(ConformanceOptions),
+    /// Put captured bytes of a link into words, frame by frame
+    Decode(DecodeOptions),
 }
 
 fn main() -> ExitCode {
@@ -67,7 +74,14 @@ fn main() -> ExitCode {
         Ok(command_line) => command_line,
         Err(error) => return refuse_use(&error),
     };
-    if !matches!(command, Command::Calibrate(_) | Command::Compare(_) | Command::Backup(_)) {
+    if !matches!(
+        command,
+        Command::Calibrate(_)
+            | Command::Compare(_)
+            | Command::Backup(_)
+            | Command::Conformance(_)
+            | Command::Decode(_)
+    ) {
         interruption::listen();
     }
     let level = match command {
@@ -95,6 +109,8 @@ fn main() -> ExitCode {
         Command::Serve(options) => serve(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
+        Command::Conformance(options) => conformance(&options),
+        Command::Decode(options) => decode(&options),
     };
     finished.unwrap_or_else(|error| fail(&error))
 }
@@ -180,6 +196,32 @@ fn backup(options: &BackupOptions) -> Result<ExitCode, RunError> {
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     let scores = compare::run(options)?;
     print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Succeeds if no check has failed.
+fn conformance(options: &ConformanceOptions) -> Result<ExitCode, RunError> {
+    if options.list {
+        print(&conformance::list(options.role.into()))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let file = options.junit.as_deref().map(OutputFile::create).transpose()?;
+    let mut printed = Ok(());
+    let report = conformance::run(options, |result| {
+        if !options.json && printed.is_ok() {
+            printed = print(&result.to_string());
+        }
+    })?;
+    printed?;
+    if let Some(file) = file {
+        file.finish(report.junit().as_bytes())?;
+    }
+    print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
+    Ok(status(report.conforms()))
+}
+
+fn decode(options: &DecodeOptions) -> Result<ExitCode, RunError> {
+    print(&decode::run(options)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

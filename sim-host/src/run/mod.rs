@@ -7,7 +7,9 @@ mod body;
 pub mod calibrate;
 pub mod calibration_drive;
 pub mod compare;
+pub mod conformance;
 mod convergence;
+pub mod decode;
 mod driving;
 mod figures;
 pub mod fleet;
@@ -41,7 +43,7 @@ use serde::Serialize;
 use ubimap_agent::ConfigError;
 
 use crate::{
-    channel::serial::SerialError,
+    channel::wire::WireError,
     grid::{self, GridError, MapError, OccupancyGrid},
     perception::robots::RegistryError,
     recording::{FramesError, LogError},
@@ -131,7 +133,31 @@ pub enum RunError {
     Scenario(#[from] ScenarioError),
     /// A serial port can't be opened.
     #[error(transparent)]
-    Port(#[from] SerialError),
+    Port(#[from] WireError),
+    /// There is no check with this number.
+    #[error("--only {number}: there is no such check; --list shows 1 to {checks}")]
+    NoCheck {
+        /// The number.
+        number: usize,
+        /// Number of checks.
+        checks: usize,
+    },
+    /// A capture can't be read.
+    #[error("{name}: {reason}")]
+    Capture {
+        /// The file, or the text in its place.
+        name: String,
+        /// The reason, in one line.
+        reason: String,
+    },
+    /// A socket without seals.
+    #[error(
+        "{address}: whoever reaches a socket could pose as a robot; give --open to allow that, on a bench"
+    )]
+    Unsealed {
+        /// The socket.
+        address: String,
+    },
     /// The number of poses is neither zero, one, nor the number of ports.
     #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
@@ -201,6 +227,9 @@ impl RunError {
             | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
+            | Self::NoCheck { .. }
+            | Self::Capture { .. }
+            | Self::Unsealed { .. }
             | Self::Poses { .. }
             | Self::Robot(_)
             | Self::Registry(_)
