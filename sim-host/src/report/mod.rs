@@ -6,6 +6,7 @@
 
 mod brief;
 mod calibrating;
+mod cameras;
 mod comparison;
 mod output;
 mod output_file;
@@ -21,6 +22,7 @@ pub use brief::{Brief, brief};
 pub use calibrating::{
     CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera,
 };
+pub use cameras::CameraMove;
 pub use comparison::{Comparison, Published};
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
