@@ -25,27 +25,78 @@ use ubimap_tests::vectors::{direction_name, folder, hex, planes};
 
 use super::{FRAME_LIMIT, outcome_of};
 
+#[path = "first_steps.rs"]
+mod first_steps;
+#[path = "rows.rs"]
+mod rows;
+#[path = "timing.rs"]
+mod timing;
+#[path = "trace.rs"]
+mod trace;
+
 const TO_SERVER: Direction = Direction::ToServer;
 const TO_ROBOT: Direction = Direction::ToRobot;
 
-pub(super) fn all() {
-    write("frames", &json!({ "stuffing": stuffing(), "frames": frames() }));
-    write("messages", &messages());
-    write("payloads", &payloads());
-    write("tiles", &tiles());
-    write("replica", &replica());
-    write("digests", &digests());
-    write("handshake", &json!({ "transcript": transcript(), "answers": answers() }));
-    write("window", &window());
-    let refused = json!({
-        "frames": refused_frames(), "payloads": refused_payloads(), "messages": refused_messages(),
-    });
-    write("refused", &refused);
+/// All files of vectors that are generated here, by name.
+pub(super) fn all() -> Vec<(&'static str, Value)> {
+    vec![
+        ("first_steps", first_steps::first_steps()),
+        ("frames", json!({ "stuffing": stuffing(), "frames": frames() })),
+        ("messages", messages()),
+        ("payloads", payloads()),
+        ("tiles", tiles()),
+        ("replica", replica()),
+        ("rows", rows::rows()),
+        ("digests", digests()),
+        ("handshake", json!({ "transcript": transcript(), "answers": answers() })),
+        ("window", window()),
+        ("timing", timing::timing()),
+        (
+            "refused",
+            json!({
+                "frames": refused_frames(), "payloads": refused_payloads(),
+                "messages": refused_messages(),
+            }),
+        ),
+    ]
 }
 
-fn write(name: &str, cases: &Value) {
-    let text = serde_json::to_string_pretty(cases).unwrap() + "\n";
-    fs::write(folder().join(name).with_extension("json"), text).unwrap();
+/// Writes all files.
+pub(super) fn write_all() {
+    for (name, cases) in all() {
+        let text = match name {
+            "first_steps" | "timing" => printed(&cases),
+            _ => serde_json::to_string_pretty(&cases).unwrap(),
+        };
+        fs::write(folder().join(name).with_extension("json"), text + "\n").unwrap();
+    }
+}
+
+/// Indented JSON in which a list of numbers and names is one line.
+fn printed(value: &Value) -> String {
+    let text = serde_json::to_string_pretty(value).unwrap();
+    let mut lines: Vec<String> = Vec::new();
+    let mut list: Vec<String> = Vec::new();
+    for line in text.lines() {
+        let inner = line.trim();
+        if inner.ends_with('[') {
+            lines.append(&mut list);
+            list.push(line.into());
+        } else if list.is_empty() {
+            lines.push(line.into());
+        } else if inner.starts_with(']') {
+            let (first, rest) = list.split_first().unwrap();
+            let rest: Vec<&str> = rest.iter().map(|it| it.trim()).collect();
+            lines.push(format!("{first}{}{inner}", rest.join(" ")));
+            list.clear();
+        } else if inner.ends_with(['{', '}']) || inner.ends_with("},") {
+            lines.append(&mut list);
+            lines.push(line.into());
+        } else {
+            list.push(line.into());
+        }
+    }
+    lines.join("\n")
 }
 
 fn stuff(contents: &[u8]) -> Vec<u8> {
@@ -1043,7 +1094,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 23] = [
+    let cases: [(&str, Direction, u8, &[u8]); 25] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1063,6 +1114,8 @@ fn refused_messages() -> Value {
             1,
             &[1, 1, 0xFF, 0xFF, 0x07, 99, 0xFA, 1, 100, 16],
         ),
+        ("ack, a sequence number of more than 11 bits", TO_SERVER, 0, &[0x80, 0x10, 0]),
+        ("ack to a robot, a sequence number of more than 11 bits", TO_ROBOT, 0, &[0x80, 0x10, 0]),
         ("ack, bits of more than 32 bits", TO_SERVER, 0, &[5, 0xFF, 0xFF, 0xFF, 0xFF, 0x10]),
         ("time request, empty", TO_SERVER, 2, &[]),
         ("state, an option that is neither", TO_SERVER, 4, &[2, 0, 0, 0]),
