@@ -103,7 +103,9 @@ def step(case):
 def stuffing(case):
     stuffed = unhex(case, "bytes" if "bytes" in case else "wire")
     equal(wire.stuff(unhex(case, "contents")), stuffed)
-    equal(wire.unstuff(stuffed[:-1], 1024), unhex(case, "contents"))
+    contents = unhex(case, "contents")
+    equal(wire.unstuff(stuffed[:-1], len(contents)), contents)
+    equal(refused(lambda: wire.unstuff(stuffed[:-1], len(contents) - 1)), "too long")
 
 
 def frame(case):
@@ -214,6 +216,10 @@ def retransmissions(case):
     equal(events, case["events"])
 
 
+def acknowledged(case):
+    equal(wire.acknowledges(case["next"], case["later"], case["sequence"]), case["arrived"])
+
+
 def clock(case):
     kept = wire.Clock()
     for exchange, ahead in case["exchanges"]:
@@ -275,14 +281,16 @@ def answer(case):
 
 
 def window(case):
-    held = wire.Window()
+    held, first = wire.Window(), case.get("first", 0)
+    for sequence in range(first):
+        equal(held.arrive(sequence), "new")
     for arrival in case["frames"]:
         _, _, sequence, _ = wire.read_frame(unhex(arrival, "wire"), wire.TO_SERVER, case["session"])
         equal(held.arrive(sequence), arrival["outcome"])
     equal((held.next, held.later), (case["next"], case["later"]))
     ack = wire.write_message(wire.TO_ROBOT, 0, {"next": held.next, "later": held.later})
     body = wire.write_payload([(0, ack)])
-    sent = wire.write_frame(wire.TO_ROBOT, case["session"], 1, wire.DATAGRAM, 0, body)
+    sent = wire.write_frame(wire.TO_ROBOT, case["session"], 1, wire.DATAGRAM, first, body)
     equal(sent, unhex(case, "answer"))
 
 
@@ -360,6 +368,7 @@ def suites():
     yield hellos, times["hellos"]
     yield acknowledgements, times["acknowledgements"]
     yield retransmissions, times["retransmissions"]
+    yield acknowledged, times["acknowledged"]
     yield clock, times["clocks"]
     yield digest, load("digests")
     yield coder, coders["coder"]
@@ -385,7 +394,7 @@ def main():
                 failed += 1
                 if "--brief" in sys.argv:
                     return True
-                print(f"{check.__name__}, {case['name']}: {type(error).__name__}: {error}")
+                print(f"{check.__name__}, {case.get('name', case)}: {type(error).__name__}: {error}")
     print(f"{passed} passed, {failed} failed")
     return failed != 0
 

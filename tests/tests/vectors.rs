@@ -366,7 +366,16 @@ fn hellos_are_answered() {
 fn reliable_frames_are_acknowledged() {
     for case in list(&cases("window")) {
         let mut end = Endpoint::<ToRobot, u8, 8, 64>::new();
-        end.begin(SessionId(number(case, "session") as u32), 64);
+        let session = SessionId(number(case, "session") as u32);
+        end.begin(session, 64);
+        for sequence in 0..case["first"].as_u64().unwrap_or(0) as u16 {
+            let header = Header { version: 1, kind: FrameKind::Reliable, sequence };
+            let wire = frame(Direction::ToServer, session, header, &[9, 0]);
+            assert!(matches!(end.receive(&mut &wire[..], Instant(0)), Some(Received::Session(_))));
+            let due = end.poll_timeout().unwrap();
+            let sent = end.poll_transmit(due, &mut [0; 64], false, |_, _| Fill::Nothing);
+            assert!(sent.is_some());
+        }
         for frame in list(&case["frames"]) {
             let before = end.counters();
             let wire = bytes(frame, "wire");

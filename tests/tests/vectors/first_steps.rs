@@ -29,35 +29,67 @@ pub(super) fn first_steps() -> Value {
     json!([
         stage("varint", "1.2", varints()),
         stage("zigzag", "1.2", zigzags()),
-        stage("stuffing", "2.2", json!([
-            { "contents": "11000022", "bytes": hex(&stuff(&[0x11, 0, 0, 0x22])) },
-            { "contents": "1100", "bytes": hex(&stuff(&[0x11, 0])) },
-        ])),
-        stage("header", "2.3", json!([
-            { "version": 1, "kind": "datagram", "sequence": 3, "bytes": hex(&header.encode()) },
-        ])),
-        stage("crc", "2.4", json!([
-            { "contents": hex(b"123456789"), "crc": crc32(&[b"123456789"]) },
-            { "contents": "", "crc": crc32(&[]) },
-        ])),
-        stage("seal", "2.4", json!([{
-            "direction": "to server", "session": 0xA1B2_C3D4u32, "contents": hex(&contents),
-            "bytes": hex(&seal(SessionId(0xA1B2_C3D4), TO_SERVER, &contents)),
-        }])),
-        stage("frame", "2.1", json!([{
-            "direction": "to server", "session": 0xA1B2_C3D4u32, "version": 1, "kind": "datagram",
-            "sequence": 3, "payload": hex(&contents[2..]), "bytes": hex(&frame),
-        }])),
-        stage("payload", "2.5", json!([
-            { "bytes": hex(&request), "messages": [{ "kind": 2, "body": "07" }] },
-        ])),
-        stage("message", "5", json!([
-            { "direction": "to server", "kind": 2, "body": "07", "fields": { "nonce": 7 } },
-        ])),
-        stage("capacity", "2.7", [32, 250, 256, 257, 258, 1_024]
-            .map(|frame: usize| json!({ "frame": frame, "capacity": payload_capacity(frame) }))
-            .into_iter()
-            .collect()),
+        stage(
+            "stuffing",
+            "2.2",
+            json!([
+                { "contents": "11000022", "bytes": hex(&stuff(&[0x11, 0, 0, 0x22])) },
+                { "contents": "1100", "bytes": hex(&stuff(&[0x11, 0])) },
+            ])
+        ),
+        stage(
+            "header",
+            "2.3",
+            json!([
+                { "version": 1, "kind": "datagram", "sequence": 3, "bytes": hex(&header.encode()) },
+            ])
+        ),
+        stage(
+            "crc",
+            "2.4",
+            json!([
+                { "contents": hex(b"123456789"), "crc": crc32(&[b"123456789"]) },
+                { "contents": "", "crc": crc32(&[]) },
+            ])
+        ),
+        stage(
+            "seal",
+            "2.4",
+            json!([{
+                "direction": "to server", "session": 0xA1B2_C3D4u32, "contents": hex(&contents),
+                "bytes": hex(&seal(SessionId(0xA1B2_C3D4), TO_SERVER, &contents)),
+            }])
+        ),
+        stage(
+            "frame",
+            "2.1",
+            json!([{
+                "direction": "to server", "session": 0xA1B2_C3D4u32, "version": 1, "kind": "datagram",
+                "sequence": 3, "payload": hex(&contents[2..]), "bytes": hex(&frame),
+            }])
+        ),
+        stage(
+            "payload",
+            "2.5",
+            json!([
+                { "bytes": hex(&request), "messages": [{ "kind": 2, "body": "07" }] },
+            ])
+        ),
+        stage(
+            "message",
+            "5",
+            json!([
+                { "direction": "to server", "kind": 2, "body": "07", "fields": { "nonce": 7 } },
+            ])
+        ),
+        stage(
+            "capacity",
+            "2.7",
+            [32, 250, 256, 257, 258, 1_024]
+                .map(|frame: usize| json!({ "frame": frame, "capacity": payload_capacity(frame) }))
+                .into_iter()
+                .collect()
+        ),
         stage("one tile", "8", Value::Array(vec![one_cell()])),
         stage("an update on a base", "8", Value::Array(vec![on_a_base()])),
     ])

@@ -35,7 +35,8 @@ fn joined(new: &Tile, old: &Tile, end: u16) -> Tile {
 /// The cases.
 pub(super) fn rows() -> Value {
     let (unknown, now, later, wild) = (Tile::UNKNOWN, room(), room_later(), noise(1));
-    let held = |tile: &Tile, version: u32, next: u16| Replica::restored(*tile, stamp(2, version), next);
+    let held =
+        |tile: &Tile, version: u32, next: u16| Replica::restored(*tile, stamp(2, version), next);
     let whole = update(900, stamp(2, 5), None, 0, (&unknown, &now));
     let first = update(100, stamp(2, 5), None, 0, (&unknown, &wild));
     let end = end_of(&first);
@@ -48,7 +49,12 @@ pub(super) fn rows() -> Value {
     let cut_rest = update(900, stamp(2, 6), Some(5), cut_at, (&cut_half, &wild));
     let cases: Vec<(&str, u8, Replica, &[u8])> = vec![
         ("an older whole tile", 1, held(&later, 6, 0), &whole),
-        ("an older whole tile, in an older epoch", 1, Replica::restored(later, stamp(3, 1), 0), &whole),
+        (
+            "an older whole tile, in an older epoch",
+            1,
+            Replica::restored(later, stamp(3, 1), 0),
+            &whole,
+        ),
         ("an older whole tile, while parts are missing", 1, held(&half, 6, end), &whole),
         ("an older tile's first part", 1, held(&later, 6, 0), &first),
         ("the whole tile that is held", 1, held(&now, 5, 0), &whole),

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use ubimap_protocol::{
     frame::{FrameKind, SessionId},
     link::{ClockSync, Endpoint, Fill, Knocking},
-    message::{Ack, TimeReply, ToRobot, ToServer},
+    message::{Ack, TimeReply, TimeRequest, ToRobot, ToServer},
     time::Instant,
 };
 
@@ -21,6 +21,7 @@ pub(super) fn timing() -> Value {
         "hellos": hellos(),
         "acknowledgements": acknowledgements(),
         "retransmissions": retransmissions(),
+        "acknowledged": acknowledged(),
         "clocks": clocks(),
     })
 }
@@ -75,12 +76,9 @@ enum Step {
 /// Frames that a robot sends, acknowledgements that it gets, and what it then sends again and when.
 fn retransmissions() -> Value {
     use Step::{Ack as Got, Send};
-    let cases: [(&str, &[(u64, Step)]); 5] = [
+    let cases: [(&str, &[(u64, Step)]); 8] = [
         ("never acknowledged", &[(0, Send)]),
-        (
-            "after a first sample of 100 ms",
-            &[(0, Send), (100_000, Got(1, 0)), (200_000, Send)],
-        ),
+        ("after a first sample of 100 ms", &[(0, Send), (100_000, Got(1, 0)), (200_000, Send)]),
         (
             "after samples of 20, 30 and 25 ms",
             &[
@@ -96,6 +94,42 @@ fn retransmissions() -> Value {
         (
             "overtaken by a frame sent 70 ms later",
             &[(0, Send), (10_000, Send), (100_000, Send), (200_000, Got(0, 2))],
+        ),
+        (
+            "after samples of 400, 417 and 253 ms",
+            &[
+                (0, Send),
+                (400_000, Got(1, 0)),
+                (500_000, Send),
+                (917_000, Got(2, 0)),
+                (1_000_000, Send),
+                (1_253_000, Got(3, 0)),
+                (1_300_000, Send),
+            ],
+        ),
+        (
+            "after samples of 203 and 209 ms, and overtaken by a frame sent 60 ms later",
+            &[
+                (0, Send),
+                (203_000, Got(1, 0)),
+                (300_000, Send),
+                (509_000, Got(2, 0)),
+                (600_000, Send),
+                (660_000, Send),
+                (760_000, Got(2, 1)),
+            ],
+        ),
+        (
+            "after samples of 450 and 440 ms, and overtaken by a frame sent 112 ms later",
+            &[
+                (0, Send),
+                (450_000, Got(1, 0)),
+                (500_000, Send),
+                (940_000, Got(2, 0)),
+                (1_000_000, Send),
+                (1_112_300, Send),
+                (1_450_000, Got(2, 1)),
+            ],
         ),
         (
             "frames that were sent twice give no sample",
@@ -119,7 +153,7 @@ fn retransmissions() -> Value {
             match step {
                 Send => {
                     let sent = robot.poll_transmit(Instant(*at), &mut out, false, |writer, _| {
-                        assert!(writer.push(&ubimap_protocol::message::TimeRequest { nonce: next }));
+                        assert!(writer.push(&TimeRequest { nonce: next }));
                         Fill::Reliable(next)
                     });
                     events.push(json!([at, "sends", sent.unwrap().token]));
@@ -141,6 +175,50 @@ fn retransmissions() -> Value {
     cases.iter().map(case).collect()
 }
 
+/// A frame in flight, an Ack, and whether the frame counts as acknowledged.
+fn acknowledged() -> Value {
+    let cases: [(u16, u16, u32); 14] = [
+        (5, 5, 0),
+        (5, 6, 0),
+        (5, 5, u32::MAX),
+        (5, 4, 1),
+        (5, 4, !1),
+        (5, 3, 2),
+        (40, 8, 1 << 31),
+        (40, 8, !(1 << 31)),
+        (40, 7, u32::MAX),
+        (5, 1_029, 0),
+        (5, 1_030, 0),
+        (2_047, 0, 0),
+        (2_047, 2_040, 1 << 6),
+        (0, 2_047, 1),
+    ];
+    let case = |&(sequence, next, later): &(u16, u16, u32)| {
+        let mut robot = Robot::new();
+        robot.begin(SessionId(SESSION), 250);
+        let mut out = [0; 250];
+        let ack = |robot: &mut Robot, next: u16, later: u32| {
+            let ack = message::<ToRobot>(&Ack { next, later });
+            let wire = sealed(TO_ROBOT, SESSION, header(FrameKind::Datagram, 0), &ack);
+            let _ = robot.receive(&mut &wire[..], Instant(1));
+            robot.poll_acknowledged()
+        };
+        for number in 0..=sequence {
+            let sent = robot.poll_transmit(Instant(0), &mut out, true, |writer, _| {
+                assert!(writer.push(&TimeRequest { nonce: number }));
+                Fill::Reliable(number)
+            });
+            assert_eq!(sent.unwrap().token, Some(number));
+            if number < sequence {
+                assert_eq!(ack(&mut robot, (number + 1) % 2_048, 0), Some(number));
+            }
+        }
+        let arrived = ack(&mut robot, next, later) == Some(sequence);
+        json!({ "sequence": sequence, "next": next, "later": later, "arrived": arrived })
+    };
+    cases.iter().map(case).collect()
+}
+
 /// Exchanges `[t0, t1, t2, t3]`, and by how much the server's clock then is ahead.
 fn clocks() -> Value {
     let mut state = 1u32;
@@ -155,9 +233,8 @@ fn clocks() -> Value {
         for _ in 0..exchanges {
             let t0 = clock.poll_timeout().0.max(start);
             let request = clock.poll_request(Instant(t0)).unwrap();
-            let there = |local: u64| {
-                (local + local * ppm / 1_000_000).checked_add_signed(ahead).unwrap()
-            };
+            let there =
+                |local: u64| (local + local * ppm / 1_000_000).checked_add_signed(ahead).unwrap();
             let t1 = there(t0 + random(20_000));
             let held_micros = 300;
             let t2 = t1 + u64::from(held_micros);
@@ -175,4 +252,3 @@ fn clocks() -> Value {
         case("generations, and drift", 100, 1_234_567, 25),
     ])
 }
-
