@@ -41,7 +41,7 @@ use serde::Serialize;
 use ubimap_agent::ConfigError;
 
 use crate::{
-    channel::serial::SerialError,
+    channel::wire::WireError,
     grid::{self, GridError, MapError, OccupancyGrid},
     perception::robots::RegistryError,
     recording::{FramesError, LogError},
@@ -131,7 +131,15 @@ pub enum RunError {
     Scenario(#[from] ScenarioError),
     /// A serial port can't be opened.
     #[error(transparent)]
-    Port(#[from] SerialError),
+    Port(#[from] WireError),
+    /// A socket without seals.
+    #[error(
+        "{address}: whoever reaches a socket could pose as a robot; give --open to allow that, on a bench"
+    )]
+    Unsealed {
+        /// The socket.
+        address: String,
+    },
     /// The number of poses is neither zero, one, nor the number of ports.
     #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
@@ -209,6 +217,7 @@ impl RunError {
             | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
+            | Self::Unsealed { .. }
             | Self::Poses { .. }
             | Self::Robot(_)
             | Self::Registry(_)
