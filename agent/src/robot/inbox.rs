@@ -62,13 +62,7 @@ impl Mapper<'_> {
         match message {
             // Already processed by the link.
             ToRobotMessage::Ack(_) => {}
-            ToRobotMessage::TimeReply(reply) => {
-                if self.clock.to_server(now).is_none() {
-                    // Its time is the robot's own.
-                    self.latest_pose = None;
-                }
-                self.clock.reply(&reply.decode().ok()?, now);
-            }
+            ToRobotMessage::TimeReply(reply) => self.clock.reply(&reply.decode().ok()?, now),
             ToRobotMessage::PoseFix(fix) => self.fix(&fix.decode().ok()?, now),
             ToRobotMessage::TileUpdate(update) => {
                 let (head, coded) = update.split().ok()?;

@@ -13,7 +13,10 @@ mod seal;
 
 pub use seal::{SEAL_LEN, open, seal};
 
-pub use crate::{message::Direction, units::SessionId};
+pub use crate::{
+    message::{Direction, SEQUENCE_MODULUS},
+    units::SessionId,
+};
 
 /// The version of the wire format that this crate speaks.
 pub const VERSION: u8 = 1;
@@ -36,9 +39,6 @@ pub const fn payload_capacity(frame: usize) -> usize {
     let raw = raw - raw / 255;
     raw.saturating_sub(HEADER_LEN + SEAL_LEN)
 }
-
-/// Number of frame sequence numbers: they have 11 bits and wrap.
-pub const SEQUENCE_MODULUS: u16 = 1 << 11;
 
 /// How a frame is delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

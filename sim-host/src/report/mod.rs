@@ -6,6 +6,7 @@
 
 mod brief;
 mod calibrating;
+mod cameras;
 mod comparison;
 mod link;
 mod output;
@@ -22,6 +23,7 @@ pub use brief::{Brief, brief};
 pub use calibrating::{
     CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera,
 };
+pub use cameras::CameraMove;
 pub use comparison::{Comparison, Published};
 pub use link::LinkSummary;
 pub use output::{OutputError, OutputFolder};

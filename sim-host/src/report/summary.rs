@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use super::{comparison::Comparison, link::LinkSummary};
+use super::{cameras::CameraMove, comparison::Comparison, link::LinkSummary};
 
 /// Results of one run.
 ///
@@ -45,6 +45,9 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// The movements of cameras that were noticed, in order of time; left out if there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub camera_moves: Vec<CameraMove>,
 }
 
 /// Results of one robot.
@@ -224,6 +227,7 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            camera_moves: Vec::new(),
         }
     }
 
@@ -349,6 +353,9 @@ impl Report {
                 "calibration: {} landmarks, cameras within {:.4} m and {:.3} degrees of the truth",
                 calibration.landmarks, calibration.position_m, calibration.angle_deg
             )?;
+        }
+        for moved in &self.camera_moves {
+            writeln!(f, "{moved}")?;
         }
         Ok(())
     }

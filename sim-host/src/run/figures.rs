@@ -7,9 +7,12 @@ use ubimap_protocol::{
 
 use super::{fleet::Fleet, member::Member};
 use crate::{
-    deployment::PortId,
+    camera::Orientation,
+    deployment::{CameraEventKind, Deployment, PortId},
     grid::OccupancyGrid,
-    report::{Comparison, HexDigest, LinkSummary, MapSummary, Pixels, Report, RobotSummary},
+    report::{
+        CameraMove, Comparison, HexDigest, LinkSummary, MapSummary, Pixels, Report, RobotSummary,
+    },
     server::{EventLog, MessageCounters},
 };
 
@@ -45,6 +48,29 @@ pub(super) fn report(
     let mut comparison = Comparison::default();
     fleet.robots().iter().for_each(|robot| comparison.add(&robot.comparison()));
     Report::new(seed, robots, map, comparison)
+}
+
+/// The movements of cameras that a deployment has noticed.
+pub(super) fn camera_moves(deployment: &Deployment) -> Vec<CameraMove> {
+    let moves = deployment.camera_events().map(|(moment, event)| CameraMove {
+        camera: event.camera,
+        what: match event.kind {
+            CameraEventKind::Knocked => "knocked",
+            CameraEventKind::Returned => "returned",
+            CameraEventKind::Drifted => "drifted",
+        },
+        at_s: moment.micros() as f64 / 1e6,
+        shift_m: event.way.map(|[metres, _]| metres),
+        turn_deg: event.way.map(|[_, radians]| radians.to_degrees()),
+        pose: event.pose.map(|pose| {
+            let at = pose.translation.vector;
+            let angles = Orientation::of(&pose.rotation);
+            let angles = [angles.heading_rad, angles.tilt_rad, angles.roll_rad];
+            let [heading, tilt, roll] = angles.map(f64::to_degrees);
+            [at.x, at.y, at.z, heading, tilt, roll]
+        }),
+    });
+    moves.collect()
 }
 
 fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary {

@@ -180,6 +180,14 @@ pub enum RunError {
         /// Number of robots in the scenario.
         there: usize,
     },
+    /// A camera is to be knocked that the scenario does not have.
+    #[error("--knock: there is no camera {camera}; the scenario has {there}, numbered from 0")]
+    NoSuchCamera {
+        /// The camera's index.
+        camera: usize,
+        /// Number of cameras in the scenario.
+        there: usize,
+    },
     /// A robot outside needs a scenario with one robot.
     #[error("--outside: the scenario has {there} robots; choose one with --robots 1")]
     OneRobot {
@@ -234,6 +242,7 @@ impl RunError {
             | Self::Robot(_)
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
+            | Self::NoSuchCamera { .. }
             | Self::OneRobot { .. }
             | Self::TooManyTiles { .. }
             | Self::Calibrate(_)

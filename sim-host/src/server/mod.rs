@@ -283,6 +283,12 @@ impl Server {
         self.map.changed(&changed);
     }
 
+    /// Forgets the cells that a camera has seen after `since`: it was knocked.
+    pub fn forget_camera(&mut self, camera: usize, since: Instant) {
+        let changed = self.map.forget_camera(camera, since);
+        self.map.changed(&changed);
+    }
+
     /// Reports that a sighting in the frame captured at `captured` can't be a pose.
     pub fn sighting_event(&mut self, captured: Instant, event: SightingEvent) {
         self.events.add(captured, Event::Sighting(event));

@@ -1,5 +1,6 @@
 //! The options of `ubimap`'s commands, checked as they are parsed.
 
+mod knock;
 mod replay;
 mod simulate;
 mod values;
@@ -13,6 +14,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
+pub use knock::Knock;
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
 pub(super) use values::{OptionError, milliseconds, number};
