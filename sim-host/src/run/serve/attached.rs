@@ -161,6 +161,8 @@ impl Attached {
             duplicates: ended.duplicates.wrapping_add(link.duplicates),
             bad: ended.bad.wrapping_add(link.bad),
             refused: ended.refused.wrapping_add(link.refused),
+            replayed: ended.replayed.wrapping_add(link.replayed),
+            forged: ended.forged.wrapping_add(link.forged),
         }
     }
 

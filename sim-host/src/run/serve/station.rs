@@ -10,7 +10,7 @@ use ubimap_protocol::{
 
 use super::{attached::Attached, bench_camera::BenchCamera};
 use crate::{
-    deployment::{Config, Deployment, Life, PortId},
+    deployment::{Config, Deployment, Life, Policy, PortId},
     report::ServeReport,
     run::{RunError, keeper::Keeper},
 };
@@ -46,7 +46,8 @@ impl Station {
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
         let mut deployment = Deployment::new(Config::new(resolution), life)?;
-        let ports = wires.into_iter().map(|wire| (deployment.open_port(), wire)).collect();
+        let ports =
+            wires.into_iter().map(|wire| (deployment.open_port(Policy::Open), wire)).collect();
         Ok(Self {
             deployment,
             ports,
@@ -124,7 +125,7 @@ impl Station {
                 let _ = self.deployment.close_port(*port);
             }
             if wire.reopen(now) {
-                *port = self.deployment.open_port();
+                *port = self.deployment.open_port(Policy::Open);
             }
         }
     }
