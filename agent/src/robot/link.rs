@@ -353,6 +353,8 @@ impl Knock {
     }
 }
 
+#[cfg(all(test, feature = "seals"))]
+mod sealed_tests;
 #[cfg(test)]
 mod tests {
     use std::{boxed::Box, vec::Vec};

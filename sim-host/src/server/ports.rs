@@ -431,4 +431,6 @@ fn sealed<M: Body<ToRobot>>(
 }
 
 #[cfg(test)]
+mod sealed_tests;
+#[cfg(test)]
 mod tests;
