@@ -324,7 +324,7 @@ fn numbers<D: Traffic>(
             assert_ne!(session, SessionId::NONE);
             messages.map(|message| message.unwrap().number).collect()
         }
-        Received::Bad => panic!("a bad frame"),
+        Received::Bad | Received::Sealed(_) | Received::Stray(_) => panic!("a bad frame"),
     }
 }
 
