@@ -17,9 +17,9 @@ use ubimap_sim_host::{
     run::{
         Outcome, RunError, backup,
         calibrate::{self, options::CalibrateOptions},
-        compare, interruption,
+        compare, interruption, keys,
         options::{
-            BackupOptions, CompareOptions, ReplayOptions, ResultOptions, ServeOptions,
+            BackupOptions, CompareOptions, KeysOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
         },
         place::{self, options::PlaceOptions},
@@ -56,6 +56,8 @@ enum Command {
     Calibrate(CalibrateOptions),
     /// Serve real robots on serial ports
     Serve(ServeOptions),
+    /// Make, list and retire the keys of robots
+    Keys(KeysOptions),
     /// Copy the file of --store, even while the server is running
     Backup(BackupOptions),
     /// Score one ROS map against another
@@ -67,12 +69,16 @@ fn main() -> ExitCode {
         Ok(command_line) => command_line,
         Err(error) => return refuse_use(&error),
     };
-    if !matches!(command, Command::Calibrate(_) | Command::Compare(_) | Command::Backup(_)) {
+    if !matches!(
+        command,
+        Command::Calibrate(_) | Command::Compare(_) | Command::Backup(_) | Command::Keys(_)
+    ) {
         interruption::listen();
     }
     let level = match command {
         // It runs until stopped: its messages are its only output.
-        Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Info),
+        Command::Serve(_) if !verbosity.quiet && verbosity.verbose == 0 => LevelFilter::Info,
+        Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Debug),
         _ => verbosity.level(),
     };
     terminal::start_logging(level);
@@ -92,6 +98,7 @@ fn main() -> ExitCode {
         Command::Place(options) => place(&options),
         Command::Calibrate(options) => calibrate(&options),
         Command::Serve(options) => serve(&options),
+        Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
     };
@@ -173,6 +180,11 @@ fn backup(options: &BackupOptions) -> Result<ExitCode, RunError> {
     let tiles = backup::run(options)?;
     let to = options.to.display();
     print(&format!("{to}: a backup of {tiles} robot tiles; use it with --store {to}\n"))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn keys(options: &KeysOptions) -> Result<ExitCode, RunError> {
+    print(&keys::run(options)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

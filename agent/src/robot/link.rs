@@ -121,8 +121,8 @@ impl Link {
         let is_connected = self.is_connected();
         let Some(received) = self.endpoint.receive(bytes, now) else { return false };
         match received {
-            Received::Bad => {}
-            Received::Stray(_) => self.deaf(now),
+            Received::Bad(_) => {}
+            Received::Stray(..) => self.deaf(now),
             Received::Sealed(sealed) => {
                 let sealing = self.sealing.as_ref();
                 let knock = sealing.map(|sealing| sealing.open(&sealed, is_connected));

@@ -20,7 +20,10 @@ pub use seal::{
     open_answer, open_hello, open_session, seal, seal_answer, seal_hello, seal_session,
 };
 
-pub use crate::{message::Direction, units::SessionId};
+pub use crate::{
+    message::{Direction, SEQUENCE_MODULUS},
+    units::SessionId,
+};
 
 /// The version of the wire format that this crate speaks.
 pub const VERSION: u8 = 1;
@@ -56,9 +59,6 @@ const fn raw_capacity(frame: usize) -> usize {
 }
 
 const _: () = assert!(sealed_payload_capacity(MIN_SEALED_FRAME) == payload_capacity(MIN_FRAME));
-
-/// Number of frame sequence numbers: they have 11 bits and wrap.
-pub const SEQUENCE_MODULUS: u16 = 1 << 11;
 
 /// How a frame is delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,8 +4,9 @@ use core::marker::PhantomData;
 
 use super::{
     acknowledgement::{Arrival, ReceiveWindow, SendWindow},
+    fault::FrameFault,
     sealed_handshake::SealedHandshake,
-    security::{Fault, Opened, Security},
+    security::{Opened, Security},
 };
 use crate::{
     frame::{
@@ -20,6 +21,10 @@ use crate::{
 /// If a frame has less room for messages than this, an acknowledgement travels alone: beside it the
 /// longest message that cannot be split (a state, 28 bytes) might not fit.
 const ROOM_FOR_TWO: usize = 40;
+
+// The frames of a session must have the version of its Welcome. With more than one version to speak,
+// `Endpoint::begin` would have to be told which.
+const _: () = assert!(MIN_VERSION == VERSION);
 
 /// Maximum size of an acknowledgement in bytes, kind and length included.
 const ACK_LEN: usize = 10;
@@ -71,9 +76,9 @@ pub enum Received<'a, D> {
     /// included, although the endpoint has already processed them.
     Session(Messages<'a, D>),
     /// On a sealed link, a frame that this session does not open, or a replayed one.
-    Stray(Stray),
+    Stray(Stray, FrameFault),
     /// Not a frame of this session, or one that violates the protocol.
-    Bad,
+    Bad(FrameFault),
 }
 
 /// What the `fill` argument of [`Endpoint::poll_transmit`] has written into a new frame.
@@ -242,9 +247,9 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
         now: Instant,
     ) -> Option<Received<'_, D::Opposite>> {
         let Self { decoder, security, counters, session, receiving, sending, .. } = self;
-        let Ok(frame) = decoder.next(input)? else {
-            counters.bad = counters.bad.wrapping_add(1);
-            return Some(Received::Bad);
+        let frame = match decoder.next(input)? {
+            Ok(frame) => frame,
+            Err(error) => return drop_bad(counters, FrameFault::Stuffing(error)),
         };
         let (header, payload) = match security.open::<D::Opposite>(*session, frame) {
             Ok(Opened::Session(header, payload)) => (header, payload),
@@ -253,15 +258,15 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
                 // Any version may say hello: the answer names the mismatch.
                 return match Messages::new(payload).next() {
                     Some(Ok(message)) => Some(Received::Handshake(message)),
-                    _ => refuse(counters),
+                    _ => refuse(counters, FrameFault::Payload),
                 };
             }
             Ok(Opened::SealedHandshake(sealed)) => return Some(Received::Sealed(sealed)),
             Err(fault) => return Some(drop_frame(counters, fault)),
         };
         counters.received = counters.received.wrapping_add(1);
-        if !(MIN_VERSION..=VERSION).contains(&header.version) {
-            return refuse(counters);
+        if header.version != VERSION {
+            return refuse(counters, FrameFault::Version(header.version));
         }
         if header.kind == FrameKind::Reliable {
             match receiving.arrive(header.sequence, now) {
@@ -270,7 +275,9 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
                     counters.duplicates = counters.duplicates.wrapping_add(1);
                     return Some(Received::Session(Messages::new(&[])));
                 }
-                Arrival::Refused => return refuse(counters),
+                Arrival::Refused => {
+                    return refuse(counters, FrameFault::Sequence(header.sequence));
+                }
             }
         }
         for message in Messages::<D::Opposite>::new(payload) {
@@ -398,24 +405,33 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
     }
 }
 
-fn refuse<'a, D>(counters: &mut Counters) -> Option<Received<'a, D>> {
-    counters.refused = counters.refused.wrapping_add(1);
-    Some(Received::Bad)
+fn drop_bad<'a, D>(counters: &mut Counters, fault: FrameFault) -> Option<Received<'a, D>> {
+    counters.bad = counters.bad.wrapping_add(1);
+    Some(Received::Bad(fault))
 }
 
-fn drop_frame<'a, D>(counters: &mut Counters, fault: Fault) -> Received<'a, D> {
-    let (count, received) = match fault {
-        Fault::Bad => (&mut counters.bad, Received::Bad),
-        // An undamaged frame: it counts as received, too.
-        Fault::Refused => {
-            counters.received = counters.received.wrapping_add(1);
-            (&mut counters.refused, Received::Bad)
+fn refuse<'a, D>(counters: &mut Counters, fault: FrameFault) -> Option<Received<'a, D>> {
+    counters.refused = counters.refused.wrapping_add(1);
+    Some(Received::Bad(fault))
+}
+
+fn drop_frame<'a, D>(counters: &mut Counters, fault: FrameFault) -> Received<'a, D> {
+    let (count, stray) = match fault {
+        FrameFault::Stuffing(_) | FrameFault::Seal | FrameFault::Length => {
+            (&mut counters.bad, None)
         }
-        Fault::Replayed(stray) => (&mut counters.replayed, Received::Stray(stray)),
-        Fault::Forged(stray) => (&mut counters.forged, Received::Stray(stray)),
+        FrameFault::Replayed(stray) => (&mut counters.replayed, Some(stray)),
+        FrameFault::Forged(stray) => (&mut counters.forged, Some(stray)),
+        _ => {
+            counters.received = counters.received.wrapping_add(1);
+            (&mut counters.refused, None)
+        }
     };
     *count = count.wrapping_add(1);
-    received
+    match stray {
+        Some(stray) => Received::Stray(stray, fault),
+        None => Received::Bad(fault),
+    }
 }
 
 #[cfg(all(test, feature = "seals"))]

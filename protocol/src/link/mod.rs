@@ -7,6 +7,7 @@
 mod acknowledgement;
 mod clock;
 mod endpoint;
+mod fault;
 mod handshake;
 mod replay_window;
 mod round_trip;
@@ -16,6 +17,7 @@ mod timing;
 
 pub use clock::ClockSync;
 pub use endpoint::{Counters, Endpoint, Fill, Received, Transmit, Verdict};
+pub use fault::FrameFault;
 pub use handshake::{Answer, Knocking, Terms, answer, answer_sealed, is_same_boot};
 pub use sealed_handshake::{Opened, SealedHandshake, write_answer, write_hello};
 pub use security::is_of_session;

@@ -1,7 +1,7 @@
 //! What protects an endpoint's frames: checksums on an open link, authenticated encryption on a
 //! sealed one.
 
-use super::{replay_window::ReplayWindow, sealed_handshake::SealedHandshake};
+use super::{fault::FrameFault, replay_window::ReplayWindow, sealed_handshake::SealedHandshake};
 use crate::{
     frame::{
         FrameKind, Header, MAX_FRAME, SESSION_CLEAR_LEN, SealSupport, SessionKey, Stray, TAG_LEN,
@@ -44,14 +44,6 @@ pub(super) enum Opened<'f> {
     Handshake(&'f [u8]),
     /// A handshake frame that the owner of the endpoint must open.
     SealedHandshake(SealedHandshake<'f>),
-}
-
-/// Why a frame is dropped.
-pub(super) enum Fault {
-    Bad,
-    Refused,
-    Forged(Stray),
-    Replayed(Stray),
 }
 
 impl Security {
@@ -108,7 +100,7 @@ impl Security {
         &mut self,
         session: SessionId,
         frame: &'f mut [u8],
-    ) -> Result<Opened<'f>, Fault> {
+    ) -> Result<Opened<'f>, FrameFault> {
         match self {
             Self::Open => open_plain::<D>(session, frame),
             Self::Sealed(_, sealed) => open_sealed::<D>(sealed, session, frame),
@@ -129,16 +121,20 @@ pub fn is_of_session<D: Traffic>(
     matches!(open_sealed::<D>(&mut ours, session, copy), Ok(Opened::Session(..)))
 }
 
-fn open_plain<D: Traffic>(session: SessionId, frame: &[u8]) -> Result<Opened<'_>, Fault> {
+fn open_plain<D: Traffic>(session: SessionId, frame: &[u8]) -> Result<Opened<'_>, FrameFault> {
     let opened = (session != SessionId::NONE)
         .then(|| open(session, D::DIRECTION, frame))
         .flatten()
         .map(|contents| (contents, false))
         .or_else(|| Some((open(SessionId::NONE, D::DIRECTION, frame)?, true)));
-    let (contents, outside) = opened.ok_or(Fault::Bad)?;
-    let (header, payload) = Header::decode(contents).ok_or(Fault::Refused)?;
-    if is_sealed(contents) || outside != (header.kind == FrameKind::Handshake) {
-        return Err(Fault::Refused);
+    let (contents, outside) = opened.ok_or(FrameFault::Seal)?;
+    let (header, payload) = Header::decode(contents).ok_or(FrameFault::Header)?;
+    if outside != (header.kind == FrameKind::Handshake) {
+        return Err(FrameFault::Kind);
+    }
+    if is_sealed(contents) && !outside {
+        // What was a version of three bits.
+        return Err(FrameFault::Version(header.version | 4));
     }
     Ok(if outside { Opened::Handshake(payload) } else { Opened::Session(header, payload) })
 }
@@ -147,28 +143,29 @@ fn open_sealed<'f, D: Traffic>(
     sealed: &mut Option<SealedSession>,
     session: SessionId,
     frame: &'f mut [u8],
-) -> Result<Opened<'f>, Fault> {
+) -> Result<Opened<'f>, FrameFault> {
     if !is_sealed(frame) {
-        return Err(Fault::Refused);
+        return Err(FrameFault::Unsealed);
     }
-    let (header, _) = Header::decode(frame).ok_or(Fault::Refused)?;
+    let (header, _) = Header::decode(frame).ok_or(FrameFault::Header)?;
     if header.kind == FrameKind::Handshake {
-        let handshake = SealedHandshake::parse(frame).ok_or(Fault::Bad)?;
+        let handshake = SealedHandshake::parse(frame).ok_or(FrameFault::Length)?;
         return Ok(Opened::SealedHandshake(handshake));
     }
-    let (clear, rest) = frame.split_first_chunk_mut::<SESSION_CLEAR_LEN>().ok_or(Fault::Bad)?;
-    let (text, tag) = rest.split_last_chunk_mut::<TAG_LEN>().ok_or(Fault::Bad)?;
+    let (clear, rest) =
+        frame.split_first_chunk_mut::<SESSION_CLEAR_LEN>().ok_or(FrameFault::Length)?;
+    let (text, tag) = rest.split_last_chunk_mut::<TAG_LEN>().ok_or(FrameFault::Length)?;
     let [_, _, robot @ .., low, high] = *clear;
     let stray = Stray { robot: RobotId(u16::from_le_bytes(robot)), echo: echo_of(tag) };
     let ours = sealed.as_mut().filter(|ours| ours.robot == stray.robot);
-    let ours = ours.ok_or(Fault::Forged(stray))?;
+    let ours = ours.ok_or(FrameFault::Forged(stray))?;
     let counter = ours.window.whole(u16::from_le_bytes([low, high]));
     if !ours.window.is_new(counter) {
-        return Err(Fault::Replayed(stray));
+        return Err(FrameFault::Replayed(stray));
     }
     let names = (ours.robot, session);
     if !open_session(&ours.key, names, D::DIRECTION, clear, counter, (text, tag)) {
-        return Err(Fault::Forged(stray));
+        return Err(FrameFault::Forged(stray));
     }
     ours.window.accept(counter);
     Ok(Opened::Session(header, text))

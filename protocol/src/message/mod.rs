@@ -42,8 +42,8 @@ mod wire;
 
 pub use direction::{Body, Direction, ToRobot, ToServer, Traffic};
 pub use shared::{
-    Ack, Digests, MAX_DIGESTS, MAX_PARAMETERS, MAX_REQUESTS, ParameterValue, Request, TileDigest,
-    TileUpdateHead,
+    Ack, Digests, MAX_DIGESTS, MAX_PARAMETERS, MAX_REQUESTS, ParameterValue, Request,
+    SEQUENCE_MODULUS, TileDigest, TileUpdateHead,
 };
 pub use to_robot::{
     Certainty, EarlierFix, FixSource, Freshness, MAX_EARLIER_FIXES, MAX_FRESH_BYTES, MAX_OBSTACLES,

@@ -68,7 +68,8 @@ use crate::{
 pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
-pub use port::Policy;
+pub use inbox::Unread;
+pub use port::{MessageCounters, Policy};
 pub use ports::{CommandError, NoSuchPort};
 
 /// Maximum number of robots that the server knows at once, including those in the store.
@@ -174,6 +175,12 @@ impl Server {
             match self.ports.receive(index, &mut bytes, now)? {
                 None => return Ok(()),
                 Some(Brought::Nothing) => {}
+                Some(Brought::Dropped(fault)) => {
+                    self.events.add_from(index, now, Event::Dropped(index, fault));
+                }
+                Some(Brought::Unread(unread)) => {
+                    self.events.add_from(index, now, Event::Unread(index, unread));
+                }
                 Some(Brought::Hello(hello)) => self.greet(index, &hello, now)?,
                 Some(Brought::SealedHello(attempt, hello)) => {
                     self.greet_sealed(index, (attempt, &hello), now)?;
@@ -182,7 +189,8 @@ impl Server {
                     self.ports.get_mut(index)?.judge(Verdict::Forged);
                     self.no_key(index, robot, now);
                 }
-                Some(Brought::Stray(stray)) => {
+                Some(Brought::Stray(stray, fault)) => {
+                    self.events.add_from(index, now, Event::Dropped(index, fault));
                     self.no_key(index, stray.robot, now);
                     self.ports.stray(index, stray, now)?;
                 }
@@ -193,8 +201,7 @@ impl Server {
                     let taken = Inbox::new(session, layer, &mut self.surroundings);
                     let taken = taken.take(messages, now);
                     self.unsaved.came(session, layer, &taken.updated);
-                    let port = self.ports.get_mut(index)?;
-                    port.taken(taken.unknown, taken.malformed);
+                    self.ports.get_mut(index)?.taken(&taken.unread, taken.late);
                     self.taken((index, robot), taken, now);
                 }
             }
@@ -214,7 +221,7 @@ impl Server {
                 self.joined(port, robot, now);
             }
             Greeted::Refused(reason) => {
-                self.events.add_from(port, now, Event::Refused(robot, reason));
+                self.events.add_from(port, now, Event::Refused(*hello, reason));
             }
             Greeted::Answered | Greeted::Old { .. } => {}
         }
@@ -236,7 +243,7 @@ impl Server {
         let offer = (&self.terms, self.map.next_epoch(robot));
         match self.ports.greet_sealed(port, (attempt, hello), offer, now)? {
             Greeted::Refused(reason) => {
-                self.events.add_from(port, now, Event::Refused(robot, reason));
+                self.events.add_from(port, now, Event::Refused(*hello, reason));
             }
             Greeted::Old { tell: true } => {
                 self.events.add_from(port, now, Event::Robot(RobotEvent::OldAttempt(robot)));
@@ -294,6 +301,9 @@ impl Server {
         if let Some(dispatch) = &mut self.dispatch {
             taken.codes().for_each(|code| dispatch.event(robot, code, now));
         }
+        for unread in taken.unread {
+            self.events.add_from(port, now, Event::Unread(port, unread));
+        }
         for event in taken.events {
             self.events.add_from(port, now, Event::Reported(robot, event));
         }
@@ -333,6 +343,12 @@ impl Server {
         while let Some(lying) = self.surroundings.poll_lying() {
             self.events.add(lying.moment, Event::Person(lying.into()));
         }
+        self.map.changed(&changed);
+    }
+
+    /// Forgets the cells that a camera has seen after `since`: it was knocked.
+    pub fn forget_camera(&mut self, camera: usize, since: Instant) {
+        let changed = self.map.forget_camera(camera, since);
         self.map.changed(&changed);
     }
 

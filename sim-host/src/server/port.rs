@@ -2,7 +2,7 @@
 
 use ubimap_protocol::{
     frame::{Attempt, Direction, MAX_FRAME, SealSupport, SessionId, SessionKey, Stray, cobs, open},
-    link::{Answer, Counters, Received, Verdict, is_of_session},
+    link::{Answer, Counters, FrameFault, Received, Verdict, is_of_session},
     message::{Hello, Messages, Reset, ToServer, Welcome, Writer},
     time::{Duration, Instant},
     units::RobotId,
@@ -10,6 +10,7 @@ use ubimap_protocol::{
 
 use super::{
     command::Command,
+    inbox::Unread,
     inflow::Inflow,
     keyring::Keyring,
     session::{Link, Session},
@@ -51,9 +52,7 @@ pub(super) struct Port {
     /// The handshake frame to send.
     answer: Option<PendingAnswer>,
     reset: PendingReset,
-    /// Numbers of messages of unknown kinds, and of malformed messages.
-    unknown: u32,
-    malformed: u32,
+    messages: MessageCounters,
     bytes_sent: u64,
 }
 
@@ -88,6 +87,27 @@ enum PendingAnswer {
     Sealed(Vec<u8>),
 }
 
+/// Counters of the messages received at a port that had no effect.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MessageCounters {
+    /// Messages of a kind that this version does not know.
+    pub unknown: u32,
+    /// Messages that can't be read as their kind, or that break a rule.
+    pub malformed: u32,
+    /// Tile states in updates that arrived after a newer one.
+    pub late: u32,
+}
+
+impl MessageCounters {
+    fn add(&mut self, unread: Unread) {
+        let counter = match unread {
+            Unread::Unknown(_) => &mut self.unknown,
+            Unread::Malformed { .. } => &mut self.malformed,
+        };
+        *counter = counter.saturating_add(1);
+    }
+}
+
 #[derive(Debug, Default)]
 struct PendingReset {
     due: bool,
@@ -100,13 +120,17 @@ struct PendingReset {
 pub(super) enum Brought<'p> {
     /// Nothing that the caller must handle.
     Nothing,
+    /// A frame that was dropped.
+    Dropped(FrameFault),
+    /// A handshake frame without a Hello that can be read.
+    Unread(Unread),
     Hello(Hello),
     /// A Hello that was sealed with the robot's key.
     SealedHello(Attempt, Hello),
     /// What pretends to be a sealed Hello of this robot.
     ForgedHello(RobotId),
     /// A sealed frame that the session here does not open.
-    Stray(Stray),
+    Stray(Stray, FrameFault),
     /// Messages of the session. Call [`Port::taken`] after handling them.
     Messages(&'p mut Session, Messages<'p, ToServer>),
 }
@@ -125,8 +149,7 @@ impl Port {
             decoder: cobs::Decoder::default(),
             answer: None,
             reset: PendingReset::default(),
-            unknown: 0,
-            malformed: 0,
+            messages: MessageCounters::default(),
             bytes_sent: 0,
         }
     }
@@ -146,13 +169,13 @@ impl Port {
         keyring: &Keyring,
         now: Instant,
     ) -> Option<Brought<'_>> {
-        let Self { link, session, reset, malformed, policy, .. } = self;
+        let Self { link, session, reset, messages: counted, policy, .. } = self;
         Some(match (link.receive(bytes, now)?, session) {
-            (Received::Bad, session) => {
+            (Received::Bad(fault), session) => {
                 let is_silent = |session: &mut Session| session.silent_for(now) >= SESSION_SILENT;
                 // On a keyed port a Reset must name the frame that it answers.
                 reset.due |= *policy == Policy::Open && session.as_mut().is_none_or(is_silent);
-                Brought::Nothing
+                Brought::Dropped(fault)
             }
             (Received::Sealed(sealed), _) => {
                 let key = keyring.key(sealed.robot());
@@ -161,12 +184,13 @@ impl Port {
                     None => Brought::ForgedHello(sealed.robot()),
                 }
             }
-            (Received::Stray(stray), _) => Brought::Stray(stray),
+            (Received::Stray(stray, fault), _) => Brought::Stray(stray, fault),
             (Received::Handshake(message), _) => match message.decode() {
                 Ok(hello) => Brought::Hello(hello),
                 Err(_) => {
-                    *malformed += 1;
-                    Brought::Nothing
+                    let unread = Unread::of(message);
+                    counted.add(unread);
+                    Brought::Unread(unread)
                 }
             },
             (Received::Session(messages), Some(session)) => {
@@ -177,11 +201,11 @@ impl Port {
         })
     }
 
-    /// Call this after handling a frame, with the numbers of messages of unknown kinds and of
-    /// malformed messages.
-    pub(super) fn taken(&mut self, unknown: u32, malformed: u32) {
-        self.unknown += unknown;
-        self.malformed += malformed;
+    /// Call this after handling a frame, with its messages that could not be read, and the number of
+    /// its tiles whose state was old.
+    pub(super) fn taken(&mut self, unread: &[Unread], late: u32) {
+        unread.iter().for_each(|&unread| self.messages.add(unread));
+        self.messages.late = self.messages.late.saturating_add(late);
         while let Some(frame) = self.link.poll_acknowledged() {
             if let Some(session) = &mut self.session {
                 session.acknowledged(frame);
@@ -409,9 +433,9 @@ impl Port {
         self.link.counters()
     }
 
-    /// Numbers of messages of unknown kinds, and of malformed messages.
-    pub(super) fn unread(&self) -> (u32, u32) {
-        (self.unknown, self.malformed)
+    /// Counters of the messages.
+    pub(super) fn message_counters(&self) -> MessageCounters {
+        self.messages
     }
 }
 

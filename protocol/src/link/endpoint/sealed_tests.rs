@@ -47,8 +47,8 @@ fn arrive(end: &mut End<ToRobot>, mut bytes: &[u8], now: u64) -> (Vec<i16>, Vec<
                 let requests = messages.filter_map(|it| it.ok()?.decode::<Request>().ok());
                 numbers.extend(requests.map(|request| request.tiles[0].x));
             }
-            Received::Stray(stray) => strays.push(stray),
-            Received::Sealed(_) | Received::Handshake(_) | Received::Bad => {}
+            Received::Stray(stray, _) => strays.push(stray),
+            Received::Sealed(_) | Received::Handshake(_) | Received::Bad(_) => {}
         }
     }
     (numbers, strays)

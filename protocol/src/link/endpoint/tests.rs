@@ -226,14 +226,19 @@ fn frames_that_violate_the_protocol_are_no_sign_of_life() {
     };
     let good = Header { version: VERSION, kind: FrameKind::Datagram, sequence: 0 };
     let cases = [
-        (Header { version: VERSION + 1, ..good }, SessionId(77)),
-        (Header { kind: FrameKind::Handshake, ..good }, SessionId(77)),
-        (Header { kind: FrameKind::Reliable, sequence: 400, ..good }, SessionId(77)),
-        (good, SessionId::NONE),
+        (Header { version: VERSION + 1, ..good }, SessionId(77), FrameFault::Version(VERSION + 1)),
+        (Header { kind: FrameKind::Handshake, ..good }, SessionId(77), FrameFault::Kind),
+        (
+            Header { kind: FrameKind::Reliable, sequence: 400, ..good },
+            SessionId(77),
+            FrameFault::Sequence(400),
+        ),
+        (good, SessionId::NONE, FrameFault::Kind),
     ];
-    for (count, (header, session)) in (1..).zip(cases) {
+    for (count, (header, session, fault)) in (1..).zip(cases) {
         let received = server.receive(&mut &sealed(header, session)[..], Instant(0));
-        assert!(matches!(received, Some(Received::Bad)), "{header:?} {session:?}");
+        let Some(Received::Bad(found)) = received else { panic!("{header:?} {session:?}") };
+        assert_eq!(found, fault);
         assert_eq!((server.counters().refused, server.counters().bad), (count, 0));
     }
     let received = server.receive(&mut &sealed(good, SessionId(77))[..], Instant(0));
@@ -292,4 +297,25 @@ fn datagrams_are_numbered_and_the_numbers_wrap() {
         let (header, _) = Header::decode(contents).unwrap();
         assert_eq!((header.kind, header.sequence), (FrameKind::Datagram, count % SEQUENCE_MODULUS));
     }
+}
+
+#[test]
+fn an_acknowledgement_of_a_number_that_there_is_not_acknowledges_nothing() {
+    let (mut robot, _) = pair();
+    send(&mut robot, 5, Some(42));
+    // Modulo 2,048 it would acknowledge the frame.
+    let header = Header { version: VERSION, kind: FrameKind::Datagram, sequence: 0 };
+    for (next, acknowledged) in [([0x81, 0x10], None), ([0x01, 0x00], Some(42))] {
+        let mut contents = header.encode().to_vec();
+        match next {
+            [next, 0] => contents.extend([0, 2, next, 0]),
+            [low, high] => contents.extend([0, 3, low, high, 0]),
+        }
+        let tail = seal(SessionId(77), Direction::ToRobot, &contents);
+        let mut wire = [0; 64];
+        let len = cobs::encode([&contents, &tail], &mut wire).unwrap();
+        assert!(robot.receive(&mut &wire[..len], Instant(6)).is_some());
+        assert_eq!(robot.poll_acknowledged(), acknowledged);
+    }
+    assert_eq!(robot.counters().refused, 1);
 }
