@@ -17,7 +17,10 @@ use ubimap_sim_host::{
     run::{
         Outcome, RunError, backup,
         calibrate::{self, options::CalibrateOptions},
-        compare, interruption, keys,
+        compare,
+        conformance::{self, options::ConformanceOptions},
+        decode::{self, DecodeOptions},
+        interruption, keys,
         options::{
             BackupOptions, CompareOptions, KeysOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
@@ -62,6 +65,10 @@ enum Command {
     Backup(BackupOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
+    /// Check another implementation of the protocol, robot or server, against SPEC.md
+    Conformance(ConformanceOptions),
+    /// Put captured bytes of a link into words, frame by frame
+    Decode(DecodeOptions),
 }
 
 fn main() -> ExitCode {
@@ -71,7 +78,12 @@ fn main() -> ExitCode {
     };
     if !matches!(
         command,
-        Command::Calibrate(_) | Command::Compare(_) | Command::Backup(_) | Command::Keys(_)
+        Command::Calibrate(_)
+            | Command::Compare(_)
+            | Command::Backup(_)
+            | Command::Conformance(_)
+            | Command::Decode(_)
+            | Command::Keys(_)
     ) {
         interruption::listen();
     }
@@ -101,6 +113,8 @@ fn main() -> ExitCode {
         Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
+        Command::Conformance(options) => conformance(&options),
+        Command::Decode(options) => decode(&options),
     };
     finished.unwrap_or_else(|error| fail(&error))
 }
@@ -191,6 +205,32 @@ fn keys(options: &KeysOptions) -> Result<ExitCode, RunError> {
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     let scores = compare::run(options)?;
     print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Succeeds if no check has failed.
+fn conformance(options: &ConformanceOptions) -> Result<ExitCode, RunError> {
+    if options.list {
+        print(&conformance::list(options.role.into()))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let file = options.junit.as_deref().map(OutputFile::create).transpose()?;
+    let mut printed = Ok(());
+    let report = conformance::run(options, |result| {
+        if !options.json && printed.is_ok() {
+            printed = print(&result.to_string());
+        }
+    })?;
+    printed?;
+    if let Some(file) = file {
+        file.finish(report.junit().as_bytes())?;
+    }
+    print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
+    Ok(status(report.conforms()))
+}
+
+fn decode(options: &DecodeOptions) -> Result<ExitCode, RunError> {
+    print(&decode::run(options)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

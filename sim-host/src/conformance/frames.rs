@@ -197,4 +197,4 @@ pub fn unstuffed(wire: &[u8]) -> Result<Vec<u8>, CobsError> {
 }
 
 /// The shortest contents of a frame.
-pub const MIN_CONTENTS: usize = HEADER_LEN + SEAL_LEN;
+pub(super) const MIN_CONTENTS: usize = HEADER_LEN + SEAL_LEN;

@@ -7,7 +7,9 @@ mod body;
 pub mod calibrate;
 pub mod calibration_drive;
 pub mod compare;
+pub mod conformance;
 mod convergence;
+pub mod decode;
 mod driving;
 mod figures;
 pub mod fleet;
@@ -134,6 +136,22 @@ pub enum RunError {
     /// A serial port can't be opened.
     #[error(transparent)]
     Port(#[from] WireError),
+    /// There is no check with this number.
+    #[error("--only {number}: there is no such check; --list shows 1 to {checks}")]
+    NoCheck {
+        /// The number.
+        number: usize,
+        /// Number of checks.
+        checks: usize,
+    },
+    /// A capture can't be read.
+    #[error("{name}: {reason}")]
+    Capture {
+        /// The file, or the text in its place.
+        name: String,
+        /// The reason, in one line.
+        reason: String,
+    },
     /// A socket without seals.
     #[error(
         "{address}: whoever reaches a socket could pose as a robot; give --keys DIR, or --open to allow that on a bench"
@@ -222,6 +240,8 @@ impl RunError {
             | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
+            | Self::NoCheck { .. }
+            | Self::Capture { .. }
             | Self::Unsealed { .. }
             | Self::Keys(_)
             | Self::Poses { .. }

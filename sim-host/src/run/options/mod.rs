@@ -19,8 +19,8 @@ pub use keys::{KeysAction, KeysOptions};
 pub use knock::Knock;
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
-pub(super) use values::{OptionError, number};
-use values::{heights, milliseconds, pose, probability, resolution, seconds, tolerance};
+pub(super) use values::{OptionError, milliseconds, number};
+use values::{heights, pose, probability, resolution, seconds, tolerance};
 
 use crate::channel::{address::Address, fault::Faults};
 
