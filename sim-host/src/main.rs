@@ -72,7 +72,8 @@ fn main() -> ExitCode {
     }
     let level = match command {
         // It runs until stopped: its messages are its only output.
-        Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Info),
+        Command::Serve(_) if !verbosity.quiet && verbosity.verbose == 0 => LevelFilter::Info,
+        Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Debug),
         _ => verbosity.level(),
     };
     terminal::start_logging(level);

@@ -10,8 +10,9 @@ use ubimap_protocol::{
 };
 
 use ubimap_sim_host::{
-    channel::serial::{SerialError, SerialPort},
-    channel::wire::Wire,
+    channel::serial::{SerialPort, SerialReader},
+    channel::wire::{Wire, WireError, WireReader, WireWriter},
+    channel::write_queue::WriteQueue,
     deployment::Life,
     report::Report,
     run::{
@@ -149,7 +150,7 @@ fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
         times >= 64 && now.since(asked.1).micros() >= 2_000_000
     });
     let report = station.report();
-    assert!(report.ports[0].frames_bad > 0, "no noise arrived: {report:?}");
+    assert!(report.ports[0].link.bad > 0, "no noise arrived: {report:?}");
     drop(station);
 
     // A restarted server has another epoch and another clock, so the robot's session and its time
@@ -163,12 +164,14 @@ fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
 fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> Station {
     let mut port = SerialPort::open(&emulator.ports()[0], 115_200).unwrap();
     port.write(&noise.bytes(700)).unwrap();
-    let wire = NoisyWire { port, noise: Noise(noise.next()), quiet: 0, writes: 0 };
-    let mut wire = Some(Box::new(wire) as Box<dyn Wire>);
+    let (reader, writer) = port.split();
+    let reader = NoisyReader { port: reader, noise: Noise(noise.next()), quiet: 0 };
+    let writer = NoisyWriter { port: writer, noise: Noise(noise.next()), writes: 0 };
+    let mut wire = Some(Wire { reader: Box::new(reader), writer: Box::new(writer) });
     // It is opened once: the emulator does not hang up.
     let opener = Box::new(move || Ok(wire.take().expect("the emulator has disconnected")));
     let attached = Attached::open("the firmware".into(), opener, Some(pose)).unwrap();
-    Station::new(RESOLUTION, Life::new(Epoch(epoch)), vec![attached], None).unwrap()
+    Station::new(RESOLUTION, Life::new(Epoch(epoch)), vec![attached], Vec::new(), None).unwrap()
 }
 
 /// Waits until the robot reports the pose seen by the camera, at the capture time of a frame by the
@@ -203,21 +206,27 @@ fn turn_until(
     }
 }
 
-/// A port that inserts noise before every fifth write, and into the received bytes after every
-/// [`QUIET_BYTES`]. The noise corrupts the frame that follows it.
-struct NoisyWire {
-    port: SerialPort,
+/// Inserts noise into the received bytes after every [`QUIET_BYTES`]. The noise corrupts the frame that
+/// follows it.
+struct NoisyReader {
+    port: SerialReader,
     noise: Noise,
     /// Bytes read since the last noise.
     quiet: usize,
+}
+
+/// Inserts noise before every fifth write.
+struct NoisyWriter {
+    port: WriteQueue,
+    noise: Noise,
     writes: u32,
 }
 
 /// A Hello is five times shorter than this, so most of them arrive undamaged.
 const QUIET_BYTES: usize = 150;
 
-impl Wire for NoisyWire {
-    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
+impl WireReader for NoisyReader {
+    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError> {
         let noise = self.noise.bytes(5);
         let (head, rest) = buffer.split_at_mut(noise.len());
         let count = self.port.read_within(rest, wait)?;
@@ -230,8 +239,10 @@ impl Wire for NoisyWire {
         head.copy_from_slice(&noise);
         Ok(noise.len() + count)
     }
+}
 
-    fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
+impl WireWriter for NoisyWriter {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
         self.writes += 1;
         if self.writes.is_multiple_of(5) {
             let length = self.noise.next() % 300;

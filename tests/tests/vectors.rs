@@ -333,7 +333,7 @@ fn numbers<D: Traffic>(
             assert_ne!(session, SessionId::NONE);
             messages.map(|message| message.unwrap().number).collect()
         }
-        Received::Bad => panic!("a bad frame"),
+        Received::Bad(fault) => panic!("a bad frame: {fault}"),
     }
 }
 
@@ -382,7 +382,7 @@ fn reliable_frames_are_acknowledged() {
             let mut input = &wire[..];
             let new = match end.receive(&mut input, Instant(0)) {
                 Some(Received::Session(messages)) => messages.count() == 1,
-                Some(Received::Bad) => false,
+                Some(Received::Bad(_)) => false,
                 _ => panic!("{frame}"),
             };
             let duplicate = end.counters().duplicates > before.duplicates;

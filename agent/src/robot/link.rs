@@ -97,7 +97,7 @@ impl Link {
     ) -> bool {
         let Some(received) = self.endpoint.receive(bytes, now) else { return false };
         match received {
-            Received::Bad => {}
+            Received::Bad(_) => {}
             // The message is parsed into a copy, as it borrows from the endpoint, which the
             // following calls change.
             Received::Handshake(message) => match Knock::parse(message) {

@@ -2,7 +2,10 @@
 
 use core::marker::PhantomData;
 
-use super::acknowledgement::{Arrival, ReceiveWindow, SendWindow};
+use super::{
+    acknowledgement::{Arrival, ReceiveWindow, SendWindow},
+    fault::FrameFault,
+};
 use crate::{
     frame::{
         DEFAULT_FRAME, FrameKind, HEADER_LEN, Header, MIN_VERSION, SEAL_LEN, SEQUENCE_MODULUS,
@@ -51,7 +54,7 @@ pub enum Received<'a, D> {
     /// included, although the endpoint has already processed them.
     Session(Messages<'a, D>),
     /// Not a frame of this session, or one that violates the protocol.
-    Bad,
+    Bad(FrameFault),
 }
 
 /// What the `fill` argument of [`Endpoint::poll_transmit`] has written into a new frame.
@@ -159,9 +162,9 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
     ) -> Option<Received<'_, D::Opposite>> {
         let incoming = D::Opposite::DIRECTION;
         let Self { decoder, counters, session, receiving, sending, .. } = self;
-        let Ok(frame) = decoder.next(input)? else {
-            counters.bad = counters.bad.wrapping_add(1);
-            return Some(Received::Bad);
+        let frame = match decoder.next(input)? {
+            Ok(frame) => frame,
+            Err(error) => return drop_bad(counters, FrameFault::Stuffing(error)),
         };
         let opened = (*session != SessionId::NONE)
             .then(|| open(*session, incoming, frame))
@@ -169,25 +172,24 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
             .map(|contents| (contents, false))
             .or_else(|| Some((open(SessionId::NONE, incoming, frame)?, true)));
         let Some((contents, outside)) = opened else {
-            counters.bad = counters.bad.wrapping_add(1);
-            return Some(Received::Bad);
+            return drop_bad(counters, FrameFault::Seal);
         };
         counters.received = counters.received.wrapping_add(1);
         let Some((header, payload)) = Header::decode(contents) else {
-            return refuse(counters);
+            return refuse(counters, FrameFault::Header);
         };
         if outside != (header.kind == FrameKind::Handshake) {
-            return refuse(counters);
+            return refuse(counters, FrameFault::Kind);
         }
         if outside {
             // Any version may say hello: the answer names the mismatch.
             return match Messages::new(payload).next() {
                 Some(Ok(message)) => Some(Received::Handshake(message)),
-                _ => refuse(counters),
+                _ => refuse(counters, FrameFault::Payload),
             };
         }
         if header.version != VERSION {
-            return refuse(counters);
+            return refuse(counters, FrameFault::Version(header.version));
         }
         if header.kind == FrameKind::Reliable {
             match receiving.arrive(header.sequence, now) {
@@ -196,7 +198,9 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
                     counters.duplicates = counters.duplicates.wrapping_add(1);
                     return Some(Received::Session(Messages::new(&[])));
                 }
-                Arrival::Refused => return refuse(counters),
+                Arrival::Refused => {
+                    return refuse(counters, FrameFault::Sequence(header.sequence));
+                }
             }
         }
         for message in Messages::<D::Opposite>::new(payload) {
@@ -326,9 +330,14 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
     }
 }
 
-fn refuse<'a, D>(counters: &mut Counters) -> Option<Received<'a, D>> {
+fn drop_bad<'a, D>(counters: &mut Counters, fault: FrameFault) -> Option<Received<'a, D>> {
+    counters.bad = counters.bad.wrapping_add(1);
+    Some(Received::Bad(fault))
+}
+
+fn refuse<'a, D>(counters: &mut Counters, fault: FrameFault) -> Option<Received<'a, D>> {
     counters.refused = counters.refused.wrapping_add(1);
-    Some(Received::Bad)
+    Some(Received::Bad(fault))
 }
 
 #[cfg(test)]

@@ -7,10 +7,12 @@
 mod acknowledgement;
 mod clock;
 mod endpoint;
+mod fault;
 mod handshake;
 mod round_trip;
 mod timing;
 
 pub use clock::ClockSync;
 pub use endpoint::{Counters, Endpoint, Fill, Received, Transmit};
+pub use fault::FrameFault;
 pub use handshake::{Answer, Knocking, Terms, answer, is_same_boot};

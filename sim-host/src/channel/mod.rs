@@ -1,9 +1,17 @@
 //! Channels between the server and its robots.
 //!
+//! - [`wire`]: the two ends of a link, as traits, and their errors.
+//! - [`serial`], [`udp`], [`tcp`]: a serial port or pseudo-terminal, a UDP socket, a TCP listener.
+//! - [`address`]: where a port is, as text.
+//! - [`intake`]: the bytes from all ports in one queue, in order of arrival.
+//! - [`write_queue`]: writes that never block.
 //! - [`fault`]: a wire that loses, repeats, reorders and damages frames, under virtual time.
-//! - [`serial`]: a serial port, or a pseudo-terminal in its place.
-//! - [`wire`]: the trait of byte streams that a server uses.
 
+pub mod address;
 pub mod fault;
+pub mod intake;
 pub mod serial;
+pub mod tcp;
+pub mod udp;
 pub mod wire;
+pub mod write_queue;

@@ -1,30 +1,19 @@
-//! A serial port or a pseudo-terminal.
-//!
-//! Reading and writing never block. A peer that accepts no data can block a `write` to the
-//! operating system beyond its timeout, so a separate thread writes from a bounded queue.
+//! A serial port or a pseudo-terminal. Neither end ever blocks beyond the wait that is asked for.
 
 use std::{
-    io::{self, ErrorKind, Read, Write},
-    path::{Path, PathBuf},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-        mpsc,
-    },
-    thread,
+    io::{ErrorKind, Read},
+    path::Path,
     time::Duration,
 };
 
-/// Capacity of the write queue, in writes of at most 250 bytes each.
-const QUEUED_WRITES: usize = 64;
+use super::{
+    wire::{Wire, WireError, WireReader, WireWriter},
+    write_queue::{WRITE_TIMEOUT, WriteQueue},
+};
 
 /// Maximum number of bytes per write to the operating system: small enough to be accepted as a
 /// whole if there is any room.
 const WRITE_CHUNK: usize = 64;
-
-/// Write timeout. It decides how often the writer checks whether the port was dropped while its
-/// peer accepts no data, and how long a dropped port waits for queued bytes.
-const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// The error's text, with advice if the cause is known.
 fn told(reason: &serialport::Error) -> String {
@@ -35,157 +24,100 @@ fn told(reason: &serialport::Error) -> String {
     }
 }
 
-/// Errors of a serial port.
-#[derive(Debug, thiserror::Error)]
-pub enum SerialError {
-    /// The port could not be opened.
-    #[error("{}: {}", path.display(), told(reason))]
-    Open {
-        /// The port.
-        path: PathBuf,
-        /// The operating system's error.
-        reason: serialport::Error,
-    },
-    /// The other end is gone: the adapter was unplugged or the pseudo-terminal closed.
-    #[error("{}: disconnected; check the cable and the robot", path.display())]
-    HungUp {
-        /// The port.
-        path: PathBuf,
-    },
-    /// The peer accepts no data and the queue is full; these bytes were not queued.
-    #[error("{}: the peer accepts no data", path.display())]
-    Stalled {
-        /// The port.
-        path: PathBuf,
-    },
-    /// Any other error.
-    #[error("{}: {reason}", path.display())]
-    Io {
-        /// The port.
-        path: PathBuf,
-        /// The operating system's error.
-        reason: io::Error,
-    },
-}
-
 /// An open serial port: 8 data bits, no parity, 1 stop bit, no flow control.
 #[derive(Debug)]
 pub struct SerialPort {
-    path: PathBuf,
+    reader: SerialReader,
+    writer: WriteQueue,
+}
+
+/// The receiving end of a serial port.
+#[derive(Debug)]
+pub struct SerialReader {
+    name: String,
     port: Box<dyn serialport::SerialPort>,
-    /// `Some` until the port is dropped.
-    writes: Option<mpsc::SyncSender<Vec<u8>>>,
-    closing: Arc<AtomicBool>,
-    /// Becomes disconnected when the writer thread ends.
-    writer: mpsc::Receiver<()>,
 }
 
 impl SerialPort {
     /// Opens a port by its path, for exclusive use.
-    pub fn open(path: impl AsRef<Path>, baud: u32) -> Result<Self, SerialError> {
-        let path = path.as_ref().to_path_buf();
-        let opened = serialport::new(path.to_string_lossy(), baud)
+    ///
+    /// # Errors
+    /// [`WireError::Open`], and [`WireError::Io`] if no thread can be started.
+    pub fn open(path: impl AsRef<Path>, baud: u32) -> Result<Self, WireError> {
+        let name = path.as_ref().display().to_string();
+        let opened = serialport::new(path.as_ref().to_string_lossy(), baud)
             .timeout(WRITE_TIMEOUT)
             .open()
             .and_then(|port| port.try_clone().map(|writer| (port, writer)));
-        let (port, writer_port) = match opened {
+        let (port, stream) = match opened {
             Ok(both) => both,
-            Err(reason) => return Err(SerialError::Open { path, reason }),
+            Err(reason) => return Err(WireError::Open { name, reason: told(&reason) }),
         };
-        let closing = Arc::new(AtomicBool::new(false));
-        let (writes, queue) = mpsc::sync_channel(QUEUED_WRITES);
-        let (alive, writer) = mpsc::channel();
-        let spawned = thread::Builder::new().name("serial-write".into()).spawn({
-            let closing = Arc::clone(&closing);
-            move || {
-                write_queued(writer_port, &queue, &closing);
-                drop(alive);
-            }
-        });
-        match spawned {
-            Ok(_) => Ok(Self { path, port, writes: Some(writes), closing, writer }),
-            Err(reason) => Err(SerialError::Io { path, reason }),
-        }
+        let writer = WriteQueue::start(name.clone(), stream, WRITE_CHUNK)?;
+        Ok(Self { reader: SerialReader { name, port }, writer })
+    }
+
+    /// Both ends, for different threads.
+    pub fn split(self) -> (SerialReader, WriteQueue) {
+        (self.reader, self.writer)
+    }
+
+    /// Both ends, as those of any link.
+    pub fn into_wire(self) -> Wire {
+        Wire { reader: Box::new(self.reader), writer: Box::new(self.writer) }
     }
 
     /// Reads bytes that have arrived, without waiting. Returns their number, possibly 0.
-    pub fn read(&mut self, buffer: &mut [u8]) -> Result<usize, SerialError> {
+    ///
+    /// # Errors
+    /// As [`SerialPort::read_within`].
+    pub fn read(&mut self, buffer: &mut [u8]) -> Result<usize, WireError> {
         self.read_within(buffer, Duration::ZERO)
     }
 
     /// Reads bytes that have arrived, and waits up to `wait` for the first one. Returns their
     /// number, possibly 0.
     ///
-    /// Bytes that were not read before the other end hung up are lost.
-    pub fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
-        if buffer.is_empty() {
-            return Ok(0);
-        }
-        self.port
-            .set_timeout(wait)
-            .map_err(|reason| SerialError::Io { path: self.path.clone(), reason: reason.into() })?;
-        match self.port.read(buffer) {
-            Ok(0) => Err(self.hung_up()),
-            Ok(count) => Ok(count),
-            Err(reason) => match reason.kind() {
-                ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted => Ok(0),
-                ErrorKind::BrokenPipe | ErrorKind::NotConnected => Err(self.hung_up()),
-                _ => Err(SerialError::Io { path: self.path.clone(), reason }),
-            },
-        }
+    /// # Errors
+    /// Any [`WireError`] except `Stalled`.
+    pub fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError> {
+        self.reader.read_within(buffer, wait)
     }
 
     /// Queues bytes for writing: all of them or, on error, none. Bytes that are queued when the
     /// port is dropped are still written if the peer accepts them before the write timeout.
-    pub fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
-        let Some(writes) = &self.writes else { return Err(self.hung_up()) };
-        writes.try_send(bytes.to_vec()).map_err(|error| match error {
-            mpsc::TrySendError::Full(_) => SerialError::Stalled { path: self.path.clone() },
-            mpsc::TrySendError::Disconnected(_) => self.hung_up(),
-        })
-    }
-
-    fn hung_up(&self) -> SerialError {
-        SerialError::HungUp { path: self.path.clone() }
+    ///
+    /// # Errors
+    /// [`WireError::Stalled`] if the queue is full, or [`WireError::HungUp`].
+    pub fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        self.writer.write(bytes)
     }
 }
 
-impl Drop for SerialPort {
-    fn drop(&mut self) {
-        self.closing.store(true, Ordering::Relaxed);
-        self.writes = None;
-        // The thread is not joined: a writer that is blocked in the operating system must not block
-        // the owner of the port.
-        let _ = self.writer.recv_timeout(WRITE_TIMEOUT);
-    }
-}
-
-/// Writes queued bytes until the port is dropped or disconnected.
-fn write_queued(
-    mut port: Box<dyn serialport::SerialPort>,
-    queue: &mpsc::Receiver<Vec<u8>>,
-    closing: &AtomicBool,
-) {
-    for bytes in queue {
-        let mut rest = &bytes[..];
-        while !rest.is_empty() {
-            match port.write(&rest[..rest.len().min(WRITE_CHUNK)]) {
-                Ok(count) => rest = &rest[count..],
-                Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(error) if error.kind() == ErrorKind::TimedOut => {
-                    if closing.load(Ordering::Relaxed) {
-                        return;
-                    }
-                }
-                Err(_) => return,
-            }
+impl WireReader for SerialReader {
+    /// Bytes that were not read before the other end hung up are lost.
+    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError> {
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        let hung_up = || WireError::HungUp { name: self.name.clone() };
+        let io = |reason| WireError::Io { name: self.name.clone(), reason };
+        self.port.set_timeout(wait).map_err(|reason| io(reason.into()))?;
+        match self.port.read(buffer) {
+            Ok(0) => Err(hung_up()),
+            Ok(count) => Ok(count),
+            Err(reason) => match reason.kind() {
+                ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted => Ok(0),
+                ErrorKind::BrokenPipe | ErrorKind::NotConnected => Err(hung_up()),
+                _ => Err(io(reason)),
+            },
         }
     }
 }
 
 #[cfg(all(test, unix))]
 mod tests {
-    use std::time::Instant;
+    use std::{io::Write, thread, time::Instant};
 
     use serialport::{SerialPort as _, TTYPort};
 
@@ -240,9 +172,9 @@ mod tests {
     fn reads_and_writes_report_a_hang_up() {
         let (mut port, master) = pair();
         drop(master);
-        assert!(matches!(port.read(&mut [0; 8]), Err(SerialError::HungUp { .. })));
+        assert!(matches!(port.read(&mut [0; 8]), Err(WireError::HungUp { .. })));
         let start = Instant::now();
-        while !matches!(port.write(b"x"), Err(SerialError::HungUp { .. })) {
+        while !matches!(port.write(b"x"), Err(WireError::HungUp { .. })) {
             assert!(start.elapsed() < Duration::from_secs(5));
             thread::sleep(Duration::from_millis(1));
         }
@@ -261,7 +193,7 @@ mod tests {
             assert!(queued < 10_000_000, "{queued} bytes accepted without a reader");
             thread::sleep(Duration::from_micros(200));
         }
-        assert!(matches!(port.write(&frame), Err(SerialError::Stalled { .. })));
+        assert!(matches!(port.write(&frame), Err(WireError::Stalled { .. })));
         assert_eq!(port.read(&mut [0; 8]).unwrap(), 0);
 
         // Everything queued arrives once the peer reads, and the next write succeeds.

@@ -1,32 +1,70 @@
-//! A byte stream to and from a robot.
+//! The two ends of a link to a robot, and their errors.
 
-use std::time::Duration;
+use std::{fmt, io, time::Duration};
 
-use super::serial::{SerialError, SerialPort};
+/// Errors of a link. Each message is one line that names the port.
+#[derive(Debug, thiserror::Error)]
+pub enum WireError {
+    /// The port could not be opened.
+    #[error("{name}: {reason}")]
+    Open {
+        /// The port.
+        name: String,
+        /// The reason, with advice if the cause is known.
+        reason: String,
+    },
+    /// The other end is gone: the adapter was unplugged, the pseudo-terminal or connection closed.
+    #[error("{name}: disconnected; check the cable and the robot")]
+    HungUp {
+        /// The port.
+        name: String,
+    },
+    /// The peer accepts no data and the queue is full; these bytes were not queued.
+    #[error("{name}: the peer accepts no data")]
+    Stalled {
+        /// The port.
+        name: String,
+    },
+    /// Any other error.
+    #[error("{name}: {reason}")]
+    Io {
+        /// The port.
+        name: String,
+        /// The operating system's error.
+        reason: io::Error,
+    },
+}
 
-/// A byte stream to and from a robot, such as a serial port.
-pub trait Wire {
+/// The end of a link at which bytes arrive.
+pub trait WireReader: Send {
     /// Reads bytes that have arrived, and waits up to `wait` for the first one. Returns their
     /// number, possibly 0.
     ///
     /// # Errors
-    /// Any [`SerialError`] except `Stalled`; the wire can then no longer be used.
-    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError>;
-
-    /// Queues bytes, all or none.
-    ///
-    /// # Errors
-    /// [`SerialError::Stalled`] if there is no room now; after any other error the wire can no
-    /// longer be used.
-    fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError>;
+    /// Any [`WireError`] except `Stalled`; the link can then no longer be used.
+    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError>;
 }
 
-impl Wire for SerialPort {
-    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, SerialError> {
-        Self::read_within(self, buffer, wait)
-    }
+/// The end of a link that sends bytes.
+pub trait WireWriter: Send {
+    /// Queues bytes, all or none, without blocking.
+    ///
+    /// # Errors
+    /// [`WireError::Stalled`] if there is no room now; after any other error the link can no longer
+    /// be used.
+    fn write(&mut self, bytes: &[u8]) -> Result<(), WireError>;
+}
 
-    fn write(&mut self, bytes: &[u8]) -> Result<(), SerialError> {
-        Self::write(self, bytes)
+/// Both ends of a link.
+pub struct Wire {
+    /// Receives from the robot.
+    pub reader: Box<dyn WireReader>,
+    /// Sends to the robot.
+    pub writer: Box<dyn WireWriter>,
+}
+
+impl fmt::Debug for Wire {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Wire")
     }
 }

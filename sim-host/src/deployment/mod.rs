@@ -7,8 +7,9 @@
 //! | [`registry`] | the robots and their markers |
 //! | `keeping` | when state is written to disk |
 //! | `port` | port handles |
-//! | `event`, `status` | events and counters |
+//! | `camera_event`, `event`, `status` | events and counters |
 
+mod camera_event;
 mod config;
 mod event;
 mod keeping;
@@ -29,11 +30,16 @@ use ubimap_protocol::{
 
 use self::keeping::Keeping;
 use crate::{
-    camera::{Frame, Observation, Sighting},
-    perception::{Observer, robots::RegistryError},
+    camera::{Calibration, Frame, Observation, Sighting},
+    perception::{
+        Observer,
+        robots::RegistryError,
+        steadiness::{Change, Standing},
+    },
     server::{Command, CommandError, Server, coordination::GoalError},
 };
 
+pub use camera_event::{CameraEvent, CameraEventKind};
 pub use config::{Config, Kept, Life};
 pub use event::Event;
 pub use keeping::Batch;
@@ -135,6 +141,9 @@ pub struct Deployment {
     /// The port from which the search for the next frame starts.
     next_port: usize,
     cameras: BTreeMap<usize, CameraStatus>,
+    /// The cameras at the poses that are known.
+    calibrations: Vec<Calibration>,
+    camera_events: VecDeque<(Instant, CameraEvent)>,
     events: VecDeque<(Instant, Event)>,
     sightings: Option<Vec<(Instant, Sighting)>>,
 }
@@ -157,6 +166,8 @@ impl Deployment {
             began,
             next_port: 0,
             cameras: BTreeMap::new(),
+            calibrations: config.cameras,
+            camera_events: VecDeque::new(),
             events: VecDeque::new(),
             sightings: config.keeps_sightings.then(Vec::new),
         })
@@ -198,6 +209,9 @@ impl Deployment {
         if let Some(fault) = fault {
             self.add_event(now, Event::Frame(fault));
         }
+        while let Some((captured, camera, change)) = self.observer.poll_change() {
+            self.moved(captured, camera, &change);
+        }
         while let Some((captured, event)) = self.observer.poll_event() {
             self.server.sighting_event(captured, event);
         }
@@ -220,6 +234,24 @@ impl Deployment {
             sightings.extend(observation.robots.iter().map(|&it| (observation.captured, it)));
         }
         self.add_event(captured, Event::Observed(observation));
+    }
+
+    /// A camera has moved: what it has seen since goes, and its new pose counts.
+    fn moved(&mut self, captured: Instant, camera: usize, change: &Change) {
+        if let Change::Knocked { since, .. } = change {
+            self.server.forget_camera(camera, *since);
+        }
+        let known = self.calibrations.get_mut(camera);
+        let before = known.as_ref().and_then(|it| it.pose().copied());
+        let event = CameraEvent::new(camera, change, before.as_ref());
+        if let (Some(known), Some((_, calibration))) = (known, self.observer.standing(camera)) {
+            *known = *calibration;
+        }
+        if self.camera_events.len() >= MAX_EVENTS {
+            self.camera_events.pop_front();
+        }
+        self.camera_events.push_back((self.since_began(captured), event));
+        self.add_event(captured, Event::Camera(event));
     }
 
     fn add_event(&mut self, moment: Instant, event: Event) {
@@ -366,8 +398,23 @@ impl Deployment {
             robot,
             state: robot.and_then(|robot| self.server.state(robot)),
             link: self.server.link_counters(port),
+            messages: self.server.message_counters(port),
             bytes_sent: self.server.bytes_sent(port),
         }
+    }
+
+    /// The cameras at the poses that are known, which differ from the configured ones after a knock or a
+    /// drift, and whether each is in use.
+    pub fn calibrations(&self) -> impl Iterator<Item = (&Calibration, bool)> {
+        self.calibrations.iter().enumerate().map(|(camera, calibration)| {
+            let standing = self.observer.standing(camera).map(|(standing, _)| standing);
+            (calibration, standing.is_none_or(|it| it == Standing::Steady))
+        })
+    }
+
+    /// The movements of cameras that were noticed, oldest first. Only the newest 1,000 are kept.
+    pub fn camera_events(&self) -> impl Iterator<Item = &(Instant, CameraEvent)> {
+        self.camera_events.iter()
     }
 
     /// Every camera sighting of a robot with its capture time, in order of arrival. Empty unless

@@ -41,7 +41,7 @@ use serde::Serialize;
 use ubimap_agent::ConfigError;
 
 use crate::{
-    channel::serial::SerialError,
+    channel::wire::WireError,
     grid::{self, GridError, MapError, OccupancyGrid},
     perception::robots::RegistryError,
     recording::{FramesError, LogError},
@@ -131,7 +131,15 @@ pub enum RunError {
     Scenario(#[from] ScenarioError),
     /// A serial port can't be opened.
     #[error(transparent)]
-    Port(#[from] SerialError),
+    Port(#[from] WireError),
+    /// A socket without seals.
+    #[error(
+        "{address}: whoever reaches a socket could pose as a robot; give --open to allow that, on a bench"
+    )]
+    Unsealed {
+        /// The socket.
+        address: String,
+    },
     /// The number of poses is neither zero, one, nor the number of ports.
     #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
@@ -152,6 +160,14 @@ pub enum RunError {
         /// Number of robots requested.
         asked: usize,
         /// Number of robots in the scenario.
+        there: usize,
+    },
+    /// A camera is to be knocked that the scenario does not have.
+    #[error("--knock: there is no camera {camera}; the scenario has {there}, numbered from 0")]
+    NoSuchCamera {
+        /// The camera's index.
+        camera: usize,
+        /// Number of cameras in the scenario.
         there: usize,
     },
     /// A robot outside needs a scenario with one robot.
@@ -201,10 +217,12 @@ impl RunError {
             | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
+            | Self::Unsealed { .. }
             | Self::Poses { .. }
             | Self::Robot(_)
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
+            | Self::NoSuchCamera { .. }
             | Self::OneRobot { .. }
             | Self::TooManyTiles { .. }
             | Self::Calibrate(_)

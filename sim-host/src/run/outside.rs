@@ -11,7 +11,7 @@ use ubimap_protocol::{
 
 use super::stage::Stage;
 use crate::{
-    channel::serial::{SerialError, SerialPort},
+    channel::{serial::SerialPort, wire::WireError},
     deployment::{Deployment, PortId},
     devices::{SimA010, SimCreate2},
 };
@@ -73,12 +73,12 @@ impl Outside {
     /// Opens the ports.
     ///
     /// # Errors
-    /// [`SerialError::Open`].
+    /// [`WireError::Open`].
     pub fn open(
         robot: RobotId,
         ports: &OutsidePorts,
         deployment: &mut Deployment,
-    ) -> Result<Self, SerialError> {
+    ) -> Result<Self, WireError> {
         Ok(Self {
             robot,
             server: SerialPort::open(&ports.server, BAUD)?,
@@ -123,7 +123,7 @@ impl Outside {
         deployment: &mut Deployment,
         stage: &mut dyn Stage,
         until: Instant,
-    ) -> Result<Instant, SerialError> {
+    ) -> Result<Instant, WireError> {
         let mut bytes = [0; CHUNK];
         let left = time::Duration::from_micros(until.since(self.now()).micros());
         let count = self.wheels.read_within(&mut bytes, left.min(MAX_WAIT))?;
@@ -163,7 +163,7 @@ impl Outside {
     ///
     /// # Errors
     /// The port has hung up.
-    pub(super) fn transmit(&mut self, frame: &[u8]) -> Result<(), SerialError> {
+    pub(super) fn transmit(&mut self, frame: &[u8]) -> Result<(), WireError> {
         send(&mut self.server, frame)
     }
 
@@ -174,12 +174,12 @@ impl Outside {
 }
 
 /// Writes bytes to a port. A robot that accepts none loses them, as on a line without flow control.
-fn send(port: &mut SerialPort, bytes: &[u8]) -> Result<(), SerialError> {
+fn send(port: &mut SerialPort, bytes: &[u8]) -> Result<(), WireError> {
     if bytes.is_empty() {
         return Ok(());
     }
     match port.write(bytes) {
-        Err(SerialError::Stalled { .. }) => Ok(()),
+        Err(WireError::Stalled { .. }) => Ok(()),
         other => other,
     }
 }

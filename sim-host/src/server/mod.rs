@@ -65,6 +65,8 @@ use crate::{
 pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
+pub use inbox::Unread;
+pub use port::MessageCounters;
 pub use ports::{CommandError, NoSuchPort};
 
 /// Maximum number of robots that the server knows at once, including those in the store.
@@ -154,6 +156,12 @@ impl Server {
             match port.receive(&mut bytes, now) {
                 None => return Ok(()),
                 Some(Brought::Nothing) => {}
+                Some(Brought::Dropped(fault)) => {
+                    self.events.add_from(index, now, Event::Dropped(index, fault));
+                }
+                Some(Brought::Unread(unread)) => {
+                    self.events.add_from(index, now, Event::Unread(index, unread));
+                }
                 Some(Brought::Hello(hello)) => self.greet(index, &hello, now)?,
                 Some(Brought::Messages(session, messages)) => {
                     let robot = session.robot();
@@ -162,7 +170,7 @@ impl Server {
                     let taken = Inbox::new(session, layer, &mut self.surroundings);
                     let taken = taken.take(messages, now);
                     self.unsaved.came(session, layer, &taken.updated);
-                    port.taken(taken.unknown, taken.malformed);
+                    port.taken(&taken.unread, taken.late);
                     self.taken((index, robot), taken, now);
                 }
             }
@@ -182,7 +190,7 @@ impl Server {
                 self.joined(port, robot, now);
             }
             Greeted::Refused(reason) => {
-                self.events.add_from(port, now, Event::Refused(robot, reason));
+                self.events.add_from(port, now, Event::Refused(*hello, reason));
             }
             Greeted::Answered => {}
         }
@@ -230,6 +238,9 @@ impl Server {
         if let Some(dispatch) = &mut self.dispatch {
             taken.codes().for_each(|code| dispatch.event(robot, code, now));
         }
+        for unread in taken.unread {
+            self.events.add_from(port, now, Event::Unread(port, unread));
+        }
         for event in taken.events {
             self.events.add_from(port, now, Event::Reported(robot, event));
         }
@@ -269,6 +280,12 @@ impl Server {
         while let Some(lying) = self.surroundings.poll_lying() {
             self.events.add(lying.moment, Event::Person(lying.into()));
         }
+        self.map.changed(&changed);
+    }
+
+    /// Forgets the cells that a camera has seen after `since`: it was knocked.
+    pub fn forget_camera(&mut self, camera: usize, since: Instant) {
+        let changed = self.map.forget_camera(camera, since);
         self.map.changed(&changed);
     }
 

@@ -2,7 +2,7 @@
 
 use ubimap_protocol::{
     frame::{Direction, MAX_FRAME, SessionId, cobs, open},
-    link::{Answer, Counters, Received},
+    link::{Answer, Counters, FrameFault, Received},
     message::{Hello, Messages, Reset, ToServer, Welcome, Writer},
     time::{Duration, Instant},
     units::RobotId,
@@ -10,6 +10,7 @@ use ubimap_protocol::{
 
 use super::{
     command::Command,
+    inbox::Unread,
     inflow::Inflow,
     session::{Link, Session},
     snapshot::Snapshot,
@@ -39,9 +40,7 @@ pub(super) struct Port {
     /// The handshake frame to send.
     answer: Option<Answer>,
     reset: PendingReset,
-    /// Numbers of messages of unknown kinds, and of malformed messages.
-    unknown: u32,
-    malformed: u32,
+    messages: MessageCounters,
     bytes_sent: u64,
 }
 
@@ -56,6 +55,27 @@ pub(super) struct Candidate {
     offered: Instant,
 }
 
+/// Counters of the messages received at a port that had no effect.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MessageCounters {
+    /// Messages of a kind that this version does not know.
+    pub unknown: u32,
+    /// Messages that can't be read as their kind, or that break a rule.
+    pub malformed: u32,
+    /// Tile states in updates that arrived after a newer one.
+    pub late: u32,
+}
+
+impl MessageCounters {
+    fn add(&mut self, unread: Unread) {
+        let counter = match unread {
+            Unread::Unknown(_) => &mut self.unknown,
+            Unread::Malformed { .. } => &mut self.malformed,
+        };
+        *counter = counter.saturating_add(1);
+    }
+}
+
 #[derive(Debug, Default)]
 struct PendingReset {
     due: bool,
@@ -66,6 +86,10 @@ struct PendingReset {
 pub(super) enum Brought<'p> {
     /// Nothing that the caller must handle.
     Nothing,
+    /// A frame that was dropped.
+    Dropped(FrameFault),
+    /// A handshake frame without a Hello that can be read.
+    Unread(Unread),
     Hello(Hello),
     /// Messages of the session. Call [`Port::taken`] after handling them.
     Messages(&'p mut Session, Messages<'p, ToServer>),
@@ -81,8 +105,7 @@ impl Default for Port {
             decoder: cobs::Decoder::default(),
             answer: None,
             reset: PendingReset::default(),
-            unknown: 0,
-            malformed: 0,
+            messages: MessageCounters::default(),
             bytes_sent: 0,
         }
     }
@@ -99,18 +122,19 @@ impl Port {
 
     /// Decodes a frame from the front of `bytes`, and advances `bytes`. `None` if they are used up.
     pub(super) fn receive(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Brought<'_>> {
-        let Self { link, session, reset, malformed, .. } = self;
+        let Self { link, session, reset, messages: counted, .. } = self;
         Some(match (link.receive(bytes, now)?, session) {
-            (Received::Bad, session) => {
+            (Received::Bad(fault), session) => {
                 let is_silent = |session: &mut Session| session.silent_for(now) >= SESSION_SILENT;
                 reset.due |= session.as_mut().is_none_or(is_silent);
-                Brought::Nothing
+                Brought::Dropped(fault)
             }
             (Received::Handshake(message), _) => match message.decode() {
                 Ok(hello) => Brought::Hello(hello),
                 Err(_) => {
-                    *malformed += 1;
-                    Brought::Nothing
+                    let unread = Unread::of(message);
+                    counted.add(unread);
+                    Brought::Unread(unread)
                 }
             },
             (Received::Session(messages), Some(session)) => {
@@ -121,11 +145,11 @@ impl Port {
         })
     }
 
-    /// Call this after handling a frame, with the numbers of messages of unknown kinds and of
-    /// malformed messages.
-    pub(super) fn taken(&mut self, unknown: u32, malformed: u32) {
-        self.unknown += unknown;
-        self.malformed += malformed;
+    /// Call this after handling a frame, with its messages that could not be read, and the number of
+    /// its tiles whose state was old.
+    pub(super) fn taken(&mut self, unread: &[Unread], late: u32) {
+        unread.iter().for_each(|&unread| self.messages.add(unread));
+        self.messages.late = self.messages.late.saturating_add(late);
         while let Some(frame) = self.link.poll_acknowledged() {
             if let Some(session) = &mut self.session {
                 session.acknowledged(frame);
@@ -289,9 +313,9 @@ impl Port {
         self.link.counters()
     }
 
-    /// Numbers of messages of unknown kinds, and of malformed messages.
-    pub(super) fn unread(&self) -> (u32, u32) {
-        (self.unknown, self.malformed)
+    /// Counters of the messages.
+    pub(super) fn message_counters(&self) -> MessageCounters {
+        self.messages
     }
 }
 

@@ -1026,7 +1026,8 @@ fn window() -> Value {
                 json!({ "sequence": sequence, "wire": hex(&wire), "outcome": outcome })
             })
             .collect();
-        let answer = sealed(TO_ROBOT, 5, header(FrameKind::Datagram, *first), &message::<ToRobot>(ack));
+        let answer =
+            sealed(TO_ROBOT, 5, header(FrameKind::Datagram, *first), &message::<ToRobot>(ack));
         let mut case = json!({
             "name": name, "session": 5, "frames": frames, "next": ack.next, "later": ack.later,
             "answer": hex(&answer),

@@ -226,14 +226,19 @@ fn frames_that_violate_the_protocol_are_no_sign_of_life() {
     };
     let good = Header { version: VERSION, kind: FrameKind::Datagram, sequence: 0 };
     let cases = [
-        (Header { version: VERSION + 1, ..good }, SessionId(77)),
-        (Header { kind: FrameKind::Handshake, ..good }, SessionId(77)),
-        (Header { kind: FrameKind::Reliable, sequence: 400, ..good }, SessionId(77)),
-        (good, SessionId::NONE),
+        (Header { version: VERSION + 1, ..good }, SessionId(77), FrameFault::Version(VERSION + 1)),
+        (Header { kind: FrameKind::Handshake, ..good }, SessionId(77), FrameFault::Kind),
+        (
+            Header { kind: FrameKind::Reliable, sequence: 400, ..good },
+            SessionId(77),
+            FrameFault::Sequence(400),
+        ),
+        (good, SessionId::NONE, FrameFault::Kind),
     ];
-    for (count, (header, session)) in (1..).zip(cases) {
+    for (count, (header, session, fault)) in (1..).zip(cases) {
         let received = server.receive(&mut &sealed(header, session)[..], Instant(0));
-        assert!(matches!(received, Some(Received::Bad)), "{header:?} {session:?}");
+        let Some(Received::Bad(found)) = received else { panic!("{header:?} {session:?}") };
+        assert_eq!(found, fault);
         assert_eq!((server.counters().refused, server.counters().bad), (count, 0));
     }
     let received = server.receive(&mut &sealed(good, SessionId(77))[..], Instant(0));

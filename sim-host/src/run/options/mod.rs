@@ -1,5 +1,6 @@
 //! The options of `ubimap`'s commands, checked as they are parsed.
 
+mod knock;
 mod replay;
 mod simulate;
 mod values;
@@ -13,12 +14,13 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
+pub use knock::Knock;
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
 pub(super) use values::{OptionError, number};
 use values::{heights, milliseconds, pose, probability, resolution, seconds, tolerance};
 
-use crate::channel::fault::Faults;
+use crate::channel::{address::Address, fault::Faults};
 
 /// Options of `ubimap watch`.
 #[derive(Args, Clone, Debug)]
@@ -72,9 +74,14 @@ pub enum TrustFloor {
 /// Options of `ubimap serve`.
 #[derive(Args, Clone, Debug)]
 pub struct ServeOptions {
-    /// Serial ports, with one robot behind each
+    /// Serial ports, with one robot behind each, and sockets for any number of robots: udp:4000 or
+    /// tcp:4000 on this machine, udp:0.0.0.0:4000 from everywhere
     #[arg(required = true, value_name = "PORT")]
-    pub ports: Vec<PathBuf>,
+    pub ports: Vec<Address>,
+
+    /// Open the sockets to everyone who reaches them, on a bench: their frames are not sealed
+    #[arg(long)]
+    pub open: bool,
 
     /// Speed of the ports in bits per second
     #[arg(long, value_name = "N", default_value_t = 115_200, value_parser = value_parser!(u32).range(1_200..=12_000_000))]

@@ -1,19 +1,19 @@
-//! A port of the bench: its wire, which is opened again whenever it comes back, and what is known
-//! of the robot behind it.
-
-use std::time;
+//! A link to a robot: its wire, which is opened again whenever it comes back, and what is known of the
+//! robot behind it.
 
 use ubimap_protocol::{
-    link::Counters,
     message::{Event, State},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 
 use crate::{
-    channel::{serial::SerialError, wire::Wire},
+    channel::{
+        intake::{Intake, Listening, SourceId},
+        wire::{Wire, WireError, WireReader, WireWriter},
+    },
     deployment::PortStatus,
-    report::{EventSummary, PortSummary, StateSummary},
+    report::{EventSummary, LinkSummary, PortSummary, StateSummary},
     server::{self, EventLog, Server},
 };
 
@@ -21,14 +21,19 @@ use crate::{
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Opens a wire, the first time and after each hang-up.
-pub type Opener = Box<dyn FnMut() -> Result<Box<dyn Wire>, SerialError>>;
+pub type Opener = Box<dyn FnMut() -> Result<Wire, WireError>>;
 
-/// A port of the bench and the state of the robot behind it.
+/// A link and the state of the robot behind it.
 pub struct Attached {
     name: String,
-    opener: Opener,
+    /// `None` for a link that a robot has opened, and opens again if it wants.
+    opener: Option<Opener>,
     /// `None` while it is hung up.
-    wire: Option<Box<dyn Wire>>,
+    writer: Option<Box<dyn WireWriter>>,
+    /// The end at which bytes arrive, until a thread listens to it.
+    reader: Option<Box<dyn WireReader>>,
+    /// The thread that listens. `None` for a peer of a socket, which has one for all.
+    listening: Option<Listening>,
     /// When to try to open it again.
     next_attempt: Instant,
     stands: Option<Pose>,
@@ -39,7 +44,7 @@ pub struct Attached {
     bytes_up: u64,
     bytes_down: u64,
     /// Counters of the links that ended with a hang-up.
-    ended: Counters,
+    ended: LinkSummary,
 }
 
 impl Attached {
@@ -48,16 +53,20 @@ impl Attached {
     ///
     /// # Errors
     /// The opener's.
-    pub fn open(
-        name: String,
-        mut opener: Opener,
-        stands: Option<Pose>,
-    ) -> Result<Self, SerialError> {
-        let wire = Some(opener()?);
-        Ok(Self {
+    pub fn open(name: String, mut opener: Opener, stands: Option<Pose>) -> Result<Self, WireError> {
+        let Wire { reader, writer } = opener()?;
+        let link = Self::new(name, writer, stands);
+        Ok(Self { opener: Some(opener), reader: Some(reader), ..link })
+    }
+
+    /// A peer of a socket that hears all.
+    pub(super) fn new(name: String, writer: Box<dyn WireWriter>, stands: Option<Pose>) -> Self {
+        Self {
             name,
-            opener,
-            wire,
+            opener: None,
+            writer: Some(writer),
+            reader: None,
+            listening: None,
             next_attempt: Instant(0),
             stands,
             robot: None,
@@ -65,13 +74,45 @@ impl Attached {
             is_stalled: false,
             bytes_up: 0,
             bytes_down: 0,
-            ended: Counters::default(),
-        })
+            ended: LinkSummary::default(),
+        }
+    }
+
+    /// A connection that a robot has opened to a socket.
+    pub(super) fn connected(name: String, wire: Wire, stands: Option<Pose>) -> Self {
+        let Wire { reader, writer } = wire;
+        Self { reader: Some(reader), ..Self::new(name, writer, stands) }
+    }
+
+    /// Starts to listen to the wire.
+    ///
+    /// # Errors
+    /// [`WireError::Io`] if no thread can be started.
+    pub(super) fn listen(&mut self, intake: &mut Intake) -> Result<(), WireError> {
+        if let Some(reader) = self.reader.take() {
+            self.listening = Some(intake.wire(reader)?);
+        }
+        Ok(())
+    }
+
+    /// The source of its arrivals, if it has one of its own.
+    pub(super) fn source(&self) -> Option<SourceId> {
+        self.listening.as_ref().map(Listening::source)
+    }
+
+    /// The robot that has, or last had, a session here.
+    pub(super) fn robot(&self) -> Option<RobotId> {
+        self.robot
+    }
+
+    /// Whether the robot, not the server, opens the link.
+    pub(super) fn is_of_robot(&self) -> bool {
+        self.opener.is_none()
     }
 
     /// Whether the wire is open.
     pub(super) fn is_open(&self) -> bool {
-        self.wire.is_some()
+        self.writer.is_some()
     }
 
     /// The pose of the robot behind it, if known.
@@ -81,14 +122,17 @@ impl Attached {
 
     /// Tries to open the wire again if it has hung up and an attempt is due. Returns whether it did.
     pub(super) fn reopen(&mut self, now: Instant) -> bool {
-        if self.is_open() || now < self.next_attempt {
+        let Some(opener) = self.opener.as_mut().filter(|_| self.writer.is_none()) else {
+            return false;
+        };
+        if now < self.next_attempt {
             return false;
         }
         self.next_attempt = now + REOPEN_INTERVAL;
-        match (self.opener)() {
-            Ok(wire) => {
+        match opener() {
+            Ok(Wire { reader, writer }) => {
                 log::info!("{}: connected again", self.name);
-                self.wire = Some(wire);
+                (self.reader, self.writer) = (Some(reader), Some(writer));
             }
             Err(error) => log::debug!("{error}"),
         }
@@ -97,8 +141,8 @@ impl Attached {
 
     /// Writes a frame. Bytes that a stalled wire does not accept are lost; the protocol resends them.
     pub(super) fn write(&mut self, frame: &[u8]) {
-        let Some(wire) = &mut self.wire else { return };
-        match wire.write(frame) {
+        let Some(writer) = &mut self.writer else { return };
+        match writer.write(frame) {
             Ok(()) => {
                 self.is_stalled = false;
                 self.bytes_down += frame.len() as u64;
@@ -107,31 +151,36 @@ impl Attached {
         }
     }
 
-    /// Reads the bytes that arrive within a time. Returns their number.
-    pub(super) fn read_within(&mut self, buffer: &mut [u8], wait: time::Duration) -> usize {
-        let Some(wire) = &mut self.wire else { return 0 };
-        match wire.read_within(buffer, wait) {
-            Ok(count) => {
-                self.bytes_up += count as u64;
-                count
-            }
-            Err(error) => {
-                self.failed(&error);
-                0
-            }
-        }
+    /// Counts bytes that have arrived.
+    pub(super) fn heard(&mut self, bytes: usize) {
+        self.bytes_up += bytes as u64;
     }
 
     /// Logs the failure of a wire, and drops it if it has hung up.
-    fn failed(&mut self, error: &SerialError) {
-        let is_stalled = matches!(error, SerialError::Stalled { .. });
+    pub(super) fn failed(&mut self, error: &WireError) {
+        let is_stalled = matches!(error, WireError::Stalled { .. });
         if !is_stalled {
-            log::warn!("{error}; waiting for it to come back");
-            self.wire = None;
+            match self.is_of_robot() {
+                true => log::info!("{error}"),
+                false => log::warn!("{error}; waiting for it to come back"),
+            }
+            self.hang_up();
         } else if !self.is_stalled {
             log::warn!("{error}");
         }
         self.is_stalled = is_stalled;
+    }
+
+    /// Drops the wire.
+    pub(super) fn hang_up(&mut self) {
+        (self.writer, self.reader, self.listening) = (None, None, None);
+    }
+
+    /// Adds the counters of an earlier link of the same robot.
+    pub(super) fn follows(&mut self, earlier: &Self) {
+        self.bytes_up += earlier.bytes_up;
+        self.bytes_down += earlier.bytes_down;
+        self.ended = self.ended.plus(earlier.ended);
     }
 
     /// Records the status of the port's robot, and logs it if it is new.
@@ -151,22 +200,13 @@ impl Attached {
     }
 
     /// Counters of all links so far: those that ended, and the one with this status.
-    fn counters(&self, status: Option<&PortStatus>) -> Counters {
-        let link = status.map(|status| status.link).unwrap_or_default();
-        let ended = self.ended;
-        Counters {
-            sent: ended.sent.wrapping_add(link.sent),
-            retransmissions: ended.retransmissions.wrapping_add(link.retransmissions),
-            received: ended.received.wrapping_add(link.received),
-            duplicates: ended.duplicates.wrapping_add(link.duplicates),
-            bad: ended.bad.wrapping_add(link.bad),
-            refused: ended.refused.wrapping_add(link.refused),
-        }
+    fn counters(&self, status: Option<&PortStatus>) -> LinkSummary {
+        let current = status.map(|status| LinkSummary::new(status.link, status.messages));
+        self.ended.plus(current.unwrap_or_default())
     }
 
     /// The report on the port. `status` is the status of its current link; `None` if none is open.
     pub(super) fn summary(&self, status: Option<&PortStatus>, server: &Server) -> PortSummary {
-        let link = self.counters(status);
         let events = self.robot.and_then(|robot| server.events(robot));
         PortSummary {
             port: self.name.clone(),
@@ -177,9 +217,7 @@ impl Attached {
             events: events.map_or(0, EventLog::count),
             newest_events: events.map(summaries).unwrap_or_default(),
             time_requests: self.robot.map_or(0, |robot| server.time_requests(robot)),
-            frames_received: link.received,
-            frames_bad: link.bad,
-            retransmissions: link.retransmissions,
+            link: self.counters(status),
             bytes_up: self.bytes_up,
             bytes_down: self.bytes_down,
         }

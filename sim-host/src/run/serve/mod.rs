@@ -1,21 +1,23 @@
-//! `ubimap serve`: the camera server on serial ports, in real time.
+//! `ubimap serve`: the camera server on serial ports and sockets, in real time.
 //!
 //! Drives a deployment by the wall clock. Without real cameras it serves robots on a bench: each stands
 //! at a given pose, and gets fixes of it at a camera's rate.
 
 mod attached;
 mod bench_camera;
+mod links;
 mod station;
 
 use ubimap_protocol::tile::Epoch;
 
 use super::{RunError, interruption, keeper, options::ServeOptions};
 use crate::{
-    channel::{serial::SerialPort, wire::Wire},
+    channel::{address::Address, serial::SerialPort},
     report::ServeReport,
 };
 pub use attached::{Attached, Opener};
 pub use bench_camera::CAPTURE_INTERVAL;
+pub use links::Door;
 pub use station::Station;
 
 /// Serves until the time is up or a signal interrupts. A port that hangs up is opened again when it
@@ -24,12 +26,12 @@ pub use station::Station;
 /// # Errors
 /// [`RunError`] if a port or the store can't be opened.
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
-    let ports = open(options)?;
+    let (ports, doors) = open(options)?;
     let resolution = options.resolution;
     let epoch = Epoch(random()?.max(1));
     let (keeper, mut life) = keeper::open(options.store.as_deref(), resolution, epoch)?;
     life.first_session = Some(random()?);
-    let mut station = Station::new(resolution, life, ports, keeper)?;
+    let mut station = Station::new(resolution, life, ports, doors, keeper)?;
     let end = options.duration.map(|duration| station.now() + duration);
     while !interruption::is_requested() && end.is_none_or(|end| station.now() < end) {
         station.turn();
@@ -39,7 +41,8 @@ pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
     Ok(report)
 }
 
-fn open(options: &ServeOptions) -> Result<Vec<Attached>, RunError> {
+/// The ports that the server opens, and the sockets at which robots knock.
+fn open(options: &ServeOptions) -> Result<(Vec<Attached>, Vec<Door>), RunError> {
     let pose = |index: usize| match options.pose[..] {
         [] => None,
         [one] => Some(one),
@@ -49,15 +52,24 @@ fn open(options: &ServeOptions) -> Result<Vec<Attached>, RunError> {
     if poses > 1 && poses != ports {
         return Err(RunError::Poses { poses, ports });
     }
-    let attached = options.ports.iter().enumerate().map(|(index, path)| {
-        let (path, baud, name) = (path.clone(), options.baud, path.display().to_string());
-        let opener: Opener =
-            Box::new(move || Ok(Box::new(SerialPort::open(&path, baud)?) as Box<dyn Wire>));
-        let attached = Attached::open(name, opener, pose(index))?;
-        log::info!("port {index} is {}", options.ports[index].display());
-        Ok(attached)
-    });
-    attached.collect()
+    let (mut attached, mut doors) = (Vec::new(), Vec::new());
+    for (index, address) in options.ports.iter().enumerate() {
+        let stands = pose(index);
+        if let Address::Serial(path) = address {
+            let (path, baud, name) = (path.clone(), options.baud, address.to_string());
+            let opener: Opener = Box::new(move || Ok(SerialPort::open(&path, baud)?.into_wire()));
+            attached.push(Attached::open(name, opener, stands)?);
+        } else if !options.open {
+            return Err(RunError::Unsealed { address: address.to_string() });
+        } else {
+            log::warn!(
+                "{address} is open: whoever reaches it can pose as a robot and change the map"
+            );
+            doors.extend(Door::open(address, stands)?);
+        }
+        log::info!("port {index} is {address}");
+    }
+    Ok((attached, doors))
 }
 
 /// A random number, so that no two lives of the server share an epoch and a session, whatever the clock

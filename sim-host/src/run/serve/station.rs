@@ -1,6 +1,6 @@
 //! A deployment with its wires, driven by the wall clock.
 
-use std::{thread, time};
+use std::time;
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
@@ -8,16 +8,21 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-use super::{attached::Attached, bench_camera::BenchCamera};
+use super::{
+    attached::Attached,
+    bench_camera::BenchCamera,
+    links::{Door, Links},
+};
 use crate::{
-    deployment::{Config, Deployment, Life, PortId},
+    deployment::{Config, Deployment, Life},
     report::ServeReport,
     run::{RunError, keeper::Keeper},
 };
 
-/// Maximum wait for a byte, shared by all ports. Bytes that arrive at another port meanwhile get a
-/// time that is late by up to this.
-const LONGEST_WAIT: Duration = Duration::from_millis(4);
+/// Maximum wait for an arrival, so that hang-ups and signals are noticed.
+const LONGEST_WAIT: Duration = Duration::from_millis(20);
+/// Maximum number of arrivals that are handled before other work that is due.
+const ARRIVALS: usize = 64;
 /// Minimum wait, so that the processor can idle.
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 /// Time for the last messages to the robots: enough for one retransmission.
@@ -26,8 +31,7 @@ const FAREWELL: Duration = Duration::from_millis(500);
 /// A deployment with its wires, driven by the wall clock.
 pub struct Station {
     deployment: Deployment,
-    /// Each wire with its port; a wire that was opened again has a new port.
-    ports: Vec<(PortId, Attached)>,
+    links: Links,
     keeper: Option<Keeper>,
     camera: BenchCamera,
     started: time::Instant,
@@ -38,18 +42,20 @@ impl Station {
     /// Starts a deployment. Its records go to the keeper, if there is one.
     ///
     /// # Errors
-    /// [`RunError::Registry`], which a deployment without markers does not return.
+    /// [`RunError::Port`] if no thread can be started; [`RunError::Registry`], which a deployment
+    /// without markers does not return.
     pub fn new(
         resolution: Millimetres,
         life: Life,
         wires: Vec<Attached>,
+        doors: Vec<Door>,
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
         let mut deployment = Deployment::new(Config::new(resolution), life)?;
-        let ports = wires.into_iter().map(|wire| (deployment.open_port(), wire)).collect();
+        let links = Links::open(wires, doors, &mut deployment)?;
         Ok(Self {
             deployment,
-            ports,
+            links,
             keeper,
             camera: BenchCamera::default(),
             started: time::Instant::now(),
@@ -67,36 +73,32 @@ impl Station {
         Instant(self.started.elapsed().as_micros() as u64)
     }
 
-    /// Whether any wire is open.
+    /// Whether any wire or socket is open.
     pub fn is_attached(&self) -> bool {
-        self.open() > 0
-    }
-
-    /// Number of open wires.
-    fn open(&self) -> u64 {
-        self.ports.iter().filter(|(_, wire)| wire.is_open()).count() as u64
+        self.links.is_open()
     }
 
     /// Does the work that is due and processes input that arrives within a few milliseconds.
     pub fn turn(&mut self) {
         let now = self.now();
-        let stands = self.ports.iter().filter_map(|(port, wire)| {
-            Some((self.deployment.port(*port).ok()?.robot?, wire.stands()?))
+        let stands = self.links.iter().filter_map(|(port, link)| {
+            Some((self.deployment.port(port).ok()?.robot?, link.stands()?))
         });
         if let Some(observation) = self.camera.poll(now, stands) {
             self.deployment.observe(observation);
         }
         self.drain();
-        let wait = self.wait();
-        if !self.is_attached() {
-            thread::sleep(wait);
-        }
-        for index in 0..self.ports.len() {
-            self.receive(index, wait);
+        let mut wait = self.wait();
+        for _ in 0..ARRIVALS {
+            let Some(arrival) = self.links.next_within(wait) else { break };
+            let at = Instant(arrival.at.duration_since(self.started).as_micros() as u64);
+            self.links.take(arrival, &mut self.deployment, at);
             self.drain();
+            wait = time::Duration::ZERO;
         }
-        self.follow_hang_ups();
-        self.deployment.timeout(self.now());
+        let now = self.now();
+        self.links.follow_hang_ups(&mut self.deployment, now);
+        self.deployment.timeout(now);
         self.drain();
     }
 
@@ -111,45 +113,12 @@ impl Station {
         self.drain();
     }
 
-    /// Closes the ports of wires that have hung up, and opens a port for each that has come back.
-    fn follow_hang_ups(&mut self) {
-        let now = self.now();
-        for (port, wire) in &mut self.ports {
-            if wire.is_open() {
-                continue;
-            }
-            if let Ok(status) = self.deployment.port(*port) {
-                wire.end_link(&status);
-                // The port is open: it has a status.
-                let _ = self.deployment.close_port(*port);
-            }
-            if wire.reopen(now) {
-                *port = self.deployment.open_port();
-            }
-        }
-    }
-
-    /// The time to wait at each port.
+    /// The time to wait for an arrival.
     fn wait(&self) -> time::Duration {
         let now = self.now();
         let due = self.deployment.poll_timeout(now).into_iter().chain([self.camera.next()]).min();
         let until_due = due.map_or(LONGEST_WAIT, |due| due.since(now)).min(LONGEST_WAIT);
-        let wait = Duration(until_due.micros() / self.open().max(1)).max(SHORTEST_WAIT);
-        time::Duration::from_micros(wait.micros())
-    }
-
-    fn receive(&mut self, index: usize, wait: time::Duration) {
-        let Some((port, wire)) = self.ports.get_mut(index) else { return };
-        let count = wire.read_within(&mut self.buffer, wait);
-        if count == 0 {
-            return;
-        }
-        let now = Instant(self.started.elapsed().as_micros() as u64);
-        // The port is open: the wire has not hung up.
-        let _ = self.deployment.receive(*port, &self.buffer[..count], now);
-        if let Ok(status) = self.deployment.port(*port) {
-            wire.note(&status, self.deployment.server_time(now));
-        }
+        time::Duration::from_micros(until_due.max(SHORTEST_WAIT).micros())
     }
 
     /// Drains the outputs.
@@ -159,9 +128,7 @@ impl Station {
             keeper.keep_trying(&mut self.deployment, now);
         }
         while let Some((port, len)) = self.deployment.poll_transmit(now, &mut self.buffer) {
-            if let Some((_, wire)) = self.ports.iter_mut().find(|(id, _)| *id == port) {
-                wire.write(&self.buffer[..len]);
-            }
+            self.links.write(port, &self.buffer[..len]);
         }
         while let Some((_, event)) = self.deployment.poll_event() {
             log::log!(event.level(), "{event}");
@@ -170,13 +137,13 @@ impl Station {
 
     /// The report on the robots at this time.
     pub fn report(&self) -> ServeReport {
-        let summary = |(port, wire): &(PortId, Attached)| {
-            wire.summary(self.deployment.port(*port).ok().as_ref(), self.deployment.server())
+        let summary = |(port, link): (_, &Attached)| {
+            link.summary(self.deployment.port(port).ok().as_ref(), self.deployment.server())
         };
         ServeReport {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
-            ports: self.ports.iter().map(summary).collect(),
+            ports: self.links.iter().map(summary).collect(),
             elapsed_s: self.started.elapsed().as_secs_f64(),
         }
     }

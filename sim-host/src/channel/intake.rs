@@ -1,0 +1,202 @@
+//! The bytes from all ports in one queue, in order of arrival: a thread waits at each port, so that no
+//! link waits for another, and one consumer handles everything.
+
+use std::{
+    net::{SocketAddr, TcpStream},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use super::{
+    tcp::TcpListener,
+    udp::UdpSocket,
+    wire::{WireError, WireReader},
+};
+
+/// Capacity of the queue. Threads of a full queue wait, and the operating system holds or drops what
+/// arrives meanwhile.
+const QUEUED: usize = 1_024;
+
+/// How often a thread checks whether its port was closed.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Maximum number of bytes of an arrival.
+const CHUNK: usize = 1_024;
+
+/// A source of arrivals: a wire, a socket or a listener. Numbers are not reused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct SourceId(usize);
+
+/// Something that has arrived.
+#[derive(Debug)]
+pub struct Arrival {
+    /// Where.
+    pub source: SourceId,
+    /// When.
+    pub at: Instant,
+    /// What.
+    pub what: What,
+}
+
+/// The content of an arrival.
+#[derive(Debug)]
+pub enum What {
+    /// Bytes from a wire.
+    Bytes(Vec<u8>),
+    /// A datagram and its sender.
+    Datagram(SocketAddr, Vec<u8>),
+    /// A connection to a listener.
+    Connection(TcpStream, SocketAddr),
+    /// The source has failed and delivers nothing more.
+    Failed(WireError),
+}
+
+/// The queue.
+#[derive(Debug)]
+pub struct Intake {
+    next_source: usize,
+    feed: mpsc::SyncSender<Arrival>,
+    queue: mpsc::Receiver<Arrival>,
+}
+
+/// A thread that waits at a port; it ends soon after this is dropped.
+#[derive(Debug)]
+pub struct Listening {
+    source: SourceId,
+    closed: Arc<AtomicBool>,
+}
+
+impl Default for Intake {
+    fn default() -> Self {
+        let (feed, queue) = mpsc::sync_channel(QUEUED);
+        Self { next_source: 0, feed, queue }
+    }
+}
+
+impl Intake {
+    /// Listens to a wire.
+    ///
+    /// # Errors
+    /// [`WireError::Io`] if no thread can be started.
+    pub fn wire(&mut self, mut reader: Box<dyn WireReader>) -> Result<Listening, WireError> {
+        let mut buffer = vec![0; CHUNK];
+        self.listen(move || {
+            let count = reader.read_within(&mut buffer, CHECK_INTERVAL)?;
+            Ok((count > 0).then(|| What::Bytes(buffer[..count].to_vec())))
+        })
+    }
+
+    /// Listens to a UDP socket.
+    ///
+    /// # Errors
+    /// [`WireError::Io`] if no thread can be started.
+    pub fn udp(&mut self, socket: UdpSocket) -> Result<Listening, WireError> {
+        self.listen(move || {
+            let datagram = socket.receive_within(CHECK_INTERVAL)?;
+            Ok(datagram.map(|(from, bytes)| What::Datagram(from, bytes)))
+        })
+    }
+
+    /// Listens to a TCP listener.
+    ///
+    /// # Errors
+    /// [`WireError::Io`] if no thread can be started.
+    pub fn tcp(&mut self, listener: TcpListener) -> Result<Listening, WireError> {
+        self.listen(move || {
+            let connection = listener.accept_within(CHECK_INTERVAL)?;
+            Ok(connection.map(|(stream, from)| What::Connection(stream, from)))
+        })
+    }
+
+    /// The oldest arrival; waits up to `wait` for one.
+    pub fn next_within(&self, wait: Duration) -> Option<Arrival> {
+        // This end of the queue has a feed of its own, so it is never disconnected.
+        self.queue.recv_timeout(wait).ok()
+    }
+
+    fn listen(
+        &mut self,
+        mut poll: impl FnMut() -> Result<Option<What>, WireError> + Send + 'static,
+    ) -> Result<Listening, WireError> {
+        let source = SourceId(self.next_source);
+        self.next_source += 1;
+        let closed = Arc::new(AtomicBool::new(false));
+        let spawned = thread::Builder::new().name("wire-read".into()).spawn({
+            let (feed, closed) = (self.feed.clone(), Arc::clone(&closed));
+            move || {
+                while !closed.load(Ordering::Relaxed) {
+                    let what = match poll() {
+                        Ok(None) => continue,
+                        Ok(Some(what)) => what,
+                        Err(error) => What::Failed(error),
+                    };
+                    let is_last = matches!(what, What::Failed(_));
+                    let sent = feed.send(Arrival { source, at: Instant::now(), what });
+                    if is_last || sent.is_err() {
+                        return;
+                    }
+                }
+            }
+        });
+        match spawned {
+            Ok(_) => Ok(Listening { source, closed }),
+            Err(reason) => Err(WireError::Io { name: "a thread for a port".into(), reason }),
+        }
+    }
+}
+
+impl Listening {
+    /// The source.
+    pub fn source(&self) -> SourceId {
+        self.source
+    }
+}
+
+impl Drop for Listening {
+    fn drop(&mut self) {
+        self.closed.store(true, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WAIT: Duration = Duration::from_secs(5);
+
+    /// A wire on which a byte arrives after each pause, until it hangs up.
+    struct Slow(Vec<Duration>);
+
+    impl WireReader for Slow {
+        fn read_within(&mut self, buffer: &mut [u8], _: Duration) -> Result<usize, WireError> {
+            let Some(pause) = self.0.pop() else {
+                return Err(WireError::HungUp { name: "slow".into() });
+            };
+            thread::sleep(pause);
+            buffer[0] = 1;
+            Ok(1)
+        }
+    }
+
+    #[test]
+    fn a_slow_wire_holds_up_no_other() {
+        let mut intake = Intake::default();
+        let slow = intake.wire(Box::new(Slow(vec![Duration::from_secs(2)]))).unwrap();
+        let quick = intake.wire(Box::new(Slow(vec![Duration::ZERO; 3]))).unwrap();
+        let began = Instant::now();
+        for _ in 0..3 {
+            let arrival = intake.next_within(WAIT).unwrap();
+            assert_eq!(arrival.source, quick.source());
+            assert!(matches!(arrival.what, What::Bytes(bytes) if bytes == [1]));
+        }
+        let last = intake.next_within(WAIT).unwrap();
+        assert!(matches!(last.what, What::Failed(WireError::HungUp { .. })));
+        assert!(began.elapsed() < Duration::from_secs(1));
+        assert_eq!(intake.next_within(WAIT).unwrap().source, slow.source());
+    }
+}
