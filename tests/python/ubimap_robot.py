@@ -342,7 +342,10 @@ class Robot:
     def due(self):
         if not self.session:
             return self.knocking.due
-        return earliest(self.sender.due, self.receiver.due, *self.next.values())
+        # Tiles wait for the server's time, and for room in the window.
+        waits = not self.clock.replies or not self.sender.has_room()
+        moments = [at for what, at in self.next.items() if what != "tiles" or not waits]
+        return earliest(self.sender.due, self.receiver.due, *moments)
 
     def poll(self, now):
         """The next frame to send now, or None."""
