@@ -165,15 +165,17 @@ class Robot:
         self.tiles.begin(self.server_epoch)
         self.told = 0
         self.events = [event if isinstance(event, int) else event[0] for event in self.events]
-        # 7.2: epochs that the server has not granted count from `first_epoch` on.
-        ahead = max([self.first_epoch, *(tile.epoch + 1 for tile in self.own.values())])
-        renumber = welcome["renumber"] or ahead > welcome["first_epoch"] + 8_192
-        self.first_epoch = welcome["first_epoch"] if renumber else max(self.first_epoch, welcome["first_epoch"])
+        # 7.2: a server that has lost its memory grants lower epochs than it once did.
+        granted = welcome["first_epoch"]
+        is_too_far = self.first_epoch > granted + 8_192
+        self.first_epoch = granted if is_too_far else max(self.first_epoch, granted)
         for tile in self.own.values():
-            if renumber:
+            moves = is_too_far or welcome["renumber"]
+            if moves or not tile.version:
                 tile.epoch = self.first_epoch
-            if renumber or not is_same:
+            if moves or not is_same:
                 tile.forget()
+                tile.stored = 0
             tile.interrupt()
         for what in ("time", "state", "tiles"):
             self.next[what] = now
@@ -260,8 +262,8 @@ class Robot:
 
     def set_parameter(self, number, value):
         if number == FIRST_EPOCH and value != self.parameters[number]:
-            # All own tiles are given up; they are drawn again in the new epoch.
-            self.first_epoch, self.own, self.drawn = max(value, self.first_epoch), {}, None
+            # All own tiles are given up; they are drawn again in an epoch of their own.
+            self.first_epoch, self.own, self.drawn = max(value, self.first_epoch + 1), {}, None
         self.parameters[number] = value % 65_536 if number == 3 else value
 
     def take_Stored(self, stored, _, now):
