@@ -7,6 +7,8 @@ import socket
 import sys
 import time
 
+from ubimap_frames import SealedFrames, count_boot, read_key
+
 
 def clock():
     """The robot's clock, in microseconds."""
@@ -71,7 +73,7 @@ class Datagrams:
 
 
 def options(arguments, about):
-    """The port and the robot's number that the command line names."""
+    """The port, the robot's number and its frames, as the command line says."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawTextHelpFormatter)
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--serial", metavar="PATH", help="a serial port or pseudo-terminal")
@@ -80,20 +82,37 @@ def options(arguments, about):
     where.add_argument("--stdio", action="store_true", help="standard input and output")
     parser.add_argument("--baud", type=int, default=115_200)
     parser.add_argument("--robot", type=int, default=1, metavar="N", help="the robot's number")
+    parser.add_argument("--key", metavar="FILE", help="seal the link with this key")
+    parser.add_argument("--boot-file", metavar="FILE", help="where boots are counted; goes with --key")
     told = parser.parse_args(arguments)
+    if bool(told.key) != bool(told.boot_file):
+        parser.error("--key and --boot-file go together")
+    frames = None
+    if told.key:
+        try:
+            frames = SealedFrames(told.robot, read_key(told.key), count_boot(told.boot_file))
+        except (OSError, ValueError) as error:
+            sys.exit(str(error))
+    try:
+        return port_of(parser, told), told.robot, frames
+    except OSError as error:
+        sys.exit(f"{told.serial or told.tcp}: {error.strerror}")
+
+
+def port_of(parser, told):
     if told.serial:
-        return Stream.serial(told.serial, told.baud), told.robot
+        return Stream.serial(told.serial, told.baud)
     if told.stdio:
-        return Stream(sys.stdin.fileno(), sys.stdout.fileno()), told.robot
+        return Stream(sys.stdin.fileno(), sys.stdout.fileno())
     host, _, port = (told.udp or told.tcp).rpartition(":")
     if not port.isdigit():
-        parser.error(f"{told.udp or told.tcp}: a port is missing; write HOST:PORT")
+        parser.error(f"{told.udp or told.tcp}: write HOST:PORT")
     if told.udp:
-        return Datagrams(host, int(port)), told.robot
+        return Datagrams(host, int(port))
     line = socket.create_connection((host, int(port)))
     line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     line = line.detach()
-    return Stream(line, line), told.robot
+    return Stream(line, line)
 
 
 def run(robot, port):

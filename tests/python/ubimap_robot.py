@@ -1,6 +1,7 @@
 """A small robot: the whole robot side of the protocol, with the standard library alone.
 
     python3 ubimap_robot.py --serial PATH | --udp HOST:PORT | --tcp HOST:PORT | --stdio [--robot N]
+                            [--key FILE --boot-file FILE]
 
 It stands in a little room that it has drawn (`Room`), drives the paths that it gets, and lets a box
 come and go, so that its tiles change. A real robot replaces `Room` by its sensors, wheels and map,
@@ -13,6 +14,7 @@ import random
 import sys
 
 import ubimap_wire as wire
+from ubimap_frames import OpenFrames
 from ubimap_link import Knocking, Receiver, Sender, earliest
 from ubimap_map import OwnTile, ServerTiles, tile_update
 from ubimap_wire import DATAGRAM, HANDSHAKE, RELIABLE, TO_ROBOT, TO_SERVER, Refused
@@ -29,6 +31,11 @@ PARAMETERS = {
     5: (910, 0, 32_767), 6: (1_000, 0, 60_000), 7: (1_500, 0, 60_000), 8: (1, 0, 1 << 30),
 }  # fmt: skip
 FIRST_EPOCH = 8
+#: 11, and the names of the errors that do not count as refused frames.
+COUNTERS = ("bad", "refused", "replayed", "forged", "duplicate", "unknown", "malformed")
+WHY = {
+    "truncated": "bad", "too long": "bad", "seal": "bad", "replayed": "replayed", "forged": "forged",
+}  # fmt: skip
 
 
 class Room:
@@ -76,12 +83,14 @@ class Robot:
     """The robot's side of the protocol. After every input, take frames from `poll` until it returns
     None, and come back at `due`. Times are in microseconds of the robot's own clock."""
 
-    def __init__(self, number, boot_nonce, now=0):
+    def __init__(self, number, boot_nonce, now=0, frames=None):
         self.number, self.room, self.frame = number, Room(), FRAME
+        self.frames = frames or OpenFrames()
+        self.frames.attempt(now)
         self.knocking, self.session = Knocking(boot_nonce), 0
         self.sender, self.receiver, self.datagram = Sender(), Receiver(), 0
         self.server_epoch, self.stores, self.heard = None, False, now
-        self.counters = dict.fromkeys(("bad", "refused", "duplicate", "unknown", "malformed"), 0)
+        self.counters = dict.fromkeys(COUNTERS, 0)
         self.input = bytearray()
         # The map.
         self.tiles, self.own, self.first_epoch = ServerTiles(SIDE), {}, 1
@@ -116,13 +125,12 @@ class Robot:
     def take_frame(self, frame, now):
         """2.6"""
         try:
-            _, kind, sequence, payload = wire.read_frame(frame, TO_ROBOT, self.session, FRAME)
+            kind, sequence, payload = self.frames.read(frame, FRAME)
             outcome = self.receiver.arrive(sequence, now) if kind == RELIABLE else "new"
             if outcome == "refused":
                 raise Refused("sequence")
         except Refused as error:
-            is_bad = str(error) in ("truncated", "too long", "seal")
-            self.counters["bad" if is_bad else "refused"] += 1
+            self.counters[WHY.get(str(error), "refused")] += 1
             return
         if kind == HANDSHAKE:
             self.take_handshake(*wire.read_payload(payload)[0], now)
@@ -145,9 +153,11 @@ class Robot:
             self.counters["malformed"] += 1
             return
         name = wire.NAMES[TO_ROBOT, kind]
-        if name == "Reset" and self.session and now - self.heard > 300_000:
-            self.session = 0
-            self.knocking.restart(now)
+        if name == "Reset":
+            if self.session and now - self.heard > 300_000 and self.frames.is_meant(body):
+                self.session = 0
+                self.knocking.restart(now)
+                self.frames.attempt(now)
         elif self.session or fields.get("nonce") != self.knocking.nonce:
             return
         elif name == "Refusal":
@@ -157,6 +167,7 @@ class Robot:
 
     def welcomed(self, welcome, now):
         self.session, self.frame, self.heard = welcome["session"], welcome["frame"], now
+        self.frames.begin(self.session)
         self.sender, self.receiver, self.datagram = Sender(), Receiver(), 0
         is_same = welcome["server_epoch"] == self.server_epoch
         self.server_epoch, self.stores = welcome["server_epoch"], welcome["stores"]
@@ -356,8 +367,8 @@ class Robot:
             return self.hello() if self.knocking.poll(now) else None
         again = self.sender.again(now)
         if again:
-            return self.sealed(RELIABLE, *again)
-        room = wire.capacity(self.frame)
+            return self.frames.write(RELIABLE, *again)
+        room = self.frames.capacity(self.frame)
         payload, owes = b"", self.receiver.due is not None
         if owes and (room >= 40 or self.receiver.due <= now):
             payload = message("Ack", self.receiver.ack())
@@ -372,12 +383,9 @@ class Robot:
         if owes and payload != body:
             self.receiver.acknowledged(now)
         if token:
-            return self.sealed(RELIABLE, self.sender.keep(payload, token, now), payload)
+            return self.frames.write(RELIABLE, self.sender.keep(payload, token, now), payload)
         self.datagram = (self.datagram + 1) % 2048
-        return self.sealed(DATAGRAM, (self.datagram - 1) % 2048, payload)
-
-    def sealed(self, kind, sequence, payload):
-        return wire.write_frame(TO_SERVER, self.session, wire.VERSION, kind, sequence, payload)
+        return self.frames.write(DATAGRAM, (self.datagram - 1) % 2048, payload)
 
     def hello(self):
         hello = {
@@ -385,7 +393,7 @@ class Robot:
             "nonce": self.knocking.nonce, "frame": FRAME, "resolution": RESOLUTION,
             "fused_tiles": SIDE * SIDE,
         }  # fmt: skip
-        return wire.write_frame(TO_SERVER, 0, wire.VERSION, HANDSHAKE, 0, message("Hello", hello))
+        return self.frames.hello(message("Hello", hello))
 
     def datagram_body(self, room, now):
         """What is replaced by its successor, as far as it fits."""
@@ -494,9 +502,9 @@ def first_that_fits(room, candidates):
 def main(arguments):
     from ubimap_ports import clock, options, run
 
-    port, number = options(arguments, __doc__)
-    # A robot without good dice keeps a boot counter in its flash.
-    run(Robot(number, random.SystemRandom().getrandbits(32), clock()), port)
+    port, number, frames = options(arguments, __doc__)
+    # A robot without good dice takes its boot counter, which it keeps in its flash.
+    run(Robot(number, random.SystemRandom().getrandbits(32), clock(), frames), port)
 
 
 if __name__ == "__main__":

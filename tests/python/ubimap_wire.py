@@ -107,12 +107,12 @@ class Unsigned:
     """A number of some bits, below `bound` if there is one."""
 
     def __init__(self, bits, bound=None):
-        self.bits, self.bound = bits, bound or 1 << bits
-        self.longest = 1 if bits == 8 else len(write_varint(self.bound - 1))
+        self.bits, self.bound = bits, bound
+        self.longest = 1 if bits == 8 else len(write_varint((bound or 1 << bits) - 1))
 
     def read(self, reader):
         value = reader.byte() if self.bits == 8 else reader.varint(self.bits)
-        if value >= self.bound:
+        if self.bound and value >= self.bound:
             raise Refused("malformed")
         return value
 

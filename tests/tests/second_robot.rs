@@ -246,8 +246,9 @@ fn the_robot_in_python_agrees_with_the_server() {
     assert!((x - 300.0).abs() < 2.0, "{x}");
     assert_eq!(bench.codes(), [1, 11], "started, path done");
     assert!(report["fresh"].as_u64() > Some(0));
-    let none = json!({ "bad": 0, "refused": 0, "duplicate": 0, "unknown": 0, "malformed": 0 });
-    assert_eq!(report["counters"], none);
+    for (name, count) in report["counters"].as_object().unwrap() {
+        assert_eq!(count, 0, "{name}");
+    }
 }
 
 #[test]

@@ -971,7 +971,7 @@ fn answers() -> Value {
 
 fn window() -> Value {
     type Case<'a> = (&'a str, u16, &'a [(u16, &'a str)], Ack);
-    let cases: [Case<'_>; 8] = [
+    let cases: [Case<'_>; 10] = [
         ("in order", 0, &[(0, "new"), (1, "new"), (2, "new")], Ack { next: 3, later: 0 }),
         ("twice", 0, &[(0, "new"), (0, "duplicate"), (1, "new")], Ack { next: 2, later: 0 }),
         (
@@ -1009,6 +1009,13 @@ fn window() -> Value {
             0,
             &[(1, "new"), (1, "duplicate"), (4, "new"), (4, "duplicate"), (3, "new")],
             Ack { next: 0, later: 0b1101 },
+        ),
+        ("the last number", 2047, &[(2047, "new")], Ack { next: 0, later: 0 }),
+        (
+            "the last number, and the one before",
+            2046,
+            &[(2047, "new"), (2046, "new")],
+            Ack { next: 0, later: 0 },
         ),
         (
             "the numbers begin again",
