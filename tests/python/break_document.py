@@ -30,6 +30,7 @@ BREAKS = [
 ]
 #: Breaks that change nothing: what is given instead is overwritten, masked or never used.
 EQUAL = [
+    "0 Ack: next u32 < 2048, later u32",
     "return k >= 1024 or 1 <= k <= 33 and later >> k - 1 & 1 == 1",
     "def bit(self, model, bit=1):",
     "def plain(self, n, value=1):",
