@@ -361,10 +361,10 @@ mod tests {
 
     use ubimap_protocol::{
         frame::MAX_FRAME,
-        link::{Answer, Terms, answer},
-        message::{Body, Reset},
+        link::{Answer, Fill, Terms, answer},
+        message::{Body, Certainty, FixSource, PoseFix, Reset, State, TimeReply, TimeRequest},
         time::Duration,
-        units::RobotId,
+        units::{Pose, RobotId},
     };
 
     use super::*;
@@ -389,12 +389,93 @@ mod tests {
     }
 
     fn welcome(hello: &Hello, session: u32) -> Vec<u8> {
+        welcome_of(hello, session, 1)
+    }
+
+    /// The Welcome of a server with this epoch.
+    fn welcome_of(hello: &Hello, session: u32, server_epoch: u32) -> Vec<u8> {
         let resolution = hello.resolution;
-        let terms = Terms { resolution, frame: 250, server_epoch: 1, stores: false };
+        let terms = Terms { resolution, frame: 250, server_epoch, stores: false };
         match answer(hello, &terms, SessionId(session), 1) {
             Answer::Welcome(welcome) => handshake(&welcome),
             Answer::Refusal(refusal) => panic!("{refusal:?}"),
         }
+    }
+
+    /// A message in a datagram of the server.
+    fn told(server: &mut Server, message: &impl Body<ToRobot>) -> Vec<u8> {
+        let mut out = [0; MAX_FRAME];
+        let sent = server.poll_transmit(Instant(0), &mut out, true, |writer, _| {
+            assert!(writer.push(message));
+            Fill::Datagram
+        });
+        out[..sent.unwrap().len].to_vec()
+    }
+
+    /// The robot's frames until it has sent a State, and the nonce of its last time request.
+    fn state(robot: &mut Robot<'_>, server: &mut Server, now: Instant) -> (State, Option<u16>) {
+        let (mut state, mut asked) = (None, None);
+        let mut out = [0; MAX_FRAME];
+        while let Some(len) = robot.poll_transmit(now, &mut out) {
+            let Some(Received::Session(messages)) = server.receive(&mut &out[..len], now) else {
+                continue;
+            };
+            for message in messages.flatten() {
+                state = message.decode::<State>().ok().or(state);
+                asked = message.decode::<TimeRequest>().ok().map(|it| it.nonce).or(asked);
+            }
+        }
+        (state.expect("a state"), asked)
+    }
+
+    /// A pose may be known before the clock of a new server is: it must not be told with a time of
+    /// the robot's own clock.
+    #[test]
+    fn a_state_has_no_time_before_the_clocks_agree() {
+        const BOUNDS: Bounds = Bounds::SMALL;
+        let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
+        let mut robot = Robot::new(Config::new(RobotId(1), sensor, BOUNDS), &mut memory).unwrap();
+        let mut server = Server::new();
+        let at = |millis| Instant(0) + Duration::from_millis(millis);
+        let pose = Pose::from_metres(1.0, 2.0, 0.0);
+        let stands = |robot: &mut Robot<'_>, millis: core::ops::Range<u64>| {
+            for millis in millis.step_by(100) {
+                robot.odometry(at(millis), Pose::default(), at(millis));
+                robot.scan(at(millis), &[1_000; 64], at(millis)).unwrap();
+                robot.timeout(at(millis));
+            }
+        };
+        let knock = hello(&mut robot, at(0)).unwrap();
+        robot.receive(&welcome(&knock, 5), at(1));
+        server.begin(SessionId(5), MAX_FRAME);
+        let (first, asked) = state(&mut robot, &mut server, at(2));
+        assert_eq!((first.time, first.pose), (None, None));
+        // The server's clock is 90 s behind the robot's.
+        let received = Instant(0);
+        let reply = TimeReply { nonce: asked.unwrap(), received, held_micros: 0 };
+        robot.receive(&told(&mut server, &reply), at(2));
+        for millis in (100..=1_000).step_by(100) {
+            stands(&mut robot, millis..millis + 100);
+            let certainty = Certainty { x: 5, y: 5, heading: 50 };
+            let (time, source) = (Instant(1_000 * (millis - 2)), FixSource::Camera);
+            let fix = PoseFix { time, pose, certainty, source, earlier: Default::default() };
+            robot.receive(&told(&mut server, &fix), at(millis));
+            robot.timeout(at(millis));
+        }
+        let (known, _) = state(&mut robot, &mut server, at(2_100));
+        assert!(known.time.is_some() && known.pose.is_some(), "{known:?}");
+
+        robot.receive(&handshake(&Reset), at(2_400));
+        let knock = hello(&mut robot, at(2_401)).unwrap();
+        robot.receive(&welcome_of(&knock, 6, 2), at(2_402));
+        server.begin(SessionId(6), MAX_FRAME);
+        let (anew, _) = state(&mut robot, &mut server, at(2_403));
+        assert_eq!(anew.time, None);
+        stands(&mut robot, 2_420..2_421);
+        robot.timeout(at(4_000));
+        let (anew, _) = state(&mut robot, &mut server, at(4_500));
+        assert_eq!(anew.time, None, "{anew:?}");
     }
 
     #[test]
