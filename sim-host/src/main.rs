@@ -20,9 +20,9 @@ use ubimap_sim_host::{
         compare,
         conformance::{self, options::ConformanceOptions},
         decode::{self, DecodeOptions},
-        interruption,
+        interruption, keys,
         options::{
-            BackupOptions, CompareOptions, ReplayOptions, ResultOptions, ServeOptions,
+            BackupOptions, CompareOptions, KeysOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
         },
         place::{self, options::PlaceOptions},
@@ -59,6 +59,8 @@ enum Command {
     Calibrate(CalibrateOptions),
     /// Serve real robots on serial ports
     Serve(ServeOptions),
+    /// Make, list and retire the keys of robots
+    Keys(KeysOptions),
     /// Copy the file of --store, even while the server is running
     Backup(BackupOptions),
     /// Score one ROS map against another
@@ -81,6 +83,7 @@ fn main() -> ExitCode {
             | Command::Backup(_)
             | Command::Conformance(_)
             | Command::Decode(_)
+            | Command::Keys(_)
     ) {
         interruption::listen();
     }
@@ -107,6 +110,7 @@ fn main() -> ExitCode {
         Command::Place(options) => place(&options),
         Command::Calibrate(options) => calibrate(&options),
         Command::Serve(options) => serve(&options),
+        Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
         Command::Conformance(options) => conformance(&options),
@@ -190,6 +194,11 @@ fn backup(options: &BackupOptions) -> Result<ExitCode, RunError> {
     let tiles = backup::run(options)?;
     let to = options.to.display();
     print(&format!("{to}: a backup of {tiles} robot tiles; use it with --store {to}\n"))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn keys(options: &KeysOptions) -> Result<ExitCode, RunError> {
+    print(&keys::run(options)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import ubimap_spec as spec
 import ubimap_wire as wire
 from ubimap_link import Knocking, Receiver, Sender
+from ubimap_map import RobotTiles, ServerTiles
 from ubimap_wire import Refused
 
 VECTORS = Path(__file__).resolve().parents[1] / "vectors"
@@ -148,7 +149,7 @@ def tile(case):
 def replica(case):
     held = wire.Replica()
     for step in case["steps"]:
-        equal(held.apply(wire.read_update(unhex(step, "coded"))), step["outcome"])
+        equal(held.take(wire.read_update(unhex(step, "coded"))), step["outcome"])
         equal((held.epoch, held.version), (step["epoch"], step["version"]))
         equal(wire.tile_hash(held.cells), step["hash"])
 
@@ -159,10 +160,109 @@ def row(case):
     before, after = case["held"], case["after"]
     held.cells = wire.from_planes(unhex(before, "cells"))
     held.epoch, held.version, held.next = (before[name] for name in ("epoch", "version", "next"))
-    equal(held.apply(wire.read_update(unhex(case, "coded"))), case["outcome"])
+    equal(held.take(wire.read_update(unhex(case, "coded"))), case["outcome"])
     equal([held.epoch, held.version, held.next], [after[it] for it in ("epoch", "version", "next")])
     equal(wire.to_planes(held.cells), unhex(after, "cells"))
     equal(wire.tile_hash(held.cells), after["hash"])
+
+
+def repair(case):
+    """7.5: what a receiver of tiles and digests answers, and then holds."""
+    direction = DIRECTIONS[case["direction"]]
+    back = 1 - direction
+    if direction == wire.TO_ROBOT:
+        tiles = ServerTiles(3)
+        tiles.begin(case["server_epoch"])
+        tiles.follow(800, 800, 1_600)
+    else:
+        tiles = RobotTiles()
+    for step in case["steps"]:
+        [(kind, body)] = wire.read_payload(unhex(step, "message"))
+        fields, rest = wire.read_message(direction, kind, body)
+        layer = [] if direction == wire.TO_SERVER else [fields["layer"]]
+        if kind == wire.NUMBERS[direction, "TileUpdate"]:
+            tiles.update(*layer, rest)
+        else:
+            tiles.compare(*layer, fields["tiles"])
+        request, answer = tiles.request(), None
+        if request:
+            number = wire.NUMBERS[back, "Request"]
+            answer = wire.write_payload([(number, wire.write_message(back, number, request))]).hex()
+        equal(answer, step["answer"])
+        if direction == wire.TO_ROBOT:
+            held = tiles.tiles["Fused"].get((0, 0), wire.Replica())
+        else:
+            held = tiles.tiles.get((0, 0, step["epoch"]), wire.Replica())
+        equal((held.version, wire.tile_hash(held.cells)), (step["version"], step["hash"]))
+
+
+class Listener:
+    """Both ends of a recorded session: what arrives at each."""
+
+    def __init__(self, case):
+        self.case, self.session, self.frame_size = case, 0, 1_024
+        self.windows = {direction: Receiver() for direction in DIRECTIONS.values()}
+        self.sent, self.asked, self.clock = {}, {}, wire.Clock()
+        self.own, self.server = RobotTiles(), ServerTiles(4)
+        self.server.begin(case["server_epoch"])
+        self.kinds = set()
+
+    def hear(self, at, direction, is_lost, raw):
+        assert len(raw) <= self.frame_size
+        version, kind, sequence, body = wire.read_frame(raw, direction, self.session)
+        equal(version, 1)
+        messages = wire.read_payload(body)
+        if kind == wire.RELIABLE:
+            # What is sent again is the same.
+            equal(self.sent.setdefault((direction, sequence), body), body)
+        for number, inner in messages:
+            if number == wire.NUMBERS[wire.TO_SERVER, "TimeRequest"] and direction == wire.TO_SERVER:
+                fields, _ = wire.read_message(direction, number, inner)
+                self.asked = {fields["nonce"]: at + self.case["robot_ahead"]}
+        if is_lost:
+            return
+        arrived = at + self.case["travel"]
+        if kind == wire.RELIABLE and self.windows[direction].arrive(sequence, arrived) != "new":
+            return
+        for number, inner in messages:
+            name = wire.NAMES[direction, number]
+            fields, rest = wire.read_message(direction, number, inner)
+            equal(wire.write_message(direction, number, fields) + rest, inner)
+            self.kinds.add(name)
+            self.take(direction, name, fields, rest, arrived)
+
+    def take(self, direction, name, fields, rest, now):
+        if name == "Welcome":
+            self.session, self.frame_size = fields["session"], fields["frame"]
+        elif name == "TimeReply" and fields["nonce"] in self.asked:
+            t0, t1 = self.asked.pop(fields["nonce"]), fields["received"]
+            self.clock.reply(t0, t1, t1 + fields["held_micros"], now + self.case["robot_ahead"])
+            assert abs(self.clock.ahead() + self.case["robot_ahead"]) <= 1
+        elif name == "Interest":
+            self.server.window = fields
+        elif name == "TileUpdate" and direction == wire.TO_SERVER:
+            self.own.update(rest)
+        elif name == "TileUpdate":
+            self.server.update(fields["layer"], rest)
+
+
+def session(case):
+    """A recorded session, followed from its bytes alone."""
+    listener = Listener(case)
+    for at, direction, fate, raw in case["frames"]:
+        listener.hear(at, DIRECTIONS[direction], fate == "lost", bytes.fromhex(raw))
+    assert len(listener.kinds) >= 15, listener.kinds
+    assert not listener.own.missing and not any(listener.server.missing.values())
+    held = {(x, y): tile for (x, y, _), tile in listener.own.tiles.items()}
+    for tiles, said in (
+        (held, case["own"]),
+        (listener.server.tiles["Fused"], case["fused"]),
+        (listener.server.tiles["Coverage"], case["coverage"]),
+    ):
+        assert said
+        for tile in said:
+            found = tiles[tile["x"], tile["y"]]
+            equal((found.version, wire.tile_hash(found.cells)), (tile["version"], tile["hash"]))
 
 
 def hellos(case):
@@ -365,6 +465,8 @@ def suites():
     yield tile, load("tiles")
     yield replica, load("replica")
     yield row, load("rows")
+    yield repair, load("repair")
+    yield session, load("session")
     yield hellos, times["hellos"]
     yield acknowledgements, times["acknowledgements"]
     yield retransmissions, times["retransmissions"]

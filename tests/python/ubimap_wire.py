@@ -107,12 +107,12 @@ class Unsigned:
     """A number of some bits, below `bound` if there is one."""
 
     def __init__(self, bits, bound=None):
-        self.bits, self.bound = bits, bound or 1 << bits
-        self.longest = 1 if bits == 8 else len(write_varint(self.bound - 1))
+        self.bits, self.bound = bits, bound
+        self.longest = 1 if bits == 8 else len(write_varint((bound or 1 << bits) - 1))
 
     def read(self, reader):
         value = reader.byte() if self.bits == 8 else reader.varint(self.bits)
-        if value >= self.bound:
+        if self.bound and value >= self.bound:
             raise Refused("malformed")
         return value
 
@@ -278,11 +278,12 @@ def variant_of(text):
 
 DIRECTIONS = {"to server": TO_SERVER, "to robot": TO_ROBOT}
 MESSAGES = {TO_SERVER: {}, TO_ROBOT: {}}
-#: The number of each kind of message, by its direction and name.
-NUMBERS = {}
+#: The number of each kind of message, by its direction and name, and the other way round.
+NUMBERS, NAMES = {}, {}
 for (way, kind), (name, layout) in spec.MESSAGES.items():
     MESSAGES[DIRECTIONS[way]][kind] = fields_of(layout)
     NUMBERS[DIRECTIONS[way], name] = kind
+    NAMES[DIRECTIONS[way], kind] = name
 
 
 def read_message(direction, kind, body):
@@ -362,38 +363,56 @@ def write_update(tiles):
 
 
 class Replica:
+    """A tile as its receiver holds it: cells, stamp and the first missing cell."""
+
     def __init__(self):
         self.cells, self.epoch, self.version, self.next = list(UNKNOWN), 0, 0, 0
 
-    def apply(self, update):
-        header = update.header()
+    @classmethod
+    def of(cls, epoch):
+        """Nothing, in this epoch."""
+        nothing = cls()
+        nothing.epoch = epoch
+        return nothing
+
+    def apply(self, update, header):
+        """7.3: reads the cells after a header. After "base missing" nothing has changed, and the
+        rest of the update cannot be read."""
         stamp, held = (header["epoch"], header["version"]), (self.epoch, self.version)
         whole, start, end = header["base"] is None, header["start"], header["end"]
-        if whole and start == 0:
-            if stamp < held or (stamp == held and not self.next):
-                cells = update.cells(UNKNOWN)
-                if stamp < held or end == 1024 or cells[:end] == self.cells[:end]:
-                    return "old"
-                self.cells, self.next = cells[:end] + list(UNKNOWN)[end:], end
-                return "partial"
-            self.cells = list(UNKNOWN)
-        elif whole and not self.next and stamp == held:
-            part = update.cells(self.cells[:start] + list(UNKNOWN)[start:])
-            self.cells[start:end] = part[start:end]
+        is_held = stamp == held and not self.next
+        if whole and start == 0 and (stamp < held or is_held):
+            cells = update.cells(UNKNOWN)
+            if stamp < held or end == 1024 or cells[:end] == self.cells[:end]:
+                return "old"
+            self.cells, self.next = cells[:end] + UNKNOWN[end:], end
+            return "partial"
+        if whole and start > 0 and is_held:
+            part = update.cells(self.cells[:start] + UNKNOWN[start:])
+            self.cells = self.cells[:start] + part[start:end] + self.cells[end:]
             return "complete"
-        elif start == 0:
-            if held != (header["epoch"], header["base"]) or self.next:
-                return "base missing"
-        elif held != stamp or self.next != start:
+        if whole and start == 0:
+            was = UNKNOWN
+        elif start == 0 and held == (header["epoch"], header["base"]) and not self.next:
+            was = self.cells
+        elif start > 0 and held == stamp and self.next == start:
+            was = self.cells
+        else:
             return "base missing"
-        cells = update.cells(self.cells)
-        if start == 0 and not whole:
-            # The end of an update of one tile tells whether the base was the right one.
-            try:
-                update.header()
-            except Refused:
-                return "wrong base"
-        self.cells = cells
+        self.cells = update.cells(was)
         self.epoch, self.version = stamp
         self.next = end % 1024
         return "partial" if self.next else "complete"
+
+    def take(self, update):
+        """What an update of this tile alone comes to: as `apply`, or "wrong base"."""
+        header, before = update.header(), vars(self).copy()
+        outcome = self.apply(update, header)
+        if outcome != "base missing" and header["base"] is not None and header["start"] == 0:
+            # The end of the update tells whether the base was the right one.
+            try:
+                update.header()
+            except Refused:
+                vars(self).update(before)
+                return "wrong base"
+        return outcome

@@ -191,7 +191,7 @@ pub fn stuffed(contents: &[u8]) -> Vec<u8> {
 pub fn unstuffed(wire: &[u8]) -> Result<Vec<u8>, CobsError> {
     let mut decoder = cobs::Decoder::<{ 2 * MAX_FRAME }>::default();
     match decoder.next(&mut &wire[..]) {
-        Some(contents) => contents.map(<[u8]>::to_vec),
+        Some(contents) => contents.map(|contents| contents.to_vec()),
         None => Err(CobsError::Truncated),
     }
 }

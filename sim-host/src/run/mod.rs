@@ -17,6 +17,7 @@ mod floors;
 pub mod heap;
 pub mod interruption;
 pub mod keeper;
+pub mod keys;
 mod markers;
 pub mod member;
 pub mod options;
@@ -42,6 +43,7 @@ use image::RgbImage;
 use serde::Serialize;
 use ubimap_agent::ConfigError;
 
+use self::keys::KeysError;
 use crate::{
     channel::wire::WireError,
     grid::{self, GridError, MapError, OccupancyGrid},
@@ -152,12 +154,15 @@ pub enum RunError {
     },
     /// A socket without seals.
     #[error(
-        "{address}: whoever reaches a socket could pose as a robot; give --open to allow that, on a bench"
+        "{address}: whoever reaches a socket could pose as a robot; give --keys DIR, or --open to allow that on a bench"
     )]
     Unsealed {
         /// The socket.
         address: String,
     },
+    /// The keys can't be used.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
     /// The number of poses is neither zero, one, nor the number of ports.
     #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
@@ -238,6 +243,7 @@ impl RunError {
             | Self::NoCheck { .. }
             | Self::Capture { .. }
             | Self::Unsealed { .. }
+            | Self::Keys(_)
             | Self::Poses { .. }
             | Self::Robot(_)
             | Self::Registry(_)

@@ -8,7 +8,7 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::deployment::{Deployment, PortId};
+use ubimap_sim_host::deployment::{Deployment, Policy, PortId};
 
 use super::virtual_bench::Peer;
 use crate::deployments::bare;
@@ -88,7 +88,7 @@ pub struct ServerPeer {
 impl Default for ServerPeer {
     fn default() -> Self {
         let mut deployment = bare(Millimetres(50));
-        let port = deployment.open_port();
+        let port = deployment.open_port(Policy::Open);
         Self { deployment, port }
     }
 }

@@ -971,7 +971,7 @@ fn answers() -> Value {
 
 fn window() -> Value {
     type Case<'a> = (&'a str, u16, &'a [(u16, &'a str)], Ack);
-    let cases: [Case<'_>; 8] = [
+    let cases: [Case<'_>; 10] = [
         ("in order", 0, &[(0, "new"), (1, "new"), (2, "new")], Ack { next: 3, later: 0 }),
         ("twice", 0, &[(0, "new"), (0, "duplicate"), (1, "new")], Ack { next: 2, later: 0 }),
         (
@@ -1009,6 +1009,13 @@ fn window() -> Value {
             0,
             &[(1, "new"), (1, "duplicate"), (4, "new"), (4, "duplicate"), (3, "new")],
             Ack { next: 0, later: 0b1101 },
+        ),
+        ("the last number", 2047, &[(2047, "new")], Ack { next: 0, later: 0 }),
+        (
+            "the last number, and the one before",
+            2046,
+            &[(2047, "new"), (2046, "new")],
+            Ack { next: 0, later: 0 },
         ),
         (
             "the numbers begin again",
@@ -1122,7 +1129,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 26] = [
+    let cases: [(&str, Direction, u8, &[u8]); 29] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1188,6 +1195,14 @@ fn refused_messages() -> Value {
         ("obstacles, a class that there is not", TO_ROBOT, 9, &[0, 1, 1, 3, 0, 0, 0, 0, 0]),
         ("stop, neither true nor false", TO_ROBOT, 11, &[1, 2]),
         ("parameter, an action that there is not", TO_ROBOT, 12, &[1, 3, 0]),
+        ("parameter, a number of 17 bits", TO_ROBOT, 12, &[1, 1, 0x80, 0x80, 0x04]),
+        ("tile update, 33 bits of seconds", TO_SERVER, 3, &[0, 0x80, 0x80, 0x80, 0x80, 0x10]),
+        (
+            "tile update to a robot, 33 bits of seconds",
+            TO_ROBOT,
+            3,
+            &[2, 0x80, 0x80, 0x80, 0x80, 0x10],
+        ),
         ("freshness, too many tiles", TO_ROBOT, 15, &{
             let mut body = [0; 4 + 33];
             body[3] = 33;
