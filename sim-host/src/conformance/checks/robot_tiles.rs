@@ -246,7 +246,8 @@ fn digests(talk: &mut Talk<'_>) -> Result<(), Halt> {
 fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.hello()?;
     let largest = talk.largest_frame();
-    for frame in [32, 33, 64, 250, 1_024].into_iter().filter(|&it| it <= largest) {
+    let min = talk.min_frame();
+    for frame in [min, min + 1, 64, 250, 1_024].into_iter().filter(|&it| it <= largest) {
         talk.welcome_by_another_server(|welcome| welcome.frame = frame)?;
         let seen = talk.collect_with_fixes(Duration::from_secs(6))?;
         let of_session = |it: &&Seen| it.frame.as_ref().is_ok_and(|it| it.session == talk.session);

@@ -426,11 +426,13 @@ fn digests(talk: &mut Talk<'_>) -> Result<(), Halt> {
 }
 
 fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
-    for frame in [32, 33, 64, 250, 1_024] {
+    let min = talk.min_frame();
+    for frame in [min, min + 1, 64, 250, 1_024] {
         talk.join_server(|hello| hello.frame = frame)?;
         let (id, tile) = (ground(talk), noise(u32::from(frame)));
-        // Framing takes 8 bytes; kind, length, layer and seconds take 4.
-        let room = usize::from(frame).min(64) - 12;
+        // Framing takes 8 bytes, or 24; kind, length, layer and seconds take 4.
+        let framing = usize::from(min) - 24;
+        let room = usize::from(frame).min(64) - framing - 4;
         let (of, mut start) = ((id, stamp(talk, 1), None), 0);
         while start < 1_024 {
             let (note, end) =
