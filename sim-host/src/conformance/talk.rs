@@ -314,6 +314,21 @@ impl Talk<'_> {
         Ok(frame.header.sequence)
     }
 
+    /// Sends messages in a reliable frame until it is acknowledged, and fails if it is not.
+    pub(super) fn deliver(&mut self, notes: &[Note]) -> Result<(), Halt> {
+        let frame = self.next_reliable(notes);
+        for _ in 0..5 {
+            self.send(&frame)?;
+            if self.is_acknowledged(frame.header.sequence)? {
+                return Ok(());
+            }
+        }
+        fail(
+            "3.1: a reliable frame is acknowledged",
+            format!("frame {} was not", frame.header.sequence),
+        )
+    }
+
     /// The sequence number of the next reliable frame.
     pub(super) fn next_sequence(&self) -> u16 {
         self.reliable

@@ -218,8 +218,7 @@ fn parts(talk: &mut Talk<'_>) -> Result<(), Halt> {
     while start < 1_024 {
         let (note, end) =
             part_note::<ToServer>(Layer::Robot, of, start, (&Tile::UNKNOWN, &tile), 60);
-        talk.reliable(&[note])?;
-        talk.wait(Duration::from_millis(20))?;
+        talk.deliver(&[note])?;
         start = end;
     }
     digest_of(talk, id, 1, tile_hash(&tile))?;
@@ -406,12 +405,12 @@ fn requested(talk: &mut Talk<'_>) -> Result<(), Halt> {
 
 fn digests(talk: &mut Talk<'_>) -> Result<(), Halt> {
     published(talk, &room(16))?;
-    let seen = talk.collect(Duration::from_secs(14))?;
+    let seen = talk.collect(Duration::from_secs(24))?;
     let digests = seen.iter().flat_map(|it| it.bodies::<ToRobot, Digests>());
     let fused: Vec<TileDigest> =
         digests.filter(|it| it.layer == Layer::Fused).flat_map(|it| it.tiles).collect();
     if !fused.iter().any(|it| it.id == HERE) {
-        return fail("a Digest of the acknowledged tile within 14 s", format!("{fused:?}"));
+        return fail("a Digest of the acknowledged tile within 24 s", format!("{fused:?}"));
     }
     for TileDigest { id, stamp, hash } in fused {
         let held = talk.robot.followed.hash(Layer::Fused, id, stamp);
@@ -437,8 +436,7 @@ fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
         while start < 1_024 {
             let (note, end) =
                 part_note::<ToServer>(Layer::Robot, of, start, (&Tile::UNKNOWN, &tile), room);
-            talk.reliable(&[note])?;
-            talk.wait(Duration::from_millis(10))?;
+            talk.deliver(&[note])?;
             if end == start {
                 return skip("no cell fits a frame");
             }
