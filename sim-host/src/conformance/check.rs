@@ -1,28 +1,8 @@
 //! A check, and its result.
 
-use std::fmt;
-
 use serde::Serialize;
 
-use super::{bench::Gone, talk::Talk};
-
-/// What the implementation under test is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// A robot: the runner plays the server.
-    Robot,
-    /// A server: the runner plays robots.
-    Server,
-}
-
-impl fmt::Display for Role {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Robot => "robot",
-            Self::Server => "server",
-        })
-    }
-}
+use super::{halt::Halt, talk::Talk};
 
 /// A rule of SPEC.md, and how to check that it is kept.
 #[derive(Clone, Copy, Debug)]
@@ -35,38 +15,6 @@ pub struct Check {
     pub rule: &'static str,
     /// Checks it.
     pub run: fn(&mut Talk<'_>) -> Result<(), Halt>,
-}
-
-/// Why a check ended early.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Halt {
-    /// The rule is broken.
-    Failed {
-        /// What was expected.
-        expected: String,
-        /// What happened instead.
-        found: String,
-    },
-    /// The rule can't be checked with this implementation, for this reason.
-    Skipped(String),
-    /// The implementation has gone.
-    Gone(Gone),
-}
-
-impl From<Gone> for Halt {
-    fn from(gone: Gone) -> Self {
-        Self::Gone(gone)
-    }
-}
-
-/// A failed check.
-pub(super) fn fail<T>(expected: impl Into<String>, found: impl Into<String>) -> Result<T, Halt> {
-    Err(Halt::Failed { expected: expected.into(), found: found.into() })
-}
-
-/// A skipped check.
-pub(super) fn skip<T>(reason: impl Into<String>) -> Result<T, Halt> {
-    Err(Halt::Skipped(reason.into()))
 }
 
 /// The result of a check.

@@ -148,8 +148,8 @@ impl Describer {
         let mut at = HEADER_LEN;
         for note in &notes {
             let what = match frame.direction {
-                Direction::ToServer => self.to_server(note),
-                Direction::ToRobot => self.to_robot(note),
+                Direction::ToServer => self.robots(note),
+                Direction::ToRobot => self.servers(note),
             };
             text.push_str(&format!("\n            {at:>4}  {what}"));
             let mut written = Vec::new();
@@ -166,7 +166,8 @@ impl Describer {
         text
     }
 
-    fn to_server(&mut self, note: &Note) -> String {
+    /// Describes a message of a robot.
+    fn robots(&mut self, note: &Note) -> String {
         use ToServerMessage as M;
         let Some(message) = Message::<ToServer>::new(note.number, &note.body).by_kind() else {
             return unknown(note);
@@ -186,7 +187,8 @@ impl Describer {
         }
     }
 
-    fn to_robot(&mut self, note: &Note) -> String {
+    /// Describes a message of a server.
+    fn servers(&mut self, note: &Note) -> String {
         use ToRobotMessage as M;
         let Some(message) = Message::<ToRobot>::new(note.number, &note.body).by_kind() else {
             return unknown(note);

@@ -15,9 +15,11 @@ mod describe;
 mod envelope;
 mod followed;
 mod frames;
+mod halt;
 mod report;
 mod robot_side;
 mod server_side;
+mod sides;
 mod talk;
 
 use ubimap_protocol::{frame::Key, units::RobotId};
@@ -25,10 +27,11 @@ use ubimap_protocol::{frame::Key, units::RobotId};
 use self::envelope::{Envelope, Keyed};
 
 pub use bench::{Bench, Gone};
-pub use check::{Check, CheckResult, Halt, Role, Verdict};
+pub use check::{Check, CheckResult, Verdict};
 pub use checks::checks;
 pub use describe::{Describer, hex, split};
 pub use frames::{Frame, Note, Unreadable, part_note, payload, stuffed, tile_note, unstuffed};
+pub use halt::{Halt, Role};
 pub use report::ConformanceReport;
 pub use talk::Talk;
 

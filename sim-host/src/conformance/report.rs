@@ -5,7 +5,10 @@ use std::fmt;
 use serde::Serialize;
 use ubimap_protocol::{frame::VERSION, time::Duration};
 
-use super::check::{CheckResult, Role, Verdict};
+use super::{
+    check::{CheckResult, Verdict},
+    halt::Role,
+};
 
 /// The results of all checks that were run.
 #[derive(Clone, Debug, PartialEq, Serialize)]

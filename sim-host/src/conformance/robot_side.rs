@@ -1,7 +1,5 @@
 //! The runner as a robot of a server.
 
-use std::collections::BTreeMap;
-
 use ubimap_protocol::{
     frame::{DEFAULT_FRAME, MIN_VERSION, VERSION},
     message::{
@@ -10,13 +8,11 @@ use ubimap_protocol::{
     },
     tile::{Cell, Epoch, Layer, Stamp, TILE_SIDE, Tile, TileId, Version},
     time::Duration,
-    units::{Millimetres, RobotId},
 };
 
 use super::{
-    check::{Halt, fail},
-    followed::Followed,
     frames::{Note, tile_note},
+    halt::{Halt, fail},
     talk::{Seen, Talk},
 };
 
@@ -28,34 +24,6 @@ const QUESTIONS_FROM: i16 = 8_000;
 const OLDER: Duration = Duration::from_millis(20);
 /// Number of tiles that the runner can hold.
 pub(super) const FUSED_TILES: u16 = 64;
-
-/// The runner as a robot.
-#[derive(Debug)]
-pub(super) struct RobotSide {
-    pub(super) robot: RobotId,
-    pub(super) resolution: Millimetres,
-    pub(super) nonce: u32,
-    /// The Welcome of the session.
-    pub(super) welcome: Option<Welcome>,
-    interests: u32,
-    versions: BTreeMap<(TileId, u32), u32>,
-    /// What the server has published.
-    pub(super) followed: Followed,
-}
-
-impl Default for RobotSide {
-    fn default() -> Self {
-        Self {
-            robot: RobotId(65_000),
-            resolution: Millimetres(50),
-            nonce: 0x1357_9BDF,
-            welcome: None,
-            interests: 0,
-            versions: BTreeMap::new(),
-            followed: Followed::default(),
-        }
-    }
-}
 
 /// A tile that is free up to a column, then has a wall of two cells.
 pub(super) fn room(column: usize) -> Tile {

@@ -6,19 +6,16 @@ use ubimap_protocol::{
         Certainty, FixSource, Hello, Message, ParameterAction, ParameterCommand, ParameterReport,
         PoseFix, Reset, TileUpdateHead, ToRobot, ToServer, Welcome,
     },
-    time::{Duration, Instant},
+    time::Duration,
     units::Pose,
 };
 
 use super::{
-    check::{Halt, Role, fail, skip},
-    followed::Followed,
     frames::Note,
+    halt::{Halt, Role, fail, skip},
     talk::{Seen, Talk},
 };
 
-/// The server's clock at the start of the bench's: 1,000 s.
-const AHEAD: Duration = Duration::from_secs(1_000);
 /// Interval of the resets that make a robot knock. It must be silent for 300 ms before it heeds one.
 const RESETS: Duration = Duration::from_millis(700);
 /// The longest time that a robot may wait before it knocks: it was refused.
@@ -31,39 +28,6 @@ const FIX_AGE: Duration = Duration::from_millis(60);
 pub(super) const STANDS: (f64, f64) = (1.0, 1.0);
 /// Time for a robot to send a tile.
 const TILE_TIME: Duration = Duration::from_secs(12);
-
-/// The runner as a server.
-#[derive(Debug)]
-pub(super) struct ServerSide {
-    /// Its epoch in the next session.
-    pub(super) epoch: u32,
-    sessions: u32,
-    /// The highest epoch of the robot's tiles, plus one.
-    pub(super) first_epoch: u32,
-    /// What the robot has published.
-    pub(super) followed: Followed,
-    /// The last Hello.
-    pub(super) hello: Option<Hello>,
-}
-
-impl Default for ServerSide {
-    fn default() -> Self {
-        Self {
-            epoch: 0x00C0_FFEE,
-            sessions: 0x5E55_1000,
-            first_epoch: 1,
-            followed: Followed::default(),
-            hello: None,
-        }
-    }
-}
-
-impl ServerSide {
-    /// The server's time.
-    pub(super) fn time(&self, now: Instant) -> Instant {
-        now + AHEAD
-    }
-}
 
 impl Talk<'_> {
     /// Makes the robot knock. Returns its Hello.

@@ -16,12 +16,11 @@ use ubimap_protocol::{
 
 use super::{
     bench::Bench,
-    check::{Halt, Role, fail},
     describe::Describer,
     envelope::Envelope,
     frames::{Frame, Note, Unreadable, unstuffed},
-    robot_side::RobotSide,
-    server_side::ServerSide,
+    halt::{Halt, Role, fail},
+    sides::{RobotSide, ServerSide},
 };
 
 /// Number of frames that a failure shows.

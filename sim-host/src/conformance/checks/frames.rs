@@ -10,8 +10,9 @@ use ubimap_protocol::{
 };
 
 use super::super::{
-    check::{Check, Halt, Role, fail, skip},
+    check::Check,
     frames::{Frame, Note, payload, stuffed, unstuffed},
+    halt::{Halt, Role, fail, skip},
     talk::Talk,
 };
 

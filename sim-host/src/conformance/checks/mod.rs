@@ -8,7 +8,7 @@ mod seals;
 mod server_tiles;
 mod servers;
 
-use super::check::{Check, Role};
+use super::{check::Check, halt::Role};
 
 /// The checks for a role, in the order of their numbers from 1 on.
 pub fn checks(role: Role) -> Vec<&'static Check> {

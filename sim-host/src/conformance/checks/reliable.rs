@@ -7,7 +7,8 @@ use ubimap_protocol::{
 };
 
 use super::super::{
-    check::{Check, Halt, fail, skip},
+    check::Check,
+    halt::{Halt, fail, skip},
     talk::{Seen, Talk, ahead, covers},
 };
 

@@ -9,9 +9,10 @@ use ubimap_protocol::{
 };
 
 use super::super::{
-    check::{Check, Halt, fail, skip},
+    check::Check,
     followed::Update,
     frames::{Note, part_note, tile_note},
+    halt::{Halt, fail, skip},
     robot_side::{noise, room},
     talk::{Seen, Talk},
 };

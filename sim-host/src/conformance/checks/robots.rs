@@ -14,8 +14,9 @@ use ubimap_protocol::{
 };
 
 use super::super::{
-    check::{Check, Halt, fail, skip},
+    check::Check,
     frames::Note,
+    halt::{Halt, fail, skip},
     server_side::STANDS,
     talk::{Seen, Talk},
 };

@@ -8,8 +8,9 @@ use ubimap_protocol::{
 };
 
 use super::super::{
-    check::{Check, Halt, Role, fail, skip},
+    check::Check,
     frames::{Note, stuffed},
+    halt::{Halt, Role, fail, skip},
     talk::Talk,
 };
 

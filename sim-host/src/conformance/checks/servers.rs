@@ -9,8 +9,9 @@ use ubimap_protocol::{
 };
 
 use super::super::{
-    check::{Check, Halt, fail, skip},
+    check::Check,
     frames::{Frame, Note},
+    halt::{Halt, fail, skip},
     robot_side::{Said, room},
     talk::Talk,
 };
