@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+import ubimap_seals as seals
 import ubimap_spec as spec
 import ubimap_wire as wire
 from ubimap_link import Knocking, Receiver, Sender
@@ -481,7 +482,54 @@ def suites():
     yield refused_frame, bad["frames"]
     yield refused_payload, bad["payloads"]
     yield refused_message, bad["messages"]
+    sealed = load("seals")
+    yield sealed_hello, sealed["hellos"]
+    yield sealed_answer, sealed["answers"]
+    yield sealed_frame, sealed["sessions"]
+    yield sealed_arrivals, sealed["refused"]
     yield round_trip, [{"name": f"seed {seed}", "seed": seed} for seed in range(20)]
+
+
+def opened(case):
+    """The contents of a case's frame, and its key."""
+    return wire.unstuff(unhex(case, "wire")[:-1], 1024), unhex(case, "key")
+
+
+def sealed_hello(case):
+    contents, key = opened(case)
+    names = case["robot"], case["boot"], case["clock"]
+    equal(seals.hello(key, *names, unhex(case, "payload")), contents)
+    equal(seals.open_hello(key, contents), (*names, unhex(case, "payload")))
+    equal(seals.open_hello(bytes(16), contents), None)
+
+
+def sealed_answer(case):
+    contents, key = opened(case)
+    stamp, names = case["answers"], (case["robot"], case["salt"])
+    equal(seals.answer(key, *names, stamp, unhex(case, "payload")), contents)
+    equal(seals.open_answer(key, stamp, contents), (*names, unhex(case, "payload")))
+    equal(seals.open_answer(key, [1, 2], contents), None)
+
+
+def sealed_session(case):
+    fields = (case[name] for name in ("robot", "boot", "clock", "salt", "session"))
+    return seals.session_key(unhex(case, "key"), *fields), case["robot"], case["session"]
+
+
+def sealed_frame(case):
+    contents, _ = opened(case)
+    session, direction = sealed_session(case), DIRECTIONS[case["direction"]]
+    kind = {"reliable": 1, "datagram": 2}[case["kind"]]
+    payload = unhex(case, "payload")
+    frame = seals.frame(*session, direction, kind, case["sequence"], case["counter"], payload)
+    equal(frame, contents)
+
+
+def sealed_arrivals(case):
+    opener = seals.Opener(*sealed_session(case), DIRECTIONS["to server"])
+    for frame in case["frames"]:
+        found, _ = opener.receive(wire.unstuff(unhex(frame, "wire")[:-1], 1024))
+        equal((frame["name"], found), (frame["name"], frame["outcome"]))
 
 
 def main():

@@ -31,6 +31,8 @@ mod first_steps;
 mod repair;
 #[path = "rows.rs"]
 mod rows;
+#[path = "seals.rs"]
+mod seals;
 #[path = "session.rs"]
 mod session;
 #[path = "timing.rs"]
@@ -53,6 +55,7 @@ pub(super) fn all() -> Vec<(&'static str, Value)> {
         ("rows", rows::rows()),
         ("repair", repair::repair()),
         ("session", session::session()),
+        ("seals", seals::seals()),
         ("digests", digests()),
         ("handshake", json!({ "transcript": transcript(), "answers": answers() })),
         ("window", window()),
