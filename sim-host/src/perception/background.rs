@@ -485,27 +485,17 @@ mod tests {
         let (rays, floor, legs) = floor_and_legs();
         let taken = vec![false; rays.cells()];
         let mut background = Background::new(&rays);
-        let in_the_way = |background: &Background| far(&rays, &floor, background)[1];
+        let mut learn = |frames: core::ops::Range<u64>, image: &DepthImage| {
+            for frame in frames {
+                let image = noisy(image, &DepthNoise::D435, frame, 980);
+                background.learn(&rays, &image, Instant(frame * 200_000), &taken);
+            }
+            far(&rays, &floor, &background)[1]
+        };
         // Five images a second, until every pixel has been checked twice.
         let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
-        for frame in 0..leaves {
-            background.learn(
-                &rays,
-                &noisy(&legs, &DepthNoise::D435, frame, 980),
-                Instant(frame * 200_000),
-                &taken,
-            );
-        }
-        let before = in_the_way(&background);
-        for frame in leaves..ends {
-            background.learn(
-                &rays,
-                &noisy(&floor, &DepthNoise::D435, frame, 980),
-                Instant(frame * 200_000),
-                &taken,
-            );
-        }
-        let after = in_the_way(&background);
+        let before = learn(0..leaves, &legs);
+        let after = learn(leaves..ends, &floor);
         assert!(before > 1_000 && 10 * after < before, "{before} pixels, then {after}");
     }
 }
