@@ -123,9 +123,8 @@ impl Background {
         self.totals.clear();
         self.totals.resize(2 * rays.cells() + 2, 0);
         for pixel in 0..self.home.len() {
-            let home = self.settle(rays, pixel);
-            self.home[pixel] = home;
-            self.totals[home as usize] += 1;
+            self.home[pixel] = self.settle(rays, pixel);
+            self.totals[self.home[pixel] as usize] += 1;
         }
     }
 
