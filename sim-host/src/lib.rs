@@ -11,7 +11,7 @@
 //! 7. [`run`]: the drivers of a deployment, one file per `ubimap` command.
 //!
 //! Beside them: [`placement`] (where to hang cameras), [`calibration`] (where they
-//! hang), [`channel`] (fault channel, serial ports),
+//! hang), [`conformance`] (the runner that checks other implementations), [`channel`] (fault channel, serial ports),
 //! [`store`] (layers on disk), [`recording`] (recorded logs and frames), [`report`] (figures and
 //! pictures) and [`timing`] (age limits of data). [`world`] is the simulated room, and [`devices`] are
 //! simulated sensors and wheels; only [`run`] may import them.

@@ -1,7 +1,9 @@
 //! The conformance runner: our agent and our server pass it, and each of some broken ones fails the
 //! check that its fault is about.
 
-use std::time;
+use std::{process, time};
+
+use clap::Parser;
 
 use ubimap_protocol::{
     frame::{Direction, FrameKind, Header, SessionId, VERSION, seal},
@@ -16,9 +18,11 @@ use ubimap_sim_host::conformance::{
     Bench, CheckResult, ConformanceReport, Frame, Note, Role, Verdict, checks, payload, run,
     unstuffed,
 };
+use ubimap_sim_host::run::conformance::{self, options::ConformanceOptions};
 use ubimap_tests::conformance::{
     Context, Hooks, RobotPeer, ServerPeer, Spoiled, VirtualBench, edit, without,
 };
+use ubimap_tests::emulator::{Emulator, firmware, leave_out};
 
 /// A robot or a server with one fault, and the check that must find it.
 struct Mutant {
@@ -444,4 +448,63 @@ fn a_broken_robot_fails_the_check_that_its_fault_is_about() {
 #[test]
 fn a_broken_server_fails_the_check_that_its_fault_is_about() {
     must_all_be_caught(Role::Server, &OF_THE_LINK.iter().chain(OF_SERVERS).collect::<Vec<_>>());
+}
+
+/// Runs `ubimap conformance` with these arguments, in real time. All checks must pass, but for those
+/// that may be skipped.
+fn must_pass_outside(arguments: &[&str], may_skip: &[&str]) {
+    let line = ["conformance"].iter().chain(arguments);
+    let options = CommandLine::parse_from(line).options;
+    let report = conformance::run(&options, |result| print!("{result}")).unwrap();
+    assert!(report.conforms(), "{}", told(&report));
+    let skips = report.checks.iter().filter(|it| matches!(it.verdict, Verdict::Skipped(_)));
+    let skips: Vec<&str> =
+        skips.map(|it| it.name).filter(|name| !may_skip.contains(name)).collect();
+    assert_eq!(skips, [""; 0], "{}", told(&report));
+}
+
+#[derive(clap::Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    options: ConformanceOptions,
+}
+
+/// Takes seven minutes.
+#[test]
+#[ignore = "takes minutes of real time: cargo thorough"]
+fn our_agent_passes_as_a_process() {
+    let cargo = process::Command::new(env!("CARGO"))
+        .args(["build", "--quiet", "--package", "ubimap-agent", "--example", "stdio_robot"])
+        .status();
+    assert!(cargo.unwrap().success());
+    let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/debug/examples/stdio_robot");
+    must_pass_outside(&["--exec", example], &[]);
+}
+
+/// Takes seven minutes. The image gets no bytes of a sensor, so it maps nothing.
+#[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
+fn our_image_passes_in_the_emulator() {
+    let emulator = match firmware().and_then(|image| Emulator::start(&image)) {
+        Ok(emulator) => emulator,
+        Err(error) => return leave_out("the conformance of the firmware", &error),
+    };
+    let port = emulator.ports()[0].display().to_string();
+    let of_tiles = [
+        "robot-tiles",
+        "first-epoch",
+        "another-server",
+        "one-update-in-flight",
+        "tile-requested",
+        "all-tiles-requested",
+        "robot-digests",
+        "base-missing",
+        "digest-differs",
+        "tile-in-parts",
+        "tile-outside-window",
+        "clock",
+        "clock-of-another-server",
+        "interest",
+    ];
+    must_pass_outside(&["--serial", &port, "--slack", "200"], &of_tiles);
 }

@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     message::TileUpdateHead,
-    tile::{Applied, Epoch, Layer, Replica, Stamp, TILE_CELLS, TileDecoder, TileHeader, TileId},
+    tile::{
+        Applied, Epoch, Layer, Replica, Stamp, TILE_CELLS, TileDecoder, TileHeader, TileId,
+        tile_hash,
+    },
 };
 
 /// A tile in an update.
@@ -33,6 +36,8 @@ impl Update {
 #[derive(Debug, Default)]
 pub(super) struct Followed {
     pub(super) tiles: BTreeMap<(u8, TileId, Epoch), Replica>,
+    /// The hash of each complete state.
+    hashes: BTreeMap<(u8, TileId, Stamp), u32>,
     pub(super) updates: Vec<Update>,
     /// Updates that can't be read, each with the reason.
     pub(super) unread: Vec<String>,
@@ -52,6 +57,10 @@ impl Followed {
             let held = self.tiles.entry((layer as u8, header.id, header.stamp.epoch)).or_default();
             let before = held.stamp();
             let applied = held.apply(&header, &mut decoder).ok();
+            if applied == Some(Applied::Complete) {
+                let hash = tile_hash(held.tile());
+                self.hashes.insert((layer as u8, header.id, header.stamp), hash);
+            }
             self.updates.push(Update { layer, header, held: before, applied });
             if applied.is_none() {
                 return;
@@ -62,6 +71,11 @@ impl Followed {
     /// The newest state held of a tile.
     pub(super) fn held(&self, layer: Layer, id: TileId, epoch: Epoch) -> Option<&Replica> {
         self.tiles.get(&(layer as u8, id, epoch))
+    }
+
+    /// The hash of a state that was complete.
+    pub(super) fn hash(&self, layer: Layer, id: TileId, stamp: Stamp) -> Option<u32> {
+        self.hashes.get(&(layer as u8, id, stamp)).copied()
     }
 
     pub(super) fn clear(&mut self) {

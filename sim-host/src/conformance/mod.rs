@@ -37,14 +37,17 @@ pub fn run(
     let began = bench.now();
     let mut talk = Talk::new(bench, role);
     let mut results = Vec::new();
-    let mut gone = None;
+    let mut gone = false;
     for (number, check) in (1..).zip(checks(role)) {
         if !only.is_empty() && !only.contains(&number) {
             continue;
         }
         talk.rest();
         let start = talk.now();
-        let ended = gone.clone().map_or_else(|| (check.run)(&mut talk), Err);
+        let ended = match gone {
+            true => Err(Halt::Skipped(format!("the {role} has gone"))),
+            false => (check.run)(&mut talk),
+        };
         let verdict = match ended {
             Ok(()) => Verdict::Passed,
             Err(Halt::Skipped(reason)) => Verdict::Skipped(reason),
@@ -52,8 +55,8 @@ pub fn run(
                 Verdict::Failed { expected, found, frames: talk.shown() }
             }
             Err(Halt::Gone(reason)) => {
+                gone = true;
                 let found = reason.to_string();
-                gone = Some(Halt::Gone(reason));
                 let expected = format!("a {role} to talk to");
                 Verdict::Failed { expected, found, frames: talk.shown() }
             }

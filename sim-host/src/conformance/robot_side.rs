@@ -127,8 +127,17 @@ impl Talk<'_> {
 
     /// Says hello, and returns the answer with its nonce.
     pub(super) fn said_to(&mut self, hello: &Hello) -> Result<Said, Halt> {
+        self.older()?;
         self.handshake(Note::new::<ToServer, _>(hello))?;
         self.said(hello.nonce)
+    }
+
+    /// Says nothing for a moment: a session's last frame must be older than an offer that may end it.
+    fn older(&mut self) -> Result<(), Halt> {
+        let was_polite = std::mem::replace(&mut self.is_polite, false);
+        let waited = self.wait(OLDER);
+        self.is_polite = was_polite;
+        waited
     }
 
     /// The answer to the Hello with a nonce.
@@ -157,8 +166,6 @@ impl Talk<'_> {
     /// Opens a session with the server by a Hello that `change` may alter, and makes it the session of
     /// the port by a first frame.
     pub(super) fn join_server(&mut self, change: impl FnOnce(&mut Hello)) -> Result<(), Halt> {
-        // The session's last frame must be older than the offer.
-        self.wait(OLDER)?;
         let mut hello = self.next_hello();
         change(&mut hello);
         let welcome = self.must_welcome(&hello)?;

@@ -456,12 +456,12 @@ fn late_reply(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.is_polite = false;
     talk.welcome_by_another_server(|_| ())?;
     let mut earlier = None;
-    // Each request gets a reply with the nonce of the one before it, and a time a minute ahead.
+    // Each request gets a reply with the nonce of the one before it.
     let end = talk.now() + Duration::from_secs(4);
     while let Some(seen) = talk.next(end)? {
         for TimeRequest { nonce } in seen.bodies::<ToServer, TimeRequest>() {
             if let Some(nonce) = earlier.replace(nonce) {
-                let received = talk.server.time(seen.at) + Duration::from_secs(60);
+                let received = talk.server.time(seen.at);
                 talk.datagram(&[Note::new::<ToRobot, _>(&TimeReply {
                     nonce,
                     received,
