@@ -171,7 +171,8 @@ fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> St
     // It is opened once: the emulator does not hang up.
     let opener = Box::new(move || Ok(wire.take().expect("the emulator has disconnected")));
     let attached = Attached::open("the firmware".into(), opener, Some(pose)).unwrap();
-    Station::new(RESOLUTION, Life::new(Epoch(epoch)), vec![attached], Vec::new(), None).unwrap()
+    Station::new(RESOLUTION, Life::new(Epoch(epoch)), (vec![attached], Vec::new()), None, None)
+        .unwrap()
 }
 
 /// Waits until the robot reports the pose seen by the camera, at the capture time of a frame by the

@@ -333,7 +333,8 @@ fn numbers<D: Traffic>(
             assert_ne!(session, SessionId::NONE);
             messages.map(|message| message.unwrap().number).collect()
         }
-        Received::Bad(fault) => panic!("a bad frame: {fault}"),
+        Received::Bad(fault) | Received::Stray(_, fault) => panic!("a bad frame: {fault}"),
+        Received::Sealed(_) => panic!("a sealed frame"),
     }
 }
 

@@ -4,20 +4,18 @@ use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     message::TileUpdateHead,
-    tile::{Applied, Epoch, Layer, Replica, TILE_CELLS, TileDecoder, TileHeader, TileId},
-    time::Instant,
+    tile::{Applied, Epoch, Layer, Replica, Stamp, TILE_CELLS, TileDecoder, TileHeader, TileId},
 };
 
 /// A tile in an update.
 #[derive(Clone, Debug)]
 pub(super) struct Update {
-    pub(super) at: Instant,
     pub(super) layer: Layer,
     pub(super) header: TileHeader,
+    /// The stamp that was held before.
+    pub(super) held: Stamp,
     /// `None` if its base is not held.
     pub(super) applied: Option<Applied>,
-    /// The reliable frame that carried it, if it was one.
-    pub(super) sequence: Option<u16>,
 }
 
 impl Update {
@@ -42,12 +40,7 @@ pub(super) struct Followed {
 
 impl Followed {
     /// Applies an update.
-    pub(super) fn take(
-        &mut self,
-        at: Instant,
-        sequence: Option<u16>,
-        (head, coded): (TileUpdateHead, &[u8]),
-    ) {
+    pub(super) fn take(&mut self, (head, coded): (TileUpdateHead, &[u8])) {
         let TileUpdateHead { layer, .. } = head;
         let mut decoder = TileDecoder::new(coded);
         loop {
@@ -57,8 +50,9 @@ impl Followed {
                 Err(error) => return self.unread.push(error.to_string()),
             };
             let held = self.tiles.entry((layer as u8, header.id, header.stamp.epoch)).or_default();
+            let before = held.stamp();
             let applied = held.apply(&header, &mut decoder).ok();
-            self.updates.push(Update { at, layer, header, applied, sequence });
+            self.updates.push(Update { layer, header, held: before, applied });
             if applied.is_none() {
                 return;
             }

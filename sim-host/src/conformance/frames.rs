@@ -191,10 +191,10 @@ pub fn stuffed(contents: &[u8]) -> Vec<u8> {
 pub fn unstuffed(wire: &[u8]) -> Result<Vec<u8>, CobsError> {
     let mut decoder = cobs::Decoder::<{ 2 * MAX_FRAME }>::default();
     match decoder.next(&mut &wire[..]) {
-        Some(contents) => contents.map(<[u8]>::to_vec),
+        Some(contents) => contents.map(|contents| contents.to_vec()),
         None => Err(CobsError::Truncated),
     }
 }
 
 /// The shortest contents of a frame.
-pub const MIN_CONTENTS: usize = HEADER_LEN + SEAL_LEN;
+pub(super) const MIN_CONTENTS: usize = HEADER_LEN + SEAL_LEN;

@@ -24,6 +24,8 @@ use super::{
 const NONCE_STEP: u32 = 0x9E37_79B9;
 /// The tiles of questions lie from here on eastwards.
 const QUESTIONS_FROM: i16 = 8_000;
+/// Pause before another Hello.
+const OLDER: Duration = Duration::from_millis(20);
 /// Number of tiles that the runner can hold.
 pub(super) const FUSED_TILES: u16 = 64;
 
@@ -131,6 +133,14 @@ impl Talk<'_> {
 
     /// The answer to the Hello with a nonce.
     pub(super) fn said(&mut self, nonce: u32) -> Result<Said, Halt> {
+        // A frame of the session after the offer would keep the session.
+        let was_polite = std::mem::replace(&mut self.is_polite, false);
+        let said = self.await_said(nonce);
+        self.is_polite = was_polite;
+        said
+    }
+
+    fn await_said(&mut self, nonce: u32) -> Result<Said, Halt> {
         let until = self.now() + self.patience();
         while let Some(seen) = self.next(until)? {
             let welcome = seen.bodies::<ToRobot, Welcome>().find(|it| it.nonce == nonce);
@@ -147,6 +157,8 @@ impl Talk<'_> {
     /// Opens a session with the server by a Hello that `change` may alter, and makes it the session of
     /// the port by a first frame.
     pub(super) fn join_server(&mut self, change: impl FnOnce(&mut Hello)) -> Result<(), Halt> {
+        // The session's last frame must be older than the offer.
+        self.wait(OLDER)?;
         let mut hello = self.next_hello();
         change(&mut hello);
         let welcome = self.must_welcome(&hello)?;
@@ -237,7 +249,7 @@ impl Talk<'_> {
         for note in &seen.notes {
             let message = Message::<ToRobot>::new(note.number, &note.body);
             if let Ok(update) = message.split::<TileUpdateHead>() {
-                self.robot.followed.take(seen.at, seen.reliable(), update);
+                self.robot.followed.take(update);
             }
         }
     }

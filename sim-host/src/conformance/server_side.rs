@@ -68,11 +68,11 @@ impl ServerSide {
 impl Talk<'_> {
     /// Makes the robot knock. Returns its Hello.
     pub(super) fn hello(&mut self) -> Result<Hello, Halt> {
-        self.is_polite = false;
+        let was_polite = std::mem::replace(&mut self.is_polite, false);
         let end = self.now() + LONGEST_KNOCK;
         loop {
             if let Some(hello) = self.body::<ToServer, Hello>(RESETS)? {
-                self.is_polite = true;
+                self.is_polite = was_polite;
                 self.server.hello = Some(hello);
                 return Ok(hello);
             }
@@ -108,7 +108,15 @@ impl Talk<'_> {
     /// heard there.
     pub(super) fn welcome_robot(&mut self, change: impl FnOnce(&mut Welcome)) -> Result<(), Halt> {
         let hello = self.hello()?;
-        let mut welcome = self.welcome_for(&hello);
+        self.begin_session_with(&hello, change)
+    }
+
+    fn begin_session_with(
+        &mut self,
+        hello: &Hello,
+        change: impl FnOnce(&mut Welcome),
+    ) -> Result<(), Halt> {
+        let mut welcome = self.welcome_for(hello);
         change(&mut welcome);
         self.send_welcome(&welcome)?;
         let patience = Duration::from_millis(2_500) + self.slack();
@@ -127,9 +135,11 @@ impl Talk<'_> {
         &mut self,
         change: impl FnOnce(&mut Welcome),
     ) -> Result<(), Halt> {
+        let hello = self.hello()?;
         self.server.epoch = self.server.epoch.wrapping_add(0x1111);
+        // Frames of the session before have arrived until now.
         self.server.followed.clear();
-        self.welcome_robot(change)
+        self.begin_session_with(&hello, change)
     }
 
     /// A question to a robot.
@@ -154,7 +164,7 @@ impl Talk<'_> {
             let message = Message::<ToServer>::new(note.number, &note.body);
             if let Ok(update) = message.split::<TileUpdateHead>() {
                 let followed = &mut self.server.followed;
-                followed.take(seen.at, seen.reliable(), update);
+                followed.take(update);
                 let newest = followed.tiles.keys().map(|(_, _, epoch)| epoch.0 + 1).max();
                 self.server.first_epoch = self.server.first_epoch.max(newest.unwrap_or(1));
             }

@@ -15,7 +15,7 @@ use super::{
     bench::Bench,
     check::{Halt, Role, fail},
     describe::Describer,
-    frames::{Frame, Note, Unreadable, stuffed, unstuffed},
+    frames::{Frame, Note, Unreadable, unstuffed},
     robot_side::RobotSide,
     server_side::ServerSide,
 };
@@ -224,11 +224,6 @@ impl Talk<'_> {
 
     pub(super) fn send(&mut self, frame: &Frame) -> Result<(), Halt> {
         self.send_wire(frame.wire())
-    }
-
-    /// Sends unstuffed contents.
-    pub(super) fn send_contents(&mut self, contents: &[u8]) -> Result<(), Halt> {
-        self.send_wire(stuffed(contents))
     }
 
     /// A frame of the session.

@@ -22,7 +22,7 @@ mod tests;
 use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
-    frame::MAX_FRAME,
+    frame::{Key, MAX_FRAME},
     link::Terms,
     time::Instant,
     units::{Millimetres, RobotId},
@@ -39,6 +39,7 @@ use crate::{
     server::{Command, CommandError, Server, coordination::GoalError},
 };
 
+pub use crate::server::Policy;
 pub use camera_event::{CameraEvent, CameraEventKind};
 pub use config::{Config, Kept, Life};
 pub use event::Event;
@@ -77,11 +78,11 @@ const MAX_EVENTS: usize = 1_000;
 /// };
 /// use ubimap_sim_host::{
 ///     camera::{Observation, Sighting},
-///     deployment::{Config, Deployment, Life},
+///     deployment::{Config, Deployment, Life, Policy},
 /// };
 ///
 /// let mut deployment = Deployment::new(Config::new(Millimetres(50)), Life::default())?;
-/// let port = deployment.open_port();
+/// let port = deployment.open_port(Policy::Open);
 /// let mut sent = 0;
 ///
 /// // For a second a camera sees a robot, the floor, and a wall 2 m to the east, in ten frames.
@@ -177,8 +178,18 @@ impl Deployment {
 /// Inputs.
 impl Deployment {
     /// Opens a port, with at most one robot behind it.
-    pub fn open_port(&mut self) -> PortId {
-        PortId(self.server.open_port())
+    pub fn open_port(&mut self, policy: Policy) -> PortId {
+        PortId(self.server.open_port(policy))
+    }
+
+    /// Gives a robot a key for keyed ports. If it had another one, its session there ends.
+    pub fn set_key(&mut self, robot: RobotId, key: Key) {
+        self.server.set_key(robot, key);
+    }
+
+    /// Takes a robot's key away; its session on a keyed port ends. Returns whether there was one.
+    pub fn retire_key(&mut self, robot: RobotId) -> bool {
+        self.server.retire_key(robot)
     }
 
     /// Closes a port. Ends the session of the robot there; the robot's next session, on any port,
@@ -451,6 +462,9 @@ fn server(config: &Config, life: Life) -> Server {
     let mut server = Server::new(terms, 0);
     if let Some(first) = life.first_session {
         server.number_sessions_from(first);
+    }
+    if let Some(salt) = life.salt {
+        server.salt_from(salt);
     }
     for (robot, footprint) in config.registry.footprints() {
         server.set_footprint(robot, footprint);

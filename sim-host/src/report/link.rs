@@ -23,6 +23,10 @@ pub struct LinkSummary {
     pub bad: u32,
     /// Good frames that break a rule.
     pub refused: u32,
+    /// Sealed frames that were accepted before, or are too old to tell.
+    pub replayed: u32,
+    /// Sealed frames that no key here opens.
+    pub forged: u32,
     /// Messages of a kind that this version does not know.
     pub unknown: u32,
     /// Messages that can't be read as their kind, or that break a rule.
@@ -34,11 +38,11 @@ pub struct LinkSummary {
 impl LinkSummary {
     /// The counters of an end's frames and messages.
     pub fn new(frames: Counters, messages: MessageCounters) -> Self {
-        let Counters { sent, retransmissions, received, duplicates, bad, refused } = frames;
+        let Counters { sent, retransmissions, received, duplicates, .. } = frames;
+        let Counters { bad, refused, replayed, forged, .. } = frames;
         let MessageCounters { unknown, malformed, late } = messages;
-        let counted =
-            Self { sent, retransmissions, received, duplicates, bad, refused, ..Self::default() };
-        Self { unknown, malformed, late, ..counted }
+        let counted = Self { sent, retransmissions, received, duplicates, ..Self::default() };
+        Self { bad, refused, replayed, forged, unknown, malformed, late, ..counted }
     }
 
     /// The sums of both.
@@ -52,6 +56,8 @@ impl LinkSummary {
             duplicates: sum(self.duplicates, other.duplicates),
             bad: sum(self.bad, other.bad),
             refused: sum(self.refused, other.refused),
+            replayed: sum(self.replayed, other.replayed),
+            forged: sum(self.forged, other.forged),
             unknown: sum(self.unknown, other.unknown),
             malformed: sum(self.malformed, other.malformed),
             late: sum(self.late, other.late),
@@ -64,7 +70,7 @@ impl fmt::Display for LinkSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{} frames sent, {} again; {} received, {} duplicate, {} bad, {} refused; messages: {} unknown, \
+            "{} frames sent, {} again; {} received, {} duplicate, {} bad, {} refused, {} replayed, {} forged; messages: {} unknown, \
              {} malformed, {} late",
             self.sent,
             self.retransmissions,
@@ -72,6 +78,8 @@ impl fmt::Display for LinkSummary {
             self.duplicates,
             self.bad,
             self.refused,
+            self.replayed,
+            self.forged,
             self.unknown,
             self.malformed,
             self.late

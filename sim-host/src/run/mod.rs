@@ -7,7 +7,9 @@ mod body;
 pub mod calibrate;
 pub mod calibration_drive;
 pub mod compare;
+pub mod conformance;
 mod convergence;
+pub mod decode;
 mod driving;
 mod figures;
 pub mod fleet;
@@ -15,6 +17,7 @@ mod floors;
 pub mod heap;
 pub mod interruption;
 pub mod keeper;
+pub mod keys;
 mod markers;
 pub mod member;
 pub mod options;
@@ -40,6 +43,7 @@ use image::RgbImage;
 use serde::Serialize;
 use ubimap_agent::ConfigError;
 
+use self::keys::KeysError;
 use crate::{
     channel::wire::WireError,
     grid::{self, GridError, MapError, OccupancyGrid},
@@ -132,14 +136,33 @@ pub enum RunError {
     /// A serial port can't be opened.
     #[error(transparent)]
     Port(#[from] WireError),
+    /// There is no check with this number.
+    #[error("--only {number}: there is no such check; --list shows 1 to {checks}")]
+    NoCheck {
+        /// The number.
+        number: usize,
+        /// Number of checks.
+        checks: usize,
+    },
+    /// A capture can't be read.
+    #[error("{name}: {reason}")]
+    Capture {
+        /// The file, or the text in its place.
+        name: String,
+        /// The reason, in one line.
+        reason: String,
+    },
     /// A socket without seals.
     #[error(
-        "{address}: whoever reaches a socket could pose as a robot; give --open to allow that, on a bench"
+        "{address}: whoever reaches a socket could pose as a robot; give --keys DIR, or --open to allow that on a bench"
     )]
     Unsealed {
         /// The socket.
         address: String,
     },
+    /// The keys can't be used.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
     /// The number of poses is neither zero, one, nor the number of ports.
     #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
@@ -217,7 +240,10 @@ impl RunError {
             | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
+            | Self::NoCheck { .. }
+            | Self::Capture { .. }
             | Self::Unsealed { .. }
+            | Self::Keys(_)
             | Self::Poses { .. }
             | Self::Robot(_)
             | Self::Registry(_)

@@ -260,6 +260,10 @@ pub enum RobotEvent {
     TooMany(RobotId),
     /// This number of its tiles were damaged in the store, and it has not sent them again.
     LostTiles(RobotId, usize),
+    /// It seals its frames, and there is no key for it.
+    NoKey(RobotId),
+    /// It has no session, and its sealed Hello is older than its last one.
+    OldAttempt(RobotId),
 }
 
 impl fmt::Display for RobotEvent {
@@ -290,6 +294,20 @@ impl fmt::Display for RobotEvent {
                 write!(
                     f,
                     "robot {} gets no session: the server knows 1,024 robots, its maximum; start it with a new --store to forget them",
+                    robot.0
+                )
+            }
+            Self::NoKey(robot) => {
+                let robot = robot.0;
+                write!(
+                    f,
+                    "robot {robot} is sealed, and there is no key for it here: ubimap keys make {robot}"
+                )
+            }
+            Self::OldAttempt(robot) => {
+                write!(
+                    f,
+                    "robot {} says hello with an older stamp than its last one: a replay, or its boot counter was reset; give it a new key",
                     robot.0
                 )
             }

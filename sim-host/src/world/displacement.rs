@@ -61,7 +61,7 @@ mod tests {
         let knock = KnockConfig { at_s: 1.0, shift_m: [0.1, 0.0, -0.2], ..KnockConfig::default() };
         let drift =
             KnockConfig { at_s: 2.0, over_s: 100.0, tilt_deg: 1.0, ..KnockConfig::default() };
-        let at = |millis| displaced(&stated, &[knock, drift], Instant(millis * 1_000));
+        let at = |millis: u64| displaced(&stated, &[knock, drift], Instant(millis * 1_000));
         assert_eq!(at(999), stated);
         let moved = at(1_000);
         assert!((moved.translation.vector - nalgebra::Vector3::new(1.1, 2.0, 2.8)).norm() < 1e-12);

@@ -99,7 +99,7 @@ fn tiles(talk: &mut Talk<'_>) -> Result<(), Halt> {
     if let Some(why) = followed.unread.first() {
         return fail("updates that can be read", why.clone());
     }
-    for Update { layer, header, applied, .. } in &followed.updates {
+    for Update { layer, header, applied, held } in &followed.updates {
         if *layer != Layer::Robot {
             return fail("updates of layer 0 alone", format!("{layer:?}"));
         }
@@ -107,7 +107,10 @@ fn tiles(talk: &mut Talk<'_>) -> Result<(), Halt> {
             return fail("epochs and versions from 1 on", format!("{:?}", header.stamp));
         }
         if applied.is_none() {
-            return fail("a base that was acknowledged before", format!("{header:?}"));
+            return fail(
+                "a base that was acknowledged before",
+                format!("{header:?}, held {held:?}"),
+            );
         }
     }
     Ok(())
@@ -258,7 +261,7 @@ fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
             return fail("whole messages in each frame", "one is cut short");
         }
         if let Some(update) = talk.server.followed.updates.iter().find(|it| it.applied.is_none()) {
-            return fail("parts that follow each other", format!("{:?}", update.header));
+            return fail("bases and parts that follow each other", format!("{update:?}"));
         }
     }
     Ok(())

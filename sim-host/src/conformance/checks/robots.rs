@@ -439,9 +439,9 @@ fn forgotten_clock(talk: &mut Talk<'_>) -> Result<(), Halt> {
     if !states(talk, Duration::from_secs(3))?.iter().any(|(_, it)| it.time.is_some()) {
         return skip("the robot reports no time of a pose; it may have no odometry");
     }
-    talk.welcome_by_another_server(|_| ())?;
     // Its time requests get no answer.
     talk.is_polite = false;
+    talk.welcome_by_another_server(|_| ())?;
     let seen = talk.collect(Duration::from_secs(5))?;
     let states: Vec<State> = seen.iter().flat_map(|it| it.bodies::<ToServer, State>()).collect();
     match states.iter().find(|it| it.time.is_some()) {
@@ -453,8 +453,8 @@ fn forgotten_clock(talk: &mut Talk<'_>) -> Result<(), Halt> {
 }
 
 fn late_reply(talk: &mut Talk<'_>) -> Result<(), Halt> {
-    talk.welcome_by_another_server(|_| ())?;
     talk.is_polite = false;
+    talk.welcome_by_another_server(|_| ())?;
     let mut earlier = None;
     // Each request gets a reply with the nonce of the one before it, and a time a minute ahead.
     let end = talk.now() + Duration::from_secs(4);

@@ -429,13 +429,17 @@ fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
     for frame in [32, 33, 64, 250, 1_024] {
         talk.join_server(|hello| hello.frame = frame)?;
         let (id, tile) = (ground(talk), noise(u32::from(frame)));
-        let room = usize::from(frame).min(64) - 20;
+        // Framing takes 8 bytes; kind, length, layer and seconds take 4.
+        let room = usize::from(frame).min(64) - 12;
         let (of, mut start) = ((id, stamp(talk, 1), None), 0);
         while start < 1_024 {
             let (note, end) =
                 part_note::<ToServer>(Layer::Robot, of, start, (&Tile::UNKNOWN, &tile), room);
             talk.reliable(&[note])?;
             talk.wait(Duration::from_millis(10))?;
+            if end == start {
+                return skip("no cell fits a frame");
+            }
             start = end;
         }
         talk.robot.followed.clear();

@@ -16,7 +16,7 @@ use crate::{
         udp::UdpSocket,
         wire::WireError,
     },
-    deployment::{Deployment, PortId},
+    deployment::{Deployment, Policy, PortId},
 };
 
 /// Maximum number of peers of a socket at once. Beyond it the stranger that was silent for longest
@@ -72,6 +72,8 @@ pub(super) struct Links {
     intake: Intake,
     doors: Vec<(Door, Listening)>,
     links: Vec<Link>,
+    /// What all ports require.
+    policy: Policy,
 }
 
 impl Links {
@@ -82,9 +84,11 @@ impl Links {
     pub(super) fn open(
         attached: Vec<Attached>,
         doors: Vec<Door>,
+        policy: Policy,
         deployment: &mut Deployment,
     ) -> Result<Self, WireError> {
-        let mut links = Self { intake: Intake::default(), doors: Vec::new(), links: Vec::new() };
+        let intake = Intake::default();
+        let mut links = Self { intake, doors: Vec::new(), links: Vec::new(), policy };
         for attached in attached {
             links.add(attached, None, deployment, Instant(0))?;
         }
@@ -108,7 +112,8 @@ impl Links {
         heard: Instant,
     ) -> Result<(), WireError> {
         attached.listen(&mut self.intake)?;
-        self.links.push(Link { port: deployment.open_port(), attached, peer, heard });
+        let port = deployment.open_port(self.policy);
+        self.links.push(Link { port, attached, peer, heard });
         Ok(())
     }
 
@@ -252,7 +257,7 @@ impl Links {
             }
             if attached.reopen(now) {
                 match attached.listen(&mut self.intake) {
-                    Ok(()) => link.port = deployment.open_port(),
+                    Ok(()) => link.port = deployment.open_port(self.policy),
                     Err(error) => attached.failed(&error),
                 }
             }

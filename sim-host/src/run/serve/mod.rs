@@ -8,9 +8,11 @@ mod bench_camera;
 mod links;
 mod station;
 
+use std::path::Path;
+
 use ubimap_protocol::tile::Epoch;
 
-use super::{RunError, interruption, keeper, options::ServeOptions};
+use super::{RunError, interruption, keeper, keys, options::ServeOptions};
 use crate::{
     channel::{address::Address, serial::SerialPort},
     report::ServeReport,
@@ -26,12 +28,19 @@ pub use station::Station;
 /// # Errors
 /// [`RunError`] if a port or the store can't be opened.
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
-    let (ports, doors) = open(options)?;
+    // Before the ports, so that a key that can't be used opens none.
+    let folder = options.keys.as_deref().or(options.sealed.then_some(Path::new("keys")));
+    let keys = folder.map(keys::load).transpose()?;
+    if let (Some(folder), Some([])) = (folder, keys.as_deref()) {
+        log::warn!("{}: no robot has a key: ubimap keys make ROBOT", folder.display());
+    }
+    let (ports, doors) = open(options, keys.is_some())?;
     let resolution = options.resolution;
     let epoch = Epoch(random()?.max(1));
     let (keeper, mut life) = keeper::open(options.store.as_deref(), resolution, epoch)?;
     life.first_session = Some(random()?);
-    let mut station = Station::new(resolution, life, ports, doors, keeper)?;
+    life.salt = Some(u64::from(random()?) << 32 | u64::from(random()?));
+    let mut station = Station::new(resolution, life, (ports, doors), keys, keeper)?;
     let end = options.duration.map(|duration| station.now() + duration);
     while !interruption::is_requested() && end.is_none_or(|end| station.now() < end) {
         station.turn();
@@ -42,7 +51,7 @@ pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
 }
 
 /// The ports that the server opens, and the sockets at which robots knock.
-fn open(options: &ServeOptions) -> Result<(Vec<Attached>, Vec<Door>), RunError> {
+fn open(options: &ServeOptions, is_keyed: bool) -> Result<(Vec<Attached>, Vec<Door>), RunError> {
     let pose = |index: usize| match options.pose[..] {
         [] => None,
         [one] => Some(one),
@@ -59,12 +68,14 @@ fn open(options: &ServeOptions) -> Result<(Vec<Attached>, Vec<Door>), RunError> 
             let (path, baud, name) = (path.clone(), options.baud, address.to_string());
             let opener: Opener = Box::new(move || Ok(SerialPort::open(&path, baud)?.into_wire()));
             attached.push(Attached::open(name, opener, stands)?);
-        } else if !options.open {
+        } else if !options.open && !is_keyed {
             return Err(RunError::Unsealed { address: address.to_string() });
         } else {
-            log::warn!(
-                "{address} is open: whoever reaches it can pose as a robot and change the map"
-            );
+            if !is_keyed {
+                log::warn!(
+                    "{address} is open: whoever reaches it can pose as a robot and change the map"
+                );
+            }
             doors.extend(Door::open(address, stands)?);
         }
         log::info!("port {index} is {address}");

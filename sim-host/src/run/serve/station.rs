@@ -3,9 +3,9 @@
 use std::time;
 
 use ubimap_protocol::{
-    frame::MAX_FRAME,
+    frame::{Key, MAX_FRAME},
     time::{Duration, Instant},
-    units::Millimetres,
+    units::{Millimetres, RobotId},
 };
 
 use super::{
@@ -14,7 +14,7 @@ use super::{
     links::{Door, Links},
 };
 use crate::{
-    deployment::{Config, Deployment, Life},
+    deployment::{Config, Deployment, Life, Policy},
     report::ServeReport,
     run::{RunError, keeper::Keeper},
 };
@@ -39,7 +39,7 @@ pub struct Station {
 }
 
 impl Station {
-    /// Starts a deployment. Its records go to the keeper, if there is one.
+    /// Starts a deployment. With `keys` all of its ports are keyed. Its records go to the keeper, if there is one.
     ///
     /// # Errors
     /// [`RunError::Port`] if no thread can be started; [`RunError::Registry`], which a deployment
@@ -47,12 +47,16 @@ impl Station {
     pub fn new(
         resolution: Millimetres,
         life: Life,
-        wires: Vec<Attached>,
-        doors: Vec<Door>,
+        (wires, doors): (Vec<Attached>, Vec<Door>),
+        keys: Option<Vec<(RobotId, Key)>>,
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
         let mut deployment = Deployment::new(Config::new(resolution), life)?;
-        let links = Links::open(wires, doors, &mut deployment)?;
+        let policy = if keys.is_some() { Policy::Keyed } else { Policy::Open };
+        for (robot, key) in keys.into_iter().flatten() {
+            deployment.set_key(robot, key);
+        }
+        let links = Links::open(wires, doors, policy, &mut deployment)?;
         Ok(Self {
             deployment,
             links,

@@ -10,7 +10,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    server::{Command, CommandError, Event, MAX_ROBOTS, Server},
+    server::{Command, CommandError, Event, MAX_ROBOTS, Policy, Server},
     timing::SESSION_SILENT,
 };
 
@@ -116,7 +116,7 @@ fn the_session_of_a_closed_port_continues_on_another() {
     assert!(server.receive(0, &[0], Instant(1)).is_err() && server.robot_at(0).is_none());
     assert_eq!(server.command(RobotId(1), stop), Err(CommandError::NoSession(RobotId(1))));
 
-    let port = server.open_port();
+    let port = server.open_port(Policy::Open);
     assert_eq!((port, server.ports().collect::<Vec<_>>()), (1, vec![1]));
     server.receive(port, &hello(6), Instant(2)).unwrap();
     let mut out = [0u8; MAX_FRAME];
