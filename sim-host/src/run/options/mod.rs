@@ -16,7 +16,9 @@ use ubimap_protocol::{
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
 pub(super) use values::{OptionError, number};
-use values::{heights, milliseconds, pose, probability, resolution, seconds, tolerance};
+use values::{
+    depth_scale, heights, milliseconds, pose, probability, resolution, seconds, tolerance,
+};
 
 use crate::channel::fault::Faults;
 
@@ -24,8 +26,9 @@ use crate::channel::fault::Faults;
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Recording")]
 pub struct WatchOptions {
-    /// Folders of cameras, or of such folders: pose.txt, intrinsics.toml, depth/*.png, color/*.png
-    /// (with a pose.txt and intrinsics.toml of its own, if it has them), and times.txt
+    /// Folders of cameras, or of such folders: pose.txt (x y z qx qy qz qw, or a matrix from camera to
+    /// world) or a trajectory (TUM, Redwood), intrinsics.toml or a camera's .yaml or .json (OpenCV, ROS,
+    /// Open3D), depth/*.png, color/*.png or rgb/*.png (with files of its own, if it has them), and times.txt
     #[arg(required = true, value_name = "FOLDER")]
     pub folders: Vec<PathBuf>,
 
@@ -39,7 +42,7 @@ pub struct WatchOptions {
     pub cameras: Option<PathBuf>,
 
     /// When to correct the height and the tilt of a camera by the floor that it sees: if the floor is off by
-    /// more than 1 cm or 0.5 degrees and fills a tenth of the view, whenever it is found, or never
+    /// more than 1 cm or 0.5 degrees in five images and fills a tenth of the view, whenever it is found, or never
     #[arg(long, value_name = "WHEN", value_enum, default_value_t)]
     pub trust_floor: TrustFloor,
 
@@ -48,6 +51,10 @@ pub struct WatchOptions {
     #[arg(long, value_name = "LOW,HIGH", value_parser = heights, allow_negative_numbers = true)]
     pub obstacles: Option<[Millimetres; 2]>,
 
+    /// The unit of the depth images.
+    #[command(flatten)]
+    pub unit: DepthUnit,
+
     /// Side of a cell in metres
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
@@ -55,6 +62,15 @@ pub struct WatchOptions {
     /// Options for the results.
     #[command(flatten)]
     pub results: ResultOptions,
+}
+
+/// The unit of depth images.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct DepthUnit {
+    /// Units of the depth images in a metre (1000: millimetres, 5000: TUM), or metres in a unit (0.001)
+    /// [default: what the camera's file states, or else 1000]
+    #[arg(long = "depth-scale", value_name = "UNITS", value_parser = depth_scale, allow_negative_numbers = true)]
+    pub per_metre: Option<f64>,
 }
 
 /// When a camera's pose is corrected by its floor.
