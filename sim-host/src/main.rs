@@ -17,15 +17,23 @@ use ubimap_sim_host::{
     run::{
         Outcome, RunError, backup,
         calibrate::{self, options::CalibrateOptions},
-        compare, interruption,
+        compare,
+        control::{ControlOptions, GoOptions, RobotsOptions},
+        init::{self, InitOptions},
+        interruption,
         options::{
             BackupOptions, CompareOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
         },
         place::{self, options::PlaceOptions},
-        replay, serve, simulate, terminal, watch,
+        replay,
+        robot::{self, RobotOptions},
+        serve, simulate, terminal, watch,
     },
 };
+
+#[cfg(target_os = "linux")]
+use ubimap_sim_host::run::rig::{self, RigOptions};
 
 /// Exit code of a failed run, including one whose maps have not converged.
 const FAILED: u8 = 1;
@@ -54,8 +62,23 @@ enum Command {
     Place(PlaceOptions),
     /// Find out where cameras hang, from landmarks that they see in common
     Calibrate(CalibrateOptions),
-    /// Serve real robots on serial ports
+    /// Serve cameras and robots, live
     Serve(ServeOptions),
+    /// Run a robot's program on a computer with serial ports
+    Robot(RobotOptions),
+    /// Play the outside world: a simulated room with cameras and robots' devices, for serve and robot
+    #[cfg(target_os = "linux")]
+    Rig(RigOptions),
+    /// Write a commented deployment for serve
+    Init(InitOptions),
+    /// Send a robot of the running server to a place
+    Go(GoOptions),
+    /// Stop a robot of the running server, or all
+    Stop(RobotsOptions),
+    /// Let a robot of the running server, or all, explore
+    Explore(RobotsOptions),
+    /// Show robots, cameras and map of the running server
+    Status(ControlOptions),
     /// Copy the file of --store, even while the server is running
     Backup(BackupOptions),
     /// Score one ROS map against another
@@ -72,7 +95,9 @@ fn main() -> ExitCode {
     }
     let level = match command {
         // It runs until stopped: its messages are its only output.
-        Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Info),
+        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet => {
+            verbosity.level().max(LevelFilter::Info)
+        }
         _ => verbosity.level(),
     };
     terminal::start_logging(level);
@@ -92,6 +117,14 @@ fn main() -> ExitCode {
         Command::Place(options) => place(&options),
         Command::Calibrate(options) => calibrate(&options),
         Command::Serve(options) => serve(&options),
+        Command::Robot(options) => robot::run(&options).map(|()| ExitCode::SUCCESS),
+        #[cfg(target_os = "linux")]
+        Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
+        Command::Init(options) => init(&options),
+        Command::Go(options) => options.run().and_then(|answer| answered(&answer)),
+        Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),
+        Command::Explore(options) => options.run("explore").and_then(|answer| answered(&answer)),
+        Command::Status(options) => options.status().and_then(|answer| answered(&answer)),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
     };
@@ -167,6 +200,17 @@ fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
     print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
     Ok(status(report.has_robot() || interruption::is_requested()))
+}
+
+fn init(options: &InitOptions) -> Result<ExitCode, RunError> {
+    let file = init::run(options)?;
+    let file = file.display();
+    answered(&format!("{file}: edit it, then run: ubimap serve {file} --open\n"))
+}
+
+fn answered(answer: &str) -> Result<ExitCode, RunError> {
+    print(answer)?;
+    Ok(ExitCode::SUCCESS)
 }
 
 fn backup(options: &BackupOptions) -> Result<ExitCode, RunError> {

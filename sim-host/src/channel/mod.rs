@@ -2,6 +2,7 @@
 //!
 //! - [`wire`]: the two ends of a link, as traits, and their errors.
 //! - [`serial`], [`udp`], [`tcp`]: a serial port or pseudo-terminal, a UDP socket, a TCP listener.
+//! - [`unix_socket`]: the sockets that other programs of this machine connect to.
 //! - [`address`]: where a port is, as text.
 //! - [`intake`]: the bytes from all ports in one queue, in order of arrival.
 //! - [`write_queue`]: writes that never block.
@@ -13,5 +14,7 @@ pub mod intake;
 pub mod serial;
 pub mod tcp;
 pub mod udp;
+#[cfg(unix)]
+pub mod unix_socket;
 pub mod wire;
 pub mod write_queue;

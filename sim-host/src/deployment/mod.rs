@@ -30,7 +30,10 @@ use ubimap_protocol::{
 use self::keeping::Keeping;
 use crate::{
     camera::{Frame, Observation, Sighting},
-    perception::{Observer, robots::RegistryError},
+    perception::{
+        FrameError, Observer,
+        robots::{RegistryError, SightingEvent},
+    },
     server::{Command, CommandError, Server, coordination::GoalError},
 };
 
@@ -208,6 +211,18 @@ impl Deployment {
     pub fn observe(&mut self, mut observation: Observation) {
         observation.captured = self.server_time(observation.captured);
         self.take(observation);
+    }
+
+    /// Reports a problem with markers that was found together with an observation computed elsewhere.
+    pub fn sighting_event(&mut self, captured: Instant, event: SightingEvent) {
+        let captured = self.server_time(captured);
+        self.server.sighting_event(captured, event);
+    }
+
+    /// Reports a camera whose frames are faulty, found while an observation was computed elsewhere.
+    pub fn frame_error(&mut self, fault: FrameError, now: Instant) {
+        let now = self.server_time(now);
+        self.add_event(now, Event::Frame(fault));
     }
 
     /// Processes an observation whose times are by the server's clock.

@@ -16,7 +16,7 @@ pub(super) const INTRINSICS_FILE: &str = "intrinsics.toml";
 /// The intrinsics of depth images and pictures, as stated in the file.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct IntrinsicsFile {
+pub(crate) struct IntrinsicsFile {
     pub(super) width: u32,
     pub(super) height: u32,
     pub(super) fx: f64,
@@ -53,7 +53,7 @@ struct Open3dCamera {
 
 impl IntrinsicsFile {
     /// The file for a calibrated sensor with depths in millimetres.
-    pub(super) fn of(pinhole: &camera::Intrinsics, noise: Option<&camera::DepthNoise>) -> Self {
+    pub(crate) fn of(pinhole: &camera::Intrinsics, noise: Option<&camera::DepthNoise>) -> Self {
         let camera::Intrinsics { width, height, fx, fy, cx, cy, distortion } = *pinhole;
         let depth_per_metre = millimetres();
         let depth_noise = noise.map(|noise| DepthNoiseFile {
@@ -61,6 +61,29 @@ impl IntrinsicsFile {
             quadratic_per_m: noise.quadratic_per_m(),
         });
         Self { width, height, fx, fy, cx, cy, distortion, depth_per_metre, depth_noise, row: None }
+    }
+
+    /// The pinhole of a sensor whose images have their top row first and depths in millimetres.
+    ///
+    /// # Errors
+    /// The problem as text.
+    pub(crate) fn pinhole(&self) -> Result<camera::Intrinsics, String> {
+        let checked = self.clone().checked()?;
+        if checked.fy < 0.0 || checked.depth_per_metre != millimetres() {
+            return Err("needs a positive fy, and depths in millimetres".to_owned());
+        }
+        let Self { width, height, fx, fy, cx, cy, distortion, .. } = checked;
+        Ok(camera::Intrinsics { width, height, fx, fy, cx, cy, distortion })
+    }
+
+    /// The stated noise of the depths, or that of a D435.
+    ///
+    /// # Errors
+    /// [`camera::CalibrationError`].
+    pub(crate) fn noise(&self) -> Result<camera::DepthNoise, camera::CalibrationError> {
+        self.depth_noise.map_or(Ok(camera::DepthNoise::default()), |noise| {
+            camera::DepthNoise::new(noise.constant_m, noise.quadratic_per_m)
+        })
     }
 
     /// Checks that the values are plausible. Returns the problem as text if they are not.

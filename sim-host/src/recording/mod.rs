@@ -32,6 +32,7 @@ mod time_stamps;
 pub use error::{Field, FrameFault, LineFault, LogError};
 pub use format::Format;
 pub use frames::{FramesError, RecordedFrames, Recorder};
+pub(crate) use intrinsics::IntrinsicsFile;
 pub use scans::{
     DepthSlice, Log, LoggedScan, PixelModel, Sensor, Slicing, UpAxis, concatenate, read, read_all,
     write_carmen,

@@ -18,7 +18,7 @@ use crate::{
     recording::{
         camera_poses::{CameraPose, has_poses, read_poses},
         error::{FrameFault, LogError},
-        intrinsics::{self, DepthNoiseFile, IntrinsicsFile},
+        intrinsics::{self, IntrinsicsFile},
         mounted::mounted,
         numbered_files::{PICTURE_KINDS, depth_images, files_in, number_in},
     },
@@ -364,12 +364,8 @@ fn calibrations(
     let is_fixed = [depth, picture].into_iter().flatten().all(|sensor| sensor.poses.len() == 1);
     let calibration = |frame| {
         let lens = |sensor: Option<&SensorFiles>| sensor.map(|it| it.lens(frame)).transpose();
-        let depth_noise = match depth.and_then(|it| it.intrinsics.depth_noise) {
-            Some(DepthNoiseFile { constant_m, quadratic_per_m }) => {
-                DepthNoise::new(constant_m, quadratic_per_m)?
-            }
-            None => DepthNoise::default(),
-        };
+        let depth_noise =
+            depth.map_or(Ok(DepthNoise::default()), |depth| depth.intrinsics.noise())?;
         Ok(Calibration { depth: lens(depth)?, depth_noise, picture: lens(picture)? })
     };
     let calibrations = (0..if is_fixed { 1 } else { frames }).map(calibration);

@@ -16,7 +16,8 @@ use ubimap_protocol::{
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
 pub(super) use values::{OptionError, number};
-use values::{heights, milliseconds, pose, probability, resolution, seconds, tolerance};
+pub(super) use values::{heights, resolution, seconds};
+use values::{milliseconds, pose, probability, tolerance};
 
 use crate::channel::{address::Address, fault::Faults};
 
@@ -72,14 +73,19 @@ pub enum TrustFloor {
 /// Options of `ubimap serve`.
 #[derive(Args, Clone, Debug)]
 pub struct ServeOptions {
-    /// Serial ports, with one robot behind each, and sockets for any number of robots: udp:4000 or
-    /// tcp:4000 on this machine, udp:0.0.0.0:4000 from everywhere
+    /// The file of a deployment (see `ubimap init`); or, on a bench, serial ports with one robot behind
+    /// each, and sockets for any number of robots: udp:4000 or tcp:4000 on this machine,
+    /// udp:0.0.0.0:4000 from everywhere
     #[arg(required = true, value_name = "PORT")]
     pub ports: Vec<Address>,
 
     /// Open the sockets to everyone who reaches them, on a bench: their frames are not sealed
     #[arg(long)]
     pub open: bool,
+
+    /// Send the robots of a deployment to ground that no camera sees
+    #[arg(long)]
+    pub explore: bool,
 
     /// Speed of the ports in bits per second
     #[arg(long, value_name = "N", default_value_t = 115_200, value_parser = value_parser!(u32).range(1_200..=12_000_000))]

@@ -44,7 +44,7 @@ pub(super) fn probability(text: &str) -> Result<f64, OptionError> {
     number(text, 0.0, 1.0, "(a probability)")
 }
 
-pub(super) fn resolution(text: &str) -> Result<Millimetres, OptionError> {
+pub(in crate::run) fn resolution(text: &str) -> Result<Millimetres, OptionError> {
     let metres = number(text, 0.02, 1.0, "m")?;
     if ((metres * 1000.0).round() - metres * 1000.0).abs() > 1e-6 {
         return Err(OptionError::FractionOfMillimetre);
@@ -53,7 +53,7 @@ pub(super) fn resolution(text: &str) -> Result<Millimetres, OptionError> {
 }
 
 /// Two heights, the lower one first, in whole millimetres.
-pub(super) fn heights(text: &str) -> Result<[Millimetres; 2], OptionError> {
+pub(in crate::run) fn heights(text: &str) -> Result<[Millimetres; 2], OptionError> {
     let (low, high) = text.split_once(',').ok_or(OptionError::NotHeights)?;
     let height = |text: &str| {
         number(text.trim(), 0.005, 10.0, "m")
@@ -79,7 +79,7 @@ pub(super) fn pose(text: &str) -> Result<Pose, OptionError> {
     Ok(Pose::from_metres(metres(x)?, metres(y)?, degrees.to_radians()))
 }
 
-pub(super) fn seconds(text: &str) -> Result<Duration, OptionError> {
+pub(in crate::run) fn seconds(text: &str) -> Result<Duration, OptionError> {
     let seconds = number(text, 0.1, 1e6, "s")?;
     Ok(Duration::from_micros((seconds * 1e6).round() as u64))
 }

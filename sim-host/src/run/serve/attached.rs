@@ -1,6 +1,7 @@
 //! A link to a robot: its wire, which is opened again whenever it comes back, and what is known of the
 //! robot behind it.
 
+use log::Level;
 use ubimap_protocol::{
     link::Counters,
     message::{Event, State},
@@ -8,6 +9,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
+use super::message::Message;
 use crate::{
     channel::{
         intake::{Intake, Listening, SourceId},
@@ -89,7 +91,7 @@ impl Attached {
     ///
     /// # Errors
     /// [`WireError::Io`] if no thread can be started.
-    pub(super) fn listen(&mut self, intake: &mut Intake) -> Result<(), WireError> {
+    pub(super) fn listen(&mut self, intake: &mut Intake<Message>) -> Result<(), WireError> {
         if let Some(reader) = self.reader.take() {
             self.listening = Some(intake.wire(reader)?);
         }
@@ -185,13 +187,13 @@ impl Attached {
     }
 
     /// Records the status of the port's robot, and logs it if it is new.
-    pub(super) fn note(&mut self, status: &PortStatus, now: Instant) {
+    pub(super) fn note(&mut self, status: &PortStatus, now: Instant, level: Level) {
         self.robot = status.robot.or(self.robot);
         if let (Some(robot), Some(state)) = (status.robot, status.state)
             && self.said.is_none_or(|(_, said)| said != state)
         {
             self.said = Some((now, state));
-            log::info!("{}: robot {} is {}", self.name, robot.0, described(now, &state));
+            log::log!(level, "{}: robot {} is {}", self.name, robot.0, described(now, &state));
         }
     }
 
